@@ -1,0 +1,1 @@
+"""The operator's haptic device."""

@@ -1,0 +1,281 @@
+"""Configuration of the haptic node: device, guard and simulated hand, with the presets of the paper."""
+
+import math
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from services.haptic_node import step
+from services.haptic_node.motor import SUBSTEP_S, MotorParams, closed_loop_coefficients
+from services.haptic_node.operator import FORCE_PROFILE, IMPEDANCE, OperatorParams
+from services.haptic_node.safety import SafetyParams
+
+# E1: the printed gain gives a bandwidth of 1.318 Hz, the printed bandwidth of 30 Hz needs the other gain.
+SERVO_GAINS_V_PER_M: dict[str, float] = {"paper_bandwidth": 1.917e5, "paper_gain": 1.0e4}
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
+
+
+class DeviceConfig(_Section):
+    """The 1-DOF device (Table 1, Eq. 1-2). What the paper does not give is marked as our own choice."""
+
+    preset: Literal["paper_bandwidth", "paper_gain"] = Field(
+        default="paper_bandwidth",
+        description="Servo gain: 1.917e5 V/m for the 30 Hz of Table 1, or the printed 10000 V/m: 1.318 Hz (E1)",
+    )
+    servo_gain_v_per_m: float | None = Field(
+        default=None, gt=0.0, le=1e7, description="Servo gain G [V/m] in place of the preset's; (0, 1e7]"
+    )
+    speed_gain_rad_per_s_v: float = Field(
+        default=29.41, gt=0.0, le=1e4, description="Motor gain Km [(rad/s)/V]; (0, 1e4]; 1/Km is K_t [N m/A] and K_e"
+    )
+    screw_m_per_rad: float = Field(default=2.79e-5, gt=0.0, le=0.1, description="Screw Kp [m/rad]; (0, 0.1]")
+    time_constant_s: float = Field(default=1.1e-3, ge=1e-4, le=1.0, description="Motor time constant Tm [s]; [1e-4, 1]")
+    friction_torque_n_m: float = Field(
+        default=3.15e-3, ge=0.0, le=1.0, description="Coulomb friction at the motor, either way [N m]; [0, 1]"
+    )
+    armature_resistance_ohm: float = Field(
+        default=5.0,
+        gt=0.0,
+        le=1e3,
+        description="Armature resistance R [ohm], our own choice (not in the paper); (0, 1e3]. Friction acts like"
+        " torque*R*Km volts: 0.463 V, a position band of 2.4 um (paper_bandwidth) or 46 um (paper_gain)",
+    )
+    voltage_limit_v: float = Field(
+        default=48.0, gt=0.0, le=1e3, description="Supply of the drive [V], our own choice; (0, 1e3]; 39 mm/s unloaded"
+    )
+    torque_limit_n_m: float = Field(
+        default=0.05, gt=0.0, le=10.0, description="Motor torque at the current limit [N m], our own choice; (0, 10]"
+    )
+    position_min_m: float = Field(
+        default=-0.005, ge=-1.0, le=1.0, description="End stop away from the sample [m]; [-1, 1]"
+    )
+    position_max_m: float = Field(
+        default=0.015, ge=-1.0, le=1.0, description="End stop towards the sample [m]; [-1, 1]; 20 mm of travel in all"
+    )
+    start_position_m: float = Field(default=0.0, ge=-1.0, le=1.0, description="Where the arm stands at start [m]")
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "DeviceConfig":
+        if not self.position_min_m < self.position_max_m:
+            raise ValueError(
+                f"position_min_m = {self.position_min_m} m must be below position_max_m = {self.position_max_m} m"
+            )
+        if not self.position_min_m <= self.start_position_m <= self.position_max_m:
+            raise ValueError(
+                f"start_position_m = {self.start_position_m} m must lie between the end stops at"
+                f" {self.position_min_m} m and {self.position_max_m} m"
+            )
+        if self.torque_limit_n_m <= self.friction_torque_n_m:
+            raise ValueError(
+                f"torque_limit_n_m = {self.torque_limit_n_m} N m must exceed friction_torque_n_m ="
+                f" {self.friction_torque_n_m} N m, or the motor never moves"
+            )
+        a2, _ = closed_loop_coefficients(self.to_params())
+        if not math.sqrt(a2) * SUBSTEP_S < math.pi:
+            raise ValueError(
+                f"servo_gain_v_per_m = {self.to_params().servo_gain_v_per_m} V/m with this motor rings at"
+                f" {math.sqrt(a2) / (2.0 * math.pi):.0f} Hz, below {0.5 / SUBSTEP_S:.0f} Hz is needed"
+            )
+        return self
+
+    def to_params(self) -> MotorParams:
+        """Give the constants of the compiled device."""
+        own_gain = self.servo_gain_v_per_m
+        return MotorParams(
+            speed_gain_rad_per_s_v=self.speed_gain_rad_per_s_v,
+            screw_m_per_rad=self.screw_m_per_rad,
+            time_constant_s=self.time_constant_s,
+            servo_gain_v_per_m=SERVO_GAINS_V_PER_M[self.preset] if own_gain is None else own_gain,
+            friction_torque_n_m=self.friction_torque_n_m,
+            armature_resistance_ohm=self.armature_resistance_ohm,
+            voltage_limit_v=self.voltage_limit_v,
+            torque_limit_n_m=self.torque_limit_n_m,
+            position_min_m=self.position_min_m,
+            position_max_m=self.position_max_m,
+        )
+
+
+class LimitsConfig(_Section):
+    """What the guard in front of the driver lets through."""
+
+    command_deadline_s: float = Field(
+        default=0.050,
+        gt=0.0,
+        le=10.0,
+        description="Oldest command that is still followed, beyond it the motor is off [s]; (0, 10]",
+    )
+    position_min_m: float = Field(
+        default=-0.0045, ge=-1.0, le=1.0, description="Lowest position reference [m]; [-1, 1]"
+    )
+    position_max_m: float = Field(
+        default=0.0145, ge=-1.0, le=1.0, description="Highest position reference [m]; [-1, 1]"
+    )
+    max_speed_m_per_s: float = Field(
+        default=0.03, gt=0.0, le=10.0, description="Fastest motion of the position reference [m/s]; (0, 10]"
+    )
+    max_force_n: float = Field(
+        default=10.0, gt=0.0, le=1e3, description="Largest force reference, for devices with a force mode [N]; (0, 1e3]"
+    )
+
+    @model_validator(mode="after")
+    def _ordered(self) -> "LimitsConfig":
+        if not self.position_min_m < self.position_max_m:
+            raise ValueError(
+                f"position_min_m = {self.position_min_m} m must be below position_max_m = {self.position_max_m} m"
+            )
+        return self
+
+    def to_params(self, *, has_position_mode: bool, has_force_mode: bool) -> SafetyParams:
+        """Give the constants of the guard for a device with the modes named."""
+        return SafetyParams(
+            command_deadline_s=self.command_deadline_s,
+            position_min_m=self.position_min_m,
+            position_max_m=self.position_max_m,
+            max_speed_m_per_s=self.max_speed_m_per_s,
+            max_force_n=self.max_force_n,
+            has_position_mode=has_position_mode,
+            has_force_mode=has_force_mode,
+        )
+
+
+class ForcePoint(_Section):
+    """One corner of a force profile."""
+
+    time_s: float = Field(ge=0.0, description="Time since the session started [s]; >= 0")
+    force_n: float = Field(ge=-1e3, le=1e3, description="Force of the hand on the device, towards the sample > 0 [N]")
+
+
+class PathPoint(_Section):
+    """One corner of an intended path."""
+
+    time_s: float = Field(ge=0.0, description="Time since the session started [s]; >= 0")
+    position_m: float = Field(ge=-1.0, le=1.0, description="Where the hand means to be, towards the sample > 0 [m]")
+
+
+# Fig. 12: nothing until 0.8 s, 1 N from 1.2 to 2.6 s, 2 N from 2.9 to 4.5 s, let go by 4.6 s.
+FIG12_POINTS = tuple(
+    ForcePoint(time_s=t, force_n=f) for t, f in ((0.8, 0.0), (1.2, 1.0), (2.6, 1.0), (2.9, 2.0), (4.5, 2.0), (4.6, 0.0))
+)
+
+
+def _check_times(name: str, points: tuple[ForcePoint, ...] | tuple[PathPoint, ...]) -> None:
+    for index in range(1, len(points)):
+        if not points[index].time_s > points[index - 1].time_s:
+            raise ValueError(
+                f"{name}.{index}.time_s = {points[index].time_s} s must be later than"
+                f" {name}.{index - 1}.time_s = {points[index - 1].time_s} s"
+            )
+
+
+MaxForce = Annotated[float, Field(gt=0.0, le=1e3, description="Most that hand and force sensor take [N]; (0, 1e3]")]
+
+
+class ForceProfileConfig(_Section):
+    """A hand that presses with a given force whatever the device does."""
+
+    kind: Literal["force_profile"] = Field(description="Selects this model of the hand")
+    points: tuple[ForcePoint, ...] = Field(
+        default=FIG12_POINTS,
+        min_length=1,
+        max_length=10_000,
+        description="Corners of F_m(t): linear between, zero before the first, the last force held after it",
+    )
+    max_force_n: MaxForce = 10.0
+
+    @model_validator(mode="after")
+    def _times_increase(self) -> "ForceProfileConfig":
+        _check_times("points", self.points)
+        return self
+
+    def to_params(self) -> OperatorParams:
+        """Give the constants of the compiled hand."""
+        times = np.array([point.time_s for point in self.points])
+        forces = np.array([point.force_n for point in self.points])
+        return OperatorParams(FORCE_PROFILE, times, forces, 0.0, 0.0, 0.0, 0.0, 0.0, self.max_force_n)
+
+
+class ImpedanceConfig(_Section):
+    """A hand with mass, damper and spring on its way along an intended path; constants of the usual size, our own."""
+
+    kind: Literal["impedance"] = Field(description="Selects this model of the hand")
+    path: tuple[PathPoint, ...] = Field(
+        min_length=1,
+        max_length=10_000,
+        description="Corners of the intended path: linear between, the end values held outside",
+    )
+    stiffness_n_per_m: float = Field(default=300.0, ge=0.0, le=1e6, description="Spring k of the arm [N/m]; [0, 1e6]")
+    damping_n_s_per_m: float = Field(default=5.0, ge=0.0, le=1e5, description="Damper b of the arm [N s/m]; [0, 1e5]")
+    mass_kg: float = Field(default=0.15, ge=0.0, le=100.0, description="Moving mass m of the hand [kg]; [0, 100]")
+    pad_stiffness_n_per_m: float = Field(
+        default=5000.0, gt=0.0, le=1e7, description="Finger pad between mass and device, spring k_p [N/m]; (0, 1e7]"
+    )
+    pad_damping_n_s_per_m: float = Field(
+        default=10.0, gt=0.0, le=1e6, description="Finger pad between mass and device, damper b_p [N s/m]; (0, 1e6]"
+    )
+    max_force_n: MaxForce = 10.0
+
+    @model_validator(mode="after")
+    def _times_increase(self) -> "ImpedanceConfig":
+        _check_times("path", self.path)
+        return self
+
+    def to_params(self) -> OperatorParams:
+        """Give the constants of the compiled hand."""
+        return OperatorParams(
+            kind=IMPEDANCE,
+            times_s=np.array([point.time_s for point in self.path]),
+            values=np.array([point.position_m for point in self.path]),
+            stiffness_n_per_m=self.stiffness_n_per_m,
+            damping_n_s_per_m=self.damping_n_s_per_m,
+            mass_kg=self.mass_kg,
+            pad_stiffness_n_per_m=self.pad_stiffness_n_per_m,
+            pad_damping_n_s_per_m=self.pad_damping_n_s_per_m,
+            max_force_n=self.max_force_n,
+        )
+
+
+OperatorConfig = Annotated[ForceProfileConfig | ImpedanceConfig, Field(discriminator="kind")]
+
+
+class HapticConfig(_Section):
+    """Section `haptic_node` of a scenario."""
+
+    device: DeviceConfig = Field(default=DeviceConfig(), description="The simulated device")
+    limits: LimitsConfig = Field(default=LimitsConfig(), description="The guard in front of the device")
+    operator: OperatorConfig = Field(
+        default=ForceProfileConfig(kind="force_profile"), description="The simulated hand; Fig. 12 if not given"
+    )
+
+    @model_validator(mode="after")
+    def _limits_inside_travel(self) -> "HapticConfig":
+        device, limits = self.device, self.limits
+        for name, value in (("position_min_m", limits.position_min_m), ("position_max_m", limits.position_max_m)):
+            if not device.position_min_m <= value <= device.position_max_m:
+                raise ValueError(
+                    f"limits.{name} = {value} m must lie between the end stops of the device at"
+                    f" {device.position_min_m} m and {device.position_max_m} m"
+                )
+        unloaded = device.voltage_limit_v * device.speed_gain_rad_per_s_v * device.screw_m_per_rad
+        if limits.max_speed_m_per_s > unloaded:
+            raise ValueError(
+                f"limits.max_speed_m_per_s = {limits.max_speed_m_per_s} m/s is more than the device can do at"
+                f" device.voltage_limit_v = {device.voltage_limit_v} V: {math.floor(unloaded * 1e6) / 1e6} m/s"
+            )
+        return self
+
+    def to_plant_params(self) -> step.PlantParams:
+        """Give the constants of the simulated device and hand, for `SimulatedHaptic`."""
+        return step.PlantParams(self.device.to_params(), self.operator.to_params())
+
+    def to_params(self) -> step.HapticParams:
+        """Give the constants of the whole compiled chain; the simulated device has no force mode."""
+        guard = self.limits.to_params(has_position_mode=True, has_force_mode=False)
+        return step.HapticParams(guard, self.to_plant_params())
+
+    def initial_state(self) -> step.HapticState:
+        """Give the state at start: at rest, off, not latched."""
+        return step.initial_state(self.device.start_position_m)

@@ -1,0 +1,159 @@
+"""The haptic process: paces the rig, samples the operator's device and guards it."""
+
+import math
+from typing import ClassVar
+
+from proto.messages import HapticCommand, SessionControl, Vector3
+from services.haptic_node import safety
+from services.haptic_node.config import HapticConfig
+from services.haptic_node.driver import DeviceReading, DriveCommand, HapticDevice
+from services.runtime.bus import Received
+from services.runtime.node import Node, NodeContext
+from services.runtime.schedule import Grid
+
+INPUTS = ("haptic/command", "session/control")
+PERIOD_S = 1e-3
+_MODE_CODES = {name: code for code, name in safety.MODE_NAMES.items()}
+# what acts on the way to the device without being a change of its mode
+_LIMITS = (safety.REASON_TRAVEL_LIMIT, safety.REASON_SPEED_LIMIT, safety.REASON_FORCE_LIMIT)
+_NOT_RUNNING_S = -1.0
+
+
+def across(value: float) -> Vector3:
+    """Give the vector in the master frame of a coordinate along the paper's axis; 0.0 stays +0.0."""
+    return (0.0, 0.0, 0.0 - value)
+
+
+class HapticNode(Node):
+    """The operator's device on an absolute grid of 1 kHz: haptic/command in, haptic/state out.
+
+    Whatever the controller says goes through the guard (`safety.step`) first; what the guard let through and the
+    device really did is what is published.
+    """
+
+    inputs = INPUTS
+    commands: ClassVar[tuple[str, ...]] = ("start", "stop", "arm", "estop")
+    period_s = PERIOD_S
+
+    def __init__(self, context: NodeContext, config: HapticConfig, device: HapticDevice) -> None:
+        super().__init__(context)
+        self.device = device
+        self._limits = config.limits.to_params(
+            has_position_mode=safety.MODE_POSITION in device.capabilities.modes,
+            has_force_mode=safety.MODE_FORCE in device.capabilities.modes,
+        )
+        self._guard = safety.SafetyState(False, safety.MODE_OFF, config.device.start_position_m)
+        self._position_m = config.device.start_position_m
+        self._command: HapticCommand | None = None
+        self._command_received_ns = 0
+        self._estop_asked = False
+        self._arm_asked = False
+        self._session_ticks: int | None = None
+        self._told = (safety.MODE_OFF, safety.REASON_COMMAND_STALE)
+        device.open()
+        # compile before the grid starts, not in its first tick
+        self._guarded()
+        self._grid = Grid(self.clock.monotonic_ns(), round(PERIOD_S * 1e9))
+
+    def deadline_ns(self) -> int:
+        """Give the next tick of the grid."""
+        return self._grid.deadline_ns
+
+    def on_message(self, received: Received) -> None:
+        """Keep the newest command for the next tick, with the time of its arrival."""
+        if isinstance(received.message, HapticCommand):
+            self._command = received.message
+            self._command_received_ns = received.received_ns
+
+    def on_deadline(self, now_ns: int) -> None:
+        """Guard the command, drive and sample the device, publish what it did."""
+        periods = self._grid.advance(now_ns)
+        self.overruns = self._grid.overruns
+        elapsed_s = periods * PERIOD_S
+        if self._session_ticks is not None:
+            self._session_ticks += periods
+        applied = self._guarded()
+        self.device.write(DriveCommand(applied.mode, applied.position_reference_m, applied.force_reference_n))
+        reading = self.device.read(self._session_s(), elapsed_s)
+        self._position_m = reading.position_m
+        self._publish_state(applied, reading, elapsed_s)
+        self._tell_changes(applied)
+        self.steps += 1
+
+    def on_control(self, control: SessionControl) -> str:
+        """Start or stop the operator's programme, stop at once, or arm again."""
+        if control.command == "start":
+            self._session_ticks = 0
+            return "the operator's programme runs"
+        if control.command == "stop":
+            self._session_ticks = None
+            return "the operator's programme has ended"
+        if control.command == "estop":
+            self._estop_asked = True
+            return "emergency stop latched: the motor is off until armed"
+        if control.command == "arm":
+            self._arm_asked = True
+            return "armed: the motor follows fresh commands"
+        return super().on_control(control)
+
+    def make_safe(self) -> None:
+        """Take the force from the motor."""
+        self.device.close()
+
+    def _session_s(self) -> float:
+        return _NOT_RUNNING_S if self._session_ticks is None else self._session_ticks * PERIOD_S
+
+    def _guarded(self) -> safety.SafetyOutputs:
+        command = self._command
+        age_s = math.inf if command is None else (self.clock.now_ns() - self._command_received_ns) * 1e-9
+        asked = safety.SafetyInputs(
+            command_mode=safety.MODE_OFF if command is None else _MODE_CODES[command.mode],
+            position_reference_m=0.0 if command is None else 0.0 - command.position_m[2],
+            force_reference_n=0.0 if command is None else 0.0 - command.force_n[2],
+            command_age_s=age_s,
+            estop=self._estop_asked,
+            arm=self._arm_asked,
+            position_m=self._position_m,
+        )
+        self._estop_asked = self._arm_asked = False
+        # one period of motion at most, however long the process was held up: no jump at the hand
+        self._guard, applied = safety.step(self._limits, self._guard, asked, PERIOD_S)
+        return applied
+
+    def _publish_state(self, applied: safety.SafetyOutputs, reading: DeviceReading, elapsed_s: float) -> None:
+        command = self._command
+        self.publish(
+            "haptic/state",
+            position_m=across(reading.position_m),
+            velocity_m_per_s=across(reading.velocity_m_per_s),
+            operator_force_n=across(reading.operator_force_n),
+            motor_force_n=across(reading.motor_force_n),
+            reference_m=across(applied.position_reference_m),
+            mode=safety.MODE_NAMES[applied.mode],
+            estop=applied.estop_latched,
+            limited=applied.reason in _LIMITS or _device_limited(reading),
+            session_s=self._session_s(),
+            answered_seq=0 if command is None else command.hand_seq,
+            answered_t_ns=0 if command is None else command.hand_t_ns,
+            answered_at_ns=self._command_received_ns,
+            step_s=elapsed_s,
+        )
+
+    def _tell_changes(self, applied: safety.SafetyOutputs) -> None:
+        self.state = "running" if applied.mode != safety.MODE_OFF else "safe"
+        # a limit may come and go at every tick; it is published as `limited`, not told as an event
+        reason = safety.REASON_NONE if applied.reason in _LIMITS else applied.reason
+        if (applied.mode, reason) == self._told:
+            return
+        self._told = (applied.mode, reason)
+        self.event(
+            "mode",
+            "info" if reason == safety.REASON_NONE else "warning",
+            safety.REASONS[reason],
+            mode=safety.MODE_NAMES[applied.mode],
+            position_m=self._position_m,
+        )
+
+
+def _device_limited(reading: DeviceReading) -> bool:
+    return reading.operator_force_limited or reading.end_stop or reading.voltage_limited or reading.torque_limited

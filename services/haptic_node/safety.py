@@ -1,0 +1,137 @@
+"""What stands between any command and any haptic driver: deadline, limits, latched e-stop.
+
+The guard decides from the command, its age and the present position alone, so that it is the same for the simulated
+device and for a real one. It never trusts the controller: what it lets through is what the driver is told.
+
+No jump at the hand: whenever position control begins (at start, after a lost link, after an e-stop) the applied
+reference starts at the present position and moves towards the commanded one at no more than the speed limit. So
+control comes back by itself as soon as commands are fresh, and no distance is too great for that.
+"""
+
+import math
+from typing import NamedTuple
+
+from services.runtime.compiled import compiled
+
+MODE_OFF = 0
+MODE_POSITION = 1
+MODE_FORCE = 2
+MODE_NAMES: dict[int, str] = {MODE_OFF: "off", MODE_POSITION: "position", MODE_FORCE: "force"}
+
+REASON_NONE = 0
+REASON_ESTOP = 1
+REASON_COMMAND_STALE = 2
+REASON_MODE_UNKNOWN = 3
+REASON_MODE_REFUSED = 4
+REASON_REFERENCE_INVALID = 5
+REASON_TRAVEL_LIMIT = 6
+REASON_SPEED_LIMIT = 7
+REASON_FORCE_LIMIT = 8
+REASONS: dict[int, str] = {
+    REASON_NONE: "command applied as it came",
+    REASON_ESTOP: "emergency stop is latched: off until armed",
+    REASON_COMMAND_STALE: "no command within the deadline: off until commands are fresh",
+    REASON_MODE_UNKNOWN: "mode code is not one of 0 (off), 1 (position), 2 (force): off",
+    REASON_MODE_REFUSED: "this device does not have the commanded mode: off",
+    REASON_REFERENCE_INVALID: "reference is not a finite number: off",
+    REASON_TRAVEL_LIMIT: "reference held at the end of the allowed travel",
+    REASON_SPEED_LIMIT: "reference moves at the speed limit towards the commanded position",
+    REASON_FORCE_LIMIT: "reference held at the force limit",
+}
+
+
+class SafetyParams(NamedTuple):
+    """Limits of the guard and the modes that the guarded device has."""
+
+    command_deadline_s: float
+    position_min_m: float
+    position_max_m: float
+    max_speed_m_per_s: float
+    max_force_n: float
+    has_position_mode: bool
+    has_force_mode: bool
+
+
+class SafetyState(NamedTuple):
+    """What the guard remembers: the latch, the mode it applied last and the reference it let through."""
+
+    estop_latched: bool
+    mode: int
+    position_reference_m: float
+
+
+class SafetyInputs(NamedTuple):
+    """The newest command, its age (infinite if there never was one), stop and arm requests, measured position."""
+
+    command_mode: int
+    position_reference_m: float
+    force_reference_n: float
+    command_age_s: float
+    estop: bool
+    arm: bool
+    position_m: float
+
+
+class SafetyOutputs(NamedTuple):
+    """What the driver is told. A reference that the mode does not use is the present position, or zero force."""
+
+    mode: int
+    position_reference_m: float
+    force_reference_n: float
+    reason: int
+    estop_latched: bool
+
+
+@compiled
+def _refusal(params: SafetyParams, inputs: SafetyInputs, latched: bool) -> int:
+    """Give the reason to be off whatever the command says, or REASON_NONE."""
+    if latched:
+        return REASON_ESTOP
+    # Written so that an age that is not a number counts as stale.
+    if not inputs.command_age_s <= params.command_deadline_s:
+        return REASON_COMMAND_STALE
+    if inputs.command_mode == MODE_POSITION:
+        if not params.has_position_mode:
+            return REASON_MODE_REFUSED
+        return REASON_NONE if math.isfinite(inputs.position_reference_m) else REASON_REFERENCE_INVALID
+    if inputs.command_mode == MODE_FORCE:
+        if not params.has_force_mode:
+            return REASON_MODE_REFUSED
+        return REASON_NONE if math.isfinite(inputs.force_reference_n) else REASON_REFERENCE_INVALID
+    return REASON_NONE if inputs.command_mode == MODE_OFF else REASON_MODE_UNKNOWN
+
+
+@compiled
+def _limited_position(params: SafetyParams, start: float, wanted: float, dt: float) -> tuple[float, int]:
+    reason = REASON_NONE
+    target = min(max(wanted, params.position_min_m), params.position_max_m)
+    if target != wanted:
+        reason = REASON_TRAVEL_LIMIT
+    reach = params.max_speed_m_per_s * dt
+    if abs(target - start) > reach:
+        target = start + math.copysign(reach, target - start)
+        # The travel limit is the lasting cause: it stays named while the reference is still on its way there.
+        reason = REASON_SPEED_LIMIT if reason == REASON_NONE else reason
+    return target, reason
+
+
+@compiled
+def step(
+    params: SafetyParams, state: SafetyState, inputs: SafetyInputs, dt: float
+) -> tuple[SafetyState, SafetyOutputs]:
+    """Guard one command over a period dt [s]; see the module's text for the rules and REASONS for the answers.
+
+    An e-stop wins over an arm in the same step. A command exactly at the deadline is still good, and so is a reference
+    exactly at a limit.
+    """
+    latched = inputs.estop or (state.estop_latched and not inputs.arm)
+    reason = _refusal(params, inputs, latched)
+    mode = inputs.command_mode if reason == REASON_NONE else MODE_OFF
+    position, force = inputs.position_m, 0.0
+    if mode == MODE_POSITION:
+        start = state.position_reference_m if state.mode == MODE_POSITION else inputs.position_m
+        position, reason = _limited_position(params, start, inputs.position_reference_m, dt)
+    elif mode == MODE_FORCE:
+        force = min(max(inputs.force_reference_n, -params.max_force_n), params.max_force_n)
+        reason = REASON_NONE if force == inputs.force_reference_n else REASON_FORCE_LIMIT
+    return SafetyState(latched, mode, position), SafetyOutputs(mode, position, force, reason, latched)

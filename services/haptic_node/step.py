@@ -1,0 +1,119 @@
+"""The haptic site in one step: guard, then device, then hand.
+
+`plant_step` is what the simulated driver runs behind the node's own guard; `step` is the whole chain for lockstep
+studies. Both are the same functions, so a study and a rig cannot differ.
+"""
+
+from typing import NamedTuple
+
+from services.haptic_node import motor, operator, safety
+from services.haptic_node.driver import DeviceReading, DriveCommand
+from services.runtime.compiled import compiled
+
+
+class PlantParams(NamedTuple):
+    """Constants of the simulated device and of the hand on it."""
+
+    motor: motor.MotorParams
+    operator: operator.OperatorParams
+
+
+class PlantState(NamedTuple):
+    """States of the simulated device and of the hand on it."""
+
+    motor: motor.MotorState
+    operator: operator.OperatorState
+
+
+class HapticParams(NamedTuple):
+    """Constants of the whole chain."""
+
+    safety: safety.SafetyParams
+    plant: PlantParams
+
+
+class HapticState(NamedTuple):
+    """State of the whole chain."""
+
+    safety: safety.SafetyState
+    plant: PlantState
+
+
+class HapticInputs(NamedTuple):
+    """The newest command with its age, and the session's clock and requests.
+
+    command_mode: 0 off, 1 position, 2 force. position_reference_m: along x, towards the sample. command_age_s: infinite
+    if there never was a command. session_time_s: since the start of the session, negative if it has not started.
+    """
+
+    command_mode: int
+    position_reference_m: float
+    force_reference_n: float
+    command_age_s: float
+    session_time_s: float
+    estop: bool
+    arm: bool
+
+
+class HapticOutputs(NamedTuple):
+    """What the guard applied and why, and what the device then measured and really sent."""
+
+    applied: safety.SafetyOutputs
+    reading: DeviceReading
+
+
+@compiled
+def initial_plant(position_m: float) -> PlantState:
+    """Give the device and the hand at rest at position_m [m]."""
+    return PlantState(motor.MotorState(position_m, 0.0), operator.OperatorState(position_m, 0.0))
+
+
+@compiled
+def initial_state(position_m: float) -> HapticState:
+    """Give the chain at rest at position_m [m], off, not latched."""
+    return HapticState(safety.SafetyState(False, safety.MODE_OFF, position_m), initial_plant(position_m))
+
+
+@compiled
+def plant_step(
+    params: PlantParams, state: PlantState, command: DriveCommand, session_time_s: float, dt: float
+) -> tuple[PlantState, DeviceReading]:
+    """Advance device and hand by dt [s], > 0, under a guarded command."""
+    inputs = motor.MotorInputs(command.mode, command.position_reference_m)
+    arm, drive = motor.step(params.motor, state.motor, inputs, dt)
+    ends = operator.OperatorInputs(session_time_s, state.motor.position_m, arm.position_m)
+    hand, felt = operator.step(params.operator, state.operator, ends, dt)
+    reading = DeviceReading(
+        arm.position_m,
+        arm.velocity_m_per_s,
+        felt.force_n,
+        felt.limited,
+        drive.force_n,
+        drive.voltage_v,
+        drive.end_stop,
+        drive.voltage_limited,
+        drive.torque_limited,
+    )
+    return PlantState(arm, hand), reading
+
+
+@compiled
+def step(
+    params: HapticParams, state: HapticState, inputs: HapticInputs, dt: float
+) -> tuple[HapticState, HapticOutputs]:
+    """Advance the haptic site by dt [s]. Raises ValueError if dt is not a positive time."""
+    if not dt > 0.0:
+        raise ValueError("dt of the haptic step must be a positive time in s")
+    guarded = safety.SafetyInputs(
+        inputs.command_mode,
+        inputs.position_reference_m,
+        inputs.force_reference_n,
+        inputs.command_age_s,
+        inputs.estop,
+        inputs.arm,
+        state.plant.motor.position_m,
+    )
+    guard, applied = safety.step(params.safety, state.safety, guarded, dt)
+    command = DriveCommand(applied.mode, applied.position_reference_m, applied.force_reference_n)
+    plant, reading = plant_step(params.plant, state.plant, command, inputs.session_time_s, dt)
+    return HapticState(guard, plant), HapticOutputs(applied, reading)

@@ -1,0 +1,126 @@
+"""The guard: every transition at its bound and just past it."""
+
+import math
+
+import pytest
+
+from services.haptic_node import safety
+from services.haptic_node.safety import MODE_FORCE, MODE_OFF, MODE_POSITION, SafetyInputs, SafetyParams, SafetyState
+
+DT = 1.0 / 1024.0  # exact in binary, as are the limits below: the bound is the bound
+PARAMS = SafetyParams(0.050, -0.25, 0.75, 0.5, 4.0, True, False)
+FORCE_DEVICE = PARAMS._replace(has_position_mode=False, has_force_mode=True)
+REACH = 0.5 * DT
+
+
+def inputs(mode=MODE_POSITION, **changes) -> SafetyInputs:
+    base = SafetyInputs(mode, 0.0, 0.0, 0.0, False, False, 0.0)
+    return base._replace(**changes)
+
+
+def guard(state=None, params=PARAMS, mode=MODE_POSITION, **changes):
+    state = SafetyState(False, MODE_OFF, 0.0) if state is None else state
+    return safety.step(params, state, inputs(mode, **changes), DT)
+
+
+def test_deadline_at_the_bound_and_just_past():
+    assert guard(command_age_s=0.050)[1].mode == MODE_POSITION
+    for age in (math.nextafter(0.050, 1.0), 1.0, math.inf, math.nan):
+        _, out = guard(command_age_s=age)
+        assert (out.mode, out.reason) == (MODE_OFF, safety.REASON_COMMAND_STALE)
+        assert out.force_reference_n == 0.0
+
+
+def test_recovers_by_itself_from_the_present_position_without_a_jump():
+    state, _ = guard(position_reference_m=REACH / 2, position_m=0.0)
+    state, out = guard(state, position_reference_m=0.5, position_m=0.125, command_age_s=0.051)
+    assert (out.mode, out.position_reference_m) == (MODE_OFF, 0.125)
+    reference = 0.125
+    for _ in range(10):
+        state, out = guard(state, position_reference_m=0.5, position_m=0.125)
+        assert (out.mode, out.reason) == (MODE_POSITION, safety.REASON_SPEED_LIMIT)
+        assert out.position_reference_m == reference + REACH
+        reference += REACH
+
+
+def test_speed_limit_at_the_bound_and_just_past():
+    for sign in (1.0, -1.0):
+        _, at = guard(position_reference_m=sign * REACH)
+        assert (at.position_reference_m, at.reason) == (sign * REACH, safety.REASON_NONE)
+        _, past = guard(position_reference_m=sign * math.nextafter(REACH, 1.0))
+        assert (past.position_reference_m, past.reason) == (sign * REACH, safety.REASON_SPEED_LIMIT)
+
+
+def test_reference_moves_from_the_last_one_not_from_the_lagging_arm():
+    state = SafetyState(False, MODE_POSITION, 0.25)
+    _, out = guard(state, position_reference_m=0.25 + REACH, position_m=0.1)
+    assert (out.position_reference_m, out.reason) == (0.25 + REACH, safety.REASON_NONE)
+
+
+@pytest.mark.parametrize(("bound", "outwards"), [(0.75, math.inf), (-0.25, -math.inf)])
+def test_travel_limit_at_the_bound_and_just_past(bound, outwards):
+    state = SafetyState(False, MODE_POSITION, bound)
+    _, at = guard(state, position_reference_m=bound)
+    assert (at.position_reference_m, at.reason) == (bound, safety.REASON_NONE)
+    _, past = guard(state, position_reference_m=math.nextafter(bound, outwards))
+    assert (past.position_reference_m, past.reason) == (bound, safety.REASON_TRAVEL_LIMIT)
+
+
+def test_estop_latches_until_armed_and_wins_over_arm():
+    state, out = guard(estop=True)
+    assert (out.mode, out.reason, out.estop_latched) == (MODE_OFF, safety.REASON_ESTOP, True)
+    state, out = guard(state)
+    assert (out.mode, out.estop_latched) == (MODE_OFF, True)
+    state, out = guard(state, estop=True, arm=True)
+    assert (out.mode, out.estop_latched) == (MODE_OFF, True)
+    state, out = guard(state, arm=True, position_m=0.3, position_reference_m=0.3)
+    assert (out.mode, out.reason, out.estop_latched) == (MODE_POSITION, safety.REASON_NONE, False)
+    assert out.position_reference_m == 0.3
+
+
+def test_estop_is_latched_while_commands_are_stale_too():
+    state, _ = guard(estop=True, command_age_s=math.inf)
+    assert state.estop_latched
+    state, out = guard(state, arm=True, command_age_s=math.inf)
+    assert (out.mode, out.reason) == (MODE_OFF, safety.REASON_COMMAND_STALE)
+
+
+def test_force_mode_is_refused_where_the_device_has_none():
+    _, out = guard(mode=MODE_FORCE, force_reference_n=1.0)
+    assert (out.mode, out.reason, out.force_reference_n) == (MODE_OFF, safety.REASON_MODE_REFUSED, 0.0)
+    _, out = guard(mode=MODE_POSITION, params=FORCE_DEVICE)
+    assert (out.mode, out.reason) == (MODE_OFF, safety.REASON_MODE_REFUSED)
+
+
+def test_force_limit_at_the_bound_and_just_past():
+    for sign in (1.0, -1.0):
+        _, at = guard(mode=MODE_FORCE, params=FORCE_DEVICE, force_reference_n=sign * 4.0)
+        assert (at.mode, at.force_reference_n, at.reason) == (MODE_FORCE, sign * 4.0, safety.REASON_NONE)
+        _, past = guard(mode=MODE_FORCE, params=FORCE_DEVICE, force_reference_n=sign * math.nextafter(4.0, 5.0))
+        assert (past.force_reference_n, past.reason) == (sign * 4.0, safety.REASON_FORCE_LIMIT)
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_reference_that_is_no_number_turns_off(bad):
+    _, out = guard(position_reference_m=bad, position_m=0.1)
+    assert (out.mode, out.reason, out.position_reference_m) == (MODE_OFF, safety.REASON_REFERENCE_INVALID, 0.1)
+    _, out = guard(mode=MODE_FORCE, params=FORCE_DEVICE, force_reference_n=bad)
+    assert (out.mode, out.reason, out.force_reference_n) == (MODE_OFF, safety.REASON_REFERENCE_INVALID, 0.0)
+
+
+def test_a_reference_that_the_mode_does_not_use_is_not_judged():
+    assert guard(force_reference_n=math.nan)[1].reason == safety.REASON_NONE
+    assert guard(mode=MODE_OFF, position_reference_m=math.nan)[1].reason == safety.REASON_NONE
+
+
+@pytest.mark.parametrize("code", [-1, 3, 99])
+def test_unknown_mode_turns_off(code):
+    _, out = guard(mode=code)
+    assert (out.mode, out.reason) == (MODE_OFF, safety.REASON_MODE_UNKNOWN)
+
+
+def test_every_code_has_its_words():
+    codes = {value for name, value in vars(safety).items() if name.startswith("REASON_")}
+    assert codes == set(safety.REASONS)
+    modes = {value for name, value in vars(safety).items() if name.startswith("MODE_") and isinstance(value, int)}
+    assert modes == set(safety.MODE_NAMES)
