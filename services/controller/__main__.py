@@ -1,0 +1,20 @@
+"""Run one half of the law."""
+
+import sys
+
+from services.controller.config import ControllerConfig
+from services.controller.node import MASTER_INPUTS, SLAVE_INPUTS, half_of_site
+from services.runtime.main import NodeKind, Wiring, run_node
+from services.runtime.node import AccountedBus, Node
+
+
+def build(wiring: Wiring, config: ControllerConfig) -> tuple[Node, AccountedBus]:
+    """Wire the half that belongs to the site."""
+    bus = wiring.bus(MASTER_INPUTS if wiring.key.endswith("@master") else SLAVE_INPUTS)
+    return half_of_site(wiring.context(bus), config), bus
+
+
+CONTROLLER = NodeKind("controller", ("master", "slave"), ControllerConfig, build)
+
+if __name__ == "__main__":
+    sys.exit(run_node(CONTROLLER))

@@ -1,0 +1,107 @@
+"""What a teleoperation law is: a two-port with a master half and a slave half, each a pair of pure steps.
+
+At each tick of the hand the master half first *sends* (what its state and the hand's sample say to the slave), and
+then, when the answer comes or the tick is over, *receives* (integrates, and says what the device is to do). The slave
+half receives first and sends when the instrument has answered. So nothing waits for a timer: with no delay the force
+that answers a sample acts within the same tick, which is what the equations of the paper assume.
+
+All quantities are scalars along the paper's axis, towards the sample: x_m, F_m (force of the operator), x_s, F_s (force
+on the tip, repulsive positive, that is, along -x).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from pydantic import BaseModel
+
+
+class HandSample(NamedTuple):
+    """A sample of the operator's device: x_m [m], its velocity [m/s], F_m [N]; `following`: it obeys commands."""
+
+    position_m: float
+    velocity_m_per_s: float
+    force_n: float
+    following: bool
+
+
+class TipSample(NamedTuple):
+    """A sample of the AFM: x_s applied [m], F_s [N], h [m] where known; `following`: it obeys commands."""
+
+    position_m: float
+    force_n: float
+    separation_m: float
+    separation_valid: bool
+    in_contact: bool
+    following: bool
+
+
+class PortSignal(NamedTuple):
+    """What one half of a law says to the other, at the slave's scale.
+
+    `silence_s` is the time since the newest signal arrived (large when none ever did), which the receiver fills in; a
+    law decides for itself what is too long.
+    """
+
+    position_m: float
+    velocity_m_per_s: float
+    force_n: float
+    wave_sqrt_w: float
+    energy_j: float
+    separation_m: float
+    separation_valid: bool
+    in_contact: bool
+    active: bool
+    silence_s: float
+
+
+class MasterReference(NamedTuple):
+    """What the operator's device is to do: follow position_m, or, where `active` is false, be off.
+
+    `force_n` is the force of the environment at the hand's scale, for devices that render it and for the record.
+    """
+
+    position_m: float
+    velocity_m_per_s: float
+    force_n: float
+    active: bool
+
+
+class SlaveReference(NamedTuple):
+    """What the AFM is to do: base reference x_sr [m]; where `active` is false it stays where it is."""
+
+    position_m: float
+    active: bool
+
+
+NO_SIGNAL = PortSignal(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, False, False, False, 1e9)
+
+# Params and states are NamedTuples of the law's own, so the table of laws cannot name them: each law's module does.
+Steps = Callable[..., Any]
+
+
+@dataclass(frozen=True)
+class Law:
+    """A law of the table: its configuration and its compiled steps.
+
+    - `master_start(params, hand) -> state` and `slave_start(params, tip) -> state`: at rest where the device is
+    - `master_send(params, state, hand, dt) -> (state, PortSignal)`
+    - `master_receive(params, state, hand, signal, dt) -> (state, MasterReference)`
+    - `slave_receive(params, state, signal, tip, dt) -> (state, SlaveReference)`
+    - `slave_send(params, state, tip, dt) -> (state, PortSignal)`
+    - `retune(old, new, state) -> state`: carries a master state over a change of parameters without a jump
+
+    `uses_waves` and `uses_energy` say which optional parts of the wire message the law fills.
+    """
+
+    name: str
+    config: type[BaseModel]
+    master_start: Steps
+    master_send: Steps
+    master_receive: Steps
+    slave_start: Steps
+    slave_receive: Steps
+    slave_send: Steps
+    retune: Steps
+    uses_waves: bool = False
+    uses_energy: bool = False

@@ -1,0 +1,192 @@
+"""The paper's law: a virtual impedance between hand and tip (Fig. 11, Eq. 15-17, erratum E8).
+
+    M_v x'' + B_v x' + K_v x = K_f (F_m - alpha_f F_s) - alpha_f F_s,   x_mr = x,   x_sr = alpha_p x
+
+The master half holds the impedance; the slave half passes the reference on and sends the force back. With K_v = 0 the
+loop rests where F_m = alpha_f F_s (1 + 1/K_f). It makes no promise about passivity: delay in the link takes phase from
+the loop gain (K_f + 1) alpha_f alpha_p K e^(-sT) / (M_v s^2 + B_v s + K_v), and past its phase margin it oscillates.
+"""
+
+from typing import Annotated, NamedTuple
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+from scipy.linalg import expm
+
+from services.controller.law import HandSample, Law, MasterReference, PortSignal, SlaveReference, TipSample
+from services.runtime.compiled import compiled
+
+Positive = Annotated[float, Field(gt=0.0)]
+NotNegative = Annotated[float, Field(ge=0.0)]
+
+
+class VirtualImpedanceParams(NamedTuple):
+    """Constants of the law, with the exact discrete impedance over one period."""
+
+    force_gain: float
+    position_scale: float
+    force_scale: float
+    silence_limit_s: float
+    period_s: float
+    phi_xx: float
+    phi_xv: float
+    phi_vx: float
+    phi_vv: float
+    gamma_x: float
+    gamma_v: float
+
+
+class VirtualImpedanceConfig(BaseModel):
+    """Section `controller.virtual_impedance`; the defaults are the paper's values in SI units (E8)."""
+
+    model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
+
+    mass_kg: Positive = Field(default=10.0, description="Virtual mass M_v [kg]")
+    damping_n_s_per_m: NotNegative = Field(default=2000.0, description="Virtual damping B_v [N s/m]")
+    stiffness_n_per_m: NotNegative = Field(default=0.0, description="Virtual stiffness K_v [N/m]")
+    force_gain: NotNegative = Field(default=20.0, description="Gain of the force error K_f")
+    position_scale: Positive = Field(default=1.5e-6, description="alpha_p, metres at the tip per metre at the hand")
+    force_scale: Positive = Field(default=1e8, description="alpha_f, newtons at the hand per newton at the tip")
+    silence_limit_s: Positive = Field(
+        default=0.05, description="Time without a signal from the other half after which the hand is let go [s]"
+    )
+
+    def to_params(self, period_s: float) -> VirtualImpedanceParams:
+        """Give the constants of the compiled steps for a period [s] of the hand."""
+        phi, gamma = _exact_discretisation(self.mass_kg, self.damping_n_s_per_m, self.stiffness_n_per_m, period_s)
+        return VirtualImpedanceParams(
+            force_gain=self.force_gain,
+            position_scale=self.position_scale,
+            force_scale=self.force_scale,
+            silence_limit_s=self.silence_limit_s,
+            period_s=period_s,
+            phi_xx=float(phi[0, 0]),
+            phi_xv=float(phi[0, 1]),
+            phi_vx=float(phi[1, 0]),
+            phi_vv=float(phi[1, 1]),
+            gamma_x=float(gamma[0]),
+            gamma_v=float(gamma[1]),
+        )
+
+
+class MasterState(NamedTuple):
+    """The virtual mass: x [m], x' [m/s], and the offset [m] at the tip that a change of scale leaves behind."""
+
+    position_m: float
+    velocity_m_per_s: float
+    tip_offset_m: float
+
+
+class SlaveState(NamedTuple):
+    """The reference that was last passed on [m]."""
+
+    position_m: float
+
+
+def _exact_discretisation(mass: float, damping: float, stiffness: float, period_s: float) -> tuple[np.ndarray, ...]:
+    """Give the transition matrix and input vector of M x'' + B x' + K x = u for u held over a period."""
+    continuous = np.zeros((3, 3))
+    continuous[0, 1] = 1.0
+    continuous[1] = [-stiffness / mass, -damping / mass, 1.0 / mass]
+    discrete = expm(continuous * period_s)
+    return discrete[:2, :2], discrete[:2, 2]
+
+
+@compiled
+def master_start(params: VirtualImpedanceParams, hand: HandSample) -> MasterState:
+    """Put the virtual mass to rest where the hand is."""
+    return MasterState(hand.position_m, 0.0, 0.0)
+
+
+@compiled
+def master_send(
+    params: VirtualImpedanceParams, state: MasterState, hand: HandSample, dt: float
+) -> tuple[MasterState, PortSignal]:
+    """Say the slave's reference: x_sr = alpha_p x (Eq. 15)."""
+    position = params.position_scale * state.position_m + state.tip_offset_m
+    velocity = params.position_scale * state.velocity_m_per_s
+    force = hand.force_n / params.force_scale
+    return state, PortSignal(position, velocity, force, 0.0, 0.0, 0.0, False, False, hand.following, 0.0)
+
+
+@compiled
+def master_receive(
+    params: VirtualImpedanceParams, state: MasterState, hand: HandSample, signal: PortSignal, dt: float
+) -> tuple[MasterState, MasterReference]:
+    """Integrate the virtual impedance over dt [s], a whole number of periods (Eq. 16-17).
+
+    The hand is let go, and the virtual mass stays with it, while either device does not follow or the other half has
+    been silent for longer than the limit: a force nobody measures must not move anybody.
+    """
+    scaled_force = params.force_scale * signal.force_n
+    coupled = signal.active and signal.silence_s <= params.silence_limit_s
+    if not (coupled and hand.following):
+        held = MasterState(hand.position_m, 0.0, _offset_that_keeps(params, state, hand.position_m))
+        return held, MasterReference(hand.position_m, 0.0, scaled_force if coupled else 0.0, coupled)
+    drive = params.force_gain * (hand.force_n - scaled_force) - scaled_force
+    x, v = state.position_m, state.velocity_m_per_s
+    for _ in range(max(1, round(dt / params.period_s))):
+        x, v = (
+            params.phi_xx * x + params.phi_xv * v + params.gamma_x * drive,
+            params.phi_vx * x + params.phi_vv * v + params.gamma_v * drive,
+        )
+    return MasterState(x, v, state.tip_offset_m), MasterReference(x, v, scaled_force, True)
+
+
+@compiled
+def _offset_that_keeps(params: VirtualImpedanceParams, state: MasterState, position_m: float) -> float:
+    """Give the offset with which the tip's reference stays put while the virtual mass is moved to the hand."""
+    return state.tip_offset_m + params.position_scale * (state.position_m - position_m)
+
+
+@compiled
+def slave_start(params: VirtualImpedanceParams, tip: TipSample) -> SlaveState:
+    """Begin where the base is."""
+    return SlaveState(tip.position_m)
+
+
+@compiled
+def slave_receive(
+    params: VirtualImpedanceParams, state: SlaveState, signal: PortSignal, tip: TipSample, dt: float
+) -> tuple[SlaveState, SlaveReference]:
+    """Pass the reference on."""
+    return SlaveState(signal.position_m), SlaveReference(signal.position_m, True)
+
+
+@compiled
+def slave_send(
+    params: VirtualImpedanceParams, state: SlaveState, tip: TipSample, dt: float
+) -> tuple[SlaveState, PortSignal]:
+    """Send the measured force back."""
+    return state, PortSignal(
+        tip.position_m,
+        0.0,
+        tip.force_n,
+        0.0,
+        0.0,
+        tip.separation_m,
+        tip.separation_valid,
+        tip.in_contact,
+        tip.following,
+        0.0,
+    )
+
+
+@compiled
+def retune(old: VirtualImpedanceParams, new: VirtualImpedanceParams, state: MasterState) -> MasterState:
+    """Keep the tip's reference where it is when alpha_p changes; position and velocity of the hand go on."""
+    offset = state.tip_offset_m + (old.position_scale - new.position_scale) * state.position_m
+    return MasterState(state.position_m, state.velocity_m_per_s, offset)
+
+
+VIRTUAL_IMPEDANCE = Law(
+    name="virtual_impedance",
+    config=VirtualImpedanceConfig,
+    master_start=master_start,
+    master_send=master_send,
+    master_receive=master_receive,
+    slave_start=slave_start,
+    slave_receive=slave_receive,
+    slave_send=slave_send,
+    retune=retune,
+)

@@ -1,0 +1,252 @@
+"""Both halves of a law as nodes: what they say, when, and what they refuse."""
+
+from typing import Any
+
+import pytest
+
+from proto.messages import SessionControl
+from services.controller.config import ControllerConfig
+from services.controller.node import MasterController, SlaveController, half_of_site
+from services.runtime.errors import RefusedError
+
+PERIOD_NS = 1_000_000
+ZERO = (0.0, 0.0, 0.0)
+
+
+def hand_fields(force_n: float = 0.0, mode: str = "position", position_m: float = 0.0) -> dict[str, Any]:
+    return {
+        "position_m": (0.0, 0.0, -position_m),
+        "velocity_m_per_s": ZERO,
+        "operator_force_n": (0.0, 0.0, -force_n),
+        "motor_force_n": ZERO,
+        "reference_m": ZERO,
+        "mode": mode,
+        "estop": False,
+        "limited": False,
+        "session_s": -1.0,
+        "answered_seq": 0,
+        "answered_t_ns": 0,
+        "answered_at_ns": 0,
+        "step_s": 1e-3,
+    }
+
+
+def answer_fields(force_n: float, seq: int, t_ns: int, **changes: Any) -> dict[str, Any]:
+    fields = {
+        "law": "virtual_impedance",
+        "active": True,
+        "position_m": ZERO,
+        "velocity_m_per_s": ZERO,
+        "force_n": (0.0, 0.0, force_n),
+        "wave_sqrt_w": None,
+        "energy_j": None,
+        "separation_m": 1e-9,
+        "separation_valid": True,
+        "in_contact": False,
+        "hand_seq": seq,
+        "hand_t_ns": t_ns,
+    }
+    return {**fields, **changes}
+
+
+def tip_fields(force_n: float, command_seq: int, mode: str = "follow", hand_t_ns: int = 1) -> dict[str, Any]:
+    return {
+        "command_seq": command_seq,
+        "base_position_m": (0.0, 0.0, -9e-9),
+        "deflection_m": 1e-10,
+        "tip_force_n": (0.0, 0.0, force_n),
+        "separation_m": 2e-10,
+        "separation_valid": True,
+        "in_contact": True,
+        "meniscus": False,
+        "mode": mode,
+        "limited": False,
+        "hand_seq": 0,
+        "hand_t_ns": hand_t_ns,
+        "step_s": 1e-3,
+    }
+
+
+@pytest.fixture
+def master(bench_of: Any) -> tuple[Any, MasterController]:
+    bench = bench_of("controller@master")
+    return bench, MasterController(bench.context, ControllerConfig())
+
+
+@pytest.fixture
+def slave(bench_of: Any) -> tuple[Any, SlaveController]:
+    bench = bench_of("controller@slave")
+    return bench, SlaveController(bench.context, ControllerConfig())
+
+
+def tick(bench: Any, node: MasterController, force_n: float = 0.0, **changes: Any) -> Any:
+    bench.clock.advance_ns(PERIOD_NS)
+    hand = bench.heard("haptic/state", "haptic_node@master", **{**hand_fields(force_n), **changes})
+    node.on_message(hand)
+    return hand.message
+
+
+def test_hand_sample_is_forwarded_at_once_and_commanded_when_answered(master: Any) -> None:
+    bench, node = master
+    hand = tick(bench, node, 1.0)
+    (forward,) = bench.take("teleop/forward")
+    assert (forward.hand_seq, forward.hand_t_ns) == (hand.seq, hand.t_ns)
+    assert bench.take("haptic/command") == []
+    node.on_message(bench.heard("teleop/backward", "controller@slave", **answer_fields(2e-9, hand.seq, hand.t_ns)))
+    (command,) = bench.take("haptic/command")
+    assert (command.hand_seq, command.hand_t_ns) == (hand.seq, hand.t_ns)
+    assert command.force_n == (0.0, 0.0, 1e8 * 2e-9)
+    assert command.position_m[2] < 0.0  # it moves towards the sample
+    assert command.mode == "position"
+
+
+def test_one_command_a_tick_whatever_the_answers(master: Any) -> None:
+    bench, node = master
+    hand = tick(bench, node)
+    tick(bench, node)  # no answer came: the command of the first tick goes out now
+    assert len(bench.take("haptic/command")) == 1
+    for _ in range(3):  # a burst of answers belongs to one tick
+        node.on_message(bench.heard("teleop/backward", "controller@slave", **answer_fields(0.0, hand.seq, hand.t_ns)))
+    assert len(bench.take("haptic/command")) == 1
+    tick(bench, node)
+    assert bench.take("haptic/command") == []
+
+
+def test_silence_past_the_limit_lets_the_hand_go(master: Any) -> None:
+    bench, node = master
+    hand = tick(bench, node)
+    node.on_message(bench.heard("teleop/backward", "controller@slave", **answer_fields(0.0, hand.seq, hand.t_ns)))
+    modes = []
+    for _ in range(55):
+        tick(bench, node)
+        modes += [command.mode for command in bench.take("haptic/command")]
+    assert modes[:50] == ["position"] * 50
+    assert modes[-1] == "off"
+    assert node.state == "safe"
+
+
+def test_signal_of_another_law_counts_as_silence(master: Any) -> None:
+    bench, node = master
+    hand = tick(bench, node)
+    other = answer_fields(1e-9, hand.seq, hand.t_ns, law="wave")
+    node.on_message(bench.heard("teleop/backward", "controller@slave", **other))
+    (command,) = bench.take("haptic/command")
+    assert command.mode == "off"
+
+
+def test_missed_ticks_are_bridged_by_their_number(master: Any, bench_of: Any) -> None:
+    moved = []
+    for gap in (1, 3):
+        bench = bench_of("controller@master")
+        node = MasterController(bench.context, ControllerConfig())
+        for wait in (1, gap):
+            bench.clock.advance_ns((wait - 1) * PERIOD_NS)
+            hand = tick(bench, node, 1.0)
+            fields = answer_fields(0.0, hand.seq, hand.t_ns)
+            node.on_message(bench.heard("teleop/backward", "controller@slave", **fields))
+        moved.append(node.law_state.position_m)
+    assert moved[1] > 3.0 * moved[0]
+
+
+def test_lateness_of_the_hand_does_not_enter_the_law(master: Any, bench_of: Any) -> None:
+    positions = []
+    for lateness in ((0, 0, 0), (40_000, 7_000, 90_000)):
+        bench = bench_of("controller@master")
+        node = MasterController(bench.context, ControllerConfig())
+        for late in lateness:
+            bench.clock.advance_ns(late)
+            hand = tick(bench, node, 1.0)
+            fields = answer_fields(0.0, hand.seq, hand.t_ns)
+            node.on_message(bench.heard("teleop/backward", "controller@slave", **fields))
+        positions.append(node.law_state.position_m)
+    assert positions[0] == positions[1]
+
+
+def test_restarted_hand_starts_the_law_where_it_is(master: Any) -> None:
+    bench, node = master
+    tick(bench, node, 1.0)
+    bench.clock.advance_ns(10**9)
+    tick(bench, node, 0.0, position_m=(0.0, 0.0, -4e-3))
+    assert node.law_state.position_m == 4e-3
+
+
+def test_parameters_change_at_run_time(master: Any) -> None:
+    bench, node = master
+    tick(bench, node)
+    control = bench.make(
+        "session/control",
+        "console@master",
+        id="a",
+        command="set",
+        target="controller",
+        parameters={"virtual_impedance.force_gain": 10.0},
+    )
+    assert "force_gain = 10.0" in node.on_control(control)
+    assert node.params.force_gain == 10.0
+
+
+@pytest.mark.parametrize(
+    ("parameters", "text"),
+    [
+        ({}, "needs parameters"),
+        ({"virtual_impedance.force_gain": -1.0}, "controller.virtual_impedance.force_gain"),
+        ({"virtual_impedance.fource_gain": 1.0}, "fource_gain: unknown key, known are mass_kg"),
+        ({"virtual_impedance.mass_kg": "heavy"}, "controller.virtual_impedance.mass_kg"),
+        ({"period_s": 0.01}, "period_s cannot be changed"),
+    ],
+)
+def test_bad_parameters_are_refused_and_change_nothing(master: Any, parameters: Any, text: str) -> None:
+    bench, node = master
+    before = node.params
+    fields = {"id": "a", "command": "set", "target": "controller", "parameters": parameters}
+    control: SessionControl = bench.make("session/control", "console@master", **fields)
+    with pytest.raises(RefusedError, match=text):
+        node.on_control(control)
+    assert node.params == before
+
+
+def forward_fields(position_m: float, seq: int, t_ns: int) -> dict[str, Any]:
+    fields = answer_fields(0.0, seq, t_ns, position_m=(0.0, 0.0, -position_m))
+    return {k: v for k, v in fields.items() if k not in ("separation_m", "separation_valid", "in_contact")}
+
+
+def test_slave_commands_at_once_and_answers_when_the_instrument_has(slave: Any) -> None:
+    bench, node = slave
+    node.on_message(bench.heard("teleop/forward", "controller@master", **forward_fields(8e-9, 5, 50)))
+    (command,) = bench.take("afm/command")
+    assert command.base_position_m == (0.0, 0.0, -8e-9)
+    assert (command.hand_seq, command.hand_t_ns, command.mode) == (5, 50, "position")
+    assert bench.take("teleop/backward") == []
+    node.on_message(bench.heard("afm/state", "afm_node@slave", **tip_fields(-3e-9, command.seq)))
+    (backward,) = bench.take("teleop/backward")
+    assert backward.force_n == (0.0, 0.0, -3e-9)
+    assert (backward.hand_seq, backward.hand_t_ns, backward.active) == (5, 50, True)
+
+
+def test_state_that_answers_no_command_is_kept_for_the_next_answer(slave: Any) -> None:
+    bench, node = slave
+    node.on_message(bench.heard("afm/state", "afm_node@slave", **tip_fields(-1e-9, 0, hand_t_ns=0)))
+    assert bench.take("teleop/backward") == []
+    node.on_message(bench.heard("teleop/forward", "controller@master", **forward_fields(8e-9, 5, 50)))
+    node.on_message(bench.heard("afm/state", "afm_node@slave", **tip_fields(-2e-9, 99)))
+    assert bench.take("teleop/backward") == []
+    node.on_message(bench.heard("teleop/forward", "controller@master", **forward_fields(8e-9, 6, 1_000_050)))
+    (backward,) = bench.take("teleop/backward")
+    assert backward.force_n == (0.0, 0.0, -2e-9)
+    assert backward.hand_seq == 5
+
+
+def test_retracted_tip_is_not_active(slave: Any) -> None:
+    bench, node = slave
+    node.on_message(bench.heard("teleop/forward", "controller@master", **forward_fields(8e-9, 5, 50)))
+    (command,) = bench.take("afm/command")
+    node.on_message(bench.heard("afm/state", "afm_node@slave", **tip_fields(0.0, command.seq, mode="retracted")))
+    (backward,) = bench.take("teleop/backward")
+    assert not backward.active
+    assert node.state == "safe"
+
+
+def test_each_site_gets_its_half(bench_of: Any) -> None:
+    config = ControllerConfig()
+    assert isinstance(half_of_site(bench_of("controller@master").context, config), MasterController)
+    assert isinstance(half_of_site(bench_of("controller@slave").context, config), SlaveController)
