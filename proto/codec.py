@@ -1,0 +1,111 @@
+"""Between a message and its bytes.
+
+A message is one msgpack map with a string key a field. Any bytes decode to a message or raise one `WireError`.
+"""
+
+from typing import Any, Literal
+
+import msgpack
+from pydantic import ValidationError
+
+from proto.messages import MAX_ITEMS, MAX_KEYS, Message
+from proto.topics import TOPICS
+
+MAX_MESSAGE_BYTES = 1 << 20
+
+Reason = Literal["frames", "topic", "oversized", "malformed", "newer_version", "schema", "source"]
+
+
+class WireError(ValueError):
+    """Bytes that are not a message; `reason` is one of a few words that can be counted."""
+
+    def __init__(self, reason: Reason, text: str) -> None:
+        super().__init__(text)
+        self.reason: Reason = reason
+
+
+def encode(message: Message) -> bytes:
+    """Give the msgpack bytes of a message.
+
+    Raises WireError (`oversized`) above MAX_MESSAGE_BYTES, so that a publisher hears of it and not every reader, and
+    (`malformed`) for text that is not Unicode or an integer beyond 64 bits.
+    """
+    try:
+        payload: bytes = msgpack.packb(message.__dict__, default=_fields_of)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise WireError("malformed", f"{type(message).__name__} cannot be sent: {error}") from error
+    if len(payload) > MAX_MESSAGE_BYTES:
+        raise WireError("oversized", _size_text(type(message).__name__, len(payload)))
+    return payload
+
+
+def decode(topic: str, payload: bytes) -> Message:
+    """Give the message that `payload` holds on `topic`.
+
+    Raises WireError naming the topic, the key at fault and what would be right.
+    """
+    row = TOPICS.get(topic)
+    if row is None:
+        raise WireError("topic", f"unknown topic {topic[:80]!r}, known are {', '.join(TOPICS)}")
+    if len(payload) > MAX_MESSAGE_BYTES:
+        raise WireError("oversized", _size_text(topic, len(payload)))
+    fields = _unpack(topic, payload)
+    _refuse_newer(topic, fields, row.model.version)
+    try:
+        return row.model.model_validate(fields)
+    except ValidationError as error:
+        raise WireError("schema", f"{topic}: {_first_fault(error)}") from error
+
+
+def _fields_of(part: object) -> dict[str, Any]:
+    """Let msgpack descend into the records inside a message."""
+    if hasattr(part, "model_fields_set"):
+        return part.__dict__
+    # msgpack asks here about integers that are too large for it as well
+    raise TypeError(f"msgpack has no form for this {type(part).__name__}")
+
+
+def _unpack(topic: str, payload: bytes) -> dict[str, Any]:
+    # the sizes are bounded by the payload itself, so that a short frame cannot ask for a large allocation
+    size = len(payload)
+    try:
+        fields = msgpack.unpackb(
+            payload,
+            use_list=False,
+            strict_map_key=True,
+            max_str_len=size,
+            max_bin_len=size,
+            max_array_len=MAX_ITEMS,
+            max_map_len=MAX_KEYS,
+            max_ext_len=0,
+        )
+    except (ValueError, msgpack.exceptions.UnpackException, RecursionError) as error:
+        # msgpack's own exceptions are not all ValueErrors; StackError and FormatError carry no text
+        raise WireError("malformed", f"{topic}: not msgpack: {str(error) or type(error).__name__}") from error
+    if not isinstance(fields, dict):
+        raise WireError("malformed", f"{topic}: a msgpack {type(fields).__name__}, a map is needed")
+    return fields
+
+
+def _refuse_newer(topic: str, fields: dict[str, Any], known: int) -> None:
+    version = fields.get("v")
+    if isinstance(version, int) and not isinstance(version, bool) and version > known:
+        src = fields.get("src")
+        sender = repr(src[:64]) if isinstance(src, str) else "an unnamed source"
+        raise WireError(
+            "newer_version",
+            f"{topic}: schema version {version} from {sender} is newer than version {known} known here: "
+            "update this node",
+        )
+
+
+def _first_fault(error: ValidationError) -> str:
+    fault = error.errors(include_url=False, include_context=False, include_input=False)[0]
+    # an unknown key is the sender's text: no more of it than a log line holds
+    key = ".".join(str(part) for part in fault["loc"])[:200] or "message"
+    more = error.error_count() - 1
+    return f"{key}: {fault['msg']}" + (f" (and {more} more)" if more else "")
+
+
+def _size_text(name: str, size: int) -> str:
+    return f"{name}: {size} bytes, at most {MAX_MESSAGE_BYTES} are allowed"

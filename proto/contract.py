@@ -1,0 +1,266 @@
+"""The committed form of the contract: a JSON Schema a message, golden bytes, and the topic table of SPEC.md.
+
+`python -m proto.contract` rewrites them from the models; with `--check` it changes nothing and exits 1 naming what
+drifted. The examples behind the golden bytes are made from the schemas, so that a new field gets its own at once.
+"""
+
+import argparse
+import json
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import cycle
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic.json_schema import GenerateJsonSchema
+
+from proto.codec import encode
+from proto.messages import Array, Message
+from proto.topics import TOPICS, Topic
+
+FOLDER = Path(__file__).parent
+TABLE_START, TABLE_END = "<!-- topics: written by proto.contract -->", "<!-- end of topics -->"
+
+# strings whose pattern a made-up text would not match
+_PATTERNED = {"id": "7f3a-01", "law": "virtual_impedance"}
+_ELEMENT_TYPES = ("f8", "u1", "i2", "i4", "f4")
+# the least integer that a reader loses if it keeps integers as doubles
+_BEYOND_DOUBLE = 2**53 + 1
+
+
+class _PlainSchema(GenerateJsonSchema):
+    """JSON Schema without a title for every field, which would only repeat the field's name."""
+
+    def field_title_should_be_set(self, schema: object) -> bool:
+        return False
+
+
+@dataclass(frozen=True)
+class Case:
+    """How the fields of one example are filled.
+
+    `end`: integers take the lowest (0), a large odd (1) or the highest (2) value allowed. `numbers` are dealt out in
+    turn. `choice` picks among words and element types. `filled`: maps, lists, arrays and optional parts hold something.
+    """
+
+    name: str
+    end: int
+    numbers: tuple[float, ...]
+    text: str
+    choice: int
+    flag: bool
+    filled: bool
+
+
+CASES = (
+    Case("minimal", 0, (0.0,), "", 0, False, False),
+    Case("ordinary", 1, (0.00703, -1.25e-9, 1.0), "gap closed", 1, True, True),
+    Case("greatest", 2, (sys.float_info.max, -sys.float_info.max), "x" * 64, 2, True, True),
+    Case("least", 0, (sys.float_info.min, -5e-324, 5e-324), " ", 3, False, True),
+    Case("negative_zero", 1, (-0.0,), "-0", 4, True, True),
+    Case("unicode", 1, (0.1, -2.0 / 3.0), 'Ångström µN 力 🔬 \u0000\n"', 5, False, True),
+    Case("nil", 1, (2.5e-10, -1e-3), "nil", 6, True, False),
+)
+
+
+def schema_of(topic: Topic) -> dict[str, Any]:
+    """Give the JSON Schema of a topic's message; `x-topic` and `x-version` say where and since when it holds."""
+    schema = topic.model.model_json_schema(schema_generator=_PlainSchema)
+    schema["properties"]["v"]["maximum"] = topic.model.version
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "x-topic": topic.name,
+        "x-version": topic.model.version,
+        **schema,
+    }
+
+
+def examples(topic: Topic) -> dict[str, Message]:
+    """Give one valid message a case, by the name of the case; the same ones every time."""
+    schema = topic.model.model_json_schema()
+    made = {}
+    for case in CASES:
+        fields = _Filler(topic, schema.get("$defs", {}), case).fill(schema)
+        made[case.name] = topic.model.model_validate(fields)
+    return made
+
+
+def vectors() -> list[dict[str, Any]]:
+    """Give the golden vectors: message, topic, case, fields as JSON (bytes in hexadecimal) and the encoded bytes."""
+    return [
+        {
+            "message": topic.model.__name__,
+            "topic": topic.name,
+            "case": case,
+            "fields": _json_form(message.model_dump()),
+            "hex": encode(message).hex(),
+        }
+        for topic in TOPICS.values()
+        for case, message in examples(topic).items()
+    ]
+
+
+def topic_table() -> str:
+    """Give the topic table in Markdown."""
+    rows = ["| topic | message | published by | read | rate | stale after | over the link | what it is |"]
+    rows.append("|---" * 8 + "|")
+    for topic in TOPICS.values():
+        about = (topic.model.__doc__ or "").splitlines()[0].rstrip(".")
+        cells = (
+            f"`{topic.name}`",
+            topic.model.__name__,
+            ", ".join("every node" if name == "*" else f"`{name}`" for name in topic.publishers),
+            topic.delivery,
+            "on change" if topic.rate_hz is None else f"{topic.rate_hz:g} Hz",
+            "–" if topic.deadline_s is None else f"{topic.deadline_s:g} s",
+            topic.bridged or "–",
+            about,
+        )
+        rows.append(f"| {' | '.join(cells)} |")
+    return "\n".join(rows)
+
+
+def artefacts(folder: Path = FOLDER) -> dict[Path, str]:
+    """Give every committed file of the contract and the text that it should hold."""
+    files = {folder / "schemas" / f"{t.model.__name__}.json": _json_text(schema_of(t)) for t in TOPICS.values()}
+    files[folder / "golden" / "vectors.json"] = _json_text(vectors())
+    files[folder / "SPEC.md"] = _with_table((folder / "SPEC.md").read_text(encoding="utf-8"))
+    return files
+
+
+def drifted(folder: Path = FOLDER) -> list[str]:
+    """Name the files that differ from the models, are missing, or describe a message that is no more."""
+    files = artefacts(folder)
+    wrong = [path for path, text in files.items() if not path.exists() or path.read_text(encoding="utf-8") != text]
+    left_over = sorted(set((folder / "schemas").glob("*")) - set(files))
+    return [str(path.relative_to(folder)) for path in (*wrong, *left_over)]
+
+
+def rewrite(folder: Path = FOLDER) -> list[str]:
+    """Bring every file up to date and name those that changed."""
+    changed = drifted(folder)
+    files = artefacts(folder)
+    for name in changed:
+        path = folder / name
+        if path in files:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(files[path], encoding="utf-8")
+        else:
+            path.unlink()
+    return changed
+
+
+def main(arguments: Sequence[str] | None = None, folder: Path = FOLDER) -> int:
+    """Rewrite or check the files; gives the exit code."""
+    parser = argparse.ArgumentParser(prog="python -m proto.contract", description="Write or check the wire contract.")
+    parser.add_argument("--check", action="store_true", help="change nothing, exit 1 if a file has drifted")
+    if parser.parse_args(arguments).check:
+        names = drifted(folder)
+        for name in names:
+            sys.stderr.write(f"proto/{name} differs from the models: run python -m proto.contract\n")
+        return 1 if names else 0
+    for name in rewrite(folder):
+        sys.stdout.write(f"wrote proto/{name}\n")
+    return 0
+
+
+class _Filler:
+    """Makes the fields of one example from a JSON Schema."""
+
+    def __init__(self, topic: Topic, definitions: dict[str, Any], case: Case) -> None:
+        self._topic = topic
+        self._definitions = definitions
+        self._case = case
+        self._numbers: Iterator[float] = cycle(case.numbers)
+
+    def fill(self, schema: dict[str, Any]) -> dict[str, Any]:
+        return {name: self._field(name, field) for name, field in schema["properties"].items()}
+
+    def _field(self, name: str, schema: dict[str, Any]) -> Any:
+        if name == "src":
+            return _a_source(self._topic)
+        if name == "v":
+            return self._topic.model.version
+        return _PATTERNED[name] if name in _PATTERNED else self._value(schema)
+
+    def _value(self, schema: dict[str, Any]) -> Any:
+        if "$ref" in schema:
+            return self._record(schema["$ref"].rpartition("/")[2])
+        if "anyOf" in schema:
+            return self._value(schema["anyOf"][0 if self._case.filled else -1])
+        if "enum" in schema:
+            return schema["enum"][self._case.choice % len(schema["enum"])]
+        return getattr(self, f"_{schema['type']}")(schema)
+
+    def _record(self, name: str) -> Any:
+        return self._numeric_array() if name == Array.__name__ else self.fill(self._definitions[name])
+
+    def _numeric_array(self) -> dict[str, Any]:
+        kind = _ELEMENT_TYPES[self._case.choice % len(_ELEMENT_TYPES)]
+        # negative elements where the type has them; nanometres where it has fractions
+        steps = np.arange(6 if self._case.filled else 0) - (0 if kind == "u1" else 3)
+        elements = (steps * (0.5e-9 if kind[0] == "f" else 1)).astype(kind)
+        shaped = elements.reshape((2, -1) if elements.size else (0,))
+        return Array.from_numpy(shaped).model_dump()
+
+    def _object(self, schema: dict[str, Any]) -> dict[str, Any]:
+        # one entry for each kind of value that the map may hold
+        kinds = schema["additionalProperties"].get("anyOf", [schema["additionalProperties"]])
+        return {f"section.{self._case.name}_{kind['type']}": self._value(kind) for kind in kinds if self._case.filled}
+
+    def _array(self, schema: dict[str, Any]) -> tuple[Any, ...]:
+        if "prefixItems" in schema:
+            return tuple(self._value(item) for item in schema["prefixItems"])
+        return tuple(self._value(schema["items"]) for _ in range(2 if self._case.filled else 0))
+
+    def _integer(self, schema: dict[str, Any]) -> int:
+        lowest = int(schema.get("minimum", -(2**63)))
+        highest = int(schema.get("maximum", schema.get("exclusiveMaximum", 2**63) - 1))
+        return (lowest, min(_BEYOND_DOUBLE, highest), highest)[self._case.end]
+
+    def _number(self, schema: dict[str, Any]) -> float:
+        value = next(self._numbers)
+        return value if value >= schema.get("minimum", value) else -value
+
+    def _string(self, schema: dict[str, Any]) -> str:
+        return self._case.text[: schema.get("maxLength")]
+
+    def _boolean(self, schema: dict[str, Any]) -> bool:
+        return self._case.flag
+
+    def _null(self, schema: dict[str, Any]) -> None:
+        return None
+
+
+def _a_source(topic: Topic) -> str:
+    publisher = topic.publishers[0].replace("*", "afm_node")
+    if "@" in publisher:
+        return publisher
+    return f"{publisher}@{'slave' if publisher == 'afm_node' else 'master'}"
+
+
+def _json_form(value: Any) -> Any:
+    """Give a value as JSON has it: tuples as arrays, bytes in hexadecimal."""
+    if isinstance(value, dict):
+        return {key: _json_form(part) for key, part in value.items()}
+    if isinstance(value, tuple):
+        return [_json_form(part) for part in value]
+    return value.hex() if isinstance(value, bytes) else value
+
+
+def _json_text(data: Any) -> str:
+    return json.dumps(data, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def _with_table(spec: str) -> str:
+    head, start, rest = spec.partition(TABLE_START)
+    _, end, tail = rest.partition(TABLE_END)
+    if not (start and end):
+        raise ValueError(f"SPEC.md needs the lines {TABLE_START!r} and {TABLE_END!r} around its topic table")
+    return f"{head}{start}\n\n{topic_table()}\n\n{end}{tail}"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,264 @@
+"""Every message that crosses the bus.
+
+Frames: one right-handed frame a site, z up, away from the sample. A force is the force on the body named. The
+paper's one-dimensional symbols are x_m = -z of the hand, F_m = -F_z on the device, x_s = -z of the AFM base
+(origin at its rest point), F_s = F_z on the tip.
+"""
+
+import math
+from typing import Annotated, ClassVar, Literal
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import BaseModel, ConfigDict, FailFast, Field, model_validator
+
+# far above what any message needs: without them a megabyte of empty maps costs gigabytes and a minute to refuse
+MAX_ITEMS = 4096
+MAX_KEYS = 1024
+MAX_TEXT = 4096
+
+SOURCE_PATTERN = r"^[a-z][a-z0-9_]*@[a-z][a-z0-9_]*$"
+
+Vector3 = tuple[float, float, float]
+Scalar = bool | int | float | str
+Source = Annotated[str, Field(pattern=SOURCE_PATTERN, max_length=64)]
+Count = Annotated[int, Field(ge=0, lt=2**63)]
+Seconds = Annotated[float, Field(ge=0.0)]
+Text = Annotated[str, Field(max_length=MAX_TEXT)]
+Facts = Annotated[dict[str, Scalar], Field(max_length=MAX_KEYS)]
+Counts = Annotated[dict[str, Count], Field(max_length=MAX_KEYS)]
+
+_DTYPES: dict[str, npt.DTypeLike] = {"u1": "u1", "i2": "<i2", "i4": "<i4", "f4": "<f4", "f8": "<f8"}
+
+
+class Record(BaseModel):
+    """A checked, immutable part of a message: unknown keys, NaN and infinity are refused."""
+
+    model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
+
+
+class Message(Record):
+    """The header that every message carries."""
+
+    version: ClassVar[int] = 1
+
+    seq: Count = Field(description="Number of this message on its topic from this source, counted from 0")
+    t_ns: Count = Field(description="Publisher's clock [ns]: Unix epoch at its start, advanced by the monotonic clock")
+    src: Source = Field(description="Publisher, node@site")
+    v: int = Field(ge=1, description="Schema version of this message")
+
+
+class Array(Record):
+    """An array of numbers, little-endian, in C order."""
+
+    dtype: Literal["u1", "i2", "i4", "f4", "f8"] = Field(description="Element type: kind and bytes, little-endian")
+    shape: tuple[Annotated[int, Field(ge=0, le=2**24)], ...] = Field(max_length=4, description="Length of each axis")
+    data: bytes = Field(description="Elements in C order")
+
+    @model_validator(mode="after")
+    def _data_fills_shape(self) -> "Array":
+        expected = math.prod(self.shape) * np.dtype(_DTYPES[self.dtype]).itemsize
+        if len(self.data) != expected:
+            raise ValueError(
+                f"data holds {len(self.data)} bytes, shape {list(self.shape)} of {self.dtype} needs {expected}"
+            )
+        if self.dtype in ("f4", "f8") and not np.isfinite(self.to_numpy()).all():
+            raise ValueError("data holds NaN or infinity")
+        return self
+
+    @classmethod
+    def from_numpy(cls, array: npt.NDArray[np.generic]) -> "Array":
+        """Pack a numpy array of a supported element type; ValueError names any other."""
+        name = f"{array.dtype.kind}{array.dtype.itemsize}"
+        if name not in _DTYPES:
+            raise ValueError(f"element type {array.dtype} cannot be sent, use one of {', '.join(_DTYPES)}")
+        data = np.ascontiguousarray(array, dtype=_DTYPES[name]).tobytes()
+        return cls.model_validate({"dtype": name, "shape": array.shape, "data": data})
+
+    def to_numpy(self) -> npt.NDArray[np.generic]:
+        """Give the elements as a read-only numpy array of `shape`."""
+        array: npt.NDArray[np.generic] = np.frombuffer(self.data, dtype=_DTYPES[self.dtype]).reshape(self.shape)
+        return array
+
+
+class _HandSample(Record):
+    """Which sample of the hand a message descends from: what the age of the loop is measured with."""
+
+    hand_seq: Count = Field(description="seq of the haptic/state that this message answers or descends from")
+    hand_t_ns: Count = Field(description="t_ns of that haptic/state, on the master's clock [ns]; 0 = none yet")
+
+
+class HapticState(Message):
+    """The operator's device: what was measured and what was really applied."""
+
+    position_m: Vector3 = Field(description="Hand position in the master frame [m]; z = -x_m, 0 where the arm starts")
+    velocity_m_per_s: Vector3 = Field(description="Hand velocity in the master frame [m/s]")
+    operator_force_n: Vector3 = Field(description="Force on the device by the operator [N]; pushing is -z, F_m = -z")
+    motor_force_n: Vector3 = Field(
+        description="Force of the motor at the arm after every limit, its friction included [N]"
+    )
+    reference_m: Vector3 = Field(description="Position reference after every limit [m]; meaningful in mode position")
+    mode: Literal["off", "position", "force"] = Field(description="What the motor does; off is zero force")
+    estop: bool = Field(description="Emergency stop is latched")
+    limited: bool = Field(description="A travel, speed or force limit is acting")
+    session_s: float = Field(description="Time of the operator's programme [s]; negative = the session is not running")
+    answered_seq: Count = Field(description="hand_seq of the newest haptic/command; meaningful once answered_t_ns > 0")
+    answered_t_ns: Count = Field(description="hand_t_ns of the newest haptic/command [ns]; 0 = none yet")
+    answered_at_ns: Count = Field(description="When that command reached this device, on this clock [ns]")
+    step_s: Seconds = Field(description="Time that this step of the device covers [s]")
+
+
+class HapticCommand(Message, _HandSample):
+    """What the master half of the law asks of the device."""
+
+    mode: Literal["off", "position", "force"] = Field(description="off, track position_m, or render force_n")
+    position_m: Vector3 = Field(description="Position reference in the master frame [m]; z = -x_mr")
+    velocity_m_per_s: Vector3 = Field(description="Velocity of that reference [m/s]")
+    force_n: Vector3 = Field(description="Force of the environment at the hand's scale [N]; z = alpha_f F_s")
+
+
+class _Teleop(Message, _HandSample):
+    """What the two halves of a law say to each other; a law that has no use for an optional part sends nil."""
+
+    law: str = Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=32, description="Law that this message belongs to")
+    active: bool = Field(description="The device of the sending site follows the law")
+    position_m: Vector3 = Field(description="Position at the slave's scale, AFM frame [m]; forward: reference")
+    velocity_m_per_s: Vector3 = Field(description="Velocity at the slave's scale, AFM frame [m/s]")
+    force_n: Vector3 = Field(description="Force at the slave's scale, AFM frame [N]; backward: on the tip")
+    wave_sqrt_w: Vector3 | None = Field(description="Wave variable [sqrt(W)]; nil where the law has none")
+    energy_j: float | None = Field(description="Energy that entered at this side [J]; nil where the law has none")
+
+
+class TeleopForward(_Teleop):
+    """From the master half of a law to the slave half."""
+
+
+class TeleopBackward(_Teleop):
+    """From the slave half of a law to the master half."""
+
+    separation_m: float = Field(description="Tip-sample distance h [m]; 0 when separation_valid is false")
+    separation_valid: bool = Field(description="The instrument knows the tip-sample distance")
+    in_contact: bool = Field(description="The tip touches the sample")
+
+
+class AfmCommand(Message, _HandSample):
+    """What the slave half of the law asks of the AFM."""
+
+    mode: Literal["position", "hold", "retract"] = Field(description="Follow base_position_m, stay, or withdraw")
+    base_position_m: Vector3 = Field(description="Base reference in the AFM frame [m]; z = -x_s, 0 is the rest point")
+
+
+class AfmState(Message, _HandSample):
+    """The AFM: what was measured and what was really applied."""
+
+    command_seq: Count = Field(description="seq of the afm/command in force; meaningful once hand_t_ns > 0")
+    base_position_m: Vector3 = Field(description="Base position applied after every limit [m]; z = -x_s")
+    deflection_m: float = Field(description="Deflection zeta of the cantilever [m], positive away from the sample")
+    tip_force_n: Vector3 = Field(description="Force on the tip by the sample [N]; repulsive is +z")
+    separation_m: float = Field(description="Tip-sample distance h [m]; 0 when separation_valid is false")
+    separation_valid: bool = Field(description="The instrument knows the tip-sample distance")
+    in_contact: bool = Field(description="The tip touches the sample")
+    meniscus: bool = Field(description="A liquid bridge joins tip and sample")
+    mode: Literal["retracted", "follow", "hold", "retracting", "estop"] = Field(description="What the AFM does")
+    limited: bool = Field(description="A travel or speed limit is acting")
+    step_s: Seconds = Field(description="Time that this step of the instrument covers [s]")
+
+
+class AfmScanline(Message):
+    """A finished line of an image."""
+
+    line: Count = Field(description="Number of the line, from 0")
+    lines: Annotated[int, Field(ge=1, le=2**20)] = Field(description="Lines in the image")
+    direction: Literal["trace", "retrace"] = Field(description="Sense of the fast axis")
+    start_m: Vector3 = Field(description="First point of the line in the AFM frame [m]")
+    end_m: Vector3 = Field(description="Last point of the line in the AFM frame [m]")
+    height_m: Array = Field(description="Height at equal steps along the line [m]")
+    amplitude_m: Array | None = Field(description="Amplitude of vibration [m]; nil in contact mode")
+    phase_rad: Array | None = Field(description="Phase of vibration [rad]; nil in contact mode")
+
+
+class LinkDirection(Record):
+    """One direction of the link: the settings in force and what it did since the last report."""
+
+    profile: Text = Field(description="Name of the profile in force; custom when it was changed by hand")
+    settings: Facts = Field(description="Settings in force, by dotted key; SI units in the names")
+    messages_in: Count = Field(description="Messages taken in since the start")
+    messages_out: Count = Field(description="Messages delivered since the start, duplicates included")
+    dropped: Counts = Field(description="Messages dropped since the start, by cause")
+    duplicated: Count = Field(description="Messages duplicated since the start")
+    reordered: Count = Field(description="Messages that overtook an earlier one since the start")
+    corrupted: Count = Field(description="Messages corrupted since the start")
+    queue_depth: Count = Field(description="Messages in flight now")
+    delay_valid: bool = Field(description="At least one message was delivered since the last report")
+    delay_mean_s: Seconds = Field(description="Mean delay applied since the last report [s]")
+    delay_min_s: Seconds = Field(description="Least delay applied since the last report [s]")
+    delay_max_s: Seconds = Field(description="Greatest delay applied since the last report [s]")
+
+
+class LinkStatus(Message):
+    """The link, both directions."""
+
+    forward: LinkDirection = Field(description="From the master to the slave")
+    backward: LinkDirection = Field(description="From the slave to the master")
+
+
+class SessionControl(Message):
+    """A command to the nodes of a session; each node it concerns answers with a session/event of the same id."""
+
+    id: str = Field(pattern=r"^[A-Za-z0-9_-]{1,64}$", description="Identifier that the answers repeat")
+    command: Literal["start", "stop", "arm", "estop", "set", "mark"] = Field(
+        description="start or stop the operator's programme; arm the devices; stop at once and latch; "
+        "set parameters; mark this moment in the recording"
+    )
+    target: str = Field(max_length=64, description="Nodes concerned: node@site, node, or *; wildcards as in file names")
+    parameters: Facts = Field(description="What the command needs, by dotted key; units in the names")
+
+
+class SessionEvent(Message):
+    """What happened at a node."""
+
+    id: str = Field(pattern=r"^[A-Za-z0-9_-]{0,64}$", description="Id of the command answered; empty = unasked")
+    kind: Literal["ack", "refused", "mode", "link", "node", "recording", "mark", "fault"] = Field(
+        description="ack and refused answer a command; mode: a device changed mode; link, node, recording: what "
+        "became of them; mark: a mark of the operator; fault: something went wrong and was dealt with"
+    )
+    level: Literal["info", "warning", "error"] = Field(description="How much it matters")
+    text: Text = Field(description="One sentence for a person")
+    data: Facts = Field(description="The same for a program; units in the names")
+
+
+class InputHealth(Record):
+    """What a node knows of one topic from one source."""
+
+    topic: Text = Field(description="Topic")
+    src: Text = Field(description="Publisher, node@site; empty when nothing was ever heard")
+    received: Count = Field(description="Messages accepted since the start")
+    lost: Count = Field(description="Messages missing by sequence gaps since the start")
+    gaps: Count = Field(description="Sequence gaps since the start")
+    repeated: Count = Field(description="Messages that came twice or out of order since the start")
+    restarts: Count = Field(description="Restarts of the publisher seen since the start")
+    age_valid: bool = Field(description="At least one message was heard")
+    age_s: float = Field(description="Time since the publisher sent the newest message [s], across two clocks")
+
+
+class NodeHealth(Message):
+    """How a process is doing."""
+
+    pid: Count = Field(description="Process id")
+    state: Literal["starting", "ready", "running", "safe", "stopping"] = Field(description="What the node is at")
+    uptime_s: Seconds = Field(description="Time since the node started [s]")
+    rate_hz: Seconds = Field(description="Steps a second since the last report")
+    period_s: Seconds = Field(description="Nominal period of the loop [s]; 0 = acts on messages only")
+    lateness_p50_s: Seconds = Field(description="Median lateness against the deadline since the last report [s]")
+    lateness_p99_s: Seconds = Field(description="99 % lateness since the last report [s]")
+    lateness_max_s: Seconds = Field(description="Greatest lateness since the last report [s]")
+    overruns: Count = Field(description="Deadlines missed by a period or more since the start")
+    rejected: Counts = Field(description="Frames refused since the start, by reason")
+    cpu_percent: Seconds = Field(description="Processor time used since the last report [% of one core]")
+    memory_bytes: Count = Field(description="Resident memory [bytes]")
+    realtime: bool = Field(description="SCHED_FIFO is in force")
+    memory_locked: bool = Field(description="Memory is locked")
+    replay: bool = Field(description="The messages of this node come from a recording, not from an instrument")
+    inputs: Annotated[tuple[InputHealth, ...], FailFast()] = Field(
+        max_length=MAX_ITEMS, description="Every input of the node"
+    )

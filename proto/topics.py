@@ -1,0 +1,45 @@
+"""The one table of topics: who says what, how often, and how it is to be read."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from proto import messages as m
+
+Delivery = Literal["latest", "lossless"]
+
+
+@dataclass(frozen=True)
+class Topic:
+    """One row of the table.
+
+    `rate_hz` is the declared rate, None for topics sent on change. `deadline_s` is how old the newest message may be
+    before it counts as stale, None where silence means nothing. `latest`: a reader acts on the newest message only;
+    `lossless`: a reader handles every one, and a gap is counted and reported. `bridged` is the direction in which the
+    link carries it: `forward` to the slave, `backward` to the master, `both`, or None.
+    """
+
+    name: str
+    model: type[m.Message]
+    publishers: tuple[str, ...]
+    delivery: Delivery
+    rate_hz: float | None
+    deadline_s: float | None
+    bridged: Literal["forward", "backward", "both"] | None
+    recorded: bool = True
+
+
+_ROWS = (
+    Topic("haptic/state", m.HapticState, ("haptic_node",), "latest", 1000.0, 0.05, None),
+    Topic("haptic/command", m.HapticCommand, ("controller@master",), "latest", 1000.0, 0.05, None),
+    Topic("teleop/forward", m.TeleopForward, ("controller@master",), "latest", 1000.0, 0.05, "forward"),
+    Topic("teleop/backward", m.TeleopBackward, ("controller@slave",), "latest", 1000.0, 0.05, "backward"),
+    Topic("afm/command", m.AfmCommand, ("controller@slave",), "latest", 1000.0, 0.05, None),
+    Topic("afm/state", m.AfmState, ("afm_node",), "latest", 1000.0, 0.05, None),
+    Topic("afm/scanline", m.AfmScanline, ("afm_node",), "lossless", None, None, None),
+    Topic("link/status", m.LinkStatus, ("delay_node",), "latest", 10.0, 0.5, None),
+    Topic("session/control", m.SessionControl, ("launcher", "console"), "lossless", None, None, "forward"),
+    Topic("session/event", m.SessionEvent, ("*",), "lossless", None, None, "backward"),
+    Topic("node/health", m.NodeHealth, ("*",), "latest", 2.0, 2.0, "backward"),
+)
+
+TOPICS: dict[str, Topic] = {row.name: row for row in _ROWS}

@@ -1,0 +1,1 @@
+"""Nodes of the rig, one package each, and what they share."""

@@ -1,0 +1,122 @@
+"""The committed schemas, golden bytes and topic table are those of the models, and say so when they are not."""
+
+import json
+import math
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+import spec_client
+
+from proto import TOPICS, decode, encode
+from proto.contract import CASES, FOLDER, artefacts, drifted, main, rewrite
+
+VECTORS: list[dict[str, Any]] = json.loads((FOLDER / "golden" / "vectors.json").read_text(encoding="utf-8"))
+
+
+def _name(vector: dict[str, Any]) -> str:
+    return f"{vector['topic']}-{vector['case']}"
+
+
+def _python_form(value: Any) -> Any:
+    """Undo what JSON cannot hold: arrays are tuples, data is bytes."""
+    if isinstance(value, dict):
+        data = {"data": bytes.fromhex(value["data"])} if set(value) == {"dtype", "shape", "data"} else {}
+        return {key: _python_form(part) for key, part in value.items()} | data
+    return tuple(map(_python_form, value)) if isinstance(value, list) else value
+
+
+def _same(a: Any, b: Any) -> bool:
+    """Compare to the bit and the type: 1, 1.0 and True differ, and so do 0.0 and -0.0."""
+    if isinstance(a, dict) and isinstance(b, dict):
+        return a.keys() == b.keys() and all(_same(a[key], b[key]) for key in a)
+    if isinstance(a, tuple) and isinstance(b, tuple):
+        return len(a) == len(b) and all(map(_same, a, b))
+    signs_agree = not isinstance(a, float) or math.copysign(1.0, a) == math.copysign(1.0, b)
+    return type(a) is type(b) and a == b and signs_agree
+
+
+@pytest.fixture
+def copy(tmp_path: Path) -> Path:
+    for name in ("schemas", "golden"):
+        shutil.copytree(FOLDER / name, tmp_path / name)
+    shutil.copy(FOLDER / "SPEC.md", tmp_path)
+    return tmp_path
+
+
+def test_nothing_has_drifted() -> None:
+    assert drifted() == [], "run python -m proto.contract and read the difference"
+
+
+def test_making_the_files_twice_gives_the_same() -> None:
+    assert artefacts() == artefacts()
+
+
+@pytest.mark.parametrize("name", ["schemas/HapticState.json", "golden/vectors.json", "SPEC.md"])
+def test_a_changed_file_is_named_and_rewritten(copy: Path, name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    path = copy / name
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text.replace("haptic/state", "haptic/stale").replace("1000 Hz", "999 Hz"), encoding="utf-8")
+    assert main(["--check"], copy) == 1
+    assert name in capsys.readouterr().err
+    assert main([], copy) == 0
+    assert capsys.readouterr().out == f"wrote proto/{name}\n"
+    assert main(["--check"], copy) == 0
+
+
+def test_a_missing_and_a_left_over_schema_are_named(copy: Path) -> None:
+    (copy / "schemas" / "AfmState.json").unlink()
+    (copy / "schemas" / "Telegram.json").write_text("{}")
+    assert drifted(copy) == ["schemas/AfmState.json", "schemas/Telegram.json"]
+    assert rewrite(copy) == ["schemas/AfmState.json", "schemas/Telegram.json"]
+    assert drifted(copy) == []
+
+
+def test_a_spec_without_its_table_is_refused(copy: Path) -> None:
+    (copy / "SPEC.md").write_text("# The wire\n")
+    with pytest.raises(ValueError, match="needs the lines"):
+        drifted(copy)
+
+
+def test_every_message_has_every_case() -> None:
+    assert [(v["topic"], v["case"]) for v in VECTORS] == [(t, case.name) for t in TOPICS for case in CASES]
+
+
+@pytest.mark.parametrize("vector", VECTORS, ids=_name)
+def test_golden_fields_encode_to_golden_bytes(vector: dict[str, Any]) -> None:
+    message = TOPICS[vector["topic"]].model.model_validate(_python_form(vector["fields"]))
+    assert type(message).__name__ == vector["message"]
+    assert encode(message).hex() == vector["hex"]
+
+
+@pytest.mark.parametrize("vector", VECTORS, ids=_name)
+def test_golden_bytes_decode_to_golden_fields(vector: dict[str, Any]) -> None:
+    message = decode(vector["topic"], bytes.fromhex(vector["hex"]))
+    assert _same(message.model_dump(), _python_form(vector["fields"]))
+
+
+def test_the_comparison_can_fail() -> None:
+    assert not _same({"a": (0.0,)}, {"a": (-0.0,)})
+    assert not _same(1, 1.0)
+    assert not _same(True, 1)
+    assert not _same((1.0, 2.0), (1.0,))
+
+
+def test_golden_vectors_reach_the_corners() -> None:
+    text = json.dumps([vector["fields"] for vector in VECTORS])
+    corners = ("-0.0", "1.7976931348623157e+308", "5e-324", str(2**63 - 1), str(-(2**63)), str(2**53 + 1), "null")
+    for corner in (*corners, '"shape": [0]', '"f4"', "\\u00c5"):
+        assert corner in text, corner
+
+
+@pytest.mark.parametrize("vector", VECTORS, ids=_name)
+def test_schemas_describe_the_bytes(vector: dict[str, Any]) -> None:
+    schema = spec_client.schemas()[vector["topic"]]
+    fields = spec_client.msgpack.unpackb(bytes.fromhex(vector["hex"]))
+    assert spec_client.conforms(fields, schema, schema)
+    for key in fields:
+        assert not spec_client.conforms({k: v for k, v in fields.items() if k != key}, schema, schema), key
+        assert not spec_client.conforms({**fields, key: b"raw"}, schema, schema), key
+    assert not spec_client.conforms({**fields, "unknown_n": 1.0}, schema, schema)
+    assert not spec_client.conforms({**fields, "v": schema["x-version"] + 1}, schema, schema)

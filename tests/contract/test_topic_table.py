@@ -1,0 +1,157 @@
+"""The table of topics makes sense, and every field of every message says what it is and in which unit."""
+
+import re
+import typing
+from collections.abc import Iterator
+
+import pytest
+from annotated_types import Ge
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from proto import TOPICS, Topic, messages
+from proto.codec import MAX_MESSAGE_BYTES, Reason
+from proto.contract import FOLDER, topic_table
+from proto.messages import MAX_ITEMS, MAX_KEYS, Message, Record
+
+# topics that more than one kind of node may send
+SHARED = {"session/control", "session/event", "node/health"}
+# what a numeric field may end in: SI units, and the two that a process is measured in
+UNIT = re.compile(r"_(m|s|ns|n|j|w|hz|rad|m_per_s|n_per_m|sqrt_w|bytes|percent)$")
+# numbers without a unit: counts and names of things
+UNITLESS = {
+    "seq": "number of a message",
+    "hand_seq": "number of a message",
+    "answered_seq": "number of a message",
+    "command_seq": "number of a message",
+    "v": "version",
+    "pid": "name of a process",
+    "shape": "elements",
+    "line": "number of a line",
+    "lines": "lines",
+    "messages_in": "messages",
+    "messages_out": "messages",
+    "duplicated": "messages",
+    "reordered": "messages",
+    "corrupted": "messages",
+    "queue_depth": "messages",
+    "received": "messages",
+    "lost": "messages",
+    "repeated": "messages",
+    "gaps": "gaps",
+    "restarts": "restarts",
+    "overruns": "deadlines",
+}
+
+ROWS = list(TOPICS.values())
+SPEC = (FOLDER / "SPEC.md").read_text(encoding="utf-8")
+
+
+def _records() -> Iterator[type[BaseModel]]:
+    waiting: list[type[BaseModel]] = [Record]
+    while waiting:
+        record = waiting.pop()
+        waiting += record.__subclasses__()
+        yield record
+
+
+def _fields() -> list[tuple[str, str, FieldInfo]]:
+    return [(r.__name__, name, field) for r in _records() for name, field in r.model_fields.items()]
+
+
+def _is_numeric(annotation: object) -> bool:
+    """Say whether a number, or a tuple of numbers, stands in a field; maps carry the unit in their keys."""
+    if annotation in (int, float):
+        return True
+    return typing.get_origin(annotation) is not dict and any(_is_numeric(a) for a in typing.get_args(annotation))
+
+
+def test_every_message_has_one_topic() -> None:
+    public = {r for r in _records() if issubclass(r, Message) and r is not Message and not r.__name__.startswith("_")}
+    assert sorted(row.model.__name__ for row in ROWS) == sorted(model.__name__ for model in public)
+
+
+@pytest.mark.parametrize("row", ROWS, ids=lambda row: row.name)
+def test_one_publisher_a_topic(row: Topic) -> None:
+    if row.name in SHARED:
+        assert row.delivery == "lossless" or row.publishers == ("*",)
+    else:
+        assert len(row.publishers) == 1
+        assert row.publishers[0] != "*"
+
+
+@pytest.mark.parametrize("row", ROWS, ids=lambda row: row.name)
+def test_rate_deadline_and_reading_fit_together(row: Topic) -> None:
+    assert (row.rate_hz is None) == (row.deadline_s is None)
+    if row.rate_hz is not None and row.deadline_s is not None:
+        # a few messages may be lost before a topic counts as stale, but nobody waits a hundred periods
+        assert 3.0 <= row.rate_hz * row.deadline_s <= 100.0
+        assert row.deadline_s > 0.0
+    assert (row.delivery == "lossless") == (row.rate_hz is None)
+    assert row.recorded
+
+
+@pytest.mark.parametrize("row", ROWS, ids=lambda row: row.name)
+def test_the_link_carries_a_topic_away_from_its_publisher(row: Topic) -> None:
+    sites = {publisher.partition("@")[2] for publisher in row.publishers} - {""}
+    if row.bridged == "forward":
+        assert sites <= {"master"}
+    if row.bridged == "backward":
+        assert sites <= {"slave"}
+    assert re.fullmatch(r"[a-z]+/[a-z]+", row.name)
+
+
+def test_no_topic_is_the_beginning_of_another() -> None:
+    # ZeroMQ subscribes by prefix
+    assert not [(a, b) for a in TOPICS for b in TOPICS if a != b and b.startswith(a)]
+
+
+@pytest.mark.parametrize(("record", "name", "field"), _fields(), ids=lambda part: part if isinstance(part, str) else "")
+def test_every_field_is_described_required_and_named_with_its_unit(record: str, name: str, field: FieldInfo) -> None:
+    assert field.description, f"{record}.{name} has no description"
+    assert field.is_required(), f"{record}.{name} has a default: on the wire every key is present"
+    if _is_numeric(field.annotation):
+        assert bool(UNIT.search(name)) != (name in UNITLESS), f"{record}.{name} has no unit, or one too many"
+
+
+def test_the_rule_finds_a_field_without_unit_and_knows_no_field_that_is_gone() -> None:
+    assert not UNIT.search("force")
+    assert UNIT.search("force_n")
+    assert set(UNITLESS) <= {name for _, name, _ in _fields()}
+    assert _is_numeric(messages.TeleopForward.model_fields["wave_sqrt_w"].annotation)
+    assert not _is_numeric(messages.LinkDirection.model_fields["settings"].annotation)
+
+
+@pytest.mark.parametrize("record", list(_records()), ids=lambda record: record.__name__)
+def test_every_message_is_frozen_strict_and_refuses_what_it_does_not_know(record: type[BaseModel]) -> None:
+    config = record.model_config
+    assert (config["frozen"], config["strict"]) == (True, True)
+    assert (config["extra"], config["allow_inf_nan"]) == ("forbid", False)
+    assert record.__doc__
+
+
+def test_every_version_counts_from_one() -> None:
+    for row in ROWS:
+        assert row.model.version >= 1
+        assert any(isinstance(bound, Ge) and bound.ge == 1 for bound in row.model.model_fields["v"].metadata)
+
+
+def test_the_specification_has_the_table_the_limits_and_the_reasons() -> None:
+    assert topic_table() in SPEC
+    plain = SPEC.replace(" ", "")
+    for limit in (f"{MAX_MESSAGE_BYTES}bytesamessage", f"{MAX_ITEMS}itemsinamsgpackarray", f"{MAX_KEYS}keysinamap"):
+        assert limit in plain, limit
+    for reason in typing.get_args(Reason):
+        assert f"`{reason}`" in SPEC, reason
+
+
+def test_the_table_shows_every_row_as_it_is() -> None:
+    lines = topic_table().splitlines()
+    assert len(lines) == len(ROWS) + 2
+    for row, line in zip(ROWS, lines[2:], strict=True):
+        cells = [cell.strip() for cell in line.strip("|").split("|")]
+        assert len(cells) == 8
+        assert cells[0] == f"`{row.name}`"
+        assert cells[3] == row.delivery
+        assert cells[4] == (f"{row.rate_hz:g} Hz" if row.rate_hz else "on change")
+        assert cells[6] == (row.bridged or "–")

@@ -1,0 +1,456 @@
+"""Any bytes give a message or one WireError, quickly and in little memory; whatever is sent comes back the same."""
+
+import math
+import re
+import struct
+import time
+import tracemalloc
+from collections.abc import Iterator
+from typing import Any
+
+import msgpack
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from proto import MAX_MESSAGE_BYTES, TOPICS, Message, WireError, decode, encode
+from proto.contract import examples, schema_of
+from proto.messages import MAX_ITEMS, MAX_KEYS, Array, SessionControl
+
+TOPIC = st.sampled_from(list(TOPICS))
+GOLDEN = {topic: [encode(message) for message in examples(row).values()] for topic, row in TOPICS.items()}
+# far above the few milliseconds that the worst message needs, far below what an attack used to cost
+SLOW_S = 1.0
+
+
+def outcome(topic: str, payload: bytes) -> Message | WireError:
+    """Decode within the time allowed; any other exception than WireError ends the test."""
+    started = time.perf_counter()
+    try:
+        result: Message | WireError = decode(topic, payload)
+    except WireError as error:
+        result = error
+        assert len(str(error)) < 1000
+        assert str(error)
+    assert time.perf_counter() - started < SLOW_S
+    return result
+
+
+def check(topic: str, payload: bytes) -> None:
+    """Decode; a message that came out must have one encoding, which gives it back."""
+    result = outcome(topic, payload)
+    if isinstance(result, Message):
+        canonical = encode(result)
+        again = decode(topic, canonical)
+        assert again == result
+        assert encode(again) == canonical
+
+
+def fields_of(topic: str, case: str = "ordinary") -> dict[str, Any]:
+    fields: dict[str, Any] = msgpack.unpackb(encode(examples(TOPICS[topic])[case]), use_list=False)
+    return fields
+
+
+def refused(topic: str, payload: bytes) -> WireError:
+    with pytest.raises(WireError) as caught:
+        decode(topic, payload)
+    return caught.value
+
+
+# --- whatever msgpack can say, and what it cannot ---
+
+_scalar = st.one_of(
+    st.none(),
+    st.booleans(),
+    st.integers(-(2**63), 2**64 - 1),
+    st.floats(),
+    st.floats(width=32),
+    st.text(max_size=20),
+    st.binary(max_size=20),
+    st.builds(msgpack.ExtType, st.integers(0, 127), st.binary(max_size=20)),
+    st.builds(msgpack.Timestamp, st.integers(-(2**63), 2**63 - 1), st.integers(0, 10**9 - 1)),
+)
+_key = st.one_of(st.text(max_size=8), st.sampled_from(["seq", "src", "v", "t_ns", "mode", "inputs", "parameters"]))
+anything = st.recursive(
+    _scalar,
+    lambda part: st.one_of(st.lists(part, max_size=5), st.dictionaries(_key, part, max_size=5)),
+    max_leaves=12,
+)
+
+
+@given(TOPIC, st.binary(max_size=400))
+@example("haptic/state", b"")
+@example("haptic/state", b"\xc1")
+@example("haptic/state", b"\x80\x80")
+def test_any_bytes(topic: str, payload: bytes) -> None:
+    check(topic, payload)
+
+
+@given(st.text(max_size=40), st.binary(max_size=40))
+def test_any_topic(topic: str, payload: bytes) -> None:
+    result = outcome(topic, payload)
+    assert topic in TOPICS or (isinstance(result, WireError) and result.reason == "topic")
+
+
+@given(TOPIC, anything)
+def test_any_msgpack(topic: str, value: Any) -> None:
+    check(topic, msgpack.packb(value))
+
+
+@settings(max_examples=400)
+@given(TOPIC, st.data(), anything)
+def test_one_field_replaced_by_anything(topic: str, data: st.DataObject, value: Any) -> None:
+    fields = fields_of(topic)
+    key = data.draw(st.sampled_from(sorted(fields)))
+    check(topic, msgpack.packb({**fields, key: value}))
+
+
+@settings(max_examples=600)
+@given(TOPIC, st.data())
+def test_valid_messages_with_bytes_changed(topic: str, data: st.DataObject) -> None:
+    payload = bytearray(data.draw(st.sampled_from(GOLDEN[topic])))
+    for _ in range(data.draw(st.integers(1, 4))):
+        at = data.draw(st.integers(0, len(payload)))
+        until = min(len(payload), at + data.draw(st.integers(0, 3)))
+        payload[at:until] = data.draw(st.binary(max_size=3))
+    check(topic, bytes(payload))
+
+
+@given(TOPIC, TOPIC, st.data())
+def test_a_message_on_the_topic_of_another_and_two_spliced(topic: str, other: str, data: st.DataObject) -> None:
+    a, b = data.draw(st.sampled_from(GOLDEN[topic])), data.draw(st.sampled_from(GOLDEN[other]))
+    if topic != other:
+        assert isinstance(outcome(topic, b), WireError)
+    check(topic, a[: data.draw(st.integers(0, len(a)))] + b[data.draw(st.integers(0, len(b))) :])
+
+
+@pytest.mark.parametrize("topic", TOPICS)
+def test_every_beginning_of_a_message_is_refused(topic: str) -> None:
+    payload = GOLDEN[topic][1]
+    for length in range(len(payload)):
+        assert refused(topic, payload[:length]).reason == "malformed"
+    assert refused(topic, payload + b"\xc0").reason == "malformed"
+
+
+@given(st.binary(min_size=1, max_size=8))
+def test_text_that_is_not_utf8(raw: bytes) -> None:
+    payload = GOLDEN["session/event"][1].replace(b"gap closed", raw.ljust(10, b" ")[:10], 1)
+    result = outcome("session/event", payload)
+    try:
+        raw.decode()
+    except UnicodeDecodeError:
+        assert isinstance(result, WireError)
+        assert result.reason == "malformed"
+    else:
+        assert isinstance(result, Message)
+
+
+# --- what an attacker would send ---
+
+
+def _nested(opening: bytes, depth: int) -> bytes:
+    return opening * depth + b"\x01"
+
+
+def _array32(length: int) -> bytes:
+    return b"\xdd" + struct.pack(">I", length)
+
+
+def _map32(length: int) -> bytes:
+    return b"\xdf" + struct.pack(">I", length)
+
+
+def _bombs() -> Iterator[tuple[str, str, bytes]]:
+    full = MAX_MESSAGE_BYTES
+    for depth in (100, 512, 1000, 1023, 1024, 1500, full - 1):
+        yield f"arrays-{depth}-deep", "haptic/state", _nested(b"\x91", depth)
+    for depth in (500, 1010, 1020):
+        yield f"src-{depth}-deep-and-newer", "haptic/state", b"\x82\xa1v\x02\xa3src" + _nested(b"\x91", depth)
+        yield f"maps-{depth}-deep", "session/control", b"\x81\xaaparameters" + _nested(b"\x81\xa1a", depth)
+    for kind, code in {"str": 0xDB, "bin": 0xC6, "array": 0xDD, "map": 0xDF, "ext": 0xC9}.items():
+        for length in (2**32 - 1, 2**31, full):
+            yield (
+                f"{kind}-of-{length}",
+                "haptic/state",
+                b"\x81\xa1a" + bytes([code]) + struct.pack(">I", length) + b"\x00",
+            )
+    yield "arrays-of-arrays", "haptic/state", (_array32(full) * 1000).ljust(full, b"\xc0")
+    yield "most-items-nested", "haptic/state", b"\x81\xa1a" + (_array32(MAX_ITEMS) * 1000).ljust(full - 3, b"\xc0")
+    yield "empty-maps", "node/health", b"\x81\xa6inputs" + _array32(1_000_000) + b"\x80" * 1_000_000
+    yield "most-empty-maps", "node/health", b"\x81\xa6inputs" + _array32(MAX_ITEMS) + b"\x80" * MAX_ITEMS
+    keys = b"".join(b"\xa3%03x\xc0" % i for i in range(MAX_KEYS))
+    yield "most-unknown-keys", "haptic/state", _map32(MAX_KEYS) + keys
+    yield "most-wrong-values", "session/control", b"\x81\xaaparameters" + _map32(MAX_KEYS) + keys
+    crowd = _map32(MAX_KEYS) + keys
+    yield "many-crowded-inputs", "node/health", b"\x81\xa6inputs" + _array32(200) + crowd * 200
+    yield "too-many-keys", "haptic/state", _map32(140_000) + b"".join(b"\xa5%05x\xc0" % i for i in range(140_000))
+    yield "long-key", "haptic/state", b"\x81\xdb" + struct.pack(">I", 1_000_000) + b"a" * 1_000_000 + b"\xc0"
+    yield "long-src-and-newer", "haptic/state", b"\x82\xa1v\x02\xa3src\xdb" + struct.pack(">I", 10**6) + b"a" * 10**6
+
+
+@pytest.mark.parametrize(("topic", "payload"), [pytest.param(t, p, id=name) for name, t, p in _bombs()])
+def test_a_bomb_costs_little_time_and_memory(topic: str, payload: bytes) -> None:
+    assert isinstance(outcome(topic, payload), WireError)
+    tracemalloc.start()
+    try:
+        refused(topic, payload)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 64 * MAX_MESSAGE_BYTES
+
+
+@pytest.mark.parametrize(
+    ("topic", "change", "reason", "named"),
+    [
+        ("haptic/state", {"session_s": math.nan}, "schema", "session_s"),
+        ("haptic/state", {"session_s": math.inf}, "schema", "session_s"),
+        ("haptic/state", {"position_m": (0.0, -math.inf, 0.0)}, "schema", "position_m.1"),
+        ("haptic/state", {"position_m": (0.0, 0.0)}, "schema", "position_m"),
+        ("haptic/state", {"position_m": (0.0, 0.0, 0.0, 0.0)}, "schema", "position_m"),
+        ("haptic/state", {"position_m": {"x": 0.0}}, "schema", "position_m"),
+        ("haptic/state", {"session_s": True}, "schema", "session_s"),
+        ("haptic/state", {"session_s": "0.1"}, "schema", "session_s"),
+        ("haptic/state", {"seq": 1.0}, "schema", "seq"),
+        ("haptic/state", {"seq": True}, "schema", "seq"),
+        ("haptic/state", {"seq": -1}, "schema", "seq"),
+        ("haptic/state", {"seq": 2**63}, "schema", "seq"),
+        ("haptic/state", {"t_ns": 2**64 - 1}, "schema", "t_ns"),
+        ("haptic/state", {"estop": 1}, "schema", "estop"),
+        ("haptic/state", {"mode": "flying"}, "schema", "mode"),
+        ("haptic/state", {"src": "haptic_node"}, "schema", "src"),
+        ("haptic/state", {"src": "haptic_node@master\n"}, "schema", "src"),
+        ("haptic/state", {"src": b"haptic_node@master"}, "schema", "src"),
+        ("haptic/state", {"src": "a@" + "b" * 63}, "schema", "src"),
+        ("haptic/state", {"v": 0}, "schema", "v"),
+        ("haptic/state", {"v": 2}, "newer_version", "version 2 from 'haptic_node@master'"),
+        ("haptic/state", {"v": 2**64 - 1}, "newer_version", "update this node"),
+        ("haptic/state", {"force_lbf": 1.0}, "schema", "force_lbf"),
+        ("haptic/state", {b"seq": 1}, "schema", "Keys should be strings"),
+        ("haptic/state", {"t_ns": msgpack.Timestamp(1, 0)}, "malformed", "not msgpack"),
+        ("haptic/state", {"position_m": msgpack.ExtType(5, b"")}, "schema", "position_m"),
+        ("haptic/state", {7: 1}, "malformed", "not msgpack"),
+        ("session/control", {"id": ""}, "schema", "id"),
+        ("session/control", {"id": "a b"}, "schema", "id"),
+        ("session/control", {"parameters": {"gain": (1.0, 2.0)}}, "schema", "parameters.gain"),
+        ("session/control", {"parameters": {"gain": math.nan}}, "schema", "parameters.gain"),
+        ("session/control", {"parameters": {"gain": None}}, "schema", "parameters.gain"),
+        ("session/control", {"parameters": {b"gain": 1.0}}, "schema", "parameters"),
+        ("session/event", {"text": "x" * 4097}, "schema", "text"),
+    ],
+)
+def test_a_wrong_field_is_named(topic: str, change: dict[Any, Any], reason: str, named: str) -> None:
+    error = refused(topic, msgpack.packb({**fields_of(topic), **change}))
+    assert error.reason == reason
+    assert str(error).startswith(f"{topic}: ")
+    assert named in str(error)
+
+
+def test_a_long_unknown_key_is_named_in_brief() -> None:
+    error = refused("haptic/state", msgpack.packb({**fields_of("haptic/state"), "k" * 100_000: 1.0}))
+    assert error.reason == "schema"
+    assert "kkkk" in str(error)
+    assert len(str(error)) < 300
+
+
+@pytest.mark.parametrize("topic", TOPICS)
+def test_every_missing_key_is_named(topic: str) -> None:
+    fields = fields_of(topic)
+    for key in fields:
+        error = refused(topic, msgpack.packb({k: v for k, v in fields.items() if k != key}))
+        assert (error.reason, str(error)) == ("schema", f"{topic}: {key}: Field required")
+
+
+@pytest.mark.parametrize("value", [None, True, 7, 1.5, "text", b"raw", (1, 2)])
+def test_what_is_not_a_map_is_refused(value: object) -> None:
+    error = refused("haptic/state", msgpack.packb(value))
+    assert error.reason == "malformed"
+    assert type(value).__name__ in str(error)
+
+
+def test_unknown_topics_and_oversized_messages_are_refused() -> None:
+    error = refused("haptic/" + "x" * 10_000, b"\x80")
+    assert error.reason == "topic"
+    assert "haptic/state" in str(error)
+    assert refused("haptic/state", b"\x00" * MAX_MESSAGE_BYTES).reason == "malformed"
+    error = refused("haptic/state", b"\x00" * (MAX_MESSAGE_BYTES + 1))
+    assert error.reason == "oversized"
+    assert str(MAX_MESSAGE_BYTES) in str(error)
+
+
+def test_a_key_given_twice_is_one_message_or_an_error() -> None:
+    fields = fields_of("haptic/state")
+    twice = msgpack.Packer().pack_map_pairs([*fields.items(), ("session_s", 7.25)])
+    message = decode("haptic/state", twice)
+    assert message.model_dump()["session_s"] == 7.25
+    check("haptic/state", twice)
+    bad = msgpack.Packer().pack_map_pairs([*fields.items(), ("seq", "x")])
+    assert refused("haptic/state", bad).reason == "schema"
+
+
+def test_integers_and_short_floats_are_taken_where_a_number_is_meant() -> None:
+    payload = msgpack.packb({**fields_of("haptic/state"), "position_m": (1, -2, 2**64 - 1)})
+    assert decode("haptic/state", payload).model_dump()["position_m"] == (1.0, -2.0, float(2**64 - 1))
+    short = msgpack.packb({**fields_of("haptic/state"), "session_s": 0.1}, use_single_float=True)
+    value = decode("haptic/state", short).model_dump()["session_s"]
+    assert value == struct.unpack("f", struct.pack("f", 0.1))[0]
+    assert type(value) is float
+
+
+# --- arrays ---
+
+
+def _scanline(**array: Any) -> bytes:
+    good = {"dtype": "f8", "shape": (2,), "data": bytes(16)}
+    payload: bytes = msgpack.packb({**fields_of("afm/scanline"), "height_m": {**good, **array}})
+    return payload
+
+
+@pytest.mark.parametrize(
+    ("array", "named"),
+    [
+        ({"shape": (3,)}, "needs 24"),
+        ({"shape": (-2,)}, "shape.0"),
+        ({"shape": (2**24 + 1,)}, "shape.0"),
+        ({"shape": (2**24, 2**24, 2**24, 2**24)}, "needs"),
+        ({"shape": (0, 2**24, 2**24, 2**24)}, "height_m"),
+        ({"shape": (1, 1, 1, 1, 2)}, "shape"),
+        ({"shape": 2}, "shape"),
+        ({"shape": (2.0,)}, "shape.0"),
+        ({"shape": ()}, "needs 8"),
+        ({"dtype": "f2"}, "dtype"),
+        ({"dtype": ">f8"}, "dtype"),
+        ({"dtype": "O"}, "dtype"),
+        ({"data": "0" * 16}, "data"),
+        ({"data": bytes(15)}, "needs 16"),
+        ({"data": struct.pack("<2d", 0.0, math.nan)}, "NaN"),
+        ({"data": struct.pack("<2d", -math.inf, 0.0)}, "infinity"),
+        ({"strides": (8,)}, "strides"),
+    ],
+)
+def test_an_array_that_does_not_fit_itself_is_refused(array: dict[str, Any], named: str) -> None:
+    error = refused("afm/scanline", _scanline(**array))
+    assert error.reason == "schema"
+    assert "height_m" in str(error)
+    assert named in str(error)
+
+
+@given(
+    st.sampled_from(["u1", "i2", "i4", "f4", "f8"]),
+    st.lists(st.integers(0, 4), max_size=4),
+    st.booleans(),
+    st.integers(0, 2**32 - 1),
+)
+def test_arrays_come_back_as_they_went(kind: str, shape: list[int], swap: bool, seed: int) -> None:
+    array = np.asarray(np.random.default_rng(seed).integers(0, 128, shape)).astype(kind)
+    # another byte order and another memory layout must not show
+    other = array.astype(array.dtype.newbyteorder(">"), order="F") if swap else array
+    sent = Array.from_numpy(other)
+    assert np.array_equal(sent.to_numpy(), array)
+    assert sent.to_numpy().shape == tuple(shape)
+    check("afm/scanline", _scanline(dtype=sent.dtype, shape=sent.shape, data=sent.data))
+
+
+@pytest.mark.parametrize("element", ["f2", "i8", "u4", "bool", "complex128", "U3", "datetime64[ns]"])
+def test_other_element_types_are_refused_by_name(element: str) -> None:
+    with pytest.raises(ValueError, match="cannot be sent, use one of u1, i2, i4, f4, f8"):
+        Array.from_numpy(np.zeros(2, dtype=element))
+
+
+# --- every valid message ---
+
+_EXACT = {
+    "id": "[A-Za-z0-9_-]{1,64}",
+    "law": "[a-z][a-z0-9_]{0,30}",
+    "src": "[a-z][a-z0-9_]{0,30}@[a-z][a-z0-9_]{0,30}",
+}
+
+
+def _strategy(schema: dict[str, Any], root: dict[str, Any], name: str = "") -> st.SearchStrategy[Any]:
+    """Give the values that a JSON Schema of the contract allows."""
+    if name in _EXACT:
+        return st.from_regex(re.compile(_EXACT[name], re.ASCII), fullmatch=True)
+    if "$ref" in schema:
+        record = schema["$ref"].rpartition("/")[2]
+        return _arrays() if record == "Array" else _record(root["$defs"][record], root)
+    if "anyOf" in schema:
+        return st.one_of([_strategy(choice, root) for choice in schema["anyOf"]])
+    if "enum" in schema:
+        return st.sampled_from(schema["enum"])
+    if schema["type"] == "object":
+        return st.dictionaries(st.text(max_size=8), _strategy(schema["additionalProperties"], root), max_size=3)
+    if schema["type"] == "array":
+        if "prefixItems" in schema:
+            return st.tuples(*(_strategy(item, root) for item in schema["prefixItems"]))
+        return st.lists(_strategy(schema["items"], root), max_size=2).map(tuple)
+    highest = schema.get("maximum", schema.get("exclusiveMaximum", 2**63) - 1)
+    return {
+        "integer": st.integers(schema.get("minimum", -(2**63)), highest),
+        "number": st.floats(schema.get("minimum"), allow_nan=False, allow_infinity=False),
+        "boolean": st.booleans(),
+        "string": st.text(max_size=min(schema.get("maxLength", 20), 20)),
+        "null": st.none(),
+    }[schema["type"]]
+
+
+def _record(schema: dict[str, Any], root: dict[str, Any]) -> st.SearchStrategy[dict[str, Any]]:
+    return st.fixed_dictionaries({k: _strategy(part, root, k) for k, part in schema["properties"].items()})
+
+
+def _arrays() -> st.SearchStrategy[dict[str, Any]]:
+    lengths = st.lists(st.integers(0, 3), min_size=1, max_size=4).map(tuple)
+    return lengths.map(lambda shape: Array.from_numpy(np.ones(shape, dtype="f8")).model_dump())
+
+
+VALID = {topic: _record(schema_of(row), schema_of(row)) for topic, row in TOPICS.items()}
+
+
+@settings(max_examples=400)
+@given(TOPIC, st.data())
+def test_every_valid_message_comes_back_the_same(topic: str, data: st.DataObject) -> None:
+    message = TOPICS[topic].model.model_validate(data.draw(VALID[topic]))
+    payload = encode(message)
+    again = decode(topic, payload)
+    # repr tells -0.0 from 0.0, 1 from 1.0 and from True
+    assert repr(again) == repr(message)
+    assert encode(again) == payload
+    # the order of keys is free: the canonical one is the model's
+    assert encode(decode(topic, msgpack.packb(dict(reversed(msgpack.unpackb(payload).items()))))) == payload
+
+
+# --- the sender hears of what cannot be sent ---
+
+
+def _control(**parameters: Any) -> SessionControl:
+    fields = {**fields_of("session/control"), "parameters": parameters}
+    return SessionControl.model_validate(fields)
+
+
+@pytest.mark.parametrize("value", [2**64, -(2**63) - 1, 2**200, "\ud800", "a\udfffb"])
+def test_what_msgpack_cannot_hold_is_refused_when_sent(value: object) -> None:
+    with pytest.raises(WireError, match="SessionControl cannot be sent") as caught:
+        encode(_control(gain=value))
+    assert caught.value.reason == "malformed"
+
+
+def test_a_message_at_the_limit_passes_and_one_byte_more_is_refused_when_sent() -> None:
+    room = MAX_MESSAGE_BYTES - len(encode(_control(text="")))
+    # a long string has a header of five bytes where the empty one has one
+    largest = encode(_control(text="x" * (room - 4)))
+    assert len(largest) == MAX_MESSAGE_BYTES
+    assert isinstance(decode("session/control", largest), SessionControl)
+    with pytest.raises(WireError, match="at most 1048576") as caught:
+        encode(_control(text="x" * (room - 3)))
+    assert caught.value.reason == "oversized"
+
+
+def test_what_the_model_allows_the_decoder_takes() -> None:
+    assert encode(_control(**{str(i): i for i in range(MAX_KEYS)}))
+    with pytest.raises(ValueError, match="at most 1024"):
+        _control(**{str(i): i for i in range(MAX_KEYS + 1)})
+    health = fields_of("node/health")
+    crowd = TOPICS["node/health"].model.model_validate({**health, "inputs": health["inputs"][:1] * MAX_ITEMS})
+    assert decode("node/health", encode(crowd)) == crowd
+    with pytest.raises(ValueError, match="at most 4096"):
+        TOPICS["node/health"].model.model_validate({**health, "inputs": health["inputs"][:1] * (MAX_ITEMS + 1)})
