@@ -1,0 +1,1 @@
+"""What every process shares: bus, clock, loop, health, configuration."""

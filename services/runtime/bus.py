@@ -1,0 +1,297 @@
+"""The bus of one node: a PUB socket that it binds, SUB connections to those it listens to, and the account of both."""
+
+import fcntl
+import os
+import select
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any, Protocol, cast
+
+import zmq
+
+from proto import TOPICS, WireError, decode, encode
+from proto.codec import MAX_MESSAGE_BYTES
+from proto.messages import InputHealth, Message
+from services.runtime.clock import Clock
+from services.runtime.errors import EndpointError
+from services.runtime.sequence import Arrival, SequenceTracker
+
+# ten seconds of a 1 kHz topic: a reader that stops for longer loses messages, which it then counts
+HIGH_WATER_MARK = 10_000
+# a frame above this is not even taken into memory: libzmq drops the connection that sent it
+_LARGEST_FRAME = 16 * MAX_MESSAGE_BYTES
+_RECONNECT_MS = 50
+# messages taken before a node looks at its deadline again, so that a flood cannot hold a loop
+_BATCH = 256
+# sources heard on one node; a peer that makes up names must not fill the memory
+_MOST_TRACKERS = 1024
+_LINGER_MS = 200
+
+
+@dataclass(frozen=True, slots=True)
+class Received:
+    """A message as a node gets it."""
+
+    topic: str
+    message: Message
+    payload: bytes
+    received_ns: int
+    arrival: Arrival
+
+
+class Bus(Protocol):
+    """What a node may ask of the bus."""
+
+    def publish(self, topic: str, **fields: Any) -> Message:
+        """Send a message; the header is filled in."""
+
+    def receive(self) -> Iterator[Received]:
+        """Give what has arrived, without waiting."""
+
+    def wait(self, deadline_ns: int) -> None:
+        """Wait until something has arrived or the monotonic clock has reached `deadline_ns`."""
+
+
+class Publisher:
+    """The PUB socket of a node: numbers, stamps, checks and sends its messages."""
+
+    def __init__(
+        self, context: "zmq.Context[zmq.Socket[bytes]]", clock: Clock, node: str, endpoint: str, *, kind: int = zmq.PUB
+    ) -> None:
+        self.node = node
+        self._clock = clock
+        self._sequence: dict[str, int] = {}
+        self._lock = hold_endpoint(endpoint)
+        self.socket = context.socket(kind)
+        self.socket.set(zmq.SNDHWM, HIGH_WATER_MARK)
+        self.socket.set(zmq.LINGER, _LINGER_MS)
+        try:
+            bind(self.socket, endpoint, node)
+        except EndpointError:
+            self._lock.close()
+            raise
+
+    def publish(self, topic: str, **fields: Any) -> Message:
+        """Send a message on a topic; the header is filled in.
+
+        Raises pydantic.ValidationError when the fields do not make a valid message, WireError when it is too large.
+        """
+        seq = self._sequence.get(topic, 0)
+        model = TOPICS[topic].model
+        message = model(seq=seq, t_ns=self._clock.now_ns(), src=self.node, v=model.version, **fields)
+        self.send(topic, encode(message))
+        self._sequence[topic] = seq + 1
+        return message
+
+    def send(self, topic: str, payload: bytes) -> None:
+        """Send bytes as they are: what the link forwards keeps the header of its publisher."""
+        self.socket.send(topic.encode(), zmq.SNDMORE)
+        self.socket.send(payload)
+
+    def close(self) -> None:
+        """Close the socket and let the endpoint go."""
+        self.socket.close()
+        self._lock.close()
+
+
+class Subscriber:
+    """SUB connections of a node: decodes, counts what is refused or lost, and drops what was overtaken."""
+
+    def __init__(
+        self,
+        context: "zmq.Context[zmq.Socket[bytes]]",
+        clock: Clock,
+        connections: Mapping[str, Sequence[str]],
+    ) -> None:
+        """Connect to endpoints (keys) for topics (values)."""
+        self._clock = clock
+        self.trackers: dict[tuple[str, str], SequenceTracker] = {}
+        self.rejected: dict[str, int] = {}
+        self.last_error = ""
+        self.socket = context.socket(zmq.SUB)
+        self.socket.set(zmq.RCVHWM, HIGH_WATER_MARK)
+        self.socket.set(zmq.LINGER, 0)
+        self.socket.set(zmq.MAXMSGSIZE, _LARGEST_FRAME)
+        self.socket.set(zmq.RECONNECT_IVL, _RECONNECT_MS)
+        self.topics = sorted({topic for topics in connections.values() for topic in topics})
+        for topic in self.topics:
+            self.socket.subscribe(topic.encode())
+        for endpoint in connections:
+            self.socket.connect(endpoint)
+        self.descriptor: int = self.socket.fileno()
+
+    def receive_raw(self) -> Iterator[tuple[list[bytes], int]]:
+        """Give the frames of what has arrived, a bounded number, and the time [ns] at which each was taken."""
+        receive, pending = self.socket.recv, self.pending
+        for _ in range(_BATCH):
+            # asked first, because learning it from an exception costs as much as taking a message
+            if not pending():
+                return
+            frames = [receive()]
+            while self.socket.get(zmq.RCVMORE):
+                frames.append(receive())
+            yield frames, self._clock.now_ns()
+
+    def receive(self) -> Iterator[Received]:
+        """Give the messages that have arrived: valid, not repeated, and on `latest` topics not overtaken."""
+        for frames, received_ns in self.receive_raw():
+            received = self.examine(frames, received_ns)
+            if received is not None:
+                yield received
+
+    def examine(self, frames: Sequence[bytes], received_ns: int) -> Received | None:
+        """Decode and enter one message; None when it is refused or of no more use, which is then counted."""
+        try:
+            topic, payload = split_frames(frames)
+            message = decode(topic, payload)
+            tracker = self.tracker(topic, message.src)
+        except WireError as error:
+            self.rejected[error.reason] = self.rejected.get(error.reason, 0) + 1
+            self.last_error = str(error)
+            return None
+        arrival = tracker.accept(message.seq, message.t_ns)
+        if arrival is Arrival.DUPLICATE or (arrival is Arrival.LATE and TOPICS[topic].delivery == "latest"):
+            return None
+        return Received(topic, message, payload, received_ns, arrival)
+
+    def pending(self) -> bool:
+        """Say whether a message has arrived."""
+        # not Socket.poll, which makes a poller first
+        return bool(cast(int, self.socket.get(zmq.EVENTS)) & zmq.POLLIN)
+
+    def input_health(self) -> tuple[InputHealth, ...]:
+        """Give the account of every input; a topic that nobody was heard on has an empty source."""
+        now = self._clock.now_ns()
+        heard = {topic for topic, _ in self.trackers}
+        silent = [_health_of(topic, "", SequenceTracker(), now) for topic in self.topics if topic not in heard]
+        return (*(_health_of(topic, src, t, now) for (topic, src), t in sorted(self.trackers.items())), *silent)
+
+    def close(self) -> None:
+        """Close the socket."""
+        self.socket.close()
+
+    def tracker(self, topic: str, src: str) -> SequenceTracker:
+        """Give the account of a topic from a source; WireError (`source`) when absurdly many have been heard."""
+        tracker = self.trackers.get((topic, src))
+        if tracker is None:
+            if len(self.trackers) >= _MOST_TRACKERS:
+                raise WireError(
+                    "source", f"{topic}: {src} is one source more than the {_MOST_TRACKERS} kept account of"
+                )
+            tracker = self.trackers[topic, src] = SequenceTracker()
+        return tracker
+
+
+class ZmqBus:
+    """A publisher and its subscribers as one bus, with a wait that a signal or a message ends."""
+
+    def __init__(
+        self, publisher: Publisher, subscribers: Sequence[Subscriber], clock: Clock, wake_descriptor: int
+    ) -> None:
+        self.publisher = publisher
+        self.subscribers = list(subscribers)
+        self._clock = clock
+        self._descriptors = [*(subscriber.descriptor for subscriber in subscribers), wake_descriptor]
+        self.publish = publisher.publish
+        self._others: list[Publisher] = []
+
+    def also_closes(self, publisher: Publisher) -> None:
+        """Close another publisher of the same node together with this bus."""
+        self._others.append(publisher)
+
+    def receive(self) -> Iterator[Received]:
+        """Give what has arrived on every connection, without waiting."""
+        for subscriber in self.subscribers:
+            yield from subscriber.receive()
+
+    def wait(self, deadline_ns: int) -> None:
+        """Wait until something has arrived or the monotonic clock has reached `deadline_ns`.
+
+        ZeroMQ's descriptor tells of changes only, so each socket is asked before the descriptors are waited for.
+        """
+        remaining = deadline_ns - self._clock.monotonic_ns()
+        if remaining > 0 and not any([s.pending() for s in self.subscribers]):
+            select.select(self._descriptors, (), (), remaining * 1e-9)
+
+    def input_health(self) -> tuple[InputHealth, ...]:
+        """Give the account of every input."""
+        return tuple(health for subscriber in self.subscribers for health in subscriber.input_health())
+
+    def rejections(self) -> tuple[dict[str, int], str]:
+        """Give the frames refused so far by reason, and the text of the newest refusal known."""
+        total: dict[str, int] = {}
+        for subscriber in self.subscribers:
+            for reason, count in subscriber.rejected.items():
+                total[reason] = total.get(reason, 0) + count
+        return total, next((s.last_error for s in self.subscribers if s.last_error), "")
+
+    def close(self) -> None:
+        """Close every socket."""
+        for subscriber in self.subscribers:
+            subscriber.close()
+        for publisher in (self.publisher, *self._others):
+            publisher.close()
+
+
+def split_frames(frames: Sequence[bytes]) -> tuple[str, bytes]:
+    """Give topic and payload of a two-frame message; WireError (`frames`, `topic`) says what is wrong."""
+    if len(frames) != 2:
+        raise WireError("frames", f"a message has 2 frames (topic, msgpack map), this one has {len(frames)}")
+    try:
+        return frames[0].decode(), frames[1]
+    except UnicodeDecodeError as error:
+        raise WireError("topic", f"the topic frame {frames[0][:40]!r} is not UTF-8") from error
+
+
+def bind(socket: "zmq.Socket[bytes]", endpoint: str, node: str) -> None:
+    """Bind a socket; EndpointError names node, endpoint and what to do."""
+    try:
+        socket.bind(endpoint)
+    except zmq.ZMQError as error:
+        socket.close()
+        hint = "another process has it: stop that one or give another endpoint in the site file"
+        reason = hint if error.errno == zmq.EADDRINUSE else error.strerror
+        raise EndpointError(f"{node} cannot bind {endpoint}: {reason}") from error
+
+
+def hold_endpoint(endpoint: str) -> IO[str]:
+    """Take an ipc endpoint for this process; libzmq itself would silently take it away from a running one.
+
+    Raises EndpointError naming the process that holds it.
+    """
+    if not endpoint.startswith("ipc://"):
+        return Path(os.devnull).open()
+    path = Path(endpoint.removeprefix("ipc://") + ".lock")
+    try:
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        lock = path.open("a+")
+    except OSError as error:
+        raise EndpointError(f"{endpoint}: {path} cannot be opened: {error.strerror}") from error
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        lock.seek(0)
+        holder = lock.read().strip() or "unknown"
+        lock.close()
+        raise EndpointError(f"{endpoint} is in use by process {holder}: stop it, or use another site file") from error
+    lock.truncate(0)
+    lock.write(str(os.getpid()))
+    lock.flush()
+    return lock
+
+
+def _health_of(topic: str, src: str, tracker: SequenceTracker, now_ns: int) -> InputHealth:
+    heard = tracker.received > 0
+    return InputHealth(
+        topic=topic,
+        src=src,
+        received=tracker.received,
+        # a peer that makes up numbers can claim more gaps than a count on the wire can hold
+        lost=min(tracker.lost, 2**63 - 1),
+        gaps=tracker.gaps,
+        repeated=tracker.late + tracker.duplicates,
+        restarts=tracker.restarts,
+        age_valid=heard,
+        age_s=(now_ns - tracker.last_t_ns) * 1e-9 if heard else 0.0,
+    )

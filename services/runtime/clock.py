@@ -1,0 +1,75 @@
+"""Clocks: the system's, and a virtual one on which a test runs an hour in a millisecond."""
+
+import os
+import time
+from typing import Protocol
+
+from services.runtime.errors import ConfigError
+
+EPOCH_OFFSET_VARIABLE = "TELENANO_EPOCH_OFFSET_NS"
+
+
+class Clock(Protocol):
+    """What a node may ask of time.
+
+    `epoch_offset_ns` is what the time of a message header is ahead of the monotonic clock, constant for the process.
+    """
+
+    epoch_offset_ns: int
+
+    def monotonic_ns(self) -> int:
+        """Give the monotonic clock [ns]: deadlines and durations."""
+
+    def now_ns(self) -> int:
+        """Give the time for a message header [ns]: Unix epoch at the start, advanced by the monotonic clock."""
+
+
+class SystemClock:
+    """The clock of this machine.
+
+    The epoch is read once and then advanced by the monotonic clock, so that the time never jumps. Processes that
+    one supervisor starts inherit its offset through the environment: their stamps are then exactly comparable.
+    """
+
+    monotonic_ns = staticmethod(time.monotonic_ns)
+
+    def __init__(self, epoch_offset_ns: int | None = None) -> None:
+        if epoch_offset_ns is None:
+            inherited = os.environ.get(EPOCH_OFFSET_VARIABLE)
+            epoch_offset_ns = _inherited_ns(inherited) if inherited else time.time_ns() - time.monotonic_ns()
+        self.epoch_offset_ns = epoch_offset_ns
+
+    def now_ns(self) -> int:
+        """Give the time for a message header [ns]."""
+        return time.monotonic_ns() + self.epoch_offset_ns
+
+
+class VirtualClock:
+    """A clock that stands still until it is told to advance."""
+
+    def __init__(self, start_ns: int = 0, epoch_offset_ns: int = 0) -> None:
+        self._monotonic_ns = start_ns
+        self.epoch_offset_ns = epoch_offset_ns
+
+    def monotonic_ns(self) -> int:
+        """Give the virtual time [ns]."""
+        return self._monotonic_ns
+
+    def now_ns(self) -> int:
+        """Give the virtual time for a message header [ns]."""
+        return self._monotonic_ns + self.epoch_offset_ns
+
+    def advance_ns(self, duration_ns: int) -> None:
+        """Let time pass; ValueError if it is to run backwards."""
+        if duration_ns < 0:
+            raise ValueError(f"duration_ns is {duration_ns}, a clock advances by 0 ns or more")
+        self._monotonic_ns += duration_ns
+
+
+def _inherited_ns(text: str) -> int:
+    try:
+        return int(text)
+    except ValueError as error:
+        raise ConfigError(
+            f"environment variable {EPOCH_OFFSET_VARIABLE} is {text!r}, an integer [ns] is needed"
+        ) from error

@@ -1,0 +1,174 @@
+"""The one configuration loader: a YAML file, then the environment, then flags; every error names file and key."""
+
+import json
+import os
+import re
+from collections.abc import Hashable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+from pydantic import BaseModel, ValidationError
+
+from services.runtime.errors import ConfigError
+
+M = TypeVar("M", bound=BaseModel)
+
+ENVIRONMENT_PREFIX = "TELENANO__"
+
+
+def read_yaml(path: Path) -> dict[str, Any]:
+    """Give the mapping that a YAML file holds; ConfigError names the file, line and what is wrong."""
+    try:
+        data = _load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}: is not UTF-8 text (byte {error.start})") from error
+    except yaml.YAMLError as error:
+        raise ConfigError(f"{path}: is not YAML: {' '.join(str(error).split())}") from error
+    if not isinstance(data, dict):
+        raise ConfigError(f"{path}: holds a {type(data).__name__}, a mapping of keys is needed")
+    return data
+
+
+def environment_overrides(environment: Mapping[str, str] = os.environ) -> dict[str, Any]:
+    """Give TELENANO__SECTION__KEY=value as nested keys in lower case, each value read as YAML."""
+    overrides: dict[str, Any] = {}
+    for name, value in environment.items():
+        if name.startswith(ENVIRONMENT_PREFIX):
+            path = name.removeprefix(ENVIRONMENT_PREFIX).lower().split("__")
+            _put(overrides, path, _scalar(value, f"environment variable {name}"), f"environment variable {name}")
+    return overrides
+
+
+def flag_overrides(flags: Sequence[str]) -> dict[str, Any]:
+    """Give `section.key=value` flags as nested keys, each value read as YAML."""
+    overrides: dict[str, Any] = {}
+    for flag in flags:
+        key, sign, value = flag.partition("=")
+        if not sign or not key:
+            raise ConfigError(f"--set {flag}: is not of the form section.key=value")
+        _put(overrides, key.split("."), _scalar(value, f"--set {flag}"), f"--set {flag}")
+    return overrides
+
+
+def nested(flat: Mapping[str, Any], origin: str) -> dict[str, Any]:
+    """Give dotted keys as nested ones; ConfigError when a key is both a value and a section."""
+    tree: dict[str, Any] = {}
+    for key, value in flat.items():
+        _put(tree, key.split("."), value, origin)
+    return tree
+
+
+def merge(*layers: Mapping[str, Any]) -> dict[str, Any]:
+    """Lay mappings over one another, key by key; the last one wins."""
+    merged: dict[str, Any] = {}
+    for layer in layers:
+        for key, value in layer.items():
+            below = merged.get(key)
+            if isinstance(below, dict) and isinstance(value, dict):
+                value = merge(below, value)
+            merged[key] = value
+    return merged
+
+
+def validate(model: type[M], data: Mapping[str, Any], origin: str, section: str = "") -> M:
+    """Check a mapping against a model.
+
+    Raises ConfigError naming `origin`, every key at fault (below `section`, if given) and what would be right.
+    """
+    try:
+        # through JSON, because a YAML list is to pass where a strict model has a tuple
+        # and dates, which YAML makes of some texts, as texts: the model then says at which key it wants what
+        return model.model_validate_json(json.dumps(data, allow_nan=True, default=str))
+    except (TypeError, ValueError) as error:
+        if isinstance(error, ValidationError):
+            raise ConfigError(_describe(error, origin, model, section)) from error
+        raise ConfigError(f"{origin}: {error}") from error
+
+
+def layered(path: Path, flags: Sequence[str] = ()) -> tuple[dict[str, Any], str]:
+    """Read a file and lay environment and flags over it.
+
+    Returns: the merged mapping and its origin in words, for errors.
+    Raises ConfigError naming the file, the variable or the flag.
+    """
+    environment, given = environment_overrides(), flag_overrides(flags)
+    layers = [str(path)] + ["environment"] * bool(environment) + ["--set"] * bool(given)
+    return merge(read_yaml(path), environment, given), " + ".join(layers)
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML as people write it: 1e-9 is a number, on and off are words, and a key given twice is an error.
+
+    YAML 1.1 has 1e-9 (without a point) a text, and on, off, yes and no truth values.
+    """
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
+        seen: set[str] = set()
+        for key, _ in node.value:
+            if isinstance(key, yaml.ScalarNode) and key.value in seen:
+                raise yaml.constructor.ConstructorError(None, None, f"{key.value} is given twice", key.start_mark)
+            seen.add(str(key.value))
+        return super().construct_mapping(node, deep)
+
+
+_Loader.yaml_implicit_resolvers = {
+    first: [(tag, pattern) for tag, pattern in resolvers if tag != "tag:yaml.org,2002:bool"]
+    for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
+_Loader.add_implicit_resolver("tag:yaml.org,2002:bool", re.compile(r"(?i:true|false)$"), list("tTfF"))
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float", re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]+$"), list("-+.0123456789")
+)
+
+
+def _load(text: str) -> Any:
+    # a SafeLoader: it makes plain values only
+    loader = _Loader(text)
+    try:
+        return loader.get_single_data()
+    finally:
+        loader.dispose()
+
+
+def _scalar(text: str, origin: str) -> Any:
+    try:
+        return _load(text)
+    except yaml.YAMLError as error:
+        raise ConfigError(f"{origin}: the value is not YAML: {' '.join(str(error).split())}") from error
+
+
+def _put(tree: dict[str, Any], path: Sequence[str], value: Any, origin: str) -> None:
+    for part in path[:-1]:
+        tree = tree.setdefault(part, {})
+        if not isinstance(tree, dict):
+            raise ConfigError(f"{origin}: {part} has a value already and cannot have keys below it")
+    tree[path[-1]] = value
+
+
+def _describe(error: ValidationError, origin: str, model: type[BaseModel], section: str) -> str:
+    lines = []
+    for fault in error.errors(include_url=False, include_context=False):
+        key = ".".join(str(part) for part in (section, *fault["loc"]) if part != "")
+        text = fault["msg"].removeprefix("Value error, ")
+        if fault["type"] == "extra_forbidden":
+            text = f"unknown key{_known_keys(model, fault['loc'][:-1])}"
+        elif fault["type"] == "missing":
+            text = "is missing"
+        elif not isinstance(fault["input"], dict | list):
+            text = f"{text}, got {fault['input']!r}"
+        lines.append(f"{origin}: {key + ': ' if key else ''}{text}")
+    return "\n".join(lines)
+
+
+def _known_keys(model: type[BaseModel], path: tuple[int | str, ...]) -> str:
+    """Name the keys that would be right, where the path leads through plain nested models."""
+    for part in path:
+        field = model.model_fields.get(str(part))
+        inner = field.annotation if field else None
+        if not (isinstance(inner, type) and issubclass(inner, BaseModel)):
+            return ""
+        model = inner
+    return f", known are {', '.join(model.model_fields)}"

@@ -1,0 +1,21 @@
+"""The exception tree: whatever a person can cause ends in one of these, with a sentence that says what is right."""
+
+
+class TelenanoError(Exception):
+    """Base of every error that the project raises on purpose."""
+
+
+class ConfigError(TelenanoError):
+    """A configuration, scenario or site file is missing or wrong; the text names file and key."""
+
+
+class EndpointError(TelenanoError):
+    """A socket cannot be bound or connected; the text names the endpoint and who holds it, where that is known."""
+
+
+class RefusedError(TelenanoError):
+    """A session/control command that a node does not carry out; the text goes into the session/event."""
+
+
+class RecordingError(TelenanoError):
+    """A recording cannot be written or read; the text names the file."""

@@ -1,0 +1,175 @@
+"""The way from a command line to a running node: configuration, clock, bus, loop."""
+
+import argparse
+import signal
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Generic, TypeVar
+
+import zmq
+from pydantic import BaseModel
+
+from services.runtime.bus import Publisher, Subscriber, ZmqBus
+from services.runtime.clock import Clock, SystemClock
+from services.runtime.config import read_yaml, validate
+from services.runtime.errors import EndpointError, TelenanoError
+from services.runtime.log import StructuredLog, configure_logging
+from services.runtime.node import AccountedBus, Node, NodeContext, NodeLoop, install_stop_signals
+from services.runtime.realtime import RealtimeConfig, apply_realtime, die_with_parent, freeze_garbage
+from services.runtime.scenario import load_scenario
+from services.runtime.site import SiteBook
+
+C = TypeVar("C", bound=BaseModel)
+
+EXIT_BAD_START = 2
+
+
+@dataclass(frozen=True)
+class Wiring:
+    """What a node's builder makes its sockets from."""
+
+    key: str
+    book: SiteBook
+    site_file: Path
+    scenario_file: Path
+    clock: Clock
+    log: StructuredLog
+    zmq_context: "zmq.Context[zmq.Socket[bytes]]"
+    wake_descriptor: int
+
+    def publisher(self, key: str) -> Publisher:
+        """Bind the PUB socket of a node; EndpointError says why that fails."""
+        try:
+            endpoint = self.book.endpoint(key)
+        except KeyError as error:
+            raise EndpointError(str(error.args[0])) from error
+        return Publisher(self.zmq_context, self.clock, key, endpoint)
+
+    def subscriber(self, connections: Mapping[str, Sequence[str]]) -> Subscriber:
+        """Connect to nodes (keys) for topics (values)."""
+        by_endpoint = {self.book.endpoint(node): topics for node, topics in connections.items()}
+        return Subscriber(self.zmq_context, self.clock, by_endpoint)
+
+    def bus(self, topics: Sequence[str]) -> ZmqBus:
+        """Make the bus of an ordinary node: its own PUB socket and one SUB socket for its inputs."""
+        # the publisher first: it is what may fail, and nothing is open yet
+        publisher = self.publisher(self.key)
+        subscriber = self.subscriber(self.book.sources(self.key, list(topics)))
+        return ZmqBus(publisher, [subscriber], self.clock, self.wake_descriptor)
+
+    def context(self, bus: ZmqBus) -> NodeContext:
+        """Give what a node needs of the world."""
+        return NodeContext(self.key, self.clock, bus, self.log)
+
+
+@dataclass(frozen=True)
+class NodeKind(Generic[C]):
+    """A kind of node: its name, where it may live, its section of the scenario and how it is built."""
+
+    name: str
+    sites: tuple[str, ...]
+    config: type[C]
+    build: Callable[[Wiring, C], tuple[Node, AccountedBus]]
+    realtime: bool = True
+
+
+def ordinary(node: Callable[[NodeContext, C], Node], inputs: Sequence[str]) -> Callable[..., tuple[Node, AccountedBus]]:
+    """Give the builder of a node that has one bus."""
+
+    def build(wiring: Wiring, config: C) -> tuple[Node, AccountedBus]:
+        bus = wiring.bus(inputs)
+        return node(wiring.context(bus), config), bus
+
+    return build
+
+
+class NodeArguments(argparse.Namespace):
+    """What a node is started with."""
+
+    site_file: Path
+    scenario: Path
+    site: str
+    set: list[str]
+    with_parent: bool
+
+
+def parse_arguments(name: str, sites: Sequence[str], arguments: Sequence[str] | None) -> NodeArguments:
+    """Read the command line of a node."""
+    parser = argparse.ArgumentParser(prog=f"telenano node {name}", description=f"Run one {name} of the rig.")
+    parser.add_argument("--site-file", type=Path, required=True, help="address book of the rig (YAML)")
+    parser.add_argument("--scenario", type=Path, required=True, help="scenario with this node's section (YAML)")
+    parser.add_argument("--site", choices=sites, default=sites[0], help="site that this process belongs to")
+    parser.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE", help="change one key")
+    parser.add_argument("--with-parent", action="store_true", help="stop when the process that started this one ends")
+    return parser.parse_args(arguments, namespace=NodeArguments())
+
+
+def load_site(path: Path) -> SiteBook:
+    """Read a site file; ConfigError names file and key."""
+    return validate(SiteBook, read_yaml(path), str(path))
+
+
+def run_node(kind: NodeKind[C], arguments: Sequence[str] | None = None) -> int:
+    """Run a node until it is told to stop; gives the exit code, 2 when it could not start."""
+    given = parse_arguments(kind.name, kind.sites, arguments)
+    configure_logging()
+    log = StructuredLog(f"{kind.name}@{given.site}")
+    try:
+        _run(kind, given, log)
+    except TelenanoError as error:
+        log.error(str(error))
+        return EXIT_BAD_START
+    return 0
+
+
+def _run(kind: NodeKind[C], given: NodeArguments, log: StructuredLog) -> None:
+    if given.with_parent:
+        die_with_parent(signal.SIGTERM)
+    book = load_site(given.site_file)
+    loaded = load_scenario(given.scenario, given.set)
+    config = loaded.section(kind.name, kind.config)
+    wanted = loaded.scenario.realtime if kind.realtime else RealtimeConfig(scheduler="normal", memory_lock="off")
+    # before the ZeroMQ context exists: its threads inherit what is asked for here
+    status = apply_realtime(wanted, log)
+    stopper = _Stopper()
+    wake_descriptor = install_stop_signals(stopper.stop)
+    with zmq.Context[zmq.Socket[bytes]]() as context:
+        wiring = Wiring(
+            key=f"{kind.name}@{given.site}",
+            book=book,
+            site_file=given.site_file,
+            scenario_file=given.scenario,
+            clock=SystemClock(),
+            log=log,
+            zmq_context=context,
+            wake_descriptor=wake_descriptor,
+        )
+        node, bus = kind.build(wiring, config)
+        loop = NodeLoop(node, bus, status, spin_s=wanted.spin_s)
+        stopper.attach(loop)
+        log.info("ready", realtime=status.fifo, memory_locked=status.memory_locked)
+        freeze_garbage()
+        try:
+            loop.run()
+        finally:
+            bus.close()
+    log.info("stopped")
+
+
+class _Stopper:
+    """Remembers a stop signal that comes before there is a loop to stop."""
+
+    def __init__(self) -> None:
+        self._asked = False
+        self._loop: NodeLoop | None = None
+
+    def stop(self) -> None:
+        self._asked = True
+        if self._loop is not None:
+            self._loop.stop()
+
+    def attach(self, loop: NodeLoop) -> None:
+        self._loop = loop
+        if self._asked:
+            loop.stop()

@@ -1,0 +1,248 @@
+"""What every node is, and the one loop that all of them run in."""
+
+import os
+import signal
+import socket
+import time
+from abc import ABC, abstractmethod
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from pathlib import Path
+from types import FrameType
+from typing import ClassVar, Literal, Protocol
+
+from proto import TOPICS
+from proto.messages import MAX_TEXT, InputHealth, SessionControl
+from services.runtime.bus import Bus, Received
+from services.runtime.clock import Clock
+from services.runtime.errors import RefusedError, TelenanoError
+from services.runtime.log import RateLimitedLog, StructuredLog
+from services.runtime.realtime import RealtimeStatus
+from services.runtime.schedule import LatenessWindow
+from services.runtime.sequence import Arrival
+
+NodeState = Literal["starting", "ready", "running", "safe", "stopping"]
+HEALTH_PERIOD_NS = 500_000_000
+_REMEMBERED_ANSWERS = 256
+_FAR_FUTURE_NS = 2**62
+_STATM = Path("/proc/self/statm")
+
+
+@dataclass
+class NodeContext:
+    """What a node is given: its name and everything that touches the world."""
+
+    key: str
+    clock: Clock
+    bus: Bus
+    log: StructuredLog
+
+    def event(self, kind: str, level: str, text: str, *, answer_to: str = "", **data: bool | float | str) -> None:
+        """Publish a session/event and write it to the log."""
+        # the text may repeat what a peer or a file name said: as much as the wire takes, in what it can hold
+        text = text[:MAX_TEXT].encode(errors="replace").decode()
+        self.bus.publish("session/event", id=answer_to, kind=kind, level=level, text=text, data=data)
+        self.log.write(level, text, kind=kind, **data)
+
+
+class Node(ABC):
+    """One process of the rig: a state machine that messages and deadlines drive.
+
+    It holds no socket and reads no clock but those of its context, so that a test drives it in virtual time.
+    """
+
+    inputs: ClassVar[tuple[str, ...]]
+    commands: ClassVar[tuple[str, ...]] = ()
+    period_s: float = 0.0
+    state: NodeState = "ready"
+
+    def __init__(self, context: NodeContext) -> None:
+        self.context = context
+        self.clock = context.clock
+        self.publish = context.bus.publish
+        self.event = context.event
+        self.steps = 0
+        self.overruns = 0
+
+    @abstractmethod
+    def on_message(self, received: Received) -> None:
+        """Act on a message of one of the inputs; session/control goes to `on_control` as well."""
+
+    def deadline_ns(self) -> int:
+        """Give the monotonic time [ns] at which `on_deadline` is wanted."""
+        return _FAR_FUTURE_NS
+
+    @abstractmethod
+    def on_deadline(self, now_ns: int) -> None:
+        """Act on a deadline that has come."""
+
+    def on_control(self, control: SessionControl) -> str:
+        """Carry out a command and say in a sentence what came of it; RefusedError says why not."""
+        raise RefusedError(f"{self.context.key} does not know {control.command}")
+
+    @abstractmethod
+    def make_safe(self) -> None:
+        """Put actuators in their declared safe state; called whatever ends the loop."""
+
+
+class AccountedBus(Bus, Protocol):
+    """A bus whose inputs are accounted for."""
+
+    def input_health(self) -> tuple[InputHealth, ...]:
+        """Give the account of every input."""
+
+    def rejections(self) -> tuple[dict[str, int], str]:
+        """Give the frames refused so far by reason, and the text of the last refusal."""
+
+    def close(self) -> None:
+        """Close every socket."""
+
+
+class ControlDesk:
+    """Takes session/control for a node: once per id, with the answer repeated to a command that is sent again."""
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._answers: OrderedDict[str, tuple[str, str, str]] = OrderedDict()
+
+    def handle(self, control: SessionControl) -> None:
+        """Carry out a command if it concerns this node, and answer with a session/event of the same id."""
+        key = self._node.context.key
+        name = key.partition("@")[0]
+        if not (fnmatchcase(key, control.target) or fnmatchcase(name, control.target)):
+            return
+        wildcard = any(sign in control.target for sign in "*?[")
+        if wildcard and control.command not in self._node.commands:
+            return
+        if control.id not in self._answers:
+            self._answers[control.id] = self._carry_out(control)
+            if len(self._answers) > _REMEMBERED_ANSWERS:
+                self._answers.popitem(last=False)
+        kind, level, text = self._answers[control.id]
+        self._node.event(kind, level, text, answer_to=control.id, command=control.command)
+
+    def _carry_out(self, control: SessionControl) -> tuple[str, str, str]:
+        try:
+            return "ack", "info", self._node.on_control(control)
+        except TelenanoError as error:
+            return "refused", "warning", str(error)
+
+
+class NodeLoop:
+    """The loop of a node: messages as they come, deadlines when they come, health twice a second."""
+
+    def __init__(self, node: Node, bus: AccountedBus, realtime: RealtimeStatus, *, spin_s: float = 0.0) -> None:
+        self.node = node
+        self.stopping = False
+        self._bus = bus
+        self._clock = node.clock
+        self._realtime = realtime
+        self._spin_ns = round(spin_s * 1e9)
+        self._desk = ControlDesk(node)
+        self._lateness = LatenessWindow()
+        self._limited_log = RateLimitedLog(node.context.log, node.clock)
+        self._started_ns = self._health_due_ns = self._last_health_ns = node.clock.monotonic_ns()
+        self._last_cpu_s = time.process_time()
+        self._last_steps = 0
+        self._rejected_seen = 0
+
+    def stop(self) -> None:
+        """Leave the loop after the step in hand."""
+        self.stopping = True
+
+    def run(self) -> None:
+        """Run until `stop`, then leave the node safe whatever happened."""
+        try:
+            while not self.stopping:
+                self.turn()
+        finally:
+            self.node.make_safe()
+            self.node.state = "stopping"
+            self.publish_health(self._clock.monotonic_ns())
+
+    def turn(self) -> None:
+        """Wait for the next message or deadline and act on it."""
+        deadline = self.node.deadline_ns()
+        self._bus.wait(min(deadline - self._spin_ns, self._health_due_ns))
+        for received in self._bus.receive():
+            self._dispatch(received)
+        # a message may have moved the deadline
+        deadline = self.node.deadline_ns()
+        now = self._clock.monotonic_ns()
+        if deadline - self._spin_ns <= now:
+            while now < deadline:
+                now = self._clock.monotonic_ns()
+            self._lateness.enter((now - deadline) * 1e-9)
+            self.node.on_deadline(now)
+        if now >= self._health_due_ns:
+            self.publish_health(now)
+
+    def publish_health(self, now_ns: int) -> None:
+        """Send node/health and start a new interval."""
+        self._report_rejections()
+        elapsed_s = max(now_ns - self._last_health_ns, 1) * 1e-9
+        cpu_s = time.process_time()
+        p50, p99, greatest = self._lateness.take()
+        rejected, _ = self._bus.rejections()
+        self.node.publish(
+            "node/health",
+            pid=os.getpid(),
+            state=self.node.state,
+            uptime_s=(now_ns - self._started_ns) * 1e-9,
+            rate_hz=(self.node.steps - self._last_steps) / elapsed_s,
+            period_s=self.node.period_s,
+            lateness_p50_s=p50,
+            lateness_p99_s=p99,
+            lateness_max_s=greatest,
+            overruns=self.node.overruns,
+            rejected=rejected,
+            cpu_percent=100.0 * max(0.0, cpu_s - self._last_cpu_s) / elapsed_s,
+            memory_bytes=resident_bytes(),
+            realtime=self._realtime.fifo,
+            memory_locked=self._realtime.memory_locked,
+            replay=False,
+            inputs=self._bus.input_health(),
+        )
+        self._last_steps, self._last_cpu_s, self._last_health_ns = self.node.steps, cpu_s, now_ns
+        self._health_due_ns = now_ns + HEALTH_PERIOD_NS
+
+    def _dispatch(self, received: Received) -> None:
+        if received.arrival is Arrival.AFTER_GAP and TOPICS[received.topic].delivery == "lossless":
+            self._report_gap(received)
+        self.node.on_message(received)
+        if isinstance(received.message, SessionControl):
+            self._desk.handle(received.message)
+
+    def _report_gap(self, received: Received) -> None:
+        source = received.message.src
+        text = f"messages on {received.topic} from {source} were lost before number {received.message.seq}"
+        self.node.event("fault", "warning", text, topic=received.topic, source=source, seq=received.message.seq)
+
+    def _report_rejections(self) -> None:
+        rejected, last = self._bus.rejections()
+        total = sum(rejected.values())
+        if total > self._rejected_seen:
+            self._limited_log.warning("rejected", f"frames refused: {last}", count=total - self._rejected_seen)
+            self._rejected_seen = total
+
+
+def install_stop_signals(stop: Callable[[], None]) -> int:
+    """Call `stop` on SIGTERM and SIGINT; gives a descriptor that becomes readable at a signal, to end a wait."""
+    reader, writer = socket.socketpair()
+    for end in (reader, writer):
+        end.setblocking(False)
+    signal.set_wakeup_fd(writer.detach(), warn_on_full_buffer=False)
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        stop()
+
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, handle)
+    return reader.detach()
+
+
+def resident_bytes() -> int:
+    """Give the resident memory of this process [bytes]."""
+    return int(_STATM.read_bytes().split()[1]) * os.sysconf("SC_PAGE_SIZE")

@@ -1,0 +1,118 @@
+"""What a process can ask of the machine so that a 1 kHz loop keeps its deadlines."""
+
+import contextlib
+import ctypes
+import gc
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from services.runtime.errors import ConfigError
+from services.runtime.log import StructuredLog
+
+_PR_SET_TIMERSLACK = 29
+_PR_SET_PDEATHSIG = 1
+# pages are locked as they are first touched: locking every reserved page would take 400 MB a process
+_MCL_CURRENT_FUTURE_ONFAULT = 7
+_CPU_DMA_LATENCY = Path("/dev/cpu_dma_latency")
+
+
+class RealtimeConfig(BaseModel):
+    """What to ask for; `auto` takes what is permitted and says once what is missing."""
+
+    model_config = ConfigDict(frozen=True, strict=True, extra="forbid")
+
+    scheduler: Literal["auto", "fifo", "normal"] = Field(
+        default="auto", description="fifo: SCHED_FIFO or an error; auto: where permitted; normal: never"
+    )
+    priority: Annotated[int, Field(ge=1, le=98)] = Field(default=50, description="Priority under SCHED_FIFO")
+    memory_lock: Literal["auto", "on", "off"] = Field(default="auto", description="Lock the memory of the process")
+    spin_s: Annotated[float, Field(ge=0.0, le=0.001)] = Field(
+        default=100e-6, description="Busy wait before a deadline [s]"
+    )
+    cpu: Annotated[int, Field(ge=0)] | None = Field(default=None, description="Processor to stay on; none = any")
+
+
+class RealtimeStatus(BaseModel):
+    """What was granted."""
+
+    fifo: bool
+    memory_locked: bool
+
+
+def apply_realtime(config: RealtimeConfig, log: StructuredLog) -> RealtimeStatus:
+    """Ask for scheduling, memory lock and fine timers; before the ZeroMQ context exists, whose threads inherit them.
+
+    Raises ConfigError where `fifo` or `on` was demanded and is not permitted, or the processor does not exist.
+    """
+    libc = ctypes.CDLL(None, use_errno=True)
+    libc.prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
+    if config.cpu is not None:
+        _stay_on(config.cpu)
+    fifo = config.scheduler != "normal" and _set_fifo(config, log)
+    locked = config.memory_lock != "off" and _lock_memory(libc, config, log)
+    return RealtimeStatus(fifo=fifo, memory_locked=locked)
+
+
+def freeze_garbage() -> None:
+    """Take what exists out of the collector's sight and switch it off: a full collection takes tens of ms."""
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+
+
+def die_with_parent(signal_number: int) -> None:
+    """Ask the kernel to send this process a signal when its parent dies, so that no node outlives its supervisor."""
+    ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal_number, 0, 0, 0)
+
+
+@contextlib.contextmanager
+def shallow_idle() -> Iterator[bool]:
+    """Keep the processors out of deep sleep while the block runs; gives whether that was permitted."""
+    try:
+        descriptor = os.open(_CPU_DMA_LATENCY, os.O_WRONLY)
+    except OSError:
+        yield False
+        return
+    try:
+        os.write(descriptor, (0).to_bytes(4, "little"))
+        yield True
+    finally:
+        os.close(descriptor)
+
+
+def _stay_on(cpu: int) -> None:
+    try:
+        os.sched_setaffinity(0, {cpu})
+    except OSError as error:
+        known = ", ".join(map(str, sorted(os.sched_getaffinity(0))))
+        raise ConfigError(f"realtime.cpu: {cpu} cannot be used ({error.strerror}), permitted are {known}") from error
+
+
+def _set_fifo(config: RealtimeConfig, log: StructuredLog) -> bool:
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(config.priority))
+    except PermissionError as error:
+        if config.scheduler == "fifo":
+            raise ConfigError(
+                "realtime.scheduler: fifo is not permitted: run as root, raise `ulimit -r`, or say auto"
+            ) from error
+        log.warning(
+            "SCHED_FIFO is not permitted, the loop may run late under load: run as root, "
+            "raise `ulimit -r`, or give a container `cap_add: SYS_NICE`"
+        )
+        return False
+    return True
+
+
+def _lock_memory(libc: ctypes.CDLL, config: RealtimeConfig, log: StructuredLog) -> bool:
+    if libc.mlockall(_MCL_CURRENT_FUTURE_ONFAULT) == 0:
+        return True
+    if config.memory_lock == "on":
+        reason = os.strerror(ctypes.get_errno())
+        raise ConfigError(f"realtime.memory_lock: memory cannot be locked ({reason}): raise `ulimit -l`, or say auto")
+    log.warning("memory cannot be locked, a page fault may delay the loop: raise `ulimit -l`")
+    return False

@@ -1,0 +1,48 @@
+"""The scenario file: one section a node, read by the supervisor whole and by each node for its own section."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from services.runtime.config import layered, validate
+from services.runtime.realtime import RealtimeConfig
+
+M = TypeVar("M", bound=BaseModel)
+
+
+class Scenario(BaseModel):
+    """An experiment: what runs, for how long, and the section of each node, which the node itself checks."""
+
+    model_config = ConfigDict(frozen=True, strict=True, extra="forbid")
+
+    name: str = Field(pattern=r"^[a-z0-9_-]{1,64}$", description="Name of the experiment, used for files")
+    description: str = Field(description="What it shows, in a sentence")
+    duration_s: Annotated[float, Field(gt=0.0, le=86_400.0)] = Field(description="Length of the session [s]")
+    realtime: RealtimeConfig = Field(default=RealtimeConfig(), description="What nodes ask of the machine")
+    haptic_node: dict[str, Any] = Field(default={}, description="Section of the haptic node")
+    controller: dict[str, Any] = Field(default={}, description="Section of both halves of the law")
+    delay_node: dict[str, Any] = Field(default={}, description="Section of the link")
+    afm_node: dict[str, Any] = Field(default={}, description="Section of the AFM")
+    recorder: dict[str, Any] = Field(default={}, description="Section of the recorder")
+
+
+@dataclass(frozen=True)
+class LoadedScenario:
+    """A scenario and where it came from."""
+
+    scenario: Scenario
+    origin: str
+    document: dict[str, Any]
+
+    def section(self, name: str, model: type[M]) -> M:
+        """Give a node's section, checked; ConfigError names file and key."""
+        return validate(model, getattr(self.scenario, name), self.origin, name)
+
+
+def load_scenario(path: Path, flags: Sequence[str] = ()) -> LoadedScenario:
+    """Read a scenario with environment and flags laid over it; ConfigError names file and key."""
+    document, origin = layered(path, flags)
+    return LoadedScenario(validate(Scenario, document, origin), origin, document)

@@ -1,0 +1,49 @@
+"""Absolute deadlines, and what became of them."""
+
+import numpy as np
+import numpy.typing as npt
+
+_WINDOW = 8192
+
+
+class LatenessWindow:
+    """Lateness of the last steps [s], of which a report gives quantiles; entering one costs an array store."""
+
+    def __init__(self) -> None:
+        self._samples: npt.NDArray[np.float64] = np.zeros(_WINDOW)
+        self._count = 0
+
+    def enter(self, lateness_s: float) -> None:
+        """Enter the lateness of one step."""
+        self._samples[self._count % _WINDOW] = lateness_s
+        self._count += 1
+
+    def take(self) -> tuple[float, float, float]:
+        """Give p50, p99 and the greatest lateness [s] since the last call and start anew; zeros if there was none."""
+        used = self._samples[: min(self._count, _WINDOW)]
+        self._count = 0
+        if used.size == 0:
+            return 0.0, 0.0, 0.0
+        p50, p99 = np.percentile(used, [50.0, 99.0])
+        return float(p50), float(p99), float(used.max())
+
+
+class Grid:
+    """A grid of absolute deadlines: a late step moves no later one, and what was missed is skipped and counted."""
+
+    def __init__(self, start_ns: int, period_ns: int) -> None:
+        if period_ns <= 0:
+            raise ValueError(f"period_ns is {period_ns}, a period is 1 ns or more")
+        self.period_ns = period_ns
+        self.deadline_ns = start_ns + period_ns
+        self.overruns = 0
+
+    def advance(self, now_ns: int) -> int:
+        """Pass the deadline that has come.
+
+        Returns: periods that went by since the last step, 1 unless deadlines were missed.
+        """
+        missed = max(0, now_ns - self.deadline_ns) // self.period_ns
+        self.overruns += missed
+        self.deadline_ns += (missed + 1) * self.period_ns
+        return missed + 1

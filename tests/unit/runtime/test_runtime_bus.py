@@ -1,0 +1,480 @@
+"""The bus on real sockets: whatever arrives is taken or counted, and the subscriber lives on."""
+
+import os
+import socket as plain_socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import msgpack
+import pytest
+import zmq
+
+from proto import MAX_MESSAGE_BYTES, TOPICS, decode, encode
+from proto.contract import examples
+from proto.messages import HapticState, SessionControl
+from services.runtime.bus import Publisher, Received, Subscriber, ZmqBus, split_frames
+from services.runtime.clock import SystemClock, VirtualClock
+from services.runtime.errors import EndpointError
+from services.runtime.sequence import Arrival
+
+Context = zmq.Context[zmq.Socket[bytes]]
+MOST_TRACKERS = 1024
+BATCH = 256
+ENCODED = {topic: encode(examples(row)["ordinary"]) for topic, row in TOPICS.items()}
+WAIT_S = 20.0
+
+
+@pytest.fixture
+def context() -> Iterator[Context]:
+    with zmq.Context[zmq.Socket[bytes]]() as context:
+        yield context
+        # a test that failed half-way must not hang here
+        context.destroy(linger=0)
+
+
+@pytest.fixture
+def endpoint(tmp_path: Path) -> str:
+    return f"ipc://{tmp_path}/bus"
+
+
+class Sender:
+    """A bare socket that says what no node of ours would say."""
+
+    def __init__(self, context: Context, endpoint: str) -> None:
+        self.socket = context.socket(zmq.XPUB)
+        self.socket.set(zmq.SNDHWM, 100_000)
+        self.socket.set(zmq.LINGER, 0)
+        self.socket.bind(endpoint)
+
+    def connected(self, subscriptions: int = 1) -> None:
+        """Wait for the subscriptions of a reader."""
+        for _ in range(subscriptions):
+            assert self.socket.poll(WAIT_S * 1e3), "nobody subscribed"
+            self.socket.recv()
+
+    def send(self, *frames: bytes) -> None:
+        self.socket.send_multipart(frames)
+
+
+def until(condition: Callable[[], bool], reader: Subscriber) -> list[Received]:
+    """Receive until a condition holds."""
+    received: list[Received] = []
+    deadline = time.monotonic() + WAIT_S
+    while not condition():
+        assert time.monotonic() < deadline, f"still waiting, refused so far {reader.rejected}"
+        reader.socket.poll(100)
+        received += reader.receive()
+    return received
+
+
+def collect(reader: Subscriber, count: int) -> list[Received]:
+    """Receive until so many messages came."""
+    received: list[Received] = []
+    deadline = time.monotonic() + WAIT_S
+    while len(received) < count:
+        assert time.monotonic() < deadline, f"{len(received)} of {count} came, refused {reader.rejected}"
+        reader.socket.poll(100)
+        received += reader.receive()
+    return received
+
+
+def fields(topic: str, **changed: object) -> dict[str, object]:
+    return {**examples(TOPICS[topic])["ordinary"].model_dump(), **changed}
+
+
+def payload(topic: str, **changed: object) -> bytes:
+    raw: bytes = msgpack.packb({**msgpack.unpackb(ENCODED[topic]), **changed})
+    return raw
+
+
+def published(topic: str) -> dict[str, object]:
+    return {key: value for key, value in fields(topic).items() if key not in ("seq", "t_ns", "src", "v")}
+
+
+@pytest.fixture
+def sender(context: Context, endpoint: str) -> Iterator[Sender]:
+    sender = Sender(context, endpoint)
+    yield sender
+    sender.socket.close()
+
+
+@pytest.fixture
+def reader(context: Context, sender: Sender, endpoint: str) -> Iterator[Subscriber]:
+    reader = Subscriber(context, SystemClock(), {endpoint: ["haptic/state", "session/control"]})
+    sender.connected(2)
+    yield reader
+    reader.close()
+
+
+@pytest.fixture
+def deaf(context: Context) -> Iterator[Subscriber]:
+    """Give a subscriber without connection: its messages are handed to it."""
+    reader = Subscriber(context, VirtualClock(epoch_offset_ns=10**9), {})
+    yield reader
+    reader.close()
+
+
+def hand(reader: Subscriber, seq: int, t_ns: int, topic: str = "haptic/state", src: str = "a@b") -> Received | None:
+    return reader.examine([topic.encode(), payload(topic, seq=seq, t_ns=t_ns, src=src)], 0)
+
+
+# --- publishing ---
+
+
+def test_a_message_is_numbered_stamped_and_arrives_as_it_was_sent(context: Context, endpoint: str) -> None:
+    clock = VirtualClock(start_ns=7, epoch_offset_ns=10**18)
+    publisher = Publisher(context, clock, "haptic_node@master", endpoint, kind=zmq.XPUB)
+    reader = Subscriber(context, clock, {endpoint: ["haptic/state", "node/health"]})
+    try:
+        for _ in range(2):
+            assert publisher.socket.poll(WAIT_S * 1e3)
+            publisher.socket.recv()
+        sent = [publisher.publish(topic, **published(topic)) for topic in ("haptic/state", "node/health") * 2]
+        received = collect(reader, 4)
+    finally:
+        reader.close()
+        publisher.close()
+    assert [r.message for r in received] == sent
+    assert [(m.seq, m.t_ns, m.src, m.v) for m in sent] == [
+        (seq, 10**18 + 7, "haptic_node@master", 1) for seq in (0, 0, 1, 1)
+    ]
+    assert [r.topic for r in received] == ["haptic/state", "node/health"] * 2
+    assert {(r.arrival, r.received_ns) for r in received} == {(Arrival.NEXT, 10**18 + 7)}
+    assert [decode(r.topic, r.payload) for r in received] == sent
+
+
+def test_a_message_that_is_refused_takes_no_number(context: Context, endpoint: str) -> None:
+    publisher = Publisher(context, VirtualClock(), "haptic_node@master", endpoint)
+    try:
+        with pytest.raises(ValueError, match="session_s"):
+            publisher.publish("haptic/state", **{**published("haptic/state"), "session_s": float("nan")})
+        with pytest.raises(ValueError, match="at most 1048576"):
+            publisher.publish("session/event", **{**published("session/event"), "data": {"x": "x" * 2**20}})
+        assert publisher.publish("haptic/state", **published("haptic/state")).seq == 0
+        assert publisher.publish("session/event", **published("session/event")).seq == 0
+    finally:
+        publisher.close()
+
+
+# --- what is refused ---
+
+GOOD = payload("haptic/state", seq=1)
+REFUSED = {
+    "frames-1": ("frames", (b"haptic/state",)),
+    "frames-3": ("frames", (b"haptic/state", GOOD, b"")),
+    "frames-many": ("frames", (b"haptic/state", *[b"x"] * 500)),
+    "topic-unknown": ("topic", (b"haptic/stateful", GOOD)),
+    "topic-not-utf8": ("topic", (b"haptic/state\xff", GOOD)),
+    "malformed-empty": ("malformed", (b"haptic/state", b"")),
+    "malformed-cut": ("malformed", (b"haptic/state", GOOD[:-1])),
+    "malformed-list": ("malformed", (b"haptic/state", b"\x90")),
+    "oversized": ("oversized", (b"haptic/state", bytes(MAX_MESSAGE_BYTES + 1))),
+    "oversized-10-MiB": ("oversized", (b"haptic/state", bytes(10 * MAX_MESSAGE_BYTES))),
+    "newer": ("newer_version", (b"haptic/state", msgpack.packb({**msgpack.unpackb(GOOD), "v": 2}))),
+    "schema": ("schema", (b"haptic/state", msgpack.packb({**msgpack.unpackb(GOOD), "force": 1.0}))),
+    "other-topic": ("schema", (b"session/control", GOOD)),
+}
+
+
+@pytest.mark.parametrize(("reason", "frames"), REFUSED.values(), ids=REFUSED)
+def test_what_is_refused_is_counted_and_the_next_message_is_taken(
+    sender: Sender, reader: Subscriber, reason: str, frames: tuple[bytes, ...]
+) -> None:
+    sender.send(*frames)
+    sender.send(b"haptic/state", GOOD)
+    received = collect(reader, 1)
+    assert [r.message.seq for r in received] == [1]
+    assert reader.rejected == {reason: 1}
+    assert 0 < len(reader.last_error) < 1000
+
+
+def test_all_of_it_at_once_leaves_an_account(sender: Sender, reader: Subscriber) -> None:
+    for reason, frames in REFUSED.values():
+        assert reason
+        sender.send(*frames)
+    until(lambda: sum(reader.rejected.values()) == len(REFUSED), reader)
+    assert reader.rejected == {
+        "frames": 3, "topic": 2, "malformed": 3, "oversized": 2, "newer_version": 1, "schema": 2,
+    }  # fmt: skip
+
+
+def test_a_frame_beyond_all_measure_costs_its_sender_the_connection_and_nobody_else(
+    context: Context, sender: Sender, endpoint: str, tmp_path: Path
+) -> None:
+    other_endpoint = f"ipc://{tmp_path}/other"
+    other = Sender(context, other_endpoint)
+    reader = Subscriber(context, SystemClock(), {endpoint: ["haptic/state"], other_endpoint: ["haptic/state"]})
+    try:
+        sender.connected()
+        other.connected()
+        sender.send(b"haptic/state", bytes(17 * MAX_MESSAGE_BYTES))
+        # the end of the subscription is how the sender sees that it was cut off
+        sender.connected()
+        other.send(b"haptic/state", payload("haptic/state", seq=1))
+        assert [r.message.seq for r in collect(reader, 1)] == [1]
+        assert reader.rejected == {}
+    finally:
+        other.socket.close()
+        reader.close()
+
+
+def test_frames_are_split_or_say_why_not() -> None:
+    assert split_frames([b"haptic/state", b"x"]) == ("haptic/state", b"x")
+    with pytest.raises(ValueError, match=r"has 2 frames .* this one has 0"):
+        split_frames([])
+    with pytest.raises(ValueError, match="is not UTF-8"):
+        split_frames([b"\xff" * 100, b""])
+
+
+# --- what is accounted for ---
+
+
+def test_a_latest_topic_drops_what_was_overtaken_and_a_lossless_one_does_not(deaf: Subscriber) -> None:
+    for topic, late_is_taken in (("haptic/state", False), ("session/control", True)):
+        arrivals = [hand(deaf, seq, t_ns=seq, topic=topic) for seq in (0, 1, 4, 2, 2, 4, 5)]
+        assert [r.arrival if r else None for r in arrivals] == [
+            Arrival.NEXT,
+            Arrival.NEXT,
+            Arrival.AFTER_GAP,
+            Arrival.LATE if late_is_taken else None,
+            None,
+            None,
+            Arrival.NEXT,
+        ]
+        tracker = deaf.trackers[topic, "a@b"]
+        assert (tracker.received, tracker.lost, tracker.gaps, tracker.late, tracker.duplicates) == (5, 1, 1, 1, 2)
+
+
+def test_every_source_has_its_own_account(deaf: Subscriber) -> None:
+    for seq in range(3):
+        assert hand(deaf, seq, seq, src="haptic_node@master")
+    received = hand(deaf, 50, 50, src="haptic_node@slave")
+    assert received is not None
+    assert received.arrival is Arrival.NEXT
+    assert all(tracker.lost == 0 for tracker in deaf.trackers.values())
+
+
+def test_the_account_of_every_input_is_reported(context: Context, endpoint: str) -> None:
+    clock = VirtualClock(epoch_offset_ns=10**9)
+    reader = Subscriber(context, clock, {endpoint: ["haptic/state", "session/control"]})
+    try:
+        silent = reader.input_health()
+        assert [(h.topic, h.src, h.age_valid) for h in silent] == [
+            ("haptic/state", "", False),
+            ("session/control", "", False),
+        ]
+        for seq, t_ns in ((0, 1), (3, 2), (2, 1), (2, 1), (0, 10**9)):
+            hand(reader, seq, t_ns)
+        clock.advance_ns(250_000_000)
+        heard, still_silent = reader.input_health()
+    finally:
+        reader.close()
+    assert (heard.topic, heard.src, heard.received, heard.lost, heard.gaps) == ("haptic/state", "a@b", 4, 1, 1)
+    assert (heard.repeated, heard.restarts, heard.age_valid, heard.age_s) == (2, 1, True, 0.25)
+    assert still_silent.topic == "session/control"
+
+
+def test_invented_numbers_do_not_break_the_report(deaf: Subscriber) -> None:
+    t_ns = 0
+    for _ in range(3):
+        for seq in (0, 2**63 - 1):
+            t_ns += 1
+            hand(deaf, seq, t_ns)
+    assert deaf.input_health()[0].lost == 2**63 - 1
+
+
+def test_invented_sources_do_not_fill_the_memory(deaf: Subscriber) -> None:
+    for number in range(MOST_TRACKERS + 10):
+        hand(deaf, 0, 0, src=f"n{number}@b")
+    assert len(deaf.trackers) == MOST_TRACKERS
+    assert deaf.rejected == {"source": 10}
+    assert f"the {MOST_TRACKERS} kept account of" in deaf.last_error
+    # those who were there before are still heard
+    assert hand(deaf, 1, 1, src="n5@b") is not None
+    assert len(deaf.input_health()) == MOST_TRACKERS
+
+
+def test_a_flood_is_taken_a_bounded_part_at_a_time(context: Context) -> None:
+    # inproc hands messages over at once, so that all are there before the first is read
+    flood = Sender(context, "inproc://flood")
+    reader = Subscriber(context, SystemClock(), {"inproc://flood": ["haptic/state"]})
+    try:
+        flood.connected()
+        for seq in range(1000):
+            flood.send(b"haptic/state", payload("haptic/state", seq=seq))
+        parts = [len(list(reader.receive())) for _ in range(5)]
+    finally:
+        flood.socket.close()
+        reader.close()
+    assert parts == [BATCH, BATCH, BATCH, 1000 - 3 * BATCH, 0]
+
+
+def test_a_reader_that_stops_for_longer_than_its_mark_counts_what_it_missed(context: Context) -> None:
+    sender = context.socket(zmq.XPUB)
+    sender.set(zmq.SNDHWM, 10)
+    sender.bind("inproc://slow")
+    reader = Subscriber(context, SystemClock(), {"inproc://slow": ["haptic/state"]})
+    try:
+        assert sender.poll(WAIT_S * 1e3)
+        sender.recv()
+        sent = 12_000
+        head, tail = payload("haptic/state", seq=0), payload("haptic/state", seq=sent)
+        for seq in range(sent):
+            sender.send_multipart([b"haptic/state", head if seq == 0 else payload("haptic/state", seq=seq)])
+        received = collect(reader, 10_000)
+        while more := list(reader.receive()):
+            received += more
+        sender.send_multipart([b"haptic/state", tail])
+        received += collect(reader, 1)
+    finally:
+        sender.close(linger=0)
+        reader.close()
+    tracker = reader.trackers["haptic/state", "haptic_node@master"]
+    assert tracker.received == len(received) < sent
+    assert (tracker.lost, tracker.gaps) == (sent + 1 - len(received), 1)
+
+
+# --- the endpoint ---
+
+
+def test_an_ipc_endpoint_in_use_names_its_holder(context: Context, endpoint: str) -> None:
+    first = Publisher(context, SystemClock(), "afm_node@slave", endpoint)
+    with pytest.raises(EndpointError, match=f"{endpoint} is in use by process {os.getpid()}: stop it"):
+        Publisher(context, SystemClock(), "afm_node@slave", endpoint)
+    first.close()
+    Publisher(context, SystemClock(), "afm_node@slave", endpoint).close()
+
+
+HOLDER = """
+import sys, zmq
+from services.runtime.bus import Publisher
+from services.runtime.clock import SystemClock
+holder = Publisher(zmq.Context(), SystemClock(), "afm_node@slave", sys.argv[1])
+print("holding", flush=True)
+sys.stdin.read()
+"""
+
+
+def test_an_endpoint_is_free_again_when_its_holder_was_killed(context: Context, endpoint: str) -> None:
+    command = [sys.executable, "-c", HOLDER, endpoint]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as holder:
+        assert holder.stdout is not None
+        try:
+            assert holder.stdout.readline() == "holding\n"
+            with pytest.raises(EndpointError, match=f"in use by process {holder.pid}:"):
+                Publisher(context, SystemClock(), "afm_node@slave", endpoint)
+        finally:
+            holder.kill()
+    Publisher(context, SystemClock(), "afm_node@slave", endpoint).close()
+
+
+def test_a_tcp_port_in_use_is_named(context: Context) -> None:
+    with plain_socket.create_server(("127.0.0.1", 0)) as server:
+        endpoint = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+        with pytest.raises(EndpointError, match=f"afm_node@slave cannot bind {endpoint}: another process has it"):
+            Publisher(context, SystemClock(), "afm_node@slave", endpoint)
+
+
+@pytest.mark.parametrize("endpoint", ["tcp://192.0.2.1:5501", "tcp://no-such-interface:5501"])
+def test_an_address_of_another_machine_cannot_be_bound(context: Context, endpoint: str) -> None:
+    with pytest.raises(EndpointError, match=f"afm_node@slave cannot bind {endpoint}: "):
+        Publisher(context, SystemClock(), "afm_node@slave", endpoint)
+
+
+def test_a_folder_that_cannot_be_made_is_named(context: Context, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(EndpointError, match=r"file/bus\.lock cannot be opened: "):
+        Publisher(context, SystemClock(), "afm_node@slave", f"ipc://{tmp_path}/file/bus")
+
+
+def test_an_ipc_path_that_libzmq_refuses_lets_its_lock_go(context: Context, tmp_path: Path) -> None:
+    endpoint = f"ipc://{tmp_path}/{'x' * 120}"
+    for _ in range(2):
+        with pytest.raises(EndpointError, match=r"afm_node@slave cannot bind .*longer than 107"):
+            Publisher(context, SystemClock(), "afm_node@slave", endpoint)
+
+
+def test_the_folder_of_the_sockets_is_private(context: Context, tmp_path: Path) -> None:
+    Publisher(context, SystemClock(), "afm_node@slave", f"ipc://{tmp_path}/private/bus").close()
+    assert (tmp_path / "private").stat().st_mode & 0o077 == 0
+
+
+# --- waiting ---
+
+
+@pytest.fixture
+def wake() -> Iterator[tuple[int, int]]:
+    reading, writing = os.pipe()
+    yield reading, writing
+    os.close(reading)
+    os.close(writing)
+
+
+def test_a_wait_ends_with_a_message_a_signal_or_its_deadline(
+    context: Context, sender: Sender, reader: Subscriber, tmp_path: Path, wake: tuple[int, int]
+) -> None:
+    clock = SystemClock()
+    bus = ZmqBus(Publisher(context, clock, "n@master", f"ipc://{tmp_path}/own"), [reader], clock, wake[0])
+    hour_ns = 3_600_000_000_000
+    try:
+        # a deadline that is over, and one that is near
+        bus.wait(clock.monotonic_ns() - 1)
+        deadline = clock.monotonic_ns() + 5_000_000
+        bus.wait(deadline)
+        assert clock.monotonic_ns() >= deadline
+        # messages: the wait of an hour ends at the first, and at once while there are more to take
+        for seq in range(BATCH + 1):
+            sender.send(b"haptic/state", payload("haptic/state", seq=seq))
+        taken = 0
+        while taken < BATCH + 1:
+            bus.wait(clock.monotonic_ns() + hour_ns)
+            taken += len(list(bus.receive()))
+        # a signal
+        os.write(wake[1], b"\x0f")
+        bus.wait(clock.monotonic_ns() + hour_ns)
+    finally:
+        bus.close()
+
+
+def test_the_accounts_of_several_subscribers_are_one(
+    context: Context, reader: Subscriber, deaf: Subscriber, tmp_path: Path, wake: tuple[int, int]
+) -> None:
+    clock = SystemClock()
+    bus = ZmqBus(Publisher(context, clock, "n@master", f"ipc://{tmp_path}/own"), [reader, deaf], clock, wake[0])
+    other = Publisher(context, clock, "n@slave", f"ipc://{tmp_path}/other")
+    bus.also_closes(other)
+    try:
+        assert bus.rejections() == ({}, "")
+        reader.examine([b"one"], 0)
+        deaf.examine([b"one"], 0)
+        deaf.examine([b"haptic/state", b""], 0)
+        hand(deaf, 0, 0)
+        counts, text = bus.rejections()
+        assert counts == {"frames": 2, "malformed": 1}
+        assert "frames" in text
+        assert [h.topic for h in bus.input_health()] == ["haptic/state", "session/control", "haptic/state"]
+    finally:
+        bus.close()
+    assert other.socket.closed
+    assert bus.publisher.socket.closed
+
+
+def test_what_the_link_forwards_keeps_the_header_of_its_publisher(
+    context: Context, endpoint: str, tmp_path: Path
+) -> None:
+    link = Publisher(context, SystemClock(), "delay_node@slave", endpoint, kind=zmq.XPUB)
+    reader = Subscriber(context, SystemClock(), {endpoint: ["session/control"]})
+    try:
+        assert link.socket.poll(WAIT_S * 1e3)
+        link.socket.recv()
+        link.send("session/control", payload("session/control", src="launcher@master", seq=41))
+        (received,) = collect(reader, 1)
+    finally:
+        reader.close()
+        link.close()
+    assert isinstance(received.message, SessionControl)
+    assert (received.message.src, received.message.seq) == ("launcher@master", 41)
+    assert not isinstance(received.message, HapticState)

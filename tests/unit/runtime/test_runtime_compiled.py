@@ -1,0 +1,103 @@
+"""Compiled code is found again on unchanged sources and never after an edit."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from services.runtime.compiled import cache_directory, source_digest
+
+ROOT = Path(__file__).parents[3]
+
+MODULE = """
+from typing import NamedTuple
+from services.runtime.compiled import compiled
+
+class State(NamedTuple):
+    position_m: float
+    steps: int
+
+@compiled
+def step(state: State, dt_s: float) -> State:
+    return State(state.position_m + 2.0 * dt_s, state.steps + 1)
+"""
+PROGRAM = (
+    "import model; s = model.step(model.State(1.0, 0), 0.25); assert s == (1.5, 1); print(type(model.step).__name__)"
+)
+
+
+@pytest.fixture
+def tree(tmp_path: Path) -> Path:
+    for name in ("services/afm_node/forces.py", "services/controller/law.py", "studies/loop.py"):
+        path = tmp_path / name
+        path.parent.mkdir(parents=True)
+        path.write_text("A = 1\n")
+    return tmp_path
+
+
+def test_the_digest_is_the_same_on_unchanged_sources(tree: Path) -> None:
+    first = source_digest(tree)
+    (tree / "studies" / "loop.py").touch()
+    assert source_digest(tree) == first
+    assert len(first) == 16
+    assert int(first, 16) >= 0
+
+
+def test_every_edit_of_a_source_gives_another_folder(tree: Path) -> None:
+    seen = {cache_directory(tree)}
+    law = tree / "services" / "controller" / "law.py"
+    law.write_text("A = 2\n")
+    seen.add(cache_directory(tree))
+    law.rename(law.with_name("wave.py"))
+    seen.add(cache_directory(tree))
+    deep = tree / "services" / "afm_node" / "contact"
+    deep.mkdir()
+    (deep / "dugdale.py").write_text("")
+    seen.add(cache_directory(tree))
+    (deep / "dugdale.py").unlink()
+    assert cache_directory(tree) in seen
+    assert len(seen) == 4
+
+
+def test_shells_and_other_files_hold_no_compiled_code(tree: Path) -> None:
+    first = source_digest(tree)
+    for name in ("services/afm_node/node.py", "services/controller/__main__.py", "services/afm_node/notes.md"):
+        (tree / name).write_text("B = 1\n")
+    assert source_digest(tree) == first
+
+
+def test_the_folder_lies_in_the_cache_of_the_user(tree: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tree / "cache"))
+    assert cache_directory(tree) == tree / "cache" / "telenano" / f"numba-{source_digest(tree)}"
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.setenv("HOME", str(tree))
+    assert cache_directory(tree).parent == tree / ".cache" / "telenano"
+
+
+def run_step(folder: Path, **environment: str) -> str:
+    (folder / "model.py").write_text(MODULE)
+    kept = {name: value for name, value in os.environ.items() if not name.startswith("NUMBA_")}
+    paths = os.pathsep.join((str(folder), str(ROOT)))
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM],
+        env={**kept, "PYTHONPATH": paths, "XDG_CACHE_HOME": str(folder), **environment},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+def test_a_step_is_compiled_into_that_folder(tmp_path: Path) -> None:
+    assert run_step(tmp_path) == "CPUDispatcher"
+    folder = tmp_path / "telenano" / f"numba-{source_digest()}"
+    assert list(folder.rglob("*.nbc")), "no compiled code in the cache"
+    assert not list(ROOT.glob("services/runtime/__pycache__/*.nb?"))
+
+
+def test_without_the_compiler_a_step_is_plain_python_with_the_same_result(tmp_path: Path) -> None:
+    assert run_step(tmp_path, NUMBA_DISABLE_JIT="1") == "function"
+    assert not list(tmp_path.rglob("*.nb?"))

@@ -1,0 +1,133 @@
+"""From a command line to a running node, or to one clear line that says why not."""
+
+import gc
+import logging
+import os
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, ClassVar
+
+import pytest
+from pydantic import BaseModel, ConfigDict, Field
+
+from services.runtime.bus import Received
+from services.runtime.errors import ConfigError
+from services.runtime.main import EXIT_BAD_START, NodeKind, load_site, ordinary, parse_arguments, run_node
+from services.runtime.node import Node, NodeContext
+
+SCENARIO = """
+name: test
+description: a node that stops itself
+duration_s: 1.0
+realtime: {scheduler: normal, memory_lock: off, spin_s: 0.0}
+controller: {gain: 2.0}
+"""
+
+
+class Config(BaseModel):
+    model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
+
+    gain: Annotated[float, Field(gt=0.0, le=10.0)]
+
+
+class Mortal(Node):
+    """A node that asks to be stopped as soon as it runs."""
+
+    inputs: ClassVar[tuple[str, ...]] = ("haptic/state",)
+    ended: ClassVar[list[str]] = []
+
+    def __init__(self, context: NodeContext, config: Config) -> None:
+        super().__init__(context)
+        self.config = config
+
+    def on_message(self, received: Received) -> None:
+        raise AssertionError(f"nobody sends {received.topic}")
+
+    def deadline_ns(self) -> int:
+        return 0
+
+    def on_deadline(self, now_ns: int) -> None:
+        signal.raise_signal(signal.SIGTERM)
+
+    def make_safe(self) -> None:
+        self.ended.append(f"{self.context.key} gain {self.config.gain}")
+
+
+KIND = NodeKind("controller", ("master", "slave"), Config, ordinary(Mortal, Mortal.inputs))
+
+
+@pytest.fixture(autouse=True)
+def _process_restored(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    for name in [name for name in os.environ if name.startswith("TELENANO__")]:
+        monkeypatch.delenv(name)
+    root = logging.getLogger()
+    handlers, level = root.handlers[:], root.level
+    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
+    Mortal.ended.clear()
+    yield
+    root.handlers[:] = handlers
+    root.setLevel(level)
+    for number, handler in before.items():
+        signal.signal(number, handler)
+    writer = signal.set_wakeup_fd(-1)
+    if writer >= 0:
+        os.close(writer)
+    gc.unfreeze()
+    gc.enable()
+
+
+@pytest.fixture
+def arguments(tmp_path: Path) -> list[str]:
+    site, scenario = tmp_path / "site.yaml", tmp_path / "scenario.yaml"
+    site.write_text(f"nodes: {{controller@master: 'ipc://{tmp_path}/controller'}}\n")
+    scenario.write_text(SCENARIO)
+    return ["--site-file", str(site), "--scenario", str(scenario)]
+
+
+def test_a_node_runs_until_it_is_told_to_stop(arguments: list[str], capfd: pytest.CaptureFixture[str]) -> None:
+    assert run_node(KIND, [*arguments, "--set", "controller.gain=3.0"]) == 0
+    assert Mortal.ended == ["controller@master gain 3.0"]
+    log = capfd.readouterr().err
+    assert '"text": "ready"' in log
+    assert log.rstrip().endswith('"text": "stopped"}')
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        (["--set", "controller.gain=11.0"], "controller.gain: Input should be less than or equal to 10, got 11.0"),
+        (["--set", "controller.gian=1.0"], "controller.gian: unknown key, known are gain"),
+        (["--set", "gain"], "--set gain: is not of the form section.key=value"),
+        (["--scenario", "/nowhere/fig12.yaml"], "/nowhere/fig12.yaml: cannot be read: No such file or directory"),
+        (["--site-file", "/nowhere/site.yaml"], "/nowhere/site.yaml: cannot be read: No such file or directory"),
+        (["--site", "slave"], "controller@slave is not in the site file, it has controller@master"),
+        (["--set", "realtime.cpu=100000"], "realtime.cpu: 100000 cannot be used"),
+    ],
+)
+def test_a_bad_start_is_one_clear_line_and_an_exit_code(
+    arguments: list[str], more: list[str], said: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert run_node(KIND, [*arguments, *more]) == EXIT_BAD_START
+    (line,) = capfd.readouterr().err.splitlines()
+    assert said in line
+    assert '"level": "error"' in line
+    assert Mortal.ended == []
+
+
+def test_arguments_and_their_help(capsys: pytest.CaptureFixture[str]) -> None:
+    given = parse_arguments("afm_node", ("slave",), ["--site-file", "s", "--scenario", "x", "--with-parent"])
+    assert (given.site, given.set, given.with_parent) == ("slave", [], True)
+    with pytest.raises(SystemExit) as caught:
+        parse_arguments("afm_node", ("slave",), ["--help"])
+    assert caught.value.code == 0
+    assert "telenano node afm_node" in capsys.readouterr().out
+    with pytest.raises(SystemExit):
+        parse_arguments("afm_node", ("slave",), ["--site-file", "s", "--scenario", "x", "--site", "master"])
+
+
+def test_a_wrong_site_file_names_its_key(tmp_path: Path) -> None:
+    path = tmp_path / "site.yaml"
+    path.write_text("nodes: {afm_node@slave: 'tcp://10.0.0.1:5501'}\n")
+    with pytest.raises(ConfigError, match=r"site\.yaml: nodes\.afm_node@slave: .* needs insecure: true"):
+        load_site(path)

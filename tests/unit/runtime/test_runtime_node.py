@@ -1,0 +1,447 @@
+"""The loop of a node in virtual time, and the desk that takes its commands."""
+
+import json
+import logging
+import os
+import select
+import signal
+from collections.abc import Iterator
+from typing import Any, ClassVar
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from proto import TOPICS, Message, encode
+from proto.contract import examples
+from proto.messages import MAX_TEXT, InputHealth, NodeHealth, SessionControl, SessionEvent
+from services.runtime.bus import Received
+from services.runtime.clock import VirtualClock
+from services.runtime.errors import ConfigError, RefusedError
+from services.runtime.log import StructuredLog
+from services.runtime.node import (
+    HEALTH_PERIOD_NS,
+    ControlDesk,
+    Node,
+    NodeContext,
+    NodeLoop,
+    install_stop_signals,
+    resident_bytes,
+)
+from services.runtime.realtime import RealtimeStatus
+from services.runtime.schedule import Grid
+from services.runtime.sequence import Arrival
+
+MS = 1_000_000
+GRANTED = RealtimeStatus(fifo=True, memory_locked=False)
+
+
+class FakeBus:
+    """A bus in virtual time: messages arrive when their time has come, and a wait takes as long as it takes."""
+
+    def __init__(self, clock: VirtualClock) -> None:
+        self.clock = clock
+        self.sent: list[Message] = []
+        self.coming: list[tuple[int, Received]] = []
+        self.refused: dict[str, int] = {}
+        self.waits: list[int] = []
+        self.oversleep_ns = 0
+
+    def publish(self, topic: str, **fields: Any) -> Message:
+        model = TOPICS[topic].model
+        message = model(seq=len(self.sent), t_ns=self.clock.now_ns(), src="n@s", v=model.version, **fields)
+        encode(message)
+        self.sent.append(message)
+        return message
+
+    def arrives(self, at_ns: int, topic: str, arrival: Arrival = Arrival.NEXT, **changed: object) -> None:
+        fields = {**examples(TOPICS[topic])["ordinary"].model_dump(), **changed}
+        message = TOPICS[topic].model.model_validate(fields)
+        self.coming.append((at_ns, Received(topic, message, encode(message), at_ns, arrival)))
+
+    def wait(self, deadline_ns: int) -> None:
+        self.waits.append(deadline_ns)
+        until = min([deadline_ns, *(at for at, _ in self.coming)])
+        if until == deadline_ns:
+            until += self.oversleep_ns
+        self.clock.advance_ns(max(0, until - self.clock.monotonic_ns()))
+
+    def receive(self) -> Iterator[Received]:
+        now = self.clock.monotonic_ns()
+        due = [received for at, received in self.coming if at <= now]
+        self.coming = [(at, received) for at, received in self.coming if at > now]
+        yield from due
+
+    def input_health(self) -> tuple[InputHealth, ...]:
+        return ()
+
+    def rejections(self) -> tuple[dict[str, int], str]:
+        return dict(self.refused), "haptic/state: not msgpack" if self.refused else ""
+
+    def close(self) -> None:
+        self.sent.clear()
+
+    def of(self, model: type[Message]) -> list[Any]:
+        return [message for message in self.sent if isinstance(message, model)]
+
+
+class Probe(Node):
+    """A node that writes down what happens to it."""
+
+    inputs: ClassVar[tuple[str, ...]] = ("haptic/state", "session/control")
+    commands: ClassVar[tuple[str, ...]] = ("set", "estop")
+
+    def __init__(self, context: NodeContext, period_ns: int = 0) -> None:
+        super().__init__(context)
+        self.grid = Grid(context.clock.monotonic_ns(), period_ns) if period_ns else None
+        self.period_s = period_ns * 1e-9
+        self.messages: list[Received] = []
+        self.ticks: list[int] = []
+        self.carried_out: list[str] = []
+        self.made_safe = 0
+        self.fails_at: int | None = None
+
+    def on_message(self, received: Received) -> None:
+        self.messages.append(received)
+
+    def deadline_ns(self) -> int:
+        return self.grid.deadline_ns if self.grid else super().deadline_ns()
+
+    def on_deadline(self, now_ns: int) -> None:
+        assert self.grid is not None
+        self.ticks.append(now_ns)
+        self.steps += 1
+        self.grid.advance(now_ns)
+        self.overruns = self.grid.overruns
+        if len(self.ticks) == self.fails_at:
+            raise RuntimeError("driver gone")
+
+    def on_control(self, control: SessionControl) -> str:
+        if control.command == "set":
+            if "gain" not in control.parameters:
+                raise RefusedError(f"set needs gain, not {', '.join(control.parameters)}")
+            self.carried_out.append(control.id)
+            return f"gain is {control.parameters['gain']}"
+        if control.command == "estop":
+            raise ConfigError("controller.gain: is missing")
+        return super().on_control(control)
+
+    def make_safe(self) -> None:
+        self.made_safe += 1
+
+
+class Rig:
+    def __init__(self, period_ns: int = 0, key: str = "controller@master", spin_s: float = 0.0) -> None:
+        self.clock = VirtualClock(start_ns=5 * MS, epoch_offset_ns=10**18)
+        self.bus = FakeBus(self.clock)
+        self.node = Probe(NodeContext(key, self.clock, self.bus, StructuredLog(key)), period_ns)
+        self.loop = NodeLoop(self.node, self.bus, GRANTED, spin_s=spin_s)
+        self.desk = ControlDesk(self.node)
+
+    def run_until(self, t_ns: int) -> None:
+        while self.clock.monotonic_ns() < t_ns:
+            self.loop.turn()
+
+    def command(self, command: str = "set", target: str = "*", identifier: str = "a", **parameters: Any) -> None:
+        fields = {"id": identifier, "command": command, "target": target, "parameters": parameters}
+        header = {"seq": 0, "t_ns": 0, "src": "launcher@master", "v": 1}
+        self.desk.handle(SessionControl.model_validate({**header, **fields}))
+
+    @property
+    def events(self) -> list[SessionEvent]:
+        return self.bus.of(SessionEvent)
+
+    @property
+    def health(self) -> list[NodeHealth]:
+        return self.bus.of(NodeHealth)
+
+
+# --- the loop ---
+
+
+def test_deadlines_come_exactly_and_health_twice_a_second() -> None:
+    rig = Rig(period_ns=MS)
+    rig.run_until(2005 * MS)
+    assert rig.node.ticks == [(6 + step) * MS for step in range(2000)]
+    times = [(h.t_ns - 10**18) // MS for h in rig.health]
+    # the first report comes at once, later ones half a second after the last
+    assert times == [5, 505, 1005, 1505, 2005]
+    second = rig.health[1]
+    assert second.rate_hz == 1000.0
+    assert (second.period_s, second.overruns, second.state) == (0.001, 0, "ready")
+    assert (second.lateness_p50_s, second.lateness_max_s) == (0.0, 0.0)
+    assert (second.realtime, second.memory_locked, second.pid) == (True, False, os.getpid())
+    assert second.uptime_s == 0.5
+    assert second.memory_bytes > 10**6
+
+
+def test_lateness_and_overruns_are_reported() -> None:
+    rig = Rig(period_ns=MS)
+    rig.bus.oversleep_ns = 100_000
+    rig.run_until(300 * MS)
+    rig.clock.advance_ns(7 * MS)
+    rig.bus.oversleep_ns = 0
+    rig.run_until(507 * MS)
+    report = rig.health[1]
+    # each wait came back 0.1 ms late; the sleep of 7 ms had begun 0.1 ms late too
+    assert report.lateness_p50_s == pytest.approx(1e-4, rel=1e-9, abs=0)
+    assert report.lateness_max_s == pytest.approx(6.1e-3, rel=1e-9, abs=0)
+    assert report.overruns == rig.node.overruns == 6
+    assert rig.bus.waits[-1] % MS == 0
+
+
+def test_a_node_without_deadline_acts_on_messages_at_once() -> None:
+    rig = Rig()
+    for at_ms in (100, 101, 750):
+        rig.bus.arrives(at_ms * MS, "haptic/state")
+    rig.run_until(1000 * MS)
+    assert [r.received_ns for r in rig.node.messages] == [100 * MS, 101 * MS, 750 * MS]
+    assert rig.node.ticks == []
+    # it waited no longer than to the next report
+    assert max(b - a for a, b in zip([5 * MS, *rig.bus.waits], rig.bus.waits, strict=False)) <= HEALTH_PERIOD_NS
+
+
+def test_a_message_that_moves_the_deadline_is_obeyed_in_the_same_turn() -> None:
+    rig = Rig(period_ns=100 * MS)
+    rig.bus.arrives(20 * MS, "haptic/state")
+
+    def hurry(received: Received) -> None:
+        rig.node.grid = Grid(received.received_ns - MS, MS)
+
+    rig.node.on_message = hurry
+    rig.loop.turn()
+    rig.loop.turn()
+    assert rig.node.ticks == [20 * MS]
+
+
+def test_the_loop_spins_to_the_deadline_and_never_past_it() -> None:
+    rig = Rig(period_ns=MS, spin_s=100e-6)
+    reading = rig.clock.monotonic_ns
+
+    def passing() -> int:
+        rig.clock.advance_ns(10_000)
+        return reading()
+
+    rig.clock.monotonic_ns = passing
+    for _ in range(50):
+        rig.loop.turn()
+    assert len(rig.node.ticks) > 10
+    for step, tick in enumerate(rig.node.ticks):
+        assert (6 + step) * MS <= tick <= (6 + step) * MS + 20_000
+    assert min(deadline % MS for deadline in rig.bus.waits[1:]) == 900_000
+
+
+def test_stop_leaves_after_the_step_in_hand_and_makes_the_node_safe() -> None:
+    rig = Rig(period_ns=MS)
+    rig.node.on_message = lambda received: rig.loop.stop()
+    rig.bus.arrives(50 * MS + 1, "haptic/state")
+    rig.loop.run()
+    assert (rig.node.made_safe, rig.node.state, rig.loop.stopping) == (1, "stopping", True)
+    assert rig.node.ticks[-1] == 50 * MS
+    assert rig.health[-1].state == "stopping"
+
+
+def test_a_stop_before_the_first_turn_runs_nothing() -> None:
+    rig = Rig(period_ns=MS)
+    rig.loop.stop()
+    rig.loop.run()
+    assert (rig.node.ticks, rig.node.made_safe, rig.node.state) == ([], 1, "stopping")
+
+
+@pytest.mark.parametrize("where", ["deadline", "message", "bus"])
+def test_a_failure_anywhere_leaves_the_node_safe_and_is_not_hidden(where: str) -> None:
+    rig = Rig(period_ns=MS)
+    rig.node.fails_at = 3 if where == "deadline" else None
+
+    def fail(*_: object) -> Iterator[Received]:
+        raise RuntimeError("driver gone")
+
+    if where == "message":
+        rig.node.on_message = fail
+        rig.bus.arrives(7 * MS, "haptic/state")
+    elif where == "bus":
+        rig.bus.receive = fail
+    with pytest.raises(RuntimeError, match="driver gone"):
+        rig.loop.run()
+    assert (rig.node.made_safe, rig.node.state) == (1, "stopping")
+    assert rig.health[-1].state == "stopping"
+
+
+def test_a_gap_is_reported_on_lossless_topics_alone() -> None:
+    rig = Rig()
+    rig.bus.arrives(10 * MS, "haptic/state", Arrival.AFTER_GAP)
+    rig.bus.arrives(11 * MS, "session/event", Arrival.AFTER_GAP, seq=7, src="afm_node@slave")
+    rig.bus.arrives(12 * MS, "session/event", Arrival.LATE)
+    rig.run_until(20 * MS)
+    assert len(rig.node.messages) == 3
+    (event,) = rig.events
+    assert (event.kind, event.level, event.id) == ("fault", "warning", "")
+    assert event.text == "messages on session/event from afm_node@slave were lost before number 7"
+    assert event.data == {"topic": "session/event", "source": "afm_node@slave", "seq": 7}
+
+
+def test_refused_frames_are_in_the_report_and_in_the_log(caplog: pytest.LogCaptureFixture) -> None:
+    rig = Rig()
+    with caplog.at_level(logging.WARNING):
+        rig.loop.turn()
+        rig.bus.refused = {"malformed": 3}
+        rig.run_until(1600 * MS)
+        rig.bus.refused = {"malformed": 4}
+        rig.run_until(2100 * MS)
+    assert [h.rejected for h in rig.health][:2] == [{}, {"malformed": 3}]
+    texts = [record.getMessage() for record in caplog.records]
+    assert texts == ["frames refused: haptic/state: not msgpack"] * 2
+    assert [record.facts["count"] for record in caplog.records] == [3, 1]
+
+
+def test_a_command_reaches_the_node_and_its_desk() -> None:
+    rig = Rig()
+    rig.bus.arrives(10 * MS, "session/control", id="x1", command="set", target="controller", parameters={"gain": 2.0})
+    rig.run_until(20 * MS)
+    assert len(rig.node.messages) == 1
+    assert [(e.id, e.kind, e.text) for e in rig.events] == [("x1", "ack", "gain is 2.0")]
+
+
+# --- the desk ---
+
+
+@pytest.mark.parametrize(
+    ("target", "concerned"),
+    [
+        ("controller@master", True),
+        ("controller", True),
+        ("*", True),
+        ("*@master", True),
+        ("contr*", True),
+        ("control?er@*", True),
+        ("[bc]ontroller", True),
+        ("controller@slave", False),
+        ("*@slave", False),
+        ("afm_node", False),
+        ("Controller", False),
+        ("", False),
+        ("master", False),
+    ],
+)
+def test_whom_a_command_concerns(target: str, concerned: bool) -> None:
+    rig = Rig()
+    rig.command(target=target, gain=1.0)
+    assert [e.kind for e in rig.events] == ["ack"] * concerned
+    assert rig.node.carried_out == ["a"] * concerned
+
+
+def test_a_command_sent_again_is_carried_out_once_and_answered_again() -> None:
+    rig = Rig()
+    for _ in range(3):
+        rig.command(identifier="once", gain=1.0)
+    rig.command(identifier="twice", gain=2.0)
+    assert rig.node.carried_out == ["once", "twice"]
+    assert [(e.id, e.kind, e.text) for e in rig.events] == [("once", "ack", "gain is 1.0")] * 3 + [
+        ("twice", "ack", "gain is 2.0")
+    ]
+    assert {e.data["command"] for e in rig.events} == {"set"}
+
+
+def test_a_refusal_says_why_and_is_remembered_too() -> None:
+    rig = Rig()
+    for _ in range(2):
+        rig.command(identifier="r", target="controller", speed=1.0)
+    assert [(e.id, e.kind, e.level, e.text) for e in rig.events] == [
+        ("r", "refused", "warning", "set needs gain, not speed")
+    ] * 2
+
+
+def test_whatever_a_person_can_get_wrong_is_a_refusal() -> None:
+    rig = Rig()
+    rig.command(command="estop")
+    assert [(e.kind, e.text) for e in rig.events] == [("refused", "controller.gain: is missing")]
+
+
+def test_an_unknown_command_is_refused_by_the_node_named_and_passed_over_by_a_pattern() -> None:
+    rig = Rig()
+    for target in ("*", "controller@*", "contro[l]ler", "controlle?"):
+        rig.command(command="mark", target=target, identifier="m")
+    assert rig.events == []
+    rig.command(command="mark", target="controller", identifier="m")
+    assert [(e.kind, e.text) for e in rig.events] == [("refused", "controller@master does not know mark")]
+
+
+def test_answers_are_remembered_to_a_bound() -> None:
+    rig = Rig()
+    for number in range(257):
+        rig.command(identifier=f"n{number}", gain=1.0)
+    rig.command(identifier="n1", gain=1.0)
+    assert len(rig.node.carried_out) == 257
+    rig.command(identifier="n0", gain=1.0)
+    assert rig.node.carried_out[-1] == "n0"
+    assert len(rig.node.carried_out) == 258
+
+
+def test_a_refusal_longer_than_an_event_holds_is_cut_short() -> None:
+    rig = Rig()
+    rig.command(target="controller", **{"x" * 10_000: 1.0})
+    (event,) = rig.events
+    assert event.kind == "refused"
+    assert len(event.text) == MAX_TEXT
+
+
+def test_an_event_can_name_a_file_that_is_not_unicode() -> None:
+    rig = Rig()
+    rig.node.event("fault", "error", "cannot read /tmp/\udcff")
+    assert rig.events[0].text == "cannot read /tmp/?"
+
+
+@given(st.text(max_size=64), st.text(max_size=30))
+def test_no_command_can_stop_a_node(target: str, key: str) -> None:
+    rig = Rig()
+    rig.command(target=target, **{key: 1.0})
+    rig.command(target="controller", identifier="b", **{key: 1.0})
+    assert rig.events[-1].id == "b"
+
+
+# --- signals and memory ---
+
+
+@pytest.fixture
+def _signals_restored() -> Iterator[None]:
+    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+    writer = signal.set_wakeup_fd(-1)
+    if writer >= 0:
+        os.close(writer)
+
+
+@pytest.mark.usefixtures("_signals_restored")
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_stops_the_loop_and_ends_its_wait(number: signal.Signals) -> None:
+    stops: list[int] = []
+    descriptor = install_stop_signals(lambda: stops.append(1))
+    try:
+        assert select.select([descriptor], (), (), 0)[0] == []
+        signal.raise_signal(number)
+        assert stops == [1]
+        assert select.select([descriptor], (), (), 5.0)[0] == [descriptor]
+    finally:
+        os.close(descriptor)
+
+
+def test_resident_memory_is_measured() -> None:
+    before = resident_bytes()
+    ballast = b"x" * 80_000_000
+    assert resident_bytes() - before > 70_000_000
+    assert len(ballast) == 80_000_000
+
+
+def test_an_event_is_written_to_the_log(caplog: pytest.LogCaptureFixture) -> None:
+    rig = Rig()
+    with caplog.at_level(logging.INFO):
+        rig.node.event("mode", "warning", "holding", gap_m=1e-9)
+    (record,) = caplog.records
+    assert (record.levelname, record.getMessage(), record.facts) == (
+        "WARNING",
+        "holding",
+        {"kind": "mode", "gap_m": 1e-9},
+    )
+    assert json.dumps(record.facts)

@@ -1,0 +1,188 @@
+"""What is asked of the machine, against a library that only notes it down; nothing here needs a privilege."""
+
+import ctypes
+import errno
+import gc
+import json
+import os
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from pydantic import ValidationError
+
+from services.runtime import realtime
+from services.runtime.errors import ConfigError
+from services.runtime.log import StructuredLog
+from services.runtime.realtime import (
+    RealtimeConfig,
+    apply_realtime,
+    die_with_parent,
+    freeze_garbage,
+    shallow_idle,
+)
+
+PR_GET_PDEATHSIG, PR_SET_PDEATHSIG, PR_SET_TIMERSLACK, PR_GET_TIMERSLACK = 2, 1, 29, 30
+
+
+class FakeMachine:
+    """Grants what it is told to grant and remembers what it was asked."""
+
+    def __init__(self, *, permitted: bool) -> None:
+        self.permitted = permitted
+        self.asked: list[tuple[object, ...]] = []
+
+    def prctl(self, *arguments: int) -> int:
+        self.asked.append(("prctl", *arguments))
+        return 0
+
+    def mlockall(self, flags: int) -> int:
+        self.asked.append(("mlockall", flags))
+        ctypes.set_errno(0 if self.permitted else errno.ENOMEM)
+        return 0 if self.permitted else -1
+
+    def sched_setscheduler(self, pid: int, policy: int, parameters: os.sched_param) -> None:
+        self.asked.append(("scheduler", pid, policy, parameters.sched_priority))
+        if not self.permitted:
+            raise PermissionError(errno.EPERM, "Operation not permitted")
+
+
+class ListLog(StructuredLog):
+    def __init__(self) -> None:
+        super().__init__("test@master")
+        self.warnings: list[str] = []
+
+    def warning(self, text: str, **facts: object) -> None:
+        self.warnings.append(text)
+
+
+def machine(monkeypatch: pytest.MonkeyPatch, *, permitted: bool) -> FakeMachine:
+    fake = FakeMachine(permitted=permitted)
+    monkeypatch.setattr(realtime.ctypes, "CDLL", lambda *_, **__: fake)
+    monkeypatch.setattr(os, "sched_setscheduler", fake.sched_setscheduler)
+    return fake
+
+
+def test_all_is_asked_for_and_granted(monkeypatch: pytest.MonkeyPatch) -> None:
+    fake, log = machine(monkeypatch, permitted=True), ListLog()
+    status = apply_realtime(RealtimeConfig(priority=60), log)
+    assert (status.fifo, status.memory_locked, log.warnings) == (True, True, [])
+    assert fake.asked == [
+        ("prctl", PR_SET_TIMERSLACK, 1, 0, 0, 0),
+        ("scheduler", 0, os.SCHED_FIFO, 60),
+        ("mlockall", 3),
+    ]
+
+
+def test_what_is_not_permitted_is_said_once_with_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    machine(monkeypatch, permitted=False)
+    log = ListLog()
+    status = apply_realtime(RealtimeConfig(), log)
+    assert (status.fifo, status.memory_locked) == (False, False)
+    assert len(log.warnings) == 2
+    assert "ulimit -r" in log.warnings[0]
+    assert "ulimit -l" in log.warnings[1]
+
+
+def test_what_is_not_wanted_is_not_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    fake, log = machine(monkeypatch, permitted=False), ListLog()
+    status = apply_realtime(RealtimeConfig(scheduler="normal", memory_lock="off"), log)
+    assert (status.fifo, status.memory_locked, log.warnings) == (False, False, [])
+    assert fake.asked == [("prctl", PR_SET_TIMERSLACK, 1, 0, 0, 0)]
+
+
+@pytest.mark.parametrize(
+    ("config", "said"),
+    [
+        (RealtimeConfig(scheduler="fifo"), "realtime.scheduler: fifo is not permitted"),
+        (RealtimeConfig(scheduler="normal", memory_lock="on"), "realtime.memory_lock: memory cannot be locked"),
+    ],
+)
+def test_what_was_demanded_and_is_not_permitted_is_an_error(
+    monkeypatch: pytest.MonkeyPatch, config: RealtimeConfig, said: str
+) -> None:
+    machine(monkeypatch, permitted=False)
+    with pytest.raises(ConfigError, match=said):
+        apply_realtime(config, ListLog())
+
+
+def test_a_processor_is_kept_to_and_one_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    machine(monkeypatch, permitted=True)
+    asked: list[tuple[int, set[int]]] = []
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "sched_setaffinity", lambda pid, cpus: asked.append((pid, cpus)))
+        apply_realtime(RealtimeConfig(cpu=0), ListLog())
+    assert asked == [(0, {0})]
+    with pytest.raises(ConfigError, match=r"realtime\.cpu: 100000 cannot be used .*permitted are \d"):
+        apply_realtime(RealtimeConfig(cpu=100_000), ListLog())
+
+
+def test_timer_slack_of_this_very_process() -> None:
+    libc = ctypes.CDLL(None)
+    try:
+        apply_realtime(RealtimeConfig(scheduler="normal", memory_lock="off"), ListLog())
+        assert libc.prctl(PR_GET_TIMERSLACK, 0, 0, 0, 0) == 1
+    finally:
+        # zero gives back the default of the process
+        libc.prctl(PR_SET_TIMERSLACK, 0, 0, 0, 0)
+
+
+def test_the_signal_at_the_death_of_the_parent() -> None:
+    libc = ctypes.CDLL(None)
+    found = ctypes.c_int()
+    try:
+        die_with_parent(signal.SIGTERM)
+        libc.prctl(PR_GET_PDEATHSIG, ctypes.byref(found), 0, 0, 0)
+        assert found.value == signal.SIGTERM
+    finally:
+        libc.prctl(PR_SET_PDEATHSIG, 0, 0, 0, 0)
+
+
+@pytest.fixture
+def _collector_restored() -> Iterator[None]:
+    yield
+    gc.unfreeze()
+    gc.enable()
+
+
+@pytest.mark.usefixtures("_collector_restored")
+def test_garbage_is_frozen_and_collected_no_more() -> None:
+    freeze_garbage()
+    assert not gc.isenabled()
+    assert gc.get_freeze_count() > 1000
+
+
+def open_files() -> list[Path]:
+    return [link.resolve() for link in Path("/proc/self/fd").iterdir()]
+
+
+def test_shallow_idle_holds_the_file_open(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    device = tmp_path / "cpu_dma_latency"
+    device.write_bytes(b"")
+    monkeypatch.setattr(realtime, "_CPU_DMA_LATENCY", device)
+    with shallow_idle() as granted:
+        assert granted
+        assert device.read_bytes() == bytes(4)
+        assert device in open_files()
+    assert device not in open_files()
+
+
+def test_shallow_idle_without_permission_changes_nothing(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(realtime, "_CPU_DMA_LATENCY", tmp_path / "absent" / "cpu_dma_latency")
+    with shallow_idle() as granted:
+        assert not granted
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"priority": 0}, {"priority": 99}, {"spin_s": -1e-6}, {"spin_s": 0.002}, {"spin_s": float("nan")}, {"cpu": -1}],
+)
+def test_ranges(wrong: dict[str, float]) -> None:
+    with pytest.raises(ValidationError, match=next(iter(wrong))):
+        RealtimeConfig(**wrong)
+
+
+def test_every_key_is_described() -> None:
+    schema = RealtimeConfig.model_json_schema()
+    assert all("description" in field for field in schema["properties"].values()), json.dumps(schema)

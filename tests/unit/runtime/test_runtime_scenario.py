@@ -1,0 +1,94 @@
+import os
+from pathlib import Path
+from typing import Annotated
+
+import pytest
+from pydantic import BaseModel, ConfigDict, Field
+
+from services.runtime.errors import ConfigError
+from services.runtime.realtime import RealtimeConfig
+from services.runtime.scenario import load_scenario
+
+GOOD = """
+name: fig12
+description: press and release
+duration_s: 8.0
+realtime: {scheduler: normal, spin_s: 5e-5, memory_lock: off}
+afm_node: {gap_m: 1e-8}
+"""
+
+
+class Section(BaseModel):
+    model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
+
+    gap_m: Annotated[float, Field(ge=0.0, le=1.0)]
+    ambient: bool = True
+
+
+@pytest.fixture(autouse=True)
+def _no_overrides_from_outside(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in [name for name in os.environ if name.startswith("TELENANO__")]:
+        monkeypatch.delenv(name)
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    file = tmp_path / "fig12.yaml"
+    file.write_text(GOOD, encoding="utf-8")
+    return file
+
+
+def test_a_scenario_and_its_sections(path: Path) -> None:
+    loaded = load_scenario(path)
+    assert (loaded.scenario.name, loaded.scenario.duration_s, loaded.origin) == ("fig12", 8.0, str(path))
+    assert loaded.scenario.realtime == RealtimeConfig(scheduler="normal", spin_s=5e-5, memory_lock="off")
+    assert loaded.section("afm_node", Section) == Section(gap_m=1e-8)
+    assert loaded.document["afm_node"] == {"gap_m": 1e-8}
+
+
+def test_flags_and_environment_reach_a_section(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TELENANO__AFM_NODE__AMBIENT", "false")
+    loaded = load_scenario(path, ["afm_node.gap_m=2e-8", "duration_s=1.5"])
+    assert loaded.section("afm_node", Section) == Section(gap_m=2e-8, ambient=False)
+    assert loaded.scenario.duration_s == 1.5
+    assert loaded.origin == f"{path} + environment + --set"
+
+
+@pytest.mark.parametrize(
+    ("flag", "said"),
+    [
+        ("duration_s=0.0", "duration_s: Input should be greater than 0, got 0.0"),
+        ("duration_s=.nan", "duration_s: "),
+        ("duration_s=.inf", "duration_s: "),
+        ("name=Fig 12", "name: String should match pattern"),
+        ("duration=8.0", "duration: unknown key, known are name, description, duration_s, realtime, haptic_node"),
+        ("realtime.priority=99", "realtime.priority: Input should be less than or equal to 98, got 99"),
+        ("realtime.speed=1", "realtime.speed: unknown key, known are scheduler, priority"),
+        ("realtime.scheduler=fast", "realtime.scheduler: Input should be 'auto', 'fifo' or 'normal', got 'fast'"),
+        ("afm_node=3", "afm_node: "),
+    ],
+)
+def test_a_wrong_scenario_names_file_and_key(path: Path, flag: str, said: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        load_scenario(path, [flag])
+    assert str(caught.value).startswith(f"{path} + --set: {said}")
+
+
+@pytest.mark.parametrize(
+    ("flag", "said"),
+    [
+        ("afm_node.gap_m=10.0", "afm_node.gap_m: Input should be less than or equal to 1, got 10.0"),
+        ("afm_node.gap_m=.nan", "afm_node.gap_m: "),
+        ("afm_node.gap_nm=10", "afm_node.gap_nm: unknown key, known are gap_m, ambient"),
+    ],
+)
+def test_a_wrong_section_names_file_section_and_key(path: Path, flag: str, said: str) -> None:
+    loaded = load_scenario(path, [flag])
+    with pytest.raises(ConfigError) as caught:
+        loaded.section("afm_node", Section)
+    assert str(caught.value).startswith(f"{path} + --set: {said}")
+
+
+def test_a_missing_section_is_an_empty_one(path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"recorder\.gap_m: is missing"):
+        load_scenario(path).section("recorder", Section)

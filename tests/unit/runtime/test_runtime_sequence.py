@@ -1,0 +1,131 @@
+"""The account of a sequence against one that remembers everything."""
+
+import random
+
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from services.runtime.sequence import Arrival, SequenceTracker
+
+
+class Reference:
+    """Every life of the publisher as the whole set of numbers heard in it; lost is what is missing in between."""
+
+    def __init__(self) -> None:
+        self.lives: list[list[int]] = []
+        self.newest_t_ns = 0
+
+    def accept(self, seq: int, t_ns: int) -> Arrival:
+        arrival = self._classify(seq, t_ns)
+        if arrival is Arrival.RESTART or not self.lives:
+            self.lives.append([])
+        if arrival is not Arrival.DUPLICATE:
+            self.lives[-1].append(seq)
+        if arrival not in (Arrival.DUPLICATE, Arrival.LATE):
+            self.newest_t_ns = t_ns
+        return arrival
+
+    def _classify(self, seq: int, t_ns: int) -> Arrival:
+        if not self.lives or seq == max(self.lives[-1]) + 1:
+            return Arrival.NEXT
+        life = self.lives[-1]
+        if seq > max(life):
+            return Arrival.AFTER_GAP
+        if t_ns > self.newest_t_ns:
+            return Arrival.RESTART
+        return Arrival.LATE if min(life) < seq and seq not in life else Arrival.DUPLICATE
+
+    @property
+    def lost(self) -> int:
+        return sum(len(set(range(min(life), max(life))) - set(life)) for life in self.lives)
+
+    @property
+    def received(self) -> int:
+        return sum(map(len, self.lives))
+
+
+def agree(messages: list[tuple[int, int]]) -> SequenceTracker:
+    tracker, reference = SequenceTracker(), Reference()
+    seen: list[Arrival] = []
+    for seq, t_ns in messages:
+        seen.append(tracker.accept(seq, t_ns))
+        assert seen[-1] is reference.accept(seq, t_ns)
+        assert (tracker.received, tracker.lost) == (reference.received, reference.lost)
+    assert tracker.gaps == seen.count(Arrival.AFTER_GAP)
+    assert tracker.late == seen.count(Arrival.LATE)
+    assert tracker.duplicates == seen.count(Arrival.DUPLICATE)
+    assert tracker.restarts == seen.count(Arrival.RESTART)
+    assert tracker.received + tracker.duplicates == len(messages)
+    return tracker
+
+
+@settings(max_examples=500)
+@given(st.lists(st.tuples(st.integers(0, 20), st.integers(0, 10)), max_size=60))
+@example([(5, 1), (3, 1), (4, 1)])
+@example([(0, 0), (0, 0)])
+def test_any_messages_give_the_account_of_the_reference(messages: list[tuple[int, int]]) -> None:
+    agree(messages)
+
+
+@settings(max_examples=200)
+@given(st.integers(0, 2**32), st.integers(1, 4))
+def test_a_bad_link_and_restarts(seed: int, lives: int) -> None:
+    """Numbers from 0 with rising stamps, each life dropped, doubled and shuffled within a window, lives in order."""
+    rng = random.Random(seed)
+    heard: list[tuple[int, int]] = []
+    for life in range(lives):
+        sent = [(seq, 1000 * life + seq) for seq in range(rng.randint(5, 80))]
+        kept = [m for m in sent for _ in range(rng.choice((0, 1, 1, 1, 2)))]
+        heard += sorted(kept, key=lambda m: m[1] + rng.randint(0, 5))
+    tracker = agree(heard)
+    assert 0 <= tracker.restarts < lives
+
+
+def test_a_healthy_stream_loses_nothing_wherever_the_reader_comes_in() -> None:
+    tracker = SequenceTracker()
+    assert {tracker.accept(seq, seq) for seq in range(777, 1777)} == {Arrival.NEXT}
+    assert (tracker.received, tracker.lost, tracker.gaps) == (1000, 0, 0)
+    assert (tracker.last_seq, tracker.last_t_ns) == (1776, 1776)
+
+
+def test_an_overtaken_message_fills_its_gap_once() -> None:
+    tracker = SequenceTracker()
+    for seq in (0, 1, 5):
+        tracker.accept(seq, seq)
+    assert (tracker.lost, tracker.last_gap) == (3, (2, 4))
+    assert tracker.accept(3, 3) is Arrival.LATE
+    assert tracker.accept(3, 3) is Arrival.DUPLICATE
+    assert (tracker.lost, tracker.late, tracker.duplicates, tracker.last_seq) == (2, 1, 1, 5)
+
+
+def test_a_restart_starts_anew_but_what_was_lost_stays_lost() -> None:
+    tracker = SequenceTracker()
+    tracker.accept(0, 10)
+    tracker.accept(9, 20)
+    assert tracker.accept(0, 30) is Arrival.RESTART
+    assert tracker.accept(1, 31) is Arrival.NEXT
+    # number 5 of the life before is not missing any more
+    assert tracker.accept(0, 15) is Arrival.DUPLICATE
+    assert (tracker.lost, tracker.restarts) == (8, 1)
+
+
+@pytest.mark.parametrize("gap", [4096, 4097, 10_000, 2**62])
+def test_a_huge_gap_is_counted_whole_and_costs_little(gap: int) -> None:
+    tracker = SequenceTracker()
+    tracker.accept(0, 1)
+    assert tracker.accept(gap + 1, 2) is Arrival.AFTER_GAP
+    assert tracker.lost == gap
+    assert tracker.accept(gap, 1) is Arrival.LATE
+    # the oldest part of it is recognised only while it is remembered
+    assert tracker.accept(1, 1) is (Arrival.LATE if gap == 4096 else Arrival.DUPLICATE)
+
+
+def test_many_gaps_are_remembered_to_a_bound_the_newest_first() -> None:
+    tracker = SequenceTracker()
+    for seq in range(0, 40_000, 4):
+        tracker.accept(seq, seq)
+    newest = 40_000 - 4
+    assert tracker.lost == 3 * (newest // 4)
+    assert tracker.accept(newest - 1, 0) is Arrival.LATE
+    assert tracker.accept(1, 0) is Arrival.DUPLICATE
