@@ -1,0 +1,20 @@
+"""Run the AFM node with its simulated instrument."""
+
+import sys
+
+from services.afm_node.config import AfmConfig
+from services.afm_node.node import INPUTS, AfmNode
+from services.afm_node.sim import SimulatedAfm
+from services.runtime.main import NodeKind, ordinary, run_node
+from services.runtime.node import NodeContext
+
+
+def build(context: NodeContext, config: AfmConfig) -> AfmNode:
+    """Give the node its simulated instrument."""
+    return AfmNode(context, config, SimulatedAfm(config.to_params()))
+
+
+AFM_NODE = NodeKind("afm_node", ("slave",), AfmConfig, ordinary(build, INPUTS))
+
+if __name__ == "__main__":
+    sys.exit(run_node(AFM_NODE))

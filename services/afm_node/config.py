@@ -1,0 +1,154 @@
+"""Configuration of the AFM: cantilever, tip and sample (Table 2 of the paper), limits.
+
+Every default is a value of Table 2 or, where the paper gives none, one that its Fig. 12 leaves untouched.
+"""
+
+from typing import Annotated, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from services.afm_node.cantilever import build_plant, volts_per_m
+from services.afm_node.capillary import meniscus_radius_m
+from services.afm_node.maugis_dugdale import reduced_modulus_pa
+from services.afm_node.safety import SafetyParams
+from services.afm_node.step import AfmParams
+from services.afm_node.tip_sample import AS_PRINTED, CONSISTENT, TipSampleProperties, build_tip_sample
+
+# The contact table reaches this multiple of the force limit, so that a tick that overshoots is still on it.
+_TABLE_REACH = 2.0
+
+BasePosition = Annotated[float, Field(ge=-1e-4, le=1e-4)]
+Speed = Annotated[float, Field(gt=0.0, le=1e-3)]
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
+
+
+class CantileverConfig(_Model):
+    """Spring and read-out of the cantilever (Table 2, Eq. 3)."""
+
+    stiffness_n_per_m: float = Field(40.0, ge=1e-3, le=1e4, description="Spring constant k [N/m], 0.001 to 10000.")
+    bridge_supply_v: float = Field(2.5, gt=0.0, le=100.0, description="Bridge supply voltage V0 [V], up to 100.")
+    amplifier_gain: float = Field(1e4, gt=0.0, le=1e7, description="Gain Gc of the bridge amplifier, up to 1e7.")
+    sensitivity_per_m: float = Field(
+        1e3, gt=0.0, le=1e9, description="Relative change of resistance per deflection Sc [1/m]; 1e3 is 1e-6 per nm."
+    )
+
+
+class TipSampleConfig(_Model):
+    """Tip, sample and the water between them. What is not given comes from the preset."""
+
+    preset: Literal["table_2"] = Field("table_2", description="Where unnamed values come from: Table 2 of the paper.")
+    tip_radius_m: float = Field(10e-9, ge=1e-10, le=1e-3, description="Tip radius R [m], 1e-10 to 1e-3.")
+    hamaker_j: float = Field(1.89e-19, gt=0.0, le=1e-17, description="Hamaker constant H [J], up to 1e-17.")
+    sigma_m: float = Field(3.49e-10, ge=1e-11, le=1e-8, description="Interatomic distance sigma [m], 1e-11 to 1e-8.")
+    work_of_adhesion_j_per_m2: float = Field(
+        0.072, ge=1e-6, le=10.0, description="Work of adhesion omega [J/m^2], 1e-6 to 10."
+    )
+    tip_modulus_pa: float = Field(170e9, ge=1e2, le=1e13, description="Young's modulus of the tip [Pa], 1e2 to 1e13.")
+    sample_modulus_pa: float = Field(
+        4e9, ge=1e2, le=1e13, description="Young's modulus of the sample [Pa], 1e2 to 1e13."
+    )
+    tip_poisson: float = Field(0.5, gt=-1.0, le=0.5, description="Poisson ratio of the tip, above -1 to 0.5.")
+    sample_poisson: float = Field(0.3, gt=-1.0, le=0.5, description="Poisson ratio of the sample, above -1 to 0.5.")
+    liquid_energy_j_per_m2: float = Field(
+        0.073, ge=0.0, le=1.0, description="Surface energy gamma_L of the liquid [J/m^2], up to 1."
+    )
+    meniscus_radius_m: float = Field(
+        1.2e-9, ge=1e-11, le=1e-6, description="Curvature radius r1 of the meniscus [m], 1e-11 to 1e-6."
+    )
+    relative_humidity: float | None = Field(
+        None,
+        gt=0.0,
+        lt=1.0,
+        description="Relative humidity, a fraction; given instead of meniscus_radius_m, it sets r1.",
+    )
+    break_distance_m: float = Field(
+        4e-9, gt=0.0, le=1e-5, description="Distance delta_b at which the meniscus breaks [m], above 2 r1."
+    )
+
+    @model_validator(mode="after")
+    def _one_meniscus(self) -> Self:
+        if self.relative_humidity is not None and "meniscus_radius_m" in self.model_fields_set:
+            raise ValueError("give either meniscus_radius_m or relative_humidity, not both: one follows from the other")
+        return self
+
+    @property
+    def effective_meniscus_radius_m(self) -> float:
+        """Curvature radius r1 [m], from the humidity where that is given."""
+        return self.meniscus_radius_m if self.relative_humidity is None else meniscus_radius_m(self.relative_humidity)
+
+
+class SafetyConfig(_Model):
+    """Limits of base and tip; positions along the paper's axis, towards the sample, 0 at the rest distance."""
+
+    base_min_m: BasePosition = Field(-200e-9, description="Base furthest from the sample [m], -1e-4 to 1e-4.")
+    base_max_m: BasePosition = Field(200e-9, description="Base furthest towards the sample [m], -1e-4 to 1e-4.")
+    base_speed_m_per_s: Speed = Field(
+        2e-6, description="Fastest motion of the base [m/s], up to 1e-3; Fig. 12 approaches at 15 nm/s."
+    )
+    retract_position_m: BasePosition = Field(-100e-9, description="Base in the safe state [m], within the range.")
+    retract_speed_m_per_s: Speed = Field(1e-6, description="Speed of retraction [m/s], up to 1e-3.")
+    force_limit_n: float = Field(
+        200e-9, gt=0.0, le=1e-3, description="Repulsive force above which the tip is retracted [N], up to 1e-3."
+    )
+    command_deadline_s: float = Field(
+        0.050, gt=0.0, le=10.0, description="Oldest command that is followed [s], up to 10; older ones mean hold."
+    )
+    hold_time_s: float = Field(0.2, ge=0.0, le=60.0, description="Time in hold before retracting [s], 0 to 60.")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if not self.base_min_m <= self.retract_position_m < self.base_max_m:
+            raise ValueError(
+                f"base_min_m = {self.base_min_m} m <= retract_position_m = {self.retract_position_m} m < "
+                f"base_max_m = {self.base_max_m} m does not hold"
+            )
+        return self
+
+
+class AfmConfig(_Model):
+    """A simulated AFM over a sample."""
+
+    cantilever: CantileverConfig = Field(CantileverConfig(), description="Spring and read-out of the cantilever.")
+    tip_sample: TipSampleConfig = Field(TipSampleConfig(), description="Tip, sample and the water between them.")
+    mode: Literal["consistent", "as_printed"] = Field(
+        "consistent", description="Reading of the force law: errata E3, E4, E7 mended, or Eq. 4 and 6 to the letter."
+    )
+    meniscus: bool = Field(True, description="Whether water forms a meniscus between tip and sample.")
+    rest_distance_m: float = Field(
+        10e-9, gt=0.0, le=1e-4, description="Tip-sample distance L with the base at 0 and no force [m], up to 1e-4."
+    )
+    safety: SafetyConfig = Field(SafetyConfig(), description="Limits of base, tip force and command age.")
+
+    @model_validator(mode="after")
+    def _buildable(self) -> Self:
+        # Some combinations have no model (E7): that belongs to reading the file, not to the first tick.
+        self.to_params()
+        return self
+
+    def to_params(self) -> AfmParams:
+        """Build the parameters of the pure step; the contact table is built once per set of its parameters.
+
+        Raises: ValueError naming value and unit, where the values admit no model.
+        """
+        t, c, s = self.tip_sample, self.cantilever, self.safety
+        properties = TipSampleProperties(
+            radius_m=t.tip_radius_m,
+            hamaker_j=t.hamaker_j,
+            sigma_m=t.sigma_m,
+            work_of_adhesion_j_per_m2=t.work_of_adhesion_j_per_m2,
+            reduced_modulus_pa=reduced_modulus_pa(
+                t.tip_modulus_pa, t.tip_poisson, t.sample_modulus_pa, t.sample_poisson
+            ),
+            liquid_energy_j_per_m2=t.liquid_energy_j_per_m2,
+            meniscus_radius_m=t.effective_meniscus_radius_m,
+            break_distance_m=t.break_distance_m,
+            reading=AS_PRINTED if self.mode == "as_printed" else CONSISTENT,
+            meniscus=self.meniscus,
+        )
+        tip = build_tip_sample(properties, _TABLE_REACH * s.force_limit_n)
+        gain = volts_per_m(c.bridge_supply_v, c.amplifier_gain, c.sensitivity_per_m)
+        plant = build_plant(tip, c.stiffness_n_per_m, self.rest_distance_m, gain)
+        return AfmParams(SafetyParams(**s.model_dump()), plant)

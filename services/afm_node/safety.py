@@ -1,0 +1,212 @@
+"""Safety chain of the AFM: what may be sent to the base, whatever the controller says. Guards any driver.
+
+Modes: RETRACTED (safe state, where a node starts), FOLLOW, HOLD, RETRACTING, ESTOP. One tick is decided in this order:
+
+1. e-stop pressed: ESTOP from every mode. It retracts, and stays when released, until armed.
+2. repulsive force above the limit, or a force that is no number, in FOLLOW or HOLD: RETRACTING.
+3. no command for longer than the deadline: FOLLOW -> HOLD (the base stays); for hold_time longer: RETRACTING.
+4. a fresh command: retract -> RETRACTING, hold -> HOLD, position -> FOLLOW. An action code that is not known is a hold.
+5. RETRACTING ends in RETRACTED; both are left by arming only.
+
+Arming is one-shot. It is accepted with the base retracted, in RETRACTED, or in ESTOP once released, and only while a
+fresh position command exists; otherwise the outputs carry the reason of the refusal.
+
+`reason` is why the last transition happened. The arrival in RETRACTED keeps the reason of the retraction, so that it
+can still be read when the operator comes back.
+"""
+
+import math
+from typing import NamedTuple
+
+from services.runtime.compiled import compiled
+
+MODE_RETRACTED = 0
+MODE_FOLLOW = 1
+MODE_HOLD = 2
+MODE_RETRACTING = 3
+MODE_ESTOP = 4
+MODE_NAMES: dict[int, str] = {
+    MODE_RETRACTED: "retracted",
+    MODE_FOLLOW: "follow",
+    MODE_HOLD: "hold",
+    MODE_RETRACTING: "retracting",
+    MODE_ESTOP: "estop",
+}
+
+ACTION_POSITION = 0
+ACTION_HOLD = 1
+ACTION_RETRACT = 2
+ACTION_NAMES: dict[int, str] = {ACTION_POSITION: "position", ACTION_HOLD: "hold", ACTION_RETRACT: "retract"}
+
+REASON_START = 0
+REASON_ARMED = 1
+REASON_ESTOP = 2
+REASON_FORCE_LIMIT = 3
+REASON_FORCE_INVALID = 4
+REASON_COMMAND_DEADLINE = 5
+REASON_HOLD_EXPIRED = 6
+REASON_COMMANDS_RESUMED = 7
+REASON_HOLD_REQUESTED = 8
+REASON_RETRACT_REQUESTED = 9
+REASON_NAMES: dict[int, str] = {
+    REASON_START: "start",
+    REASON_ARMED: "armed",
+    REASON_ESTOP: "estop",
+    REASON_FORCE_LIMIT: "force_limit",
+    REASON_FORCE_INVALID: "force_invalid",
+    REASON_COMMAND_DEADLINE: "command_deadline",
+    REASON_HOLD_EXPIRED: "hold_expired",
+    REASON_COMMANDS_RESUMED: "commands_resumed",
+    REASON_HOLD_REQUESTED: "hold_requested",
+    REASON_RETRACT_REQUESTED: "retract_requested",
+}
+
+ARM_NOT_REFUSED = 0
+ARM_REFUSED_ESTOP = 1
+ARM_REFUSED_ALREADY_ARMED = 2
+ARM_REFUSED_RETRACTING = 3
+ARM_REFUSED_NO_COMMAND = 4
+ARM_REFUSED_NO_POSITION = 5
+ARM_REFUSAL_NAMES: dict[int, str] = {
+    ARM_NOT_REFUSED: "not_refused",
+    ARM_REFUSED_ESTOP: "estop_active",
+    ARM_REFUSED_ALREADY_ARMED: "already_armed",
+    ARM_REFUSED_RETRACTING: "still_retracting",
+    ARM_REFUSED_NO_COMMAND: "no_fresh_command",
+    ARM_REFUSED_NO_POSITION: "no_position_command",
+}
+
+LIMITED_BY_RANGE = 1  # bits of `limited`
+LIMITED_BY_SPEED = 2
+
+
+class SafetyParams(NamedTuple):
+    """Limits; base positions and speeds along the paper's axis, towards the sample."""
+
+    base_min_m: float
+    base_max_m: float
+    base_speed_m_per_s: float
+    retract_position_m: float
+    retract_speed_m_per_s: float
+    force_limit_n: float
+    command_deadline_s: float
+    hold_time_s: float
+
+
+class SafetyState(NamedTuple):
+    """Mode (MODE_*), base position last commanded [m] and reason (REASON_*) of the last transition."""
+
+    mode: int
+    base_m: float
+    reason: int
+
+
+class SafetyInputs(NamedTuple):
+    """One tick of inputs.
+
+    reference_m: base position asked for [m]; command_age_s: age of that command [s], infinite if none ever came;
+    action: ACTION_*; arm: one-shot; estop: pressed; force_n: tip force last measured [N], repulsive positive.
+    """
+
+    reference_m: float
+    command_age_s: float
+    action: int
+    arm: bool
+    estop: bool
+    force_n: float
+
+
+class SafetyOutputs(NamedTuple):
+    """Base position to apply [m], mode, `limited` (bits LIMITED_BY_*, 0 for none), reason, why arming was refused."""
+
+    base_m: float
+    mode: int
+    limited: int
+    reason: int
+    arm_refusal: int
+
+
+def initial_safety_state(params: SafetyParams) -> SafetyState:
+    """Give the state in which every node starts: retracted."""
+    return SafetyState(MODE_RETRACTED, params.retract_position_m, REASON_START)
+
+
+@compiled
+def safety_step(
+    params: SafetyParams, state: SafetyState, inputs: SafetyInputs, dt: float
+) -> tuple[SafetyState, SafetyOutputs]:
+    """Decide mode and base position of one tick of dt [s].
+
+    Raises: ValueError, if dt is not positive and finite.
+    """
+    if not (dt > 0.0 and math.isfinite(dt)):
+        raise ValueError("dt in s must be finite and > 0")
+    mode, reason = _next_mode(params, state, inputs)
+    refusal = ARM_NOT_REFUSED
+    if inputs.arm:
+        refusal = _arm_refusal(params, state, inputs)
+        if refusal == ARM_NOT_REFUSED:
+            mode, reason = MODE_FOLLOW, REASON_ARMED
+    base, limited = _next_base(params, state.base_m, mode, inputs.reference_m, dt)
+    if mode == MODE_RETRACTING and base <= params.retract_position_m:
+        mode = MODE_RETRACTED
+    return SafetyState(mode, base, reason), SafetyOutputs(base, mode, limited, reason, refusal)
+
+
+@compiled
+def _fresh(params: SafetyParams, inputs: SafetyInputs) -> bool:
+    # Written so that an age or a reference that is no number counts as no command.
+    return inputs.command_age_s <= params.command_deadline_s and math.isfinite(inputs.reference_m)
+
+
+@compiled
+def _next_mode(params: SafetyParams, state: SafetyState, inputs: SafetyInputs) -> tuple[int, int]:
+    """Mode after this tick, arming and the arrival in RETRACTED apart, and its reason."""
+    mode, reason = state.mode, state.reason
+    if inputs.estop:
+        return MODE_ESTOP, REASON_ESTOP
+    if mode not in (MODE_FOLLOW, MODE_HOLD):
+        return mode, reason
+    if not math.isfinite(inputs.force_n):
+        return MODE_RETRACTING, REASON_FORCE_INVALID
+    if inputs.force_n > params.force_limit_n:
+        return MODE_RETRACTING, REASON_FORCE_LIMIT
+    if not inputs.command_age_s <= params.command_deadline_s + params.hold_time_s:
+        return MODE_RETRACTING, REASON_HOLD_EXPIRED
+    if not _fresh(params, inputs):
+        return (MODE_HOLD, REASON_COMMAND_DEADLINE) if mode == MODE_FOLLOW else (mode, reason)
+    if inputs.action == ACTION_RETRACT:
+        return MODE_RETRACTING, REASON_RETRACT_REQUESTED
+    if inputs.action == ACTION_POSITION:
+        return (mode, reason) if mode == MODE_FOLLOW else (MODE_FOLLOW, REASON_COMMANDS_RESUMED)
+    return (mode, reason) if mode == MODE_HOLD else (MODE_HOLD, REASON_HOLD_REQUESTED)
+
+
+@compiled
+def _arm_refusal(params: SafetyParams, state: SafetyState, inputs: SafetyInputs) -> int:
+    if inputs.estop:
+        return ARM_REFUSED_ESTOP
+    if state.mode in (MODE_FOLLOW, MODE_HOLD):
+        return ARM_REFUSED_ALREADY_ARMED
+    if state.mode == MODE_RETRACTING or state.base_m > params.retract_position_m:
+        return ARM_REFUSED_RETRACTING
+    if not _fresh(params, inputs):
+        return ARM_REFUSED_NO_COMMAND
+    return ARM_NOT_REFUSED if inputs.action == ACTION_POSITION else ARM_REFUSED_NO_POSITION
+
+
+@compiled
+def _next_base(params: SafetyParams, base_m: float, mode: int, reference_m: float, dt: float) -> tuple[float, int]:
+    """Give the base position after this tick and the bits of the limits that changed it."""
+    if mode == MODE_HOLD:
+        return base_m, 0
+    if mode != MODE_FOLLOW:
+        # A base that is further away than the retract position stays there: retracting never goes towards the sample.
+        return max(base_m - params.retract_speed_m_per_s * dt, min(base_m, params.retract_position_m)), 0
+    target = min(max(reference_m, params.base_min_m), params.base_max_m)
+    limited = LIMITED_BY_RANGE if target != reference_m else 0
+    reach = params.base_speed_m_per_s * dt
+    base = min(max(target, base_m - reach), base_m + reach)
+    if base != target:
+        limited |= LIMITED_BY_SPEED
+    return base, limited

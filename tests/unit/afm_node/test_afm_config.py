@@ -1,0 +1,87 @@
+import math
+from pathlib import Path
+
+import pytest
+import yaml
+from pydantic import ValidationError
+
+from services.afm_node import config
+from services.afm_node.config import AfmConfig, CantileverConfig, SafetyConfig, TipSampleConfig
+
+
+def walk(model):
+    for name, field in model.model_fields.items():
+        yield f"{model.__name__}.{name}", field
+        if hasattr(field.annotation, "model_fields"):
+            yield from walk(field.annotation)
+
+
+def test_every_field_is_described():
+    undescribed = [name for name, field in walk(AfmConfig) if not field.description]
+    assert undescribed == []
+
+
+def test_the_default_is_table_2():
+    params = AfmConfig().to_params()
+    assert round(params.plant.tip.table.contact.transition, 5) == 0.82538
+    assert params.plant.stiffness_n_per_m == 40.0
+    assert params.plant.rest_distance_m == 10e-9
+    assert params.plant.tip.bridge_m == 2.4e-9
+    assert params.safety.command_deadline_s == 0.050
+
+
+def test_humidity_sets_the_meniscus():
+    wet = AfmConfig(tip_sample=TipSampleConfig(relative_humidity=0.6376281516))
+    assert math.isclose(wet.to_params().plant.tip.bridge_m, 2.4e-9, rel_tol=1e-9)
+    with pytest.raises(ValidationError, match="either meniscus_radius_m or relative_humidity"):
+        TipSampleConfig(relative_humidity=0.5, meniscus_radius_m=1e-9)
+
+
+def test_the_table_reaches_beyond_the_force_limit():
+    config = AfmConfig(safety=SafetyConfig(force_limit_n=1e-6))
+    assert math.isclose(config.to_params().plant.tip.table.end_force_n, 2e-6, rel_tol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("data", "where"),
+    [
+        ({"stifness": 1.0}, "stifness"),
+        ({"cantilever": {"stiffness_n_per_m": 0.0}}, "cantilever.stiffness_n_per_m"),
+        ({"cantilever": {"stiffness_n_per_m": "40"}}, "cantilever.stiffness_n_per_m"),
+        ({"cantilever": {"stiffness_n_per_m": math.nan}}, "cantilever.stiffness_n_per_m"),
+        ({"tip_sample": {"sigma_m": 3.49}}, "tip_sample.sigma_m"),
+        ({"tip_sample": {"preset": "table_3"}}, "tip_sample.preset"),
+        ({"mode": "printed"}, "mode"),
+        ({"safety": {"hold_time_s": -0.1}}, "safety.hold_time_s"),
+        ({"safety": {"retract_position_m": -300e-9}}, "safety"),
+        ({"safety": {"base_max_m": -150e-9}}, "safety"),
+        ({"rest_distance_m": 0.0}, "rest_distance_m"),
+    ],
+)
+def test_a_bad_value_is_named_by_its_key(data, where):
+    with pytest.raises(ValidationError) as caught:
+        AfmConfig.model_validate(data)
+    assert [".".join(str(part) for part in error["loc"]) for error in caught.value.errors()] == [where]
+
+
+def test_what_has_no_model_is_refused_on_reading():
+    with pytest.raises(ValidationError, match=r"lambda = .* H = 1e-20 J, omega = 0\.072"):
+        AfmConfig(tip_sample=TipSampleConfig(hamaker_j=1e-20))
+    AfmConfig(tip_sample=TipSampleConfig(hamaker_j=1e-20), mode="as_printed")
+    with pytest.raises(ValidationError, match="delta_b = 2e-09 m must lie beyond 2 r1"):
+        AfmConfig(tip_sample=TipSampleConfig(break_distance_m=2e-9))
+
+
+def test_zero_is_legal_where_it_means_something():
+    assert SafetyConfig(hold_time_s=0.0).hold_time_s == 0.0
+    assert AfmConfig(tip_sample=TipSampleConfig(liquid_energy_j_per_m2=0.0)).to_params().plant.tip.strength_n == 0.0
+    assert CantileverConfig(stiffness_n_per_m=1).stiffness_n_per_m == 1.0
+
+
+def test_the_readme_shows_every_key_with_its_default():
+    text = (Path(config.__file__).parent / "README.md").read_text(encoding="utf-8")
+    shown = yaml.safe_load(text.split("```yaml")[1].split("```")[0])["afm_node"]
+    defaults = AfmConfig().model_dump()
+    assert defaults["tip_sample"].pop("relative_humidity") is None
+    assert shown == defaults
+    assert AfmConfig.model_validate(shown).to_params().safety == AfmConfig().to_params().safety

@@ -1,0 +1,185 @@
+import math
+
+import pytest
+
+from services.afm_node import safety
+from services.afm_node.safety import SafetyInputs, SafetyParams, SafetyState, initial_safety_state, safety_step
+
+DT = 1e-3
+PARAMS = SafetyParams(
+    base_min_m=-200e-9,
+    base_max_m=200e-9,
+    base_speed_m_per_s=2e-6,
+    retract_position_m=-100e-9,
+    retract_speed_m_per_s=1e-6,
+    force_limit_n=200e-9,
+    command_deadline_s=0.050,
+    hold_time_s=0.2,
+)
+FRESH = SafetyInputs(reference_m=0.0, command_age_s=0.0, action=0, arm=False, estop=False, force_n=0.0)
+FOLLOWING = SafetyState(safety.MODE_FOLLOW, 0.0, safety.REASON_ARMED)
+HOLDING = SafetyState(safety.MODE_HOLD, 0.0, safety.REASON_COMMAND_DEADLINE)
+RETRACTED = initial_safety_state(PARAMS)
+STOPPED = SafetyState(safety.MODE_ESTOP, PARAMS.retract_position_m, safety.REASON_ESTOP)
+
+
+def tick(state, dt=DT, **changes):
+    return safety_step(PARAMS, state, FRESH._replace(**changes), dt)
+
+
+def test_a_node_starts_retracted_and_stays_so_without_arming():
+    state = RETRACTED
+    assert (state.mode, state.base_m, state.reason) == (safety.MODE_RETRACTED, -100e-9, safety.REASON_START)
+    for _ in range(10):
+        state, outputs = tick(state, reference_m=50e-9)
+    assert (outputs.mode, outputs.base_m, outputs.limited) == (safety.MODE_RETRACTED, -100e-9, 0)
+
+
+@pytest.mark.parametrize(
+    ("state", "changes", "mode", "reason"),
+    [
+        (FOLLOWING, {}, safety.MODE_FOLLOW, safety.REASON_ARMED),
+        (FOLLOWING, {"command_age_s": 0.050}, safety.MODE_FOLLOW, safety.REASON_ARMED),
+        (FOLLOWING, {"command_age_s": 0.0500001}, safety.MODE_HOLD, safety.REASON_COMMAND_DEADLINE),
+        (FOLLOWING, {"command_age_s": 0.25}, safety.MODE_HOLD, safety.REASON_COMMAND_DEADLINE),
+        (FOLLOWING, {"command_age_s": 0.2500001}, safety.MODE_RETRACTING, safety.REASON_HOLD_EXPIRED),
+        (FOLLOWING, {"command_age_s": math.inf}, safety.MODE_RETRACTING, safety.REASON_HOLD_EXPIRED),
+        (FOLLOWING, {"command_age_s": math.nan}, safety.MODE_RETRACTING, safety.REASON_HOLD_EXPIRED),
+        (FOLLOWING, {"reference_m": math.nan}, safety.MODE_HOLD, safety.REASON_COMMAND_DEADLINE),
+        (FOLLOWING, {"reference_m": math.inf}, safety.MODE_HOLD, safety.REASON_COMMAND_DEADLINE),
+        (FOLLOWING, {"action": 1}, safety.MODE_HOLD, safety.REASON_HOLD_REQUESTED),
+        (FOLLOWING, {"action": 2}, safety.MODE_RETRACTING, safety.REASON_RETRACT_REQUESTED),
+        (FOLLOWING, {"action": 99}, safety.MODE_HOLD, safety.REASON_HOLD_REQUESTED),
+        (FOLLOWING, {"action": 2, "command_age_s": 0.06}, safety.MODE_HOLD, safety.REASON_COMMAND_DEADLINE),
+        (FOLLOWING, {"force_n": 200e-9}, safety.MODE_FOLLOW, safety.REASON_ARMED),
+        (FOLLOWING, {"force_n": 200.0001e-9}, safety.MODE_RETRACTING, safety.REASON_FORCE_LIMIT),
+        (FOLLOWING, {"force_n": -1e-6}, safety.MODE_FOLLOW, safety.REASON_ARMED),
+        (FOLLOWING, {"force_n": math.nan}, safety.MODE_RETRACTING, safety.REASON_FORCE_INVALID),
+        (FOLLOWING, {"force_n": -math.inf}, safety.MODE_RETRACTING, safety.REASON_FORCE_INVALID),
+        (FOLLOWING, {"estop": True}, safety.MODE_ESTOP, safety.REASON_ESTOP),
+        (FOLLOWING, {"estop": True, "force_n": 1.0}, safety.MODE_ESTOP, safety.REASON_ESTOP),
+        (HOLDING, {}, safety.MODE_FOLLOW, safety.REASON_COMMANDS_RESUMED),
+        (HOLDING, {"command_age_s": 0.051}, safety.MODE_HOLD, safety.REASON_COMMAND_DEADLINE),
+        (HOLDING, {"command_age_s": 0.2500001}, safety.MODE_RETRACTING, safety.REASON_HOLD_EXPIRED),
+        (HOLDING, {"action": 1}, safety.MODE_HOLD, safety.REASON_COMMAND_DEADLINE),
+        (HOLDING, {"action": 2}, safety.MODE_RETRACTING, safety.REASON_RETRACT_REQUESTED),
+        (HOLDING, {"force_n": 201e-9}, safety.MODE_RETRACTING, safety.REASON_FORCE_LIMIT),
+        (HOLDING, {"estop": True}, safety.MODE_ESTOP, safety.REASON_ESTOP),
+        (RETRACTED, {"arm": True}, safety.MODE_FOLLOW, safety.REASON_ARMED),
+        (RETRACTED, {"estop": True}, safety.MODE_ESTOP, safety.REASON_ESTOP),
+        (RETRACTED, {"action": 2}, safety.MODE_RETRACTED, safety.REASON_START),
+        (STOPPED, {}, safety.MODE_ESTOP, safety.REASON_ESTOP),
+        (STOPPED, {"arm": True}, safety.MODE_FOLLOW, safety.REASON_ARMED),
+    ],
+)
+def test_every_transition(state, changes, mode, reason):
+    after, outputs = tick(state, **changes)
+    assert (safety.MODE_NAMES[outputs.mode], safety.REASON_NAMES[outputs.reason]) == (
+        safety.MODE_NAMES[mode],
+        safety.REASON_NAMES[reason],
+    )
+    assert (after.mode, after.base_m, after.reason) == (outputs.mode, outputs.base_m, outputs.reason)
+
+
+@pytest.mark.parametrize(
+    ("state", "changes", "refusal"),
+    [
+        (RETRACTED, {}, safety.ARM_NOT_REFUSED),
+        (RETRACTED, {"command_age_s": 0.050}, safety.ARM_NOT_REFUSED),
+        (RETRACTED, {"command_age_s": 0.0500001}, safety.ARM_REFUSED_NO_COMMAND),
+        (RETRACTED, {"command_age_s": math.inf}, safety.ARM_REFUSED_NO_COMMAND),
+        (RETRACTED, {"reference_m": math.nan}, safety.ARM_REFUSED_NO_COMMAND),
+        (RETRACTED, {"action": 1}, safety.ARM_REFUSED_NO_POSITION),
+        (RETRACTED, {"action": 2}, safety.ARM_REFUSED_NO_POSITION),
+        (RETRACTED, {"estop": True}, safety.ARM_REFUSED_ESTOP),
+        (STOPPED, {"estop": True}, safety.ARM_REFUSED_ESTOP),
+        (STOPPED._replace(base_m=-99e-9), {}, safety.ARM_REFUSED_RETRACTING),
+        (SafetyState(safety.MODE_RETRACTING, -50e-9, safety.REASON_FORCE_LIMIT), {}, safety.ARM_REFUSED_RETRACTING),
+        (FOLLOWING, {}, safety.ARM_REFUSED_ALREADY_ARMED),
+        (HOLDING, {}, safety.ARM_REFUSED_ALREADY_ARMED),
+    ],
+)
+def test_arming_is_refused_with_a_reason(state, changes, refusal):
+    after, outputs = tick(state, arm=True, **changes)
+    assert outputs.arm_refusal == refusal
+    if refusal != safety.ARM_NOT_REFUSED:
+        assert after.reason != safety.REASON_ARMED or state.reason == safety.REASON_ARMED
+    assert tick(state, **changes)[1].arm_refusal == safety.ARM_NOT_REFUSED
+
+
+def test_hold_keeps_the_base_and_resumes():
+    state = FOLLOWING._replace(base_m=30e-9)
+    for _ in range(20):
+        state, outputs = tick(state, reference_m=-50e-9, command_age_s=0.1)
+    assert outputs.base_m == 30e-9
+    state, outputs = tick(state, reference_m=30.5e-9)
+    assert (outputs.mode, outputs.base_m) == (safety.MODE_FOLLOW, 30.5e-9)
+
+
+@pytest.mark.parametrize("cause", [{"force_n": 1e-6}, {"command_age_s": 1.0}, {"action": 2}])
+def test_retracting_ends_latched_and_keeps_its_reason(cause):
+    state, outputs = tick(FOLLOWING, **cause)
+    reason, ticks = outputs.reason, 1
+    while state.mode == safety.MODE_RETRACTING:
+        before = state.base_m
+        state, outputs = tick(state, reference_m=0.0)
+        assert math.isclose(before - state.base_m, 1e-9, rel_tol=1e-6) or state.base_m == -100e-9
+        ticks += 1
+    assert abs(ticks - 100) <= 1
+    assert (outputs.mode, outputs.base_m, outputs.reason) == (safety.MODE_RETRACTED, -100e-9, reason)
+    # commands alone do not bring it back
+    state, outputs = tick(state)
+    assert (outputs.mode, outputs.base_m) == (safety.MODE_RETRACTED, -100e-9)
+
+
+def test_estop_retracts_and_is_latched():
+    state, _ = tick(FOLLOWING, estop=True)
+    for _ in range(150):
+        state, outputs = tick(state)
+    assert (outputs.mode, outputs.base_m) == (safety.MODE_ESTOP, -100e-9)
+    state, outputs = tick(state, arm=True, reference_m=-99e-9)
+    assert (outputs.mode, outputs.reason, outputs.base_m) == (safety.MODE_FOLLOW, safety.REASON_ARMED, -99e-9)
+
+
+def test_retracting_never_moves_towards_the_sample():
+    far = SafetyState(safety.MODE_FOLLOW, -150e-9, safety.REASON_ARMED)
+    state, outputs = tick(far, action=2)
+    assert (outputs.mode, outputs.base_m) == (safety.MODE_RETRACTED, -150e-9)
+    assert tick(state, arm=True, reference_m=-150e-9)[1].mode == safety.MODE_FOLLOW
+
+
+@pytest.mark.parametrize(
+    ("start", "reference", "base", "limited"),
+    [
+        (0.0, 2e-9, 2e-9, 0),
+        (0.0, 2.0001e-9, 2e-9, safety.LIMITED_BY_SPEED),
+        (0.0, -2.0001e-9, -2e-9, safety.LIMITED_BY_SPEED),
+        (199.5e-9, 200e-9, 200e-9, 0),
+        (199.5e-9, 200.0001e-9, 200e-9, safety.LIMITED_BY_RANGE),
+        (-199.5e-9, -201e-9, -200e-9, safety.LIMITED_BY_RANGE),
+        (0.0, 1.0, 2e-9, safety.LIMITED_BY_RANGE | safety.LIMITED_BY_SPEED),
+    ],
+)
+def test_range_and_speed_limits(start, reference, base, limited):
+    _, outputs = tick(FOLLOWING._replace(base_m=start), reference_m=reference)
+    assert math.isclose(outputs.base_m, base, rel_tol=1e-12)
+    assert outputs.limited == limited
+
+
+@pytest.mark.parametrize("dt", [0.0, -1e-3, math.nan, math.inf])
+def test_an_impossible_dt_is_refused(dt):
+    with pytest.raises(ValueError, match="dt in s must be finite and > 0"):
+        tick(FOLLOWING, dt=dt)
+
+
+def test_every_code_has_a_name():
+    tables = {
+        "MODE_": safety.MODE_NAMES,
+        "ACTION_": safety.ACTION_NAMES,
+        "REASON_": safety.REASON_NAMES,
+        "ARM_": safety.ARM_REFUSAL_NAMES,
+    }
+    for prefix, names in tables.items():
+        codes = [value for name, value in vars(safety).items() if name.startswith(prefix) and isinstance(value, int)]
+        assert sorted(codes) == sorted(names)
+        assert len(set(names.values())) == len(names)
