@@ -1,0 +1,1 @@
+"""The link between the sites and its impairments."""

@@ -1,0 +1,36 @@
+"""Run the link: one process with a face at each site."""
+
+import sys
+
+from services.delay_node.config import LinkSettings, SettingsError
+from services.delay_node.node import DelayNode
+from services.runtime.bus import ZmqBus
+from services.runtime.errors import ConfigError, EndpointError
+from services.runtime.main import NodeKind, Wiring, run_node
+from services.runtime.node import AccountedBus, Node
+
+
+def build(wiring: Wiring, settings: LinkSettings) -> tuple[Node, AccountedBus]:
+    """Bind a face at each site and listen to the nodes behind both."""
+    # the publishers first: they are what may fail
+    to_master = wiring.publisher("delay_node@master")
+    try:
+        to_slave = wiring.publisher("delay_node@slave")
+    except EndpointError:
+        to_master.close()
+        raise
+    listeners = [wiring.subscriber(wiring.book.bridged_from(site)) for site in ("master", "slave")]
+    bus = ZmqBus(to_master, listeners, wiring.clock, wiring.wake_descriptor)
+    bus.also_closes(to_slave)
+    try:
+        node = DelayNode(wiring.context(bus), settings, to_slave, to_master, wiring.scenario_file.parent)
+    except SettingsError as error:
+        bus.close()
+        raise ConfigError(f"{wiring.scenario_file}: delay_node: {error}") from error
+    return node, bus
+
+
+DELAY_NODE = NodeKind("delay_node", ("master",), LinkSettings, build)
+
+if __name__ == "__main__":
+    sys.exit(run_node(DELAY_NODE))

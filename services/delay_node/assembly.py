@@ -1,0 +1,311 @@
+"""From settings to models: which models a topic goes through, and what survives a change of settings.
+
+Loss, delay, duplication, corruption and reordering belong to a topic; queue, slots, outages and the origin of traces
+belong to a block of settings and are shared by all topics under it. A model lives on as long as what defines it stays
+the same, so that a change of one key does not restart the others.
+"""
+
+from collections.abc import Callable
+from pathlib import Path as FilePath
+from typing import Any, NamedTuple, TypeVar
+
+from services.delay_node.config import DirectionSettings, Impairment, LinkSettings, Outage, SettingsError, Slots
+from services.delay_node.draws import Draw, Occurrence, stream
+from services.delay_node.events import Corruptor, Overtaking
+from services.delay_node.fate import Direction
+from services.delay_node.jitter import JitterSource
+from services.delay_node.loss import GilbertElliottChain, MarkovLossChain
+from services.delay_node.outages import Outages
+from services.delay_node.pipe import DeliveryServer, RateServer, ServedQueue, Server, SlotGate
+from services.delay_node.traces import (
+    DelayCourse,
+    delay_at,
+    parse_delay_trace,
+    parse_delivery_trace,
+    parse_jitter_table,
+    read_text,
+)
+
+Model = TypeVar("Model")
+NS_PER_S = 1_000_000_000
+
+
+class Files(NamedTuple):
+    """What the files of one block of settings hold."""
+
+    course: DelayCourse | None
+    delivery_ns: tuple[int, ...] | None
+    samples: tuple[float, ...]
+
+
+class Progress:
+    """Latest release of a topic, or of an ordered group, and the place in the order of arrival it had."""
+
+    __slots__ = ("latest_ns", "order")
+
+    def __init__(self) -> None:
+        self.latest_ns = -1
+        self.order = -1
+
+
+class Block(NamedTuple):
+    """What the topics under the same settings share; None stands for a model that does nothing."""
+
+    settings: Impairment
+    files: Files
+    progress: Progress
+    course_origin_ns: int
+    queue: "ServedQueue[Message] | None"
+    gate: SlotGate | None
+    outages: Outages | None
+
+
+class Path(NamedTuple):
+    """The models that a topic goes through; None stands for a model that does nothing."""
+
+    topic: str
+    block: Block
+    reliable: bool
+    progress: Progress
+    ordered: tuple[Progress, ...]  # no message may be released before the latest of these
+    fixed_ns: int
+    constant_ns: int | None  # the whole effect, if it is a constant delay and nothing else
+    applies: Occurrence | None
+    losses: tuple[tuple[str, Callable[[], bool]], ...]
+    corruptor: Corruptor | None
+    duplicates: Occurrence | None
+    overtakes: Overtaking | None
+    jitter: JitterSource | None
+    copy_jitter: JitterSource | None
+
+    def course_ns(self, now_ns: int) -> int:
+        """Return fixed and recorded delay [ns] of a message that arrives now."""
+        course, trace = self.block.files.course, self.block.settings.delay_trace
+        if course is None:
+            return self.fixed_ns
+        elapsed_ns = now_ns - self.block.course_origin_ns
+        return self.fixed_ns + delay_at(course, elapsed_ns, interpolation=trace.interpolation, repeat=trace.repeat)
+
+    def lost_by(self) -> str:
+        """Return the first model that loses the next message; every model draws, whatever the others say."""
+        lost = [cause for cause, loses in self.losses if loses()]
+        return lost[0] if lost else ""
+
+
+class Message(NamedTuple):
+    """A message, or a copy, whose release is still to be decided."""
+
+    path: Path
+    order: int  # of arrival
+    seq: int
+    copy: int
+    payload: bytes
+    arrived_ns: int
+    ready_ns: int  # after an outage
+    delay_ns: int
+    gated: bool
+    duplicated: bool
+    corrupted: bool
+
+
+def read_files(settings: DirectionSettings, folder: FilePath, prefix: str) -> dict[str, Files]:
+    """Read the files that the settings of a direction name, by topic pattern (empty: its own).
+
+    Raises: SettingsError naming the key, which begins with `prefix`, the file and the line.
+    """
+    return {
+        pattern: _read(settings.block(pattern), folder, f"{prefix}.topics.{pattern}." if pattern else f"{prefix}.")
+        for pattern in ("", *settings.topics)
+    }
+
+
+def _read(block: Impairment, folder: FilePath, prefix: str) -> Files:
+    trace, delivery, jitter = block.delay_trace, block.delivery_trace, block.jitter
+    course = delivery_ns = None
+    samples: tuple[float, ...] = ()
+    key = ""
+    try:
+        if trace.file is not None:
+            key = "delay_trace.file"
+            course = parse_delay_trace(read_text(folder / trace.file), trace.file)
+        if delivery.file is not None:
+            key = "delivery_trace.file"
+            delivery_ns = parse_delivery_trace(read_text(folder / delivery.file), delivery.file, delivery.unit_s)
+        if jitter.distribution == "table" and jitter.table_file is not None:
+            key = "jitter.table_file"
+            samples = parse_jitter_table(read_text(folder / jitter.table_file), jitter.table_file)
+    except SettingsError as error:
+        raise SettingsError(f"{prefix}{key}: {error}") from error
+    return Files(course, delivery_ns, samples)
+
+
+class Assembly:
+    """Builds and keeps the models of one direction."""
+
+    def __init__(self, direction: Direction, settings: LinkSettings, files: dict[str, Files], now_ns: int) -> None:
+        self._direction: Direction = direction
+        self._streams: dict[tuple[str, ...], Draw] = {}
+        self._models: dict[tuple[str, ...], tuple[object, Any]] = {}
+        self._progress: dict[tuple[str, str], Progress] = {}
+        self.blocks: dict[str, Block] = {}
+        self._adopt(settings, files, now_ns)
+
+    def adopt(self, settings: LinkSettings, files: dict[str, Files], now_ns: int) -> None:
+        """Build the blocks anew where their definition differs; models that begin now have their origin at now_ns."""
+        if settings.seed != self._seed:
+            self._streams.clear()
+            self._models.clear()
+        if tuple(files) != tuple(self.blocks):
+            # Topics may move between queues: none is kept, so that what waits goes first and order holds.
+            self._models = {key: model for key, model in self._models.items() if key[:2] != ("shared", "queue")}
+        self._adopt(settings, files, now_ns)
+
+    def _adopt(self, settings: LinkSettings, files: dict[str, Files], now_ns: int) -> None:
+        self._seed = settings.seed
+        self._settings: DirectionSettings = getattr(settings, self._direction)
+        self.blocks = {pattern: self._block(pattern, held, now_ns) for pattern, held in files.items()}
+
+    def path(self, topic: str) -> Path:
+        """Build the path of a topic under the settings in force."""
+        block = self.blocks[self._settings.pattern_of(topic)]
+        s, reliable = block.settings, self._settings.is_reliable(topic)
+        progress = self._progress.setdefault(("topic", topic), Progress())
+        order = "topic" if reliable and s.order == "any" else s.order
+        lossy = Impairment() if reliable else s
+        duplicates = self._event(topic, "duplication", lossy.duplication.probability, lossy.duplication.correlation)
+        path = Path(
+            topic,
+            block,
+            reliable,
+            progress,
+            ordered={"any": (), "topic": (progress,), "link": (progress, block.progress)}[order],
+            fixed_ns=round(s.delay_s * NS_PER_S),
+            constant_ns=None,
+            applies=None if s.apply_probability == 1.0 else self._applies(topic, s.apply_probability),
+            losses=tuple(self._losses(topic, lossy)),
+            corruptor=self._corruptor(topic, lossy),
+            duplicates=duplicates,
+            overtakes=self._overtaking(topic, lossy),
+            jitter=self._jitter(topic, "original", block),
+            copy_jitter=None if duplicates is None else self._jitter(topic, "copy", block),
+        )
+        return path._replace(constant_ns=path.fixed_ns) if _is_constant(path) else path
+
+    def _stream(self, *names: str) -> Draw:
+        if names not in self._streams:
+            self._streams[names] = stream(self._seed, self._direction, *names)
+        return self._streams[names]
+
+    def _kept(self, key: tuple[str, ...], definition: object, make: Callable[[], Model]) -> Model:
+        """Return the model of this key, the same one as long as what defines it stays the same."""
+        known = self._models.get(key)
+        if known is None or known[0] != definition:
+            known = self._models[key] = (definition, make())
+        kept: Model = known[1]
+        return kept
+
+    def _block(self, pattern: str, files: Files, now_ns: int) -> Block:
+        s = self._settings.block(pattern)
+        return Block(
+            s,
+            files,
+            progress=self._progress.setdefault(("block", pattern), Progress()),
+            course_origin_ns=self._kept(("shared", "course", pattern), (s.delay_trace, files.course), lambda: now_ns),
+            queue=self._queue(pattern, s, files.delivery_ns, now_ns),
+            gate=self._gate(pattern, s.slots, now_ns),
+            outages=self._outages(pattern, s.outage, now_ns),
+        )
+
+    def _queue(
+        self, pattern: str, s: Impairment, delivery_ns: tuple[int, ...] | None, now_ns: int
+    ) -> ServedQueue[Message] | None:
+        rate_bytes_per_s = s.rate.rate_bytes_per_s
+        server: Server
+        if delivery_ns is not None:
+            server = DeliveryServer(delivery_ns, s.delivery_trace.bytes_per_opportunity, now_ns)
+        elif rate_bytes_per_s is not None:
+            server = RateServer(rate_bytes_per_s, s.rate.overhead_bytes)
+        else:
+            return None
+        definition = (s.rate, s.delivery_trace, delivery_ns, s.queue)
+        draw = self._stream("shared", "queue", pattern)
+        return self._kept(("shared", "queue", pattern), definition, lambda: ServedQueue(s.queue, server, draw))
+
+    def _gate(self, pattern: str, slots: Slots, now_ns: int) -> SlotGate | None:
+        if slots.min_interval_s is None:
+            return None
+        longest_s = slots.min_interval_s if slots.max_interval_s is None else slots.max_interval_s
+        interval_ns = round(slots.min_interval_s * NS_PER_S), round(longest_s * NS_PER_S)
+        draw = self._stream("shared", "slots", pattern)
+        return self._kept(
+            ("shared", "slots", pattern),
+            slots,
+            lambda: SlotGate(interval_ns, slots.max_messages, slots.max_bytes, now_ns, draw),
+        )
+
+    def _outages(self, pattern: str, outage: Outage, now_ns: int) -> Outages | None:
+        if not outage.schedule and outage.mean_up_s is None:
+            return None
+        draw = self._stream("shared", "outage", pattern)
+        # Whether an outage drops or holds does not move it.
+        definition = outage.model_copy(update={"mode": "drop"})
+        return self._kept(("shared", "outage", pattern), definition, lambda: Outages(outage, now_ns, draw))
+
+    def _event(self, topic: str, name: str, probability: float, correlation: float) -> Occurrence | None:
+        if probability == 0.0:
+            return None
+        draw = self._stream(topic, name)
+        return self._kept((topic, name), (probability, correlation), lambda: Occurrence(probability, correlation, draw))
+
+    def _applies(self, topic: str, probability: float) -> Occurrence:
+        # Not through _event: a probability of 0 has to be a model here, one that never applies.
+        draw = self._stream(topic, "apply")
+        return self._kept((topic, "apply"), probability, lambda: Occurrence(probability, 0.0, draw))
+
+    def _losses(self, topic: str, s: Impairment) -> list[tuple[str, Callable[[], bool]]]:
+        losses: list[tuple[str, Callable[[], bool] | None]] = [
+            ("loss", self._event(topic, "loss", s.loss.probability, s.loss.correlation)),
+            ("markov_loss", self._markov(topic, s)),
+            ("gilbert_elliott", self._gilbert_elliott(topic, s)),
+        ]
+        return [(cause, loses) for cause, loses in losses if loses is not None]
+
+    def _markov(self, topic: str, s: Impairment) -> MarkovLossChain | None:
+        chain, draw = s.markov_loss, self._stream(topic, "markov_loss")
+        if chain.p13 == 0.0 and chain.p14 == 0.0:
+            return None
+        return self._kept((topic, "markov_loss"), chain, lambda: MarkovLossChain(chain, draw))
+
+    def _gilbert_elliott(self, topic: str, s: Impairment) -> GilbertElliottChain | None:
+        chain = s.gilbert_elliott
+        if chain.p == 0.0 and chain.loss_in_good == 0.0:
+            return None
+        step, decide = self._stream(topic, "gilbert_elliott/step"), self._stream(topic, "gilbert_elliott/loss")
+        return self._kept((topic, "gilbert_elliott"), chain, lambda: GilbertElliottChain(chain, step, decide))
+
+    def _corruptor(self, topic: str, s: Impairment) -> Corruptor | None:
+        happens = self._event(topic, "corruption", s.corruption.probability, s.corruption.correlation)
+        places = self._stream(topic, "corruption/bits")
+        return None if happens is None else Corruptor(happens, s.corruption.bits, places)
+
+    def _overtaking(self, topic: str, s: Impairment) -> Overtaking | None:
+        happens = self._event(topic, "reordering", s.reordering.probability, s.reordering.correlation)
+        if happens is None:
+            return None
+        return self._kept((topic, "overtaking"), s.reordering, lambda: Overtaking(happens, s.reordering.gap))
+
+    def _jitter(self, topic: str, which: str, block: Block) -> JitterSource | None:
+        settings, samples = block.settings.jitter, block.files.samples
+        if settings.scale_s == 0.0:
+            return None
+        return self._kept(
+            (topic, "jitter", which),
+            (settings, samples),
+            lambda: JitterSource(settings, samples, lambda name: self._stream(topic, which, name)),
+        )
+
+
+def _is_constant(path: Path) -> bool:
+    models = (path.applies, path.corruptor, path.duplicates, path.overtakes, path.jitter)
+    shared = (path.block.files.course, path.block.queue, path.block.gate, path.block.outages)
+    return not path.losses and not path.ordered and all(model is None for model in (*models, *shared))

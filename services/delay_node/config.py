@@ -1,0 +1,397 @@
+"""Settings of the link: every impairment, per direction and per topic, with seed and profile.
+
+A settings file, a profile and a run-time change all end in one frozen `LinkSettings`. Keys are dotted paths
+(`backward.loss.probability`); docs/link.md defines each of them. A topic's override holds only the keys it names and
+inherits the others from its direction, so relations between keys are checked on the merged result.
+"""
+
+from collections.abc import Iterator, Mapping
+from fnmatch import fnmatchcase
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, field_validator, model_validator
+
+from services.delay_node.profiles import PROFILES, known_profiles
+
+Setting = float | int | str | bool
+Probability = Annotated[float, Field(ge=0.0, le=1.0)]
+# A correlation of 1 would freeze the first draw for ever.
+Correlation = Annotated[float, Field(ge=0.0, lt=1.0)]
+LONGEST_S = 3600.0
+Seconds = Annotated[float, Field(ge=0.0, le=LONGEST_S)]
+# Below a microsecond a time-driven model would have to be walked through thousands of steps per message.
+Interval = Annotated[float, Field(ge=1e-6, le=LONGEST_S)]
+
+
+class SettingsError(ValueError):
+    """Settings that the link refuses; the text names the key, the value and what would be right."""
+
+
+class Frozen(BaseModel):
+    """Frozen, strict, closed and finite: the base of every settings model here."""
+
+    model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
+
+
+class Jitter(Frozen):
+    """Random part of the delay: scale_s times a standardised random number."""
+
+    scale_s: Seconds = Field(
+        default=0.0,
+        description="half-width (uniform), standard deviation (normal, pareto, "
+        "pareto_normal) or seconds per table unit (table) [s]",
+    )
+    distribution: Literal["uniform", "normal", "pareto", "pareto_normal", "table"] = Field(
+        default="normal", description="law of the random part"
+    )
+    correlation: Correlation = Field(default=0.0, description="correlation of the normal scores of successive messages")
+    pareto_shape: float = Field(
+        default=3.0,
+        gt=2.0,
+        le=100.0,
+        description="shape a of the Pareto law; its standard deviation exists for a > 2 only",
+    )
+    table_file: str | None = Field(default=None, description="file of samples, any count per line, # begins a comment")
+
+
+class DelayTrace(Frozen):
+    """A delay that follows a recorded course of time; adds to delay_s."""
+
+    file: str | None = Field(default=None, description="file of lines `time_s delay_s`, times strictly increasing")
+    interpolation: Literal["hold", "linear"] = Field(default="linear", description="course between two lines")
+    repeat: bool = Field(default=True, description="start again after the last line; otherwise keep its delay")
+
+
+class Event(Frozen):
+    """Something that happens to a message with a probability, in runs if correlated."""
+
+    probability: Probability = Field(default=0.0, description="share of the messages concerned, 0..1")
+    correlation: Correlation = Field(default=0.0, description="correlation of successive occurrences, 0..1")
+
+
+class MarkovLoss(Frozen):
+    """Four-state loss: 1 received, 2 received inside a burst, 3 lost inside a burst, 4 lost alone."""
+
+    p13: Probability = Field(default=0.0, description="received -> lost in a burst, per message")
+    p31: Probability = Field(default=1.0, description="lost in a burst -> received, per message")
+    p32: Probability = Field(default=0.0, description="lost in a burst -> received inside the burst, per message")
+    p23: Probability = Field(default=1.0, description="received inside a burst -> lost in the burst, per message")
+    p14: Probability = Field(default=0.0, description="received -> lost alone, per message")
+
+
+class GilbertElliott(Frozen):
+    """Two-state loss: each state has a loss probability of its own."""
+
+    p: Probability = Field(default=0.0, description="good -> bad, per message")
+    r: Probability = Field(default=1.0, description="bad -> good, per message")
+    loss_in_bad: Probability = Field(default=1.0, description="1-h, share lost in the bad state")
+    loss_in_good: Probability = Field(default=0.0, description="1-k, share lost in the good state")
+
+
+class Corruption(Event):
+    """Flipped bits in the payload."""
+
+    bits: int = Field(default=1, ge=1, le=1024, description="different bits flipped in a corrupted message")
+
+
+class Reordering(Event):
+    """Messages sent at once, past the delay of those before them."""
+
+    gap: int = Field(default=1, ge=1, description="one message in a gap at most: gap - 1 go the normal way between two")
+
+
+class Rate(Frozen):
+    """Serialisation at a finite rate."""
+
+    rate_bytes_per_s: float | None = Field(default=None, gt=0.0, description="throughput [byte/s], none: unlimited")
+    overhead_bytes: int = Field(default=0, ge=0, le=65536, description="bytes added to each message on the line")
+
+
+class DeliveryTrace(Frozen):
+    """Throughput given by recorded delivery opportunities; the trace repeats."""
+
+    file: str | None = Field(default=None, description="file of times, one a line, not decreasing")
+    unit_s: Interval = Field(default=1e-3, description="seconds per unit of the file")
+    bytes_per_opportunity: int | None = Field(default=1500, ge=1, description="bytes, none: one message of any size")
+
+
+class Queue(Frozen):
+    """The queue in front of a rate limit or a delivery trace."""
+
+    limit_messages: int | None = Field(default=1000, ge=0, description="messages that may wait, none: unlimited")
+    limit_bytes: int | None = Field(default=None, ge=0, description="bytes that may wait, none: unlimited")
+    drop: Literal["tail", "head", "random", "same_topic"] = Field(
+        default="tail",
+        description="who is dropped when it is full: the newcomer, the oldest, any of those waiting, "
+        "the oldest of the newcomer's topic",
+    )
+
+
+class Slots(Frozen):
+    """Release in bursts: messages leave only when a slot opens."""
+
+    min_interval_s: Interval | None = Field(default=None, description="shortest time between slots [s], none: off")
+    max_interval_s: Interval | None = Field(
+        default=None, description="longest time between slots [s], none: as min_interval_s"
+    )
+    max_messages: int | None = Field(default=None, ge=1, description="messages a slot carries, none: unlimited")
+    max_bytes: int | None = Field(default=None, ge=1, description="bytes a slot carries, none: unlimited")
+
+
+def _schedule(value: object) -> object:
+    """Accept `start:duration, start:duration` as well, because a run-time change carries no lists."""
+    if isinstance(value, list):
+        return tuple(tuple(item) if isinstance(item, list) else item for item in value)
+    if not isinstance(value, str):
+        return value
+    try:
+        pairs = [item.split(":") for item in value.split(",") if item.strip()]
+        return tuple((float(start), float(duration)) for start, duration in pairs)
+    except ValueError as error:
+        raise ValueError(f"{value!r} is not a list of start_s:duration_s, such as '1.5:0.2, 4:1'") from error
+
+
+def _names(value: object) -> object:
+    if isinstance(value, str):
+        return tuple(name.strip() for name in value.split(",") if name.strip())
+    return tuple(value) if isinstance(value, list) else value
+
+
+class Outage(Frozen):
+    """Times without any connection, by schedule, at random, or both."""
+
+    schedule: Annotated[tuple[tuple[Seconds, Interval], ...], BeforeValidator(_schedule)] = Field(
+        default=(), description="pairs (start_s after the settings came into force, duration_s), in order"
+    )
+    period_s: Interval | None = Field(default=None, description="the schedule repeats after this time [s], none: once")
+    mean_up_s: Interval | None = Field(default=None, description="mean of the exponential time between random outages")
+    mean_down_s: Interval | None = Field(default=None, description="mean of the exponential length of random outages")
+    mode: Literal["drop", "hold"] = Field(
+        default="drop", description="fate of what arrives in an outage: lost, or sent when it ends"
+    )
+
+
+class Impairment(Frozen):
+    """Everything that can happen to a message on its way in one direction."""
+
+    delay_s: Seconds = Field(default=0.0, description="fixed delay [s]")
+    jitter: Jitter = Field(default=Jitter(), description="random part of the delay")
+    delay_trace: DelayTrace = Field(default=DelayTrace(), description="recorded part of the delay")
+    loss: Event = Field(default=Event(), description="random loss")
+    markov_loss: MarkovLoss = Field(default=MarkovLoss(), description="four-state loss")
+    gilbert_elliott: GilbertElliott = Field(default=GilbertElliott(), description="two-state loss")
+    corruption: Corruption = Field(default=Corruption(), description="flipped bits")
+    duplication: Event = Field(default=Event(), description="a second copy with a delay of its own")
+    reordering: Reordering = Field(default=Reordering(), description="messages sent past their delay")
+    order: Literal["any", "topic", "link"] = Field(
+        default="any",
+        description="any: overtaking allowed; topic: none within a topic; link: none among all topics "
+        "under the same settings",
+    )
+    rate: Rate = Field(default=Rate(), description="rate limit")
+    delivery_trace: DeliveryTrace = Field(default=DeliveryTrace(), description="recorded throughput")
+    queue: Queue = Field(default=Queue(), description="queue before the rate limit or delivery trace")
+    slots: Slots = Field(default=Slots(), description="release in bursts")
+    outage: Outage = Field(default=Outage(), description="times without connection")
+    apply_probability: Probability = Field(
+        default=1.0, description="share of the messages that these settings apply to; the others pass untouched"
+    )
+
+    def problems(self) -> Iterator[str]:
+        """Yield what contradicts itself between keys, each text beginning with the key."""
+        yield from self._shape_problems()
+        yield from self._chain_problems()
+        yield from _outage_problems(self.outage)
+
+    def _shape_problems(self) -> Iterator[str]:
+        if self.jitter.distribution == "table" and self.jitter.table_file is None:
+            yield "jitter.table_file: distribution 'table' needs a file of samples"
+        if self.order != "any" and self.reordering.probability > 0.0:
+            yield f"order: {self.order!r} forbids overtaking, but reordering.probability asks for it; set one of them"
+        if self.rate.rate_bytes_per_s is not None and self.delivery_trace.file is not None:
+            yield "rate.rate_bytes_per_s: delivery_trace.file limits the throughput as well; set one of them"
+        shortest, longest = self.slots.min_interval_s, self.slots.max_interval_s
+        if longest is not None and (shortest is None or longest < shortest):
+            yield f"slots.max_interval_s: {longest} s needs a slots.min_interval_s that is not longer, got {shortest}"
+
+    def _chain_problems(self) -> Iterator[str]:
+        m, g = self.markov_loss, self.gilbert_elliott
+        if m.p13 + m.p14 > 1.0:
+            yield f"markov_loss.p13: p13 + p14 is {m.p13 + m.p14}, more than 1"
+        if m.p31 + m.p32 > 1.0:
+            # The default leaves a burst at once, so a chain that uses p32 has to say p31 too.
+            yield f"markov_loss.p31: p31 + p32 is {m.p31 + m.p32}, more than 1 (p31 is 1 unless set)"
+        if m.p13 > 0.0 and m.p31 + m.p32 == 0.0:
+            yield "markov_loss.p31: p31 + p32 is 0, a burst would never end; use loss.probability = 1 for that"
+        if g.p > 0.0 and g.r == 0.0:
+            yield "gilbert_elliott.r: 0 never leaves the bad state; use loss.probability for a lasting loss"
+
+
+def _outage_problems(outage: Outage) -> Iterator[str]:
+    end_s = 0.0
+    for start_s, duration_s in outage.schedule:
+        if start_s < end_s:
+            yield f"outage.schedule: the outage at {start_s} s begins before the one in front of it ends at {end_s} s"
+        end_s = start_s + duration_s
+    # A schedule that fills its period would never let anything through.
+    if outage.period_s is not None and outage.period_s <= end_s:
+        yield f"outage.period_s: {outage.period_s} s must be longer than the schedule, which ends at {end_s} s"
+    if (outage.mean_up_s is None) != (outage.mean_down_s is None):
+        yield "outage.mean_up_s: random outages need both mean_up_s and mean_down_s"
+
+
+class DirectionSettings(Impairment):
+    """Impairment of one direction, with overrides by topic."""
+
+    topics: dict[str, Impairment] = Field(
+        default={},
+        description="topic or pattern (* and ?) -> the keys that differ for it; an exact name wins, then "
+        "the first pattern that fits",
+    )
+    reliable: Annotated[tuple[str, ...], BeforeValidator(_names)] = Field(
+        default=("session/*",),
+        description="topics carried as by a retransmitting connection: delayed and queued, but "
+        "never lost, duplicated, corrupted or overtaken, and held instead of dropped in an outage",
+    )
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "DirectionSettings":
+        for pattern in ("", *self.topics):
+            if pattern.count(".") or pattern != pattern.strip():
+                raise ValueError(f"topics: {pattern!r} is no topic pattern: no dots, no spaces around it")
+            if pattern and not self.topics[pattern].model_dump(exclude_unset=True):
+                raise ValueError(
+                    f"topics.{pattern}: changes nothing; name a key that differs, or repeat one, as delay_s"
+                )
+            for problem in self.block(pattern).problems():
+                raise ValueError(f"topics.{pattern}.{problem}" if pattern else problem)
+        return self
+
+    def pattern_of(self, topic: str) -> str:
+        """Return the key in `topics` that rules this topic, or the empty string for the direction's own settings."""
+        if topic in self.topics:
+            return topic
+        return next((pattern for pattern in self.topics if fnmatchcase(topic, pattern)), "")
+
+    def is_reliable(self, topic: str) -> bool:
+        """Tell whether the topic is carried reliably."""
+        return any(fnmatchcase(topic, pattern) for pattern in self.reliable)
+
+    def block(self, pattern: str) -> Impairment:
+        """Return the complete settings of one key in `topics` (empty: of the direction)."""
+        own = self.model_dump(exclude={"topics", "reliable"}, exclude_unset=True)
+        if pattern:
+            own = _merged(own, self.topics[pattern].model_dump(exclude_unset=True))
+        return Impairment.model_validate(own)
+
+
+class LinkSettings(Frozen):
+    """Settings of the whole link. `forward` runs from the master site to the slave site, `backward` the other way."""
+
+    profile: str = Field(default="clean", description="named settings that the keys below change")
+    seed: int = Field(default=0, ge=0, description="seed of all random streams; another seed restarts them")
+    forward: DirectionSettings = Field(default=DirectionSettings(), description="master to slave")
+    backward: DirectionSettings = Field(default=DirectionSettings(), description="slave to master")
+
+    @field_validator("profile")
+    @classmethod
+    def _known(cls, name: str) -> str:
+        if name not in PROFILES:
+            raise ValueError(f"unknown profile {name!r}; known are {known_profiles()}")
+        return name
+
+    @model_validator(mode="before")
+    @classmethod
+    def _on_profile(cls, data: object) -> object:
+        """Lay the given keys over those of the profile; giving them again changes nothing."""
+        if not isinstance(data, Mapping) or not isinstance(name := data.get("profile"), str):
+            return data
+        known = PROFILES.get(name.lower())
+        return data if known is None else _merged(known.settings, {**data, "profile": name.lower()})
+
+
+def _merged(base: Mapping[str, Any], change: Mapping[str, Any]) -> dict[str, Any]:
+    result = dict(base)
+    for key, value in change.items():
+        plain = value.model_dump(exclude_unset=True) if isinstance(value, BaseModel) else value
+        below = result.get(key)
+        result[key] = _merged(below, plain) if isinstance(below, Mapping) and isinstance(plain, Mapping) else plain
+    return result
+
+
+def parse_settings(tree: Mapping[str, Any]) -> LinkSettings:
+    """Validate a nested mapping, such as the `link` part of a site file.
+
+    Raises: SettingsError with one line for each wrong key: dotted key, what is wrong, the value given.
+    """
+    try:
+        return LinkSettings.model_validate(tree)
+    except ValidationError as error:
+        raise SettingsError("\n".join(_explained(error))) from error
+
+
+def _explained(error: ValidationError) -> Iterator[str]:
+    for item in error.errors():
+        key = ".".join(str(part) for part in item["loc"]) or "link settings"
+        message = item["msg"].removeprefix("Value error, ")
+        if item["type"] == "extra_forbidden":
+            message = f"unknown key; known are {_known_keys(item['loc'])}"
+        elif item["type"] == "value_error":
+            # The text of our own checks begins with the key below the one pydantic names.
+            yield f"{key}.{message}" if key in ("forward", "backward") else f"{key}: {message}"
+            continue
+        yield f"{key}: {message}, got {item['input']!r}"
+
+
+def _known_keys(location: tuple[int | str, ...]) -> str:
+    model: type[BaseModel] = LinkSettings
+    inside_topics = False
+    for part in location[:-1]:
+        if inside_topics:
+            model, inside_topics = Impairment, False
+        elif part == "topics":
+            inside_topics = True
+        else:
+            inner = model.model_fields[str(part)].annotation
+            model = inner if isinstance(inner, type) and issubclass(inner, BaseModel) else model
+    return ", ".join(model.model_fields)
+
+
+def changed(settings: LinkSettings, flat: Mapping[str, Setting]) -> LinkSettings:
+    """Return the settings with dotted keys changed, as a run-time request carries them.
+
+    `profile` drops everything but the seed and starts from the named profile; the other keys of the same request are
+    laid over it. The text `none` stands for a missing value. `forward.topics.afm/state.delay_s` addresses a topic.
+
+    Raises: SettingsError naming the key; the settings given stay as they were.
+    """
+    tree: dict[str, Any] = {"seed": settings.seed} if "profile" in flat else settings.model_dump(exclude_unset=True)
+    for key, value in flat.items():
+        nested: Any = None if value == "none" else value
+        for part in reversed(key.split(".")):
+            nested = {part: nested}
+        tree = _merged(tree, nested)
+    return parse_settings(tree)
+
+
+def flattened(settings: LinkSettings, *, only_set: bool = False) -> dict[str, Setting]:
+    """Return the settings as dotted keys, in the form that `changed` takes; `only_set` leaves defaults out."""
+    tree = settings.model_dump(exclude_unset=only_set)
+    for name in ("forward", "backward"):
+        direction: DirectionSettings = getattr(settings, name)
+        # An override names only what differs: its defaults are the direction's values, not the model's.
+        overrides = {pattern: block.model_dump(exclude_unset=True) for pattern, block in direction.topics.items()}
+        if name in tree and overrides:
+            tree[name]["topics"] = overrides
+    return dict(_leaves("", tree))
+
+
+def _leaves(prefix: str, tree: Mapping[str, Any]) -> Iterator[tuple[str, Setting]]:
+    for key, value in tree.items():
+        name = f"{prefix}{key}"
+        if isinstance(value, Mapping):
+            yield from _leaves(f"{name}.", value)
+        elif isinstance(value, tuple):
+            yield name, ",".join(item if isinstance(item, str) else f"{item[0]}:{item[1]}" for item in value)
+        else:
+            yield name, "none" if value is None else value

@@ -1,0 +1,72 @@
+"""Random numbers of the link: one stream for each direction, topic and model, all from one seed.
+
+Only `random.Random.random` is used, the one method whose sequence Python guarantees for a seed. Every enabled model
+draws for every message, even for one that another model has already dropped, so that switching one model on or
+off never shifts the draws of another.
+"""
+
+import hashlib
+import math
+import random
+from collections.abc import Callable
+
+Draw = Callable[[], float]
+
+# A uniform number stays off 0 and 1, where the quantiles of unbounded distributions are infinite.
+SMALLEST = 2.0**-54
+LARGEST = 1.0 - 2.0**-53
+
+
+def stream(seed: int, *names: str) -> Draw:
+    """Return the uniform [0, 1) stream that belongs to the names; other names give an independent one."""
+    digest = hashlib.sha256("\n".join((str(seed), *names)).encode()).digest()
+    return random.Random(int.from_bytes(digest)).random
+
+
+class Occurrence:
+    """Events of probability p whose indicators have the lag-one correlation rho.
+
+    The two-state Markov chain with P(event | event) = p + rho (1 - p) and P(event | none) = p (1 - rho): its rate is
+    p for any rho, its lag-k correlation rho^k and its mean run 1 / ((1 - p)(1 - rho)).
+    """
+
+    __slots__ = ("_after_event", "_after_none", "_draw", "_threshold")
+
+    def __init__(self, probability: float, correlation: float, draw: Draw) -> None:
+        self._draw = draw
+        self._after_event = probability + correlation * (1.0 - probability)
+        self._after_none = probability * (1.0 - correlation)
+        self._threshold = probability
+
+    def __call__(self) -> bool:
+        """Tell whether the event happens to the next message."""
+        happens = self._draw() < self._threshold
+        self._threshold = self._after_event if happens else self._after_none
+        return happens
+
+
+class CorrelatedUniform:
+    """Uniform numbers in (0, 1) whose normal scores are a first-order autoregression with coefficient rho.
+
+    z_k = rho z_(k-1) + sqrt(1 - rho^2) n_k, u_k = Phi(z_k): the distribution is the same for any rho, which blending
+    successive uniform numbers would not give.
+    """
+
+    __slots__ = ("_draw", "_fresh", "_inverse", "_rho", "_score")
+
+    def __init__(self, correlation: float, draw: Draw, normal_score: Callable[[float], float]) -> None:
+        self._draw = draw
+        self._rho = correlation
+        self._fresh = math.sqrt(1.0 - correlation * correlation)
+        self._inverse = normal_score
+        self._score: float | None = None
+
+    def __call__(self) -> float:
+        """Return the next number."""
+        u = self._draw() or SMALLEST
+        if self._rho == 0.0:
+            return u
+        fresh = self._inverse(u)
+        # The first score has no predecessor: it comes from the stationary distribution itself.
+        self._score = fresh if self._score is None else self._rho * self._score + self._fresh * fresh
+        return min(max(0.5 * math.erfc(-self._score / math.sqrt(2.0)), SMALLEST), LARGEST)

@@ -1,0 +1,355 @@
+"""The impairment engine of the link: messages with arrival times in, messages with release times out.
+
+No clock, no socket. All times are integer nanoseconds of one clock that the caller reads. What happens to a message
+is decided by the settings, the seed and the sequence of (arrival time, topic, size) alone, not by when the caller asks
+for what is due. The order of the stages: outage, loss, corruption, duplication, queue and rate, delay, order, slots.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from heapq import heappop, heappush
+from pathlib import Path as FilePath
+
+from services.delay_node.assembly import Assembly, Files, Message, Path, read_files
+from services.delay_node.config import DirectionSettings, LinkSettings
+from services.delay_node.fate import Direction, DirectionStats, Fate, Figures, Release
+from services.delay_node.pipe import ServedQueue, Waiting
+
+
+class DirectionEngine:
+    """One direction of the link.
+
+    Times given to it should not decrease from call to call: a message stamped earlier than the one before it counts as
+    arriving together with that one.
+    """
+
+    def __init__(
+        self,
+        direction: Direction,
+        settings: LinkSettings,
+        start_ns: int,
+        *,
+        folder: FilePath = FilePath(),
+        keep_fates: bool = True,
+    ) -> None:
+        """Start with the settings; files they name are sought in `folder`, start_ns is the origin of their times.
+
+        With `keep_fates` somebody has to call `take_fates` now and then.
+
+        Raises: SettingsError naming file and line, for a file that cannot be used.
+        """
+        self._direction: Direction = direction
+        self._folder = folder
+        self._fates: list[Fate] | None = [] if keep_fates else None
+        self._heap: list[tuple[int, int, Release]] = []
+        self._now_ns = start_ns
+        self._arrivals = 0
+        self._pushed = 0
+        self._figures = Figures()
+        self._assembly = Assembly(direction, settings, self.files_of(settings), start_ns)
+        self._paths: dict[str, Path] = {}
+        self._queues = self._all_queues()
+
+    def submit(self, now_ns: int, topic: str, payload: bytes, seq: int) -> Sequence[Release]:
+        """Take in a message that arrived at now_ns [ns] and return all that is due now, in order."""
+        if now_ns < self._now_ns:
+            now_ns = self._now_ns
+        self._now_ns = now_ns
+        path = self._paths.get(topic) or self._open(topic)
+        self._figures.messages_in += 1
+        self._figures.bytes_in += len(payload)
+        self._arrivals += 1
+        if self._queues:
+            self._advance(now_ns)
+        if path.constant_ns is None:
+            self._impair(path, now_ns, payload, seq)
+        elif (release := self._delay(path, now_ns, payload, seq)) is not None:
+            return (release,)
+        heap = self._heap
+        return self.due(now_ns) if heap and heap[0][0] <= now_ns else ()
+
+    def due(self, now_ns: int) -> list[Release]:
+        """Return the messages whose release time has come, in the order of release."""
+        if self._queues:
+            self._advance(now_ns)
+        heap = self._heap
+        released: list[Release] = []
+        while heap and heap[0][0] <= now_ns:
+            release = heappop(heap)[2]
+            self._figures.count_release(release.fate.delay_ns, release.fate.size_bytes)
+            released.append(release)
+        return released
+
+    def next_release_ns(self) -> int | None:
+        """Return when to call `due` next, or None if nothing is in flight. Nothing can be due earlier."""
+        times_ns = [queue.leave_ns for queue in self._queues if queue.leave_ns is not None]
+        if self._heap:
+            times_ns.append(self._heap[0][0])
+        return min(times_ns) if times_ns else None
+
+    def take_fates(self) -> list[Fate]:
+        """Return the fates decided since the last call, in the order of decision, and forget them."""
+        if self._fates is None:
+            return []
+        taken, self._fates = self._fates, []
+        return taken
+
+    def stats(self) -> DirectionStats:
+        """Return the live figures; the delays begin anew with each call."""
+        return self._figures.taken(sum(len(queue) for queue in self._queues), len(self._heap))
+
+    def files_of(self, settings: LinkSettings) -> dict[str, Files]:
+        """Read the files that the settings name: the first half of a change, the one that may fail.
+
+        Raises: SettingsError naming file and line.
+        """
+        direction: DirectionSettings = getattr(settings, self._direction)
+        return read_files(direction, self._folder, self._direction)
+
+    def adopt(self, settings: LinkSettings, files: dict[str, Files], now_ns: int) -> None:
+        """Put settings into force for the messages that arrive from now on; the second half, which cannot fail.
+
+        Messages in flight keep their fate. A model whose own settings stay the same goes on as if nothing had
+        happened; one that is new or changed begins its course (outage schedule, trace, slots) now.
+        """
+        now_ns = self._now_ns = max(self._now_ns, now_ns)
+        self._advance(now_ns)
+        old = self._assembly.blocks
+        self._assembly.adopt(settings, files, now_ns)
+        self._paths = {}
+        self._queues = self._all_queues()
+        for pattern, block in old.items():
+            if block.queue is not None and all(block.queue is not queue for queue in self._queues):
+                self._empty(block.queue, now_ns)
+                follower = self._assembly.blocks[pattern].queue if pattern in self._assembly.blocks else None
+                if follower is not None:
+                    follower.wait_until(block.queue.free_ns)
+
+    def _empty(self, queue: ServedQueue[Message], now_ns: int) -> None:
+        """Decide the fate of all that waits in a queue which new settings have replaced."""
+        while queue.leave_ns is not None:
+            message, sent_ns = queue.pop()
+            self._schedule(message, sent_ns, now_ns)
+
+    def _all_queues(self) -> list[ServedQueue[Message]]:
+        return [block.queue for block in self._assembly.blocks.values() if block.queue is not None]
+
+    def _open(self, topic: str) -> Path:
+        path = self._paths[topic] = self._assembly.path(topic)
+        return path
+
+    def _delay(self, path: Path, now_ns: int, payload: bytes, seq: int) -> Release | None:
+        """Pass a message through a constant delay; return it if that is zero and nothing is due before it.
+
+        The path of a plain bridge, kept short: it has to carry 6000 messages a second.
+        """
+        delay_ns = path.constant_ns or 0
+        release_ns = now_ns + delay_ns
+        progress = path.progress
+        # The delay may have become shorter with messages in flight.
+        reordered = release_ns < progress.latest_ns
+        if reordered:
+            self._figures.reordered += 1
+        else:
+            progress.latest_ns = release_ns
+            progress.order = self._arrivals
+        size_bytes = len(payload)
+        fate = Fate(
+            self._direction, path.topic, seq, 0, size_bytes, now_ns, release_ns, delay_ns, 0, 0, "", False, reordered,
+            False,
+        )  # fmt: skip
+        if self._fates is not None:
+            self._fates.append(fate)
+        release = Release(path.topic, payload, fate)
+        heap = self._heap
+        if delay_ns == 0 and not (heap and heap[0][0] <= now_ns):
+            self._figures.count_release(0, size_bytes)
+            return release
+        self._pushed += 1
+        heappush(heap, (release_ns, self._pushed, release))
+        return None
+
+    def _impair(self, path: Path, now_ns: int, payload: bytes, seq: int) -> None:
+        # All draws come first: whether one model draws may not depend on what another has decided.
+        applies = path.applies is None or path.applies()
+        lost_by = path.lost_by()
+        corrupted = path.corruptor is not None and path.corruptor.happens() and len(payload) > 0
+        duplicated = path.duplicates is not None and path.duplicates()
+        overtakes = path.overtakes is not None and path.overtakes()
+        fixed_ns = path.course_ns(now_ns)
+        delay_ns = _random_delay_ns(fixed_ns, path.jitter)
+        copy_ns = _random_delay_ns(fixed_ns, path.copy_jitter)
+
+        block = path.block
+        message = Message(path, self._arrivals, seq, 0, payload, now_ns, now_ns, 0, False, False, False)
+        if not applies:
+            self._enter(message, bypass=True)
+            return
+        end_ns = None if block.outages is None else block.outages.end_ns(now_ns)
+        if end_ns is not None and block.settings.outage.mode == "drop" and not path.reliable:
+            lost_by = "outage"
+        if lost_by:
+            self._drop(message, lost_by)
+            return
+        if corrupted and path.corruptor is not None:
+            payload = path.corruptor.damaged(payload)
+        message = message._replace(
+            payload=payload,
+            ready_ns=now_ns if end_ns is None else end_ns,
+            delay_ns=0 if overtakes else delay_ns,
+            gated=True,
+            duplicated=duplicated,
+            corrupted=corrupted,
+        )
+        self._figures.corrupted += corrupted
+        self._figures.duplicated += duplicated
+        self._enter(message, bypass=overtakes)
+        if duplicated:
+            self._enter(message._replace(copy=1, delay_ns=copy_ns, duplicated=False), bypass=False)
+
+    def _enter(self, message: Message, *, bypass: bool) -> None:
+        """Hand a message to the queue, or past it."""
+        path = message.path
+        queue = path.block.queue
+        # Where order is asked for nobody leaves the line, not even a message that passes untouched.
+        if queue is None or (bypass and not path.ordered):
+            past_queue = queue is not None and queue.holds_before(path.topic, message.order)
+            self._schedule(message, message.ready_ns, message.arrived_ns, past_queue=past_queue)
+            return
+        entry = Waiting(message.ready_ns, len(message.payload), path.topic, path.reliable, message.order, message)
+        for dropped in queue.push(entry):
+            self._drop(dropped, "queue")
+        self._advance(message.arrived_ns)
+
+    def _advance(self, now_ns: int) -> None:
+        """Decide the fate of every message that has left its queue by now, in the order of leaving."""
+        while True:
+            # The earliest first, whatever queue it waits in: the record must not depend on how often this is called.
+            foremost, reached_ns = None, now_ns
+            for queue in self._queues:
+                leave_ns = queue.leave_ns
+                if leave_ns is not None and (leave_ns < reached_ns or (leave_ns == reached_ns and foremost is None)):
+                    foremost, reached_ns = queue, leave_ns
+            if foremost is None:
+                return
+            message, sent_ns = foremost.pop()
+            self._schedule(message, sent_ns, reached_ns)
+
+    def _schedule(self, message: Message, sent_ns: int, reached_ns: int, *, past_queue: bool = False) -> None:
+        """Fix the release of a message sent at sent_ns; none that comes later can be sent before reached_ns.
+
+        `past_queue` says that it has left messages of its topic behind in the queue.
+        """
+        path = message.path
+        release_ns = sent_ns + message.delay_ns
+        for before in path.ordered:
+            release_ns = max(release_ns, before.latest_ns)
+        if path.block.gate is not None and message.gated:
+            release_ns = path.block.gate.slot_ns(reached_ns, release_ns, len(message.payload))
+        reordered = past_queue or (release_ns < path.progress.latest_ns and path.progress.order < message.order)
+        self._figures.reordered += reordered
+        if release_ns > path.progress.latest_ns:
+            path.progress.latest_ns, path.progress.order = release_ns, message.order
+        for before in path.ordered:
+            before.latest_ns = release_ns
+        fate = _fate(self._direction, message)._replace(
+            release_ns=release_ns,
+            delay_ns=release_ns - message.arrived_ns,
+            queue_ns=sent_ns - message.ready_ns,
+            held_ns=message.ready_ns - message.arrived_ns,
+            reordered=reordered,
+        )
+        if self._fates is not None:
+            self._fates.append(fate)
+        self._pushed += 1
+        heappush(self._heap, (release_ns, self._pushed, Release(path.topic, message.payload, fate)))
+
+    def _drop(self, message: Message, cause: str) -> None:
+        self._figures.dropped[cause] += 1
+        if self._fates is not None:
+            self._fates.append(_fate(self._direction, message)._replace(dropped=cause))
+
+
+class LinkEngine:
+    """Both directions of the link under one set of settings."""
+
+    def __init__(
+        self, settings: LinkSettings, start_ns: int, *, folder: FilePath = FilePath(), keep_fates: bool = True
+    ) -> None:
+        """Start with the settings at start_ns [ns], the origin of outage schedules, traces and slots.
+
+        Raises: SettingsError naming file and line, for a file that cannot be used.
+        """
+        self.settings = settings
+        self.forward = DirectionEngine("forward", settings, start_ns, folder=folder, keep_fates=keep_fates)
+        self.backward = DirectionEngine("backward", settings, start_ns, folder=folder, keep_fates=keep_fates)
+
+    def reconfigure(self, settings: LinkSettings, now_ns: int) -> None:
+        """Put new settings into force for the messages that arrive from now on; those in flight keep their fate.
+
+        Raises: SettingsError naming file and line, for a file that cannot be used; the old settings stay.
+        """
+        files = [(engine, engine.files_of(settings)) for engine in (self.forward, self.backward)]
+        for engine, read in files:
+            engine.adopt(settings, read, now_ns)
+        self.settings = settings
+
+    def next_release_ns(self) -> int | None:
+        """Return when to call `due` of a direction next, or None if nothing is in flight."""
+        times_ns = (self.forward.next_release_ns(), self.backward.next_release_ns())
+        return min((time_ns for time_ns in times_ns if time_ns is not None), default=None)
+
+    def take_fates(self) -> list[Fate]:
+        """Return and forget the fates decided since the last call, forward first."""
+        return self.forward.take_fates() + self.backward.take_fates()
+
+
+def fates_of(
+    settings: LinkSettings,
+    direction: Direction,
+    topic: str,
+    arrivals_ns: Iterable[int],
+    size_bytes: int,
+    *,
+    folder: FilePath = FilePath(),
+) -> list[Fate]:
+    """Return the fate of each message of a stream (and of each copy), sorted by seq, without running anything.
+
+    For simulations that need the delays of the link beforehand: seq counts from 0, the origin of traces and
+    schedules is the first arrival, arrivals_ns must not decrease.
+
+    Raises: SettingsError for a file that cannot be used.
+    """
+    arrivals = list(arrivals_ns)
+    if not arrivals:
+        return []
+    engine = DirectionEngine(direction, settings, arrivals[0], folder=folder)
+    for seq, arrived_ns in enumerate(arrivals):
+        engine.submit(arrived_ns, topic, bytes(size_bytes), seq)
+    while (next_ns := engine.next_release_ns()) is not None:
+        engine.due(next_ns)
+    return sorted(engine.take_fates(), key=lambda fate: (fate.seq, fate.copy))
+
+
+def _random_delay_ns(fixed_ns: int, jitter: Callable[[], float] | None) -> int:
+    # No network delivers before it has received: what a wide jitter takes below zero stays at zero.
+    return fixed_ns if jitter is None else max(0, round(fixed_ns + jitter()))
+
+
+def _fate(direction: Direction, message: Message) -> Fate:
+    """Return what is known of a message before its release is decided."""
+    return Fate(
+        direction=direction,
+        topic=message.path.topic,
+        seq=message.seq,
+        copy=message.copy,
+        size_bytes=len(message.payload),
+        arrived_ns=message.arrived_ns,
+        release_ns=None,
+        delay_ns=0,
+        queue_ns=0,
+        held_ns=0,
+        dropped="",
+        duplicated=message.duplicated,
+        reordered=False,
+        corrupted=message.corrupted,
+    )

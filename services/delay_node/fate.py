@@ -1,0 +1,101 @@
+"""What the engine tells about messages: ground truth of each, live figures of all."""
+
+from typing import Literal, NamedTuple
+
+Direction = Literal["forward", "backward"]
+
+CAUSES = ("outage", "loss", "markov_loss", "gilbert_elliott", "queue")
+
+
+class Fate(NamedTuple):
+    """Ground truth of one message, or of one copy of it."""
+
+    direction: Direction
+    topic: str
+    seq: int
+    copy: int  # 0 the message itself, 1 its duplicate
+    size_bytes: int
+    arrived_ns: int
+    release_ns: int | None  # None: dropped
+    delay_ns: int  # release - arrival, everything included; 0 if dropped
+    queue_ns: int  # part of it waiting for, and being sent by, the rate limit or delivery trace
+    held_ns: int  # part of it waiting for the end of an outage
+    dropped: str  # one of CAUSES, empty if released
+    duplicated: bool  # a copy was made of this message
+    reordered: bool  # released before a message of its topic that had arrived earlier
+    corrupted: bool  # bits were flipped
+
+
+class Release(NamedTuple):
+    """A message to send on now."""
+
+    topic: str
+    payload: bytes
+    fate: Fate
+
+
+class DirectionStats(NamedTuple):
+    """Live figures of one direction: counts since the start, delays since the figures were last taken."""
+
+    messages_in: int
+    messages_out: int
+    bytes_in: int
+    bytes_out: int
+    dropped: dict[str, int]  # every cause of CAUSES
+    duplicated: int
+    reordered: int
+    corrupted: int
+    queued: int  # waiting for the rate limit or delivery trace
+    in_flight: int  # not released yet, those queued included
+    delay_count: int  # messages released since the last call
+    delay_mean_s: float | None  # None: nothing was released
+    delay_min_s: float | None
+    delay_max_s: float | None
+
+
+class Figures:
+    """The counters behind the live figures."""
+
+    __slots__ = (
+        "_count", "_longest_ns", "_shortest_ns", "_sum_ns", "bytes_in", "bytes_out", "corrupted", "dropped",
+        "duplicated", "messages_in", "messages_out", "reordered",
+    )  # fmt: skip
+
+    def __init__(self) -> None:
+        self.messages_in = self.messages_out = self.bytes_in = self.bytes_out = 0
+        self.duplicated = self.reordered = self.corrupted = 0
+        self.dropped = dict.fromkeys(CAUSES, 0)
+        self._count = self._sum_ns = self._shortest_ns = self._longest_ns = 0
+
+    def count_release(self, delay_ns: int, size_bytes: int) -> None:
+        """Count a message that has just been released."""
+        self.messages_out += 1
+        self.bytes_out += size_bytes
+        if self._count == 0 or delay_ns < self._shortest_ns:
+            self._shortest_ns = delay_ns
+        if delay_ns > self._longest_ns:
+            self._longest_ns = delay_ns
+        self._count += 1
+        self._sum_ns += delay_ns
+
+    def taken(self, queued: int, scheduled: int) -> DirectionStats:
+        """Return the figures and begin the delays anew."""
+        count = self._count
+        stats = DirectionStats(
+            messages_in=self.messages_in,
+            messages_out=self.messages_out,
+            bytes_in=self.bytes_in,
+            bytes_out=self.bytes_out,
+            dropped=dict(self.dropped),
+            duplicated=self.duplicated,
+            reordered=self.reordered,
+            corrupted=self.corrupted,
+            queued=queued,
+            in_flight=queued + scheduled,
+            delay_count=count,
+            delay_mean_s=self._sum_ns / count * 1e-9 if count else None,
+            delay_min_s=self._shortest_ns * 1e-9 if count else None,
+            delay_max_s=self._longest_ns * 1e-9 if count else None,
+        )
+        self._count = self._sum_ns = self._shortest_ns = self._longest_ns = 0
+        return stats

@@ -1,0 +1,83 @@
+"""The random part of the delay as standardised quantile functions of uniform numbers."""
+
+import math
+from collections.abc import Callable, Sequence
+from statistics import NormalDist
+
+from services.delay_node.config import Jitter
+from services.delay_node.draws import CorrelatedUniform, Draw
+
+# Weights of the normal and the Pareto part, the proportion that is customary for this mixture.
+NORMAL_WEIGHT = 0.25
+PARETO_WEIGHT = 0.75
+
+normal_quantile = NormalDist().inv_cdf
+
+
+def uniform_quantile(u: float) -> float:
+    """Quantile of the uniform distribution on [-1, 1]."""
+    return 2.0 * u - 1.0
+
+
+def pareto_quantile(shape: float) -> Callable[[float], float]:
+    """Quantile of the Pareto distribution of shape a > 2, shifted and scaled to mean 0 and standard deviation 1.
+
+    X = (1 - u)^(-1/a) has the mean a/(a - 1) and the variance a/((a - 1)^2 (a - 2)).
+    """
+    mean = shape / (shape - 1.0)
+    deviation = math.sqrt(shape / (shape - 2.0)) / (shape - 1.0)
+    exponent = -1.0 / shape
+
+    def quantile(u: float) -> float:
+        return float(((1.0 - u) ** exponent - mean) / deviation)
+
+    return quantile
+
+
+def table_quantile(samples: Sequence[float]) -> Callable[[float], float]:
+    """Quantile of measured samples: linear between the sorted values, first at u = 0, last at u = 1."""
+    ordered = sorted(samples)
+    last = len(ordered) - 1
+
+    def quantile(u: float) -> float:
+        position = u * last
+        below = int(position)
+        above = ordered[min(below + 1, last)]
+        return ordered[below] + (position - below) * (above - ordered[below])
+
+    return quantile
+
+
+class JitterSource:
+    """Random delays [ns, may be negative], one for each message."""
+
+    __slots__ = ("_draws", "_scale_ns")
+
+    def __init__(self, settings: Jitter, samples: Sequence[float], streams: Callable[[str], Draw]) -> None:
+        self._scale_ns = settings.scale_s * 1e9
+        self._draws = [
+            (weight, quantile, CorrelatedUniform(settings.correlation, streams(name), normal_quantile))
+            for weight, name, quantile in _parts(settings, samples)
+        ]
+
+    def __call__(self) -> float:
+        """Return the next random part [ns]."""
+        return self._scale_ns * sum(weight * quantile(uniform()) for weight, quantile, uniform in self._draws)
+
+
+def _parts(settings: Jitter, samples: Sequence[float]) -> list[tuple[float, str, Callable[[float], float]]]:
+    match settings.distribution:
+        case "uniform":
+            return [(1.0, "jitter", uniform_quantile)]
+        case "normal":
+            return [(1.0, "jitter", normal_quantile)]
+        case "pareto":
+            return [(1.0, "jitter", pareto_quantile(settings.pareto_shape))]
+        case "table":
+            return [(1.0, "jitter", table_quantile(samples))]
+        case "pareto_normal":
+            norm = math.hypot(NORMAL_WEIGHT, PARETO_WEIGHT)
+            return [
+                (NORMAL_WEIGHT / norm, "jitter/normal", normal_quantile),
+                (PARETO_WEIGHT / norm, "jitter/pareto", pareto_quantile(settings.pareto_shape)),
+            ]

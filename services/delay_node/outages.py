@@ -1,0 +1,57 @@
+"""Times without connection: on a schedule, at random, or both."""
+
+import math
+from bisect import bisect_right
+from collections import deque
+
+from services.delay_node.config import Outage
+from services.delay_node.draws import SMALLEST, Draw
+
+
+class Outages:
+    """Tells when the connection is down; `origin_ns` is the moment the settings came into force.
+
+    Random outages alternate exponential times up and down, starting up. They are drawn in the order of time, so
+    the same seed gives the same outages whatever messages pass.
+    """
+
+    __slots__ = ("_down_ns", "_draw", "_origin_ns", "_period_ns", "_random", "_schedule", "_up_ns")
+
+    def __init__(self, settings: Outage, origin_ns: int, draw: Draw) -> None:
+        self._origin_ns = origin_ns
+        self._draw = draw
+        self._schedule = [(round(start * 1e9), round((start + length) * 1e9)) for start, length in settings.schedule]
+        self._period_ns = None if settings.period_s is None else round(settings.period_s * 1e9)
+        self._up_ns = None if settings.mean_up_s is None else settings.mean_up_s * 1e9
+        self._down_ns = 0.0 if settings.mean_down_s is None else settings.mean_down_s * 1e9
+        # Random outages drawn so far that are not over yet; the last one is where the next begins to count.
+        self._random = deque([(origin_ns, origin_ns)])
+
+    def end_ns(self, now_ns: int) -> int | None:
+        """Return when the outage that covers now ends, or None while connected; now_ns must not decrease."""
+        while len(self._random) > 1 and self._random[0][1] <= now_ns:
+            self._random.popleft()
+        # The end of one outage may lie inside another one.
+        at_ns = now_ns
+        while (later_ns := max(self._scheduled_end(at_ns), self._random_end(at_ns))) > at_ns:
+            at_ns = later_ns
+        return at_ns if at_ns > now_ns else None
+
+    def _scheduled_end(self, at_ns: int) -> int:
+        elapsed = at_ns - self._origin_ns
+        if self._period_ns is not None:
+            elapsed %= self._period_ns
+        index = bisect_right(self._schedule, (elapsed, math.inf)) - 1
+        return at_ns + max(0, self._schedule[index][1] - elapsed) if index >= 0 else at_ns
+
+    def _random_end(self, at_ns: int) -> int:
+        if self._up_ns is None:
+            return at_ns
+        while (last_ns := self._random[-1][1]) <= at_ns:
+            start_ns = last_ns + self._exponential(self._up_ns)
+            self._random.append((start_ns, start_ns + self._exponential(self._down_ns)))
+        return next((end_ns for start_ns, end_ns in self._random if start_ns <= at_ns < end_ns), at_ns)
+
+    def _exponential(self, mean_ns: float) -> int:
+        # At least one nanosecond, so that the walk through the intervals always moves on.
+        return max(1, round(-mean_ns * math.log(1.0 - self._draw() or SMALLEST)))

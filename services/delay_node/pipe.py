@@ -1,0 +1,264 @@
+"""What the messages under the same settings share: a server with a finite throughput, its queue, and slots."""
+
+from bisect import bisect_left
+from collections import Counter, deque
+from typing import Generic, NamedTuple, Protocol, TypeVar
+
+from services.delay_node.config import Queue
+from services.delay_node.draws import Draw
+
+Item = TypeVar("Item")
+
+
+class Passage(NamedTuple):
+    """Way of a message through a server."""
+
+    leave_ns: int  # leaves the queue; from here on nothing can drop it
+    finish_ns: int  # last byte sent
+
+
+class Server(Protocol):
+    """Sends one message after the other."""
+
+    def passage(self, ready_ns: int, size_bytes: int) -> Passage:
+        """Return the passage of the next message without sending it."""
+
+    def send(self, ready_ns: int, size_bytes: int) -> int:
+        """Send the next message; return when its last byte is sent."""
+
+    def wait_until(self, free_ns: int) -> None:
+        """Be busy until then at least: what an earlier server still sends comes first."""
+
+
+class RateServer:
+    """Sends at a constant rate: start = max(ready, free), finish = start + size/rate."""
+
+    __slots__ = ("_free_ns", "_ns_per_byte", "_overhead_bytes")
+
+    def __init__(self, rate_bytes_per_s: float, overhead_bytes: int) -> None:
+        self._ns_per_byte = 1e9 / rate_bytes_per_s
+        self._overhead_bytes = overhead_bytes
+        self._free_ns = 0
+
+    def passage(self, ready_ns: int, size_bytes: int) -> Passage:
+        """Return when the message starts and is completely sent."""
+        start_ns = max(ready_ns, self._free_ns)
+        return Passage(start_ns, start_ns + round((size_bytes + self._overhead_bytes) * self._ns_per_byte))
+
+    def send(self, ready_ns: int, size_bytes: int) -> int:
+        """Occupy the line for the message."""
+        self._free_ns = self.passage(ready_ns, size_bytes).finish_ns
+        return self._free_ns
+
+    def wait_until(self, free_ns: int) -> None:
+        """Start nothing before."""
+        self._free_ns = max(self._free_ns, free_ns)
+
+
+class DeliveryServer:
+    """Sends at recorded opportunities of so many bytes each; what an opportunity leaves unused is lost.
+
+    The trace repeats with its last time as period. A message that does not fit into what is left goes on at the next
+    opportunity and is delivered with its last byte. Without a byte limit each opportunity carries one message.
+    """
+
+    __slots__ = ("_bytes", "_index", "_left", "_origin_ns", "_times_ns")
+
+    def __init__(self, times_ns: tuple[int, ...], bytes_per_opportunity: int | None, origin_ns: int) -> None:
+        self._times_ns = times_ns
+        self._bytes = bytes_per_opportunity
+        self._origin_ns = origin_ns
+        self._index, self._left = 0, bytes_per_opportunity or 1
+
+    def passage(self, ready_ns: int, size_bytes: int) -> Passage:
+        """Return the opportunity that delivers the message."""
+        finish_ns = self._time_ns(self._seek(ready_ns, size_bytes)[0])
+        return Passage(finish_ns, finish_ns)
+
+    def send(self, ready_ns: int, size_bytes: int) -> int:
+        """Use up the opportunities for the message."""
+        self._index, self._left = self._seek(ready_ns, size_bytes)
+        return self._time_ns(self._index)
+
+    def wait_until(self, free_ns: int) -> None:
+        """Leave out the opportunities before."""
+        self._index, self._left = self._seek(free_ns, 0)
+
+    def _seek(self, ready_ns: int, size_bytes: int) -> tuple[int, int]:
+        """Return the number of the last opportunity needed and what the message leaves of it."""
+        index, left = self._index, self._left
+        earliest = self._first_from(ready_ns)
+        if earliest > index:
+            index, left = earliest, self._bytes or 1
+        if self._bytes is None:
+            need = min(size_bytes, 1)
+            return (index, left - need) if left >= need else (index + 1, 1 - need)
+        while size_bytes > left:
+            index, size_bytes, left = index + 1, size_bytes - left, self._bytes
+        return index, left - size_bytes
+
+    def _first_from(self, ready_ns: int) -> int:
+        # The last opportunity belongs to the cycle that it ends, so a cycle is (0, period], and the first has 0 too.
+        period_ns, elapsed_ns = self._times_ns[-1], max(0, ready_ns - self._origin_ns)
+        cycle = max(0, elapsed_ns - 1) // period_ns
+        return cycle * len(self._times_ns) + bisect_left(self._times_ns, elapsed_ns - cycle * period_ns)
+
+    def _time_ns(self, index: int) -> int:
+        cycle, place = divmod(index, len(self._times_ns))
+        return self._origin_ns + cycle * self._times_ns[-1] + self._times_ns[place]
+
+
+class Waiting(NamedTuple, Generic[Item]):
+    """A message in the queue."""
+
+    ready_ns: int
+    size_bytes: int
+    topic: str
+    reliable: bool
+    order: int  # of arrival
+    item: Item
+
+
+class ServedQueue(Generic[Item]):
+    """A first-in first-out queue before a server, with limits on what waits and a choice of whom to drop.
+
+    What the server is sending has left the queue. Reliable messages wait beyond the limits and are never dropped.
+    """
+
+    def __init__(self, limits: Queue, server: Server, draw: Draw) -> None:
+        self._limits = limits
+        self._server = server
+        self._draw = draw
+        self._waiting: deque[Waiting[Item]] = deque()
+        self._bytes = 0
+        self.leave_ns: int | None = None  # when the foremost message leaves the queue
+        self.free_ns = 0  # when the last byte of all that has left the queue is sent
+
+    def __len__(self) -> int:
+        return len(self._waiting)
+
+    def holds_before(self, topic: str, order: int) -> bool:
+        """Tell whether a message of the topic waits that arrived before the one of this order."""
+        return any(entry.topic == topic and entry.order < order for entry in self._waiting)
+
+    def wait_until(self, free_ns: int) -> None:
+        """Send nothing before."""
+        self.free_ns = max(self.free_ns, free_ns)
+        self._server.wait_until(free_ns)
+        self._foresee()
+
+    def push(self, entry: Waiting[Item]) -> list[Item]:
+        """Add a message; return the items dropped for it, which may be its own."""
+        dropped: list[Item] = []
+        while not entry.reliable and not self._has_room(entry):
+            victim = self._victim(entry)
+            if victim is None:
+                return [*dropped, entry.item]
+            dropped.append(self._remove(victim))
+        self._waiting.append(entry)
+        self._bytes += entry.size_bytes
+        if len(self._waiting) == 1:
+            self._foresee()
+        return dropped
+
+    def pop(self) -> tuple[Item, int]:
+        """Send the foremost message; return its item and the time its last byte is sent."""
+        entry = self._waiting.popleft()
+        self._bytes -= entry.size_bytes
+        self.free_ns = self._server.send(entry.ready_ns, entry.size_bytes)
+        self._foresee()
+        return entry.item, self.free_ns
+
+    def _foresee(self) -> None:
+        head = self._waiting[0] if self._waiting else None
+        self.leave_ns = None if head is None else self._server.passage(head.ready_ns, head.size_bytes).leave_ns
+
+    def _has_room(self, entry: Waiting[Item]) -> bool:
+        # A message that the idle server takes at once does not wait: a queue of length 0 still has a line behind it.
+        if not self._waiting and self._server.passage(entry.ready_ns, entry.size_bytes).leave_ns <= entry.ready_ns:
+            return True
+        most, most_bytes = self._limits.limit_messages, self._limits.limit_bytes
+        return (most is None or len(self._waiting) < most) and (
+            most_bytes is None or self._bytes + entry.size_bytes <= most_bytes
+        )
+
+    def _victim(self, newcomer: Waiting[Item]) -> int | None:
+        """Return the place of the message to drop, or None for the newcomer."""
+        most_bytes = self._limits.limit_bytes
+        if self._limits.drop == "tail" or (most_bytes is not None and newcomer.size_bytes > most_bytes):
+            return None
+        places = [place for place, entry in enumerate(self._waiting) if not entry.reliable]
+        if self._limits.drop == "same_topic":
+            places = [place for place in places if self._waiting[place].topic == newcomer.topic]
+        if self._limits.drop == "random":
+            # The newcomer is one of those at risk.
+            chosen = int(self._draw() * (len(places) + 1))
+            return places[chosen] if chosen < len(places) else None
+        return places[0] if places else None
+
+    def _remove(self, place: int) -> Item:
+        entry = self._waiting[place]
+        del self._waiting[place]
+        self._bytes -= entry.size_bytes
+        self._foresee()
+        return entry.item
+
+
+class SlotGate:
+    """Slots at random distances, uniform between shortest and longest; each carries so much.
+
+    A message that would be released at t leaves with the first slot from t on that has room. One that is larger than
+    a whole slot takes a slot alone.
+    """
+
+    def __init__(
+        self,
+        interval_ns: tuple[int, int],
+        max_messages: int | None,
+        max_bytes: int | None,
+        origin_ns: int,
+        draw: Draw,
+    ) -> None:
+        self._shortest_ns, longest_ns = interval_ns
+        self._spread_ns = longest_ns - self._shortest_ns
+        self._max_messages = max_messages
+        self._max_bytes = max_bytes
+        self._draw = draw
+        self._times_ns = [origin_ns]
+        self._messages: Counter[int] = Counter()
+        self._bytes: Counter[int] = Counter()
+
+    def slot_ns(self, now_ns: int, release_ns: int, size_bytes: int) -> int:
+        """Book a place in a slot; no later message may ask for a time before now_ns.
+
+        Returns: the time of the slot, >= release_ns.
+        """
+        if len(self._times_ns) > 4096 and self._times_ns[2048] < now_ns:
+            self._forget(now_ns)
+        place = bisect_left(self._times_ns, release_ns)
+        while self._is_full(time_ns := self._slot(place), release_ns, size_bytes):
+            place += 1
+        self._messages[time_ns] += 1
+        self._bytes[time_ns] += size_bytes
+        return time_ns
+
+    def _is_full(self, time_ns: int, release_ns: int, size_bytes: int) -> bool:
+        if time_ns < release_ns:
+            return True
+        messages = self._messages[time_ns]
+        return (self._max_messages is not None and messages >= self._max_messages) or (
+            self._max_bytes is not None and messages > 0 and self._bytes[time_ns] + size_bytes > self._max_bytes
+        )
+
+    def _slot(self, place: int) -> int:
+        while len(self._times_ns) <= place:
+            self._times_ns.append(self._times_ns[-1] + self._shortest_ns + int(self._draw() * self._spread_ns))
+        return self._times_ns[place]
+
+    def _forget(self, now_ns: int) -> None:
+        # The last slot stays, because the next one counts from it.
+        past = min(bisect_left(self._times_ns, now_ns), len(self._times_ns) - 1)
+        for time_ns in self._times_ns[:past]:
+            self._messages.pop(time_ns, None)
+            self._bytes.pop(time_ns, None)
+        del self._times_ns[:past]

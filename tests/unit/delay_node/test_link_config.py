@@ -1,0 +1,246 @@
+import re
+from pathlib import Path
+
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pydantic import BaseModel
+
+from services.delay_node.config import (
+    DirectionSettings,
+    Impairment,
+    LinkSettings,
+    SettingsError,
+    changed,
+    flattened,
+    parse_settings,
+)
+from services.delay_node.profiles import PROFILES
+
+REPOSITORY = Path(__file__).parents[3]
+
+
+@pytest.mark.parametrize(
+    ("flat", "key", "reason"),
+    [
+        ({"forward.delay_s": -0.01}, "forward.delay_s", "greater than or equal to 0, got -0.01"),
+        ({"forward.delay_s": float("nan")}, "forward.delay_s", "finite"),
+        ({"forward.delay_s": "20 ms"}, "forward.delay_s", "valid number"),
+        ({"backward.loss.probability": 1.5}, "backward.loss.probability", "less than or equal to 1, got 1.5"),
+        ({"backward.los": 0.1}, "backward.los", "known are delay_s, jitter"),
+        ({"backward.loss": 0.1}, "backward.loss", "valid dictionary"),
+        ({"forward.topics.afm/state.jitter.sd": 1}, "forward.topics.afm/state.jitter.sd", "known are scale_s"),
+        ({"profile": "mars"}, "profile", "'mars'; known are clean, lan, dsl, lte, satellite, transcontinental"),
+        ({"profile.name": "lan"}, "profile", "valid string"),
+        ({"nothing": 1}, "nothing", "known are profile, seed, forward, backward"),
+        ({"forward.jitter.correlation": 1.0}, "forward.jitter.correlation", "less than 1"),
+        ({"forward.jitter.pareto_shape": 2.0}, "forward.jitter.pareto_shape", "greater than 2"),
+        ({"forward.jitter.distribution": "table"}, "forward.jitter.table_file", "needs a file"),
+        ({"forward.jitter.distribution": "cauchy"}, "forward.jitter.distribution", "'uniform', 'normal'"),
+        ({"forward.order": "link", "forward.reordering.probability": 0.1}, "forward.order", "forbids overtaking"),
+        ({"forward.markov_loss.p13": 0.6, "forward.markov_loss.p14": 0.5}, "forward.markov_loss.p13", "more than 1"),
+        ({"forward.markov_loss.p32": 0.1}, "forward.markov_loss.p31", "more than 1"),
+        ({"forward.markov_loss.p13": 0.1, "forward.markov_loss.p31": 0.0}, "forward.markov_loss.p31", "never end"),
+        ({"forward.gilbert_elliott.p": 0.1, "forward.gilbert_elliott.r": 0}, "forward.gilbert_elliott.r", "never"),
+        ({"forward.rate.rate_bytes_per_s": 0.0}, "forward.rate.rate_bytes_per_s", "greater than 0"),
+        ({"forward.rate.rate_bytes_per_s": 1e6, "forward.delivery_trace.file": "x"}, "forward.rate", "one of them"),
+        ({"forward.slots.max_interval_s": 0.1}, "forward.slots.max_interval_s", "slots.min_interval_s"),
+        ({"forward.outage.schedule": "1:2, 2:1"}, "forward.outage.schedule", "at 2.0 s begins before"),
+        ({"forward.outage.schedule": "soon"}, "forward.outage.schedule", "start_s:duration_s"),
+        ({"forward.outage.schedule": "1:1", "forward.outage.period_s": 2.0}, "forward.outage.period_s", "longer"),
+        ({"forward.outage.mean_up_s": 1.0}, "forward.outage.mean_up_s", "both"),
+        (
+            {"forward.topics.a.order": "topic", "forward.topics.a.reordering.probability": 1},
+            "forward.topics.a",
+            "order",
+        ),
+        ({"forward.topics. a.delay_s": 1}, "forward.topics", "' a' is no topic pattern"),
+        ({"seed": -1}, "seed", "greater than or equal to 0"),
+    ],
+)
+def test_bad_setting_is_refused_naming_the_key_and_what_would_be_right(flat, key, reason):
+    good = parse_settings({"forward": {"delay_s": 0.02}})
+    with pytest.raises(SettingsError) as error:
+        changed(good, flat)
+    assert str(error.value).startswith(key)
+    assert reason in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "flat",
+    [
+        {"forward.delay_s": 0, "forward.loss.probability": 1, "forward.jitter.correlation": 0},
+        {"forward.delay_s": 3600.0, "forward.jitter.pareto_shape": 100.0},
+        {"forward.markov_loss.p13": 0.5, "forward.markov_loss.p14": 0.5},
+        {"forward.markov_loss.p31": 0.0},
+        {"forward.gilbert_elliott.r": 0.0, "forward.gilbert_elliott.loss_in_good": 0.1},
+        {"forward.outage.schedule": "1:1, 2:1", "forward.outage.period_s": 3.001},
+        {"forward.slots.min_interval_s": 0.01, "forward.slots.max_interval_s": 0.01},
+        {"forward.queue.limit_messages": 0, "forward.rate.rate_bytes_per_s": 1e-3},
+    ],
+)
+def test_settings_at_the_edge_of_what_makes_sense_are_accepted(flat):
+    settings_now = flattened(changed(LinkSettings(), flat))
+    assert {key: settings_now[key] for key in flat if key != "forward.outage.schedule"} == {
+        key: value for key, value in flat.items() if key != "forward.outage.schedule"
+    }
+
+
+def test_every_wrong_key_gets_a_line_of_its_own():
+    with pytest.raises(SettingsError) as error:
+        changed(LinkSettings(), {"forward.delay_s": -1.0, "backward.loss.probability": 2.0})
+    assert [line.split(":")[0] for line in str(error.value).splitlines()] == [
+        "forward.delay_s",
+        "backward.loss.probability",
+    ]
+
+
+def test_tree_that_is_no_mapping_is_refused():
+    with pytest.raises(SettingsError, match="link settings: Input should be"):
+        parse_settings(None)
+
+
+def test_change_keeps_the_other_keys():
+    before = parse_settings({"seed": 7, "forward": {"delay_s": 0.02, "loss": {"probability": 0.1, "correlation": 0.5}}})
+    after = changed(before, {"forward.loss.probability": 0.2, "backward.delay_s": 1})
+    assert after.forward.loss.probability == 0.2
+    assert after.forward.loss.correlation == 0.5
+    assert (after.forward.delay_s, after.backward.delay_s, after.seed) == (0.02, 1.0, 7)
+    assert before.forward.loss.probability == 0.1
+
+
+def test_profile_starts_anew_but_keeps_the_seed_and_takes_the_other_keys_of_the_request():
+    before = parse_settings({"seed": 7, "forward": {"corruption": {"probability": 0.1}}})
+    after = changed(before, {"profile": "satellite", "forward.delay_s": 0.4})
+    assert after == parse_settings({"profile": "satellite", "seed": 7, "forward": {"delay_s": 0.4}})
+    assert after.forward.corruption.probability == 0.0
+    assert after.forward.delay_s == 0.4
+    assert after.backward.delay_s == PROFILES["satellite"].settings["backward"]["delay_s"]
+
+
+def test_profile_names_are_known_in_any_case():
+    assert changed(LinkSettings(), {"profile": "LTE"}) == parse_settings({"profile": "lte"})
+
+
+def test_empty_lists_survive_the_flat_form():
+    link = parse_settings({"forward": {"reliable": [], "outage": {"schedule": []}}})
+    assert changed(LinkSettings(), flattened(link)) == link
+    assert link.forward.reliable == ()
+
+
+def test_profile_clean_is_no_impairment_at_all():
+    assert changed(parse_settings({"profile": "lte"}), {"profile": "clean"}) == LinkSettings()
+
+
+@pytest.mark.parametrize("name", PROFILES)
+def test_profile_is_valid_and_stays_under_later_changes(name):
+    once = parse_settings({"profile": name})
+    twice = changed(once, {"forward.apply_probability": 0.5})
+    assert twice.profile == name
+    assert twice.backward == once.backward
+    assert twice.forward.jitter == once.forward.jitter
+
+
+def test_none_takes_a_value_away():
+    limited = changed(LinkSettings(), {"forward.rate.rate_bytes_per_s": 1e6})
+    assert limited.forward.rate.rate_bytes_per_s == 1e6
+    assert changed(limited, {"forward.rate.rate_bytes_per_s": "none"}).forward.rate.rate_bytes_per_s is None
+
+
+def test_topic_override_inherits_what_it_does_not_name_also_later():
+    link = parse_settings({"forward": {"delay_s": 0.1, "topics": {"afm/*": {"loss": {"probability": 0.3}}}}})
+    assert link.forward.block("afm/*").delay_s == 0.1
+    link = changed(link, {"forward.delay_s": 0.2, "forward.loss.correlation": 0.5})
+    assert link.forward.block("afm/*").delay_s == 0.2
+    assert link.forward.block("afm/*").loss.probability == 0.3
+    assert link.forward.block("afm/*").loss.correlation == 0.5
+    assert link.forward.block("").loss.probability == 0.0
+
+
+def test_exact_topic_wins_then_the_first_pattern_that_fits():
+    direction = DirectionSettings(
+        topics={"*": Impairment(delay_s=0.5), "afm/*": Impairment(delay_s=1.0), "afm/state": Impairment(delay_s=2.0)}
+    )
+    assert direction.pattern_of("afm/state") == "afm/state"
+    assert direction.pattern_of("afm/scanline") == "*"
+    assert DirectionSettings().pattern_of("afm/state") == ""
+
+
+def test_topic_override_without_a_key_is_refused():
+    with pytest.raises(SettingsError, match=r"forward\.topics\.afm/state: changes nothing"):
+        parse_settings({"forward": {"topics": {"afm/state": {}}}})
+
+
+def test_lists_come_from_files_and_as_text():
+    tree = {"forward": {"outage": {"schedule": [[1, 0.5], [2.5, 1]]}, "reliable": ["session/*", "afm/scanline"]}}
+    flat = {"forward.outage.schedule": "1:0.5, 2.5:1", "forward.reliable": "session/*, afm/scanline"}
+    assert parse_settings(tree) == changed(LinkSettings(), flat)
+    assert parse_settings(tree).forward.outage.schedule == ((1.0, 0.5), (2.5, 1.0))
+
+
+probability = st.floats(0.0, 1.0)
+impairments = st.fixed_dictionaries(
+    {},
+    optional={
+        "delay_s": st.floats(0.0, 10.0),
+        "jitter": st.fixed_dictionaries({"scale_s": st.floats(0, 1)}, optional={"correlation": st.floats(0, 0.99)}),
+        "loss": st.fixed_dictionaries({"probability": probability}),
+        "gilbert_elliott": st.fixed_dictionaries({"p": probability, "r": st.floats(0.01, 1.0)}),
+        "queue": st.fixed_dictionaries({"limit_messages": st.none() | st.integers(0, 100)}),
+        "outage": st.fixed_dictionaries({"schedule": st.just([[0.5, 0.25], [1.0, 2.0]])}),
+        "order": st.sampled_from(["any", "topic", "link"]),
+    },
+)
+
+
+@settings(max_examples=100)
+@given(
+    profile=st.sampled_from(sorted(PROFILES)),
+    seed=st.integers(0, 2**32),
+    forward=impairments,
+    topics=st.dictionaries(st.sampled_from(["teleop/forward", "afm/*"]), impairments.filter(bool)),
+)
+def test_flat_form_gives_the_settings_back(profile, seed, forward, topics):
+    link = parse_settings({"profile": profile, "seed": seed, "forward": {**forward, "topics": topics}})
+    assert changed(LinkSettings(), flattened(link)) == link
+    assert changed(LinkSettings(), flattened(link, only_set=True)) == link
+    for pattern in ("", *topics):
+        assert changed(LinkSettings(), flattened(link)).forward.block(pattern) == link.forward.block(pattern)
+
+
+def test_flat_form_holds_only_what_a_message_can_carry():
+    flat = flattened(parse_settings({"profile": "lte", "forward": {"topics": {"a": {"delay_s": 1.0}}}}))
+    assert {type(value) for value in flat.values()} <= {float, int, str, bool}
+    assert flat["forward.topics.a.delay_s"] == 1.0
+    assert "forward.topics.a.order" not in flat
+
+
+def _keys(model: type[BaseModel], prefix: str = "") -> list[str]:
+    keys: list[str] = []
+    for name, field in model.model_fields.items():
+        if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel):
+            keys += _keys(field.annotation, f"{prefix}{name}.")
+        else:
+            keys.append(f"{prefix}{name}")
+    return keys
+
+
+def test_documentation_has_every_key_and_no_other():
+    text = (REPOSITORY / "docs" / "link.md").read_text(encoding="utf-8")
+    listed = re.findall(r"^\| `([a-z0-9_.]+)` \|", text, flags=re.MULTILINE)
+    assert sorted(listed) == sorted(["profile", "seed", *_keys(DirectionSettings)])
+
+
+def test_examples_of_the_documentation_run():
+    text = (REPOSITORY / "docs" / "link.md").read_text(encoding="utf-8")
+    (scenario,) = re.findall(r"```yaml\n(.*?)```", text, flags=re.DOTALL)
+    assert parse_settings(yaml.safe_load(scenario)["delay_node"]).forward.block("teleop/*").loss.correlation == 0.3
+    (code,) = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
+    exec(compile(code, "docs/link.md", "exec"), {})
+
+
+def test_documentation_has_every_profile():
+    text = (REPOSITORY / "docs" / "link.md").read_text(encoding="utf-8")
+    for name, profile in PROFILES.items():
+        assert f"**{name}**" in text, profile.about
