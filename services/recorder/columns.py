@@ -1,0 +1,83 @@
+"""Fields of the messages of one channel as arrays, for figures and reports."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from services.recorder.reader import RecordedMessage, Recording
+from services.runtime.errors import RecordingError
+
+Column = npt.NDArray[Any]
+
+# of the record and not of the message; seq and t_ns are in the message as well
+_RECORD_FIELDS = ("log_ns", "publish_ns")
+
+
+def columns(
+    recording: Recording,
+    channel_topic: str,
+    fields: Sequence[str],
+    start_ns: int | None = None,
+    end_ns: int | None = None,
+) -> dict[str, Column]:
+    """Give fields of every message of a channel, in the order heard.
+
+    Parameters: fields, keys of the message, dotted into its parts (`position_m.2`, `forward.delay_mean_s`), and
+    `log_ns` and `publish_ns` of the record; start_ns, end_ns, bounds of the time of reception [ns].
+    Returns: field -> array of one dimension: int64, float64 (NaN where a message has nil), bool, or objects for text.
+    Raises RecordingError naming file, channel and field when there is no such thing.
+    """
+    names = {channel.channel_topic for channel in recording.channels}
+    if channel_topic not in names:
+        known = ", ".join(sorted(names)) or "none"
+        raise RecordingError(f"{recording.path}: has no channel {channel_topic}, it has {known}")
+    paths = {field: _path_of(field) for field in fields if field not in _RECORD_FIELDS}
+    values: dict[str, list[Any]] = {field: [] for field in fields}
+    for message in recording.messages((channel_topic,), start_ns, end_ns):
+        for field in _RECORD_FIELDS:
+            if field in values:
+                values[field].append(getattr(message, field))
+        if paths:
+            _take_fields(recording, message, paths, values)
+    return {field: _array(recording, channel_topic, field, values[field]) for field in fields}
+
+
+def _take_fields(
+    recording: Recording,
+    message: RecordedMessage,
+    paths: dict[str, tuple[str | int, ...]],
+    values: dict[str, list[Any]],
+) -> None:
+    decoded = message.fields()
+    for field, path in paths.items():
+        value: Any = decoded
+        try:
+            for part in path:
+                # an optional vector may be nil as a whole
+                value = None if value is None else value[part]
+        except (KeyError, IndexError, TypeError) as error:
+            where = f"{recording.path}: {message.channel_topic}, seq {message.seq}"
+            raise RecordingError(f"{where}: has no field {field}, its fields are {', '.join(decoded)}") from error
+        values[field].append(value)
+
+
+def _path_of(field: str) -> tuple[str | int, ...]:
+    return tuple(int(part) if part.isdecimal() else part for part in field.split("."))
+
+
+def _array(recording: Recording, channel_topic: str, field: str, values: list[Any]) -> Column:
+    kinds = {type(value) for value in values}
+    if not kinds or (kinds <= {float, int, type(None)} and kinds & {float, type(None)}):
+        return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
+    if kinds <= {int}:
+        return np.array(values, dtype=np.int64)
+    if kinds <= {bool}:
+        return np.array(values, dtype=np.bool_)
+    if kinds <= {str, type(None)}:
+        return np.array(values, dtype=np.object_)
+    kind = " or ".join(sorted(kind.__name__ for kind in kinds))
+    raise RecordingError(
+        f"{recording.path}: {channel_topic}: {field} is a {kind}; name one of its parts, such as {field}.0"
+    )

@@ -1,0 +1,225 @@
+"""The outer structure of an MCAP file that may be unfinished, cut off anywhere or damaged."""
+
+import importlib
+import mmap
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from io import BytesIO
+
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Metadata
+from mcap.writer import MCAP0_MAGIC
+
+Bytes = bytes | mmap.mmap
+
+MAGIC: bytes = MCAP0_MAGIC
+RECORD_HEAD = struct.Struct("<BQ")
+_CHUNK_HEAD = struct.Struct("<QQQII")
+_LENGTH = struct.Struct("<Q")
+_LONGEST_COMPRESSION_NAME = 8
+# a damaged size must not ask for the whole memory; ours are at most 64 MiB and one message
+_LARGEST_CHUNK = 1 << 30
+_CONTENT = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
+_FIRST_PRIVATE_OPCODE = 0x80
+# what the parts of a damaged record can raise while they are read
+UNREADABLE = (McapError, struct.error, UnicodeDecodeError, MemoryError, OverflowError)
+
+
+@dataclass(frozen=True, slots=True)
+class Damage:
+    """Bytes of a file that could not be used, and why."""
+
+    offset: int
+    size_bytes: int
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """Schemas, channels and messages in a row: a chunk, or such records outside of any chunk."""
+
+    offset: int
+    data_start: int
+    data_end: int
+    compression: str = ""
+    size_bytes: int = 0
+    crc: int = 0
+    whole: bool = True
+
+
+@dataclass
+class Layout:
+    """What a file consists of; `finished` means that it was closed in order, with index and end mark."""
+
+    blocks: list[Block] = field(default_factory=list)
+    attachments: dict[str, Attachment] = field(default_factory=dict)
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    summary_channels: dict[int, Channel] = field(default_factory=dict)
+    damage: list[Damage] = field(default_factory=list)
+    finished: bool = False
+
+
+class DamagedBlockError(Exception):
+    """A chunk whose content cannot be had; the text says why."""
+
+
+def scan(data: Bytes) -> Layout:
+    """Go through the outer records of a file that starts with the magic bytes; never raises on its content.
+
+    After bytes that are no record it goes on with the next intact chunk.
+    """
+    layout, size = Layout(), len(data)
+    position = trusted = len(MAGIC)
+    in_summary = False
+    while position < size and not layout.finished:
+        opcode, end = _record_at(data, position)
+        if end is None:
+            position = trusted = _skip_damage(data, position, trusted, opcode, layout)
+            continue
+        if opcode == Opcode.FOOTER:
+            layout.finished = data[end : end + len(MAGIC)] == MAGIC
+            end += len(MAGIC) * layout.finished
+        elif opcode == Opcode.DATA_END:
+            in_summary = True
+        elif opcode == Opcode.CHUNK or (opcode in _CONTENT and not in_summary):
+            trusted = _enter_block(data, position, end, opcode, layout)
+        else:
+            _enter_other(data, position, end, opcode, layout)
+        position = end
+    if position < size:
+        layout.damage.append(Damage(position, size - position, "bytes after the end of the recording"))
+    return layout
+
+
+def unpack(data: Bytes, block: Block) -> bytes:
+    """Give the records in a block; of one that is cut off, those bytes that can be had.
+
+    Raises DamagedBlockError saying what is wrong.
+    """
+    stored = data[block.data_start : block.data_end]
+    try:
+        content = _decompress(stored, block) if block.whole else _decompress_beginning(stored, block.compression)
+    except (zstandard.ZstdError, RuntimeError, EOFError, MemoryError) as error:
+        raise DamagedBlockError(f"the chunk cannot be decompressed: {error}") from error
+    # a file may leave the check sum out, which is then 0
+    if block.whole and block.crc and zlib.crc32(content) != block.crc:
+        raise DamagedBlockError("the check sum of the chunk is wrong")
+    return content
+
+
+def _record_at(data: Bytes, position: int) -> tuple[int, int | None]:
+    """Give the opcode and the end of the record at `position`; None for the end if it cannot be a whole record."""
+    opcode = data[position]
+    if position + RECORD_HEAD.size > len(data):
+        return opcode, None
+    end = position + RECORD_HEAD.size + _LENGTH.unpack_from(data, position + 1)[0]
+    known = Opcode.HEADER <= opcode <= Opcode.DATA_END or opcode >= _FIRST_PRIVATE_OPCODE
+    if not known or end > len(data) or (opcode == Opcode.CHUNK and _chunk_at(data, position, end) is None):
+        return opcode, None
+    return opcode, end
+
+
+def _chunk_at(data: Bytes, position: int, end: int | None) -> Block | None:
+    """Give the chunk at `position` if its lengths agree; `end` None means that the file ends within it."""
+    body = position + RECORD_HEAD.size
+    if body + _CHUNK_HEAD.size > len(data):
+        return None
+    _, _, size, crc, name_length = _CHUNK_HEAD.unpack_from(data, body)
+    data_start = body + _CHUNK_HEAD.size + name_length + _LENGTH.size
+    if name_length > _LONGEST_COMPRESSION_NAME or data_start > len(data) or size > _LARGEST_CHUNK:
+        return None
+    name = data[body + _CHUNK_HEAD.size : data_start - _LENGTH.size].decode("ascii", "replace")
+    stored_end = data_start + _LENGTH.unpack_from(data, data_start - _LENGTH.size)[0]
+    if end is None:
+        return Block(position, data_start, len(data), name, size, crc, whole=False) if stored_end > len(data) else None
+    return Block(position, data_start, stored_end, name, size, crc) if stored_end == end else None
+
+
+def _enter_block(data: Bytes, position: int, end: int, opcode: int, layout: Layout) -> int:
+    """Enter a chunk, or a record outside of any chunk as a block of its own; gives the end of what is sure."""
+    if opcode == Opcode.CHUNK:
+        block = _chunk_at(data, position, end)
+        if block is not None:
+            layout.blocks.append(block)
+    else:
+        layout.blocks.append(Block(position, position, end))
+    return end
+
+
+def _enter_other(data: Bytes, position: int, end: int, opcode: int, layout: Layout) -> None:
+    stream = ReadDataStream(BytesIO(data[position + RECORD_HEAD.size : end]))
+    try:
+        if opcode == Opcode.ATTACHMENT:
+            attachment = Attachment.read(stream)
+            layout.attachments[attachment.name] = attachment
+        elif opcode == Opcode.METADATA:
+            metadata = Metadata.read(stream)
+            layout.metadata[metadata.name] = metadata.metadata
+        elif opcode == Opcode.CHANNEL:
+            channel = Channel.read(stream)
+            layout.summary_channels[channel.id] = channel
+    except UNREADABLE as error:
+        layout.damage.append(Damage(position, end - position, f"a damaged record: {type(error).__name__}"))
+
+
+def _skip_damage(data: Bytes, position: int, trusted: int, opcode: int, layout: Layout) -> int:
+    """Enter what is damaged at `position` and give the place where reading goes on."""
+    # a wrong length may have led past good chunks, so the search begins after the last one that was sure
+    found = _next_chunk(data, trusted, position)
+    if found is not None:
+        start = position if found > position else trusted
+        layout.damage.append(Damage(start, found - start, "bytes that are no record"))
+        return found
+    block = _chunk_at(data, position, None) if opcode == Opcode.CHUNK else None
+    if block is not None:
+        layout.blocks.append(block)
+    reason = "the file ends within a chunk, whose beginning was read" if block else "the file ends within a record"
+    layout.damage.append(Damage(position, len(data) - position, reason))
+    return len(data)
+
+
+def _next_chunk(data: Bytes, start: int, damaged: int) -> int | None:
+    for candidate in _chunk_candidates(data, start):
+        end = candidate + RECORD_HEAD.size + _LENGTH.unpack_from(data, candidate + 1)[0]
+        block = _chunk_at(data, candidate, end) if end <= len(data) and candidate != damaged else None
+        if block is not None and block.crc:
+            try:
+                unpack(data, block)
+            except DamagedBlockError:
+                continue
+            return candidate
+    return None
+
+
+def _chunk_candidates(data: Bytes, start: int) -> Iterator[int]:
+    mark = bytes([Opcode.CHUNK])
+    candidate = data.find(mark, start)
+    while 0 <= candidate <= len(data) - RECORD_HEAD.size:
+        yield candidate
+        candidate = data.find(mark, candidate + 1)
+
+
+def _decompress(stored: bytes, block: Block) -> bytes:
+    if block.compression == "zstd":
+        if zstandard.frame_content_size(stored) not in (-1, block.size_bytes):
+            raise DamagedBlockError("the sizes in the chunk disagree")
+        return zstandard.ZstdDecompressor().decompress(stored, max_output_size=block.size_bytes)
+    return _decompress_beginning(stored, block.compression)
+
+
+def _decompress_beginning(stored: bytes, compression: str) -> bytes:
+    if compression == "":
+        return stored
+    if compression == "zstd":
+        return zstandard.ZstdDecompressor().decompressobj().decompress(stored)
+    if compression == "lz4":
+        # by name, because the package carries no types
+        lz4 = importlib.import_module("lz4.frame")
+        content: bytes = lz4.LZ4FrameDecompressor().decompress(stored, max_length=_LARGEST_CHUNK)
+        return content
+    raise DamagedBlockError(f"the compression {compression!r} is not known, known are zstd and lz4")

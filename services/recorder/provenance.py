@@ -1,0 +1,49 @@
+"""What a recording says about its origin: the files that describe the rig, and versions."""
+
+import platform
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import zmq
+
+from proto import TOPICS
+from services.recorder.config import RecorderConfig
+from services.recorder.writer import RecordingWriter
+from services.runtime.errors import RecordingError
+
+_PACKAGES = ("telenano", "mcap", "msgpack", "numpy", "pydantic", "pyzmq", "zstandard")
+
+
+def versions() -> dict[str, str]:
+    """Give the versions of packages, Python, platform and message schemas; `unknown` where a package has none."""
+    found = {"python": platform.python_version(), "platform": platform.platform(), "libzmq": zmq.zmq_version()}
+    found |= {f"package {name}": _package_version(name) for name in _PACKAGES}
+    found |= {f"schema {name}": str(row.model.version) for name, row in TOPICS.items()}
+    return found
+
+
+def write_provenance(
+    writer: RecordingWriter, config: RecorderConfig, site_file: Path, scenario_file: Path, now_ns: int
+) -> None:
+    """Write site file, scenario, versions and settings at the start of a recording.
+
+    Raises RecordingError naming the file that cannot be read or written.
+    """
+    for name, path in (("site.yaml", site_file), ("scenario.yaml", scenario_file)):
+        try:
+            data = path.read_bytes()
+        except OSError as error:
+            raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error
+        writer.attach(name, "application/yaml", data, now_ns)
+    files = {"site_file": str(site_file.absolute()), "scenario_file": str(scenario_file.absolute())}
+    settings = {f"recorder {key}": str(value) for key, value in config.model_dump(mode="json").items()}
+    writer.add_metadata("recording", {"node": writer.node, "started_ns": str(now_ns), **files, **settings})
+    writer.add_metadata("versions", versions())
+    writer.flush()
+
+
+def _package_version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "unknown"

@@ -1,0 +1,36 @@
+"""What the recorder itself says in a recording, on channels of its own."""
+
+from typing import Annotated
+
+from pydantic import Field
+
+from proto.messages import Count, Record, Source, Text
+
+GAP_TOPIC = "recorder/gap"
+REJECTED_TOPIC = "recorder/rejected"
+
+
+class GapRecord(Record):
+    """Messages that the recorder should have heard at this point and did not.
+
+    One that arrives later, overtaken on its way, is recorded where it arrives; its gap record stays.
+    """
+
+    channel_topic: Text = Field(description="Channel on which messages are missing")
+    src: Source = Field(description="Their publisher, node@site")
+    first_missing: Count = Field(description="Lowest seq that is missing")
+    last_missing: Count = Field(description="Highest seq that is missing")
+    count: Annotated[int, Field(ge=1)] = Field(description="Number of messages missing")
+
+
+class RejectedRecord(Record):
+    """Frames that are not a message of this version of the wire, kept for whoever looks for the reason."""
+
+    reason: Text = Field(description="One word for the reason: frames, topic, oversized, malformed, newer_version, ...")
+    text: Text = Field(description="The same in a sentence")
+    publisher: Text = Field(description="Node at whose endpoint the frames were heard")
+    size_bytes: Count = Field(description="Size of all frames together [bytes]")
+    frames: tuple[bytes, ...] = Field(description="The first frames as they came, each cut at 1 MiB")
+
+
+RECORDS: dict[str, type[Record]] = {GAP_TOPIC: GapRecord, REJECTED_TOPIC: RejectedRecord}

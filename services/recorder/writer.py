@@ -1,0 +1,174 @@
+"""Writing a recording: one MCAP file that a kill leaves readable up to the last flush."""
+
+import contextlib
+import json
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import IO, Protocol
+
+import msgpack
+from mcap.writer import CompressionType, Writer
+
+from proto import TOPICS
+from proto.messages import Record
+from services.recorder.config import RecorderConfig
+from services.recorder.records import GAP_TOPIC, RECORDS, REJECTED_TOPIC, GapRecord, RejectedRecord
+from services.runtime.errors import RecordingError
+from services.runtime.site import site_of
+
+_COMPRESSION = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4, "none": CompressionType.NONE}
+# the sequence of an MCAP message has 32 bits, the payload keeps the whole number
+_SEQUENCE_MASK = 0xFFFF_FFFF
+
+
+class _McapWriter(Protocol):
+    """The part of mcap's writer that is used here; the package itself carries no return types."""
+
+    def start(self, profile: str) -> None: ...
+    def register_schema(self, name: str, encoding: str, data: bytes) -> int: ...
+    def register_channel(self, topic: str, message_encoding: str, schema_id: int, metadata: dict[str, str]) -> int: ...
+    def add_message(self, channel_id: int, log_time: int, data: bytes, publish_time: int, sequence: int) -> None: ...
+    def add_attachment(self, create_time: int, log_time: int, name: str, media_type: str, data: bytes) -> None: ...
+    def add_metadata(self, name: str, data: dict[str, str]) -> None: ...
+    def flush(self) -> None: ...
+    def finish(self) -> None: ...
+
+
+def channel_topic(topic: str, src: str, site: str) -> str:
+    """Give the name under which what `src` said on `topic` is recorded when it is heard at `site`."""
+    return topic if site_of(src) == site else f"{topic}@{site}"
+
+
+class RecordingWriter:
+    """A recording in the making.
+
+    A channel is what one publisher says on one bus topic, heard at one site. Every method raises RecordingError with
+    the path and the reason when the file cannot be written; what was flushed before stays readable.
+    """
+
+    def __init__(self, stream: IO[bytes], path: Path, node: str, config: RecorderConfig) -> None:
+        """Start writing to a binary stream; `path` names it in errors, `node` is the recorder (node@site)."""
+        self.path = path
+        self.node = node
+        self.messages = 0
+        self.size_bytes = 0
+        self._stream = stream
+        self._sync = config.sync_to_disk
+        self._schemas: dict[str, int] = {}
+        self._own_channels: dict[str, int] = {}
+        self._own_counts = dict.fromkeys(RECORDS, 0)
+        self._mcap: _McapWriter = Writer(
+            stream, chunk_size=config.chunk_size_bytes, compression=_COMPRESSION[config.compression]
+        )
+        with self._guarded():
+            self._mcap.start("telenano")
+
+    @classmethod
+    def create(cls, node: str, config: RecorderConfig) -> "RecordingWriter":
+        """Make the file, under the first free name; nothing is ever overwritten."""
+        stem, suffix = Path(config.file_name).stem, Path(config.file_name).suffix
+        number = 0
+        while True:
+            path = config.directory / (f"{stem}_{number}{suffix}" if number else config.file_name)
+            try:
+                config.directory.mkdir(parents=True, exist_ok=True)
+                return cls(path.open("xb"), path.absolute(), node, config)
+            except FileExistsError as error:
+                if not config.directory.is_dir():
+                    raise RecordingError(f"{config.directory}: is not a folder") from error
+                number += 1
+            except OSError as error:
+                raise RecordingError(f"{path}: cannot be made: {error.strerror}") from error
+
+    def channel(self, topic: str, src: str, site: str) -> int:
+        """Begin a channel: what `src` (node@site) says on the bus topic, as it is heard at `site`."""
+        row = TOPICS[topic]
+        metadata = {
+            "topic": topic,
+            "site": site,
+            "via": "direct" if site_of(src) == site else "link",
+            "src": src,
+            "rate_hz": "" if row.rate_hz is None else str(row.rate_hz),
+            "delivery": row.delivery,
+        }
+        return self._register(channel_topic(topic, src, site), row.model, metadata)
+
+    def write(self, channel: int, log_ns: int, publish_ns: int, seq: int, payload: bytes) -> None:
+        """Add a message, byte by byte as it was received."""
+        try:
+            self._mcap.add_message(channel, log_ns, payload, publish_ns, seq & _SEQUENCE_MASK)
+        except OSError as error:
+            raise self._failure(error) from error
+        self.messages += 1
+
+    def write_gap(self, log_ns: int, gap: GapRecord) -> None:
+        """Write down where messages are missing."""
+        self._write_own(GAP_TOPIC, log_ns, gap.model_dump())
+
+    def write_rejected(self, log_ns: int, rejected: RejectedRecord) -> None:
+        """Keep frames that are not a message."""
+        self._write_own(REJECTED_TOPIC, log_ns, rejected.model_dump())
+
+    def attach(self, name: str, media_type: str, data: bytes, log_ns: int) -> None:
+        """Add a file, for instance the site file."""
+        with self._guarded():
+            self._mcap.add_attachment(0, log_ns, name, media_type, data)
+
+    def add_metadata(self, name: str, entries: Mapping[str, str]) -> None:
+        """Add named facts, for instance versions."""
+        with self._guarded():
+            self._mcap.add_metadata(name, dict(entries))
+
+    def flush(self) -> None:
+        """Close the chunk in hand and give everything to the operating system, with `sync_to_disk` to the disk.
+
+        A process that is killed afterwards loses none of it.
+        """
+        with self._guarded():
+            self._mcap.flush()
+            self._settle()
+
+    def finish(self) -> None:
+        """Write index and statistics and close the file; a second call does nothing."""
+        if self._stream.closed:
+            return
+        with self._guarded():
+            self._mcap.finish()
+            self._stream.flush()
+            self._settle()
+            self._stream.close()
+
+    def _write_own(self, topic: str, log_ns: int, fields: dict[str, object]) -> None:
+        if topic not in self._own_channels:
+            metadata = {"topic": topic, "site": site_of(self.node), "via": "direct", "src": self.node}
+            metadata |= {"rate_hz": "", "delivery": "lossless"}
+            self._own_channels[topic] = self._register(topic, RECORDS[topic], metadata)
+        self.write(self._own_channels[topic], log_ns, log_ns, self._own_counts[topic], msgpack.packb(fields))
+        self._own_counts[topic] += 1
+
+    def _register(self, topic: str, model: type[Record], metadata: dict[str, str]) -> int:
+        with self._guarded():
+            name = model.__name__
+            if name not in self._schemas:
+                data = json.dumps(model.model_json_schema(), sort_keys=True).encode()
+                self._schemas[name] = self._mcap.register_schema(name, "jsonschema", data)
+            return self._mcap.register_channel(topic, "msgpack", self._schemas[name], metadata)
+
+    def _settle(self) -> None:
+        if self._sync:
+            os.fdatasync(self._stream.fileno())
+        self.size_bytes = self._stream.tell()
+
+    @contextlib.contextmanager
+    def _guarded(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise self._failure(error) from error
+
+    def _failure(self, error: OSError) -> RecordingError:
+        # closing flushes once more, which fails for the same reason; the descriptor is given back all the same
+        with contextlib.suppress(OSError):
+            self._stream.close()
+        return RecordingError(f"{self.path}: cannot be written: {error.strerror or error}")

@@ -1,0 +1,66 @@
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, teleop_forward
+
+from proto import encode
+from services.recorder.columns import columns
+from services.recorder.config import RecorderConfig
+from services.recorder.reader import Recording
+from services.recorder.writer import RecordingWriter
+from services.runtime.errors import RecordingError
+
+MakeFile = Callable[..., Path]
+
+
+def test_columns_have_the_values_in_the_kinds_of_the_fields(make_file: MakeFile) -> None:
+    recording = Recording(make_file(40))
+    fields = ["position_m.2", "operator_force_n.0", "t_ns", "log_ns", "publish_ns", "seq", "limited", "src"]
+    found = columns(recording, "haptic/state", fields)
+    number = np.arange(40)
+    assert list(found) == fields
+    np.testing.assert_array_equal(found["position_m.2"], -1e-3 * number)
+    np.testing.assert_array_equal(found["operator_force_n.0"], np.full(40, 0.1))
+    np.testing.assert_array_equal(found["t_ns"], EPOCH_NS + number * MILLISECOND_NS)
+    np.testing.assert_array_equal(found["log_ns"] - found["publish_ns"], np.full(40, 100))
+    np.testing.assert_array_equal(found["seq"], number)
+    np.testing.assert_array_equal(found["limited"], number % 2 == 1)
+    assert found["src"][0] == "haptic_node@master"
+    assert [found[field].dtype.kind for field in fields] == ["f", "f", "i", "i", "i", "i", "b", "O"]
+
+
+def test_a_time_range_selects(make_file: MakeFile) -> None:
+    recording = Recording(make_file(40))
+    found = columns(recording, "haptic/state", ["seq"], EPOCH_NS + 100, EPOCH_NS + 100 + 3 * MILLISECOND_NS)
+    assert found["seq"].tolist() == [0, 1, 2]
+    empty = columns(recording, "haptic/state", ["position_m.0"], 0, 1)
+    assert (empty["position_m.0"].dtype, empty["position_m.0"].size) == (np.float64, 0)
+
+
+def test_nil_becomes_nan(config: RecorderConfig) -> None:
+    writer = RecordingWriter.create(NODE, config)
+    channel = writer.channel("teleop/forward", "controller@master", "master")
+    for seq, wave in enumerate((None, (1e-9, 2e-9, 3e-9))):
+        writer.write(channel, seq, seq, seq, encode(teleop_forward(seq, wave_sqrt_w=wave)))
+    writer.finish()
+    found = columns(Recording(writer.path), "teleop/forward", ["wave_sqrt_w.2"])["wave_sqrt_w.2"]
+    assert math.isnan(found[0])
+    assert found[1] == 3e-9
+
+
+@pytest.mark.parametrize(
+    ("channel", "field", "text"),
+    [
+        ("haptic/stat", "t_ns", "has no channel haptic/stat, it has haptic/state, teleop/forward@slave"),
+        ("haptic/state", "positon_m.2", "haptic/state, seq 0: has no field positon_m.2, its fields are seq, t_ns"),
+        ("haptic/state", "position_m.3", "has no field position_m.3"),
+        ("haptic/state", "t_ns.1", "has no field t_ns.1"),
+        ("haptic/state", "position_m", "position_m is a tuple; name one of its parts, such as position_m.0"),
+    ],
+)
+def test_what_is_not_there_is_named(make_file: MakeFile, channel: str, field: str, text: str) -> None:
+    with pytest.raises(RecordingError, match=rf"session\.mcap.*{text}"):
+        columns(Recording(make_file(2)), channel, [field])

@@ -1,0 +1,239 @@
+import errno
+import io
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import msgpack
+import pytest
+import zmq
+from recorder_samples import EPOCH_NS, NODE, haptic_state, sample, session_control, teleop_forward
+
+from proto import MAX_MESSAGE_BYTES, TOPICS, Message, WireError, encode
+from services.recorder.config import RecorderConfig
+from services.recorder.intake import Intake, Listener, read_header
+from services.recorder.reader import Recording
+from services.recorder.records import GAP_TOPIC, REJECTED_TOPIC, GapRecord, RejectedRecord
+from services.recorder.writer import RecordingWriter
+from services.runtime.bus import Subscriber
+from services.runtime.clock import VirtualClock
+
+MakeListener = Callable[[str], Listener]
+
+
+def frames(topic: str, message: Message) -> list[bytes]:
+    return [topic.encode(), encode(message)]
+
+
+@pytest.fixture
+def listen() -> Iterator[MakeListener]:
+    """Give listeners whose connection is never used: the frames come from the test."""
+    made: list[Listener] = []
+    with zmq.Context() as context:
+
+        def make(publisher: str) -> Listener:
+            made.append(
+                Listener(publisher, Subscriber(context, VirtualClock(), {"inproc://nowhere": ["haptic/state"]}))
+            )
+            return made[-1]
+
+        yield make
+        for listener in made:
+            listener.subscriber.close()
+
+
+@pytest.fixture
+def intake(config: RecorderConfig) -> Iterator[Intake]:
+    intake = Intake(RecordingWriter.create(NODE, config))
+    yield intake
+    intake.finish()
+
+
+def recorded(intake: Intake) -> Recording:
+    assert intake.writer is not None
+    intake.flush()
+    return Recording(intake.writer.path)
+
+
+def test_the_place_where_a_message_was_heard_names_the_channel(intake: Intake, listen: MakeListener) -> None:
+    near, far = listen("controller@master"), listen("delay_node@slave")
+    for listener in (near, far):
+        intake.take(listener, frames("teleop/forward", teleop_forward(0)), EPOCH_NS)
+    link = sample("link/status", 0, src="delay_node@slave")
+    intake.take(far, frames("link/status", link), EPOCH_NS)
+    heard = [(m.channel_topic, m.site, m.via, m.src) for m in recorded(intake).messages()]
+    assert heard == [
+        ("teleop/forward", "master", "direct", "controller@master"),
+        ("teleop/forward@slave", "slave", "link", "controller@master"),
+        ("link/status", "slave", "direct", "delay_node@slave"),
+    ]
+
+
+def test_what_comes_back_to_the_master_is_marked_so(intake: Intake, listen: MakeListener) -> None:
+    event = sample("session/event", 0, src="afm_node@slave")
+    intake.take(listen("delay_node@master"), frames("session/event", event), EPOCH_NS)
+    assert [m.channel_topic for m in recorded(intake).messages()] == ["session/event@master"]
+
+
+def test_sources_on_one_topic_are_counted_apart(intake: Intake, listen: MakeListener) -> None:
+    for source in ("haptic_node@master", "controller@master"):
+        listener = listen(source)
+        for seq in range(3):
+            intake.take(listener, frames("session/event", sample("session/event", seq, src=source)), EPOCH_NS)
+    info = recorded(intake).info()
+    assert [(c.channel_topic, c.src, c.messages, c.gaps) for c in info.channels] == [
+        ("session/event", "haptic_node@master", 3, 0),
+        ("session/event", "controller@master", 3, 0),
+    ]
+    assert intake.gaps == 0
+
+
+def test_a_gap_is_written_where_it_happened(intake: Intake, listen: MakeListener) -> None:
+    listener = listen("haptic_node@master")
+    for seq in (0, 1, 5, 6):
+        intake.take(listener, frames("haptic/state", haptic_state(seq)), EPOCH_NS + seq)
+    heard = list(recorded(intake).messages())
+    assert [(m.topic, m.log_ns - EPOCH_NS) for m in heard] == [
+        ("haptic/state", 0),
+        ("haptic/state", 1),
+        (GAP_TOPIC, 5),
+        ("haptic/state", 5),
+        ("haptic/state", 6),
+    ]
+    assert heard[2].decode() == GapRecord(
+        channel_topic="haptic/state", src="haptic_node@master", first_missing=2, last_missing=4, count=3
+    )
+    assert (intake.gaps, intake.lost, intake.lossless_lost) == (1, 3, 0)
+
+
+def test_lost_events_count_as_a_fault_only_where_they_were_sent(intake: Intake, listen: MakeListener) -> None:
+    near, far = listen("afm_node@slave"), listen("delay_node@master")
+    for seq in (0, 3):
+        intake.take(far, frames("session/event", sample("session/event", seq, src="afm_node@slave")), EPOCH_NS)
+    assert (intake.lost, intake.lossless_lost) == (2, 0)
+    for seq in (0, 3):
+        intake.take(near, frames("session/event", sample("session/event", seq, src="afm_node@slave")), EPOCH_NS)
+    assert (intake.lost, intake.lossless_lost) == (4, 2)
+
+
+def test_repetitions_and_late_messages_are_recorded_as_they_come(intake: Intake, listen: MakeListener) -> None:
+    listener = listen("haptic_node@master")
+    for seq in (0, 2, 1, 1):
+        intake.take(listener, frames("haptic/state", haptic_state(seq)), EPOCH_NS)
+    assert [m.seq for m in recorded(intake).messages(["haptic/state"])] == [0, 2, 1, 1]
+
+
+def test_only_a_command_heard_at_its_publisher_is_given_back(intake: Intake, listen: MakeListener) -> None:
+    command = session_control(0)
+    near = intake.take(listen("launcher@master"), frames("session/control", command), EPOCH_NS)
+    far = intake.take(listen("delay_node@slave"), frames("session/control", command), EPOCH_NS)
+    assert near is not None and near.message == command
+    assert far is None
+    assert intake.take(listen("haptic_node@master"), frames("haptic/state", haptic_state(0)), EPOCH_NS) is None
+
+
+def header(**changes: Any) -> bytes:
+    fields = {"seq": 1, "t_ns": 2, "src": "haptic_node@master", "v": 1} | changes
+    return msgpack.packb({key: value for key, value in fields.items() if value is not None})
+
+
+@pytest.mark.parametrize(
+    ("sent", "reason"),
+    [
+        ([b"haptic/state"], "frames"),
+        ([b"haptic/state", b"", b""], "frames"),
+        ([b"\xff", b""], "topic"),
+        ([b"haptic/stateful", header()], "topic"),
+        ([b"haptic/state", b""], "malformed"),
+        ([b"haptic/state", b"\xc1"], "malformed"),
+        ([b"haptic/state", b"\x81\x01"], "malformed"),
+        ([b"haptic/state", b"\x93\x01\x02\x03"], "malformed"),
+        ([b"haptic/state", b"\x91" * 2000], "malformed"),
+        ([b"haptic/state", bytes(MAX_MESSAGE_BYTES + 1)], "oversized"),
+        ([b"haptic/state", header(v=2)], "newer_version"),
+        ([b"haptic/state", header(v=0)], "schema"),
+        ([b"haptic/state", header(seq=-1)], "schema"),
+        ([b"haptic/state", header(seq=True)], "schema"),
+        ([b"haptic/state", header(t_ns=2**63)], "schema"),
+        ([b"haptic/state", header(src=None)], "schema"),
+        ([b"haptic/state", header(src="somewhere")], "schema"),
+        ([b"haptic/state", header(src="a@b" * 30)], "schema"),
+    ],
+)
+def test_frames_that_are_no_message_are_counted_and_kept(
+    intake: Intake, listen: MakeListener, sent: list[bytes], reason: str
+) -> None:
+    listener = listen("haptic_node@master")
+    assert intake.take(listener, sent, EPOCH_NS + 9) is None
+    assert listener.subscriber.rejected == {reason: 1}
+    assert listener.subscriber.last_error
+    (message,) = recorded(intake).messages()
+    kept = message.decode()
+    assert isinstance(kept, RejectedRecord)
+    assert (message.channel_topic, message.log_ns) == (REJECTED_TOPIC, EPOCH_NS + 9)
+    assert (kept.reason, kept.publisher) == (reason, "haptic_node@master")
+    assert kept.frames == tuple(frame[:MAX_MESSAGE_BYTES] for frame in sent)
+    assert kept.size_bytes == sum(map(len, sent))
+
+
+def test_a_flood_of_made_up_sources_ends_in_rejections(intake: Intake, listen: MakeListener) -> None:
+    listener = listen("haptic_node@master")
+    for number in range(1100):
+        intake.take(listener, [b"node/health", header(src=f"n{number}@master")], EPOCH_NS)
+    assert listener.subscriber.rejected == {"source": 1100 - 1024}
+    assert len(listener.streams) == 1024
+
+
+def test_a_header_is_read_without_its_message() -> None:
+    row = TOPICS["haptic/state"]
+    assert read_header(row, encode(haptic_state(7))) == (7, EPOCH_NS + 7_000_000, "haptic_node@master")
+    with pytest.raises(WireError, match="haptic/state: schema version 9 is newer than version 1 known here"):
+        read_header(row, header(v=9))
+
+
+class BreakingFile(io.BytesIO):
+    """A file that cannot be written any more once told so."""
+
+    broken = False
+
+    def write(self, data: bytes) -> int:
+        if self.broken:
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+        return super().write(data)
+
+
+@pytest.mark.parametrize("moment", ["message", "channel", "gap", "rejected", "flush", "finish"])
+def test_a_write_error_ends_the_recording_and_nothing_else(listen: MakeListener, moment: str) -> None:
+    file = BreakingFile()
+    config = RecorderConfig(chunk_size_bytes=4096, compression="none")
+    intake = Intake(RecordingWriter(file, Path("x.mcap"), NODE, config))
+    listener = listen("haptic_node@master")
+    intake.take(listener, frames("haptic/state", haptic_state(0)), EPOCH_NS)
+    file.broken = True
+    if moment == "message":
+        for seq in range(1, 20):
+            intake.take(listener, frames("haptic/state", haptic_state(seq)), EPOCH_NS)
+    elif moment == "channel":
+        for source in range(20):
+            intake.take(listener, frames("node/health", sample("node/health", 0, src=f"n{source}@master")), EPOCH_NS)
+    elif moment == "gap":
+        for seq in range(2, 80, 2):
+            intake.take(listener, frames("haptic/state", haptic_state(seq)), EPOCH_NS)
+    elif moment == "rejected":
+        intake.take(listener, [b"haptic/state", bytes(8192)], EPOCH_NS)
+    elif moment == "flush":
+        intake.flush()
+    else:
+        intake.finish()
+    assert intake.writer is None
+    assert intake.fault == "x.mcap: cannot be written: Input/output error"
+    # whatever comes now is heard, counted and answered all the same
+    lost = intake.lost
+    intake.take(listener, frames("haptic/state", haptic_state(100)), EPOCH_NS)
+    intake.take(listener, [b"haptic/state"], EPOCH_NS)
+    command = intake.take(listen("launcher@master"), frames("session/control", session_control(0)), EPOCH_NS)
+    assert command is not None
+    assert intake.lost > lost
+    intake.flush()
+    intake.finish()

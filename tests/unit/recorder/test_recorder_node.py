@@ -1,0 +1,379 @@
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+import zmq
+from recorder_samples import EPOCH_NS, NODE, haptic_state, sample, session_control, teleop_forward
+
+from proto import TOPICS, Message, encode
+from proto.messages import InputHealth, SessionEvent
+from services.recorder.__main__ import begin, listeners
+from services.recorder.config import RecorderConfig
+from services.recorder.intake import Intake
+from services.recorder.node import RecorderBus, RecorderNode
+from services.recorder.reader import Recording
+from services.recorder.writer import RecordingWriter
+from services.runtime.bus import Publisher, Received
+from services.runtime.clock import SystemClock, VirtualClock
+from services.runtime.log import StructuredLog
+from services.runtime.main import Wiring
+from services.runtime.node import NodeContext, NodeLoop
+from services.runtime.realtime import RealtimeStatus
+from services.runtime.sequence import Arrival
+from services.runtime.site import SiteBook
+
+PATIENCE_S = 30.0
+
+
+class QuietBus:
+    """A bus on which nothing is said but by the node, and commands of the test are heard."""
+
+    def __init__(self, clock: VirtualClock) -> None:
+        self.clock = clock
+        self.said: list[tuple[str, Message]] = []
+        self.waiting: list[Received] = []
+
+    def publish(self, topic: str, **fields: Any) -> Message:
+        model = TOPICS[topic].model
+        message = model(seq=len(self.said), t_ns=self.clock.now_ns(), src=NODE, v=model.version, **fields)
+        self.said.append((topic, message))
+        return message
+
+    def receive(self) -> Iterator[Received]:
+        yield from self.waiting
+        self.waiting.clear()
+
+    def wait(self, deadline_ns: int) -> None:
+        self.clock.advance_ns(max(0, deadline_ns - self.clock.monotonic_ns()))
+
+    def input_health(self) -> tuple[InputHealth, ...]:
+        return ()
+
+    def rejections(self) -> tuple[dict[str, int], str]:
+        return {}, ""
+
+    def close(self) -> None:
+        pass
+
+    def events(self) -> list[SessionEvent]:
+        return [message for _, message in self.said if isinstance(message, SessionEvent)]
+
+
+class Rig:
+    """A recorder in virtual time."""
+
+    def __init__(self, intake: Intake, config: RecorderConfig) -> None:
+        self.clock = VirtualClock(0, EPOCH_NS)
+        self.bus = QuietBus(self.clock)
+        self.intake = intake
+        self.node = RecorderNode(NodeContext(NODE, self.clock, self.bus, StructuredLog(NODE)), config, intake)
+        self.loop = NodeLoop(self.node, self.bus, RealtimeStatus(fifo=False, memory_locked=False))
+
+    def command(self, control: Message) -> None:
+        payload = encode(control)
+        self.bus.waiting.append(Received("session/control", control, payload, self.clock.now_ns(), Arrival.NEXT))
+
+
+@pytest.fixture
+def rig(config: RecorderConfig) -> Iterator[Rig]:
+    rig = Rig(Intake(RecordingWriter.create(NODE, config)), config)
+    yield rig
+    rig.intake.finish()
+
+
+def test_flushes_come_at_the_interval_of_the_configuration(rig: Rig) -> None:
+    flushed_at: list[int] = []
+    rig.intake.flush = lambda: flushed_at.append(rig.clock.monotonic_ns())
+    while rig.clock.monotonic_ns() < 1_000_000_000:
+        rig.loop.turn()
+    assert flushed_at == [200_000_000, 400_000_000, 600_000_000, 800_000_000, 1_000_000_000]
+
+
+def test_the_start_is_said_once_after_the_first_flush(rig: Rig, tmp_path: Path) -> None:
+    assert rig.bus.events() == []
+    for _ in range(4):
+        rig.loop.turn()
+    (event,) = rig.bus.events()
+    assert (event.kind, event.level, event.data["state"]) == ("recording", "info", "started")
+    assert event.data["path"] == str(tmp_path / "session.mcap")
+    assert rig.node.state == "running"
+
+
+def test_the_end_completes_the_file_and_says_what_is_in_it(rig: Rig) -> None:
+    rig.loop.stop()
+    rig.loop.run()
+    started, finished = rig.bus.events()
+    assert started.data["state"] == "started"
+    assert finished.data["state"] == "finished"
+    assert finished.data["messages"] == 0
+    info = Recording(str(finished.data["path"])).info()
+    assert info.complete
+    assert info.size_bytes == finished.data["size_bytes"]
+    assert rig.bus.said[-1][0] == "node/health"
+
+
+def test_a_folder_that_cannot_be_written_is_an_event_and_the_node_goes_on(config: RecorderConfig) -> None:
+    rig = Rig(Intake(None, "/x: cannot be made: Permission denied"), config)
+    for _ in range(6):
+        rig.loop.turn()
+    (event,) = rig.bus.events()
+    assert (event.kind, event.level, event.data["state"]) == ("recording", "error", "failed")
+    assert "the rig goes on: /x: cannot be made: Permission denied" in event.text
+    assert rig.node.state == "safe"
+    rig.command(session_control(0, id="m1"))
+    rig.loop.turn()
+    answer = rig.bus.events()[-1]
+    assert (answer.id, answer.kind) == ("m1", "refused")
+    assert "Permission denied" in answer.text
+    rig.loop.stop()
+    rig.loop.run()
+    assert len(rig.bus.events()) == 2
+
+
+def test_a_disk_that_fails_later_is_one_event(rig: Rig) -> None:
+    rig.loop.turn()
+    assert rig.intake.writer is not None
+    rig.intake.writer._stream.close()
+    rig.intake.fault = "session.mcap: cannot be written: No space left on device"
+    rig.intake.writer = None
+    for _ in range(5):
+        rig.loop.turn()
+    assert [event.data["state"] for event in rig.bus.events()] == ["started", "failed"]
+
+
+def test_a_mark_is_acknowledged_and_its_parameters_are_told(rig: Rig) -> None:
+    # keys that are also names of arguments within the node must do no harm
+    rig.command(session_control(0, id="m1", parameters={"note": "snap-in", "kind": "x", "text": "y", "answer_to": "z"}))
+    rig.loop.turn()
+    mark, answer = rig.bus.events()[:2]
+    assert (mark.kind, mark.data["note"], mark.data["answer_to"]) == ("mark", "snap-in", "z")
+    assert (answer.kind, answer.id) == ("ack", "m1")
+    assert "session.mcap" in answer.text
+
+
+def test_a_command_for_others_is_left_to_them_and_another_one_is_refused(rig: Rig) -> None:
+    rig.command(session_control(0, command="start", target="*"))
+    rig.command(session_control(1, command="start", target="recorder", id="s1"))
+    rig.loop.turn()
+    (answer,) = [event for event in rig.bus.events() if event.kind != "recording"]
+    assert (answer.kind, answer.id) == ("refused", "s1")
+
+
+def test_lost_commands_and_events_are_a_fault(rig: Rig) -> None:
+    rig.intake.lossless_lost = 3
+    for _ in range(4):
+        rig.loop.turn()
+    (fault,) = [event for event in rig.bus.events() if event.kind == "fault"]
+    assert fault.data["missing"] == 3
+
+
+def test_health_counts_the_messages_heard(rig: Rig) -> None:
+    rig.loop.turn()
+    rig.intake.heard = 1000
+    for _ in range(3):
+        rig.loop.turn()
+    rates = [message.rate_hz for topic, message in rig.bus.said if topic == "node/health"]
+    # the first one is sent at the start
+    assert rates == [0.0, pytest.approx(2000.0, rel=1e-9, abs=0)]
+
+
+NODES = (
+    "haptic_node@master",
+    "controller@master",
+    "delay_node@slave",
+    "delay_node@master",
+    "launcher@master",
+    "recorder@master",
+)
+
+
+@pytest.fixture
+def site_file(tmp_path: Path) -> Path:
+    path = tmp_path / "site.yaml"
+    path.write_text(yaml.safe_dump({"nodes": {node: f"ipc://{tmp_path}/{node}" for node in NODES}}))
+    return path
+
+
+@pytest.fixture
+def scenario_file(tmp_path: Path) -> Path:
+    path = tmp_path / "scenario.yaml"
+    path.write_text(
+        yaml.safe_dump(
+            {
+                "name": "test",
+                "description": "A recorder alone",
+                "duration_s": 1.0,
+                "recorder": {"directory": str(tmp_path / "out"), "flush_interval_s": 0.1},
+            }
+        )
+    )
+    return path
+
+
+class Stage:
+    """Every other node of the rig, as far as the recorder can tell."""
+
+    def __init__(self, context: zmq.Context, site_file: Path, nodes: Sequence[str]) -> None:
+        book = SiteBook.model_validate(yaml.safe_load(site_file.read_text()))
+        self.publishers = {node: Publisher(context, SystemClock(), node, book.endpoint(node)) for node in nodes}
+        self.sent = 0
+
+    def say_all(self) -> None:
+        """One message of each kind: at its publisher, and behind the link."""
+        forward = encode(teleop_forward(self.sent))
+        self.publishers["haptic_node@master"].send("haptic/state", encode(haptic_state(self.sent)))
+        self.publishers["controller@master"].send("teleop/forward", forward)
+        self.publishers["delay_node@slave"].send("teleop/forward", forward)
+        self.sent += 1
+
+    def close(self) -> None:
+        for publisher in self.publishers.values():
+            publisher.close()
+
+
+@pytest.fixture
+def stage(site_file: Path) -> Iterator[Callable[..., Stage]]:
+    made: list[Stage] = []
+    with zmq.Context() as context:
+
+        def make(nodes: Sequence[str]) -> Stage:
+            made.append(Stage(context, site_file, nodes))
+            return made[-1]
+
+        yield make
+        for each in made:
+            each.close()
+
+
+def test_everything_on_real_sockets_is_heard_at_its_place(
+    site_file: Path, scenario_file: Path, config: RecorderConfig, stage: Callable[..., Stage]
+) -> None:
+    clock = SystemClock()
+    book = SiteBook.model_validate(yaml.safe_load(site_file.read_text()))
+    reader, writer = os.pipe()
+    with zmq.Context() as context:
+        wiring = Wiring(
+            key=NODE,
+            book=book,
+            site_file=site_file,
+            scenario_file=scenario_file,
+            clock=clock,
+            log=StructuredLog(NODE),
+            zmq_context=context,
+            wake_descriptor=reader,
+        )
+        intake = begin(wiring, config)
+        bus = RecorderBus(wiring.publisher(NODE), listeners(wiring), intake, clock, reader)
+        node = RecorderNode(wiring.context(bus), config, intake)
+        loop = NodeLoop(node, bus, RealtimeStatus(fifo=False, memory_locked=False))
+        others = stage([key for key in NODES if key != NODE])
+        end = time.monotonic() + PATIENCE_S
+        wanted = {"haptic/state", "teleop/forward", "teleop/forward@slave", "node/health", "session/event"}
+        found: set[str] = set()
+        while not wanted <= found and time.monotonic() < end:
+            others.say_all()
+            others.publishers["launcher@master"].send("session/control", encode(session_control(others.sent)))
+            loop.turn()
+            found = {stream.channel_topic for each in bus._listeners.values() for stream in each.streams.values()}
+        loop.stop()
+        loop.run()
+        bus.close()
+    os.close(reader)
+    os.close(writer)
+    recording = Recording(config.directory / config.file_name)
+    info = recording.info()
+    assert info.complete
+    assert wanted <= {channel.channel_topic for channel in info.channels}
+    assert {(c.channel_topic, c.src) for c in info.channels} >= {("node/health", NODE), ("session/event", NODE)}
+    assert recording.attachments == {
+        "site.yaml": site_file.read_bytes(),
+        "scenario.yaml": scenario_file.read_bytes(),
+    }
+    assert recording.metadata["recording"]["node"] == NODE
+    assert recording.metadata["versions"]["schema haptic/state"] == "1"
+    assert recording.metadata["versions"]["package mcap"]
+    for message in recording.messages(["teleop/forward@slave"]):
+        assert message.payload == encode(teleop_forward(message.seq))
+        assert message.decode() == teleop_forward(message.seq)
+
+
+def started(site_file: Path, scenario_file: Path) -> "subprocess.Popen[bytes]":
+    arguments = ["--site-file", str(site_file), "--scenario", str(scenario_file)]
+    return subprocess.Popen([sys.executable, "-m", "services.recorder", *arguments], stderr=subprocess.PIPE)
+
+
+def say_until(others: Stage, path: Path, size_bytes: int) -> None:
+    """Say things at about 3 kHz until the recording has a size."""
+    end = time.monotonic() + PATIENCE_S
+    next_s = time.monotonic()
+    while not path.exists() or path.stat().st_size < size_bytes:
+        assert time.monotonic() < end, f"{path} did not reach {size_bytes} bytes"
+        others.say_all()
+        next_s += 1e-3
+        while time.monotonic() < next_s:
+            pass
+
+
+def test_a_process_that_is_told_to_stop_completes_its_file(
+    site_file: Path, scenario_file: Path, tmp_path: Path, stage: Callable[..., Stage]
+) -> None:
+    others = stage([key for key in NODES if key != NODE])
+    path = tmp_path / "out" / "session.mcap"
+    with started(site_file, scenario_file) as process:
+        say_until(others, path, 20_000)
+        process.send_signal(signal.SIGTERM)
+        _, errors = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0, errors
+    info = Recording(path).info()
+    assert info.complete
+    assert {channel.lost for channel in info.channels} == {0}
+
+
+def test_a_killed_process_loses_no_more_than_an_interval(
+    site_file: Path, scenario_file: Path, tmp_path: Path, stage: Callable[..., Stage]
+) -> None:
+    others = stage([key for key in NODES if key != NODE])
+    random_source = random.Random(9)
+    for name in ("session.mcap", "session_1.mcap", "session_2.mcap"):
+        path = tmp_path / "out" / name
+        with started(site_file, scenario_file) as process:
+            say_until(others, path, random_source.randrange(20_000, 60_000))
+            killed_ns = SystemClock().now_ns()
+            process.kill()
+        recording = Recording(path)
+        heard = list(recording.messages(["haptic/state"]))
+        assert not recording.complete
+        assert [m.seq for m in heard] == list(range(heard[0].seq, heard[-1].seq + 1))
+        # the interval is 0.1 s; the rest is for a busy machine
+        assert killed_ns - heard[-1].log_ns < 250_000_000
+
+
+def test_a_process_that_may_not_write_runs_and_says_so(site_file: Path, scenario_file: Path, tmp_path: Path) -> None:
+    (tmp_path / "out").write_text("in the way")
+    with started(site_file, scenario_file) as process:
+        assert process.stderr is not None
+        line = b""
+        while b"the rig goes on" not in line:
+            line = process.stderr.readline()
+            assert line, "the recorder ended"
+        assert b"out: is not a folder" in line
+        process.terminate()
+        process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0
+
+
+def test_a_sample_of_each_topic_can_be_recorded_and_decoded(config: RecorderConfig) -> None:
+    writer = RecordingWriter.create(NODE, config)
+    said = [(topic, sample(topic, 0)) for topic in TOPICS]
+    for topic, message in said:
+        writer.write(writer.channel(topic, message.src, "master"), EPOCH_NS, EPOCH_NS, 0, encode(message))
+    writer.finish()
+    assert [message.decode() for message in Recording(writer.path).messages()] == [message for _, message in said]
