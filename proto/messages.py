@@ -177,6 +177,27 @@ class AfmScanline(Message):
     phase_rad: Array | None = Field(description="Phase of vibration [rad]; nil in contact mode")
 
 
+class LawStatus(Message):
+    """How one half of the law is doing: energy, passivity, and what it hears; energies at the hand's scale."""
+
+    law: str = Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=32, description="Law in force at this half")
+    switching: bool = Field(description="The half waits for the other one to take up this law; its device stands still")
+    port_energy_j: float = Field(description="Energy that has entered the law at this port since it is in force [J]")
+    port_power_w: float = Field(description="Power entering at this port, mean since the last report [W]")
+    net_valid: bool = Field(description="The energy of the other port is known too")
+    net_energy_j: float = Field(description="Energy that has entered at both ports less what left [J]; stored or lost")
+    left_j: float = Field(description="Energy heard of the other half and not yet given out [J]; 0 if not counted")
+    dissipated_j: float = Field(description="Energy that the controller has taken out on purpose [J]; 0 if not counted")
+    passive: bool = Field(description="Neither the net energy nor the energy left has shown that energy was made")
+    saved_percent: Seconds = Field(
+        description="Signals to the other half that the dead band kept back, since this law is in force [%]"
+    )
+    heard: bool = Field(description="The other half has been heard in this law")
+    silence_s: Seconds = Field(description="Time since then [s]; 0 if never heard")
+    round_trip_valid: bool = Field(description="The round trip was measured; at the master only")
+    round_trip_s: Seconds = Field(description="Age of the hand's sample that the newest answer descends from [s]")
+
+
 class LinkDirection(Record):
     """One direction of the link: the settings in force and what it did since the last report."""
 
@@ -195,11 +216,60 @@ class LinkDirection(Record):
     delay_max_s: Seconds = Field(description="Greatest delay applied since the last report [s]")
 
 
+class LinkClock(Record):
+    """Offset between the clocks of the sites, from four time stamps; figures are 0 when valid is false."""
+
+    valid: bool = Field(description="An exchange with the slave's site was completed")
+    offset_s: float = Field(description="What the slave's clock is ahead of the master's [s]")
+    uncertainty_s: Seconds = Field(description="Bound of the error of offset_s [s]: half the round trip")
+    round_trip_s: Seconds = Field(description="Shortest round trip among the exchanges in view [s]")
+    exchanges: Count = Field(description="Number of exchanges in view of the minimum filter")
+
+
 class LinkStatus(Message):
     """The link, both directions."""
 
     forward: LinkDirection = Field(description="From the master to the slave")
     backward: LinkDirection = Field(description="From the slave to the master")
+    clock: LinkClock = Field(description="Offset between the clocks of the sites, past the impairments")
+
+
+class LinkFate(Record):
+    """Ground truth of one message that reached the link, or of the duplicate that was made of it."""
+
+    topic: Annotated[str, Field(max_length=64)] = Field(description="Topic of the message")
+    seq: Count = Field(description="seq of the message")
+    is_duplicate: bool = Field(description="This is the duplicate, not the message itself")
+    arrived_ns: Count = Field(description="When it reached the link, on the link's clock [ns]")
+    delay_ns: Count = Field(description="Delay applied, everything included [ns]; 0 when dropped")
+    queue_ns: Count = Field(description="Part of it spent in the queue of a rate limit or delivery trace [ns]")
+    held_ns: Count = Field(description="Part of it spent waiting for the end of an outage [ns]")
+    dropped: Annotated[str, Field(max_length=64)] = Field(
+        description="What dropped it: outage, loss, markov_loss, gilbert_elliott, queue; empty when it was delivered"
+    )
+    duplicated: bool = Field(description="A duplicate was made of it")
+    reordered: bool = Field(description="It was released before a message of its topic that had arrived earlier")
+    corrupted: bool = Field(description="Bits of it were flipped")
+
+
+class LinkFates(Message):
+    """What the link did to each message of one direction since the last such report."""
+
+    direction: Literal["forward", "backward"] = Field(description="forward: from the master to the slave")
+    fates: Annotated[tuple[LinkFate, ...], FailFast(), Field(max_length=MAX_ITEMS)] = Field(
+        description="In the order in which they were decided"
+    )
+
+
+class ClockPing(Message):
+    """Question of the link to the other site for its time."""
+
+
+class ClockPong(Message):
+    """Answer to a clock/ping; its own t_ns is the time of sending on the answering clock."""
+
+    ping_t_ns: Count = Field(description="t_ns of the question, on the asking clock [ns]")
+    received_ns: Count = Field(description="When the question arrived, on the answering clock [ns]")
 
 
 class SessionControl(Message):

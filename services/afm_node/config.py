@@ -121,6 +121,7 @@ class AfmConfig(_Model):
         10e-9, gt=0.0, le=1e-4, description="Tip-sample distance L with the base at 0 and no force [m], up to 1e-4."
     )
     safety: SafetyConfig = Field(SafetyConfig(), description="Limits of base, tip force and command age.")
+    allow_replay: bool = Field(False, description="Whether commands that come from a recording are obeyed.")
 
     @model_validator(mode="after")
     def _buildable(self) -> Self:

@@ -3,7 +3,7 @@
 import math
 from typing import ClassVar
 
-from proto.messages import AfmCommand, SessionControl, Vector3
+from proto.messages import AfmCommand, ClockPing, SessionControl, Vector3
 from services.afm_node import safety
 from services.afm_node.config import AfmConfig
 from services.afm_node.driver import AfmDriver
@@ -11,8 +11,9 @@ from services.afm_node.step import AfmSample
 from services.runtime.bus import Received
 from services.runtime.errors import RefusedError
 from services.runtime.node import Node, NodeContext
+from services.runtime.replayed import ReplayGuard
 
-INPUTS = ("afm/command", "session/control")
+INPUTS = ("afm/command", "clock/ping", "session/control", "node/health")
 PERIOD_S = 1e-3
 _PERIOD_NS = round(PERIOD_S * 1e9)
 # a command that is late by less than half a period still makes the step, so that there is one step a command
@@ -47,6 +48,7 @@ class AfmNode(Node):
 
     def __init__(self, context: NodeContext, config: AfmConfig, driver: AfmDriver) -> None:
         super().__init__(context)
+        self._replay_guard = ReplayGuard(context, allow=config.allow_replay)
         self._driver = driver
         self._limits = config.to_params().safety
         self._guard = safety.initial_safety_state(self._limits)
@@ -63,13 +65,19 @@ class AfmNode(Node):
         self._stepped_ns = self.clock.monotonic_ns()
         self._due_ns = self._stepped_ns + _PERIOD_NS
 
+    def admits(self, received: Received) -> bool:
+        """Keep commands of a recording away from the device, unless they are allowed."""
+        return self._replay_guard.admits(received)
+
     def deadline_ns(self) -> int:
         """Give the time at which the instrument steps by itself."""
         return self._due_ns
 
     def on_message(self, received: Received) -> None:
-        """Act on a command at once."""
-        if isinstance(received.message, AfmCommand):
+        """Act on a command at once; answer the link's question for the time of this site."""
+        if isinstance(received.message, ClockPing):
+            self.publish("clock/pong", ping_t_ns=received.message.t_ns, received_ns=received.received_ns)
+        elif isinstance(received.message, AfmCommand):
             self._command = received.message
             self._command_received_ns = received.received_ns
             self._step(self.clock.monotonic_ns())

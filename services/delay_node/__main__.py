@@ -19,7 +19,10 @@ def build(wiring: Wiring, settings: LinkSettings) -> tuple[Node, AccountedBus]:
     except EndpointError:
         to_master.close()
         raise
-    listeners = [wiring.subscriber(wiring.book.bridged_from(site)) for site in ("master", "slave")]
+    connections = [wiring.book.bridged_from(site) for site in ("master", "slave")]
+    for answering, topics in wiring.book.sources("delay_node@slave", ["clock/pong"]).items():
+        connections[1].setdefault(answering, []).extend(topics)
+    listeners = [wiring.subscriber(plan) for plan in connections]
     bus = ZmqBus(to_master, listeners, wiring.clock, wiring.wake_descriptor)
     bus.also_closes(to_slave)
     try:

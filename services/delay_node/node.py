@@ -5,16 +5,23 @@ from pathlib import Path
 from typing import ClassVar, Protocol
 
 from proto import TOPICS
-from proto.messages import LinkDirection, SessionControl
+from proto.messages import ClockPong, LinkClock, LinkDirection, LinkFate, Message, SessionControl
+from services.delay_node.clock_offset import Exchange, Offset, OffsetFilter
 from services.delay_node.config import LinkSettings, SettingsError, changed, flattened
 from services.delay_node.engine import DirectionEngine, LinkEngine
-from services.delay_node.fate import DirectionStats, Release
+from services.delay_node.fate import DirectionStats, Fate, Release
 from services.runtime.bus import Received
 from services.runtime.errors import RefusedError
 from services.runtime.node import Node, NodeContext
 from services.runtime.schedule import Grid
 
 STATUS_PERIOD_NS = 100_000_000
+# exchanges of time stamps in view, one a report: the clocks of two sites drift by microseconds in this time
+_CLOCK_WINDOW = 64
+# rows of ground truth that make a message worth sending
+_FATES_AT_ONCE = 32
+# rows that fit into a message with room to spare
+_MOST_FATES = 1000
 
 
 class Outlet(Protocol):
@@ -22,6 +29,9 @@ class Outlet(Protocol):
 
     def send(self, topic: str, payload: bytes) -> None:
         """Send a message with the header of its first publisher."""
+
+    def publish(self, topic: str, **fields: object) -> Message:
+        """Send a message of the link's own."""
 
 
 class DelayNode(Node):
@@ -40,8 +50,11 @@ class DelayNode(Node):
         """
         super().__init__(context)
         self._outlets = {"forward": to_slave, "backward": to_master}
-        self.engine = LinkEngine(settings, self.clock.now_ns(), folder=folder, keep_fates=False)
+        self.engine = LinkEngine(settings, self.clock.now_ns(), folder=folder, keep_fates=True)
         self._sides: dict[str, DirectionEngine] = {"forward": self.engine.forward, "backward": self.engine.backward}
+        self._to_slave = to_slave
+        self._offset = OffsetFilter(_CLOCK_WINDOW)
+        self._untold = 0
         self._status = Grid(self.clock.monotonic_ns(), STATUS_PERIOD_NS)
         self.state = "running"
 
@@ -54,6 +67,8 @@ class DelayNode(Node):
 
     def on_message(self, received: Received) -> None:
         """Hand a message to the engine and send on what is due."""
+        if isinstance(received.message, ClockPong):
+            self._on_pong(received.message, received.received_ns)
         direction = TOPICS[received.topic].bridged
         if direction is None:
             return
@@ -61,6 +76,10 @@ class DelayNode(Node):
             due = self._sides[way].submit(received.received_ns, received.topic, received.payload, received.message.seq)
             self._send(way, due)
         self.steps += 1
+        self._untold += 1
+        # after a backward message, when a tick has passed through and the next is some time away
+        if self._untold >= _FATES_AT_ONCE and direction == "backward":
+            self._tell_fates()
 
     def on_deadline(self, now_ns: int) -> None:
         """Release what is due; report when it is time."""
@@ -69,7 +88,9 @@ class DelayNode(Node):
             self._send(way, side.due(epoch_ns))
         if now_ns >= self._status.deadline_ns:
             self._status.advance(now_ns)
+            self._tell_fates()
             self._report()
+            self._to_slave.publish("clock/ping")
 
     def on_control(self, control: SessionControl) -> str:
         """Change the settings for the messages that arrive from now on; those in flight keep their fate."""
@@ -93,13 +114,52 @@ class DelayNode(Node):
         for release in releases:
             outlet.send(release.topic, release.payload)
 
+    def _on_pong(self, pong: ClockPong, received_ns: int) -> None:
+        self._offset.enter(Exchange(pong.ping_t_ns, pong.received_ns, pong.t_ns, received_ns))
+
+    def _tell_fates(self) -> None:
+        self._untold = 0
+        for way, side in self._sides.items():
+            fates = tuple(_told(fate) for fate in side.take_fates())
+            for first in range(0, len(fates), _MOST_FATES):
+                self.publish("link/fates", direction=way, fates=fates[first : first + _MOST_FATES])
+
     def _report(self) -> None:
         settings = flattened(self.engine.settings, only_set=True)
         self.publish(
             "link/status",
             forward=_direction(self._sides["forward"].stats(), settings, "forward", self.engine.settings.profile),
             backward=_direction(self._sides["backward"].stats(), settings, "backward", self.engine.settings.profile),
+            clock=_clock(self._offset.estimate()),
         )
+
+
+def _clock(offset: Offset | None) -> LinkClock:
+    if offset is None:
+        return LinkClock(valid=False, offset_s=0.0, uncertainty_s=0.0, round_trip_s=0.0, exchanges=0)
+    return LinkClock(
+        valid=True,
+        offset_s=offset.offset_s,
+        uncertainty_s=offset.uncertainty_s,
+        round_trip_s=offset.round_trip_s,
+        exchanges=offset.exchanges,
+    )
+
+
+def _told(fate: Fate) -> LinkFate:
+    return LinkFate(
+        topic=fate.topic,
+        seq=fate.seq,
+        is_duplicate=fate.copy > 0,
+        arrived_ns=fate.arrived_ns,
+        delay_ns=fate.delay_ns,
+        queue_ns=fate.queue_ns,
+        held_ns=fate.held_ns,
+        dropped=fate.dropped,
+        duplicated=fate.duplicated,
+        reordered=fate.reordered,
+        corrupted=fate.corrupted,
+    )
 
 
 def _direction(

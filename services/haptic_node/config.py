@@ -249,6 +249,7 @@ class HapticConfig(_Section):
     operator: OperatorConfig = Field(
         default=ForceProfileConfig(kind="force_profile"), description="The simulated hand; Fig. 12 if not given"
     )
+    allow_replay: bool = Field(default=False, description="Whether commands that come from a recording are obeyed")
 
     @model_validator(mode="after")
     def _limits_inside_travel(self) -> "HapticConfig":

@@ -9,9 +9,10 @@ from services.haptic_node.config import HapticConfig
 from services.haptic_node.driver import DeviceReading, DriveCommand, HapticDevice
 from services.runtime.bus import Received
 from services.runtime.node import Node, NodeContext
+from services.runtime.replayed import ReplayGuard
 from services.runtime.schedule import Grid
 
-INPUTS = ("haptic/command", "session/control")
+INPUTS = ("haptic/command", "session/control", "node/health")
 PERIOD_S = 1e-3
 _MODE_CODES = {name: code for code, name in safety.MODE_NAMES.items()}
 # what acts on the way to the device without being a change of its mode
@@ -37,6 +38,7 @@ class HapticNode(Node):
 
     def __init__(self, context: NodeContext, config: HapticConfig, device: HapticDevice) -> None:
         super().__init__(context)
+        self._replay_guard = ReplayGuard(context, allow=config.allow_replay)
         self.device = device
         self._limits = config.limits.to_params(
             has_position_mode=safety.MODE_POSITION in device.capabilities.modes,
@@ -54,6 +56,10 @@ class HapticNode(Node):
         # compile before the grid starts, not in its first tick
         self._guarded()
         self._grid = Grid(self.clock.monotonic_ns(), round(PERIOD_S * 1e9))
+
+    def admits(self, received: Received) -> bool:
+        """Keep commands of a recording away from the device, unless they are allowed."""
+        return self._replay_guard.admits(received)
 
     def deadline_ns(self) -> int:
         """Give the next tick of the grid."""

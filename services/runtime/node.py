@@ -55,6 +55,7 @@ class Node(ABC):
 
     inputs: ClassVar[tuple[str, ...]]
     commands: ClassVar[tuple[str, ...]] = ()
+    replay: ClassVar[bool] = False
     period_s: float = 0.0
     state: NodeState = "ready"
 
@@ -69,6 +70,10 @@ class Node(ABC):
     @abstractmethod
     def on_message(self, received: Received) -> None:
         """Act on a message of one of the inputs; session/control goes to `on_control` as well."""
+
+    def admits(self, received: Received) -> bool:
+        """Say whether a message may be acted on; device nodes keep out what comes from a recording."""
+        return True
 
     def deadline_ns(self) -> int:
         """Give the monotonic time [ns] at which `on_deadline` is wanted."""
@@ -202,7 +207,7 @@ class NodeLoop:
             memory_bytes=resident_bytes(),
             realtime=self._realtime.fifo,
             memory_locked=self._realtime.memory_locked,
-            replay=False,
+            replay=self.node.replay,
             inputs=self._bus.input_health(),
         )
         self._last_steps, self._last_cpu_s, self._last_health_ns = self.node.steps, cpu_s, now_ns
@@ -211,6 +216,8 @@ class NodeLoop:
     def _dispatch(self, received: Received) -> None:
         if received.arrival is Arrival.AFTER_GAP and TOPICS[received.topic].delivery == "lossless":
             self._report_gap(received)
+        if not self.node.admits(received):
+            return
         self.node.on_message(received)
         if isinstance(received.message, SessionControl):
             self._desk.handle(received.message)

@@ -29,6 +29,7 @@ UNITLESS = {
     "shape": "elements",
     "line": "number of a line",
     "lines": "lines",
+    "exchanges": "exchanges of time stamps",
     "messages_in": "messages",
     "messages_out": "messages",
     "duplicated": "messages",

@@ -116,7 +116,7 @@ def test_error_names_the_key_and_what_is_right(document, expected):
 
 
 def test_every_field_is_described_with_a_unit_in_its_name():
-    for model in (HapticConfig, *(type(getattr(HapticConfig(), name)) for name in HapticConfig.model_fields)):
+    for model in (HapticConfig, *(type(getattr(HapticConfig(), name)) for name in ("device", "limits", "operator"))):
         for name, field in model.model_fields.items():
             assert field.description, f"{model.__name__}.{name}"
             if field.annotation in (float, float | None):

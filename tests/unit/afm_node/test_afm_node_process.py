@@ -1,0 +1,149 @@
+"""The AFM as a node: one state a command, a thousand a second without any, and what it does about silence."""
+
+from typing import Any
+
+import pytest
+
+from services.afm_node.config import AfmConfig
+from services.afm_node.node import AfmNode
+from services.afm_node.sim import SimulatedAfm
+from services.runtime.errors import RefusedError
+
+
+class Instrument:
+    """An AFM on a bench."""
+
+    def __init__(self, bench: Any) -> None:
+        self.bench = bench
+        config = AfmConfig()
+        self.driver = SimulatedAfm(config.to_params())
+        self.node = AfmNode(bench.context, config, self.driver)
+
+    def command(self, x_s_m: float = 0.0, mode: str = "position", hand_seq: int = 7) -> None:
+        fields = {"mode": mode, "base_position_m": (0.0, 0.0, -x_s_m), "hand_seq": hand_seq, "hand_t_ns": 99}
+        self.node.on_message(self.bench.heard("afm/command", "controller@slave", **fields))
+
+    def pass_ms(self, duration_ms: float, every_ms: float | None = None) -> None:
+        """Let time pass, with a command every so often."""
+        clock = self.bench.clock
+        end = clock.monotonic_ns() + round(duration_ms * 1e6)
+        while clock.monotonic_ns() < end:
+            if every_ms is not None:
+                clock.advance_ns(round(every_ms * 1e6))
+                self.command()
+                continue
+            clock.advance_ns(max(0, self.node.deadline_ns() - clock.monotonic_ns()))
+            self.node.on_deadline(clock.monotonic_ns())
+
+    def control(self, command: str) -> str:
+        fields = {"id": "a", "command": command, "target": "afm_node", "parameters": {}}
+        return self.node.on_control(self.bench.make("session/control", "console@master", **fields))
+
+    def states(self) -> list[Any]:
+        return self.bench.take("afm/state")
+
+
+@pytest.fixture
+def afm(bench_of: Any) -> Instrument:
+    return Instrument(bench_of("afm_node@slave"))
+
+
+def follow(afm: Instrument) -> None:
+    """Arm, and let the base reach its rest point."""
+    afm.command()
+    afm.control("arm")
+    afm.pass_ms(80.0, every_ms=1.0)
+    afm.states()
+
+
+def test_a_command_is_answered_at_once_with_its_number(afm: Instrument) -> None:
+    afm.command(hand_seq=41)
+    (state,) = afm.states()
+    assert (state.hand_seq, state.hand_t_ns, state.command_seq) == (41, 99, 0)
+
+
+def test_there_is_one_state_a_command_while_they_come(afm: Instrument) -> None:
+    follow(afm)
+    afm.pass_ms(100.0, every_ms=1.0)
+    assert len(afm.states()) == 100
+
+
+def test_without_commands_there_is_a_state_a_millisecond(afm: Instrument) -> None:
+    afm.pass_ms(100.0)
+    assert len(afm.states()) == pytest.approx(100, abs=1)
+
+
+def test_arming_needs_a_fresh_command(afm: Instrument) -> None:
+    with pytest.raises(RefusedError, match="no_fresh_command"):
+        afm.control("arm")
+    afm.command()
+    assert "armed" in afm.control("arm")
+    assert afm.control("arm") == "armed already"
+
+
+def test_silence_holds_then_retracts_and_stays(afm: Instrument) -> None:
+    follow(afm)
+    start_ns = afm.bench.clock.monotonic_ns()
+    afm.pass_ms(600.0)
+    modes: dict[str, float] = {}
+    for state in afm.states():
+        age_ms = (state.t_ns - afm.bench.clock.epoch_offset_ns - start_ns) * 1e-6
+        modes.setdefault(state.mode, age_ms)
+        last = state
+    assert list(modes) == ["follow", "hold", "retracting", "retracted"]
+    # one period of grain on the deadlines of 50 and 250 ms
+    assert 50.0 < modes["hold"] <= 52.0
+    assert 250.0 < modes["retracting"] <= 252.0
+    assert last.base_position_m[2] == pytest.approx(100e-9, rel=1e-9, abs=0.0)
+    afm.pass_ms(50.0, every_ms=1.0)
+    assert {state.mode for state in afm.states()} == {"retracted"}
+    events = [event.data["mode"] for event in afm.bench.take("session/event") if event.kind == "mode"]
+    assert events == ["follow", "hold", "retracting", "retracted"]
+
+
+def test_commands_that_resume_in_time_are_followed_again(afm: Instrument) -> None:
+    follow(afm)
+    afm.pass_ms(100.0)
+    assert afm.states()[-1].mode == "hold"
+    afm.command()
+    assert afm.states()[-1].mode == "follow"
+
+
+def test_estop_is_latched_until_armed(afm: Instrument) -> None:
+    follow(afm)
+    afm.control("estop")
+    afm.pass_ms(200.0, every_ms=1.0)
+    assert {state.mode for state in afm.states()} == {"estop"}
+    afm.control("arm")
+    afm.command()
+    assert afm.states()[-1].mode == "follow"
+
+
+def test_a_burst_of_commands_cannot_outrun_the_speed_limit(afm: Instrument) -> None:
+    follow(afm)
+    before = -afm.node._guard.base_m
+    for _ in range(100):
+        afm.command(x_s_m=-90e-9)
+    moved = abs(-afm.node._guard.base_m - before)
+    # no time has passed, so next to nothing may have moved
+    assert moved < 1e-12
+
+
+def test_the_end_retracts(afm: Instrument) -> None:
+    follow(afm)
+    afm.node.make_safe()
+    with pytest.raises(RuntimeError, match="not open"):
+        afm.driver.exchange(0.0)
+
+
+def test_the_clock_question_is_answered(afm: Instrument) -> None:
+    question = afm.bench.heard("clock/ping", "delay_node@slave")
+    afm.node.on_message(question)
+    (pong,) = afm.bench.take("clock/pong")
+    assert pong.ping_t_ns == question.message.t_ns
+    assert pong.received_ns == question.received_ns
+
+
+def test_unknown_commands_are_refused(afm: Instrument) -> None:
+    with pytest.raises(RefusedError, match="does not know start"):
+        afm.control("start")

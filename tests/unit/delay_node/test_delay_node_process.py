@@ -1,0 +1,201 @@
+"""The link as a node: what it forwards and when, what it says of it, what it refuses, and the other site's clock."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from proto import encode
+from proto.messages import Message
+from services.afm_node.config import AfmConfig
+from services.afm_node.node import AfmNode
+from services.afm_node.sim import SimulatedAfm
+from services.delay_node.config import LinkSettings, parse_settings
+from services.delay_node.node import DelayNode
+from services.runtime.errors import RefusedError
+
+HALF = {
+    "law": "virtual_impedance",
+    "active": True,
+    "position_m": (0.0, 0.0, 0.0),
+    "velocity_m_per_s": (0.0, 0.0, 0.0),
+    "force_n": (0.0, 0.0, 0.0),
+    "wave_sqrt_w": None,
+    "energy_j": None,
+    "hand_seq": 0,
+    "hand_t_ns": 1,
+}
+
+
+class Outlet:
+    """The socket towards a site, which keeps what it is given."""
+
+    def __init__(self, bench: Any) -> None:
+        self.bench = bench
+        self.sent: list[tuple[str, bytes]] = []
+
+    def send(self, topic: str, payload: bytes) -> None:
+        self.sent.append((topic, payload))
+
+    def publish(self, topic: str, **fields: object) -> Message:
+        message: Message = self.bench.make(topic, "delay_node@slave", **fields)
+        self.send(topic, encode(message))
+        return message
+
+
+class Link:
+    """A link on a bench with an outlet at each site."""
+
+    def __init__(self, bench: Any, settings: LinkSettings) -> None:
+        self.bench = bench
+        self.to_slave, self.to_master = Outlet(bench), Outlet(bench)
+        self.node = DelayNode(bench.context, settings, self.to_slave, self.to_master, Path())
+
+    def hear(self, topic: str, src: str, **fields: Any) -> bytes:
+        received = self.bench.heard(topic, src, **fields)
+        self.node.on_message(received)
+        return bytes(received.payload)
+
+    def pass_ms(self, duration_ms: float) -> None:
+        """Let time pass as the loop does: to each deadline in turn."""
+        clock = self.bench.clock
+        end = clock.monotonic_ns() + round(duration_ms * 1e6)
+        while self.node.deadline_ns() <= end:
+            clock.advance_ns(max(0, self.node.deadline_ns() - clock.monotonic_ns()))
+            self.node.on_deadline(clock.monotonic_ns())
+        clock.advance_ns(end - clock.monotonic_ns())
+
+    def delivered(self, outlet: Outlet) -> list[bytes]:
+        return [payload for topic, payload in outlet.sent if topic.startswith("teleop/")]
+
+
+@pytest.fixture
+def link_of(bench_of: Any) -> Any:
+    return lambda **tree: Link(bench_of("delay_node@master"), parse_settings(tree))
+
+
+def test_clean_link_sends_the_very_bytes_at_once(link_of: Any) -> None:
+    link = link_of()
+    payload = link.hear("teleop/forward", "controller@master", **HALF)
+    assert link.delivered(link.to_slave) == [payload]
+    assert link.delivered(link.to_master) == []
+
+
+def test_each_direction_has_its_delay(link_of: Any) -> None:
+    link = link_of(forward={"delay_s": 0.020}, backward={"delay_s": 0.005})
+    there = link.hear("teleop/forward", "controller@master", **HALF)
+    known = {"separation_m": 0.0, "separation_valid": False, "in_contact": False}
+    back = link.hear("teleop/backward", "controller@slave", **HALF, **known)
+    link.pass_ms(4.999)
+    assert link.delivered(link.to_master) == []
+    link.pass_ms(0.002)
+    assert link.delivered(link.to_master) == [back]
+    assert link.delivered(link.to_slave) == []
+    link.pass_ms(15.0)
+    assert link.delivered(link.to_slave) == [there]
+
+
+def test_ground_truth_of_every_message_is_told(link_of: Any) -> None:
+    link = link_of(seed=3, forward={"delay_s": 0.002, "topics": {"teleop/*": {"loss": {"probability": 0.5}}}})
+    for _ in range(200):
+        link.hear("teleop/forward", "controller@master", **HALF)
+        link.pass_ms(1.0)
+    link.pass_ms(200.0)
+    fates = [fate for message in link.bench.take("link/fates") for fate in message.fates]
+    assert [fate.seq for fate in fates] == list(range(200))
+    lost = [fate for fate in fates if fate.dropped]
+    assert {fate.dropped for fate in lost} == {"loss"}
+    assert {fate.delay_ns for fate in fates if not fate.dropped} == {2_000_000}
+    assert len(link.delivered(link.to_slave)) == 200 - len(lost)
+
+
+def test_status_has_settings_and_figures(link_of: Any) -> None:
+    link = link_of(forward={"delay_s": 0.010})
+    for _ in range(50):
+        link.hear("teleop/forward", "controller@master", **HALF)
+        link.pass_ms(1.0)
+    link.pass_ms(100.0)
+    status = link.bench.take("link/status")[-1]
+    assert status.forward.settings["delay_s"] == 0.010
+    assert (status.forward.messages_in, status.forward.messages_out) == (50, 50)
+    assert status.forward.delay_mean_s == pytest.approx(0.010, rel=1e-9, abs=0.0)
+    assert not status.backward.delay_valid
+
+
+def control(link: Link, **parameters: Any) -> Any:
+    fields = {"id": "a", "command": "set", "target": "delay_node", "parameters": parameters}
+    return link.bench.make("session/control", "console@master", **fields)
+
+
+def test_settings_change_for_what_comes_after(link_of: Any) -> None:
+    link = link_of(forward={"delay_s": 0.010})
+    first = link.hear("teleop/forward", "controller@master", **HALF)
+    link.node.on_control(control(link, **{"forward.delay_s": 0.001}))
+    second = link.hear("teleop/forward", "controller@master", **HALF)
+    link.pass_ms(2.0)
+    assert link.delivered(link.to_slave) == [second]
+    link.pass_ms(9.0)
+    assert link.delivered(link.to_slave) == [second, first]
+
+
+@pytest.mark.parametrize(
+    ("parameters", "text"),
+    [
+        ({"forward.delay_s": -0.1}, "forward.delay_s"),
+        ({"backward.loss.probability": 1.5}, "backward.loss.probability"),
+        ({"profile": "lunar"}, "lunar"),
+        ({"forward.delya_s": 0.1}, "delya_s"),
+        ({}, "needs link settings"),
+    ],
+)
+def test_bad_settings_are_refused_and_the_last_good_ones_stay(link_of: Any, parameters: Any, text: str) -> None:
+    link = link_of(forward={"delay_s": 0.010})
+    before = link.node.engine.settings
+    with pytest.raises(RefusedError, match=text):
+        link.node.on_control(control(link, **parameters))
+    assert link.node.engine.settings == before
+
+
+@pytest.mark.parametrize(("there_ms", "back_ms"), [(0.2, 0.2), (8.0, 2.0)])
+def test_offset_of_the_other_clock_is_measured_with_its_uncertainty(
+    bench_of: Any, there_ms: float, back_ms: float
+) -> None:
+    injected_ns = 750_000_000
+    link = Link(bench_of("delay_node@master"), LinkSettings())
+    far = bench_of("afm_node@slave")
+    config = AfmConfig()
+    instrument = AfmNode(far.context, config, SimulatedAfm(config.to_params()))
+    far.clock.epoch_offset_ns += injected_ns + link.bench.clock.monotonic_ns() - far.clock.monotonic_ns()
+    skew = far.clock.monotonic_ns() - link.bench.clock.monotonic_ns()
+    for _ in range(3):
+        link.pass_ms(100.0)
+        ping = next(payload for topic, payload in reversed(link.to_slave.sent) if topic == "clock/ping")
+        link.bench.advance_ms(there_ms)
+        far.clock.advance_ns(link.bench.clock.monotonic_ns() + skew - far.clock.monotonic_ns())
+        question = far.heard("clock/ping", "delay_node@slave")
+        stamp = int(_field(ping, "t_ns"))
+        instrument.on_message(_with_stamp(question, stamp))
+        (pong,) = far.take("clock/pong")
+        link.bench.advance_ms(back_ms)
+        answer = {"ping_t_ns": pong.ping_t_ns, "received_ns": pong.received_ns}
+        received = link.bench.heard("clock/pong", "afm_node@slave", **answer)
+        link.node.on_message(_with_stamp(received, pong.t_ns))
+    link.pass_ms(100.0)
+    clock = link.bench.take("link/status")[-1].clock
+    assert clock.valid
+    assert clock.round_trip_s == pytest.approx((there_ms + back_ms) * 1e-3, rel=1e-6, abs=0.0)
+    expected_s = injected_ns * 1e-9 + 0.5e-3 * (there_ms - back_ms)
+    assert clock.offset_s == pytest.approx(expected_s, rel=1e-6, abs=0.0)
+    assert abs(clock.offset_s - injected_ns * 1e-9) <= clock.uncertainty_s
+
+
+def _field(payload: bytes, key: str) -> Any:
+    import msgpack
+
+    return msgpack.unpackb(payload)[key]
+
+
+def _with_stamp(received: Any, t_ns: int) -> Any:
+    from dataclasses import replace
+
+    return replace(received, message=received.message.model_copy(update={"t_ns": t_ns}))
