@@ -1,0 +1,1 @@
+"""The telenano command and the supervisor of a local rig."""

@@ -1,0 +1,388 @@
+"""The `telenano` command. What a command needs is imported when it runs, so that `--help` is there at once."""
+
+import contextlib
+import json
+import os
+import signal
+import sys
+from collections.abc import Iterator, Sequence
+from datetime import datetime
+from enum import StrEnum
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from services.launcher.telling import EXIT_FAILED, console, errors_told, fail, print_json, tell
+from services.runtime.errors import ConfigError
+
+if TYPE_CHECKING:
+    from proto.messages import SessionEvent
+    from services.launcher.observe import Observer
+    from services.launcher.up import Outcome
+    from services.launcher.view import LineView, LiveView
+
+_LIST_S = 1.5
+_NODES = ("haptic_node", "controller", "delay_node", "afm_node", "recorder")
+_CHANNEL_COLUMNS = ("channel_topic", "src", "messages", "rate_hz", "gaps", "lost", "restarts")
+_SITE_FILE = Path(__file__).resolve().parent / "sites" / "local.yaml"
+
+app = typer.Typer(
+    help="A software rig for remote touch at the nanoscale: hand, delayed network, atomic force microscope.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+topic_app = typer.Typer(help="Look at the bus of a running rig.", no_args_is_help=True)
+bag_app = typer.Typer(help="Look into a recording.", no_args_is_help=True)
+app.add_typer(topic_app, name="topic")
+app.add_typer(bag_app, name="bag")
+
+link_app = typer.Typer(help="Look at the link of a running rig and change it.", no_args_is_help=True)
+app.add_typer(link_app, name="link")
+
+SiteFileOption = Annotated[
+    Path,
+    typer.Option("--site-file", metavar="FILE", help="Address book of the rig (YAML); default: all on this machine."),
+]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print exactly one JSON object on stdout, nothing else.")]
+CountOption = Annotated[
+    int | None, typer.Option("--count", min=1, metavar="N", help="End after this number of messages; default: no end.")
+]
+DurationOption = Annotated[
+    float | None, typer.Option("--duration", min=0.0, metavar="S", help="End after this time [s]; default: no end.")
+]
+TopicArgument = Annotated[str, typer.Argument(metavar="TOPIC", help="Topic; topic@site is the copy out of the link.")]
+
+
+class SessionCommand(StrEnum):
+    """What a session can be told."""
+
+    ARM = "arm"
+    START = "start"
+    STOP = "stop"
+    ESTOP = "estop"
+    SET = "set"
+    MARK = "mark"
+
+
+def main() -> None:
+    """Run the command line."""
+    app()
+
+
+@app.callback(invoke_without_command=True)
+def root(
+    show_version: Annotated[
+        bool, typer.Option("--version", help="Print the version and leave.", is_eager=True)
+    ] = False,
+) -> None:
+    """Run a rig, look at its bus, read its recordings."""
+    if show_version:
+        typer.echo(version("telenano"))
+        raise typer.Exit
+
+
+@app.command()
+def up(
+    scenario: Annotated[
+        str, typer.Option("--scenario", metavar="NAME|FILE", help="Experiment to run: a known name or a YAML file.")
+    ],
+    site_file: SiteFileOption = _SITE_FILE,
+    delay_ms: Annotated[
+        float | None,
+        typer.Option("--delay-ms", min=0.0, metavar="D", help="Delay of the link, one way, in both directions [ms]."),
+    ] = None,
+    duration: Annotated[
+        float | None,
+        typer.Option("--duration", metavar="S", help="Length of the session [s] in place of the scenario's."),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="DIR", help="Folder for the results; default: sessions/NAME-DATE-TIME."),
+    ] = None,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace a recording that the folder holds already.")
+    ] = False,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", metavar="SECTION.KEY=VALUE", help="Change one key of the scenario (SI units); may be repeated."
+        ),
+    ] = None,
+    headless: Annotated[bool, typer.Option("--headless", help="No live view, a line for each phase instead.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Start every node of a rig, run a scenario, record it, and make figure and summary."""
+    from services.launcher.plan import UpRequest, make_plan
+    from services.launcher.up import default_folder, report_of, run_rig
+
+    with errors_told(as_json):
+        request = UpRequest(scenario, site_file, delay_ms, duration, out, overwrite, settings or ())
+        plan = make_plan(request, default_folder(scenario, datetime.now()))
+        view = _view(live=not headless and not as_json, quiet=as_json)
+        with view:
+            outcome = run_rig(plan, view.observe, view.say)
+        _default_signals()
+        summary = report_of(outcome, plan, view.say)
+    _tell_outcome(outcome, summary, plan.out, as_json=as_json)
+
+
+@app.command()
+def session(
+    command: Annotated[SessionCommand, typer.Argument(help="What the nodes are told.")],
+    parameters: Annotated[
+        list[str] | None, typer.Argument(metavar="[KEY=VALUE]...", help="Parameters by dotted key, units in the names.")
+    ] = None,
+    target: Annotated[
+        str, typer.Option("--target", metavar="NODES", help="Nodes meant: node@site, node, or a pattern such as '*'.")
+    ] = "*",
+    site_file: SiteFileOption = _SITE_FILE,
+    as_json: JsonOption = False,
+) -> None:
+    """Send a command to a running rig and wait for the answers; exit code 1 if one is refused or missing."""
+    _send(command, parameters or (), target, site_file, as_json=as_json)
+
+
+@topic_app.command("list")
+def topic_list(
+    site_file: SiteFileOption = _SITE_FILE,
+    duration: Annotated[
+        float, typer.Option("--duration", min=0.0, metavar="S", help="How long to listen [s].")
+    ] = _LIST_S,
+    as_json: JsonOption = False,
+) -> None:
+    """List every topic: who publishes it, its declared rate, and whether it was heard."""
+    from services.launcher.observe import list_topics
+
+    with errors_told(as_json), _observer(site_file, None) as observer:
+        rows = list_topics(observer, duration)
+    if as_json:
+        print_json({"duration_s": duration, "topics": rows})
+    else:
+        _print_rows(rows)
+
+
+@topic_app.command("echo")
+def topic_echo(
+    topic: TopicArgument,
+    site_file: SiteFileOption = _SITE_FILE,
+    count: CountOption = None,
+    duration: DurationOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Print the messages of a topic, one a line as JSON; with --json as one object when it ends."""
+    from services.launcher.observe import message_fields, messages_of
+
+    collected: list[dict[str, Any]] = []
+    with errors_told(as_json), _observer(site_file, topic) as observer, contextlib.suppress(KeyboardInterrupt):
+        for received in messages_of(observer, topic, duration, count):
+            fields = message_fields(received.message)
+            if as_json:
+                collected.append(fields)
+            else:
+                typer.echo(json.dumps(fields))
+    if as_json:
+        print_json({"topic": topic, "messages": collected})
+
+
+@topic_app.command("hz")
+def topic_hz(
+    topic: TopicArgument,
+    site_file: SiteFileOption = _SITE_FILE,
+    count: CountOption = None,
+    duration: DurationOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Measure the rate of a topic: mean, standard deviation of the interval, gaps in the sequence."""
+    from services.launcher.observe import measure_rate
+
+    with errors_told(as_json), _observer(site_file, topic) as observer:
+        rows = measure_rate(observer, topic, duration, count)
+    _tell_rows(topic, rows, as_json=as_json)
+
+
+@topic_app.command("delay")
+def topic_delay(
+    topic: TopicArgument,
+    site_file: SiteFileOption = _SITE_FILE,
+    count: CountOption = None,
+    duration: DurationOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Measure how old the messages of a topic are when they arrive here: median, 99 %, greatest [ms]."""
+    from services.launcher.observe import measure_delay
+
+    with errors_told(as_json), _observer(site_file, topic) as observer:
+        rows = measure_delay(observer, topic, duration, count)
+    _tell_rows(topic, rows, as_json=as_json)
+
+
+@link_app.command("show")
+def link_show(
+    site_file: SiteFileOption = _SITE_FILE,
+    as_json: JsonOption = False,
+) -> None:
+    """Say what the link does now: settings in force, traffic, delay applied, offset of the other site's clock."""
+    from services.launcher.link import current_status, status_rows
+
+    with errors_told(as_json), _observer(site_file, "link/status") as observer:
+        status = current_status(observer)
+    if as_json:
+        print_json(status)
+    else:
+        _print_rows(status_rows(status))
+
+
+@link_app.command("set")
+def link_set(
+    settings: Annotated[
+        list[str],
+        typer.Argument(metavar="KEY=VALUE...", help="Settings by dotted key, such as forward.delay_s=0.02 (SI units)."),
+    ],
+    site_file: SiteFileOption = _SITE_FILE,
+    as_json: JsonOption = False,
+) -> None:
+    """Change settings of the link for the messages that reach it from now on."""
+    _change_link(settings, site_file, as_json=as_json)
+
+
+@link_app.command("profile")
+def link_profile(
+    name: Annotated[
+        str | None, typer.Argument(metavar="[NAME]", help="Profile to put into force; none: list those that there are.")
+    ] = None,
+    site_file: SiteFileOption = _SITE_FILE,
+    as_json: JsonOption = False,
+) -> None:
+    """Put a named profile into force, in place of all settings but the seed; or list the profiles."""
+    from services.launcher.link import profile_rows
+
+    if name is not None:
+        _change_link([f"profile={name}"], site_file, as_json=as_json)
+    elif as_json:
+        print_json({"profiles": profile_rows()})
+    else:
+        _print_rows(profile_rows())
+
+
+@link_app.command("clear")
+def link_clear(site_file: SiteFileOption = _SITE_FILE, as_json: JsonOption = False) -> None:
+    """Take every impairment off the link."""
+    _change_link(["profile=clean"], site_file, as_json=as_json)
+
+
+@app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []})
+def node(
+    context: typer.Context,
+    name: Annotated[str, typer.Argument(metavar="NAME", help=f"One of {', '.join(_NODES)}.")],
+) -> None:
+    """Run one node alone; what follows NAME goes to the node, whose --help lists it."""
+    if name == "--help":
+        typer.echo(context.get_help())
+        return
+    with errors_told(as_json=False):
+        if name not in _NODES:
+            raise ConfigError(f"unknown node {name!r}: known are {', '.join(_NODES)}")
+    # the node takes the place of this process, so that signals reach it
+    os.execv(sys.executable, [sys.executable, "-m", f"services.{name}", *context.args])
+
+
+@bag_app.command("info")
+def bag_info(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Recording (.mcap).")], as_json: JsonOption = False
+) -> None:
+    """Say what a recording holds."""
+    from services.recorder.reader import Recording
+
+    with errors_told(as_json):
+        info = Recording(file).info().model_dump(mode="json")
+    if not as_json:
+        # the whole of it is wider and longer than a screen
+        info["channels"] = [{key: row[key] for key in _CHANNEL_COLUMNS} for row in info["channels"]]
+        info["metadata"] = info["metadata"].get("recording", {})
+    tell(info, str(file), as_json=as_json)
+
+
+@app.command()
+def report(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Recording (.mcap).")],
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for fig12.png and summary.json.")],
+    as_json: JsonOption = False,
+) -> None:
+    """Make figure and summary from a recording once more."""
+    from services.launcher.up import make_report
+
+    with errors_told(as_json):
+        summary = make_report(file, out)
+    tell(summary, str(out), as_json=as_json)
+
+
+def _tell_outcome(outcome: "Outcome", summary: dict[str, Any] | None, out: Path, *, as_json: bool) -> None:
+    if outcome.failure:
+        fail(outcome.failure, as_json=as_json, summary=summary)
+    if summary is None:
+        reason = "the recorder left no recording" if outcome.ran else "stopped before the session began"
+        fail(f"{reason}, see {out / 'logs'}", as_json=as_json)
+    tell(summary, str(out), as_json=as_json)
+
+
+def _send(command: SessionCommand, parameters: Sequence[str], target: str, site_file: Path, *, as_json: bool) -> None:
+    from services.launcher.console import ControlRequest, parse_parameters, send_control
+
+    with errors_told(as_json):
+        request = ControlRequest(command.value, target, parse_parameters(parameters), site_file)
+        answers = send_control(request, lambda event: None if as_json else _tell_answer(event))
+    if as_json:
+        rows = {src: {"kind": event.kind, "text": event.text} for src, event in sorted(answers.items())}
+        print_json({"command": command.value, "target": target, "answers": rows})
+    if any(event.kind == "refused" for event in answers.values()):
+        raise typer.Exit(EXIT_FAILED)
+
+
+def _change_link(settings: Sequence[str], site_file: Path, *, as_json: bool) -> None:
+    _send(SessionCommand.SET, settings, "delay_node", site_file, as_json=as_json)
+
+
+def _tell_answer(event: "SessionEvent") -> None:
+    typer.echo(f"{event.src} {event.kind}: {event.text}")
+
+
+def _tell_rows(topic: str, rows: list[dict[str, Any]], *, as_json: bool) -> None:
+    if as_json:
+        print_json({"topic": topic, "sources": rows})
+    else:
+        _print_rows(rows)
+
+
+def _print_rows(rows: list[dict[str, Any]]) -> None:
+    from services.launcher.view import rows_table
+
+    console().print(rows_table(rows))
+
+
+def _view(*, live: bool, quiet: bool) -> "LiveView | LineView":
+    from services.launcher.view import LineView, LiveView
+
+    out = console()
+    return LiveView(out) if live and out.is_terminal else LineView(out, quiet=quiet)
+
+
+def _default_signals() -> None:
+    """Let Ctrl-C end what follows the session at once: no process has to be made safe any more."""
+    signal.set_wakeup_fd(-1)
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+
+@contextlib.contextmanager
+def _observer(site_file: Path, topic: str | None) -> Iterator["Observer"]:
+    from services.launcher.observe import Observer, known_name
+    from services.runtime.main import load_site
+
+    observer = Observer(load_site(site_file), known_name(topic)[0] if topic else None)
+    try:
+        yield observer
+    finally:
+        observer.close()

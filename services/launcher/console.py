@@ -1,0 +1,190 @@
+"""`telenano session`: a console that sends one command to a running rig and waits for the answers."""
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from pathlib import Path
+
+import zmq
+
+from proto.messages import NodeHealth, Scalar, SessionEvent
+from services.launcher.control import Command, PendingControl
+from services.launcher.errors import RigError
+from services.launcher.plan import LAUNCHER
+from services.runtime.bus import Publisher, Subscriber
+from services.runtime.clock import Clock, SystemClock
+from services.runtime.errors import ConfigError, EndpointError
+from services.runtime.main import load_site
+from services.runtime.site import LINK_NODE, SiteBook
+
+CONSOLE = "console@master"
+_BIND_PATIENCE_NS = 2_000_000_000
+_RETRY_S = 0.1
+# every node is heard within two of its reports
+_CENSUS_NS = 1_200_000_000
+# quiet after the last answer to a wildcard: whoever knows the command has answered
+_QUIET_NS = 500_000_000
+_POLL_MS = 20
+_SUBSCRIBED = b"\x01session/control"
+
+
+@dataclass(frozen=True)
+class ControlRequest:
+    """A command as it was typed."""
+
+    command: Command
+    target: str
+    parameters: dict[str, Scalar]
+    site_file: Path
+
+
+def parse_parameters(pairs: Sequence[str]) -> dict[str, Scalar]:
+    """Read KEY=VALUE; true and false are flags, numbers are numbers, the rest is text."""
+    parameters: dict[str, Scalar] = {}
+    for pair in pairs:
+        key, sign, text = pair.partition("=")
+        if not key or not sign:
+            raise ConfigError(f"{pair}: is not of the form KEY=VALUE")
+        parameters[key] = _scalar(pair, text)
+    return parameters
+
+
+def _scalar(pair: str, text: str) -> Scalar:
+    if text in ("true", "false"):
+        return text == "true"
+    for kind in (int, float):
+        try:
+            value = kind(text)
+        except ValueError:
+            continue
+        if not -(2**63) <= value < 2**63 and not (isinstance(value, float) and math.isfinite(value)):
+            raise ConfigError(f"{pair}: a finite number is needed, an integer within 64 bits")
+        return value
+    return text
+
+
+def addressed(book: SiteBook, target: str) -> list[str]:
+    """Give the nodes of the site file that a target means; ConfigError names those that there are."""
+    # the link's second socket belongs to the same process, which answers under the name of the first
+    nodes = [n for n in book.nodes if n not in (LAUNCHER, CONSOLE) and n != f"{LINK_NODE}@slave"]
+    meant = [n for n in nodes if fnmatchcase(n, target) or fnmatchcase(n.partition("@")[0], target)]
+    if not meant:
+        raise ConfigError(f"no node is meant by target {target!r}: there are {', '.join(sorted(nodes))}")
+    return meant
+
+
+def send_control(request: ControlRequest, heard: Callable[[SessionEvent], None]) -> dict[str, SessionEvent]:
+    """Send a command to a running rig.
+
+    Parameters: request; heard, called with each answer when it comes.
+    Returns: the answers by node, refusals among them.
+    Raises: RigError when nodes do not answer or no rig is there, EndpointError when another console is at work.
+    """
+    book, clock = load_site(request.site_file), SystemClock()
+    meant = addressed(book, request.target)
+    if CONSOLE not in book.nodes:
+        raise ConfigError(f"{request.site_file}: nodes: {CONSOLE} is missing, a console needs an endpoint")
+    with zmq.Context[zmq.Socket[bytes]]() as context:
+        publisher = _bind(context, clock, book.endpoint(CONSOLE))
+        sources = book.sources(CONSOLE, ["session/event", "node/health"])
+        connections = {book.endpoint(node): topics for node, topics in sources.items()}
+        subscriber = Subscriber(context, clock, connections)
+        try:
+            exchange = Exchange(clock, request, meant)
+            _converse(exchange, publisher, subscriber, heard)
+        finally:
+            subscriber.close()
+            publisher.close()
+    return exchange.pending.answers
+
+
+class Exchange:
+    """When a command has been answered by all that concern it: pure bookkeeping on a clock.
+
+    Named nodes have to answer all. Of a wildcard nobody knows beforehand who knows the command, so the nodes that are
+    alive are heard for as long as one may be silent, and then until no more answers come.
+    """
+
+    def __init__(self, clock: Clock, request: ControlRequest, meant: Sequence[str]) -> None:
+        self._clock = clock
+        self._begun_ns = self._last_answer_ns = clock.monotonic_ns()
+        self._wildcard = any(sign in request.target for sign in "*?[")
+        # a wildcard is complete by the rule above; until then somebody who never answers keeps it open
+        expected = ("nobody",) if self._wildcard else meant
+        self.pending = PendingControl(clock, request.command, request.target, expected, request.parameters)
+        self.alive: set[str] = set()
+
+    def enter_health(self, health: NodeHealth) -> None:
+        """Take the sign of life of a node."""
+        self.alive.add(health.src)
+
+    def enter_event(self, event: SessionEvent) -> bool:
+        """Take an event; True when it is a first answer."""
+        new = self.pending.enter(event)
+        if new:
+            self._last_answer_ns = self._clock.monotonic_ns()
+        return new
+
+    @property
+    def done(self) -> bool:
+        """Say whether nothing more is to be waited for."""
+        now = self._clock.monotonic_ns()
+        if self.pending.expired or not self._wildcard:
+            return self.pending.expired or self.pending.complete
+        settled = now - self._begun_ns >= _CENSUS_NS and now - self._last_answer_ns >= _QUIET_NS
+        return settled and bool(self.pending.answers)
+
+    def check(self) -> None:
+        """Raise RigError when answers are missing."""
+        command = self.pending.command
+        if not self.pending.answers and not self.alive:
+            raise RigError(
+                f"{command} was not answered: no rig is heard, is `telenano up` running with this site file?"
+            )
+        if self._wildcard and not self.pending.answers:
+            raise RigError(f"no node answered {command}: {', '.join(sorted(self.alive))} do not know it")
+        if not self._wildcard and self.pending.missing:
+            raise RigError(f"{', '.join(self.pending.missing)} did not answer {command}")
+
+
+def _converse(
+    exchange: Exchange, publisher: Publisher, subscriber: Subscriber, heard: Callable[[SessionEvent], None]
+) -> None:
+    while not exchange.done:
+        if _newcomers(publisher):
+            exchange.pending.hurry()
+        if exchange.pending.take_due():
+            publisher.publish("session/control", **exchange.pending.fields())
+        subscriber.socket.poll(_POLL_MS)
+        for received in subscriber.receive():
+            message = received.message
+            if isinstance(message, NodeHealth):
+                exchange.enter_health(message)
+            elif isinstance(message, SessionEvent) and exchange.enter_event(message):
+                heard(message)
+    exchange.check()
+
+
+def _newcomers(publisher: Publisher) -> int:
+    """Count the readers of commands that have connected since the last call; nothing reaches them before that."""
+    count = 0
+    while publisher.socket.poll(0):
+        count += publisher.socket.recv() == _SUBSCRIBED
+    return count
+
+
+def _bind(context: "zmq.Context[zmq.Socket[bytes]]", clock: Clock, endpoint: str) -> Publisher:
+    deadline = clock.monotonic_ns() + _BIND_PATIENCE_NS
+    while True:
+        try:
+            publisher = Publisher(context, clock, CONSOLE, endpoint, kind=zmq.XPUB)
+        except EndpointError:
+            if clock.monotonic_ns() >= deadline:
+                raise
+            time.sleep(_RETRY_S)
+        else:
+            # every subscription counts, not only the first to a topic
+            publisher.socket.set(zmq.XPUB_VERBOSE, 1)
+            return publisher

@@ -1,0 +1,183 @@
+"""`telenano topic`: what is said on the bus of a running rig, heard at every socket of it."""
+
+import math
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import zmq
+from pydantic import BaseModel
+
+from proto import TOPICS
+from proto.messages import Array, Message
+from services.launcher.errors import RigError
+from services.runtime.bus import Received, Subscriber
+from services.runtime.clock import SystemClock
+from services.runtime.errors import ConfigError
+from services.runtime.sequence import SequenceTracker
+from services.runtime.site import SiteBook, site_of
+
+_WAIT_MS = 100
+
+
+@dataclass(frozen=True)
+class Heard:
+    """A message as an observer hears it; a copy that left the link at a site is named topic@site."""
+
+    name: str
+    received: Received
+
+
+def known_name(name: str) -> tuple[str, str | None]:
+    """Split topic or topic@site; ConfigError lists the topics that there are."""
+    topic, _, site = name.partition("@")
+    if topic not in TOPICS:
+        raise ConfigError(f"unknown topic {name!r}: known are {', '.join(TOPICS)}, with @site for what left the link")
+    if site and TOPICS[topic].bridged is None:
+        raise ConfigError(f"{name}: {topic} does not cross the link, so there is no copy at {site}")
+    return topic, site or None
+
+
+class Observer:
+    """One connection to every socket of the rig, so that original and copy are accounted for apart."""
+
+    def __init__(self, book: SiteBook, topic: str | None = None) -> None:
+        """Connect for one topic, or for all."""
+        self._context = zmq.Context[zmq.Socket[bytes]]()
+        self._clock = SystemClock()
+        self._poller = zmq.Poller()
+        self.subscribers: dict[str, Subscriber] = {}
+        for node, topics in book.observed().items():
+            wanted = [name for name in topics if topic in (None, name)]
+            if wanted:
+                subscriber = Subscriber(self._context, self._clock, {book.endpoint(node): wanted})
+                self.subscribers[node] = subscriber
+                self._poller.register(subscriber.socket, zmq.POLLIN)
+
+    def listen(self, duration_s: float | None) -> Iterator[Heard]:
+        """Give what is heard within a time [s], None for no end."""
+        deadline = math.inf if duration_s is None else time.monotonic() + duration_s
+        while time.monotonic() < deadline:
+            self._poller.poll(_WAIT_MS)
+            for node, subscriber in self.subscribers.items():
+                for received in subscriber.receive():
+                    yield Heard(self.name(node, received.topic, received.message.src), received)
+
+    def tracker(self, name: str, src: str) -> SequenceTracker:
+        """Give the account of a topic, or of its copy at a site, from a source."""
+        topic = name.partition("@")[0]
+        for node, subscriber in self.subscribers.items():
+            if (topic, src) in subscriber.trackers and self.name(node, topic, src) == name:
+                return subscriber.trackers[topic, src]
+        return SequenceTracker()
+
+    @staticmethod
+    def name(node: str, topic: str, src: str) -> str:
+        """Name what came from the socket of a node: at a site, the messages of the other are copies by the link."""
+        return topic if site_of(src) == site_of(node) else f"{topic}@{site_of(node)}"
+
+    def close(self) -> None:
+        """Close every socket."""
+        for subscriber in self.subscribers.values():
+            subscriber.close()
+        self._context.term()
+
+
+def list_topics(observer: Observer, duration_s: float) -> list[dict[str, Any]]:
+    """Listen for a time [s] and give a row for each topic and source heard, and for each topic that was silent."""
+    counts: dict[tuple[str, str], int] = {}
+    for heard in observer.listen(duration_s):
+        key = (heard.name, heard.received.message.src)
+        counts[key] = counts.get(key, 0) + 1
+    rows = [_topic_row(name, src, count) for (name, src), count in counts.items()]
+    silent = [name for name in TOPICS if not any(row["topic"] == name for row in rows)]
+    rows += [_topic_row(name, ", ".join(TOPICS[name].publishers), 0) for name in silent]
+    return sorted(rows, key=lambda row: (list(TOPICS).index(row["topic"].partition("@")[0]), row["topic"], row["src"]))
+
+
+def _topic_row(name: str, src: str, count: int) -> dict[str, Any]:
+    row = TOPICS[name.partition("@")[0]]
+    return {"topic": name, "src": src, "rate_hz": row.rate_hz, "delivery": row.delivery, "heard": count}
+
+
+def messages_of(observer: Observer, name: str, duration_s: float | None, count: int | None) -> Iterator[Received]:
+    """Give the messages of a topic (topic@site: of its copy) until a number or a time [s] is over."""
+    given = 0
+    for heard in observer.listen(duration_s):
+        if heard.name == name:
+            yield heard.received
+            given += 1
+            if count is not None and given >= count:
+                return
+
+
+def message_fields(message: Message) -> dict[str, Any]:
+    """Give a message as JSON can hold it: arrays as lists of numbers."""
+    return {key: _plain(value) for key, value in message.__dict__.items()}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Array):
+        return value.to_numpy().tolist()
+    if isinstance(value, BaseModel):
+        return {key: _plain(inner) for key, inner in value.__dict__.items()}
+    if isinstance(value, tuple):
+        return [_plain(inner) for inner in value]
+    return value
+
+
+@dataclass
+class _Samples:
+    arrivals_ns: list[int] = field(default_factory=list)
+    ages_ns: list[int] = field(default_factory=list)
+
+
+def _sampled(
+    observer: Observer, name: str, duration_s: float | None, count: int | None, least: int
+) -> dict[str, _Samples]:
+    samples: dict[str, _Samples] = {}
+    try:
+        for received in messages_of(observer, name, duration_s, count):
+            of_source = samples.setdefault(received.message.src, _Samples())
+            of_source.arrivals_ns.append(received.received_ns)
+            of_source.ages_ns.append(received.received_ns - received.message.t_ns)
+    except KeyboardInterrupt:
+        # Ctrl-C is how a person ends a measurement without a set length
+        pass
+    if max((len(s.arrivals_ns) for s in samples.values()), default=0) < least:
+        raise RigError(f"fewer than {least} messages were heard on {name}: is the rig running with this site file?")
+    return samples
+
+
+def measure_rate(observer: Observer, name: str, duration_s: float | None, count: int | None) -> list[dict[str, Any]]:
+    """Give for each source of a topic: rate, standard deviation of the interval, gaps; RigError when it is silent."""
+    samples = _sampled(observer, name, duration_s, count, least=2)
+    rows = []
+    for src, of_source in sorted(samples.items()):
+        intervals_s = np.diff(of_source.arrivals_ns) * 1e-9
+        tracker = observer.tracker(name, src)
+        rows.append(
+            {
+                "src": src,
+                "messages": len(of_source.arrivals_ns),
+                "rate_hz": float(1.0 / intervals_s.mean()) if intervals_s.size and intervals_s.mean() > 0.0 else None,
+                "interval_std_ms": float(intervals_s.std() * 1e3) if intervals_s.size else None,
+                "gaps": tracker.gaps,
+                "lost": tracker.lost,
+            }
+        )
+    return rows
+
+
+def measure_delay(observer: Observer, name: str, duration_s: float | None, count: int | None) -> list[dict[str, Any]]:
+    """Give for each source of a topic the age of its messages on arrival [ms]; RigError when it is silent."""
+    samples = _sampled(observer, name, duration_s, count, least=1)
+    return [_age_row(src, of_source.ages_ns) for src, of_source in sorted(samples.items())]
+
+
+def _age_row(src: str, ages_ns: Sequence[int]) -> dict[str, Any]:
+    p50, p99 = np.percentile(np.array(ages_ns) * 1e-6, [50.0, 99.0])
+    row = {"p50_ms": float(p50), "p99_ms": float(p99), "max_ms": max(ages_ns) * 1e-6}
+    return {"src": src, "messages": len(ages_ns), **row}

@@ -1,0 +1,141 @@
+"""The processes of a rig: started each in a session of its own, with a log file, and ended in order."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Protocol
+
+from services.runtime.clock import EPOCH_OFFSET_VARIABLE
+from services.runtime.config import ENVIRONMENT_PREFIX
+from services.runtime.realtime import die_with_parent
+
+GRACE_S = 3.0
+_TAIL_BYTES = 16_384
+_TAIL_LINES = 6
+# the steps are compiled for one core; a thread pool in a loop process would only compete with the loop
+_THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+class Children(Protocol):
+    """What the session may ask of its processes."""
+
+    def start(self, node: str) -> int:
+        """Start a node; gives its process id."""
+
+    def reap(self) -> dict[str, int]:
+        """Give the exit codes of the nodes that ended since the last call; negative is a signal."""
+
+    def log_tail(self, node: str) -> str:
+        """Give the last lines that a node wrote, as text for a person."""
+
+    def stop(self) -> None:
+        """End every process and wait until it is gone."""
+
+
+class NodeProcesses:
+    """The nodes of a rig as processes of this machine."""
+
+    def __init__(
+        self,
+        commands: Mapping[str, Sequence[str]],
+        stop_order: Sequence[str],
+        log_directory: Path,
+        epoch_offset_ns: int,
+        on_stopping: Callable[[str], None] = lambda node: None,
+    ) -> None:
+        """Take the command line of each node (key) and the order in which they are to be stopped."""
+        self._commands = commands
+        self._stop_order = stop_order
+        self._log_directory = log_directory
+        self._environment = child_environment(os.environ, epoch_offset_ns)
+        self._on_stopping = on_stopping
+        self._running: dict[str, subprocess.Popen[bytes]] = {}
+        log_directory.mkdir(parents=True, exist_ok=True)
+        for node in commands:
+            self.log_path(node).write_bytes(b"")
+
+    def log_path(self, node: str) -> Path:
+        """Give the file that a node's log goes to."""
+        return self._log_directory / f"{node}.log"
+
+    def start(self, node: str) -> int:
+        """Start a node; gives its process id."""
+        with self.log_path(node).open("ab") as log:
+            process = subprocess.Popen(
+                self._commands[node],
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
+                env=self._environment,
+                # the terminal's Ctrl-C is for the supervisor alone, which then stops the nodes in order
+                start_new_session=True,
+                preexec_fn=partial(_tie_to, os.getpid()),
+            )
+        self._running[node] = process
+        return process.pid
+
+    def reap(self) -> dict[str, int]:
+        """Give the exit codes of the nodes that ended since the last call; negative is a signal."""
+        ended = {node: code for node, process in self._running.items() if (code := process.poll()) is not None}
+        for node in ended:
+            del self._running[node]
+        return ended
+
+    def log_tail(self, node: str) -> str:
+        """Give the last lines that a node wrote, as text for a person."""
+        with self.log_path(node).open("rb") as log:
+            log.seek(max(0, log.seek(0, os.SEEK_END) - _TAIL_BYTES))
+            lines = log.read().decode(errors="replace").splitlines()
+        return "\n".join(_readable(line) for line in lines[-_TAIL_LINES:])
+
+    def stop(self) -> None:
+        """End every process, in order: SIGTERM, three seconds to leave safely, then SIGKILL."""
+        for node in [*self._stop_order, *self._running]:
+            process = self._running.pop(node, None)
+            if process is not None:
+                self._on_stopping(node)
+                _end(process)
+
+
+def child_environment(environment: Mapping[str, str], epoch_offset_ns: int) -> dict[str, str]:
+    """Give the environment of the nodes: one epoch for all stamps, and settings from the effective scenario only."""
+    kept = {name: value for name, value in environment.items() if not name.startswith(ENVIRONMENT_PREFIX)}
+    threads = {name: kept.get(name, "1") for name in _THREAD_VARIABLES}
+    return {**kept, **threads, EPOCH_OFFSET_VARIABLE: str(epoch_offset_ns)}
+
+
+def node_command(node: str, site_file: Path, scenario_file: Path) -> list[str]:
+    """Give the command line that runs `node@site` below this process."""
+    name, _, site = node.partition("@")
+    files = ["--site-file", str(site_file), "--scenario", str(scenario_file)]
+    return [sys.executable, "-m", f"services.{name}", *files, "--site", site, "--with-parent"]
+
+
+def _tie_to(parent: int) -> None:
+    """Have the new process end with its parent from its first moment; its own --with-parent comes seconds later."""
+    die_with_parent(signal.SIGTERM)
+    if os.getppid() != parent:
+        os.kill(os.getpid(), signal.SIGTERM)
+
+
+def _end(process: "subprocess.Popen[bytes]") -> None:
+    process.send_signal(signal.SIGTERM)
+    try:
+        process.wait(GRACE_S)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+
+
+def _readable(line: str) -> str:
+    """Shorten a line of the structured log; whatever else a dying process wrote stays as it is."""
+    try:
+        entry = json.loads(line)
+        return f"{entry['level']}: {entry['text']}" + (f"\n{entry['exception']}" if "exception" in entry else "")
+    except (ValueError, KeyError, TypeError):
+        return line

@@ -1,0 +1,219 @@
+"""`telenano replay`: recordings take the place of nodes on the bus, the rest of the rig being live."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+import zmq
+
+from services.launcher.plan import DEFAULT_SITE_FILE
+from services.launcher.telling import Keys, errors_told, print_json
+from services.recorder.player import PLAYER, Cast, Outlet, PlayerNode, PlaySettings
+from services.recorder.reader import open_recordings
+from services.recorder.selection import Selection
+from services.recorder.tape import Span, Tape
+from services.runtime.bus import Publisher, Subscriber, ZmqBus
+from services.runtime.clock import SystemClock
+from services.runtime.errors import ConfigError, EndpointError, TelenanoError
+from services.runtime.log import StructuredLog
+from services.runtime.main import load_site
+from services.runtime.node import NodeContext, NodeLoop, install_stop_signals
+from services.runtime.realtime import RealtimeStatus, freeze_garbage, shallow_idle
+
+_RATE_STEP = 1.25
+_KEYS_TEXT = (
+    "space pause · . step · n next on topic · e next event · ← → 1 s · + - rate · a b loop points · l loop · q end"
+)
+# at every message the loop would spin through the gap to the next; these few µs are what a sleep is late by
+_SPIN_S = 20e-6
+
+
+@dataclass(frozen=True)
+class ReplayRequest:
+    """What was asked for on the command line."""
+
+    files: Sequence[Path]
+    site_file: Path = DEFAULT_SITE_FILE
+    nodes: Sequence[str] = ()
+    topics: Sequence[str] = ()
+    exclude: Sequence[str] = ()
+    remap: Mapping[str, str] = field(default_factory=dict)
+    span: Span = field(default_factory=Span)
+    settings: PlaySettings = field(default_factory=PlaySettings)
+
+
+@dataclass(frozen=True)
+class Replayed:
+    """What came of a replay."""
+
+    nodes: list[str]
+    sent: int
+    time_s: float
+
+
+def run_replay(request: ReplayRequest, observe: Callable[[PlayerNode], None] = lambda player: None) -> Replayed:
+    """Play recordings into the rig of a site file until they end or the process is told to stop.
+
+    Raises RecordingError, ConfigError, and EndpointError when a node that is to be played runs.
+    """
+    recording = open_recordings(request.files)
+    book, clock = load_site(request.site_file), SystemClock()
+    if PLAYER not in book.nodes:
+        raise ConfigError(f"{request.site_file}: nodes: {PLAYER} is missing, the player needs an endpoint")
+    parts = Cast(recording, book, Selection.of(request.topics, request.exclude, request.nodes), request.remap)
+    tape = Tape(recording, parts.plays, request.span)
+    stopping: list[NodeLoop] = []
+
+    def stop() -> None:
+        for loop in stopping:
+            loop.stop()
+
+    wake = install_stop_signals(stop)
+    with zmq.Context[zmq.Socket[bytes]]() as context, shallow_idle():
+        publishers: list[Publisher] = []
+        try:
+            for node in (PLAYER, *parts.nodes):
+                kind = zmq.PUB if node == PLAYER else zmq.XPUB
+                publishers.append(Publisher(context, clock, node, book.endpoint(node), kind=kind))
+        except EndpointError:
+            for publisher in publishers:
+                publisher.close()
+            raise
+        outlets = {publisher.node: Outlet(publisher) for publisher in publishers[1:]}
+        sources = book.sources(PLAYER, list(PlayerNode.inputs))
+        live = {book.endpoint(node): topics for node, topics in sources.items() if node not in outlets}
+        bus = ZmqBus(publishers[0], [Subscriber(context, clock, live)], clock, wake)
+        for publisher in publishers[1:]:
+            bus.also_closes(publisher)
+        node_context = NodeContext(PLAYER, clock, bus, StructuredLog(PLAYER))
+        player = PlayerNode(node_context, tape, parts, outlets, request.settings, observe=observe)
+        loop = NodeLoop(player, bus, RealtimeStatus(fifo=False, memory_locked=False), spin_s=_SPIN_S)
+        player.finish = loop.stop
+        stopping.append(loop)
+        freeze_garbage()
+        try:
+            loop.run()
+        finally:
+            bus.close()
+    return Replayed(parts.nodes, player.sent, tape.time_s)
+
+
+class Hands:
+    """What the keys do to a player."""
+
+    def __init__(self, keys: Keys, step_topic: str) -> None:
+        """Take the terminal, and the topic to which the key n steps."""
+        self._keys = keys
+        self._step_topic = step_topic
+        self._said = ""
+
+    def __call__(self, player: PlayerNode) -> None:
+        """Act on the keys pressed and show where the replay stands."""
+        for key in self._keys.pressed():
+            try:
+                self._said = self._press(player, key)
+            except TelenanoError as error:
+                self._said = str(error)
+        self._keys.show(player.status() + (f" · {self._said}" if self._said else ""))
+
+    def _press(self, player: PlayerNode, key: str) -> str:
+        tape, rate = player.tape, player.transport.rate
+        actions: dict[str, Callable[[], Any]] = {
+            "space": lambda: player.pause(not player.transport.paused),
+            ".": player.step,
+            "n": lambda: player.step(topic=self._step_topic or tape.channels[0].channel_topic),
+            "e": player.seek_event,
+            "right": lambda: player.seek(tape.time_s + 1.0),
+            "left": lambda: player.seek(tape.time_s - 1.0),
+            "+": lambda: player.set_rate(rate * _RATE_STEP),
+            "-": lambda: player.set_rate(rate / _RATE_STEP),
+            "a": lambda: tape.limit(start_ns=tape.position_ns),
+            "b": lambda: tape.limit(end_ns=tape.position_ns + 1),
+            "l": lambda: setattr(tape, "loop", not tape.loop),
+            "q": player.end,
+        }
+        if key not in actions:
+            return _KEYS_TEXT
+        actions[key]()
+        return ""
+
+
+def parse_remap(texts: Sequence[str]) -> dict[str, str]:
+    """Read OLD=NEW; ConfigError names what is wrong."""
+    found: dict[str, str] = {}
+    for text in texts:
+        old, _, new = text.partition("=")
+        if not old or not new:
+            raise ConfigError(f"--remap {text}: is not of the form OLD=NEW")
+        found[old] = new
+    return found
+
+
+def replay(
+    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings (.mcap), the parts of one.")],
+    nodes: Annotated[
+        list[str] | None,
+        typer.Option("--nodes", metavar="NODE", help="Take the place of this node (repeatable); default: all of them."),
+    ] = None,
+    topics: Annotated[
+        list[str] | None,
+        typer.Option("--topics", metavar="PATTERN", help="Only these: glob or /regular expression/ (repeatable)."),
+    ] = None,
+    exclude: Annotated[
+        list[str] | None, typer.Option("--exclude", metavar="PATTERN", help="Not these (repeatable).")
+    ] = None,
+    rate: Annotated[
+        float, typer.Option("--rate", min=0.0, help="1 as recorded, 0 as fast as the slowest reader keeps up.")
+    ] = 1.0,
+    start: Annotated[float, typer.Option("--start", min=0.0, metavar="S", help="Begin here [s].")] = 0.0,
+    end: Annotated[float | None, typer.Option("--end", metavar="S", help="End here [s].")] = None,
+    duration: Annotated[
+        float | None, typer.Option("--duration", metavar="S", help="End this long after --start [s].")
+    ] = None,
+    loop: Annotated[bool, typer.Option("--loop", help="Begin again at --start when --end is reached.")] = False,
+    paused: Annotated[
+        bool, typer.Option("--paused", help="Wait for the space bar or a command before starting.")
+    ] = False,
+    wait: Annotated[
+        float, typer.Option("--wait", min=0.0, metavar="S", help="Longest wait until all topics have a reader [s].")
+    ] = 1.0,
+    remap: Annotated[
+        list[str] | None,
+        typer.Option("--remap", metavar="OLD=NEW", help="Rename a topic, or move a node@site (repeatable)."),
+    ] = None,
+    step_topic: Annotated[
+        str, typer.Option("--step-topic", metavar="TOPIC", help="Channel to which the key n steps; default: the first.")
+    ] = "",
+    site_file: Annotated[
+        Path, typer.Option("--site-file", metavar="FILE", help="Address book of the rig (YAML).")
+    ] = DEFAULT_SITE_FILE,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object at the end.")] = False,
+) -> None:
+    """Play a recording in the place of nodes that do not run; the others hear no difference but the mark in health.
+
+    Keys: space pause, . step, n step to the next message of --step-topic, e next event, arrows 1 s back and on,
+    + and - rate, a and b the ends of a loop, l loop on and off, q end. The same by
+    `telenano session set player.KEY=VALUE --target player`.
+    """
+    with errors_told(as_json):
+        if end is not None and duration is not None:
+            raise ConfigError("--end and --duration: give one of them")
+        until = end if duration is None else start + duration
+        request = ReplayRequest(
+            files,
+            site_file,
+            nodes or (),
+            topics or (),
+            exclude or (),
+            parse_remap(remap or ()),
+            Span(start, until, loop),
+            PlaySettings(rate, paused, wait),
+        )
+        with Keys() as keys:
+            done = run_replay(request, Hands(keys, step_topic))
+        if as_json:
+            print_json({"nodes": done.nodes, "messages": done.sent, "time_s": done.time_s})
+        else:
+            typer.echo(f"played {done.sent} messages of {', '.join(done.nodes)} up to {done.time_s:.3f} s")

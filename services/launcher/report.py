@@ -1,0 +1,237 @@
+"""Figure and summary of a session, from its recording alone."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import yaml
+
+from proto import TOPICS
+from services.controller.config import ControllerConfig
+from services.recorder.columns import columns, replay_shifts
+from services.recorder.reader import Recording, RecordingInfo
+from services.runtime.config import validate
+from services.runtime.errors import RecordingError
+from services.runtime.scenario import Scenario
+from services.viz_node.fig12 import SessionSeries, save_fig12
+from services.viz_node.stability import judge_holds
+
+Series = npt.NDArray[Any]
+
+HOLD_WINDOW_S = (2.2, 2.5)
+RELEASE_WINDOW_S = 1.0
+
+
+@dataclass(frozen=True)
+class Session:
+    """The part of a recording in which the operator's programme ran, and the series that the report needs."""
+
+    start_ns: int
+    end_ns: int
+    hand: dict[str, Series]
+    command: dict[str, Series]
+    tip: dict[str, Series]
+    force_scale: float
+    scenario: str
+
+    @property
+    def duration_s(self) -> float:
+        """Give the length of the session [s]."""
+        return (self.end_ns - self.start_ns) * 1e-9
+
+    def series(self) -> SessionSeries:
+        """Give the series of Fig. 12 in the paper's symbols."""
+        return SessionSeries(
+            hand_time_s=self._time_s(self.hand),
+            hand_force_n=-self.hand["operator_force_n.2"],
+            hand_position_m=-self.hand["position_m.2"],
+            reference_time_s=self._time_s(self.command),
+            reference_m=-self.command["position_m.2"],
+            tip_time_s=self._time_s(self.tip),
+            tip_force_n=self.tip["tip_force_n.2"],
+            separation_m=self.tip["separation_m"],
+            force_scale=self.force_scale,
+        )
+
+    def _time_s(self, series: Mapping[str, Series]) -> npt.NDArray[np.float64]:
+        return np.asarray((series["t_ns"] - self.start_ns) * 1e-9, dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class Traffic:
+    """What crossed the bus while the session ran: messages by channel, and deadlines missed."""
+
+    messages: dict[str, int]
+    overruns: int
+
+    def rates_hz(self, duration_s: float) -> dict[str, float]:
+        """Give messages a second of each channel."""
+        return {name: round(count / duration_s, 3) for name, count in sorted(self.messages.items())}
+
+    def completeness(self, duration_s: float) -> dict[str, float]:
+        """Give the share of the declared number of messages that is there, for channels of one source and a rate."""
+        shares = {}
+        for name, count in sorted(self.messages.items()):
+            topic = TOPICS.get(name.partition("@")[0])
+            if topic is not None and topic.rate_hz is not None and "*" not in topic.publishers:
+                # both ends of the session may fall between two messages
+                shares[name] = min(1.0, round(count / (topic.rate_hz * duration_s), 5))
+        return shares
+
+
+def write_report(path: Path, out: Path) -> dict[str, Any]:
+    """Make `fig12.png` and `summary.json` in a folder from a recording.
+
+    Returns: the summary. Raises RecordingError naming the file and what it lacks.
+    """
+    recording = Recording(path)
+    session = read_session(recording)
+    summary = summarise(session, recording.info(), read_traffic(recording, session))
+    out.mkdir(parents=True, exist_ok=True)
+    save_fig12(session.series(), _title(session, summary), out / "fig12.png")
+    (out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+    return summary
+
+
+def read_session(recording: Recording) -> Session:
+    """Read the last session that a recording holds; RecordingError when the operator's programme never ran."""
+    shifts = replay_shifts(recording)
+    hand = _series(
+        recording,
+        "haptic/state",
+        ("session_s", "operator_force_n.2", "position_m.2", "answered_seq", "answered_t_ns", "answered_at_ns"),
+        shifts,
+    )
+    running = np.flatnonzero(hand["session_s"] >= 0.0)
+    if running.size < 2:
+        raise RecordingError(f"{recording.path}: the operator's programme never ran in it, so there is no session")
+    # a programme that was started again begins at a lower time: the last one is reported
+    begins = np.flatnonzero(np.diff(hand["session_s"][running]) < 0.0)
+    running = running[begins[-1] + 1 :] if begins.size else running
+    start_ns = int(hand["t_ns"][running[0]] - round(hand["session_s"][running[0]] * 1e9))
+    end_ns = int(hand["t_ns"][running[-1]])
+    document = _scenario(recording)
+    return Session(
+        start_ns=start_ns,
+        end_ns=end_ns,
+        hand={name: values[running] for name, values in hand.items()},
+        command=_within(_series(recording, "haptic/command", ("position_m.2", "force_n.2"), shifts), start_ns, end_ns),
+        tip=_within(_series(recording, "afm/state", ("tip_force_n.2", "separation_m"), shifts), start_ns, end_ns),
+        force_scale=_force_scale(recording, document),
+        scenario=document.name,
+    )
+
+
+def summarise(session: Session, info: RecordingInfo, traffic: Traffic) -> dict[str, Any]:
+    """Give the summary of a session; what the session does not show is null."""
+    series = session.series()
+    scaled = session.force_scale * series.tip_force_n
+    holds = judge_holds(series.hand_time_s, series.hand_force_n, series.tip_time_s, scaled)
+    last_s = session.duration_s - RELEASE_WINDOW_S
+    return {
+        "scenario": session.scenario,
+        "duration_s": round(session.duration_s, 3),
+        "stable": bool(holds) and all(hold.stable for hold in holds),
+        "hold_ratio": _hold_ratio(series),
+        "contact_x_cm": _mean(100.0 * series.reference_m[series.reference_time_s >= last_s]),
+        "release_force_nn": _mean(1e9 * series.tip_force_n[series.tip_time_s >= last_s]),
+        "greatest_pull_nn": float(1e9 * series.tip_force_n.min(initial=0.0)),
+        "loop_age_ms": _loop_age_ms(session),
+        "overruns": traffic.overruns,
+        "rate_hz": traffic.rates_hz(session.duration_s),
+        "completeness": traffic.completeness(session.duration_s),
+        "seq_gaps": _gaps(info),
+        "holds": [hold._asdict() for hold in holds],
+        "recording": {"file": info.path, "complete": info.complete, "messages": info.messages},
+    }
+
+
+def read_traffic(recording: Recording, session: Session) -> Traffic:
+    """Count what was sent while the session ran, by the time of sending."""
+    messages: dict[str, int] = {}
+    overruns: dict[str, tuple[int, int]] = {}
+    shifts = replay_shifts(recording)
+    for message in recording.messages():
+        if not session.start_ns <= message.publish_ns + shifts.get(message.src, 0) < session.end_ns:
+            continue
+        name = message.channel_topic
+        messages[name] = messages.get(name, 0) + 1
+        if name == "node/health":
+            count = int(message.fields()["overruns"])
+            first, _ = overruns.get(message.src, (count, count))
+            overruns[message.src] = (first, count)
+    return Traffic(messages, sum(max(0, last - first) for first, last in overruns.values()))
+
+
+def _hold_ratio(series: SessionSeries) -> float | None:
+    """Average F_m/(alpha_f F_s) over the window, sample by sample; null when the tip is not pressed throughout."""
+    first_s, last_s = HOLD_WINDOW_S
+    window = (series.hand_time_s >= first_s) & (series.hand_time_s <= last_s)
+    if not window.any() or series.hand_time_s[-1] < last_s:
+        return None
+    force = series.force_scale * np.interp(series.hand_time_s[window], series.tip_time_s, series.tip_force_n)
+    if not (force > 0.0).all():
+        return None
+    return float(np.mean(series.hand_force_n[window] / force))
+
+
+def _loop_age_ms(session: Session) -> dict[str, float] | None:
+    """Give the age of the first answer to each sample of the hand, on the hand's own clock."""
+    hand = session.hand
+    seqs, first = np.unique(hand["answered_seq"], return_index=True)
+    ages = (hand["answered_at_ns"] - hand["answered_t_ns"])[first] * 1e-6
+    ages = ages[hand["answered_t_ns"][first] >= session.start_ns]
+    if seqs.size == 0 or ages.size == 0:
+        return None
+    p50, p99 = np.percentile(ages, [50.0, 99.0])
+    return {"p50": round(float(p50), 4), "p99": round(float(p99), 4), "max": round(float(ages.max()), 4)}
+
+
+def _gaps(info: RecordingInfo) -> dict[str, int]:
+    gaps: dict[str, int] = {}
+    for channel in info.channels:
+        gaps[channel.channel_topic] = gaps.get(channel.channel_topic, 0) + channel.gaps
+    return dict(sorted(gaps.items()))
+
+
+def _mean(values: Series) -> float | None:
+    return float(values.mean()) if values.size else None
+
+
+def _series(
+    recording: Recording, channel_topic: str, fields: Sequence[str], shifts: Mapping[str, int]
+) -> dict[str, Series]:
+    """Give fields and `t_ns`, which for a replayed source is moved to when it was heard again."""
+    series = columns(recording, channel_topic, ("t_ns", *fields))
+    src = next(channel.src for channel in recording.channels if channel.channel_topic == channel_topic)
+    series["t_ns"] = series["t_ns"] + shifts.get(src, 0)
+    return series
+
+
+def _within(series: dict[str, Series], start_ns: int, end_ns: int) -> dict[str, Series]:
+    inside = (series["t_ns"] >= start_ns) & (series["t_ns"] <= end_ns)
+    return {name: values[inside] for name, values in series.items()}
+
+
+def _scenario(recording: Recording) -> Scenario:
+    try:
+        text = recording.attachments["scenario.yaml"].decode()
+    except KeyError as error:
+        raise RecordingError(f"{recording.path}: has no scenario attached, so its scales are unknown") from error
+    return validate(Scenario, yaml.safe_load(text), f"{recording.path}: scenario.yaml")
+
+
+def _force_scale(recording: Recording, scenario: Scenario) -> float:
+    config = validate(ControllerConfig, scenario.controller, f"{recording.path}: scenario.yaml", "controller")
+    return config.virtual_impedance.force_scale
+
+
+def _title(session: Session, summary: Mapping[str, Any]) -> str:
+    verdict = "stable" if summary["stable"] else "not stable"
+    ratio = summary["hold_ratio"]
+    hold = f", hold ratio {ratio:.3f}" if ratio is not None else ""
+    return f"{session.scenario}: {verdict}{hold}"

@@ -1,0 +1,623 @@
+"""`telenano bag rerun`: a node driven once more by what a recording says it heard, its outputs compared.
+
+The recorder hears all publishers through connections of its own, so the order of its file is not the order in which a
+node got its inputs. That order is rebuilt from what the node said: all outputs of a process carry stamps of one clock,
+and each names the input that it answers (`hand_seq`, `command_seq`, `answered_at_ns`, the id of a command). Where two
+orders remain possible, such as a state of the instrument that came at the very moment of a command, the more likely
+one is tried first and the others if its outputs differ: what is proved is that the code gives the recorded outputs for
+an order that the stamps allow.
+"""
+
+from bisect import bisect_right
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from copy import copy
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple, cast
+
+import yaml
+from pydantic import BaseModel
+
+from proto import TOPICS, Message, encode
+from proto.messages import (
+    AfmState,
+    HapticCommand,
+    HapticState,
+    SessionControl,
+    SessionEvent,
+    TeleopBackward,
+)
+from services.launcher.plan import node_kind
+from services.recorder.compare import Tolerances, first_difference
+from services.recorder.reader import RecordedMessage, Recording
+from services.runtime.bus import Received, ZmqBus
+from services.runtime.config import flag_overrides, merge, validate
+from services.runtime.errors import ConfigError, RecordingError, RefusedError
+from services.runtime.log import StructuredLog
+from services.runtime.main import Wiring
+from services.runtime.node import Node
+from services.runtime.scenario import LoadedScenario, Scenario
+from services.runtime.sequence import Arrival
+from services.runtime.site import SiteBook
+
+# a message is acted on this long after it was published, as a rule; the alternatives cover what was otherwise
+_TRANSIT_NS = 100_000
+# orders tried for one tick before it counts as different
+_MOST_ORDERS = 6
+# far more than an instrument takes to answer
+_LONGEST_ANSWER_NS = 50_000_000
+_START_NS = 10**9
+_MOST_ON_THEIR_WAY = 100
+# commands of the session on which the instrument makes a step at once
+_STEPPING = ("arm", "estop")
+
+
+class RerunResult(BaseModel):
+    """What came of a re-run.
+
+    `compared` counts recorded outputs met, by topic; `first_seq` is the number of the first of them: above 0, what the
+    node heard before is not in the recording, and its state then is taken to be that after a start. `reordered` counts
+    ticks at which another than the most likely order of inputs gave the recorded outputs. `difference` says in words
+    what the first difference is, and is empty when there is none; `topic`, `seq`, `time_s` (since the start of the
+    recording) and `field` say where. `ended_early` says why not all could be compared.
+    """
+
+    node: str
+    compared: dict[str, int]
+    first_seq: dict[str, int]
+    reordered: int
+    identical: bool
+    difference: str = ""
+    topic: str = ""
+    seq: int = -1
+    time_s: float = 0.0
+    field: str = ""
+    ended_early: str = ""
+
+
+class ReplayClock:
+    """A clock that shows what the re-run says; pace and stamps are set apart."""
+
+    epoch_offset_ns = 0
+
+    def __init__(self) -> None:
+        self.monotonic = _START_NS
+        self.now = _START_NS
+
+    def monotonic_ns(self) -> int:
+        """Give the time that paces the node [ns]."""
+        return self.monotonic
+
+    def now_ns(self) -> int:
+        """Give the time of stamps [ns]."""
+        return self.now
+
+
+class RerunBus:
+    """A bus that gives what a node says the headers of the recorded messages it is to equal."""
+
+    def __init__(self, key: str, clock: ReplayClock, outputs: Sequence["Output"]) -> None:
+        self._key = key
+        self._clock = clock
+        self._expected: dict[str, deque[Output]] = {}
+        for output in outputs:
+            self._expected.setdefault(output.topic, deque()).append(output)
+        self._others = 0
+        self.produced: list[tuple[str, Message]] = []
+
+    def publish(self, topic: str, **fields: Any) -> Message:
+        """Keep a message; `t_ns` and `seq` are those of the recorded one that comes next on the topic."""
+        queue = self._expected.get(topic)
+        if queue is None:
+            self._others += 1
+            return self._make(topic, self._others, self._clock.now, fields)
+        if not queue:
+            raise _BeyondRecordingError
+        recorded = queue.popleft()
+        self._clock.now = recorded.t_ns
+        message = self._make(topic, recorded.seq, recorded.t_ns, fields)
+        self.produced.append((topic, message))
+        return message
+
+    def receive(self) -> Iterator[Received]:
+        """Give nothing: the re-run hands the messages over itself."""
+        return iter(())
+
+    def wait(self, deadline_ns: int) -> None:
+        """Do not wait."""
+
+    def mark(self) -> dict[str, deque["Output"]]:
+        """Give the state of the bus, to return to."""
+        return {topic: copy(queue) for topic, queue in self._expected.items()}
+
+    def reset(self, mark: dict[str, deque["Output"]]) -> None:
+        """Return to a state of the bus."""
+        self._expected = {topic: copy(queue) for topic, queue in mark.items()}
+
+    def _make(self, topic: str, seq: int, t_ns: int, fields: dict[str, Any]) -> Message:
+        model = TOPICS[topic].model
+        return model(seq=seq, t_ns=t_ns, src=self._key, v=model.version, **fields)
+
+
+class _BeyondRecordingError(Exception):
+    """The node says more than the recording has."""
+
+
+class Output(NamedTuple):
+    """A message that the node sent, as recorded."""
+
+    topic: str
+    seq: int
+    t_ns: int
+    payload: bytes
+    message: Any
+
+
+Act = Callable[[Node, ReplayClock], None]
+
+
+class Try(NamedTuple):
+    """One possible order of inputs and the recorded outputs that it has to give."""
+
+    acts: Sequence[Act]
+    expected: Sequence[Output]
+
+
+Turn = Sequence[Try]
+# gives turns, and is told which of its possible orders held
+Turns = Generator[Turn, int, None]
+
+
+@dataclass
+class Heard:
+    """What a recording says about one node: its outputs by time, its inputs by topic, the commands it answered."""
+
+    key: str
+    outputs: list[Output]
+    inputs: dict[str, list[RecordedMessage]]
+    answered: deque[tuple[int, SessionControl]] = field(default_factory=deque)
+
+    def index(self, topic: str, key: Callable[[Any], object]) -> dict[object, tuple[Any, RecordedMessage]]:
+        """Give the inputs of a topic by something that identifies them."""
+        found = ((recorded.decode(), recorded) for recorded in self.inputs[topic])
+        return {key(message): (message, recorded) for message, recorded in found}
+
+    def controls_before(self, t_ns: int) -> list[SessionControl]:
+        """Take the commands of the session that were answered before a time [ns]."""
+        controls: list[SessionControl] = []
+        while self.answered and self.answered[0][0] < t_ns:
+            controls.append(self.answered.popleft()[1])
+        return controls
+
+    def commands_before(self, t_ns: int) -> list[Act]:
+        """Take the same as acts of the re-run."""
+        return [_control(control) for control in self.controls_before(t_ns)]
+
+
+def rerun(
+    recording: Recording, key: str, tolerances: Tolerances | None = None, settings: Sequence[str] = ()
+) -> RerunResult:
+    """Drive a node with what a recording says it heard and compare what it says.
+
+    Parameters: key, node@site; tolerances, none when None; settings, `section.key=value` over the recorded scenario.
+    Raises ConfigError when the node is not one that can be re-run or the scenario is wrong, RecordingError when the
+    recording lacks the scenario or the node.
+    """
+    if key not in _TURNS:
+        raise ConfigError(f"node {key}: cannot be re-run, those that can are {', '.join(_TURNS)}")
+    kind = _TURNS[key]
+    heard = _read(recording, key, kind)
+    clock = ReplayClock()
+    bus = RerunBus(key, clock, heard.outputs)
+    node = _build(recording, key, clock, bus, settings)
+    return _Comparison(recording, heard, node, clock, bus, tolerances or Tolerances()).run(kind.turns(heard))
+
+
+class _Comparison:
+    """One re-run on its way."""
+
+    def __init__(
+        self, recording: Recording, heard: Heard, node: Node, clock: ReplayClock, bus: RerunBus, tolerances: Tolerances
+    ) -> None:
+        self._start_ns = recording.span_ns[0]
+        self._heard = heard
+        self._node = node
+        self._clock = clock
+        self._bus = bus
+        self._tolerances = tolerances
+        self._compared: dict[str, int] = {}
+        self._reordered = 0
+
+    def run(self, turns: Turns) -> RerunResult:
+        """Take the turns until one gives something else than recorded."""
+        try:
+            turn = next(turns)
+            while True:
+                chosen, fault = self._take(turn)
+                if fault:
+                    return self._result(**fault)
+                turn = turns.send(chosen)
+        except StopIteration:
+            return self._result()
+        except _MissingInputError as error:
+            return self._result(ended_early=str(error))
+
+    def _take(self, turn: Turn) -> tuple[int, dict[str, Any]]:
+        """Try the orders of a turn; gives which one held, or the difference of the most likely one."""
+        saved, mark, times = copy(self._node.__dict__), self._bus.mark(), (self._clock.monotonic, self._clock.now)
+        first: dict[str, Any] = {}
+        for number, attempt in enumerate(turn):
+            fault = self._attempt(attempt)
+            if not fault:
+                self._reordered += number > 0
+                for output in attempt.expected:
+                    self._compared[output.topic] = self._compared.get(output.topic, 0) + 1
+                return number, {}
+            first = first or fault
+            self._node.__dict__.clear()
+            self._node.__dict__.update(saved)
+            self._bus.reset(mark)
+            self._clock.monotonic, self._clock.now = times
+        return 0, first
+
+    def _attempt(self, attempt: Try) -> dict[str, Any]:
+        self._bus.produced.clear()
+        if attempt.expected:
+            self._clock.now = attempt.expected[0].t_ns
+        try:
+            for act in attempt.acts:
+                act(self._node, self._clock)
+        except _BeyondRecordingError:
+            pass
+        produced = self._bus.produced
+        for output, (topic, message) in zip(attempt.expected, produced, strict=False):
+            fault = self._fault(output, topic, message)
+            if fault:
+                return fault
+        if len(produced) < len(attempt.expected):
+            return self._where(attempt.expected[len(produced)], "", "the node does not send this message")
+        if len(produced) > len(attempt.expected):
+            topic, message = produced[len(attempt.expected)]
+            last = attempt.expected[-1] if attempt.expected else self._heard.outputs[0]
+            return self._where(last, "", f"after it the node sends another {topic}, seq {message.seq}")
+        return {}
+
+    def _fault(self, output: Output, topic: str, message: Message) -> dict[str, Any]:
+        if topic != output.topic:
+            return self._where(output, "", f"the node sends {topic} instead")
+        if encode(message) == output.payload:
+            return {}
+        different = first_difference(message.model_dump(), output.message.model_dump(), self._tolerances)
+        return self._where(output, different.field, f"re-run {different.text} recorded") if different else {}
+
+    def _where(self, output: Output, name: str, text: str) -> dict[str, Any]:
+        time_s = (output.t_ns - self._start_ns) * 1e-9
+        place = f"{output.topic}, seq {output.seq}, {time_s:.6f} s after the start"
+        facts = {"topic": output.topic, "seq": output.seq, "time_s": time_s, "field": name}
+        return {"difference": f"{place}: {text}", **facts}
+
+    def _result(self, **facts: Any) -> RerunResult:
+        first = {output.topic: output.seq for output in reversed(self._heard.outputs)}
+        identical = not facts and bool(self._compared)
+        return RerunResult(
+            node=self._heard.key,
+            compared=self._compared,
+            first_seq=first,
+            reordered=self._reordered,
+            identical=identical,
+            **facts,
+        )
+
+
+class _MissingInputError(Exception):
+    """The recording lacks a message that the node heard; the text says which."""
+
+
+def _read(recording: Recording, key: str, kind: "_Kind") -> Heard:
+    names = {channel.channel_topic for channel in recording.channels}
+    absent = [topic for topic in (*kind.outputs, *kind.inputs) if topic not in names]
+    if absent:
+        raise RecordingError(f"{recording.path}: has no {', '.join(absent)}, which a re-run of {key} needs")
+    outputs: list[Output] = []
+    answers: dict[str, int] = {}
+    inputs: dict[str, list[RecordedMessage]] = {topic: [] for topic in kind.inputs}
+    controls: dict[str, SessionControl] = {}
+    control_topics = ("session/control", "session/control@slave")
+    for recorded in recording.messages((*kind.outputs, *kind.inputs, "session/event", *control_topics)):
+        topic = recorded.channel_topic
+        if topic in kind.outputs and recorded.src == key:
+            outputs.append(_output(recorded))
+        elif topic in inputs:
+            inputs[topic].append(recorded)
+        elif topic == "session/event" and recorded.src == key:
+            event = cast(SessionEvent, recorded.decode())
+            if event.kind in ("ack", "refused"):
+                # a command that comes again is answered again, but carried out once
+                answers.setdefault(event.id, event.t_ns)
+        elif topic in control_topics:
+            control = cast(SessionControl, recorded.decode())
+            controls[control.id] = control
+    outputs.sort(key=lambda output: output.t_ns)
+    known = sorted((t_ns, controls[name]) for name, t_ns in answers.items() if name in controls)
+    return Heard(key, outputs, inputs, deque(known))
+
+
+def _output(recorded: RecordedMessage) -> Output:
+    message = cast(Message, recorded.decode())
+    return Output(recorded.topic, message.seq, message.t_ns, recorded.payload, message)
+
+
+def _build(recording: Recording, key: str, clock: ReplayClock, bus: RerunBus, settings: Sequence[str]) -> Node:
+    attached = recording.attachments.get("scenario.yaml")
+    if attached is None:
+        raise RecordingError(f"{recording.path}: has no scenario.yaml attached, which a re-run takes its settings from")
+    origin = f"scenario.yaml in {recording.path}"
+    document = merge(yaml.safe_load(attached), flag_overrides(settings))
+    loaded = LoadedScenario(validate(Scenario, document, origin), origin, document)
+    kind = node_kind(key.partition("@")[0])
+    config = loaded.section(kind.name, kind.config)
+    wiring = _RerunWiring(
+        key=key,
+        book=SiteBook(nodes={}),
+        site_file=Path(),
+        scenario_file=Path(),
+        clock=clock,
+        log=_NoLog(key),
+        zmq_context=cast(Any, None),
+        wake_descriptor=-1,
+    )
+    node, _ = kind.build(wiring.with_bus(bus), config)
+    return node
+
+
+class _NoLog(StructuredLog):
+    """What the node wrote to its log then is of no interest now."""
+
+    def write(self, level: str, text: str, **facts: Any) -> None:
+        """Write nothing."""
+
+
+class _RerunWiring(Wiring):
+    """Wiring without sockets: whoever asks for a bus gets the one of the re-run."""
+
+    def with_bus(self, bus: RerunBus) -> "_RerunWiring":
+        object.__setattr__(self, "_rerun_bus", bus)
+        return self
+
+    def bus(self, topics: Sequence[str]) -> ZmqBus:
+        """Give the bus of the re-run, which is all that a node asks of one."""
+        return cast(ZmqBus, vars(self)["_rerun_bus"])
+
+
+def _control(control: SessionControl) -> Act:
+    def act(node: Node, clock: ReplayClock) -> None:
+        try:
+            node.on_control(control)
+        except (RefusedError, ConfigError):
+            # the node refused it then as well
+            return
+
+    return act
+
+
+def _hear(message: Any, recorded: RecordedMessage, received_ns: int | None = None) -> Act:
+    def act(node: Node, clock: ReplayClock) -> None:
+        at_ns = clock.now if received_ns is None else received_ns
+        node.on_message(Received(recorded.topic, message, recorded.payload, at_ns, Arrival.NEXT))
+
+    return act
+
+
+def _at(t_ns: int) -> Act:
+    """Let the clock show the time of the next output before what follows."""
+
+    def act(node: Node, clock: ReplayClock) -> None:
+        clock.now = t_ns
+
+    return act
+
+
+def _sample_key(message: Any) -> tuple[int, int]:
+    return message.hand_seq, message.hand_t_ns
+
+
+def _own_key(message: Any) -> tuple[int, int]:
+    return message.seq, message.t_ns
+
+
+def _named(found: Mapping[object, Any], key: object, topic: str, output: Output) -> tuple[Any, RecordedMessage]:
+    if key not in found:
+        raise _MissingInputError(
+            f"{output.topic}, seq {output.seq} answers a message of {topic} that the recording does not have"
+        )
+    return cast(tuple[Any, RecordedMessage], found[key])
+
+
+def _master_turns(heard: Heard) -> Turns:
+    """Rebuild what the master half heard: each forward names its hand sample, each command the answer it used.
+
+    One command follows each forward: when a new answer comes, or else at the next sample of the hand. An answer that
+    came before its forward and was used after it is told from the other case by what the outputs are.
+    """
+    hands = heard.index("haptic/state", _own_key)
+    answers = heard.index("teleop/backward@master", _sample_key)
+    outputs = deque(heard.outputs)
+    while outputs and isinstance(outputs[0].message, HapticCommand):
+        # the forward before it was not recorded
+        outputs.popleft()
+    used: tuple[int, int] = (0, 0)
+    overdue: list[Output] = []
+    while outputs:
+        forward = outputs.popleft()
+        before = heard.commands_before((overdue[0] if overdue else forward).t_ns)
+        hand = _hear(*_named(hands, _sample_key(forward.message), "haptic/state", forward))
+        sent, overdue = [*overdue, forward], []
+        if not outputs or not isinstance(outputs[0].message, HapticCommand):
+            yield [Try([*before, hand], sent)]
+            continue
+        command = outputs.popleft()
+        between = heard.commands_before(command.t_ns)
+        key = _sample_key(command.message)
+        if key == used:
+            overdue = [command]
+            yield [Try([*before, hand, *between], sent)]
+            continue
+        used = key
+        answer, recorded = _named(answers, key, "teleop/backward@master", command)
+        prompt = Try([*before, hand, _at(command.t_ns), *between, _hear(answer, recorded)], [*sent, command])
+        early = Try([*before, _hear(answer, recorded, sent[0].t_ns), hand, *between], sent)
+        # told apart by the command: early has it come with the next sample of the hand
+        if (yield [prompt, early]):
+            overdue = [command]
+
+
+def _slave_turns(heard: Heard) -> Turns:
+    """Rebuild what the slave half heard: each command names its forward, and the instrument's states are in order.
+
+    The signal back goes out when the instrument has answered the command, or else at the next forward. States that the
+    instrument sent on its own clock are placed by their stamps; for those near a forward the other places are tried.
+    """
+    forwards = heard.index("teleop/forward@slave", _sample_key)
+    states = deque((cast(AfmState, recorded.decode()), recorded) for recorded in heard.inputs["afm/state"])
+    outputs = deque(heard.outputs)
+    while outputs and isinstance(outputs[0].message, TeleopBackward):
+        # the command before it was not recorded
+        outputs.popleft()
+    overdue: list[Output] = []
+    while outputs:
+        command = outputs.popleft()
+        sent, overdue = [*overdue, command], []
+        before = heard.commands_before(sent[0].t_ns)
+        forward = _hear(*_named(forwards, _sample_key(command.message), "teleop/forward@slave", command))
+        backward = outputs.popleft() if outputs and isinstance(outputs[0].message, TeleopBackward) else None
+        between = [] if backward is None else heard.commands_before(backward.t_ns)
+        waiting, answer = _states_until(states, command, backward or command)
+        likely = sum(state.t_ns + _TRANSIT_NS <= sent[0].t_ns for state, _ in waiting)
+        prompt: list[tuple[int, Try]] = []
+        late: list[tuple[int, Try]] = []
+        for split in sorted(range(len(waiting) + 1), key=lambda n: abs(n - likely))[:_MOST_ORDERS]:
+            acts = [*before, *_all(waiting[:split]), forward]
+            late.append((split, Try([*acts, *between], sent)))
+            if backward is not None and answer is not None:
+                rest = [*_all(waiting[split:]), _at(backward.t_ns), *between, _hear(*answer)]
+                prompt.append((len(waiting) + 1, Try([*acts, *rest], [*sent, backward])))
+        orders = [*prompt, *late]
+        taken, chosen = orders[(yield [attempt for _, attempt in orders])]
+        for _ in range(taken):
+            states.popleft()
+        overdue = [backward] if backward is not None and backward not in chosen.expected else []
+
+
+State = tuple[AfmState, RecordedMessage]
+
+
+def _states_until(states: Iterable[State], command: Output, last: Output) -> tuple[list[State], State | None]:
+    """Give the states up to the instrument's answer to a command, and that answer; None where there is none.
+
+    Without an answer they are those that were sent before `last`.
+    """
+    waiting: list[State] = []
+    for state, recorded in states:
+        if (state.command_seq, state.hand_t_ns) == (command.seq, command.message.hand_t_ns) and state.hand_t_ns > 0:
+            return waiting, (state, recorded)
+        # the answers to later commands cannot have been heard yet
+        if state.t_ns > last.t_ns + _LONGEST_ANSWER_NS:
+            break
+        waiting.append((state, recorded))
+    return [pair for pair in waiting if pair[0].t_ns <= last.t_ns], None
+
+
+def _all(states: Sequence[State]) -> list[Act]:
+    return [_hear(*state) for state in states]
+
+
+def _instrument_turns(heard: Heard) -> Turns:
+    """Rebuild what the AFM did: one state a step, for a new command, for a command of the session, or by itself.
+
+    `step_s` gives the time of each step exactly.
+    """
+    commands = heard.index("afm/command", lambda message: (message.seq, message.hand_t_ns))
+    outputs = heard.outputs
+    previous: tuple[int, int] = (0, 0)
+    for number, output in enumerate(outputs):
+        state = cast(AfmState, output.message)
+        key = (state.command_seq, state.hand_t_ns)
+        after_ns = outputs[number + 1].t_ns if number + 1 < len(outputs) else output.t_ns + _LONGEST_ANSWER_NS
+        step = _advance(round(state.step_s * 1e9))
+        # the answer to a command of the session follows the state that it made
+        asked = [_control(control) for control in heard.controls_before(after_ns) if control.command in _STEPPING]
+        if key != previous and state.hand_t_ns > 0:
+            message, recorded = _named(commands, key, "afm/command", output)
+            yield [Try([step, _hear(message, recorded, output.t_ns)], [output])]
+        elif asked:
+            yield [Try([step, *asked], [output])]
+        else:
+            yield [Try([step, _step_by_itself], [output])]
+        previous = key
+
+
+def _hand_turns(heard: Heard) -> Turns:
+    """Rebuild what the haptic node did: one state a tick of its grid, with the command that had arrived before it.
+
+    `answered_at_ns` gives the arrival exactly, `step_s` the periods that a step covers.
+    """
+    commands = sorted(
+        ((cast(HapticCommand, recorded.decode()), recorded) for recorded in heard.inputs["haptic/command"]),
+        key=lambda pair: pair[0].t_ns,
+    )
+    times = [command.t_ns for command, _ in commands]
+    arrived = 0
+    for output in heard.outputs:
+        state = cast(HapticState, output.message)
+        acts = heard.commands_before(output.t_ns)
+        if state.answered_at_ns not in (0, arrived):
+            # the newest that answers that sample and had been sent by then: a newer one may still have been on its way
+            sent = commands[: bisect_right(times, state.answered_at_ns)][-_MOST_ON_THEIR_WAY:]
+            key = (state.answered_seq, state.answered_t_ns)
+            found = next((pair for pair in reversed(sent) if _sample_key(pair[0]) == key), None)
+            if found is None:
+                raise _MissingInputError(
+                    f"{output.topic}, seq {output.seq} acts on a message of haptic/command that the recording lacks"
+                )
+            acts.append(_hear(*found, received_ns=state.answered_at_ns))
+            arrived = state.answered_at_ns
+        yield [Try([*acts, _at(output.t_ns), _tick(state.step_s)], [output])]
+
+
+def _advance(elapsed_ns: int) -> Act:
+    def act(node: Node, clock: ReplayClock) -> None:
+        clock.monotonic += elapsed_ns
+
+    return act
+
+
+def _step_by_itself(node: Node, clock: ReplayClock) -> None:
+    node.on_deadline(clock.monotonic)
+
+
+def _tick(step_s: float) -> Act:
+    def act(node: Node, clock: ReplayClock) -> None:
+        periods = max(1, round(step_s / node.period_s))
+        clock.monotonic = node.deadline_ns() + (periods - 1) * round(node.period_s * 1e9)
+        node.on_deadline(clock.monotonic)
+
+    return act
+
+
+class _Kind(NamedTuple):
+    """How a node is re-run: its compared outputs, its inputs by channel, and how their order is rebuilt."""
+
+    outputs: tuple[str, ...]
+    inputs: tuple[str, ...]
+    turns: Callable[[Heard], Turns]
+
+
+_TURNS: dict[str, _Kind] = {
+    "controller@master": _Kind(
+        ("teleop/forward", "haptic/command"), ("haptic/state", "teleop/backward@master"), _master_turns
+    ),
+    "controller@slave": _Kind(("afm/command", "teleop/backward"), ("teleop/forward@slave", "afm/state"), _slave_turns),
+    "afm_node@slave": _Kind(("afm/state",), ("afm/command",), _instrument_turns),
+    "haptic_node@master": _Kind(("haptic/state",), ("haptic/command",), _hand_turns),
+}

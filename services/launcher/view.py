@@ -1,0 +1,197 @@
+"""What a person sees of a running rig: a live table on a terminal, a few lines elsewhere, the summary at the end."""
+
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
+from types import TracebackType
+from typing import Any, Self
+
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
+from rich.progress_bar import ProgressBar
+from rich.table import Table
+from rich.text import Text
+
+from proto.messages import NodeHealth, SessionEvent
+from services.launcher.readiness import oldest_input_s
+from services.launcher.session import Phase, SessionNode
+
+_REFRESH_TICKS = 5
+_STATE_STYLES = {"ready": "green", "running": "green", "safe": "yellow", "starting": "yellow", "stopping": "red"}
+_LEVEL_STYLES = {"info": "", "warning": "yellow", "error": "red"}
+_COLUMNS = ("state", "rate Hz", "late p99 ms", "input age ms", "lost", "refused", "CPU %", "MB", "restarts")
+
+
+class LineView(AbstractContextManager["LineView"]):
+    """One line for each change of phase, for logs and pipes."""
+
+    def __init__(self, console: Console, *, quiet: bool = False) -> None:
+        self._console = console
+        self._quiet = quiet
+        self._phase: Phase | None = None
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Leave nothing behind."""
+
+    def observe(self, session: SessionNode) -> None:
+        """Write a line when the phase is a new one."""
+        if session.phase != self._phase:
+            self._phase = session.phase
+            self.say(phase_text(session))
+
+    def say(self, text: str) -> None:
+        """Write a line."""
+        if not self._quiet:
+            self._console.print(text, markup=False, highlight=False, soft_wrap=True)
+
+
+class LiveView(AbstractContextManager["LiveView"]):
+    """The table of nodes, the progress of the session and the last events, in place."""
+
+    def __init__(self, console: Console) -> None:
+        # without a thread of its own: the launcher's loop says when there is something new
+        self._live = Live(console=console, auto_refresh=False, transient=True)
+        self._ticks = 0
+        self._last: Group | None = None
+
+    def __enter__(self) -> Self:
+        """Take the terminal."""
+        self._live.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Give the terminal back."""
+        self._live.stop()
+
+    def observe(self, session: SessionNode) -> None:
+        """Show a tick of the session, a few times a second."""
+        self._ticks += 1
+        if self._ticks % _REFRESH_TICKS == 1:
+            self._last = session_picture(session)
+            self._live.update(self._last, refresh=True)
+
+    def say(self, text: str) -> None:
+        """Show a line below the table."""
+        self._live.update(Group(*([self._last] if self._last else []), Text(text)), refresh=True)
+
+
+def phase_text(session: SessionNode) -> str:
+    """Say in a line what the session is at."""
+    if session.phase == "starting":
+        waiting = session.waiting()
+        count = f"{len(waiting)} of {len(session.nodes)} nodes"
+        return f"waiting for {count} to be ready (the first start compiles the models, up to 60 s)"
+    if session.phase == "running":
+        return f"running for {session.duration_s:g} s, Ctrl-C stops it cleanly"
+    return {"arming": "arming the devices", "ending": "stopping", "over": "stopped"}[session.phase]
+
+
+def session_picture(session: SessionNode) -> Group:
+    """Draw a session: nodes, progress, last events."""
+    parts: list[RenderableType] = [nodes_table(session), Text(phase_text(session))]
+    if session.phase == "starting":
+        parts += [Text(f"  {node} {reason}", "yellow") for node, reason in session.waiting().items()]
+    if session.ran:
+        done = min(session.elapsed_s, session.duration_s)
+        bar = Table.grid(padding=(0, 1))
+        bar.add_row(ProgressBar(session.duration_s, done, width=50), f"{done:.1f} of {session.duration_s:g} s")
+        parts.append(bar)
+    parts += [_event_line(event) for event in session.events]
+    return Group(*parts)
+
+
+def nodes_table(session: SessionNode) -> Table:
+    """Draw the table of nodes from what they last said."""
+    table = Table("node", *_COLUMNS)
+    for column in table.columns[2:]:
+        column.justify = "right"
+    for node in session.nodes:
+        health = session.health.get(node)
+        cells = _cells(health) if health else [Text("-", "dim")] + [Text("")] * (len(_COLUMNS) - 2)
+        table.add_row(node, *cells, Text(str(session.supervisor.restarts(node))))
+    return table
+
+
+def _cells(health: NodeHealth) -> list[Text]:
+    age_s = oldest_input_s(health)
+    return [
+        Text(health.state, _STATE_STYLES[health.state]),
+        Text(f"{health.rate_hz:.1f}"),
+        Text(f"{health.lateness_p99_s * 1e3:.3f}" if health.period_s else "-"),
+        Text("-" if age_s is None else f"{age_s * 1e3:.1f}"),
+        _alarming(sum(row.lost for row in health.inputs)),
+        _alarming(sum(health.rejected.values())),
+        Text(f"{health.cpu_percent:.0f}"),
+        Text(f"{health.memory_bytes / 1e6:.0f}"),
+    ]
+
+
+def _alarming(count: int) -> Text:
+    return Text(str(count), "red" if count else "")
+
+
+def _event_line(event: SessionEvent) -> Text:
+    return Text(f"{event.src}: {event.text}", _LEVEL_STYLES[event.level], overflow="ellipsis", no_wrap=True)
+
+
+def summary_tables(summary: Mapping[str, Any], title: str) -> Group:
+    """Draw a summary: single values, then what is known of each topic side by side, then every list as a table."""
+    by_topic = {key: value for key, value in summary.items() if _keyed_by_topic(value)}
+    lists = {key: value for key, value in summary.items() if _is_list_of_rows(value)}
+    rest = {key: value for key, value in summary.items() if key not in by_topic and key not in lists}
+    parts: list[RenderableType] = [_values_table(rest, title)]
+    if by_topic:
+        topics = sorted({topic for values in by_topic.values() for topic in values})
+        rows = [{"topic": topic} | {key: values.get(topic) for key, values in by_topic.items()} for topic in topics]
+        parts.append(rows_table(rows))
+    parts += [rows_table(rows, title=key) for key, rows in lists.items()]
+    return Group(*parts)
+
+
+def rows_table(rows: Sequence[Mapping[str, Any]], title: str | None = None) -> Table:
+    """Draw rows that have the same keys."""
+    table = Table(*rows[0], title=title)
+    for column, value in zip(table.columns, rows[0].values(), strict=True):
+        column.justify = "left" if isinstance(value, str) else "right"
+        column.overflow = "fold"
+    for row in rows:
+        table.add_row(*(_value_text(value) for value in row.values()))
+    return table
+
+
+def _values_table(values: Mapping[str, Any], title: str) -> Table:
+    table = Table("quantity", "value", title=title)
+    for column in table.columns:
+        column.overflow = "fold"
+    for key, value in _leaves("", values):
+        table.add_row(key, _value_text(value))
+    return table
+
+
+def _keyed_by_topic(value: Any) -> bool:
+    return isinstance(value, Mapping) and bool(value) and all("/" in key for key in value)
+
+
+def _is_list_of_rows(value: Any) -> bool:
+    return isinstance(value, list | tuple) and bool(value) and all(isinstance(row, Mapping) for row in value)
+
+
+def _leaves(prefix: str, tree: Mapping[str, Any]) -> list[tuple[str, Any]]:
+    rows: list[tuple[str, Any]] = []
+    for key, value in tree.items():
+        name = f"{prefix}{key}"
+        rows += _leaves(f"{name}.", value) if isinstance(value, Mapping) and value else [(name, value)]
+    return rows
+
+
+def _value_text(value: Any) -> Text:
+    if value is None:
+        return Text("-", "dim")
+    if isinstance(value, bool):
+        return Text("yes" if value else "no", "green" if value else "red")
+    if isinstance(value, list | tuple):
+        return Text(", ".join(str(item) for item in value) or "-")
+    return Text(f"{value:.6g}" if isinstance(value, float) else str(value))

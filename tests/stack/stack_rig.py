@@ -1,0 +1,124 @@
+"""A real rig in a socket folder of its own."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+# far beyond what is expected: it only keeps a broken rig from holding the suite
+PATIENCE_S = 150.0
+ROOT = Path(__file__).resolve().parents[2]
+
+
+class Rig:
+    """A `telenano up` in the background, and the commands of a person beside it."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.out = folder / "out"
+        # socket paths are short by law, pytest's folders are not
+        self.sockets = Path(f"/tmp/tn-{os.getpid()}-{time.monotonic_ns() % 10**9}")
+        self.environment = {**os.environ, "TELENANO_RUNTIME_DIR": str(self.sockets)}
+        self.process: subprocess.Popen[str] | None = None
+
+    def start(self, *arguments: str, scenario: str = "fig12") -> None:
+        command = ["up", "--scenario", scenario, "--out", str(self.out), "--json", *arguments]
+        self.process = subprocess.Popen(
+            self.command(*command),
+            env=self.environment,
+            cwd=ROOT,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+
+    def finish(self) -> tuple[int, dict[str, Any], str]:
+        """Wait for the end; give exit code, summary and standard error."""
+        assert self.process is not None
+        out, err = self.process.communicate(timeout=PATIENCE_S)
+        return self.process.returncode, json.loads(out) if out.strip() else {}, err
+
+    def stop(self) -> tuple[int, dict[str, Any], str]:
+        """End the session as Ctrl-C does and wait for the end."""
+        assert self.process is not None
+        self.process.send_signal(signal.SIGINT)
+        return self.finish()
+
+    def run(self, *arguments: str, scenario: str = "fig12") -> dict[str, Any]:
+        """Run a session from beginning to end and give its summary."""
+        self.start(*arguments, scenario=scenario)
+        code, summary, err = self.finish()
+        assert code == 0, err + self.logs()
+        return summary
+
+    def command(self, *arguments: str) -> list[str]:
+        return [sys.executable, "-m", "services.launcher", *arguments]
+
+    def tell(self, *arguments: str) -> subprocess.CompletedProcess[str]:
+        """Run another telenano command beside the rig."""
+        return subprocess.run(
+            self.command(*arguments), env=self.environment, cwd=ROOT, capture_output=True, text=True, timeout=60
+        )
+
+    def process_of(self, node: str) -> int | None:
+        """Give the process id of a node of this rig, e.g. controller@slave."""
+        name, _, site = node.partition("@")
+        for entry in Path("/proc").iterdir():
+            if not entry.name.isdigit():
+                continue
+            try:
+                words = (entry / "cmdline").read_bytes().decode().split("\0")
+            except OSError:
+                continue
+            if f"services.{name}" in words and site in words and str(self.out / "scenario.yaml") in words:
+                return int(entry.name)
+        return None
+
+    def kill(self, node: str) -> int:
+        """kill -9 a node and give its process id."""
+        process_id = self.process_of(node)
+        assert process_id is not None, f"{node} does not run"
+        os.kill(process_id, signal.SIGKILL)
+        return process_id
+
+    def logs(self) -> str:
+        tails = [f"== {p.name}\n" + p.read_text()[-1500:] for p in sorted((self.out / "logs").glob("*.log"))]
+        return "\n".join(tails)
+
+    def wait_until(self, condition: Callable[[], bool], what: str, patience_s: float = PATIENCE_S) -> None:
+        end = time.monotonic() + patience_s
+        while time.monotonic() < end:
+            if condition():
+                return
+            assert self.process is None or self.process.poll() is None, f"the rig ended: {self.finish()}{self.logs()}"
+            time.sleep(0.1)
+        raise AssertionError(f"waited in vain for: {what}\n{self.logs()}")
+
+    def log_has(self, node: str, text: str, times: int = 1) -> bool:
+        path = self.out / "logs" / f"{node}.log"
+        return path.exists() and path.read_text().count(text) >= times
+
+    def running(self) -> bool:
+        """The operator's programme has been started."""
+        return self.log_has("launcher@master", "the session is running")
+
+    def close(self) -> None:
+        """Take down what still runs and leave no socket behind."""
+        if self.process is not None:
+            if self.process.poll() is None:
+                self.process.terminate()
+            try:
+                self.process.communicate(timeout=30)
+            except subprocess.TimeoutExpired:
+                self.process.kill()
+                self.process.communicate()
+            except ValueError:
+                # the pipes were read to their end and closed by `finish`
+                self.process.wait()
+        shutil.rmtree(self.sockets, ignore_errors=True)

@@ -1,0 +1,141 @@
+"""kill -9 of each node in turn: the devices make themselves safe, the rig comes back, the recording shows it."""
+
+import time
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+from stack_rig import Rig
+
+from services.recorder.reader import Recording
+
+CONSTANT_PUSH = "haptic_node.operator.points=[{time_s: 0.2, force_n: 0.0}, {time_s: 0.6, force_n: 1.0}]"
+RESTARTED = "was started again"
+# generous against the 50 ms and 250 ms of the design: this machine may be busy, the order of things may not change
+SOON_NS = 1_000_000_000
+LATER_NS = 4_000_000_000
+
+
+class Kill(NamedTuple):
+    node: str
+    at_ns: int
+
+
+def recover(rig: Rig, node: str) -> None:
+    """Wait for the supervisor, then take the rig up again as an operator would."""
+    rig.wait_until(lambda: rig.log_has("launcher@master", f"{node} {RESTARTED}"), f"the restart of {node}")
+
+    def armed() -> bool:
+        return rig.tell("session", "arm", "--target", "afm_node").returncode == 0
+
+    rig.wait_until(armed, "an AFM that can be armed again")
+    if node == "haptic_node@master":
+        assert rig.tell("session", "start", "--target", "haptic_node").returncode == 0
+    # the hand follows again once its commands are there
+    rig.wait_until(lambda: rig.tell("session", "arm", "--target", "haptic_node").returncode == 0, "an armed hand")
+
+
+@pytest.fixture(scope="module")
+def wreck(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    rig = Rig(tmp_path_factory.mktemp("chaos"))
+    kills = []
+    try:
+        rig.start("--duration", "600", "--set", CONSTANT_PUSH)
+        rig.wait_until(rig.running, "a running session")
+        for node in (
+            "controller@master",
+            "controller@slave",
+            "delay_node@master",
+            "afm_node@slave",
+            "haptic_node@master",
+            "recorder@master",
+        ):
+            time.sleep(1.0)  # a second of coupled operation before each kill, so that the recording has it
+            rig.kill(node)
+            kills.append(Kill(node, time.time_ns()))
+            recover(rig, node)
+        time.sleep(1.0)
+        code, summary, err = rig.stop()
+        yield rig, kills, code, summary, err
+    finally:
+        rig.close()
+
+
+def states(path: Path, topic: str, first_ns: int, last_ns: int) -> list[Any]:
+    return [m.decode() for m in Recording(path).messages([topic]) if first_ns <= m.publish_ns <= last_ns]
+
+
+def modes(path: Path, topic: str, kill: Kill, span_ns: int) -> list[str]:
+    """Give the modes of a device after a kill, each once, in order."""
+    found: list[str] = []
+    for state in states(path, topic, kill.at_ns, kill.at_ns + span_ns):
+        if not found or found[-1] != state.mode:
+            found.append(state.mode)
+    return found
+
+
+def kill_of(wreck: Any, node: str) -> Kill:
+    return next(kill for kill in wreck[1] if kill.node == node)
+
+
+@pytest.mark.parametrize("node", ["controller@master", "controller@slave", "delay_node@master", "haptic_node@master"])
+def test_afm_without_commands_holds_then_retracts_and_stays(wreck: Any, node: str) -> None:
+    path = wreck[0].out / "session.mcap"
+    kill = kill_of(wreck, node)
+    seen = modes(path, "afm/state", kill, SOON_NS)
+    assert seen[:4] == ["follow", "hold", "retracting", "retracted"], seen
+    after = states(path, "afm/state", kill.at_ns, kill.at_ns + SOON_NS)
+    held = [state for state in after if state.mode == "hold"]
+    # it holds where it was, and ends where nothing can be touched
+    assert len({state.base_position_m for state in held}) == 1
+    assert after[-1].base_position_m[2] == pytest.approx(100e-9, rel=1e-6, abs=0.0)
+
+
+@pytest.mark.parametrize("node", ["controller@master", "controller@slave", "delay_node@master", "afm_node@slave"])
+def test_hand_goes_to_zero_force(wreck: Any, node: str) -> None:
+    path = wreck[0].out / "session.mcap"
+    seen = modes(path, "haptic/state", kill_of(wreck, node), SOON_NS)
+    assert seen[:2] == ["position", "off"], seen
+
+
+@pytest.mark.parametrize("node", ["afm_node@slave", "haptic_node@master"])
+def test_restarted_device_is_safe_until_told_otherwise(wreck: Any, node: str) -> None:
+    path = wreck[0].out / "session.mcap"
+    topic, safe = ("afm/state", "retracted") if node == "afm_node@slave" else ("haptic/state", "off")
+    kill = kill_of(wreck, node)
+    after = [m for m in Recording(path).messages([topic]) if m.publish_ns > kill.at_ns + 50_000_000]
+    first = next(m for m in after if m.seq < 1000)
+    assert first.decode().mode == safe  # type: ignore[union-attr]
+
+
+def test_recording_tells_of_every_death_and_restart(wreck: Any) -> None:
+    path = wreck[0].out / "session.mcap"
+    told = [m.decode().text for m in Recording(path).messages(["session/event"]) if m.src == "launcher@master"]
+    for kill in wreck[1][:-1]:
+        assert any(
+            text.startswith(f"{kill.node} ended")
+            or text.startswith(f"{kill.node} was ended")
+            or (kill.node in text and "SIGKILL" in text)
+            for text in told
+        ), (kill.node, told)
+        assert any(kill.node in text and RESTARTED in text for text in told), (kill.node, told)
+
+
+def test_killed_recording_is_readable_up_to_the_last_flush(wreck: Any) -> None:
+    rig = wreck[0]
+    kill = kill_of(wreck, "recorder@master")
+    recording = Recording(rig.out / "session.mcap")
+    assert not recording.complete
+    last_ns = max(message.publish_ns for message in recording.messages(["haptic/state"]))
+    assert kill.at_ns - last_ns < 250_000_000 + SOON_NS
+    following = Recording(rig.out / "session_1.mcap")
+    assert following.complete
+    assert following.info().messages > 1000
+
+
+def test_interrupted_rig_stops_cleanly(wreck: Any) -> None:
+    rig, _, code, summary, err = wreck
+    assert "Traceback" not in err
+    assert code in (0, 1), err
+    assert (rig.out / "session_1.mcap").exists()
+    assert rig.process_of("haptic_node@master") is None

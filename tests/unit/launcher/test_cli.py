@@ -1,0 +1,201 @@
+import json
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from importlib.metadata import version
+from pathlib import Path
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from services.launcher.cli import app
+
+DOCUMENTATION = Path(__file__).parents[3] / "docs" / "cli.md"
+RUNNER = CliRunner()
+
+
+@pytest.fixture(autouse=True)
+def _private_runtime(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TELENANO_RUNTIME_DIR", str(tmp_path / "run"))
+
+
+def run(*arguments: str) -> tuple[int, str, str]:
+    result = RUNNER.invoke(app, arguments)
+    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
+    return result.exit_code, result.stdout, result.stderr
+
+
+def leaves(command: object, path: str) -> Iterator[tuple[str, object]]:
+    inner = getattr(command, "commands", None)
+    yield path, command
+    for name, child in (inner or {}).items():
+        yield from leaves(child, f"{path} {name}")
+
+
+COMMANDS = dict(leaves(typer.main.get_command(app), "telenano"))
+GROUPS = {"telenano topic", "telenano bag", "telenano link"}
+
+
+def documented_flags(path: str) -> set[str]:
+    section = re.search(rf"^## {path}\n(.*?)(?=^## |\Z)", DOCUMENTATION.read_text(), re.DOTALL | re.MULTILINE)
+    assert section is not None, f"docs/cli.md has no heading for {path}"
+    return set(re.findall(r"^- `(--[a-z-]+)", section.group(1), re.MULTILINE))
+
+
+@pytest.mark.parametrize("path", sorted(set(COMMANDS) - GROUPS))
+def test_every_command_and_flag_is_documented_and_no_other(path: str) -> None:
+    parameters = getattr(COMMANDS[path], "params", [])
+    flags = {flag for parameter in parameters for flag in parameter.opts if flag.startswith("--")} - {"--help"}
+    assert documented_flags(path) == flags
+
+
+def test_headings_name_commands_that_exist() -> None:
+    assert set(re.findall(r"^## (.+)$", DOCUMENTATION.read_text(), re.MULTILINE)) == set(COMMANDS) - GROUPS
+
+
+@pytest.mark.parametrize("path", sorted(COMMANDS))
+def test_every_command_answers_help(path: str) -> None:
+    code, out, _ = run(*path.split()[1:], "--help")
+    assert code == 0
+    assert "Usage" in out
+
+
+@pytest.mark.parametrize("path", sorted(COMMANDS))
+def test_every_flag_has_a_help_text_and_a_unit_where_it_is_a_number(path: str) -> None:
+    for parameter in getattr(COMMANDS[path], "params", []):
+        text = getattr(parameter, "help", None)
+        assert text, f"{path} {parameter.name} has no help"
+        if parameter.metavar in ("S", "D"):
+            assert re.search(r"\[m?s\]", text), f"{path} {parameter.name} has no unit"
+
+
+def test_version() -> None:
+    assert run("--version")[:2] == (0, version("telenano") + "\n")
+
+
+def test_an_unknown_scenario_lists_the_known(tmp_path: Path) -> None:
+    code, out, err = run("up", "--scenario", "fig13", "--out", str(tmp_path))
+    assert (code, out) == (2, "")
+    assert "unknown scenario 'fig13': known are fig12" in err
+
+
+def test_a_missing_site_file_is_named(tmp_path: Path) -> None:
+    missing = str(tmp_path / "nowhere.yaml")
+    code, _, err = run("up", "--scenario", "fig12", "--site-file", missing)
+    assert code == 2
+    assert f"{missing}: cannot be read" in err
+
+
+def test_a_site_file_without_a_node_is_named(tmp_path: Path) -> None:
+    site_file = tmp_path / "site.yaml"
+    site_file.write_text("nodes:\n  launcher@master: ipc:///tmp/x\n")
+    code, _, err = run("up", "--scenario", "fig12", "--site-file", str(site_file))
+    assert code == 2
+    assert str(site_file) in err
+    assert "haptic_node@master" in err
+
+
+@pytest.mark.parametrize(
+    ("setting", "words"),
+    [
+        ("controller.gain=3", ("controller.gain", "unknown key")),
+        ("delay_node.forward.delay_s=-1", ("delay_node.forward.delay_s", "greater than or equal to 0", "-1")),
+        ("nonsense.x=1", ("nonsense", "unknown key")),
+        ("duration_s=0", ("duration_s", "greater than 0")),
+        ("no_equals_sign", ("section.key=value",)),
+        ("haptic_node.device.time_constant_s=x", ("haptic_node.device.time_constant_s", "'x'")),
+    ],
+)
+def test_a_wrong_key_or_value_is_named_before_anything_starts(
+    tmp_path: Path, setting: str, words: tuple[str, ...]
+) -> None:
+    out = tmp_path / "out"
+    code, _, err = run("up", "--scenario", "fig12", "--out", str(out), "--set", setting)
+    assert code == 2
+    for word in words:
+        assert word in err
+    assert not out.exists()
+
+
+def test_an_unknown_key_in_a_file_is_named_with_the_file(tmp_path: Path) -> None:
+    scenario = tmp_path / "mine.yaml"
+    scenario.write_text("name: mine\ndescription: d\nduration_s: 1.0\nafm_node: {rest_distance_nm: 10}\n")
+    code, _, err = run("up", "--scenario", str(scenario), "--out", str(tmp_path / "out"))
+    assert code == 2
+    assert str(scenario) in err
+    assert "afm_node.rest_distance_nm" in err
+
+
+@pytest.mark.parametrize("duration", ["-1", "0", "nan"])
+def test_a_senseless_duration_is_refused(tmp_path: Path, duration: str) -> None:
+    code, _, err = run("up", "--scenario", "fig12", "--out", str(tmp_path / "out"), "--duration", duration)
+    assert code == 2
+    assert "duration_s" in err
+
+
+@pytest.mark.parametrize("delay", ["-1", "nan", "inf", "4e6"])
+def test_a_senseless_delay_is_refused(tmp_path: Path, delay: str) -> None:
+    code, _, err = run("up", "--scenario", "fig12", "--out", str(tmp_path / "out"), "--delay-ms", delay)
+    assert code == 2
+    assert "delay" in err
+
+
+@pytest.mark.parametrize("name", ["session.mcap", "session_2.mcap"])
+def test_an_existing_recording_is_kept(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_bytes(b"precious")
+    code, _, err = run("up", "--scenario", "fig12", "--out", str(tmp_path))
+    assert code == 2
+    assert f"{tmp_path / name} exists already" in err
+    assert "--overwrite" in err
+    assert (tmp_path / name).read_bytes() == b"precious"
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("up", "--scenario", "fig13"),
+        ("session", "set", "novalue"),
+        ("session", "set", "--target", "nobody", "x=1"),
+        ("topic", "hz", "no/such"),
+        ("topic", "hz", "haptic/state", "--duration", "0"),
+        ("bag", "info", "nowhere.mcap"),
+        ("report", "nowhere.mcap", "--out", "nowhere"),
+    ],
+)
+def test_an_error_with_json_is_one_object_on_stdout_and_a_sentence_on_stderr(arguments: tuple[str, ...]) -> None:
+    code, out, err = run(*arguments, "--json")
+    assert code in (1, 2)
+    error = json.loads(out)["error"]
+    assert out.count("\n") == 1
+    assert err == f"telenano: {error}\n"
+
+
+def test_a_listing_with_json_is_one_object_even_where_nobody_speaks() -> None:
+    code, out, err = run("topic", "list", "--duration", "0", "--json")
+    assert (code, err) == (0, "")
+    assert {row["heard"] for row in json.loads(out)["topics"]} == {0}
+
+
+def test_an_unknown_node_lists_the_known() -> None:
+    code, _, err = run("node", "hand_node")
+    assert code == 2
+    assert "haptic_node" in err
+
+
+def test_a_node_gets_the_arguments_that_follow_its_name() -> None:
+    result = subprocess.run(
+        [sys.executable, "-c", "from services.launcher.cli import main; main()", "node", "recorder", "--help"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert "telenano node recorder" in result.stdout
+    assert "--with-parent" in result.stdout
+
+
+def test_help_does_not_import_what_it_does_not_need() -> None:
+    code = "import sys, services.launcher.cli; print({'zmq', 'numpy', 'numba', 'matplotlib'} & set(sys.modules))"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert result.stdout == "set()\n"

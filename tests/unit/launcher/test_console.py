@@ -1,0 +1,124 @@
+import re
+from pathlib import Path
+
+import pytest
+
+from proto.messages import NodeHealth, SessionEvent
+from services.launcher.console import ControlRequest, Exchange, addressed, parse_parameters
+from services.launcher.errors import RigError
+from services.launcher.plan import DEFAULT_SITE_FILE
+from services.runtime.clock import VirtualClock
+from services.runtime.errors import ConfigError
+from services.runtime.main import load_site
+
+MS = 1_000_000
+
+
+def exchange(target: str) -> tuple[VirtualClock, Exchange]:
+    clock = VirtualClock()
+    request = ControlRequest("arm", target, {}, Path())
+    return clock, Exchange(clock, request, addressed(load_site(DEFAULT_SITE_FILE), target))
+
+
+def answer(of: Exchange, node: str) -> SessionEvent:
+    return SessionEvent(seq=0, t_ns=0, src=node, v=1, id=of.pending.id, kind="ack", level="info", text="done", data={})
+
+
+def alive(node: str) -> NodeHealth:
+    return NodeHealth(
+        seq=0,
+        t_ns=0,
+        src=node,
+        v=1,
+        pid=1,
+        state="ready",
+        uptime_s=0.0,
+        rate_hz=0.0,
+        period_s=0.0,
+        lateness_p50_s=0.0,
+        lateness_p99_s=0.0,
+        lateness_max_s=0.0,
+        overruns=0,
+        rejected={},
+        cpu_percent=0.0,
+        memory_bytes=0,
+        realtime=False,
+        memory_locked=False,
+        replay=False,
+        inputs=(),
+    )
+
+
+@pytest.mark.parametrize(
+    ("target", "nodes"),
+    [
+        ("afm_node", {"afm_node@slave"}),
+        ("controller", {"controller@master", "controller@slave"}),
+        ("controller@slave", {"controller@slave"}),
+        ("delay_node", {"delay_node@master"}),
+        ("*@slave", {"controller@slave", "afm_node@slave"}),
+    ],
+)
+def test_a_target_means_nodes_of_the_site(target: str, nodes: set[str]) -> None:
+    assert set(addressed(load_site(DEFAULT_SITE_FILE), target)) == nodes
+
+
+def test_a_target_that_means_nobody_lists_the_nodes() -> None:
+    with pytest.raises(ConfigError, match=r"'hand'.*haptic_node@master"):
+        addressed(load_site(DEFAULT_SITE_FILE), "hand")
+
+
+def test_parameters_are_flags_numbers_or_text() -> None:
+    given = parse_parameters(["a=true", "b.c=3", "d=1e-9", "e=two words", "f=a=b", "g="])
+    assert given == {"a": True, "b.c": 3, "d": 1e-9, "e": "two words", "f": "a=b", "g": ""}
+    assert [type(value) for value in given.values()] == [bool, int, float, str, str, str]
+
+
+@pytest.mark.parametrize("pair", ["x", "=1", "x=nan", "x=inf", "x=-inf", f"x={2**63}"])
+def test_a_parameter_that_cannot_be_sent_is_named(pair: str) -> None:
+    with pytest.raises(ConfigError, match="^" + re.escape(pair)):
+        parse_parameters([pair])
+
+
+def test_named_nodes_must_all_answer() -> None:
+    _, of = exchange("controller")
+    of.enter_event(answer(of, "controller@slave"))
+    assert not of.done
+    of.enter_event(answer(of, "controller@master"))
+    assert of.done
+    of.check()
+
+
+def test_a_named_node_that_is_silent_is_named_at_the_deadline() -> None:
+    clock, of = exchange("controller")
+    of.enter_event(answer(of, "controller@slave"))
+    clock.advance_ns(4999 * MS)
+    assert not of.done
+    clock.advance_ns(MS)
+    assert of.done
+    with pytest.raises(RigError, match=r"^controller@master did not answer arm$"):
+        of.check()
+
+
+def test_a_pattern_is_done_after_the_census_and_a_quiet_time() -> None:
+    clock, of = exchange("*")
+    of.enter_event(answer(of, "afm_node@slave"))
+    clock.advance_ns(1000 * MS)
+    of.enter_event(answer(of, "haptic_node@master"))
+    clock.advance_ns(499 * MS)
+    assert not of.done
+    clock.advance_ns(MS)
+    assert of.done
+    of.check()
+    assert set(of.pending.answers) == {"afm_node@slave", "haptic_node@master"}
+
+
+def test_no_rig_and_no_taker_are_told_apart() -> None:
+    clock, of = exchange("*")
+    clock.advance_ns(5000 * MS)
+    assert of.done
+    with pytest.raises(RigError, match="no rig is heard"):
+        of.check()
+    of.enter_health(alive("recorder@master"))
+    with pytest.raises(RigError, match="recorder@master do not know it"):
+        of.check()

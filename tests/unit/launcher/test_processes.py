@@ -1,0 +1,96 @@
+import contextlib
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import psutil
+
+from services.launcher.processes import NodeProcesses, child_environment
+
+STUBBORN = "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); print('up', flush=True); time.sleep(60)"
+# ends at SIGTERM, by the default action
+OBEDIENT = "import signal; print('up', flush=True); signal.pause()"
+
+
+def processes(folder: Path, code: dict[str, str], order: list[str], stopping: list[str]) -> NodeProcesses:
+    commands = {node: [sys.executable, "-c", text] for node, text in code.items()}
+    return NodeProcesses(commands, order, folder, 42, stopping.append)
+
+
+def wait_for_line(path: Path) -> None:
+    while not path.read_bytes():
+        pass
+
+
+def test_nodes_are_stopped_in_order_and_the_log_is_kept(tmp_path: Path) -> None:
+    stopping: list[str] = []
+    children = processes(tmp_path, {"a@b": OBEDIENT, "c@d": OBEDIENT}, ["c@d", "a@b"], stopping)
+    for node in ("a@b", "c@d"):
+        children.start(node)
+        wait_for_line(children.log_path(node))
+    assert children.reap() == {}
+    children.stop()
+    assert stopping == ["c@d", "a@b"]
+    assert children.log_tail("a@b") == "up"
+    children.stop()
+    assert stopping == ["c@d", "a@b"]
+
+
+def test_a_death_is_reported_once_with_its_signal(tmp_path: Path) -> None:
+    children = processes(tmp_path, {"a@b": "import os, signal; os.kill(os.getpid(), signal.SIGKILL)"}, [], [])
+    children.start("a@b")
+    ended: dict[str, int] = {}
+    while not ended:
+        ended = children.reap()
+    assert ended == {"a@b": -signal.SIGKILL}
+    assert children.reap() == {}
+
+
+def test_who_ignores_sigterm_is_killed(tmp_path: Path) -> None:
+    children = processes(tmp_path, {"a@b": STUBBORN}, ["a@b"], [])
+    process_id = children.start("a@b")
+    wait_for_line(children.log_path("a@b"))
+    children.stop()
+    assert not Path(f"/proc/{process_id}").exists()
+
+
+def test_the_log_tail_is_for_a_person(tmp_path: Path) -> None:
+    lines = [
+        '{"level": "info", "text": "ready", "node": "a@b"}',
+        '{"level": "error", "text": "broken", "exception": "Traceback ..."}',
+        "ImportError: plain",
+    ]
+    children = processes(tmp_path, {"a@b": f"print({chr(10).join(lines)!r})"}, [], [])
+    children.start("a@b")
+    while not children.reap():
+        pass
+    assert children.log_tail("a@b") == "info: ready\nerror: broken\nTraceback ...\nImportError: plain"
+
+
+def test_children_share_one_epoch_and_read_settings_from_the_scenario_only() -> None:
+    environment = child_environment({"PATH": "/bin", "TELENANO__CONTROLLER__LAW": "x", "OMP_NUM_THREADS": "3"}, 42)
+    assert environment["TELENANO_EPOCH_OFFSET_NS"] == "42"
+    assert environment["OMP_NUM_THREADS"] == "3"
+    assert environment["OPENBLAS_NUM_THREADS"] == "1"
+    assert "TELENANO__CONTROLLER__LAW" not in environment
+
+
+def test_a_node_does_not_outlive_a_supervisor_that_is_killed_however_early(tmp_path: Path) -> None:
+    # the supervisor dies as soon as it has started the node, which has not even begun to run Python
+    supervisor = (
+        "import os, signal, sys\n"
+        "from pathlib import Path\n"
+        "from services.launcher.processes import NodeProcesses\n"
+        "commands = {'a@b': [sys.executable, '-c', 'import signal; signal.pause()']}\n"
+        "print(NodeProcesses(commands, [], Path(sys.argv[1]), 0).start('a@b'), flush=True)\n"
+        "os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", supervisor, str(tmp_path)], capture_output=True, text=True, check=False, timeout=60
+    )
+    assert done.returncode == -signal.SIGKILL
+    # where nobody reaps orphans, an ended one stays as a zombie
+    with contextlib.suppress(psutil.NoSuchProcess):
+        while psutil.Process(int(done.stdout)).status() != psutil.STATUS_ZOMBIE:
+            pass
