@@ -4,9 +4,8 @@ import fcntl
 import os
 import select
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any, Protocol, cast
+from typing import IO, Any, NamedTuple, Protocol, cast
 
 import zmq
 
@@ -24,13 +23,14 @@ _LARGEST_FRAME = 16 * MAX_MESSAGE_BYTES
 _RECONNECT_MS = 50
 # messages taken before a node looks at its deadline again, so that a flood cannot hold a loop
 _BATCH = 256
+# as plain numbers: the enumerations of the binding cost half as much again as the question itself
+_EVENTS, _READABLE = int(zmq.EVENTS), int(zmq.POLLIN)
 # sources heard on one node; a peer that makes up names must not fill the memory
 _MOST_TRACKERS = 1024
 _LINGER_MS = 200
 
 
-@dataclass(frozen=True, slots=True)
-class Received:
+class Received(NamedTuple):
     """A message as a node gets it."""
 
     topic: str
@@ -109,6 +109,8 @@ class Subscriber:
         self.trackers: dict[tuple[str, str], SequenceTracker] = {}
         self.rejected: dict[str, int] = {}
         self.last_error = ""
+        # everything has been taken; until it has, ZeroMQ's descriptor may be silent although messages wait
+        self.dry = True
         self.socket = context.socket(zmq.SUB)
         self.socket.set(zmq.RCVHWM, HIGH_WATER_MARK)
         self.socket.set(zmq.LINGER, 0)
@@ -127,7 +129,9 @@ class Subscriber:
         for _ in range(_BATCH):
             # asked first, because learning it from an exception costs as much as taking a message
             if not pending():
+                self.dry = True
                 return
+            self.dry = False
             frames = [receive()]
             while self.socket.get(zmq.RCVMORE):
                 frames.append(receive())
@@ -158,7 +162,7 @@ class Subscriber:
     def pending(self) -> bool:
         """Say whether a message has arrived."""
         # not Socket.poll, which makes a poller first
-        return bool(cast(int, self.socket.get(zmq.EVENTS)) & zmq.POLLIN)
+        return bool(cast(int, self.socket.get(_EVENTS)) & _READABLE)
 
     def input_health(self) -> tuple[InputHealth, ...]:
         """Give the account of every input; a topic that nobody was heard on has an empty source."""
@@ -206,12 +210,13 @@ class ZmqBus:
             yield from subscriber.receive()
 
     def wait(self, deadline_ns: int) -> None:
-        """Wait until something has arrived or the monotonic clock has reached `deadline_ns`.
+        """Wait until something has arrived or the monotonic clock has reached `deadline_ns`; it may end for nothing.
 
-        ZeroMQ's descriptor tells of changes only, so each socket is asked before the descriptors are waited for.
+        ZeroMQ's descriptor tells of changes only, those of connections among them: it may be waited for once all that
+        it told of has been taken.
         """
         remaining = deadline_ns - self._clock.monotonic_ns()
-        if remaining > 0 and not any([s.pending() for s in self.subscribers]):
+        if remaining > 0 and all([subscriber.dry for subscriber in self.subscribers]):
             select.select(self._descriptors, (), (), remaining * 1e-9)
 
     def input_health(self) -> tuple[InputHealth, ...]:

@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any
 
+import msgpack
 import pytest
 
 from proto import encode
@@ -190,12 +191,8 @@ def test_offset_of_the_other_clock_is_measured_with_its_uncertainty(
 
 
 def _field(payload: bytes, key: str) -> Any:
-    import msgpack
-
     return msgpack.unpackb(payload)[key]
 
 
 def _with_stamp(received: Any, t_ns: int) -> Any:
-    from dataclasses import replace
-
-    return replace(received, message=received.message.model_copy(update={"t_ns": t_ns}))
+    return received._replace(message=received.message.model_copy(update={"t_ns": t_ns}))

@@ -422,6 +422,7 @@ def test_a_wait_ends_with_a_message_a_signal_or_its_deadline(
     try:
         # a deadline that is over, and one that is near
         bus.wait(clock.monotonic_ns() - 1)
+        assert list(bus.receive()) == []
         deadline = clock.monotonic_ns() + 5_000_000
         bus.wait(deadline)
         assert clock.monotonic_ns() >= deadline

@@ -71,7 +71,7 @@ def test_all_is_asked_for_and_granted(monkeypatch: pytest.MonkeyPatch) -> None:
     assert fake.asked == [
         ("prctl", PR_SET_TIMERSLACK, 1, 0, 0, 0),
         ("scheduler", 0, os.SCHED_FIFO, 60),
-        ("mlockall", 3),
+        ("mlockall", 7),
     ]
 
 

@@ -75,7 +75,7 @@ def test_the_link_reads_at_each_site_what_crosses_to_the_other() -> None:
         "launcher@master": ["session/control"],
     }
     assert backward == {
-        "controller@slave": ["teleop/backward", "session/event", "node/health"],
+        "controller@slave": ["teleop/backward", "law/status", "session/event", "node/health"],
         "afm_node@slave": ["session/event", "node/health"],
     }
 
@@ -83,9 +83,11 @@ def test_the_link_reads_at_each_site_what_crosses_to_the_other() -> None:
 def test_an_observer_connects_to_every_node_for_all_that_it_may_send() -> None:
     observed = book().observed()
     assert set(observed) == set(NODES)
-    assert observed["afm_node@slave"] == ["afm/state", "afm/scanline", "session/event", "node/health"]
+    assert observed["afm_node@slave"] == ["afm/state", "afm/scanline", "clock/pong", "session/event", "node/health"]
     assert observed["delay_node@slave"] == [
         "link/status",
+        "link/fates",
+        "clock/ping",
         "session/event",
         "node/health",
         "teleop/forward",
