@@ -92,9 +92,9 @@ def hop_sizes() -> dict[str, int]:
     return {topic: len(topic) + len(encode(message)) for topic, message in messages.items()}
 
 
-def relay(near: socket.socket, far: socket.socket, there: bytes, back: bytes) -> None:
+def relay(node: str, near: socket.socket, far: socket.socket, there: bytes, back: bytes) -> None:
     """Pass a message on and its answer back, until the near side closes."""
-    prepare()
+    prepare(node)
     while near.recv(4096):
         far.send(there)
         far.recv(4096)
@@ -103,14 +103,14 @@ def relay(near: socket.socket, far: socket.socket, there: bytes, back: bytes) ->
 
 def turn(near: socket.socket, answer: bytes) -> None:
     """Answer every message."""
-    prepare()
+    prepare("afm_node@slave")
     while near.recv(4096):
         near.send(answer)
 
 
-def prepare() -> None:
+def prepare(node: str) -> None:
     """Ask for the scheduling that the rig's nodes ask for."""
-    apply_realtime(RealtimeConfig(), StructuredLog("floor"))
+    apply_realtime(RealtimeConfig(), StructuredLog("floor"), node)
     freeze_garbage()
 
 
@@ -122,8 +122,8 @@ def measure_floor(ticks: int) -> list[float]:
     back = [sizes["haptic/command"], sizes["teleop/backward"], sizes["teleop/backward"]]
     context = multiprocessing.get_context("fork")
     workers = [
-        context.Process(target=relay, args=(pairs[hop][1], pairs[hop + 1][0], there[hop], back[hop]), daemon=True)
-        for hop in range(3)
+        context.Process(target=relay, args=(node, pairs[hop][1], pairs[hop + 1][0], there[hop], back[hop]), daemon=True)
+        for hop, node in enumerate(("controller@master", "delay_node@master", "controller@slave"))
     ]
     workers.append(context.Process(target=turn, args=(pairs[3][1], sizes["afm/state"]), daemon=True))
     for worker in workers:
@@ -143,7 +143,7 @@ def measure_floor(ticks: int) -> list[float]:
 
 def pace(near: socket.socket, payload: bytes, ticks: int, result: "multiprocessing.connection.Connection") -> None:
     """Send on an absolute grid as the haptic node does and time the answers."""
-    prepare()
+    prepare("haptic_node@master")
     ages = []
     deadline = time.monotonic_ns() + 200 * PERIOD_NS
     for _ in range(ticks):

@@ -4,13 +4,15 @@ import sys
 
 from services.afm_node.config import AfmConfig
 from services.afm_node.node import INPUTS, AfmNode
-from services.afm_node.sim import SimulatedAfm
+from services.afm_node.sim import SimulatedAfm, SimulatedSpring
 from services.runtime.main import NodeKind, ordinary, run_node
 from services.runtime.node import NodeContext
 
 
 def build(context: NodeContext, config: AfmConfig) -> AfmNode:
     """Give the node its simulated instrument."""
+    if config.environment == "spring":
+        return AfmNode(context, config, SimulatedSpring(config.to_spring_params()))
     return AfmNode(context, config, SimulatedAfm(config.to_params()))
 
 

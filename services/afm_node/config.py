@@ -11,6 +11,7 @@ from services.afm_node.cantilever import build_plant, volts_per_m
 from services.afm_node.capillary import meniscus_radius_m
 from services.afm_node.maugis_dugdale import reduced_modulus_pa
 from services.afm_node.safety import SafetyParams
+from services.afm_node.spring import SpringParams, spring_params
 from services.afm_node.step import AfmParams
 from services.afm_node.tip_sample import AS_PRINTED, CONSISTENT, TipSampleProperties, build_tip_sample
 
@@ -108,9 +109,21 @@ class SafetyConfig(_Model):
         return self
 
 
+class SpringConfig(_Model):
+    """A linear environment in place of cantilever and sample: the one that the theory of delay speaks of."""
+
+    stiffness_n_per_m: float = Field(20.0, gt=0.0, le=1e9, description="Stiffness K [N/m], up to 1e9.")
+    rest_position_m: BasePosition = Field(0.0, description="Base at which it is at rest [m]: F = K (x_s - L).")
+    bilateral: bool = Field(True, description="Whether it also pulls, which is what makes it linear.")
+
+
 class AfmConfig(_Model):
     """A simulated AFM over a sample."""
 
+    environment: Literal["tip_sample", "spring"] = Field(
+        "tip_sample", description="What the tip meets: the sample, or a linear spring on the base."
+    )
+    spring: SpringConfig = Field(SpringConfig(), description="The spring, for environment spring.")
     cantilever: CantileverConfig = Field(CantileverConfig(), description="Spring and read-out of the cantilever.")
     tip_sample: TipSampleConfig = Field(TipSampleConfig(), description="Tip, sample and the water between them.")
     mode: Literal["consistent", "as_printed"] = Field(
@@ -128,6 +141,11 @@ class AfmConfig(_Model):
         # Some combinations have no model (E7): that belongs to reading the file, not to the first tick.
         self.to_params()
         return self
+
+    def to_spring_params(self) -> SpringParams:
+        """Give the parameters of the linear environment behind the same guard."""
+        guard, spring = self.to_params().safety, self.spring
+        return spring_params(guard, spring.stiffness_n_per_m, spring.rest_position_m, spring.bilateral)
 
     def to_params(self) -> AfmParams:
         """Build the parameters of the pure step; the contact table is built once per set of its parameters.

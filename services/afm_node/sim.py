@@ -1,6 +1,9 @@
-"""The simulated AFM: the compiled plant behind the driver protocol."""
+"""The simulated instruments: the compiled plants behind the driver protocol."""
+
+import math
 
 from services.afm_node.cantilever import PlantState, initial_state
+from services.afm_node.spring import SpringParams, spring_force
 from services.afm_node.step import AfmParams, AfmSample, measure
 
 
@@ -48,3 +51,44 @@ class SimulatedAfm:
         """Go to the safe position and stop; harmless when already closed."""
         self.retract()
         self._tip = None
+
+
+class SimulatedSpring:
+    """An `AfmDriver` whose tip meets a linear spring, F = K (x_s - L), in place of cantilever and sample.
+
+    It has no deflection of its own: the force is that of the spring, and the distance reported is L - x_s.
+    """
+
+    def __init__(self, params: SpringParams) -> None:
+        self._params = params
+        self._opened = False
+
+    @property
+    def safe_position_m(self) -> float:
+        """Base position [m] of the safe state: retracted."""
+        return self._params.safety.retract_position_m
+
+    def open(self) -> None:
+        """Start at the safe position. Raises RuntimeError if it is already open."""
+        if self._opened:
+            raise RuntimeError("the simulated spring is already open")
+        self._opened = True
+
+    def exchange(self, base_m: float) -> AfmSample:
+        """Apply a base position [m] and give force and distance.
+
+        Raises: ValueError, if the position is not finite; RuntimeError, if not open.
+        """
+        if not self._opened:
+            raise RuntimeError("the simulated spring is not open: call open() first")
+        if not math.isfinite(base_m):
+            raise ValueError(f"base position {base_m} m must be finite")
+        force = spring_force(self._params, base_m)
+        return AfmSample(base_m, 0.0, force, 0.0, self._params.rest_distance_m - base_m, True, force != 0.0, False)
+
+    def retract(self) -> None:
+        """Go to the safe position at once: there is nothing to move."""
+
+    def close(self) -> None:
+        """Stop; harmless when already closed."""
+        self._opened = False

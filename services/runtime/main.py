@@ -131,12 +131,13 @@ def _run(kind: NodeKind[C], given: NodeArguments, log: StructuredLog) -> None:
     config = loaded.section(kind.name, kind.config)
     wanted = loaded.scenario.realtime if kind.realtime else RealtimeConfig(scheduler="normal", memory_lock="off")
     # before the ZeroMQ context exists: its threads inherit what is asked for here
-    status = apply_realtime(wanted, log)
+    key = f"{kind.name}@{given.site}"
+    status = apply_realtime(wanted, log, key)
     stopper = _Stopper()
     wake_descriptor = install_stop_signals(stopper.stop)
     with zmq.Context[zmq.Socket[bytes]]() as context:
         wiring = Wiring(
-            key=f"{kind.name}@{given.site}",
+            key=key,
             book=book,
             site_file=given.site_file,
             scenario_file=given.scenario,

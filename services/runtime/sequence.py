@@ -4,6 +4,10 @@ from enum import Enum, auto
 
 # a longer gap is counted whole, but only its newest part can still be recognised when it arrives late
 _REMEMBERED_GAP = 4096
+# repeated messages in a row, in order and this old, are no repetition: the publisher's clock was set back, or a
+# recording is played where its publisher, or an earlier replay, was heard before
+_REWIND_RUN = 8
+_REWIND_NS = 1_000_000_000
 
 
 class Arrival(Enum):
@@ -20,7 +24,8 @@ class SequenceTracker:
     """Account of one topic from one source.
 
     A lower `seq` with a later time stamp means that the publisher was restarted; with an earlier or equal one, that
-    the message was overtaken (it fills a gap, and is no longer lost) or came twice.
+    the message was overtaken (it fills a gap, and is no longer lost) or came twice. A whole run of old ones in order
+    is a restart as well.
     """
 
     def __init__(self) -> None:
@@ -33,6 +38,8 @@ class SequenceTracker:
         self.last_seq = -1
         self.last_t_ns = 0
         self.last_gap = (0, 0)
+        self._run = 0
+        self._run_at = (-1, 0)
         self._missing: set[int] = set()
 
     def accept(self, seq: int, t_ns: int) -> Arrival:
@@ -61,6 +68,13 @@ class SequenceTracker:
             self.lost -= 1
             self.late += 1
             return Arrival.LATE
+        # the run is broken by anything that was received in between
+        self._run = self._run + 1 if (seq - 1, self.received) == self._run_at else 1
+        self._run_at = (seq, self.received)
+        if self._run >= _REWIND_RUN and self.last_t_ns - t_ns > _REWIND_NS:
+            self.restarts += 1
+            self._missing.clear()
+            return Arrival.RESTART
         self.duplicates += 1
         return Arrival.DUPLICATE
 

@@ -102,7 +102,7 @@ def test_a_node_runs_until_it_is_told_to_stop(arguments: list[str], capfd: pytes
         (["--scenario", "/nowhere/fig12.yaml"], "/nowhere/fig12.yaml: cannot be read: No such file or directory"),
         (["--site-file", "/nowhere/site.yaml"], "/nowhere/site.yaml: cannot be read: No such file or directory"),
         (["--site", "slave"], "controller@slave is not in the site file, it has controller@master"),
-        (["--set", "realtime.cpu=100000"], "realtime.cpu: 100000 cannot be used"),
+        (["--set", "realtime.cpus.controller=100000"], "realtime.cpus: 100000 cannot be used"),
     ],
 )
 def test_a_bad_start_is_one_clear_line_and_an_exit_code(

@@ -20,10 +20,14 @@ from services.runtime.realtime import (
     apply_realtime,
     die_with_parent,
     freeze_garbage,
+    processor_of,
     shallow_idle,
 )
 
 PR_GET_PDEATHSIG, PR_SET_PDEATHSIG, PR_SET_TIMERSLACK, PR_GET_TIMERSLACK = 2, 1, 29, 30
+
+
+NODE = "test@master"
 
 
 class FakeMachine:
@@ -64,13 +68,42 @@ def machine(monkeypatch: pytest.MonkeyPatch, *, permitted: bool) -> FakeMachine:
     return fake
 
 
+@pytest.mark.parametrize(
+    ("node", "permitted", "expected"),
+    [
+        ("haptic_node@master", [0, 1], 0),
+        ("controller@master", [0, 1, 2, 3], 2),
+        ("delay_node@master", [0, 1], 1),
+        ("controller@slave", [0, 1, 2, 3], 3),
+        ("afm_node@slave", [4, 7], 7),
+        ("afm_node@slave", [0], None),
+    ],
+)
+def test_each_side_of_the_link_has_a_processor(node: str, permitted: list[int], expected: int | None) -> None:
+    assert processor_of(node, RealtimeConfig(), permitted) == expected
+    assert processor_of(node, RealtimeConfig(cpus="free"), permitted) is None
+    own = RealtimeConfig(cpus={"controller": 5, "controller@slave": 6})
+    assert processor_of(node, own, permitted) == {"controller@master": 5, "controller@slave": 6}.get(node)
+
+
+def test_a_process_without_fifo_is_left_free(monkeypatch: pytest.MonkeyPatch) -> None:
+    machine(monkeypatch, permitted=False)
+    asked: list[object] = []
+    monkeypatch.setattr(os, "sched_setaffinity", lambda pid, cpus: asked.append(cpus))
+    apply_realtime(RealtimeConfig(), ListLog(), NODE)
+    assert asked == []
+
+
 def test_all_is_asked_for_and_granted(monkeypatch: pytest.MonkeyPatch) -> None:
     fake, log = machine(monkeypatch, permitted=True), ListLog()
-    status = apply_realtime(RealtimeConfig(priority=60), log)
+    monkeypatch.setattr(os, "sched_setaffinity", lambda pid, cpus: fake.asked.append(("cpus", len(cpus))))
+    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {0, 1})
+    status = apply_realtime(RealtimeConfig(priority=60), log, NODE)
     assert (status.fifo, status.memory_locked, log.warnings) == (True, True, [])
     assert fake.asked == [
         ("prctl", PR_SET_TIMERSLACK, 1, 0, 0, 0),
         ("scheduler", 0, os.SCHED_FIFO, 60),
+        ("cpus", 1),
         ("mlockall", 7),
     ]
 
@@ -78,7 +111,7 @@ def test_all_is_asked_for_and_granted(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_what_is_not_permitted_is_said_once_with_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
     machine(monkeypatch, permitted=False)
     log = ListLog()
-    status = apply_realtime(RealtimeConfig(), log)
+    status = apply_realtime(RealtimeConfig(), log, NODE)
     assert (status.fifo, status.memory_locked) == (False, False)
     assert len(log.warnings) == 2
     assert "ulimit -r" in log.warnings[0]
@@ -87,7 +120,7 @@ def test_what_is_not_permitted_is_said_once_with_what_to_do(monkeypatch: pytest.
 
 def test_what_is_not_wanted_is_not_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
     fake, log = machine(monkeypatch, permitted=False), ListLog()
-    status = apply_realtime(RealtimeConfig(scheduler="normal", memory_lock="off"), log)
+    status = apply_realtime(RealtimeConfig(scheduler="normal", memory_lock="off"), log, NODE)
     assert (status.fifo, status.memory_locked, log.warnings) == (False, False, [])
     assert fake.asked == [("prctl", PR_SET_TIMERSLACK, 1, 0, 0, 0)]
 
@@ -104,7 +137,7 @@ def test_what_was_demanded_and_is_not_permitted_is_an_error(
 ) -> None:
     machine(monkeypatch, permitted=False)
     with pytest.raises(ConfigError, match=said):
-        apply_realtime(config, ListLog())
+        apply_realtime(config, ListLog(), NODE)
 
 
 def test_a_processor_is_kept_to_and_one_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -112,16 +145,16 @@ def test_a_processor_is_kept_to_and_one_that_is_not_there_is_named(monkeypatch: 
     asked: list[tuple[int, set[int]]] = []
     with monkeypatch.context() as patch:
         patch.setattr(os, "sched_setaffinity", lambda pid, cpus: asked.append((pid, cpus)))
-        apply_realtime(RealtimeConfig(cpu=0), ListLog())
+        apply_realtime(RealtimeConfig(cpus={"test": 0}), ListLog(), NODE)
     assert asked == [(0, {0})]
-    with pytest.raises(ConfigError, match=r"realtime\.cpu: 100000 cannot be used .*permitted are \d"):
-        apply_realtime(RealtimeConfig(cpu=100_000), ListLog())
+    with pytest.raises(ConfigError, match=r"realtime\.cpus: 100000 cannot be used .*permitted are \d"):
+        apply_realtime(RealtimeConfig(cpus={NODE: 100_000}), ListLog(), NODE)
 
 
 def test_timer_slack_of_this_very_process() -> None:
     libc = ctypes.CDLL(None)
     try:
-        apply_realtime(RealtimeConfig(scheduler="normal", memory_lock="off"), ListLog())
+        apply_realtime(RealtimeConfig(scheduler="normal", memory_lock="off"), ListLog(), NODE)
         assert libc.prctl(PR_GET_TIMERSLACK, 0, 0, 0, 0) == 1
     finally:
         # zero gives back the default of the process
@@ -176,7 +209,15 @@ def test_shallow_idle_without_permission_changes_nothing(monkeypatch: pytest.Mon
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"priority": 0}, {"priority": 99}, {"spin_s": -1e-6}, {"spin_s": 0.002}, {"spin_s": float("nan")}, {"cpu": -1}],
+    [
+        {"priority": 0},
+        {"priority": 99},
+        {"spin_s": -1e-6},
+        {"spin_s": 0.002},
+        {"spin_s": float("nan")},
+        {"cpus": {"test": -1}},
+        {"cpus": "two"},
+    ],
 )
 def test_ranges(wrong: dict[str, float]) -> None:
     with pytest.raises(ValidationError, match=next(iter(wrong))):
