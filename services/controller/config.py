@@ -1,13 +1,22 @@
 """Configuration of the controller: which law, and the parameters of each."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from services.controller.deadband import DeadbandConfig
 from services.controller.law import Law
+from services.controller.model_mediated import MODEL_MEDIATED, ModelMediatedConfig
+from services.controller.passivity import PASSIVITY, PassivityConfig
+from services.controller.position_force import POSITION_FORCE, PositionForceConfig
+from services.controller.smith import SMITH, SmithConfig
 from services.controller.virtual_impedance import VIRTUAL_IMPEDANCE, VirtualImpedanceConfig
+from services.controller.wave import WAVE, WaveConfig
 
-LAWS: dict[str, Law] = {law.name: law for law in (VIRTUAL_IMPEDANCE,)}
+LAWS: dict[str, Law] = {
+    law.name: law for law in (VIRTUAL_IMPEDANCE, POSITION_FORCE, WAVE, PASSIVITY, MODEL_MEDIATED, SMITH)
+}
+LawName = Literal["virtual_impedance", "position_force", "wave", "passivity", "model_mediated", "smith"]
 
 
 class ControllerConfig(BaseModel):
@@ -15,15 +24,31 @@ class ControllerConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
 
-    law: Literal["virtual_impedance"] = Field(default="virtual_impedance", description="Law in force at the start")
+    law: LawName = Field(default="virtual_impedance", description="Law in force")
     period_s: Annotated[float, Field(ge=1e-4, le=0.1)] = Field(
         default=1e-3, description="Period of the hand's samples [s]"
     )
+    switch_limit_s: Annotated[float, Field(gt=0.0, le=60.0)] = Field(
+        default=2.0, description="Longest wait for the other half when the law changes; then the hand is let go [s]"
+    )
+    deadband: DeadbandConfig = Field(default=DeadbandConfig(), description="Dead band in front of any law")
     virtual_impedance: VirtualImpedanceConfig = Field(
         default=VirtualImpedanceConfig(), description="Parameters of the paper's law"
     )
+    position_force: PositionForceConfig = Field(
+        default=PositionForceConfig(), description="Parameters of direct force reflection"
+    )
+    wave: WaveConfig = Field(default=WaveConfig(), description="Parameters of the wave variables")
+    passivity: PassivityConfig = Field(default=PassivityConfig(), description="Parameters of passivity control")
+    model_mediated: ModelMediatedConfig = Field(
+        default=ModelMediatedConfig(), description="Parameters of the local surface model"
+    )
+    smith: SmithConfig = Field(default=SmithConfig(), description="Parameters of the Smith predictor")
 
-    def params(self) -> object:
+    def section(self) -> Any:
+        """Give the parameters of the law in force; every law's have position_scale, force_scale, silence_limit_s."""
+        return getattr(self, self.law)
+
+    def params(self) -> Any:
         """Give the compiled constants of the law in force."""
-        section: VirtualImpedanceConfig = getattr(self, self.law)
-        return section.to_params(self.period_s)
+        return self.section().to_params(self.period_s)

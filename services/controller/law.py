@@ -15,6 +15,8 @@ from typing import Any, NamedTuple
 
 from pydantic import BaseModel
 
+from services.runtime.compiled import compiled
+
 
 class HandSample(NamedTuple):
     """A sample of the operator's device: x_m [m], its velocity [m/s], F_m [N]; `following`: it obeys commands."""
@@ -39,8 +41,10 @@ class TipSample(NamedTuple):
 class PortSignal(NamedTuple):
     """What one half of a law says to the other, at the slave's scale.
 
-    `silence_s` is the time since the newest signal arrived (large when none ever did), which the receiver fills in; a
-    law decides for itself what is too long.
+    The receiver fills in the last two. `silence_s` is the time since the newest signal arrived (large when none ever
+    did); a law decides for itself what is too long. `round_trip_s`, at the master only, is the age of the hand's sample
+    that the signal answers, on the hand's clock and at the time of use: what a predictor has to bridge. It is a whole
+    number of periods, 0.0 where the answer belongs to the present tick, and grows with every tick without a new signal.
     """
 
     position_m: float
@@ -53,6 +57,7 @@ class PortSignal(NamedTuple):
     in_contact: bool
     active: bool
     silence_s: float
+    round_trip_s: float
 
 
 class MasterReference(NamedTuple):
@@ -74,10 +79,28 @@ class SlaveReference(NamedTuple):
     active: bool
 
 
-NO_SIGNAL = PortSignal(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, False, False, False, 1e9)
+class Books(NamedTuple):
+    """What a half of a law knows about energy, at the hand's scale [J].
+
+    left_j: received and not yet given out or sent on; dissipated_j: taken out on purpose by the controller; granted_j:
+    what the law lets itself have at the start, and by which its two ports may fall below passivity.
+    """
+
+    left_j: float
+    dissipated_j: float
+    granted_j: float
+
+
+NO_SIGNAL = PortSignal(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, False, False, False, 1e9, 0.0)
 
 # Params and states are NamedTuples of the law's own, so the table of laws cannot name them: each law's module does.
 Steps = Callable[..., Any]
+
+
+@compiled
+def no_books(params: Any, state: Any) -> Books:
+    """Give the books of a law that keeps none."""
+    return Books(0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -85,11 +108,15 @@ class Law:
     """A law of the table: its configuration and its compiled steps.
 
     - `master_start(params, hand) -> state` and `slave_start(params, tip) -> state`: at rest where the device is
+    - `master_resume(params, hand, tip_reference_m) -> state`: in motion where `hand` says, so that the first reference
+      sent to the tip is tip_reference_m [m]; for taking over from another law
     - `master_send(params, state, hand, dt) -> (state, PortSignal)`
     - `master_receive(params, state, hand, signal, dt) -> (state, MasterReference)`
     - `slave_receive(params, state, signal, tip, dt) -> (state, SlaveReference)`
     - `slave_send(params, state, tip, dt) -> (state, PortSignal)`
     - `retune(old, new, state) -> state`: carries a master state over a change of parameters without a jump
+
+    - `master_books(params, state) -> Books`, `slave_books(params, state) -> Books`: what the half knows of energy
 
     `uses_waves` and `uses_energy` say which optional parts of the wire message the law fills.
     """
@@ -97,11 +124,14 @@ class Law:
     name: str
     config: type[BaseModel]
     master_start: Steps
+    master_resume: Steps
     master_send: Steps
     master_receive: Steps
     slave_start: Steps
     slave_receive: Steps
     slave_send: Steps
     retune: Steps
+    master_books: Steps = no_books
+    slave_books: Steps = no_books
     uses_waves: bool = False
     uses_energy: bool = False

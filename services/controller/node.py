@@ -1,20 +1,48 @@
 """The controller processes: each runs one half of a law on the arrival of messages."""
 
+import math
 from collections.abc import Mapping
 from typing import Any, ClassVar, Literal, cast
 
-from proto.messages import AfmState, HapticState, Scalar, SessionControl, TeleopBackward, TeleopForward, Vector3
+from proto import TOPICS
+from proto.messages import (
+    AfmState,
+    HapticState,
+    LawStatus,
+    Scalar,
+    SessionControl,
+    TeleopBackward,
+    TeleopForward,
+    Vector3,
+)
+from services.controller import energy
 from services.controller.config import LAWS, ControllerConfig
-from services.controller.law import NO_SIGNAL, HandSample, Law, PortSignal, TipSample
+from services.controller.deadband import deadband, fresh
+from services.controller.law import (
+    NO_SIGNAL,
+    Books,
+    HandSample,
+    Law,
+    MasterReference,
+    PortSignal,
+    SlaveReference,
+    TipSample,
+)
 from services.runtime.bus import Received
 from services.runtime.config import merge, nested, validate
 from services.runtime.errors import ConfigError, RefusedError
 from services.runtime.node import Node, NodeContext
 
-MASTER_INPUTS = ("haptic/state", "teleop/backward", "session/control")
+# oldest sample of the instrument that a law may still take for the present
+INSTRUMENT_DEADLINE_S = TOPICS["afm/state"].deadline_s or 0.0
+MASTER_INPUTS = ("haptic/state", "teleop/backward", "law/status", "session/control")
 SLAVE_INPUTS = ("teleop/forward", "afm/state", "session/control")
 # time without a message after which a first or resumed one starts anew instead of being bridged by many steps
 _LONGEST_BRIDGED_PERIODS = 50
+STATUS_PERIOD_S = 0.01
+# while the other half is waited for, the hand comes to rest like a virtual mass that is left alone
+_COASTING_S = 0.005
+_NEVER = (0.0, False)
 
 
 def along(vector: Vector3) -> float:
@@ -27,18 +55,34 @@ def across(value: float) -> Vector3:
     return (0.0, 0.0, 0.0 - value)
 
 
-def warm_up(law: Law, params: object, period_s: float) -> None:
+def warm_up(law: Law, params: Any, config: ControllerConfig) -> None:
     """Compile the steps of a law before the first tick needs them."""
+    period_s = config.period_s
     hand, tip = HandSample(0.0, 0.0, 0.0, False), TipSample(0.0, 0.0, 0.0, False, False, False)
+    state = law.master_resume(params, hand, 0.0)
     state, signal = law.master_send(params, law.master_start(params, hand), hand, period_s)
-    law.master_receive(params, state, hand, signal, period_s)
-    state, _ = law.slave_receive(params, law.slave_start(params, tip), signal, tip, period_s)
-    law.slave_send(params, state, tip, period_s)
-    law.retune(params, params, law.master_start(params, hand))
+    state, _ = law.master_receive(params, state, hand, signal, period_s)
+    law.master_books(params, state)
+    slave, _ = law.slave_receive(params, law.slave_start(params, tip), signal, tip, period_s)
+    slave, _ = law.slave_send(params, slave, tip, period_s)
+    energy.is_passive(0.0, False, law.slave_books(params, slave))
+    law.retune(params, params, state)
+    deadband(config.deadband.to_params(), fresh(signal), signal, period_s)
+    port = energy.moved_to(energy.opened(0.0, 0.0), 0.0, 0.0)
+    energy.entered(port, 0.0, 0.0)
+    energy.left(port, 0.0, 0.0)
 
 
 class HalfLaw(Node):
-    """What both halves share: the law, its parameters and how they change at run time."""
+    """What both halves share: the law, its parameters, and how both change at run time.
+
+    A change of law. Both halves get the command, at different times, and each stands still from then on: the master
+    lets the hand's reference coast to rest within milliseconds, the slave keeps the base where it was last told to be,
+    and both speak the new law as halves that do not follow (`active` false). Signals of another law are silence. When
+    the master hears the slave in the new law it takes over from where the hand is, at the speed that it has, with the
+    tip's reference where the slave says that the base is; when the slave hears that the master follows, it goes on
+    from there. So neither device sees a jump, and neither moves against a half that runs another law.
+    """
 
     commands: ClassVar[tuple[str, ...]] = ("set",)
 
@@ -49,10 +93,20 @@ class HalfLaw(Node):
         self.params: Any = config.params()
         self.law_state: Any = None
         self.signal: PortSignal = NO_SIGNAL
+        self.switching = False
+        self.port = energy.opened(0.0, 0.0)
         self._signal_ns: int | None = None
+        self._signal_hand_ns = 0
         self._hand = (0, 0)
         self._period_ns = round(config.period_s * 1e9)
-        warm_up(self.law, self.params, config.period_s)
+        self._status_ticks = max(1, round(STATUS_PERIOD_S / config.period_s))
+        self._reported_j = 0.0
+        self._band = config.deadband.to_params()
+        self._band_state = fresh(NO_SIGNAL)
+        # every law, because a change of law is no time to compile
+        for law in LAWS.values():
+            changed = config.model_copy(update={"law": law.name})
+            warm_up(law, changed.params(), changed)
 
     def on_deadline(self, now_ns: int) -> None:
         """Do nothing: a controller acts on messages only."""
@@ -61,26 +115,43 @@ class HalfLaw(Node):
         """Do nothing: a controller holds no actuator, and its silence makes the devices safe."""
 
     def on_control(self, control: SessionControl) -> str:
-        """Change parameters of the law: dotted keys below `controller`, such as virtual_impedance.force_gain."""
+        """Change the law or its parameters: dotted keys below `controller`, such as virtual_impedance.force_gain."""
         if control.command != "set":
             return super().on_control(control)
         changed = self._changed_config(control.parameters)
         params = changed.params()
-        if self.law_state is not None:
+        switched = changed.law != self.config.law
+        if not switched and self.law_state is not None:
             self.law_state = self.retuned(self.params, params)
         self.config, self.params = changed, params
+        self._band = changed.deadband.to_params()
+        if switched:
+            self._switch()
         return "set " + ", ".join(f"{key} = {value}" for key, value in control.parameters.items())
+
+    def _switch(self) -> None:
+        self.law = LAWS[self.config.law]
+        self.signal, self._signal_ns = NO_SIGNAL, None
+        self._band_state = fresh(NO_SIGNAL)
+        self.port = energy.opened(self.port.position_m, self.port.force_n)
+        self._reported_j = 0.0
+        # before the first tick there is nothing to take over
+        self.switching = self.law_state is not None
 
     def retuned(self, old: Any, new: Any) -> Any:
         """Carry the state of this half over a change of parameters."""
         return self.law_state
 
-    def hear(self, message: TeleopForward | TeleopBackward, received_ns: int) -> None:
+    def books(self) -> Books:
+        """Give what this half of the law knows of energy."""
+        raise NotImplementedError
+
+    def hear(self, message: TeleopForward | TeleopBackward, received_ns: int) -> bool:
         """Take a signal of the other half; one of another law is not understood and counts as silence."""
         if message.law != self.law.name:
-            return
+            return False
         backward = isinstance(message, TeleopBackward)
-        self._signal_ns = received_ns
+        self._signal_ns, self._signal_hand_ns = received_ns, message.hand_t_ns
         self.signal = PortSignal(
             position_m=along(message.position_m),
             velocity_m_per_s=along(message.velocity_m_per_s),
@@ -93,14 +164,19 @@ class HalfLaw(Node):
             in_contact=message.in_contact if isinstance(message, TeleopBackward) else False,
             active=message.active,
             silence_s=0.0,
+            round_trip_s=0.0,
         )
+        return True
 
     def heard(self) -> PortSignal:
         """Give the newest signal with the time of silence since."""
         if self._signal_ns is None:
             return NO_SIGNAL
-        silence = (self.clock.now_ns() - self._signal_ns) * 1e-9
-        return self.signal._replace(silence_s=max(0.0, silence))
+        return self.signal._replace(silence_s=self._silence_s(), round_trip_s=self.round_trip_s()[0])
+
+    def round_trip_s(self) -> tuple[float, bool]:
+        """Give the age of the hand's sample that the newest answer descends from [s], and whether it is known."""
+        return _NEVER
 
     def elapsed_s(self, hand_t_ns: int, previous_ns: int) -> float | None:
         """Give the whole periods between two hand samples [s]; None when the sequence starts anew.
@@ -126,12 +202,47 @@ class HalfLaw(Node):
             "hand_t_ns": self._hand[1],
         }
 
+    def would_be_felt(self, signal: PortSignal, dt: float) -> bool:
+        """Ask the dead band whether a signal is to be sent, dt [s] after the last; while the law changes, all are."""
+        self._band_state, send = deadband(self._band, self._band_state, signal, dt)
+        return send or self.switching
+
+    def report(self, other_energy_j: float | None) -> None:
+        """Publish law/status every so many ticks; other_energy_j [J]: what has entered at the other port, if known."""
+        if self.steps % self._status_ticks or self.law_state is None:
+            return
+        books: Books = self.books()
+        known = other_energy_j is not None
+        net_j = self.port.energy_j + (other_energy_j or 0.0)
+        round_trip_s, measured = self.round_trip_s()
+        entered_j, self._reported_j = self.port.energy_j - self._reported_j, self.port.energy_j
+        offered = self._band_state.offered
+        self.publish(
+            "law/status",
+            law=self.law.name,
+            switching=self.switching,
+            port_energy_j=self.port.energy_j,
+            port_power_w=entered_j / (self._status_ticks * self.config.period_s),
+            net_valid=known,
+            net_energy_j=net_j if known else 0.0,
+            left_j=books.left_j,
+            dissipated_j=books.dissipated_j,
+            passive=bool(energy.is_passive(net_j, known, books)),
+            saved_percent=100.0 * (offered - self._band_state.sent) / offered if offered else 0.0,
+            heard=self._signal_ns is not None,
+            silence_s=self._silence_s() if self._signal_ns is not None else 0.0,
+            round_trip_valid=measured,
+            round_trip_s=round_trip_s,
+        )
+
+    def _silence_s(self) -> float:
+        return max(0.0, (self.clock.now_ns() - (self._signal_ns or 0)) * 1e-9)
+
     def _changed_config(self, parameters: Mapping[str, Scalar]) -> ControllerConfig:
         if not parameters:
             raise RefusedError("set needs parameters, such as virtual_impedance.force_gain=10")
-        frozen = {"law", "period_s"} & set(parameters)
-        if frozen:
-            raise RefusedError(f"{', '.join(sorted(frozen))} cannot be changed while the rig runs")
+        if "period_s" in parameters:
+            raise RefusedError("period_s cannot be changed while the rig runs")
         try:
             document = merge(self.config.model_dump(), nested(parameters, "session/control"))
             return validate(ControllerConfig, document, "session/control", "controller")
@@ -150,9 +261,13 @@ class MasterController(HalfLaw):
     def __init__(self, context: NodeContext, config: ControllerConfig) -> None:
         super().__init__(context, config)
         self.hand = HandSample(0.0, 0.0, 0.0, False)
+        self.reference = MasterReference(0.0, 0.0, 0.0, False)
+        self._tip_reference_m = 0.0
+        self._switch_s = 0.0
         self._dt_s = config.period_s
         self._command_due = False
         self._answered = (0, 0)
+        self._far: LawStatus | None = None
 
     def on_message(self, received: Received) -> None:
         """Act on the hand's sample or on the slave's answer."""
@@ -160,14 +275,43 @@ class MasterController(HalfLaw):
         if isinstance(message, HapticState):
             self._on_hand(message)
         elif isinstance(message, TeleopBackward):
-            self.hear(message, received.received_ns)
+            if self.hear(message, received.received_ns) and self.switching:
+                self._take_over()
             self._answered = (message.hand_seq, message.hand_t_ns)
             if self._command_due:
                 self._command()
+        elif isinstance(message, LawStatus):
+            self._far = message
 
     def retuned(self, old: Any, new: Any) -> Any:
         """Carry the state over without a jump at the tip."""
         return self.law.retune(old, new, self.law_state)
+
+    def books(self) -> Books:
+        """Give what this half of the law knows of energy."""
+        return cast(Books, self.law.master_books(self.params, self.law_state))
+
+    def round_trip_s(self) -> tuple[float, bool]:
+        """Give the age of the hand's sample that the newest answer descends from [s], and whether it is known."""
+        if self._signal_ns is None:
+            return _NEVER
+        return max(0, round((self._hand[1] - self._signal_hand_ns) / self._period_ns)) * self.config.period_s, True
+
+    def _switch(self) -> None:
+        super()._switch()
+        self._switch_s = 0.0
+        if self.switching:
+            self.law_state = self._resumed(self.reference, self._tip_reference_m)
+
+    def _resumed(self, reference: MasterReference, tip_reference_m: float) -> Any:
+        sample = HandSample(reference.position_m, reference.velocity_m_per_s, self.hand.force_n, self.hand.following)
+        return self.law.master_resume(self.params, sample, tip_reference_m)
+
+    def _take_over(self) -> None:
+        """Run the new law from where the hand is and from where the slave says that the base is."""
+        self.switching = False
+        tip_m = self.signal.position_m if self.signal.active else self._tip_reference_m
+        self.law_state = self._resumed(self.reference, tip_m)
 
     def _on_hand(self, message: HapticState) -> None:
         if self._command_due:
@@ -182,27 +326,51 @@ class MasterController(HalfLaw):
         )
         if self.law_state is None or elapsed is None:
             self.law_state = self.law.master_start(self.params, self.hand)
+            self.port = energy.opened(self.hand.position_m, self.hand.force_n)
         self._dt_s = elapsed if elapsed is not None else self.config.period_s
-        self.law_state, signal = self.law.master_send(self.params, self.law_state, self.hand, self._dt_s)
-        self.publish("teleop/forward", **self.wire(signal), force_n=across(signal.force_n))
+        hand = self.hand._replace(following=False) if self.switching else self.hand
+        self.law_state, signal = self.law.master_send(self.params, self.law_state, hand, self._dt_s)
+        self._tip_reference_m = signal.position_m
+        if self.would_be_felt(signal, self._dt_s):
+            self.publish("teleop/forward", **self.wire(signal), force_n=across(signal.force_n))
         self.steps += 1
         self._command_due = True
+        far = self._far
+        self.report(far.port_energy_j if far is not None and far.law == self.law.name else None)
 
     def _command(self) -> None:
         self._command_due = False
-        self.law_state, reference = self.law.master_receive(
-            self.params, self.law_state, self.hand, self.heard(), self._dt_s
-        )
-        self.state = "running" if reference.active else "safe"
+        self.reference = self._coasting() if self.switching else self._received()
+        self.state = "running" if self.reference.active else "safe"
         self.publish(
             "haptic/command",
-            mode="position" if reference.active else "off",
-            position_m=across(reference.position_m),
-            velocity_m_per_s=across(reference.velocity_m_per_s),
-            force_n=(0.0, 0.0, reference.force_n),
+            mode="position" if self.reference.active else "off",
+            position_m=across(self.reference.position_m),
+            velocity_m_per_s=across(self.reference.velocity_m_per_s),
+            force_n=(0.0, 0.0, self.reference.force_n),
             hand_seq=self._answered[0],
             hand_t_ns=self._answered[1],
         )
+
+    def _received(self) -> MasterReference:
+        self.law_state, step = self.law.master_receive(self.params, self.law_state, self.hand, self.heard(), self._dt_s)
+        reference = cast(MasterReference, step)
+        coupled = reference.active and self.hand.following
+        count = energy.entered if coupled else energy.moved_to
+        self.port = count(self.port, reference.position_m, self.hand.force_n)
+        return reference
+
+    def _coasting(self) -> MasterReference:
+        """Give the reference while the other half is waited for: it comes to rest, and the force shown stays."""
+        self._switch_s += self._dt_s
+        last, fades = self.reference, math.exp(-self._dt_s / _COASTING_S)
+        active = last.active and self._switch_s <= self.config.switch_limit_s
+        position_m, velocity_m_per_s = self.hand.position_m, 0.0
+        if self.hand.following:
+            position_m = last.position_m + _COASTING_S * (1.0 - fades) * last.velocity_m_per_s
+            velocity_m_per_s = fades * last.velocity_m_per_s
+        self.port = energy.moved_to(self.port, position_m, self.hand.force_n)
+        return MasterReference(position_m, velocity_m_per_s, last.force_n, active)
 
 
 class SlaveController(HalfLaw):
@@ -213,8 +381,10 @@ class SlaveController(HalfLaw):
     def __init__(self, context: NodeContext, config: ControllerConfig) -> None:
         super().__init__(context, config)
         self.tip = TipSample(0.0, 0.0, 0.0, False, False, False)
+        self.reference = SlaveReference(0.0, True)
         self._dt_s = config.period_s
         self._awaited: int | None = None
+        self._instrument_ns = 0
 
     def on_message(self, received: Received) -> None:
         """Act on the master's signal or on the instrument's answer."""
@@ -224,31 +394,58 @@ class SlaveController(HalfLaw):
         elif isinstance(message, AfmState):
             self._on_instrument(message)
 
+    def books(self) -> Books:
+        """Give what this half of the law knows of energy."""
+        return cast(Books, self.law.slave_books(self.params, self.law_state))
+
+    def _switch(self) -> None:
+        super()._switch()
+        if self.switching:
+            self.law_state = self._standing()
+
+    def _standing(self) -> Any:
+        """Give the state of a half that begins where the base was last told to be."""
+        return self.law.slave_start(self.params, self.tip._replace(position_m=self.reference.position_m))
+
     def _on_forward(self, message: TeleopForward, received_ns: int) -> None:
         if self._awaited is not None:
-            # the instrument has not answered the last tick: its newest sample has to do
+            # the instrument has not answered the last tick: its newest sample has to do, for as long as it is fresh
+            self._doubt_instrument()
             self._answer()
         elapsed = self.elapsed_s(message.hand_t_ns, self._hand[1])
         self._hand = (message.hand_seq, message.hand_t_ns)
-        self.hear(message, received_ns)
-        if self.law_state is None or elapsed is None:
+        if self.hear(message, received_ns) and message.active:
+            self.switching = False
+        if self.law_state is None or (elapsed is None and not self.switching):
             self.law_state = self.law.slave_start(self.params, self.tip)
         self._dt_s = elapsed if elapsed is not None else self.config.period_s
-        self.law_state, reference = self.law.slave_receive(
-            self.params, self.law_state, self.heard(), self.tip, self._dt_s
-        )
-        mode: Literal["position", "hold"] = "position" if reference.active else "hold"
+        if not self.switching:
+            self.law_state, self.reference = self.law.slave_receive(
+                self.params, self.law_state, self.heard(), self.tip, self._dt_s
+            )
+        mode: Literal["position", "hold"] = "position" if self.reference.active else "hold"
         command = self.publish(
             "afm/command",
             mode=mode,
-            base_position_m=across(reference.position_m),
+            base_position_m=across(self.reference.position_m),
             hand_seq=self._hand[0],
             hand_t_ns=self._hand[1],
         )
         self.steps += 1
         self._awaited = command.seq
+        self.report(None)
+
+    def _doubt_instrument(self) -> None:
+        """Take an instrument that has been silent for too long as one that does not follow, whatever it said last."""
+        silence_s = (self.clock.now_ns() - self._instrument_ns) * 1e-9
+        if self.tip.following and silence_s > INSTRUMENT_DEADLINE_S:
+            self.tip = self.tip._replace(following=False)
+            self.state = "safe"
+            text = f"the AFM has been silent for {silence_s * 1e3:.0f} ms: the hand is let go"
+            self.event("fault", "warning", text, silence_s=silence_s)
 
     def _on_instrument(self, message: AfmState) -> None:
+        self._instrument_ns = self.clock.now_ns()
         self.tip = TipSample(
             along(message.base_position_m),
             message.tip_force_n[2],
@@ -258,12 +455,24 @@ class SlaveController(HalfLaw):
             message.mode in ("follow", "hold"),
         )
         self.state = "running" if self.tip.following else "safe"
+        self._count()
         if self._awaited is not None and message.command_seq == self._awaited and message.hand_t_ns > 0:
             self._answer()
 
+    def _count(self) -> None:
+        section = self.config.section()
+        count = energy.left if self.tip.following else energy.moved_to
+        self.port = count(
+            self.port, self.tip.position_m / section.position_scale, section.force_scale * self.tip.force_n
+        )
+
     def _answer(self) -> None:
         self._awaited = None
+        if self.switching:
+            self.law_state = self._standing()
         self.law_state, signal = self.law.slave_send(self.params, self.law_state, self.tip, self._dt_s)
+        if not self.would_be_felt(signal, self._dt_s):
+            return
         self.publish(
             "teleop/backward",
             **self.wire(signal),

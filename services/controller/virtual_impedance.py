@@ -7,17 +7,13 @@ loop rests where F_m = alpha_f F_s (1 + 1/K_f). It makes no promise about passiv
 the loop gain (K_f + 1) alpha_f alpha_p K e^(-sT) / (M_v s^2 + B_v s + K_v), and past its phase margin it oscillates.
 """
 
-from typing import Annotated, NamedTuple
+from typing import NamedTuple
 
-import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
-from scipy.linalg import expm
+from pydantic import Field
 
 from services.controller.law import HandSample, Law, MasterReference, PortSignal, SlaveReference, TipSample
+from services.controller.virtual_mass import NotNegative, Positive, ScaledConfig, exact_discretisation
 from services.runtime.compiled import compiled
-
-Positive = Annotated[float, Field(gt=0.0)]
-NotNegative = Annotated[float, Field(ge=0.0)]
 
 
 class VirtualImpedanceParams(NamedTuple):
@@ -36,24 +32,17 @@ class VirtualImpedanceParams(NamedTuple):
     gamma_v: float
 
 
-class VirtualImpedanceConfig(BaseModel):
-    """Section `controller.virtual_impedance`; the defaults are the paper's values in SI units (E8)."""
-
-    model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
+class ImpedanceConfig(ScaledConfig):
+    """A virtual impedance; the defaults are the paper's values in SI units (E8)."""
 
     mass_kg: Positive = Field(default=10.0, description="Virtual mass M_v [kg]")
     damping_n_s_per_m: NotNegative = Field(default=2000.0, description="Virtual damping B_v [N s/m]")
     stiffness_n_per_m: NotNegative = Field(default=0.0, description="Virtual stiffness K_v [N/m]")
     force_gain: NotNegative = Field(default=20.0, description="Gain of the force error K_f")
-    position_scale: Positive = Field(default=1.5e-6, description="alpha_p, metres at the tip per metre at the hand")
-    force_scale: Positive = Field(default=1e8, description="alpha_f, newtons at the hand per newton at the tip")
-    silence_limit_s: Positive = Field(
-        default=0.05, description="Time without a signal from the other half after which the hand is let go [s]"
-    )
 
-    def to_params(self, period_s: float) -> VirtualImpedanceParams:
-        """Give the constants of the compiled steps for a period [s] of the hand."""
-        phi, gamma = _exact_discretisation(self.mass_kg, self.damping_n_s_per_m, self.stiffness_n_per_m, period_s)
+    def impedance_params(self, period_s: float) -> VirtualImpedanceParams:
+        """Give the constants of the impedance for a period [s] of the hand."""
+        phi, gamma = exact_discretisation(self.mass_kg, self.damping_n_s_per_m, self.stiffness_n_per_m, period_s)
         return VirtualImpedanceParams(
             force_gain=self.force_gain,
             position_scale=self.position_scale,
@@ -67,6 +56,14 @@ class VirtualImpedanceConfig(BaseModel):
             gamma_x=float(gamma[0]),
             gamma_v=float(gamma[1]),
         )
+
+
+class VirtualImpedanceConfig(ImpedanceConfig):
+    """Section `controller.virtual_impedance`."""
+
+    def to_params(self, period_s: float) -> VirtualImpedanceParams:
+        """Give the constants of the compiled steps for a period [s] of the hand."""
+        return self.impedance_params(period_s)
 
 
 class MasterState(NamedTuple):
@@ -83,19 +80,17 @@ class SlaveState(NamedTuple):
     position_m: float
 
 
-def _exact_discretisation(mass: float, damping: float, stiffness: float, period_s: float) -> tuple[np.ndarray, ...]:
-    """Give the transition matrix and input vector of M x'' + B x' + K x = u for u held over a period."""
-    continuous = np.zeros((3, 3))
-    continuous[0, 1] = 1.0
-    continuous[1] = [-stiffness / mass, -damping / mass, 1.0 / mass]
-    discrete = expm(continuous * period_s)
-    return discrete[:2, :2], discrete[:2, 2]
-
-
 @compiled
 def master_start(params: VirtualImpedanceParams, hand: HandSample) -> MasterState:
     """Put the virtual mass to rest where the hand is."""
     return MasterState(hand.position_m, 0.0, 0.0)
+
+
+@compiled
+def master_resume(params: VirtualImpedanceParams, hand: HandSample, tip_reference_m: float) -> MasterState:
+    """Go on with the hand's motion; the offset keeps the tip's reference where it is."""
+    offset = tip_reference_m - params.position_scale * hand.position_m
+    return MasterState(hand.position_m, hand.velocity_m_per_s, offset)
 
 
 @compiled
@@ -106,7 +101,7 @@ def master_send(
     position = params.position_scale * state.position_m + state.tip_offset_m
     velocity = params.position_scale * state.velocity_m_per_s
     force = hand.force_n / params.force_scale
-    return state, PortSignal(position, velocity, force, 0.0, 0.0, 0.0, False, False, hand.following, 0.0)
+    return state, PortSignal(position, velocity, force, 0.0, 0.0, 0.0, False, False, hand.following, 0.0, 0.0)
 
 
 @compiled
@@ -169,6 +164,7 @@ def slave_send(
         tip.in_contact,
         tip.following,
         0.0,
+        0.0,
     )
 
 
@@ -183,6 +179,7 @@ VIRTUAL_IMPEDANCE = Law(
     name="virtual_impedance",
     config=VirtualImpedanceConfig,
     master_start=master_start,
+    master_resume=master_resume,
     master_send=master_send,
     master_receive=master_receive,
     slave_start=slave_start,

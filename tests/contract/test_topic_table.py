@@ -52,7 +52,8 @@ def _records() -> Iterator[type[BaseModel]]:
     waiting: list[type[BaseModel]] = [Record]
     while waiting:
         record = waiting.pop()
-        waiting += record.__subclasses__()
+        # nodes build records of their own on this base; the contract is what stands in proto
+        waiting += [kind for kind in record.__subclasses__() if kind.__module__ == Record.__module__]
         yield record
 
 

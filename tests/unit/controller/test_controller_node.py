@@ -190,7 +190,7 @@ def test_parameters_change_at_run_time(master: Any) -> None:
     [
         ({}, "needs parameters"),
         ({"virtual_impedance.force_gain": -1.0}, "controller.virtual_impedance.force_gain"),
-        ({"virtual_impedance.fource_gain": 1.0}, "fource_gain: unknown key, known are mass_kg"),
+        ({"virtual_impedance.fource_gain": 1.0}, "fource_gain: unknown key, known are position_scale"),
         ({"virtual_impedance.mass_kg": "heavy"}, "controller.virtual_impedance.mass_kg"),
         ({"period_s": 0.01}, "period_s cannot be changed"),
     ],
@@ -234,6 +234,23 @@ def test_state_that_answers_no_command_is_kept_for_the_next_answer(slave: Any) -
     (backward,) = bench.take("teleop/backward")
     assert backward.force_n == (0.0, 0.0, -2e-9)
     assert backward.hand_seq == 5
+
+
+def test_dead_instrument_lets_the_hand_go(slave: Any) -> None:
+    bench, node = slave
+    node.on_message(bench.heard("teleop/forward", "controller@master", **forward_fields(8e-9, 0, 50)))
+    (command,) = bench.take("afm/command")
+    node.on_message(bench.heard("afm/state", "afm_node@slave", **tip_fields(-1e-9, command.seq)))
+    active = []
+    for n in range(1, 60):
+        bench.advance_ms(1.0)
+        fields = forward_fields(8e-9, n, 50 + n * PERIOD_NS)
+        node.on_message(bench.heard("teleop/forward", "controller@master", **fields))
+        active += [message.active for message in bench.take("teleop/backward")]
+    # the first answer came from the instrument; those after it are made with its last sample, for 50 ms
+    assert active[:50] == [True] * 50
+    assert not any(active[51:])
+    assert len(bench.take("session/event")) == 1
 
 
 def test_retracted_tip_is_not_active(slave: Any) -> None:

@@ -1,0 +1,108 @@
+"""Perceptual dead band: a signal is sent when it differs perceptibly from the last one sent, else the receiver holds.
+
+Force, velocity and wave are compared by Weber's law, |y - y_sent| > max(w |y_sent|, floor): people do not feel changes
+of less than about a tenth. A position is not perceived by its ratio to an arbitrary origin, so it has a resolution
+instead. Changes of contact or activity are always sent, and so is one after a time without any: silence
+(50 ms) is how the other side tells a dead link. Source: P. Hinterseer, S. Hirche, S. Chaudhuri, E. Steinbach, M. Buss,
+"Perception-based data reduction and transmission of haptic data", IEEE Trans. Signal Processing 56 (2008).
+
+Passivity. The receiver holds the last value. For a force F held while it changes by at most w |F| the channel can make
+energy at the rate w |F v|, as a negative damper of w |F / v| would: laws without an energy account (virtual impedance,
+position-force, Smith) lose that much margin. Wave variables and passivity control send counters of what has passed, so
+what is held back is not lost, only late, and cannot be spent before: they stay passive. The local model of the
+model-mediated law is not in the channel at all.
+"""
+
+from typing import Annotated, NamedTuple
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from services.controller.law import PortSignal
+from services.runtime.compiled import compiled
+
+NotNegative = Annotated[float, Field(ge=0.0)]
+
+
+class DeadbandParams(NamedTuple):
+    """Constants of the codec."""
+
+    enabled: bool
+    weber_fraction: float
+    position_m: float
+    velocity_m_per_s: float
+    force_n: float
+    wave_sqrt_w: float
+    keep_alive_s: float
+
+
+class DeadbandConfig(BaseModel):
+    """Section `controller.deadband`; floors at the tip's scale, wave at the hand's."""
+
+    model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
+
+    enabled: bool = Field(default=False, description="Whether signals that would not be felt are kept back")
+    weber_fraction: Annotated[float, Field(ge=0.0, lt=1.0)] = Field(
+        default=0.1, description="Least perceptible relative change w; [0, 1)"
+    )
+    position_resolution_m: NotNegative = Field(default=5e-11, description="Least change of a position sent [m]; >= 0")
+    velocity_floor_m_per_s: NotNegative = Field(default=1e-10, description="Least change of a velocity [m/s]; >= 0")
+    force_floor_n: NotNegative = Field(default=1e-10, description="Least change of a force [N]; >= 0")
+    wave_floor_sqrt_w: NotNegative = Field(default=1e-3, description="Least change of a wave [sqrt(W)]; >= 0")
+    keep_alive_s: Annotated[float, Field(gt=0.0, le=0.04)] = Field(
+        default=0.02, description="Longest time without a signal [s]; (0, 0.04], for the devices take 0.05 as silence"
+    )
+
+    def to_params(self) -> DeadbandParams:
+        """Give the constants of the compiled step."""
+        return DeadbandParams(
+            enabled=self.enabled,
+            weber_fraction=self.weber_fraction,
+            position_m=self.position_resolution_m,
+            velocity_m_per_s=self.velocity_floor_m_per_s,
+            force_n=self.force_floor_n,
+            wave_sqrt_w=self.wave_floor_sqrt_w,
+            keep_alive_s=self.keep_alive_s,
+        )
+
+
+class DeadbandState(NamedTuple):
+    """The signal last sent, the time since [s] (negative: none was), and how many were offered and sent."""
+
+    last: PortSignal
+    since_s: float
+    offered: int
+    sent: int
+
+
+@compiled
+def fresh(signal: PortSignal) -> DeadbandState:
+    """Give the state in which the next signal is sent whatever it says; `signal` gives the type."""
+    return DeadbandState(signal, -1.0, 0, 0)
+
+
+@compiled
+def _differs(value: float, last: float, weber_fraction: float, floor: float) -> bool:
+    return abs(value - last) > max(weber_fraction * abs(last), floor)
+
+
+@compiled
+def deadband(params: DeadbandParams, state: DeadbandState, signal: PortSignal, dt: float) -> tuple[DeadbandState, bool]:
+    """Say whether a signal is to be sent, dt [s] after the one before."""
+    last, w = state.last, params.weber_fraction
+    since_s = state.since_s + dt
+    send = (
+        not params.enabled
+        or state.since_s < 0.0
+        # rounding of a sum of periods is not to cost a period
+        or since_s >= params.keep_alive_s * (1.0 - 1e-9)
+        or signal.active != last.active
+        or signal.in_contact != last.in_contact
+        or signal.separation_valid != last.separation_valid
+        or _differs(signal.position_m, last.position_m, 0.0, params.position_m)
+        or _differs(signal.velocity_m_per_s, last.velocity_m_per_s, w, params.velocity_m_per_s)
+        or _differs(signal.force_n, last.force_n, w, params.force_n)
+        or _differs(signal.wave_sqrt_w, last.wave_sqrt_w, w, params.wave_sqrt_w)
+    )
+    if send:
+        return DeadbandState(signal, 0.0, state.offered + 1, state.sent + 1), True
+    return DeadbandState(last, since_s, state.offered + 1, state.sent), False

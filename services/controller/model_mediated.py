@@ -1,0 +1,337 @@
+"""Model-mediated: the hand touches a model of the surface, fitted to what comes back, at its own site without delay.
+
+    M_v x'' + B_v x' = F_m - alpha_f F(x_ref; x_c, kappa, F_a),   x_ref = alpha_p x + offset
+
+F is the compact Maugis-Dugdale surface of `surface`, whose parameters follow from the returned pairs (x_s, F_s) in
+contact. Force and position close no loop through the link: what returns with delay changes the model only. Sources:
+B. Hannaford, "A design framework for teleoperators with kinesthetic feedback", IEEE Trans. Robotics and Automation 5
+(1989), for the idea; P. Mitra, G. Niemeyer, "Model-mediated telemanipulation", Int. J. Robotics Research 27 (2008), for
+the way a model is changed under a hand; the fit is that of Levenberg and Marquardt.
+
+Safe updates. A new model would change the potential V of the surface at the hand, and so push energy into it. The model
+in force goes towards the estimate by a share per period such that (a) the force at the hand changes no faster than a
+limit and (b) the rise of V is paid from a store that the virtual damper fills with what it dissipates, up to a cap:
+
+    sum of (V(x; new) - V(x; old))+ <= int B_v v^2 dt.
+
+A surface met for the first time is put where the hand is, with no force, and then goes to its place; but where hand and
+tip are at one place (no delay, or a law taken up in contact) it begins where it is, with the force of the tip. So the
+master with its model is passive at all times and under any delay, jitter and loss: these decide how old the model is,
+no more.
+
+The slave goes after the reference it hears, but presses no harder than the hand does: its speed towards the sample is
+at most (F_g - F_s) / B_g with F_g = max(F_m, 0) + F_0, at the hand's scale, so a model that is wrong, or a surface
+that has moved, costs accuracy and not the tip. The guard is a damper to the environment; it is passive.
+
+What it does not promise: F_m = alpha_f F_s while the model is being learnt, and on a surface that changes faster than a
+round trip.
+"""
+
+from typing import NamedTuple
+
+from pydantic import Field
+
+from services.controller.law import Books, HandSample, Law, MasterReference, PortSignal, SlaveReference, TipSample
+from services.controller.surface import (
+    KAPPA_UNIT,
+    NANO,
+    Fit,
+    FitParams,
+    Surface,
+    fitted,
+    force_nn,
+    met,
+    potential,
+    unknown,
+)
+from services.controller.virtual_mass import (
+    Mass,
+    MassParams,
+    NotNegative,
+    Positive,
+    SteeredConfig,
+    at_rest,
+    is_coupled,
+    let_go,
+    moved,
+    periods_in,
+    rescaled,
+    resumed,
+    tip_reference,
+)
+from services.runtime.compiled import compiled
+
+
+class ModelMediatedParams(NamedTuple):
+    """Constants of the law; force_step_n: largest change of the force by an update in a period, at the hand [N]."""
+
+    mass: MassParams
+    fit: FitParams
+    damping_n_s_per_m: float
+    follow: float
+    force_step_n: float
+    cap_j: float
+    guard_n_s_per_m: float
+    guard_n_per_m: float
+    margin_n: float
+
+
+class ModelMediatedConfig(SteeredConfig):
+    """Section `controller.model_mediated`."""
+
+    cantilever_stiffness_n_per_m: Positive = Field(
+        default=40.0, description="Spring constant k of the cantilever [N/m]"
+    )
+    contact_stiffness_n_per_m1_5: Positive = Field(
+        default=5.75e5, description="First estimate of kappa = 4/3 E* sqrt(R) [N/m^1.5]; > 0; Table 2 has 5.75e5"
+    )
+    adhesion_range_m: Positive = Field(default=2e-9, description="Range l over which the pull fades outside [m]; > 0")
+    fit_resolution_m: Positive = Field(
+        default=1e-10, description="Width of the 32 bins of position that the fit remembers [m]; > 0"
+    )
+    update_s: Positive = Field(default=0.05, description="Time constant with which the model follows the fit [s]; > 0")
+    update_force_n_per_s: Positive = Field(
+        default=10.0, description="Fastest change of the force at the hand by an update [N/s]; > 0"
+    )
+    energy_cap_j: NotNegative = Field(
+        default=5e-3, description="Most energy kept from the damper for updates, at the hand's scale [J]; >= 0"
+    )
+    guard_damping_n_s_per_m: Positive = Field(
+        default=30.0, description="Damper B_g of the slave's force guard, at the hand's scale [N s/m]; > 0"
+    )
+    force_margin_n: NotNegative = Field(
+        default=0.0, description="Force by which the slave may press harder than the hand, at the hand's scale F_0 [N]"
+    )
+
+    def to_params(self, period_s: float) -> ModelMediatedParams:
+        """Give the constants of the compiled steps for a period [s] of the hand."""
+        kappa = self.contact_stiffness_n_per_m1_5 * KAPPA_UNIT
+        fit = FitParams(
+            cantilever=self.cantilever_stiffness_n_per_m,
+            range_nm=self.adhesion_range_m / NANO,
+            kappa=kappa,
+            bin_nm=self.fit_resolution_m / NANO,
+        )
+        return ModelMediatedParams(
+            mass=self.mass_params(period_s),
+            fit=fit,
+            damping_n_s_per_m=self.damping_n_s_per_m,
+            follow=min(period_s / self.update_s, 1.0),
+            force_step_n=self.update_force_n_per_s * period_s,
+            cap_j=self.energy_cap_j,
+            guard_n_s_per_m=self.guard_damping_n_s_per_m,
+            guard_n_per_m=self.guard_at_hand_n_per_m(),
+            margin_n=self.force_margin_n,
+        )
+
+
+class MasterState(NamedTuple):
+    """The mass, the fit, the model in force and whether there is one, and the energy kept for updates [J].
+
+    `injected_j`, `dissipated_j`: all that updates have put into the hand's side, and all that the damper has taken.
+    """
+
+    mass: Mass
+    fit: Fit
+    model: Surface
+    rendered: bool
+    store_j: float
+    injected_j: float
+    dissipated_j: float
+
+
+class SlaveState(NamedTuple):
+    """The base reference [m]."""
+
+    position_m: float
+
+
+@compiled
+def _begun(params: ModelMediatedParams, mass: Mass) -> MasterState:
+    return MasterState(mass, unknown(params.fit), Surface(0.0, params.fit.kappa, 0.0), False, 0.0, 0.0, 0.0)
+
+
+@compiled
+def master_start(params: ModelMediatedParams, hand: HandSample) -> MasterState:
+    """Put the virtual mass to rest where the hand is, over a surface not yet known."""
+    return _begun(params, at_rest(hand.position_m))
+
+
+@compiled
+def master_resume(params: ModelMediatedParams, hand: HandSample, tip_reference_m: float) -> MasterState:
+    """Go on with the hand's motion and the tip's reference; the surface is learnt anew."""
+    return _begun(params, resumed(params.mass, hand, tip_reference_m))
+
+
+@compiled
+def master_send(
+    params: ModelMediatedParams, state: MasterState, hand: HandSample, dt: float
+) -> tuple[MasterState, PortSignal]:
+    """Say the slave's reference and the hand's force, which the slave does not exceed."""
+    p, mass = params.mass, state.mass
+    velocity = p.position_scale * mass.velocity_m_per_s
+    force = hand.force_n / p.force_scale
+    active = hand.following and mass.coupled
+    return state, PortSignal(tip_reference(p, mass), velocity, force, 0.0, 0.0, 0.0, False, False, active, 0.0, 0.0)
+
+
+@compiled
+def learnt(params: ModelMediatedParams, fit: Fit, signal: PortSignal) -> Fit:
+    """Take a sample of the tip into the fit; outside of contact it can only say that the surface is further away."""
+    position, force = signal.position_m / NANO, signal.force_n / NANO
+    if signal.in_contact:
+        return fitted(params.fit, fit, position, force) if fit.known else met(params.fit, position, force)
+    if fit.known and position > fit.surface.contact_nm + params.fit.range_nm:
+        surface = Surface(position - params.fit.range_nm, fit.surface.kappa, fit.surface.adhesion_nn)
+        return Fit(surface, fit.positions_nm, fit.forces_nn, fit.weights, fit.bin, fit.damping, True)
+    return fit
+
+
+@compiled
+def between(start: Surface, end: Surface, share: float) -> Surface:
+    """Give the surface a share of the way from one to another."""
+    return Surface(
+        start.contact_nm + share * (end.contact_nm - start.contact_nm),
+        start.kappa + share * (end.kappa - start.kappa),
+        start.adhesion_nn + share * (end.adhesion_nn - start.adhesion_nn),
+    )
+
+
+@compiled
+def updated(
+    params: ModelMediatedParams, model: Surface, goal: Surface, reference_m: float, store_j: float
+) -> tuple[Surface, float]:
+    """Move the model towards the goal as far as force and energy at the hand allow; give it with the energy used [J].
+
+    The share is halved until both limits hold, so the rule is exact whatever the surface's shape; if it gets too small
+    the model stays.
+    """
+    p, k, span, x = params.mass, params.fit.cantilever, params.fit.range_nm, reference_m / NANO
+    # nN nm at the tip to J at the hand
+    joules = NANO * NANO * p.force_scale / p.position_scale
+    force, stored = force_nn(model, k, span, x), potential(model, k, span, x)
+    share = params.follow
+    for _ in range(12):
+        tried = between(model, goal, share)
+        change = abs(force_nn(tried, k, span, x) - force) * NANO * p.force_scale
+        rise = (potential(tried, k, span, x) - stored) * joules
+        if change <= params.force_step_n and rise <= store_j:
+            return tried, max(rise, 0.0)
+        share *= 0.5
+    return model, 0.0
+
+
+@compiled
+def master_receive(
+    params: ModelMediatedParams, state: MasterState, hand: HandSample, signal: PortSignal, dt: float
+) -> tuple[MasterState, MasterReference]:
+    """Learn from the answer, update the model safely, and move the virtual mass over dt [s] on it."""
+    p, q = params.mass, params.fit
+    coupled = is_coupled(p, signal)
+    mass, fit, model, rendered = state.mass, state.fit, state.model, state.rendered
+    if coupled and signal.silence_s < 0.5 * p.period_s:
+        fit = learnt(params, fit, signal)
+    if not (coupled and hand.following):
+        mass = let_go(p, mass, hand)
+        state = MasterState(mass, fit, fit.surface, fit.known, 0.0, state.injected_j, state.dissipated_j)
+        return state, MasterReference(hand.position_m, 0.0, 0.0, coupled)
+    if fit.known and not rendered:
+        here = tip_reference(p, mass) / NANO
+        # where the hand is already beyond it, the surface begins under the hand, without force
+        out = max(fit.surface.contact_nm, here + q.range_nm)
+        if abs(here - signal.position_m / NANO) <= q.bin_nm:
+            # hand and tip are at one place: the force of the tip is the one to begin with
+            out = fit.surface.contact_nm
+        model, rendered = Surface(out, fit.surface.kappa, fit.surface.adhesion_nn), True
+    store, injected, dissipated, force = state.store_j, state.injected_j, state.dissipated_j, 0.0
+    for _ in range(periods_in(dt, p.period_s)):
+        if rendered:
+            model, used = updated(params, model, fit.surface, tip_reference(p, mass), store)
+            store -= used
+            injected += used
+            force = force_nn(model, q.cantilever, q.range_nm, tip_reference(p, mass) / NANO) * NANO * p.force_scale
+        before = mass.position_m
+        mass = moved(p, mass, hand.force_n - force)
+        # the mean velocity never overstates what the damper took
+        taken = params.damping_n_s_per_m * (mass.position_m - before) ** 2 / p.period_s
+        store = min(store + taken, params.cap_j)
+        dissipated += taken
+    state = MasterState(mass, fit, model, rendered, store, injected, dissipated)
+    return state, MasterReference(mass.position_m, mass.velocity_m_per_s, force, True)
+
+
+@compiled
+def slave_start(params: ModelMediatedParams, tip: TipSample) -> SlaveState:
+    """Begin where the base is."""
+    return SlaveState(tip.position_m)
+
+
+@compiled
+def slave_receive(
+    params: ModelMediatedParams, state: SlaveState, signal: PortSignal, tip: TipSample, dt: float
+) -> tuple[SlaveState, SlaveReference]:
+    """Go after the reference, towards the sample no faster than the force guard allows.
+
+    While the tip does not follow, the reference is the master's; while the master does not, the base stays.
+    """
+    p = params.mass
+    if not tip.following:
+        return SlaveState(signal.position_m), SlaveReference(signal.position_m, True)
+    if not is_coupled(p, signal):
+        return state, SlaveReference(state.position_m, True)
+    allowed = max(p.force_scale * signal.force_n, 0.0) + params.margin_n - p.force_scale * tip.force_n
+    reach = 0.0
+    for _ in range(periods_in(dt, p.period_s)):
+        # over the periods of a gap the force is not measured: it is taken to grow with the way
+        reach += (allowed - params.guard_n_per_m * reach) / params.guard_n_s_per_m * p.period_s
+    base = state.position_m + min(signal.position_m - state.position_m, p.position_scale * reach)
+    return SlaveState(base), SlaveReference(base, True)
+
+
+@compiled
+def slave_send(
+    params: ModelMediatedParams, state: SlaveState, tip: TipSample, dt: float
+) -> tuple[SlaveState, PortSignal]:
+    """Send what the tip is at: the sample that the model is fitted to."""
+    return state, PortSignal(
+        tip.position_m,
+        0.0,
+        tip.force_n,
+        0.0,
+        0.0,
+        tip.separation_m,
+        tip.separation_valid,
+        tip.in_contact,
+        tip.following,
+        0.0,
+        0.0,
+    )
+
+
+@compiled
+def retune(old: ModelMediatedParams, new: ModelMediatedParams, state: MasterState) -> MasterState:
+    """Keep the tip's reference where it is when alpha_p changes."""
+    mass = rescaled(old.mass, new.mass, state.mass)
+    store = min(state.store_j, new.cap_j)
+    return MasterState(mass, state.fit, state.model, state.rendered, store, state.injected_j, state.dissipated_j)
+
+
+@compiled
+def master_books(params: ModelMediatedParams, state: MasterState) -> Books:
+    """Give the energy kept for updates, and what the damper took less what updates have used."""
+    return Books(state.store_j, state.dissipated_j - state.injected_j, 0.0)
+
+
+MODEL_MEDIATED = Law(
+    name="model_mediated",
+    config=ModelMediatedConfig,
+    master_start=master_start,
+    master_resume=master_resume,
+    master_send=master_send,
+    master_receive=master_receive,
+    slave_start=slave_start,
+    slave_receive=slave_receive,
+    slave_send=slave_send,
+    retune=retune,
+    master_books=master_books,
+)

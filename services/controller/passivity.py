@@ -1,0 +1,339 @@
+"""Time-domain passivity control of the channel: observe the energy at both ports, dissipate what it would make up.
+
+The channel carries velocity forward and the computed force of the slave's controller backward (the position-computed
+force architecture). The slave's controller is a spring K_c that draws the base after the reference x_d, and the base
+moves as if through a damper B_c: F_c = K_c (x_d - x_s), B_c x_s' = F_c - F_s. The master's mass feels F_c, delayed.
+
+At each port the energy is counted by direction, E_in >= 0 into the channel and E_out >= 0 out of it, and E_in is sent
+across (`energy_j`). With E_0 for what each side holds at the start, the channel is passive if
+
+    E_out,s(t) <= E_in,m(t - T_f) + E_0,    E_out,m(t) <= E_in,s(t - T_b) + E_0,
+
+for then E_in,m + E_in,s - E_out,m - E_out,s >= -2 E_0 at all times. Each side knows both terms of its own inequality.
+Sources: J.-H. Ryu, J. Artigas, C. Preusche, "A passive bilateral control scheme for a teleoperator with time-varying
+communication delay", Mechatronics 20 (2010); J. Artigas, J.-H. Ryu, C. Preusche, "Time domain passivity control for
+position-position teleoperation architectures", Presence 19 (2010).
+
+Both devices are position sources, so both controllers act on motion and not on force (admittance type). The port gives
+energy out in a period when F d < 0 at the master (the force drives the hand back) and F d > 0 at the slave. A series
+conductance alpha would move the port by alpha F Ts less; the alpha that makes the inequality an equality is
+
+    alpha = (F d + E_left) / (F^2 Ts),   that is   d -> d' with |F d'| = E_left,
+
+which is how it is applied: the motion itself is cut to what the energy pays for. It needs no division by a small
+velocity, so there is nothing to cap and no force spike; the strongest it can do is to stand still.
+
+- At the slave the motion that was cut remains due, x_ref - x_d, and is made up when energy arrives, no faster than a
+  speed limit: so positions do not drift apart, and the make-up is itself inside the inequality.
+- At the master a cut would also hold an operator who pulls back by himself. Motion that the mass makes without
+  the force costs the channel nothing; it is always allowed, and the force counts as zero over it.
+- The slave never presses harder than the hand does, as heard, and a margin: F_c <= max(F_m, 0) + F_0. Without that, a
+  channel that has run out of energy would hold hand and tip where they are, pressed together, after the hand has let
+  go. Giving way is motion at the port like any other: it is counted, and returns the energy of the contact.
+- A half that is taken up while the tip presses begins with the coupling stretched by that force, F_c = F_s, and keeps
+  the stretch as an offset between x_d and x_ref: so the tip is not let off when the law or a hand comes back.
+- E_left is capped (the rest is dissipated): a great store, gathered long ago, would let an instability grow first.
+
+The inequalities use counters that only grow, so they hold under constant and varying delay, loss, reordering and
+repetition alike: what has not arrived cannot be spent. Loss and jitter cost motion, not stability: while nothing
+arrives the reference stands.
+"""
+
+import math
+from typing import NamedTuple
+
+from pydantic import Field
+
+from services.controller.law import Books, HandSample, Law, MasterReference, PortSignal, SlaveReference, TipSample
+from services.controller.virtual_mass import (
+    Mass,
+    MassParams,
+    NotNegative,
+    Positive,
+    SteeredConfig,
+    at_rest,
+    is_coupled,
+    let_go,
+    moved,
+    periods_in,
+    placed,
+    rescaled,
+    resumed,
+    tip_reference,
+)
+from services.runtime.compiled import compiled
+
+
+class PassivityParams(NamedTuple):
+    """Constants of the law; `relaxed` is the share of the way to its rest that the base goes in a period.
+
+    guard_n_per_m: stiffness assumed of the environment within a gap, at the hand's scale.
+    """
+
+    mass: MassParams
+    coupling_n_per_m: float
+    guard_n_per_m: float
+    relaxed: float
+    step_m: float
+    margin_n: float
+    start_j: float
+    cap_j: float
+
+
+class PassivityConfig(SteeredConfig):
+    """Section `controller.passivity`; energies, stiffness and damping at the hand's scale."""
+
+    coupling_stiffness_n_per_m: Positive = Field(default=1500.0, description="Spring of the coupling K_c [N/m]; > 0")
+    coupling_damping_n_s_per_m: Positive = Field(default=30.0, description="Damper of the base B_c [N s/m]; > 0")
+    speed_limit_m_per_s: Positive = Field(
+        default=0.05, description="Fastest motion of the slave's reference, at the hand's scale [m/s]; > 0"
+    )
+    force_margin_n: NotNegative = Field(
+        default=0.0, description="Force by which the slave may press harder than the hand, at the hand's scale F_0 [N]"
+    )
+    start_energy_j: NotNegative = Field(
+        default=1e-3, description="Energy that each side may spend at the start E_0 [J]"
+    )
+    energy_cap_j: Positive = Field(default=5e-3, description="Most energy that a side keeps to spend [J]; > 0")
+
+    def to_params(self, period_s: float) -> PassivityParams:
+        """Give the constants of the compiled steps for a period [s] of the hand."""
+        guard = self.guard_at_hand_n_per_m()
+        rate = (self.coupling_stiffness_n_per_m + guard) / self.coupling_damping_n_s_per_m
+        return PassivityParams(
+            mass=self.mass_params(period_s),
+            coupling_n_per_m=self.coupling_stiffness_n_per_m,
+            guard_n_per_m=guard,
+            relaxed=-math.expm1(-rate * period_s),
+            step_m=self.speed_limit_m_per_s * period_s,
+            margin_n=self.force_margin_n,
+            start_j=min(self.start_energy_j, self.energy_cap_j),
+            cap_j=self.energy_cap_j,
+        )
+
+
+class Account(NamedTuple):
+    """Energy of one port [J]: counted into the channel, heard of the other side, left to spend, dissipated."""
+
+    in_j: float
+    heard_j: float
+    left_j: float
+    lost_j: float
+
+
+class MasterState(NamedTuple):
+    """The mass and the account of its port."""
+
+    mass: Mass
+    account: Account
+
+
+class SlaveState(NamedTuple):
+    """The base reference [m], the coupling's stretch x_d - x_s and offset x_d - x_ref [m, hand's scale], account."""
+
+    position_m: float
+    stretch_m: float
+    lead_m: float
+    account: Account
+    coupled: bool
+
+
+@compiled
+def credited(account: Account, energy_j: float, cap_j: float) -> Account:
+    """Add what the other side has put in since it was last heard; what goes beyond the cap is dissipated."""
+    news = max(energy_j - account.heard_j, 0.0)
+    left = min(account.left_j + news, cap_j)
+    lost = account.lost_j + (account.left_j + news - left)
+    return Account(account.in_j, account.heard_j + news, left, lost)
+
+
+@compiled
+def charged(account: Account, work_j: float, lost_j: float) -> Account:
+    """Book the work done on the channel (positive) or by it (negative), and what the controller dissipated."""
+    put_in, spent = max(work_j, 0.0), max(-work_j, 0.0)
+    return Account(account.in_j + put_in, account.heard_j, account.left_j - spent, account.lost_j + lost_j)
+
+
+@compiled
+def heard_anew(account: Account, energy_j: float) -> Account:
+    """Begin to count at a signal, with what is left to spend."""
+    return Account(account.in_j, energy_j, account.left_j, account.lost_j)
+
+
+@compiled
+def master_start(params: PassivityParams, hand: HandSample) -> MasterState:
+    """Put the virtual mass to rest where the hand is."""
+    return MasterState(at_rest(hand.position_m), Account(0.0, 0.0, params.start_j, 0.0))
+
+
+@compiled
+def master_resume(params: PassivityParams, hand: HandSample, tip_reference_m: float) -> MasterState:
+    """Go on with the hand's motion and the tip's reference."""
+    return MasterState(resumed(params.mass, hand, tip_reference_m), Account(0.0, 0.0, params.start_j, 0.0))
+
+
+@compiled
+def master_send(
+    params: PassivityParams, state: MasterState, hand: HandSample, dt: float
+) -> tuple[MasterState, PortSignal]:
+    """Say the slave's reference and the energy that has gone into the channel."""
+    p, mass = params.mass, state.mass
+    velocity = p.position_scale * mass.velocity_m_per_s
+    force = hand.force_n / p.force_scale
+    active = hand.following and mass.coupled
+    return state, PortSignal(
+        tip_reference(p, mass), velocity, force, 0.0, state.account.in_j, 0.0, False, False, active, 0.0, 0.0
+    )
+
+
+@compiled
+def paid_motion(motion_m: float, own_m: float, force_n: float, left_j: float) -> tuple[float, float]:
+    """Cut a motion [m] of the hand to what its energy pays for; give it with the work [J] on the channel.
+
+    motion_m: what the mass would do under hand and channel, own_m: without the channel's force F [N]. Into the channel
+    (F d >= 0) nothing is cut.
+    """
+    if force_n * motion_m >= -left_j:
+        return motion_m, force_n * motion_m
+    back = math.copysign(1.0, motion_m)
+    paid = left_j / abs(force_n)
+    if own_m * back > paid:
+        return back * min(own_m * back, motion_m * back), 0.0
+    return back * paid, -left_j
+
+
+@compiled
+def master_receive(
+    params: PassivityParams, state: MasterState, hand: HandSample, signal: PortSignal, dt: float
+) -> tuple[MasterState, MasterReference]:
+    """Move the virtual mass over dt [s] under the force heard last, within the energy that the channel has."""
+    p = params.mass
+    force = p.force_scale * signal.force_n
+    coupled = is_coupled(p, signal)
+    if not (coupled and hand.following):
+        account = heard_anew(state.account, signal.energy_j)
+        state = MasterState(let_go(p, state.mass, hand), account)
+        return state, MasterReference(hand.position_m, 0.0, force if coupled else 0.0, coupled)
+    mass, account = state.mass, credited(state.account, signal.energy_j, params.cap_j)
+    for _ in range(periods_in(dt, p.period_s)):
+        free = moved(p, mass, hand.force_n - force)
+        wanted = free.position_m - mass.position_m
+        own = moved(p, mass, hand.force_n).position_m - mass.position_m
+        motion, work = paid_motion(wanted, own, force, account.left_j)
+        if motion != wanted:
+            mean = motion / p.period_s
+            speed = min(abs(free.velocity_m_per_s), abs(mean))
+            free = placed(free, mass.position_m + motion, math.copysign(speed, mean))
+        account = charged(account, work, work - force * wanted)
+        mass = free
+    return MasterState(mass, account), MasterReference(mass.position_m, mass.velocity_m_per_s, force, True)
+
+
+@compiled
+def slave_start(params: PassivityParams, tip: TipSample) -> SlaveState:
+    """Begin where the base is."""
+    stretch = params.mass.force_scale * tip.force_n / params.coupling_n_per_m
+    return SlaveState(tip.position_m, stretch, stretch, Account(0.0, 0.0, params.start_j, 0.0), False)
+
+
+@compiled
+def paid_stretch(stretch_m: float, motion_m: float, stiffness_n_per_m: float, left_j: float) -> tuple[float, float]:
+    """Cut a motion [m] of the coupling's end to what its energy pays for; give it with the work [J] on the channel.
+
+    The channel gives out F d + K d^2 / 2 with F = K stretch, exactly.
+    """
+    force, k = stiffness_n_per_m * stretch_m, stiffness_n_per_m
+    out = force * motion_m + 0.5 * k * motion_m * motion_m
+    if out <= left_j:
+        return motion_m, -out
+    root = math.sqrt(force * force + 2.0 * k * max(left_j, 0.0))
+    return (math.copysign(root, motion_m) - force) / k, -left_j
+
+
+@compiled
+def slave_receive(
+    params: PassivityParams, state: SlaveState, signal: PortSignal, tip: TipSample, dt: float
+) -> tuple[SlaveState, SlaveReference]:
+    """Draw the base after the reference, within the energy that the channel has.
+
+    While the tip does not follow, the reference is the master's; while the master does not, the base stays.
+    """
+    p, k = params.mass, params.coupling_n_per_m
+    coupled = is_coupled(p, signal) and tip.following
+    if not coupled:
+        base = state.position_m if tip.following else signal.position_m
+        account = heard_anew(state.account, signal.energy_j)
+        stretch = p.force_scale * tip.force_n / k if tip.following else 0.0
+        return SlaveState(base, stretch, stretch, account, False), SlaveReference(base, True)
+    account = credited(state.account, signal.energy_j, params.cap_j)
+    base, stretch, way = state.position_m, state.stretch_m, 0.0
+    force = p.force_scale * tip.force_n
+    most = (max(p.force_scale * signal.force_n, 0.0) + params.margin_n) / k
+    for _ in range(periods_in(dt, p.period_s)):
+        due = (signal.position_m - base) / p.position_scale + state.lead_m - stretch
+        wanted = min(max(min(due, most - stretch), -params.step_m), params.step_m)
+        motion, work = paid_stretch(stretch, wanted, k, account.left_j)
+        refused = k * wanted * (stretch + 0.5 * wanted) + work
+        account = charged(account, work, refused if motion != wanted else 0.0)
+        stretch += motion
+        # the base comes to rest where the coupling balances the force, which grows with its way since it was measured
+        slid = params.relaxed * (k * stretch - force - params.guard_n_per_m * way) / (k + params.guard_n_per_m)
+        stretch -= slid
+        way += slid
+        base += p.position_scale * slid
+    return SlaveState(base, stretch, state.lead_m, account, True), SlaveReference(base, True)
+
+
+@compiled
+def slave_send(params: PassivityParams, state: SlaveState, tip: TipSample, dt: float) -> tuple[SlaveState, PortSignal]:
+    """Send the force of the coupling back, and the energy that has gone into the channel here."""
+    return state, PortSignal(
+        tip.position_m,
+        0.0,
+        params.coupling_n_per_m * state.stretch_m / params.mass.force_scale,
+        0.0,
+        state.account.in_j,
+        tip.separation_m,
+        tip.separation_valid,
+        tip.in_contact,
+        tip.following,
+        0.0,
+        0.0,
+    )
+
+
+@compiled
+def retune(old: PassivityParams, new: PassivityParams, state: MasterState) -> MasterState:
+    """Keep the tip's reference where it is when alpha_p changes; the energy left stays below the new cap."""
+    a = state.account
+    account = Account(a.in_j, a.heard_j, min(a.left_j, new.cap_j), a.lost_j)
+    return MasterState(rescaled(old.mass, new.mass, state.mass), account)
+
+
+@compiled
+def master_books(params: PassivityParams, state: MasterState) -> Books:
+    """Give what this port may still give out, what its controller dissipated, and what both ports began with."""
+    return Books(state.account.left_j, state.account.lost_j, 2.0 * params.start_j)
+
+
+@compiled
+def slave_books(params: PassivityParams, state: SlaveState) -> Books:
+    """Give what this port may still give out, what its controller dissipated, and what both ports began with."""
+    return Books(state.account.left_j, state.account.lost_j, 2.0 * params.start_j)
+
+
+PASSIVITY = Law(
+    name="passivity",
+    config=PassivityConfig,
+    master_start=master_start,
+    master_resume=master_resume,
+    master_send=master_send,
+    master_receive=master_receive,
+    slave_start=slave_start,
+    slave_receive=slave_receive,
+    slave_send=slave_send,
+    retune=retune,
+    master_books=master_books,
+    slave_books=slave_books,
+    uses_energy=True,
+)

@@ -1,0 +1,141 @@
+"""Position forward, force backward, reflected directly: the two-channel law that the others are measured against.
+
+    M_v x'' + B_v x' = F_m - alpha_f F_s(t - T_b),   x_sr(t) = alpha_p x(t - T_f)
+
+Source: the position-force architecture of Sheridan's and Lawrence's surveys (D. A. Lawrence, IEEE Trans. Robotics and
+Automation 9, 1993: the four-channel scheme with C2 = C1 = 1 and the other two channels off), here with an admittance
+as master. It rests where F_m = alpha_f F_s.
+
+Loop gain on a spring K: L(s) = alpha_f alpha_p K e^(-sT) / (M_v s^2 + B_v s). It promises nothing about passivity:
+with delay the channel gives energy out, and past the phase margin of L it oscillates. Varying delay and loss act as the
+present delay, with the last force and position held.
+"""
+
+from typing import NamedTuple
+
+from services.controller.law import HandSample, Law, MasterReference, PortSignal, SlaveReference, TipSample
+from services.controller.virtual_mass import (
+    Mass,
+    MassConfig,
+    MassParams,
+    at_rest,
+    is_coupled,
+    let_go,
+    moved,
+    periods_in,
+    rescaled,
+    resumed,
+    tip_reference,
+)
+from services.runtime.compiled import compiled
+
+
+class PositionForceParams(NamedTuple):
+    """Constants of the law."""
+
+    mass: MassParams
+
+
+class PositionForceConfig(MassConfig):
+    """Section `controller.position_force`."""
+
+    def to_params(self, period_s: float) -> PositionForceParams:
+        """Give the constants of the compiled steps for a period [s] of the hand."""
+        return PositionForceParams(self.mass_params(period_s))
+
+
+class SlaveState(NamedTuple):
+    """The reference that was last passed on [m]."""
+
+    position_m: float
+
+
+@compiled
+def master_start(params: PositionForceParams, hand: HandSample) -> Mass:
+    """Put the virtual mass to rest where the hand is."""
+    return at_rest(hand.position_m)
+
+
+@compiled
+def master_resume(params: PositionForceParams, hand: HandSample, tip_reference_m: float) -> Mass:
+    """Go on with the hand's motion and the tip's reference."""
+    return resumed(params.mass, hand, tip_reference_m)
+
+
+@compiled
+def master_send(params: PositionForceParams, state: Mass, hand: HandSample, dt: float) -> tuple[Mass, PortSignal]:
+    """Say the slave's reference, and the hand's force for the record."""
+    p = params.mass
+    position, velocity = tip_reference(p, state), p.position_scale * state.velocity_m_per_s
+    force = hand.force_n / p.force_scale
+    active = hand.following and state.coupled
+    return state, PortSignal(position, velocity, force, 0.0, 0.0, 0.0, False, False, active, 0.0, 0.0)
+
+
+@compiled
+def master_receive(
+    params: PositionForceParams, state: Mass, hand: HandSample, signal: PortSignal, dt: float
+) -> tuple[Mass, MasterReference]:
+    """Move the virtual mass over dt [s] against the force that was heard last."""
+    p = params.mass
+    force = p.force_scale * signal.force_n
+    coupled = is_coupled(p, signal)
+    if not (coupled and hand.following):
+        return let_go(p, state, hand), MasterReference(hand.position_m, 0.0, force if coupled else 0.0, coupled)
+    for _ in range(periods_in(dt, p.period_s)):
+        state = moved(p, state, hand.force_n - force)
+    return state, MasterReference(state.position_m, state.velocity_m_per_s, force, True)
+
+
+@compiled
+def slave_start(params: PositionForceParams, tip: TipSample) -> SlaveState:
+    """Begin where the base is."""
+    return SlaveState(tip.position_m)
+
+
+@compiled
+def slave_receive(
+    params: PositionForceParams, state: SlaveState, signal: PortSignal, tip: TipSample, dt: float
+) -> tuple[SlaveState, SlaveReference]:
+    """Pass the reference on."""
+    return SlaveState(signal.position_m), SlaveReference(signal.position_m, True)
+
+
+@compiled
+def slave_send(
+    params: PositionForceParams, state: SlaveState, tip: TipSample, dt: float
+) -> tuple[SlaveState, PortSignal]:
+    """Send the measured force back."""
+    return state, PortSignal(
+        tip.position_m,
+        0.0,
+        tip.force_n,
+        0.0,
+        0.0,
+        tip.separation_m,
+        tip.separation_valid,
+        tip.in_contact,
+        tip.following,
+        0.0,
+        0.0,
+    )
+
+
+@compiled
+def retune(old: PositionForceParams, new: PositionForceParams, state: Mass) -> Mass:
+    """Keep the tip's reference where it is when alpha_p changes."""
+    return rescaled(old.mass, new.mass, state)
+
+
+POSITION_FORCE = Law(
+    name="position_force",
+    config=PositionForceConfig,
+    master_start=master_start,
+    master_resume=master_resume,
+    master_send=master_send,
+    master_receive=master_receive,
+    slave_start=slave_start,
+    slave_receive=slave_receive,
+    slave_send=slave_send,
+    retune=retune,
+)

@@ -1,0 +1,232 @@
+"""Smith predictor around the paper's virtual impedance: the force that the delayed loop will have, from a model.
+
+    F = F_s(t - T) + K_e [x_ref(t) - x_ref(t - T)],
+    M_v x'' + B_v x' + K_v x = K_f (F_m - alpha_f F) - alpha_f F,   x_sr = alpha_p x
+
+T is the age of the hand's sample that the newest answer descends from, measured by the echo of its number; x_ref is
+kept for as long. K_e is the stiffness of the environment at the base of the cantilever. Source: O. J. M. Smith, "Closer
+control of loops with dead time", Chemical Engineering Progress 53 (1957).
+
+With K_e = K the correction takes the delay out of the loop: on a spring the hand moves, sample by sample, as it would
+without a link, and the tip does the same T_f later. What it does not know is disturbance: a surface that is met is
+felt T_b late like anything else.
+
+Mismatch. With K_e = K (1 + e) the loop gain is that of the undelayed loop, L_0, times 1 + e (1 - e^(-sT)), and the
+second factor is off by 2 |e| at most: the loop is stable at every delay if 2 |e| < min |1 + 1/L_0(jw)|. In free motion
+the term would be a damper of K_e T, so K_e goes to zero, at a limited rate, while the tip is not in contact; when
+contact is made it returns at that rate, during which the loop is partly the delayed one. Since T is measured for each
+answer, varying delay and loss are compensated like constant delay: a missing answer is an older one. It makes no
+promise of passivity.
+
+K_e is configured, or estimated from what comes back: the slope of F_s over x_ref(t - T) in contact, least squares with
+exponential forgetting, frozen while the motion in memory is too small to tell. Where adhesion makes the slope negative,
+or the tip jumps, a linear model is wrong and the estimate is held within its bounds.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import Field
+
+from services.controller import virtual_impedance as impedance
+from services.controller.law import HandSample, Law, MasterReference, PortSignal, SlaveReference, TipSample
+from services.controller.virtual_impedance import ImpedanceConfig, VirtualImpedanceParams
+from services.controller.virtual_mass import NotNegative, Positive, periods_in
+from services.runtime.compiled import compiled
+
+# references kept, one a period: older ones are taken for the oldest, so longer delays are bridged in part
+HISTORY = 1024
+
+
+class SmithParams(NamedTuple):
+    """Constants of the law; `forget` is the weight that a memory keeps over a period."""
+
+    impedance: VirtualImpedanceParams
+    stiffness_n_per_m: float
+    stiffness_max_n_per_m: float
+    rate_n_per_m: float
+    estimate: bool
+    forget: float
+    motion_m: float
+
+
+class SmithConfig(ImpedanceConfig):
+    """Section `controller.smith`: the virtual impedance's parameters, and the model's."""
+
+    environment_stiffness_n_per_m: NotNegative = Field(
+        default=10.0, description="Stiffness of the environment at the tip K_e, or first estimate of it [N/m]; >= 0"
+    )
+    environment_stiffness_max_n_per_m: Positive = Field(default=60.0, description="Largest estimate of K_e [N/m]; > 0")
+    estimate: bool = Field(default=True, description="Whether K_e is estimated from what comes back")
+    memory_s: Positive = Field(default=0.2, description="Time constant of forgetting in the estimate [s]; > 0")
+    least_motion_m: Positive = Field(
+        default=5e-11, description="Motion of the tip in memory (standard deviation) below which K_e is kept [m]; > 0"
+    )
+    stiffness_rate_n_per_m_s: Positive = Field(
+        default=200.0, description="Fastest change of the K_e in use [N/(m s)]; > 0"
+    )
+
+    def to_params(self, period_s: float) -> SmithParams:
+        """Give the constants of the compiled steps for a period [s] of the hand."""
+        return SmithParams(
+            impedance=self.impedance_params(period_s),
+            stiffness_n_per_m=min(self.environment_stiffness_n_per_m, self.environment_stiffness_max_n_per_m),
+            stiffness_max_n_per_m=self.environment_stiffness_max_n_per_m,
+            rate_n_per_m=self.stiffness_rate_n_per_m_s * period_s,
+            estimate=self.estimate,
+            forget=math.exp(-period_s / self.memory_s),
+            motion_m=self.least_motion_m,
+        )
+
+
+class Estimate(NamedTuple):
+    """Exponentially weighted means of x [m] and F [N], of their squares and products about them, and K_e [N/m]."""
+
+    mean_m: float
+    mean_n: float
+    square_m2: float
+    product_n_m: float
+    stiffness_n_per_m: float
+    in_contact: bool
+
+
+class MasterState(NamedTuple):
+    """The impedance, the references sent (a ring, newest at `newest`), the estimate, and the K_e in use [N/m]."""
+
+    impedance: impedance.MasterState
+    sent_m: npt.NDArray[np.float64]
+    newest: int
+    estimate: Estimate
+    in_use_n_per_m: float
+
+
+@compiled
+def _fresh(params: SmithParams, state: impedance.MasterState) -> MasterState:
+    reference = params.impedance.position_scale * state.position_m + state.tip_offset_m
+    estimate = Estimate(0.0, 0.0, 0.0, 0.0, params.stiffness_n_per_m, False)
+    return MasterState(state, np.full(HISTORY, reference), 0, estimate, 0.0)
+
+
+@compiled
+def master_start(params: SmithParams, hand: HandSample) -> MasterState:
+    """Put the virtual mass to rest where the hand is, as if it had always been there."""
+    return _fresh(params, impedance.master_start(params.impedance, hand))
+
+
+@compiled
+def master_resume(params: SmithParams, hand: HandSample, tip_reference_m: float) -> MasterState:
+    """Go on with the hand's motion and the tip's reference."""
+    return _fresh(params, impedance.master_resume(params.impedance, hand, tip_reference_m))
+
+
+@compiled
+def master_send(params: SmithParams, state: MasterState, hand: HandSample, dt: float) -> tuple[MasterState, PortSignal]:
+    """Say the slave's reference and remember it for every period in dt [s]."""
+    inner, signal = impedance.master_send(params.impedance, state.impedance, hand, dt)
+    sent, newest = state.sent_m.copy(), state.newest
+    for _ in range(periods_in(dt, params.impedance.period_s)):
+        newest = (newest + 1) % HISTORY
+        sent[newest] = signal.position_m
+    return MasterState(inner, sent, newest, state.estimate, state.in_use_n_per_m), signal
+
+
+@compiled
+def reference_then(state: MasterState, age_s: float, period_s: float) -> float:
+    """Give the reference [m] that was sent age_s [s] ago."""
+    periods = min(round(age_s / period_s), HISTORY - 1)
+    return float(state.sent_m[(state.newest - periods) % HISTORY])
+
+
+@compiled
+def estimated(params: SmithParams, estimate: Estimate, reference_m: float, signal: PortSignal) -> Estimate:
+    """Take one pair of reference and force into the estimate of K_e; contact starts a new memory."""
+    if not signal.in_contact:
+        return Estimate(0.0, 0.0, 0.0, 0.0, estimate.stiffness_n_per_m, False)
+    if not estimate.in_contact:
+        return Estimate(reference_m, signal.force_n, 0.0, 0.0, estimate.stiffness_n_per_m, True)
+    keep, take = params.forget, 1.0 - params.forget
+    off_m, off_n = reference_m - estimate.mean_m, signal.force_n - estimate.mean_n
+    square = keep * (estimate.square_m2 + take * off_m * off_m)
+    product = keep * (estimate.product_n_m + take * off_m * off_n)
+    stiffness = estimate.stiffness_n_per_m
+    if params.estimate and square > params.motion_m * params.motion_m:
+        stiffness = min(max(product / square, 0.0), params.stiffness_max_n_per_m)
+    return Estimate(estimate.mean_m + take * off_m, estimate.mean_n + take * off_n, square, product, stiffness, True)
+
+
+@compiled
+def master_receive(
+    params: SmithParams, state: MasterState, hand: HandSample, signal: PortSignal, dt: float
+) -> tuple[MasterState, MasterReference]:
+    """Integrate the virtual impedance over dt [s] under the predicted force.
+
+    The force shown to the hand is the predicted one too: it is what the hand feels.
+    """
+    p = params.impedance
+    coupled = signal.active and signal.silence_s <= p.silence_limit_s and hand.following
+    then = reference_then(state, signal.round_trip_s, p.period_s)
+    estimate = estimated(params, state.estimate, then, signal)
+    wanted = estimate.stiffness_n_per_m if signal.in_contact and coupled else 0.0
+    reach = params.rate_n_per_m * periods_in(dt, p.period_s)
+    in_use = min(max(wanted, state.in_use_n_per_m - reach), state.in_use_n_per_m + reach)
+    now = p.position_scale * state.impedance.position_m + state.impedance.tip_offset_m
+    predicted = PortSignal(
+        signal.position_m,
+        signal.velocity_m_per_s,
+        signal.force_n + (in_use * (now - then) if coupled else 0.0),
+        0.0,
+        0.0,
+        signal.separation_m,
+        signal.separation_valid,
+        signal.in_contact,
+        signal.active,
+        signal.silence_s,
+        signal.round_trip_s,
+    )
+    inner, reference = impedance.master_receive(p, state.impedance, hand, predicted, dt)
+    return MasterState(inner, state.sent_m, state.newest, estimate, in_use), reference
+
+
+@compiled
+def slave_start(params: SmithParams, tip: TipSample) -> impedance.SlaveState:
+    """Begin where the base is."""
+    return impedance.slave_start(params.impedance, tip)
+
+
+@compiled
+def slave_receive(
+    params: SmithParams, state: impedance.SlaveState, signal: PortSignal, tip: TipSample, dt: float
+) -> tuple[impedance.SlaveState, SlaveReference]:
+    """Pass the reference on."""
+    return impedance.slave_receive(params.impedance, state, signal, tip, dt)
+
+
+@compiled
+def slave_send(
+    params: SmithParams, state: impedance.SlaveState, tip: TipSample, dt: float
+) -> tuple[impedance.SlaveState, PortSignal]:
+    """Send the measured force back."""
+    return impedance.slave_send(params.impedance, state, tip, dt)
+
+
+@compiled
+def retune(old: SmithParams, new: SmithParams, state: MasterState) -> MasterState:
+    """Keep the tip's reference where it is when alpha_p changes."""
+    inner = impedance.retune(old.impedance, new.impedance, state.impedance)
+    return MasterState(inner, state.sent_m, state.newest, state.estimate, state.in_use_n_per_m)
+
+
+SMITH = Law(
+    name="smith",
+    config=SmithConfig,
+    master_start=master_start,
+    master_resume=master_resume,
+    master_send=master_send,
+    master_receive=master_receive,
+    slave_start=slave_start,
+    slave_receive=slave_receive,
+    slave_send=slave_send,
+    retune=retune,
+)

@@ -1,0 +1,161 @@
+"""What the laws share at the master: a virtual mass that turns forces into motion of a position-controlled device.
+
+The device is a non-backdrivable screw, so each law ends in a position reference. All of them but the paper's move
+
+    M_v x'' + B_v x' = F_m - F_e,
+
+where F_m is the operator's force and F_e what the law says that the environment does, at the hand's scale: F = alpha_f
+F_s, x = x_s / alpha_p. The product F v at the hand's scale is then the same on both sides, and it is that product whose
+passivity the laws are about. The discretisation is exact for forces held over a period, so F dx is the exact energy.
+"""
+
+from typing import Annotated, NamedTuple
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+from scipy.linalg import expm
+
+from services.controller.law import HandSample, PortSignal
+from services.runtime.compiled import compiled
+
+Positive = Annotated[float, Field(gt=0.0)]
+NotNegative = Annotated[float, Field(ge=0.0)]
+
+
+class MassParams(NamedTuple):
+    """Scales, limits, and the exact step of the mass: x += glide_s v + travel F, v = keep v + kick F."""
+
+    position_scale: float
+    force_scale: float
+    silence_limit_s: float
+    period_s: float
+    glide_s: float
+    keep: float
+    travel_m_per_n: float
+    kick_m_per_n_s: float
+
+
+class Mass(NamedTuple):
+    """x [m], x' [m/s], and the offset [m] at the tip in x_ref = alpha_p x + offset; `coupled`: it feels the tip."""
+
+    position_m: float
+    velocity_m_per_s: float
+    tip_offset_m: float
+    coupled: bool
+
+
+class ScaledConfig(BaseModel):
+    """The parameters that every law has."""
+
+    model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
+
+    position_scale: Positive = Field(
+        default=1.5e-6, description="alpha_p, metres at the tip per metre at the hand; > 0"
+    )
+    force_scale: Positive = Field(default=1e8, description="alpha_f, newtons at the hand per newton at the tip; > 0")
+    silence_limit_s: Positive = Field(
+        default=0.05, description="Time without a signal from the other half after which the hand is let go [s]; > 0"
+    )
+
+
+class MassConfig(ScaledConfig):
+    """The virtual mass; the defaults move in free space like the paper's impedance divided by its force gain of 20."""
+
+    mass_kg: Positive = Field(default=0.5, description="Virtual mass M_v [kg]; > 0")
+    damping_n_s_per_m: Positive = Field(default=100.0, description="Virtual damping B_v [N s/m]; > 0")
+
+    def mass_params(self, period_s: float, line_n_s_per_m: float = 0.0) -> MassParams:
+        """Give the constants for a period [s]; line_n_s_per_m: a damper [N s/m] of the law that acts on the mass."""
+        damping = self.damping_n_s_per_m + line_n_s_per_m
+        phi, gamma = exact_discretisation(self.mass_kg, damping, 0.0, period_s)
+        return MassParams(
+            position_scale=self.position_scale,
+            force_scale=self.force_scale,
+            silence_limit_s=self.silence_limit_s,
+            period_s=period_s,
+            glide_s=float(phi[0, 1]),
+            keep=float(phi[1, 1]),
+            travel_m_per_n=float(gamma[0]),
+            kick_m_per_n_s=float(gamma[1]),
+        )
+
+
+class SteeredConfig(MassConfig):
+    """A law whose slave half moves the base against the force by itself, also over the periods that a gap leaves."""
+
+    guard_stiffness_n_per_m: NotNegative = Field(
+        default=20.0,
+        description="Stiffness at the tip that is assumed over the periods in which no force was measured [N/m]; >= 0",
+    )
+
+    def guard_at_hand_n_per_m(self) -> float:
+        """Give that stiffness at the hand's scale [N/m]."""
+        return self.guard_stiffness_n_per_m * self.force_scale * self.position_scale
+
+
+def exact_discretisation(mass: float, damping: float, stiffness: float, period_s: float) -> tuple[np.ndarray, ...]:
+    """Give transition matrix (2, 2) and input vector (2,) of M x'' + B x' + K x = u for u held over a period [s]."""
+    continuous = np.zeros((3, 3))
+    continuous[0, 1] = 1.0
+    continuous[1] = [-stiffness / mass, -damping / mass, 1.0 / mass]
+    discrete = expm(continuous * period_s)
+    return discrete[:2, :2], discrete[:2, 2]
+
+
+@compiled
+def periods_in(dt: float, period_s: float) -> int:
+    """Give the whole periods in dt [s], at least one."""
+    return max(1, round(dt / period_s))
+
+
+@compiled
+def at_rest(position_m: float) -> Mass:
+    """Give the mass at rest, not coupled, with tip and hand on the line through zero."""
+    return Mass(position_m, 0.0, 0.0, False)
+
+
+@compiled
+def resumed(params: MassParams, hand: HandSample, tip_reference_m: float) -> Mass:
+    """Give the mass in the hand's motion, with the offset that makes tip_reference_m [m] the tip's reference."""
+    offset = tip_reference_m - params.position_scale * hand.position_m
+    return Mass(hand.position_m, hand.velocity_m_per_s, offset, False)
+
+
+@compiled
+def rescaled(old: MassParams, new: MassParams, mass: Mass) -> Mass:
+    """Keep the tip's reference where it is when alpha_p changes."""
+    offset = mass.tip_offset_m + (old.position_scale - new.position_scale) * mass.position_m
+    return Mass(mass.position_m, mass.velocity_m_per_s, offset, mass.coupled)
+
+
+@compiled
+def tip_reference(params: MassParams, mass: Mass) -> float:
+    """Give x_ref = alpha_p x + offset [m]."""
+    return params.position_scale * mass.position_m + mass.tip_offset_m
+
+
+@compiled
+def is_coupled(params: MassParams, signal: PortSignal) -> bool:
+    """Say whether the tip follows and was heard lately enough."""
+    return signal.active and signal.silence_s <= params.silence_limit_s
+
+
+@compiled
+def let_go(params: MassParams, mass: Mass, hand: HandSample) -> Mass:
+    """Leave the mass with the hand, at rest, while the tip's reference stays where it is."""
+    offset = mass.tip_offset_m + params.position_scale * (mass.position_m - hand.position_m)
+    return Mass(hand.position_m, 0.0, offset, False)
+
+
+@compiled
+def moved(params: MassParams, mass: Mass, force_n: float) -> Mass:
+    """Move the mass by one period under a held force [N]."""
+    position = mass.position_m + params.glide_s * mass.velocity_m_per_s + params.travel_m_per_n * force_n
+    velocity = params.keep * mass.velocity_m_per_s + params.kick_m_per_n_s * force_n
+    return Mass(position, velocity, mass.tip_offset_m, True)
+
+
+@compiled
+def placed(mass: Mass, position_m: float, velocity_m_per_s: float) -> Mass:
+    """Put the mass elsewhere, coupled as it is."""
+    return Mass(position_m, velocity_m_per_s, mass.tip_offset_m, mass.coupled)

@@ -1,0 +1,373 @@
+"""Wave variables: the channel as a transmission line of impedance b that can only store energy, never make it.
+
+At either port with the power F v, at the hand's scale,
+
+    u = (b v + F) / sqrt(2 b)   towards the slave,     w = (b v - F) / sqrt(2 b)   towards the master,
+    F v = u^2 / 2 - w^2 / 2.
+
+The master's mass feels F_e = b v - sqrt(2 b) w, and the wave that leaves it is u = sqrt(2 b) v - w. At the slave the
+base is a position source and F_s is measured: v = (sqrt(2 b) u - F_s) / b, and back goes w = (b v - F_s) / sqrt(2 b).
+B_v = b ends the line at the master in its own impedance, so that what comes back is not sent out again.
+Sources: G. Niemeyer and J.-J. E. Slotine, "Stable adaptive teleoperation", IEEE J. Oceanic Eng. 16 (1991), and
+"Telemanipulation with time delays", Int. J. Robotics Research 23 (2004), for waves, matching and filter; the same,
+"Towards force-reflecting teleoperation over the Internet", ICRA 1998, for the integrals of wave and wave energy.
+
+A line that is taken up while the tip presses begins under the force F_0 that it finds: both halves take F - F_0 for F,
+and F_0 fades with tau_0 as the waves take over. So the tip is not let off when the law or a hand comes back. The energy
+of F_0 (its work at the two ports) is what the line is granted; it is zero where the tip starts free.
+
+What crosses the link are counters, not samples: X = sqrt(2/b) int u dt = x + int F dt / b as `position_m`, and
+E = int u^2/2 dt as `energy_j` (and w likewise). The receiver rebuilds its wave from what is still due,
+
+    |u| = min( U / tau_f, 2 D / U ),   U = sqrt(b/2) |X heard - X taken|,   D = E heard - E taken.
+
+The first is at once the wave filter, a first-order low-pass of time constant tau_f, and the cure for drift: every metre
+that was sent arrives. The second spreads what is due so that way and energy run out together; then u^2/2 Ts <= D
+always, and each half is passive whatever the link does:
+
+- constant delay T each way: lossless but for the filter. At rest F_m = alpha_f F_s and x - x_s/alpha_p is about
+  F (T + tau_f) / b: the line is a spring of stiffness b / (T + tau_f).
+- varying delay, loss, reordering, repetition: nothing new means that the wave dies out with tau_f, and what arrives
+  later is spread as its energy allows. The wave that leaves the other end is then uneven, and its energy with it:
+  jitter shows as dissipation, a force below the hand's while the hand moves on.
+
+The half at the slave also pays for what holding F_s over a period costs (K Ts d^2 / 2): the wave that it sends back is
+cut to the energy that it really has left, measured with the mean force over the motion. So for each half, at any time,
+
+    energy sent + energy given out at the port <= energy received,
+
+which the tests check. For the port of the slave this holds up to one period's work of the environment, repaid from the
+waves that follow.
+"""
+
+import math
+from typing import NamedTuple
+
+from pydantic import Field
+
+from services.controller.law import Books, HandSample, Law, MasterReference, PortSignal, SlaveReference, TipSample
+from services.controller.virtual_mass import (
+    Mass,
+    MassParams,
+    NotNegative,
+    Positive,
+    SteeredConfig,
+    at_rest,
+    is_coupled,
+    let_go,
+    moved,
+    periods_in,
+    rescaled,
+    resumed,
+    tip_reference,
+)
+from services.runtime.compiled import compiled
+
+
+class WaveParams(NamedTuple):
+    """Constants of the law; `mass` includes the line's own damper b."""
+
+    mass: MassParams
+    impedance_n_s_per_m: float
+    share: float
+    guard_n_per_m: float
+    fade: float
+
+
+class WaveConfig(SteeredConfig):
+    """Section `controller.wave`."""
+
+    impedance_n_s_per_m: Positive = Field(default=100.0, description="Impedance of the line b [N s/m]; > 0")
+    filter_s: NotNegative = Field(default=0.02, description="Time constant of the wave filter tau_f [s]; 0 = none")
+
+    fade_s: Positive = Field(
+        default=1.0, description="Time in which a force that the line begins under fades tau_0 [s]"
+    )
+
+    def to_params(self, period_s: float) -> WaveParams:
+        """Give the constants of the compiled steps for a period [s] of the hand."""
+        b = self.impedance_n_s_per_m
+        share = 1.0 if self.filter_s == 0.0 else -math.expm1(-period_s / self.filter_s)
+        fade = math.exp(-period_s / self.fade_s)
+        return WaveParams(self.mass_params(period_s, b), b, share, self.guard_at_hand_n_per_m(), fade)
+
+
+class Inbox(NamedTuple):
+    """Counters of the incoming wave, at the hand's scale: heard and taken, sqrt(2/b) int u dt [m] and energy [J]."""
+
+    heard_m: float
+    taken_m: float
+    heard_j: float
+    taken_j: float
+
+
+class MasterState(NamedTuple):
+    """The mass, the incoming wave, what has left (int F_e dt / b [m], wave energy [J]), F_0 [N] and its work [J]."""
+
+    mass: Mass
+    inbox: Inbox
+    impulse_m: float
+    sent_j: float
+    wave_sqrt_w: float
+    bias_n: float
+    granted_j: float
+
+
+class SlaveState(NamedTuple):
+    """Base reference [m], incoming wave, what has left, what there is to send, and the last sample.
+
+    `sent_m`: sqrt(2/b) int w dt [m]; `reserve_j`: energy received and neither given to the environment nor sent back;
+    `last_m`, `last_n`: tip's position [m] at the tip's scale and force [N] at the hand's; F_0 [N] and its work [J].
+    """
+
+    position_m: float
+    inbox: Inbox
+    anchor_m: float
+    sent_m: float
+    sent_j: float
+    wave_sqrt_w: float
+    reserve_j: float
+    last_m: float
+    last_n: float
+    bias_n: float
+    granted_j: float
+    coupled: bool
+
+
+@compiled
+def heard(inbox: Inbox, position_m: float, energy_j: float) -> Inbox:
+    """Take the counters of a signal; one whose energy lies below what was heard is an old one and says nothing."""
+    if energy_j < inbox.heard_j:
+        return inbox
+    return Inbox(position_m, inbox.taken_m, energy_j, inbox.taken_j)
+
+
+@compiled
+def drawn(inbox: Inbox, share: float, impedance_n_s_per_m: float, period_s: float) -> tuple[Inbox, float]:
+    """Give the wave [sqrt(W)] of the next period [s]: a share of what is due, within the energy that has arrived."""
+    root = math.sqrt(0.5 * impedance_n_s_per_m)
+    due = root * (inbox.heard_m - inbox.taken_m)
+    if due == 0.0:
+        return inbox, 0.0
+    size = min(share * abs(due) / period_s, 2.0 * max(inbox.heard_j - inbox.taken_j, 0.0) / abs(due))
+    wave = math.copysign(size, due)
+    taken_j = min(inbox.taken_j + 0.5 * wave * wave * period_s, inbox.heard_j)
+    return Inbox(inbox.heard_m, inbox.taken_m + wave * period_s / root, inbox.heard_j, taken_j), wave
+
+
+@compiled
+def emptied(position_m: float, energy_j: float) -> Inbox:
+    """Begin to count at a signal: what it stands for has been taken."""
+    return Inbox(position_m, position_m, energy_j, energy_j)
+
+
+@compiled
+def master_start(params: WaveParams, hand: HandSample) -> MasterState:
+    """Put the virtual mass to rest where the hand is."""
+    return MasterState(at_rest(hand.position_m), emptied(0.0, 0.0), 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+@compiled
+def master_resume(params: WaveParams, hand: HandSample, tip_reference_m: float) -> MasterState:
+    """Go on with the hand's motion and the tip's reference."""
+    return MasterState(resumed(params.mass, hand, tip_reference_m), emptied(0.0, 0.0), 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+@compiled
+def master_send(params: WaveParams, state: MasterState, hand: HandSample, dt: float) -> tuple[MasterState, PortSignal]:
+    """Say how much wave and wave energy has left so far; while let go, that is the tip's reference."""
+    p, mass = params.mass, state.mass
+    position = tip_reference(p, mass) + p.position_scale * state.impulse_m
+    velocity = p.position_scale * mass.velocity_m_per_s
+    force = hand.force_n / p.force_scale
+    active = hand.following and mass.coupled
+    return state, PortSignal(
+        position, velocity, force, state.wave_sqrt_w, state.sent_j, 0.0, False, False, active, 0.0, 0.0
+    )
+
+
+@compiled
+def master_receive(
+    params: WaveParams, state: MasterState, hand: HandSample, signal: PortSignal, dt: float
+) -> tuple[MasterState, MasterReference]:
+    """Move the virtual mass over dt [s] at the end of the line."""
+    p, b = params.mass, params.impedance_n_s_per_m
+    position = signal.position_m / p.position_scale
+    coupled = is_coupled(p, signal)
+    if not (coupled and hand.following):
+        inbox = emptied(position, signal.energy_j)
+        state = MasterState(let_go(p, state.mass, hand), inbox, 0.0, state.sent_j, 0.0, 0.0, state.granted_j)
+        return state, MasterReference(hand.position_m, 0.0, 0.0, coupled)
+    # what was sent before the tip was felt is no wave: start to count here
+    inbox = state.inbox if state.mass.coupled else emptied(position, signal.energy_j)
+    inbox = heard(inbox, position, signal.energy_j)
+    bias = state.bias_n if state.mass.coupled else p.force_scale * signal.force_n
+    mass, impulse, sent, force, out = state.mass, state.impulse_m, state.sent_j, 0.0, 0.0
+    granted = state.granted_j
+    root, period = math.sqrt(2.0 * b), p.period_s
+    for _ in range(periods_in(dt, period)):
+        inbox, wave = drawn(inbox, params.share, b, period)
+        before = mass.position_m
+        mass = moved(p, mass, hand.force_n - bias + root * wave)
+        # the mean velocity gives the mean force of the damper b exactly, and never more energy than it took
+        velocity = (mass.position_m - before) / period
+        force = b * velocity - root * wave
+        out = root * velocity - wave
+        impulse += force * period / b
+        sent += 0.5 * out * out * period
+        granted += abs(bias * velocity) * period
+        force += bias
+        bias *= params.fade
+    state = MasterState(mass, inbox, impulse, sent, out, bias, granted)
+    return state, MasterReference(mass.position_m, mass.velocity_m_per_s, force, True)
+
+
+@compiled
+def slave_start(params: WaveParams, tip: TipSample) -> SlaveState:
+    """Begin where the base is."""
+    force = params.mass.force_scale * tip.force_n
+    return SlaveState(
+        tip.position_m, emptied(0.0, 0.0), 0.0, 0.0, 0.0, 0.0, 0.0, tip.position_m, force, 0.0, 0.0, False
+    )
+
+
+@compiled
+def slave_receive(
+    params: WaveParams, state: SlaveState, signal: PortSignal, tip: TipSample, dt: float
+) -> tuple[SlaveState, SlaveReference]:
+    """Move the base with the incoming wave against the force measured last.
+
+    While the tip does not follow, the reference is the master's; while the master does not, it stays.
+    """
+    p, b = params.mass, params.impedance_n_s_per_m
+    position = signal.position_m / p.position_scale
+    coupled = is_coupled(p, signal) and tip.following
+    if not coupled:
+        base = state.position_m if tip.following else signal.position_m
+        inbox = emptied(position, signal.energy_j)
+        last_m, last_n, granted = state.last_m, state.last_n, state.granted_j
+        state = SlaveState(base, inbox, base, 0.0, state.sent_j, 0.0, 0.0, last_m, last_n, 0.0, granted, False)
+        return state, SlaveReference(base, True)
+    # a reference of the master's own that came before is no wave: start to count here
+    inbox = state.inbox if state.coupled else emptied(position, signal.energy_j)
+    inbox = heard(inbox, position, signal.energy_j)
+    anchor = state.anchor_m if state.coupled else state.position_m
+    last_n = state.last_n if state.coupled else p.force_scale * tip.force_n
+    bias = state.bias_n if state.coupled else last_n
+    way, reserve, period = 0.0, state.reserve_j, p.period_s
+    for _ in range(periods_in(dt, period)):
+        inbox, wave = drawn(inbox, params.share, b, period)
+        # over the periods of a gap the force is not measured: it is taken to grow with the way
+        way += (math.sqrt(2.0 * b) * wave - (last_n - bias) - params.guard_n_per_m * way) / b * period
+        reserve += 0.5 * wave * wave * period
+    base = state.position_m + p.position_scale * way
+    state = SlaveState(
+        base,
+        inbox,
+        anchor,
+        state.sent_m,
+        state.sent_j,
+        state.wave_sqrt_w,
+        reserve,
+        state.last_m,
+        last_n,
+        bias,
+        state.granted_j,
+        True,
+    )
+    return state, SlaveReference(base, True)
+
+
+@compiled
+def slave_send(params: WaveParams, state: SlaveState, tip: TipSample, dt: float) -> tuple[SlaveState, PortSignal]:
+    """Account for the work on the environment and send back what wave it leaves."""
+    p, b = params.mass, params.impedance_n_s_per_m
+    force = p.force_scale * tip.force_n
+    sent_m, sent_j, reserve, wave = state.sent_m, state.sent_j, state.reserve_j, 0.0
+    bias, granted = state.bias_n, state.granted_j
+    if state.coupled:
+        moved_m = (tip.position_m - state.last_m) / p.position_scale
+        mean = 0.5 * (force + state.last_n) - bias
+        granted += abs(bias * moved_m)
+        bias *= params.fade ** periods_in(dt, p.period_s)
+        reserve -= mean * moved_m
+        wave = (b * moved_m / dt - mean) / math.sqrt(2.0 * b)
+        most = math.sqrt(2.0 * max(reserve, 0.0) / dt)
+        wave = min(max(wave, -most), most)
+        reserve -= 0.5 * wave * wave * dt
+        sent_m += math.sqrt(2.0 / b) * wave * dt
+        sent_j += 0.5 * wave * wave * dt
+    state = SlaveState(
+        state.position_m,
+        state.inbox,
+        state.anchor_m,
+        sent_m,
+        sent_j,
+        wave,
+        reserve,
+        tip.position_m,
+        force,
+        bias,
+        granted,
+        state.coupled,
+    )
+    position = state.anchor_m + p.position_scale * sent_m if state.coupled else state.position_m
+    return state, PortSignal(
+        position,
+        0.0,
+        tip.force_n,
+        wave,
+        sent_j,
+        tip.separation_m,
+        tip.separation_valid,
+        tip.in_contact,
+        tip.following,
+        0.0,
+        0.0,
+    )
+
+
+@compiled
+def retune(old: WaveParams, new: WaveParams, state: MasterState) -> MasterState:
+    """Keep the tip's reference where it is when alpha_p changes, and force and energy of the line when b does."""
+    ratio = old.impedance_n_s_per_m / new.impedance_n_s_per_m
+    mass = rescaled(old.mass, new.mass, state.mass)
+    return MasterState(
+        mass,
+        state.inbox,
+        state.impulse_m * ratio,
+        state.sent_j,
+        state.wave_sqrt_w,
+        state.bias_n,
+        state.granted_j,
+    )
+
+
+@compiled
+def master_books(params: WaveParams, state: MasterState) -> Books:
+    """Give the wave energy that has arrived and is not yet taken, and the most that F_0 may have put in."""
+    return Books(state.inbox.heard_j - state.inbox.taken_j, 0.0, 2.0 * state.granted_j)
+
+
+@compiled
+def slave_books(params: WaveParams, state: SlaveState) -> Books:
+    """Give the energy that has arrived and was neither given to the environment nor sent back."""
+    return Books(state.inbox.heard_j - state.inbox.taken_j + state.reserve_j, 0.0, state.granted_j)
+
+
+WAVE = Law(
+    name="wave",
+    config=WaveConfig,
+    master_start=master_start,
+    master_resume=master_resume,
+    master_send=master_send,
+    master_receive=master_receive,
+    slave_start=slave_start,
+    slave_receive=slave_receive,
+    slave_send=slave_send,
+    retune=retune,
+    master_books=master_books,
+    slave_books=slave_books,
+    uses_waves=True,
+    uses_energy=True,
+)

@@ -1,0 +1,141 @@
+"""The model-mediated law: it learns the surface, changes it safely, and guards the tip."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from services.controller.law import NO_SIGNAL, HandSample, TipSample
+from services.controller.model_mediated import (
+    ModelMediatedConfig,
+    master_books,
+    master_receive,
+    master_resume,
+    master_send,
+    master_start,
+    retune,
+    slave_receive,
+    slave_start,
+    updated,
+)
+from services.controller.surface import Surface, force_nn, potential
+from services.controller.virtual_mass import tip_reference
+
+T = 1e-3
+PARAMS = ModelMediatedConfig().to_params(T)
+K, RANGE = PARAMS.fit.cantilever, PARAMS.fit.range_nm
+JOULES = 1e-18 * 1e8 / 1.5e-6
+
+surfaces = st.builds(Surface, st.floats(-5.0, 5.0), st.floats(1.0, 100.0), st.floats(0.0, 30.0))
+
+
+@given(surfaces, surfaces, st.floats(-10e-9, 10e-9), st.floats(0.0, 1e-3))
+def test_update_never_uses_more_energy_than_there_is(old: Surface, new: Surface, x: float, store: float) -> None:
+    model, used = updated(PARAMS, old, new, x, store)
+    rise = (potential(model, K, RANGE, 1e9 * x) - potential(old, K, RANGE, 1e9 * x)) * JOULES
+    assert rise <= store + 1e-18
+    assert used == pytest.approx(max(rise, 0.0), rel=1e-9, abs=1e-18)
+    change = abs(force_nn(model, K, RANGE, 1e9 * x) - force_nn(old, K, RANGE, 1e9 * x)) * 0.1
+    assert change <= PARAMS.force_step_n * (1.0 + 1e-12)
+
+
+def test_update_at_the_bound_passes_and_a_millionth_past_it_does_not() -> None:
+    # pressed 1 nm in, the surface rises by a millionth of the way to the goal, well below the limit of the force
+    old, x = Surface(0.0, 18.0, 0.0), 1e-9
+    goal = Surface(-1e-3, 18.0, 0.0)
+    model, used = updated(PARAMS, old, goal, x, 1.0)
+    assert used > 0.0
+    assert updated(PARAMS, old, goal, x, used) == (model, used)
+    less, cost = updated(PARAMS, old, goal, x, used * (1.0 - 1e-6))
+    assert cost < used
+    assert abs(less.contact_nm) < abs(model.contact_nm)
+
+
+@pytest.mark.parametrize("delay", [0, 20, 100, 250])
+def test_surface_is_learnt_and_held(run_loop: Any, delay: int) -> None:
+    truth = Surface(5.0, 18.2, 12.0)
+
+    def environment(x: float) -> float:
+        return force_nn(truth, K, RANGE, 1e9 * x) * 1e-9
+
+    run = run_loop(
+        "model_mediated",
+        lambda n: 1.0 + 0.5 * np.sin(0.004 * n),
+        environment,
+        12_000,
+        lambda n: delay,
+        lambda n: delay,
+    )
+    model = run.masters[-1].model
+    reach = np.linspace(6.45, 6.9, 8)
+    for x in reach:
+        assert force_nn(model, K, RANGE, x) == pytest.approx(force_nn(truth, K, RANGE, x), rel=0.02, abs=0.1)
+    # the hand feels what the tip will, a delay later
+    shown, felt = run.shown_n[8000 : 12_000 - 2 * delay], 1e8 * run.force_n[8000 + delay : 12_000 - delay]
+    assert np.abs(shown - felt).max() < 0.06
+
+
+@pytest.mark.parametrize("stiffness", [10.0, 20.0, 38.0])
+@pytest.mark.parametrize("delay", [0, 50, 250])
+def test_spring_is_held_at_any_delay(run_loop: Any, stiffness: float, delay: int) -> None:
+    run = run_loop("model_mediated", lambda n: 1.0, lambda x: stiffness * x, 6000, lambda n: delay, lambda n: delay)
+    assert np.ptp(1e8 * run.force_n[-500:]) < 1e-2
+    assert 1e8 * run.force_n[-1] == pytest.approx(1.0, rel=0.03, abs=0.0)
+    assert master_books(PARAMS, run.masters[-1]).dissipated_j >= 0.0
+
+
+def test_updates_are_paid_from_the_damper_at_all_times(run_loop: Any) -> None:
+    run = run_loop(
+        "model_mediated", lambda n: 2.0, lambda x: max(38.0 * (x - 5e-9), 0.0), 6000, lambda n: 250, lambda n: 9
+    )
+    injected = np.array([state.injected_j for state in run.masters])
+    dissipated = np.array([state.dissipated_j for state in run.masters])
+    assert injected[-1] > 0.0
+    assert (injected <= dissipated * (1.0 + 1e-12)).all()
+
+
+def test_surface_met_late_begins_under_the_hand_almost_without_force() -> None:
+    hand = HandSample(8e-3, 0.0, 1.0, True)
+    state = master_start(PARAMS, hand)
+    answer = NO_SIGNAL._replace(position_m=9e-9, force_n=-1.2e-8, in_contact=True, active=True, silence_s=0.0)
+    state, reference = master_receive(PARAMS, state, hand, answer, T)
+    assert state.rendered
+    assert abs(reference.force_n) <= PARAMS.force_step_n
+    assert state.model.contact_nm >= 12.0
+
+
+def test_guard_presses_no_harder_than_the_hand() -> None:
+    tip = TipSample(9e-9, 0.0, 0.0, False, True, True)
+    state = slave_start(PARAMS, tip)
+    signal = NO_SIGNAL._replace(position_m=15e-9, force_n=1e-8, active=True, silence_s=0.0)
+    for _ in range(300):
+        force = 30.0 * (state.position_m - 9e-9)
+        assert force <= 1e-8 * (1.0 + 1e-9)
+        state, _ = slave_receive(PARAMS, state, signal, tip._replace(force_n=force), T)
+    assert force == pytest.approx(1e-8, rel=1e-6, abs=0.0)
+
+
+def test_guard_takes_long_gaps_without_pressing_through() -> None:
+    tip = TipSample(9e-9, 0.0, 0.0, False, True, True)
+    signal = NO_SIGNAL._replace(position_m=1e-7, force_n=1e-8, active=True, silence_s=0.0)
+    state, _ = slave_receive(PARAMS, slave_start(PARAMS, tip), signal, tip, 0.05)
+    assert 20.0 * (state.position_m - 9e-9) <= 1e-8
+
+
+def test_uncoupled_tip_stays_and_a_retracted_one_is_told_the_reference() -> None:
+    tip = TipSample(9e-9, 0.0, 0.0, False, True, True)
+    signal = NO_SIGNAL._replace(position_m=15e-9, silence_s=0.0)
+    assert slave_receive(PARAMS, slave_start(PARAMS, tip), signal, tip, T)[1].position_m == 9e-9
+    away = tip._replace(following=False)
+    assert slave_receive(PARAMS, slave_start(PARAMS, tip), signal, away, T)[1].position_m == 15e-9
+
+
+def test_resume_and_retune_keep_the_tip() -> None:
+    state = master_resume(PARAMS, HandSample(5e-3, 0.01, 0.0, True), 1.1e-8)
+    _, signal = master_send(PARAMS, state, HandSample(5e-3, 0.01, 0.0, True), T)
+    assert signal.position_m == pytest.approx(1.1e-8, rel=1e-14, abs=0.0)
+    other = ModelMediatedConfig(position_scale=1e-7).to_params(T)
+    after = tip_reference(other.mass, retune(PARAMS, other, state).mass)
+    assert after == pytest.approx(1.1e-8, rel=1e-13, abs=0.0)

@@ -1,0 +1,83 @@
+"""The virtual mass: its exact step, and its rules of coupling."""
+
+import math
+
+import pytest
+
+from services.controller.law import NO_SIGNAL, HandSample
+from services.controller.virtual_mass import (
+    Mass,
+    MassConfig,
+    at_rest,
+    exact_discretisation,
+    is_coupled,
+    let_go,
+    moved,
+    periods_in,
+    rescaled,
+    resumed,
+    tip_reference,
+)
+
+PERIOD_S = 1e-3
+PARAMS = MassConfig().mass_params(PERIOD_S)
+
+
+def test_motion_under_a_held_force_is_the_closed_form() -> None:
+    mass, force, tau = at_rest(0.0), 0.7, 0.5 / 100.0
+    for _ in range(40):
+        mass = moved(PARAMS, mass, force)
+    t = 40 * PERIOD_S
+    x = force / 100.0 * (t - tau * (1.0 - math.exp(-t / tau)))
+    assert mass.position_m == pytest.approx(x, rel=1e-12, abs=0.0)
+    assert mass.velocity_m_per_s == pytest.approx(force / 100.0 * (1.0 - math.exp(-t / tau)), rel=1e-12, abs=0.0)
+
+
+@pytest.mark.parametrize("period_s", [1e-4, 1e-3, 1e-2, 0.1])
+def test_step_does_not_depend_on_how_time_is_cut(period_s: float) -> None:
+    whole = moved(MassConfig().mass_params(period_s), Mass(1e-3, 2e-2, 0.0, True), 0.3)
+    half_params = MassConfig().mass_params(0.5 * period_s)
+    halves = moved(half_params, moved(half_params, Mass(1e-3, 2e-2, 0.0, True), 0.3), 0.3)
+    assert whole.position_m == pytest.approx(halves.position_m, rel=1e-12, abs=0.0)
+    assert whole.velocity_m_per_s == pytest.approx(halves.velocity_m_per_s, rel=1e-11, abs=0.0)
+
+
+def test_damper_of_the_line_adds_to_that_of_the_mass() -> None:
+    assert MassConfig().mass_params(PERIOD_S, 50.0) == MassConfig(damping_n_s_per_m=150.0).mass_params(PERIOD_S)
+
+
+def test_spring_of_the_exact_step_turns_the_phase_by_its_natural_frequency() -> None:
+    phi, gamma = exact_discretisation(2.0, 0.0, 2.0 * 30.0**2, PERIOD_S)
+    assert phi[0, 0] == pytest.approx(math.cos(30.0 * PERIOD_S), rel=1e-13, abs=0.0)
+    assert gamma[0] == pytest.approx((1.0 - math.cos(30.0 * PERIOD_S)) / (2.0 * 900.0), rel=1e-10, abs=0.0)
+
+
+def test_let_go_moves_the_mass_and_not_the_tip() -> None:
+    mass = Mass(7e-3, 0.02, 3e-10, True)
+    free = let_go(PARAMS, mass, HandSample(5e-3, 0.0, 1.0, True))
+    assert (free.position_m, free.velocity_m_per_s, free.coupled) == (5e-3, 0.0, False)
+    assert tip_reference(PARAMS, free) == pytest.approx(tip_reference(PARAMS, mass), rel=1e-14, abs=0.0)
+
+
+def test_resumed_keeps_motion_and_tip() -> None:
+    mass = resumed(PARAMS, HandSample(5e-3, 0.01, 1.0, True), 1.23e-8)
+    assert (mass.position_m, mass.velocity_m_per_s) == (5e-3, 0.01)
+    assert tip_reference(PARAMS, mass) == pytest.approx(1.23e-8, rel=1e-14, abs=0.0)
+
+
+def test_rescaled_keeps_the_tip() -> None:
+    mass, other = Mass(7e-3, 0.02, 3e-10, True), MassConfig(position_scale=1e-7).mass_params(PERIOD_S)
+    after = tip_reference(other, rescaled(PARAMS, other, mass))
+    assert after == pytest.approx(tip_reference(PARAMS, mass), rel=1e-13, abs=0.0)
+
+
+@pytest.mark.parametrize(
+    ("active", "silence_s", "coupled"), [(True, 0.05, True), (True, 0.0501, False), (False, 0.0, False)]
+)
+def test_coupling_needs_a_tip_that_follows_and_is_heard(active: bool, silence_s: float, coupled: bool) -> None:
+    assert is_coupled(PARAMS, NO_SIGNAL._replace(active=active, silence_s=silence_s)) is coupled
+
+
+@pytest.mark.parametrize(("dt", "count"), [(0.0, 1), (1e-3, 1), (1.4e-3, 1), (1.6e-3, 2), (0.05, 50)])
+def test_whole_periods_in_a_time(dt: float, count: int) -> None:
+    assert periods_in(dt, PERIOD_S) == count
