@@ -4,8 +4,8 @@
 
 The floor: five processes pass bytes of the very sizes of our messages along the eight hops of the loop
 (hand, master half, link, slave half, AFM, slave half, link, master half, hand) over connected Unix-domain sockets,
-paced at 1 kHz, under the same scheduling as the rig, doing nothing else. The rig: `telenano up --scenario fig12`, its age of
-the loop as its own recording has it. Floor and rig take turns, and the medians of the rounds are compared.
+paced at 1 kHz, under the same scheduling as the rig, doing nothing else. The rig: `telenano up --scenario fig12`, its
+age of the loop as its own recording has it. Floor and rig take turns, and the medians of the rounds are compared.
 """
 
 import argparse

@@ -16,6 +16,7 @@ import typer
 
 from services.launcher.telling import EXIT_FAILED, console, errors_told, fail, print_json, tell
 from services.runtime.errors import ConfigError
+from studies.cli import app as study_app
 
 if TYPE_CHECKING:
     from proto.messages import SessionEvent
@@ -41,6 +42,7 @@ app.add_typer(bag_app, name="bag")
 
 link_app = typer.Typer(help="Look at the link of a running rig and change it.", no_args_is_help=True)
 app.add_typer(link_app, name="link")
+app.add_typer(study_app, name="study")
 
 SiteFileOption = Annotated[
     Path,

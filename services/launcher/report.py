@@ -227,7 +227,8 @@ def _scenario(recording: Recording) -> Scenario:
 
 def _force_scale(recording: Recording, scenario: Scenario) -> float:
     config = validate(ControllerConfig, scenario.controller, f"{recording.path}: scenario.yaml", "controller")
-    return config.virtual_impedance.force_scale
+    scale: float = config.section().force_scale
+    return scale
 
 
 def _title(session: Session, summary: Mapping[str, Any]) -> str:

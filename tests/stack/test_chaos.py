@@ -134,7 +134,7 @@ def test_killed_recording_is_readable_up_to_the_last_flush(wreck: Any) -> None:
 
 
 def test_interrupted_rig_stops_cleanly(wreck: Any) -> None:
-    rig, _, code, summary, err = wreck
+    rig, _, code, _, err = wreck
     assert "Traceback" not in err
     assert code in (0, 1), err
     assert (rig.out / "session_1.mcap").exists()

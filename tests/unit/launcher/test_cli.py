@@ -35,7 +35,7 @@ def leaves(command: object, path: str) -> Iterator[tuple[str, object]]:
 
 
 COMMANDS = dict(leaves(typer.main.get_command(app), "telenano"))
-GROUPS = {"telenano topic", "telenano bag", "telenano link"}
+GROUPS = {"telenano topic", "telenano bag", "telenano link", "telenano study"}
 
 
 def documented_flags(path: str) -> set[str]:

@@ -1,0 +1,1 @@
+"""Closed loop in lockstep: the same compiled steps as the nodes, without processes."""

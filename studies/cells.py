@@ -1,0 +1,256 @@
+"""One cell of a study: a law over a link against an environment, run in lockstep and judged.
+
+A cell is plain data, so that it can be keyed, kept in a journal and sent to another machine. The hand presses with a
+force that rises in steps and is then held: 1 N against the spring; 1 N, then 2 N in the contact (the forces of
+Fig. 12). The last hold is judged.
+"""
+
+import functools
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from services.afm_node.config import AfmConfig, CantileverConfig, SafetyConfig
+from services.afm_node.safety import MODE_FOLLOW, MODE_HOLD, SafetyParams
+from services.afm_node.spring import SpringParams, spring_params
+from services.afm_node.step import AfmParams
+from services.controller.config import LAWS, ControllerConfig
+from services.haptic_node.config import ForcePoint, ForceProfileConfig, HapticConfig
+from services.runtime.compiled import source_digest
+from services.runtime.config import merge, nested, validate
+from services.runtime.errors import ConfigError
+from studies.link import schedule_of, symmetric_link
+from studies.lockstep import Rig, Series, Trajectory, build_rig, simulate
+from studies.verdict import judge
+
+Environment = Literal["spring", "contact"]
+ENVIRONMENTS: tuple[Environment, ...] = ("spring", "contact")
+# K of the theory's examples; in the contact it is the cantilever's k of Table 2
+DEFAULT_STIFFNESS: dict[str, tuple[float, ...]] = {"spring": (10.0, 20.0, 38.0), "contact": (40.0,)}
+
+_LEVELS_N: dict[str, tuple[float, ...]] = {"spring": (1.0,), "contact": (1.0, 2.0)}
+_QUIET_S = 0.2
+_RAMP_S = 0.4
+# every time of a cell grows with the round trip, so that a slow loop is given as many of its own periods
+_APPROACH_S, _APPROACH_ROUND_TRIPS = 2.4, 10.0
+# near its onset a limit cycle of the contact takes seconds to reach its size
+_HOLD_S: dict[str, float] = {"spring": 6.0, "contact": 12.0}
+_HOLD_ROUND_TRIPS = 40.0
+_SETTLE_S, _SETTLE_ROUND_TRIPS = 0.3, 4.0
+# the first part of a hold is the answer to the step before it
+_TRANSIENT_SHARE = 0.2
+_SHORTEST_HOLD_S = 1.0
+
+
+class Cell(BaseModel):
+    """What one cell runs. `settings` are dotted keys of the section `controller` that differ from their defaults."""
+
+    model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
+
+    law: str = Field(description="Name of the law")
+    environment: Environment = Field(description="spring: F = K (x_s - L); contact: the tip-sample force")
+    round_trip_ms: float = Field(ge=0.0, le=1e5, description="Round trip of the link [ms], half of it each way; >= 0")
+    stiffness_n_per_m: float = Field(gt=0.0, le=1e6, description="K of the spring or k of the cantilever [N/m]; > 0")
+    gain: float | None = Field(default=None, ge=0.0, description="Force gain K_f; none: the law's own")
+    jitter_ms: float = Field(default=0.0, ge=0.0, le=1e5, description="Half-width of the uniform jitter each way [ms]")
+    loss: float = Field(default=0.0, ge=0.0, le=1.0, description="Share of messages lost each way; 0..1")
+    seed: int = Field(default=0, ge=0, description="Seed of the link's random streams")
+    session_s: float | None = Field(default=None, gt=0.0, le=3600.0, description="Length of the session [s]; none: own")
+    settings: tuple[tuple[str, float | int | str | bool], ...] = Field(default=(), description="Other law parameters")
+
+    @property
+    def key(self) -> str:
+        """A digest of the cell and of every source its outcome depends on: a changed model is a different cell."""
+        text = self.model_dump_json() + _sources()
+        return hashlib.sha256(text.encode()).hexdigest()[:24]
+
+    @property
+    def round_trip_s(self) -> float:
+        """Round trip [s], jitter at its widest included."""
+        return (self.round_trip_ms + 2.0 * self.jitter_ms) * 1e-3
+
+    def controller(self) -> ControllerConfig:
+        """Give the configuration of both halves; ConfigError names the law or key at fault."""
+        if self.law not in LAWS:
+            raise ConfigError(f"--law: unknown law {self.law!r}, known are {', '.join(LAWS)}")
+        settings: dict[str, Any] = nested(dict(self.settings), "--set")
+        if self.gain is not None:
+            if "force_gain" not in LAWS[self.law].config.model_fields:
+                raise ConfigError(f"--gain: {self.law} has no force gain; {_laws_with_gain()} has")
+            settings = merge(settings, {self.law: {"force_gain": self.gain}})
+        return validate(ControllerConfig, merge(settings, {"law": self.law}), "--set", "controller")
+
+    def hold_s(self) -> tuple[float, float]:
+        """Give start and end of the hold that is judged, in session time [s]; ConfigError if it would be too short."""
+        start = _QUIET_S + _RAMP_S * len(_LEVELS_N[self.environment])
+        start += (_APPROACH_S + _APPROACH_ROUND_TRIPS * self.round_trip_s) * (len(_LEVELS_N[self.environment]) - 1)
+        if self.session_s is None:
+            return start, start + _HOLD_S[self.environment] + _HOLD_ROUND_TRIPS * self.round_trip_s
+        if self.session_s - start < _SHORTEST_HOLD_S:
+            raise ConfigError(
+                f"--duration: {self.session_s:g} s leaves no hold of {_SHORTEST_HOLD_S:g} s at a round trip of "
+                f"{self.round_trip_ms:g} ms: at least {start + _SHORTEST_HOLD_S:.2f} s are needed"
+            )
+        return start, self.session_s
+
+    def hand_points(self) -> tuple[tuple[float, float], ...]:
+        """Give the corners (time [s], force [N]) of what the hand does."""
+        levels = _LEVELS_N[self.environment]
+        points, time, before = [], _QUIET_S, 0.0
+        for level in levels:
+            points += [(time, before), (time + _RAMP_S, level)]
+            time += _RAMP_S + _APPROACH_S + _APPROACH_ROUND_TRIPS * self.round_trip_s
+            before = level
+        return tuple(points)
+
+
+@dataclass(frozen=True)
+class CellResult:
+    """What became of a cell.
+
+    verdict: see `verdict`; growth_per_s [1/s] or None; peak_to_peak_n of alpha_f F_s at the end of the hold [N];
+    out_of_contact_share: part of the judged hold that the tip was off the surface; hold_ratio: F_m / (alpha_f F_s) on
+    average, None if the tip was not pressed; lowest_energy_j: the least that the hand had put into the two-port more
+    than it gave to the tip, at the hand's scale [J]: below zero the two-port has made energy; guard: the mode in
+    which the instrument's safety chain ended, if it did not follow to the end.
+    """
+
+    cell: Cell
+    verdict: str
+    growth_per_s: float | None
+    peak_to_peak_n: float
+    out_of_contact_share: float
+    hold_ratio: float | None
+    lowest_energy_j: float
+    guarded: bool
+
+    def as_dict(self) -> dict[str, Any]:
+        """Give the result as plain data; `from_dict` is the inverse."""
+        return {**asdict(self), "cell": self.cell.model_dump(mode="json")}
+
+    @classmethod
+    def from_dict(cls, data: dict[str, Any]) -> "CellResult":
+        """Read what `as_dict` gave."""
+        return cls(**{**data, "cell": Cell.model_validate_json(json.dumps(data["cell"]))})
+
+
+class Energies(NamedTuple):
+    """At the hand's scale: put in by the hand [J], given to the tip [J], shape (n,) each."""
+
+    hand_j: Series
+    tip_j: Series
+
+    @property
+    def stored_j(self) -> Series:
+        """What the two-port holds [J]; below zero it has made energy."""
+        return np.subtract(self.hand_j, self.tip_j)
+
+
+def run_cell(cell: Cell) -> CellResult:
+    """Run and judge a cell. Raises ConfigError for one that cannot be run."""
+    return judged(cell, trajectory_of(cell))
+
+
+def trajectory_of(cell: Cell) -> Trajectory:
+    """Run a cell and give the whole course of its session."""
+    return course_of(cell, cell.hand_points(), cell.hold_s()[1])
+
+
+def course_of(cell: Cell, hand_points: Sequence[tuple[float, float]], end_s: float) -> Trajectory:
+    """Run a cell with another programme of the hand: corners (time [s], force [N]) of it, and its length [s]."""
+    rig = rig_of(cell, hand_points)
+    settle = round((_SETTLE_S + _SETTLE_ROUND_TRIPS * cell.round_trip_s) / rig.period_s)
+    ticks = settle + max(1, round(end_s / rig.period_s))
+    link = symmetric_link(cell.round_trip_ms * 1e-3, cell.jitter_ms * 1e-3, cell.loss, cell.seed)
+    return simulate(rig, schedule_of(link, ticks, rig.period_s), settle)
+
+
+def judged(cell: Cell, course: Trajectory) -> CellResult:
+    """Judge the course of a session of this cell."""
+    scales = scales_of(cell.controller())
+    start_s, end_s = cell.hold_s()
+    # a pause in the commands makes the instrument hold for a moment; what ends the session is the retraction
+    lost = (course.instrument_mode != MODE_FOLLOW) & (course.instrument_mode != MODE_HOLD)
+    ended = int(np.argmax(lost)) if lost.any() else len(lost)
+    first = int(np.searchsorted(course.time_s, start_s + _TRANSIENT_SHARE * (end_s - start_s)))
+    if ended < len(lost):
+        # what a guard ended early is looked at from the beginning of the hold
+        first = int(np.searchsorted(course.time_s, start_s))
+    hold = slice(min(first, ended), ended)
+    force = scales.force_scale * course.tip_force_n
+    verdict = judge(
+        course.time_s[hold],
+        force[hold],
+        _LEVELS_N[cell.environment][-1],
+        ended_early=ended < len(lost),
+        noisy=cell.jitter_ms > 0.0 or cell.loss > 0.0,
+    )
+    pressed = force[hold] > 0.0
+    return CellResult(
+        cell,
+        verdict.kind,
+        verdict.growth_per_s,
+        verdict.peak_to_peak_n,
+        1.0 - float(course.in_contact[hold].mean()) if ended > first else 1.0,
+        float(np.mean(course.hand_force_n[hold] / force[hold])) if pressed.size and pressed.all() else None,
+        float(energies_of(course, scales).stored_j.min()),
+        ended < len(lost),
+    )
+
+
+class Scales(NamedTuple):
+    """alpha_f and alpha_p of a law."""
+
+    force_scale: float
+    position_scale: float
+
+
+def scales_of(controller: ControllerConfig) -> Scales:
+    """Give the scales of the law in force."""
+    section = controller.section()
+    return Scales(section.force_scale, section.position_scale)
+
+
+def energies_of(course: Trajectory, scales: Scales) -> Energies:
+    """Give the energy that crossed the two ports of the law since the session began, by the trapezoidal rule.
+
+    The hand's port is F_m with the reference x_mr that the law gives the device; the tip's is F_s with the base x_s.
+    """
+    to_hand = scales.force_scale / scales.position_scale
+    tip_j = to_hand * _work(course.tip_force_n, course.base_position_m)
+    return Energies(_work(course.hand_force_n, course.reference_m), tip_j)
+
+
+def _work(force_n: Series, position_m: Series) -> Series:
+    mean = 0.5 * (force_n[1:] + force_n[:-1])
+    return np.concatenate([[0.0], np.cumsum(mean * np.diff(position_m))])
+
+
+@functools.lru_cache(maxsize=64)
+def _instrument(environment: Environment, stiffness_n_per_m: float) -> AfmParams | SpringParams:
+    if environment == "contact":
+        return AfmConfig(cantilever=CantileverConfig(stiffness_n_per_m=stiffness_n_per_m)).to_params()
+    # The spring also pulls, so it is met at its rest position and not from a retracted base.
+    safety = SafetyParams(**SafetyConfig(retract_position_m=0.0).model_dump())
+    return spring_params(safety, stiffness_n_per_m, 0.0, True)
+
+
+def rig_of(cell: Cell, hand_points: Sequence[tuple[float, float]]) -> Rig:
+    """Prepare the rig of a cell and its hand. Raises ConfigError for one that cannot be built."""
+    points = tuple(ForcePoint(time_s=time, force_n=force) for time, force in hand_points)
+    haptic = HapticConfig(operator=ForceProfileConfig(kind="force_profile", points=points))
+    return build_rig(cell.controller(), haptic, _instrument(cell.environment, cell.stiffness_n_per_m))
+
+
+def _laws_with_gain() -> str:
+    return ", ".join(name for name, law in LAWS.items() if "force_gain" in law.config.model_fields)
+
+
+@functools.lru_cache(maxsize=1)
+def _sources() -> str:
+    return source_digest()

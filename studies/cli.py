@@ -1,0 +1,391 @@
+"""`telenano study`: stability maps, transparency, all laws compared, and the proof that the bus agrees.
+
+What a command needs is imported when it runs, so that `--help` is there at once.
+"""
+
+import contextlib
+import json
+import os
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+
+import typer
+
+from services.runtime.errors import ConfigError, TelenanoError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from studies.stability import Axes
+    from studies.sweep import Sweep
+
+EXIT_FAILED = 1
+EXIT_BAD_CONFIGURATION = 2
+_LONGEST_MS = 10_000.0
+_STIFFEST_N_PER_M = 1e5
+
+app = typer.Typer(
+    help="Studies in lockstep: which delay each law bears, what the hand feels of it, and whether the bus agrees.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+
+class EnvironmentName(StrEnum):
+    """What the tip meets."""
+
+    SPRING = "spring"
+    CONTACT = "contact"
+
+
+LawOption = Annotated[str, typer.Option("--law", metavar="LAW[,LAW]|all", help="Laws to study.")]
+EnvironmentOption = Annotated[
+    EnvironmentName,
+    typer.Option("--environment", help="spring: F = K (x_s - L), linear; contact: the tip-sample force of Table 2."),
+]
+StiffnessOption = Annotated[
+    str | None,
+    typer.Option(
+        "--stiffness",
+        metavar="LIST|RANGE",
+        help="K of the spring, or k of the cantilever [N/m]; default: 10,20,38 for spring, 40 for contact.",
+    ),
+]
+JitterOption = Annotated[
+    str,
+    typer.Option("--jitter", metavar="LIST", help="Half-width of uniform jitter each way [ms], or n% of the delay."),
+]
+LossOption = Annotated[
+    str, typer.Option("--loss", metavar="LIST", help="Share of messages lost each way, 0 to 1, or n%.")
+]
+SeedOption = Annotated[int, typer.Option("--seed", min=0, help="Seed of the link's random streams.")]
+LengthOption = Annotated[
+    float | None,
+    typer.Option("--duration", metavar="S", help="Length of each session [s]; default: grows with the delay."),
+]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="LAW.KEY=VALUE", help="Change a parameter of a law (SI units); may be repeated."),
+]
+WorkersOption = Annotated[
+    int | None, typer.Option("--workers", min=1, metavar="N", help="Processes on this machine; default: one a core.")
+]
+SchedulerOption = Annotated[
+    str | None,
+    typer.Option("--scheduler", metavar="ADDRESS", help="Dask scheduler to run on, such as tcp://host:8786."),
+]
+OutOption = Annotated[
+    Path, typer.Option("--out", metavar="DIR", help="Folder for page, figures, table and journal; a journal goes on.")
+]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print exactly one JSON object on stdout, nothing else.")]
+
+
+@app.command()
+def stability(
+    law: LawOption,
+    environment: EnvironmentOption,
+    out: OutOption,
+    delay: Annotated[
+        str, typer.Option("--delay", metavar="LIST|RANGE", help="Round trips of the link [ms], half of it each way.")
+    ] = "0:200:5",
+    stiffness: StiffnessOption = None,
+    gain: Annotated[
+        str | None, typer.Option("--gain", metavar="LIST|RANGE", help="Force gain K_f, for a law that has one.")
+    ] = None,
+    jitter: JitterOption = "0",
+    loss: LossOption = "0",
+    seed: SeedOption = 0,
+    duration: LengthOption = None,
+    settings: SetOption = None,
+    workers: WorkersOption = None,
+    scheduler: SchedulerOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Map delay against stiffness, gain, jitter or loss: stable, limit cycle or diverged, and the critical delay."""
+    with errors_told(as_json):
+        from studies.stability import run_stability
+        from studies.stability_page import write_stability
+
+        given = _Given(law, environment, stiffness, gain, jitter, loss, seed, duration, settings)
+        axes = given.axes(delay)
+        with _sweep(out, workers, scheduler, shown=not as_json) as sweep:
+            results = run_stability(axes, sweep)
+        summary = write_stability(results, out, _command())
+        if as_json:
+            _print_json(summary)
+            return
+        rows = [
+            (r.line.law, r.line.label, _ms(r.theory_ms), _ms(r.critical_delay_ms), _ms(r.critical_link_ms))
+            for r in results
+        ]
+        _tell(("law", "conditions", "theory [ms]", "lockstep [ms]", "link alone [ms]"), rows, out / "stability.html")
+
+
+@app.command()
+def transparency(
+    out: OutOption,
+    law: LawOption = "all",
+    delay: Annotated[
+        str, typer.Option("--delay", metavar="LIST|RANGE", help="Round trips of the link [ms].")
+    ] = "0,20,40,100,200",
+    stiffness: StiffnessOption = None,
+    seed: SeedOption = 0,
+    settings: SetOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Measure tracking error, rendered stiffness, Z-width and perceived delay of each law on a spring."""
+    with errors_told(as_json):
+        from studies.compare import measure_all, write_transparency
+        from studies.page import Page, write_parquet
+
+        given = _Given(law, EnvironmentName.SPRING, stiffness or "10", None, "0", "0", seed, None, settings)
+        axes = given.axes(delay)
+        rows = measure_all(axes, axes.delays_ms)
+        _make(out)
+        page = Page("Transparency under delay")
+        page.code(_command())
+        write_transparency(page, rows)
+        page.write(out / "transparency.html")
+        records = [row.as_dict() for row in rows]
+        write_parquet(out / "transparency.parquet", records)
+        summary = {"study": "transparency", "rows": records}
+        (out / "transparency.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+        if as_json:
+            _print_json(summary)
+            return
+        head = ("law", "delay [ms]", "verdict", "tracking [%]", "rendered [N/m]", "perceived [ms]", "Z-width [dB]")
+        _tell(head, [
+            (r.law, r.round_trip_ms, r.verdict, r.tracking_error_percent, r.rendered_stiffness_n_per_m,
+             r.perceived_delay_ms, r.z_width_db) for r in rows
+        ], out / "transparency.html")  # fmt: skip
+
+
+@app.command()
+def compare(
+    out: OutOption,
+    law: LawOption = "all",
+    delay: Annotated[
+        str, typer.Option("--delay", metavar="LIST|RANGE", help="Round trips that are looked at closely [ms].")
+    ] = "40,100,200",
+    map_delay: Annotated[
+        str, typer.Option("--map-delay", metavar="LIST|RANGE", help="Round trips of the maps [ms].")
+    ] = "0:500:20",
+    stiffness: StiffnessOption = None,
+    seed: SeedOption = 0,
+    workers: WorkersOption = None,
+    scheduler: SchedulerOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Put all laws on one page: critical delays, contact over a good and a bad link, transparency."""
+    with errors_told(as_json):
+        from studies import values
+        from studies.cells import DEFAULT_STIFFNESS
+        from studies.compare import Request, run_comparison, write_comparison
+
+        springs = values.numbers("--stiffness", stiffness or "10,20,38", 1e-3, _STIFFEST_N_PER_M, "N/m")
+        request = Request(
+            values.laws(law),
+            values.numbers("--map-delay", map_delay, 0.0, _LONGEST_MS, "ms"),
+            values.numbers("--delay", delay, 0.0, _LONGEST_MS, "ms"),
+            springs,
+            DEFAULT_STIFFNESS["contact"][0],
+            seed,
+        )
+        with _sweep(out, workers, scheduler, shown=not as_json) as sweep:
+            result = run_comparison(request, sweep)
+        summary = write_comparison(result, out, _command())
+        if as_json:
+            _print_json(summary)
+            return
+        head = ("law", *(f"spring {k:g} N/m" for k in springs), "contact")
+        _tell(head, [
+            (name, *(_ms(v) for v in found["critical_delay_ms"].values()), _ms(found["critical_delay_contact_ms"]))
+            for name, found in summary["laws"].items()
+        ], out / "compare.html")  # fmt: skip
+
+
+@app.command()
+def validate(
+    out: OutOption,
+    law: LawOption = "virtual_impedance",
+    environment: EnvironmentOption = EnvironmentName.CONTACT,
+    delay: Annotated[
+        str, typer.Option("--delay", metavar="LIST|RANGE", help="Round trips of the link [ms].")
+    ] = "0,40,60",
+    stiffness: StiffnessOption = None,
+    jitter: JitterOption = "0",
+    loss: LossOption = "0",
+    seed: SeedOption = 0,
+    duration: LengthOption = None,
+    settings: SetOption = None,
+    site_file: Annotated[
+        Path | None, typer.Option("--site-file", metavar="FILE", help="Address book of the rig; default: this machine.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Run cells on real processes over the link and compare with lockstep; exit code 1 where they disagree."""
+    with errors_told(as_json):
+        from studies.page import Page, write_parquet
+        from studies.validate import Bus, validate_cells
+
+        given = _Given(law, environment, stiffness, None, jitter, loss, seed, duration, settings)
+        axes = given.axes(delay)
+        cells = [line.cell(d) for line in axes.lines() for d in axes.delays_ms]
+        _make(out)
+        agreements = validate_cells(cells, Bus(site_file, out), lambda text: typer.echo(text, err=True))
+        records = [agreement.as_dict() for agreement in agreements]
+        write_parquet(out / "validate.parquet", records)
+        summary = {"study": "validate", "agree": all(a.agree for a in agreements), "cells": records}
+        (out / "validate.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+        head = ("law", "stiffness [N/m]", "delay [ms]", "lockstep", "bus", "difference", "agree")
+        rows = [
+            (a.law, a.stiffness_n_per_m, a.round_trip_ms, a.lockstep, a.bus, a.difference_share,
+             "yes" if a.agree else "no") for a in agreements
+        ]  # fmt: skip
+        page = Page(f"The bus against lockstep: {environment.value}")
+        page.code(_command())
+        page.table(head, rows)
+        page.paragraph(
+            "Difference: RMS of the tip's force on the bus less that in lockstep, over the session, as a share of the"
+            f" hand's force; at most {agreements[0].tolerance_share:g} where both are stable."
+        )
+        page.write(out / "validate.html")
+        if as_json:
+            _print_json(summary)
+        else:
+            _tell(head, rows, out / "validate.html")
+    if not summary["agree"]:
+        raise typer.Exit(EXIT_FAILED)
+
+
+@dataclass(frozen=True)
+class _Given:
+    """Options as they were given."""
+
+    law: str
+    environment: EnvironmentName
+    stiffness: str | None
+    gain: str | None
+    jitter: str
+    loss: str
+    seed: int
+    duration: float | None
+    settings: list[str] | None
+
+    def axes(self, delay: str) -> "Axes":
+        """Check everything; ConfigError names the option."""
+        from studies import values
+        from studies.cells import DEFAULT_STIFFNESS
+        from studies.stability import Axes
+
+        name = self.environment.value
+        if self.duration is not None and not 0.0 < self.duration <= 3600.0:
+            raise ConfigError(f"--duration: {self.duration:g} s is outside 0 to 3600 s")
+        stiffness = self.stiffness or ",".join(f"{k:g}" for k in DEFAULT_STIFFNESS[name])
+        axes = Axes(
+            values.laws(self.law),
+            "spring" if self.environment is EnvironmentName.SPRING else "contact",
+            values.numbers("--delay", delay, 0.0, _LONGEST_MS, "ms"),
+            values.numbers("--stiffness", stiffness, 1e-3, _STIFFEST_N_PER_M, "N/m"),
+            (None,) if self.gain is None else values.numbers("--gain", self.gain, 0.0, 1e6, ""),
+            values.jitters(self.jitter),
+            values.losses(self.loss),
+            self.seed,
+            self.duration,
+            values.settings(self.settings or ()),
+        )
+        for line in axes.lines():
+            cell = line.cell(max(axes.delays_ms))
+            cell.controller()
+            cell.hold_s()
+        return axes
+
+
+@contextlib.contextmanager
+def _sweep(out: Path, workers: int | None, scheduler: str | None, *, shown: bool) -> "Iterator[Sweep]":
+    """Open the journal of a folder, with a progress bar on stderr while the sweep runs."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    from studies.sweep import JOURNAL_NAME, Journal, Sweep
+
+    _make(out)
+    journal = Journal(out / JOURNAL_NAME)
+    columns = (TextColumn("cells"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), disable=not shown, transient=True) as bar:
+        task = bar.add_task("cells", total=None)
+        yield Sweep(
+            journal,
+            workers or os.cpu_count() or 1,
+            scheduler,
+            lambda done, total: bar.update(task, completed=done, total=total),
+        )
+
+
+def _make(out: Path) -> None:
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"--out {out}: cannot be made a folder: {error.strerror}") from error
+
+
+@contextlib.contextmanager
+def errors_told(as_json: bool) -> Iterator[None]:
+    """Turn what a person can cause into a sentence on stderr and an exit code."""
+    try:
+        yield
+    except TelenanoError as error:
+        _fail(str(error), EXIT_BAD_CONFIGURATION if isinstance(error, ConfigError) else EXIT_FAILED, as_json=as_json)
+    except KeyboardInterrupt:
+        _fail("interrupted: the journal keeps what is done, the same command goes on", EXIT_FAILED, as_json=as_json)
+
+
+def _fail(text: str, code: int, *, as_json: bool) -> NoReturn:
+    typer.echo(f"telenano: {text}", err=True)
+    if as_json:
+        _print_json({"error": text})
+    raise typer.Exit(code)
+
+
+def _print_json(document: dict[str, Any]) -> None:
+    typer.echo(json.dumps(document))
+
+
+def _command() -> str:
+    """Give the command that the page was made by."""
+    arguments = sys.argv[1:] if sys.argv[1:2] == ["study"] else ["study", *sys.argv[1:]]
+    return " ".join(["telenano", *arguments])
+
+
+def _ms(value: float | None) -> str:
+    return "none found" if value is None else f"{value:.2f}"
+
+
+def _console() -> "Console":
+    from rich.console import Console
+
+    console = Console()
+    # a pipe or a file has no width of its own, and a table cut to 80 columns loses names
+    return console if console.is_terminal else Console(width=160)
+
+
+def _tell(head: tuple[str, ...], rows: list[tuple[Any, ...]], page: Path) -> None:
+    from rich.table import Table
+
+    from studies.page import text
+
+    table = Table(*head)
+    for row in rows:
+        table.add_row(*(text(value) for value in row))
+    console = _console()
+    console.print(table)
+    console.print(f"page: {page}", markup=False, highlight=False)
+
+
+if __name__ == "__main__":
+    app()

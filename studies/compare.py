@@ -1,0 +1,220 @@
+"""All laws on one page: the delay each one bears, what it does under loss and jitter, and what the hand feels of it."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from studies.cells import CellResult, energies_of, scales_of, trajectory_of
+from studies.page import Page, png_of, write_parquet
+from studies.stability import Axes, Jitter, Line, LineResult, run_stability
+from studies.stability_page import COLOURS, SAMPLE_PERIOD, VERDICTS, broken_assumption
+from studies.sweep import Sweep
+from studies.transparency import Transparency, measure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+HARD_LOSS = 0.2
+HARD_JITTER = Jitter(0.5, relative=True)
+
+
+@dataclass(frozen=True)
+class Request:
+    """What to compare: laws, the delays of the maps, the delays that are looked at closely, stiffnesses, seed."""
+
+    laws: tuple[str, ...]
+    map_delays_ms: tuple[float, ...]
+    delays_ms: tuple[float, ...]
+    spring_n_per_m: tuple[float, ...]
+    contact_n_per_m: float
+    seed: int
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Maps on the spring and in the contact; the contact at the chosen delays over a good and over a bad link; feel."""
+
+    request: Request
+    spring: list[LineResult]
+    contact: list[LineResult]
+    good: list[CellResult]
+    bad: list[CellResult]
+    transparency: list[Transparency]
+
+
+def run_comparison(request: Request, sweep: Sweep) -> Comparison:
+    """Run everything that the page shows; the maps go through the sweep and its journal."""
+    spring = Axes(request.laws, "spring", request.map_delays_ms, request.spring_n_per_m, seed=request.seed)
+    contact = Axes(request.laws, "contact", request.map_delays_ms, (request.contact_n_per_m,), seed=request.seed)
+    hard = Axes(request.laws, "contact", request.delays_ms, (request.contact_n_per_m,), (None,), (HARD_JITTER,),
+                (HARD_LOSS,), request.seed)  # fmt: skip
+    cells = [[line.cell(d) for line in axes.lines() for d in request.delays_ms] for axes in (contact, hard)]
+    return Comparison(
+        request,
+        run_stability(spring, sweep),
+        run_stability(contact, sweep),
+        sweep.run(cells[0]),
+        sweep.run(cells[1]),
+        measure_all(spring, request.delays_ms),
+    )
+
+
+def measure_all(axes: Axes, delays_ms: Sequence[float]) -> list[Transparency]:
+    """Measure every law on the first spring of the axes, at every delay."""
+    lines: dict[str, Line] = {}
+    for line in axes.lines():
+        lines.setdefault(line.law, line)
+    return [measure(line.cell(delay)) for line in lines.values() for delay in delays_ms]
+
+
+def write_comparison(result: Comparison, out: Path, command: str) -> dict[str, Any]:
+    """Write compare.html, .json, .parquet and the figures into a folder; gives the object of the JSON file."""
+    out.mkdir(parents=True, exist_ok=True)
+    summary = summarise(result)
+    images = {name: png_of(draw(result)) for name, draw in (("courses.png", _courses), ("energies.png", _energies))}
+    for name, png in images.items():
+        (out / name).write_bytes(png)
+    write_parquet(out / "compare.parquet", [cell.as_dict() for cell in (*result.good, *result.bad)])
+    (out / "compare.json").write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    _page(result, images, command).write(out / "compare.html")
+    return summary
+
+
+def summarise(result: Comparison) -> dict[str, Any]:
+    """Give law -> critical delays, verdicts over the good and the bad link, transparency."""
+    laws: dict[str, dict[str, Any]] = {}
+    for law in result.request.laws:
+        springs = {f"{r.line.stiffness_n_per_m:g}": r for r in result.spring if r.line.law == law}
+        contact = next(r for r in result.contact if r.line.law == law)
+        laws[law] = {
+            "critical_delay_ms": {key: r.critical_delay_ms for key, r in springs.items()},
+            "theory_delay_ms": {key: r.theory_ms for key, r in springs.items()},
+            "critical_delay_contact_ms": contact.critical_delay_ms,
+            "contact": {f"{c.cell.round_trip_ms:g}": _outcome(c) for c in result.good if c.cell.law == law},
+            "contact_lossy": {f"{c.cell.round_trip_ms:g}": _outcome(c) for c in result.bad if c.cell.law == law},
+            "transparency": [t.as_dict() for t in result.transparency if t.law == law],
+        }
+    return {"study": "compare", "longest_delay_ms": max(result.request.map_delays_ms), "laws": laws}
+
+
+def _outcome(cell: CellResult) -> dict[str, Any]:
+    return {
+        "verdict": cell.verdict,
+        "peak_to_peak_n": cell.peak_to_peak_n,
+        "out_of_contact_share": cell.out_of_contact_share,
+        "hold_ratio": cell.hold_ratio,
+        "lowest_energy_j": cell.lowest_energy_j,
+    }
+
+
+def _courses(result: Comparison) -> "Figure":
+    """Draw alpha_f F_s over time at the longest of the delays, over both links, a panel a law."""
+    return _drawn(result, "tip's force, hand's scale [N]", energy=False)
+
+
+def _energies(result: Comparison) -> "Figure":
+    return _drawn(result, "energy held [mJ]", energy=True)
+
+
+def _drawn(result: Comparison, label: str, *, energy: bool) -> "Figure":
+    from matplotlib.figure import Figure
+
+    laws = result.request.laws
+    delay = max(result.request.delays_ms)
+    figure = Figure(figsize=(9.0, 2.3 * len(laws)), layout="constrained")
+    axes = figure.subplots(len(laws), 1, squeeze=False, sharex=True)[:, 0]
+    for axis, law in zip(axes, laws, strict=True):
+        for cells, style, name in ((result.good, "-", "constant delay"), (result.bad, "--", "jitter and loss")):
+            cell = next(c for c in cells if c.cell.law == law and c.cell.round_trip_ms == delay)
+            course, scales = trajectory_of(cell.cell), scales_of(cell.cell.controller())
+            values = 1e3 * energies_of(course, scales).stored_j if energy else scales.force_scale * course.tip_force_n
+            words = f"{name}: {cell.verdict.replace('_', ' ')}"
+            axis.plot(course.time_s, values, style, color=COLOURS[cell.verdict], linewidth=1.0, label=words)
+        axis.axhline(0.0, color="0.4", linewidth=0.8)
+        axis.set_title(law.replace("_", " "), loc="left", fontsize="medium")
+        axis.legend(fontsize="small")
+    figure.supylabel(label, fontsize="medium")
+    axes[-1].set_xlabel("time [s]")
+    return figure
+
+
+def _page(result: Comparison, images: dict[str, bytes], command: str) -> Page:
+    longest = max(result.request.map_delays_ms)
+    delay = max(result.request.delays_ms)
+    page = Page("The laws compared")
+    page.code(command)
+    page.heading("Delay that each law bears (round trip, ms)")
+    names = [f"spring {k:g} N/m" for k in result.request.spring_n_per_m]
+    page.table(
+        ("law", *names, *(f"theory {name}" for name in names), f"contact, k = {result.request.contact_n_per_m:g} N/m"),
+        [_delay_row(result, law) for law in result.request.laws],
+    )
+    page.paragraph(f"More than {longest:g}: no cell up to that delay was unstable. {SAMPLE_PERIOD}")
+    page.heading("In the contact, over a good and a bad link")
+    page.paragraph(
+        f"The bad link loses {100.0 * HARD_LOSS:g} % of the messages each way and varies each delay by up to half of it"
+        f" (seed {result.request.seed}). {VERDICTS}"
+    )
+    page.table(
+        ("law", "link", "round trip [ms]", "verdict", "motion left [N]", "off the surface [%]", "F_m/(alpha_f F_s)",
+         "least energy [mJ]", "why"),
+        [_cell_row(cell, name) for cells, name in ((result.good, "constant"), (result.bad, "jitter, loss"))
+         for cell in cells],
+    )  # fmt: skip
+    page.image(images["courses.png"], f"Force of the tip at {delay:g} ms; the hand presses with 1 N, then with 2 N.")
+    page.image(
+        images["energies.png"],
+        f"Energy that the two-port holds at {delay:g} ms: put in by the hand less given to the tip, at the hand's"
+        " scale. Below zero it has made energy.",
+    )
+    page.heading("Transparency")
+    write_transparency(page, result.transparency)
+    return page
+
+
+def write_transparency(page: Page, rows: Sequence[Transparency]) -> None:
+    """Add the table of transparency and what its columns mean."""
+    page.table(
+        ("law", "round trip [ms]", "verdict", "tracking error [%]", "true stiffness [N/m]", "rendered [N/m]",
+         "perceived delay [ms]", "free |Z| [N s/m]", "Z-width [dB]"),
+        [
+            (t.law, t.round_trip_ms, t.verdict, t.tracking_error_percent, t.true_stiffness_n_per_m,
+             t.rendered_stiffness_n_per_m, t.perceived_delay_ms, t.free_impedance_n_s_per_m, t.z_width_db)
+            for t in rows
+        ],
+    )  # fmt: skip
+    page.paragraph(
+        "A hand that presses with 1 N and a sine of 0.3 N at 0.5 Hz on the spring, and with the sine alone on nothing."
+        " Stiffness is at the hand: alpha_f alpha_p K. The perceived delay is that of the rendered force behind the"
+        " hand's motion; the device follows its reference about 11 ms late (its bandwidth is 30 Hz), so a law without"
+        " delay stands at -11 ms. A dash: the law is not stable there."
+    )
+
+
+def _delay_row(result: Comparison, law: str) -> tuple[Any, ...]:
+    springs = [r for r in result.spring if r.line.law == law]
+    contact = next(r for r in result.contact if r.line.law == law)
+    longest = max(result.request.map_delays_ms)
+    found = [_delay(r.critical_delay_ms, longest) for r in (*springs, contact)]
+    theory = [None if r.theory_ms is None else f"{r.theory_ms:.2f}" for r in springs]
+    return (law, *found[:-1], *theory, found[-1])
+
+
+def _delay(value_ms: float | None, longest_ms: float) -> str:
+    return f"> {longest_ms:g}" if value_ms is None else f"{value_ms:.2f}"
+
+
+def _cell_row(cell: CellResult, link: str) -> tuple[Any, ...]:
+    return (
+        cell.cell.law,
+        link,
+        cell.cell.round_trip_ms,
+        cell.verdict,
+        cell.peak_to_peak_n,
+        100.0 * cell.out_of_contact_share,
+        cell.hold_ratio,
+        1e3 * cell.lowest_energy_j,
+        "" if cell.verdict == "stable" else broken_assumption(cell.cell, cell),
+    )

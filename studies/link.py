@@ -1,0 +1,86 @@
+"""The link of the lockstep loop: when each signal reaches the other side, known before the loop runs.
+
+What happens to a message depends on its number and the time it is sent, not on what it says. The hand sends at every
+tick and the slave answers at once whatever reaches it, so both directions can be computed beforehand by the link's own
+engine (`fates_of`), and the loop merely merges arrivals. Readers take the newest message only: what was overtaken or
+came twice is dropped here as the bus drops it.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from services.delay_node.config import DirectionSettings, LinkSettings, parse_settings
+from services.delay_node.engine import fates_of
+from services.delay_node.fate import Direction
+
+Times = npt.NDArray[np.int64]
+
+FORWARD_TOPIC = "teleop/forward"
+BACKWARD_TOPIC = "teleop/backward"
+# about the size of a teleop message on the wire; it matters only where the link has a finite rate
+MESSAGE_BYTES = 300
+
+
+class Schedule(NamedTuple):
+    """Arrivals at the other side, in the order of time.
+
+    forward_ns: at the slave [ns]; forward_of: the tick of the hand's sample each one carries; backward_ns: at the
+    master [ns]; backward_of: the forward arrival each one answers; ticks: length of the run; window: a power of two,
+    more than are ever between a sending and the arrival that it leads to.
+    """
+
+    forward_ns: Times
+    forward_of: Times
+    backward_ns: Times
+    backward_of: Times
+    ticks: int
+    window: int
+
+
+def symmetric_link(round_trip_s: float, jitter_s: float, loss: float, seed: int) -> LinkSettings:
+    """Give a link whose two directions are alike.
+
+    Parameters: round_trip_s, half of it each way [s]; jitter_s, half-width of a uniform random part of each delay [s];
+    loss, share of the messages lost each way, 0..1; seed of the random streams.
+    Raises: SettingsError (a ValueError) naming the key, for a value out of range.
+    """
+    direction: dict[str, object] = {"delay_s": 0.5 * round_trip_s}
+    if jitter_s != 0.0:
+        direction["jitter"] = {"scale_s": jitter_s, "distribution": "uniform"}
+    if loss != 0.0:
+        direction["loss"] = {"probability": loss}
+    return parse_settings({"seed": seed, "forward": direction, "backward": direction})
+
+
+def schedule_of(settings: LinkSettings, ticks: int, period_s: float) -> Schedule:
+    """Compute the arrivals of a run of `ticks` samples, one every period_s [s], over a link that starts with it."""
+    period_ns = round(period_s * 1e9)
+    sent_ns = np.arange(ticks, dtype=np.int64) * period_ns
+    forward_ns, forward_of = _arrivals(settings, "forward", FORWARD_TOPIC, sent_ns)
+    backward_ns, backward_of = _arrivals(settings, "backward", BACKWARD_TOPIC, forward_ns)
+    behind = [
+        forward_ns // period_ns - forward_of,
+        np.searchsorted(forward_ns, backward_ns, side="right") - backward_of,
+    ]
+    longest = max((int(lag.max(initial=0)) for lag in behind), default=0)
+    return Schedule(forward_ns, forward_of, backward_ns, backward_of, ticks, 1 << (longest + 1).bit_length())
+
+
+def _arrivals(settings: LinkSettings, way: Direction, topic: str, sent_ns: Times) -> tuple[Times, Times]:
+    """Give the times at which messages of one direction arrive, and which message each one is, as a reader takes them.
+
+    A constant delay is the common case of a map and needs no engine: the result is the same (tested).
+    """
+    direction: DirectionSettings = getattr(settings, way)
+    if direction.model_dump() == DirectionSettings(delay_s=direction.delay_s).model_dump():
+        return sent_ns + round(direction.delay_s * 1e9), np.arange(len(sent_ns), dtype=np.int64)
+    fates = fates_of(settings, way, topic, sent_ns.tolist(), MESSAGE_BYTES)
+    # a message with flipped bits is refused by its reader, as a rule: it counts as lost
+    released = [(fate.release_ns, fate.seq) for fate in fates if fate.release_ns is not None and not fate.corrupted]
+    released.sort()
+    pairs = np.array(released, dtype=np.int64).reshape(-1, 2)
+    newest_before = np.maximum.accumulate(np.concatenate([[-1], pairs[:-1, 1]])) if len(pairs) else np.empty(0)
+    fresh = pairs[pairs[:, 1] > newest_before] if len(pairs) else pairs
+    return np.ascontiguousarray(fresh[:, 0]), np.ascontiguousarray(fresh[:, 1])

@@ -1,0 +1,103 @@
+"""Pages and tables: one self-contained HTML file for each study, figures embedded, no external resource."""
+
+import base64
+import io
+from collections.abc import Iterable, Mapping, Sequence
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_STYLE = """
+:root { color-scheme: light dark; --line: #8886; --soft: #8882; }
+body { font: 16px/1.5 system-ui, sans-serif; max-width: 70rem; margin: 2rem auto; padding: 0 1rem; }
+h1 { font-size: 1.6rem; } h2 { font-size: 1.2rem; margin-top: 2.2rem; }
+img { max-width: 100%; background: #fff; border: 1px solid var(--line); }
+table { border-collapse: collapse; font-size: .92rem; display: block; overflow-x: auto; }
+th, td { padding: .25rem .7rem; border-bottom: 1px solid var(--line); text-align: right; white-space: nowrap; }
+th:first-child, td:first-child { text-align: left; }
+code { background: var(--soft); padding: .1rem .3rem; }
+.stable { background: #2a9d5c55; } .limit_cycle { background: #e9a82055; } .diverged { background: #d1495b55; }
+"""
+_DPI = 140
+
+
+def text(value: Any) -> str:
+    """Write a value for a table: a dash for what does not exist."""
+    if value is None:
+        return "–"
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    return str(value)
+
+
+class Page:
+    """A page under construction; every piece of text given to it is escaped."""
+
+    def __init__(self, title: str) -> None:
+        self._title = title
+        self._parts = [f"<h1>{escape(title)}</h1>"]
+
+    def heading(self, words: str) -> None:
+        """Begin a section."""
+        self._parts.append(f"<h2>{escape(words)}</h2>")
+
+    def paragraph(self, words: str) -> None:
+        """Add a paragraph."""
+        self._parts.append(f"<p>{escape(words)}</p>")
+
+    def code(self, words: str) -> None:
+        """Add a line of code."""
+        self._parts.append(f"<p><code>{escape(words)}</code></p>")
+
+    def table(self, head: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+        """Add a table; a cell that is the name of a verdict is coloured."""
+        header = "".join(f"<th>{escape(name)}</th>" for name in head)
+        body = "".join(f"<tr>{''.join(map(_cell, row))}</tr>" for row in rows)
+        self._parts.append(f"<table><thead><tr>{header}</tr></thead><tbody>{body}</tbody></table>")
+
+    def image(self, png: bytes, words: str) -> None:
+        """Add a figure with a caption."""
+        data = base64.b64encode(png).decode()
+        alt = escape(words, quote=True)
+        self._parts.append(f'<p><img src="data:image/png;base64,{data}" alt="{alt}"></p><p>{escape(words)}</p>')
+
+    def write(self, path: Path) -> None:
+        """Write the page."""
+        title = f"<title>{escape(self._title)}</title>"
+        head = f'<meta charset="utf-8"><meta name="viewport" content="width=device-width">{title}'
+        body = "\n".join(self._parts)
+        head += f"<style>{_STYLE}</style>"
+        document = f'<!doctype html>\n<html lang="en"><head>{head}</head>\n<body>\n{body}\n</body></html>\n'
+        path.write_text(document, encoding="utf-8")
+
+
+def _cell(value: Any) -> str:
+    verdict = value if value in ("stable", "limit_cycle", "diverged") else ""
+    words = text(value).replace("_", " ") if verdict else text(value)
+    return f'<td class="{verdict}">{escape(words)}</td>' if verdict else f"<td>{escape(words)}</td>"
+
+
+def png_of(figure: "Figure") -> bytes:
+    """Draw a figure."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=_DPI)
+    return buffer.getvalue()
+
+
+def write_parquet(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Write rows that all have the same keys as a Parquet table; nested keys become columns with dots."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    pq.write_table(pa.Table.from_pylist([dict(_flat("", row)) for row in rows]), path)
+
+
+def _flat(prefix: str, row: Mapping[str, Any]) -> Iterable[tuple[str, Any]]:
+    for key, value in row.items():
+        if isinstance(value, Mapping):
+            yield from _flat(f"{prefix}{key}.", value)
+        else:
+            yield f"{prefix}{key}", str(value) if isinstance(value, list | tuple) else value

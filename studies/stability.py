@@ -1,0 +1,215 @@
+"""Stability maps: which delay each law bears, on a grid and to a fraction of a sample, beside what theory says."""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from studies.cells import Cell, CellResult, Environment
+from studies.sweep import Sweep
+from studies.theory import critical_delay_s, critical_link_delay_s, loop_model
+
+
+@dataclass(frozen=True)
+class Axes:
+    """The grid of a study. gains: None is the law's own. jitter: ms, or a share of the one-way delay if `relative`."""
+
+    laws: tuple[str, ...]
+    environment: Environment
+    delays_ms: tuple[float, ...]
+    stiffnesses_n_per_m: tuple[float, ...]
+    gains: tuple[float | None, ...] = (None,)
+    jitters: tuple["Jitter", ...] = ()
+    losses: tuple[float, ...] = (0.0,)
+    seed: int = 0
+    session_s: float | None = None
+    settings: tuple[tuple[str, float | int | str | bool], ...] = ()
+
+    def lines(self) -> list["Line"]:
+        """Give every combination of what is not the delay."""
+        combinations = itertools.product(
+            self.laws, self.stiffnesses_n_per_m, self.gains, self.jitters or (Jitter(),), self.losses
+        )
+        return [Line(self, *values) for values in combinations]
+
+
+@dataclass(frozen=True)
+class Jitter:
+    """Half-width of the jitter each way: so many ms, or that share of the one-way delay."""
+
+    value: float = 0.0
+    relative: bool = False
+
+    def at_ms(self, round_trip_ms: float) -> float:
+        """Give it in ms at a round trip."""
+        return 0.5 * round_trip_ms * self.value if self.relative else self.value
+
+    def __str__(self) -> str:
+        return f"{100.0 * self.value:g}%" if self.relative else f"{self.value:g} ms"
+
+
+@dataclass(frozen=True)
+class Line:
+    """One law under one set of conditions: a line of the map along the delay."""
+
+    axes: Axes
+    law: str
+    stiffness_n_per_m: float
+    gain: float | None
+    jitter: Jitter
+    loss: float
+
+    def cell(self, round_trip_ms: float) -> Cell:
+        """Give the cell at a round trip [ms]."""
+        return Cell(
+            law=self.law,
+            environment=self.axes.environment,
+            round_trip_ms=round_trip_ms,
+            stiffness_n_per_m=self.stiffness_n_per_m,
+            gain=self.gain,
+            jitter_ms=self.jitter.at_ms(round_trip_ms),
+            loss=self.loss,
+            seed=self.axes.seed,
+            session_s=self.axes.session_s,
+            settings=self.axes.settings,
+        )
+
+    @property
+    def label(self) -> str:
+        """Name the conditions."""
+        parts = [f"{'K' if self.axes.environment == 'spring' else 'k'} = {self.stiffness_n_per_m:g} N/m"]
+        parts += [f"K_f = {self.gain:g}"] if self.gain is not None else []
+        parts += [f"jitter {self.jitter}"] if self.jitter.value else []
+        parts += [f"loss {100.0 * self.loss:g}%"] if self.loss else []
+        return ", ".join(parts)
+
+
+@dataclass(frozen=True)
+class LineResult:
+    """A line of the map and where it turns unstable.
+
+    critical_delay_ms: round trip of the loop that is neutral, the half period of the hold included: what compares with
+    T_c of the theory; critical_link_ms: what the link alone may add. Both are None when no cell up to the longest delay
+    is unstable. theory_ms, theory_link_ms: T_c and T_d, None where the law has no such loop.
+    """
+
+    line: Line
+    cells: tuple[CellResult, ...]
+    critical_delay_ms: float | None
+    critical_link_ms: float | None
+    theory_ms: float | None
+    theory_link_ms: float | None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Give it as plain data."""
+        line = self.line
+        return {
+            "law": line.law,
+            "environment": line.axes.environment,
+            "stiffness_n_per_m": line.stiffness_n_per_m,
+            "gain": line.gain,
+            "jitter": str(line.jitter),
+            "loss": line.loss,
+            "critical_delay_ms": self.critical_delay_ms,
+            "critical_link_delay_ms": self.critical_link_ms,
+            "theory_delay_ms": self.theory_ms,
+            "theory_link_delay_ms": self.theory_link_ms,
+            "longest_delay_ms": max(line.axes.delays_ms),
+            "verdicts": {f"{cell.cell.round_trip_ms:g}": cell.verdict for cell in self.cells},
+        }
+
+
+def run_stability(axes: Axes, sweep: Sweep) -> list[LineResult]:
+    """Run the grid, then close in on the critical delay of each line."""
+    lines = axes.lines()
+    delays = sorted(set(axes.delays_ms))
+    grid = [line.cell(delay) for line in lines for delay in delays]
+    results = sweep.run(grid)
+    rows = [tuple(results[i : i + len(delays)]) for i in range(0, len(results), len(delays))]
+    edges = find_edges(lines, rows, sweep)
+    return [_line_result(line, row, edge) for line, row, edge in zip(lines, rows, edges, strict=True)]
+
+
+@dataclass(frozen=True)
+class Edge:
+    """Numbers of samples of delay: `low` is stable (-1: none is known to be), `high` is not."""
+
+    low: int
+    high: int
+
+    @property
+    def middle(self) -> int | None:
+        """Where to look next; None when nothing lies between."""
+        return (self.low + self.high) // 2 if self.high - self.low > 1 else None
+
+
+def find_edges(lines: Sequence[Line], rows: Sequence[tuple[CellResult, ...]], sweep: Sweep) -> list[float | None]:
+    """Give for each line the round trip of the link [ms] at which the loop is neutral; None if no cell is unstable.
+
+    A constant delay acts in whole samples, so the search goes over those; between the last stable and the first
+    unstable number the growth rate is taken as linear in the delay, and its zero is the edge.
+    """
+    edges = {i: edge for i, row in enumerate(rows) if (edge := _bracket(lines[i], row)) is not None}
+    while middles := {i: edge.middle for i, edge in edges.items() if edge.middle is not None}:
+        results = sweep.run([lines[i].cell(_ms(lines[i], samples)) for i, samples in middles.items()])
+        for (i, samples), result in zip(middles.items(), results, strict=True):
+            stable = result.verdict == "stable"
+            edges[i] = Edge(samples, edges[i].high) if stable else Edge(edges[i].low, samples)
+    ends = [lines[i].cell(_ms(lines[i], max(0, k))) for i, edge in edges.items() for k in (edge.low, edge.high)]
+    growths = [result.growth_per_s for result in sweep.run(ends)]
+    found = {i: growths[2 * n : 2 * n + 2] for n, i in enumerate(edges)}
+    return [_ms(line, 1) * neutral(edges[i], *found[i]) if i in edges else None for i, line in enumerate(lines)]
+
+
+def neutral(edge: Edge, low_growth_per_s: float | None, high_growth_per_s: float | None) -> float:
+    """Give the number of samples, with its fraction, at which the growth rate passes zero.
+
+    Beyond either end by a sample at most: near neutral a small motion counts as stable while it still grows a little,
+    and an end that counts as a limit cycle may still die out very slowly.
+    """
+    if edge.low < 0:
+        return 0.0
+    low, high = low_growth_per_s, high_growth_per_s
+    if low is None or high is None or not low < high:
+        return 0.5 * (edge.low + edge.high)
+    share = min(max(-low / (high - low), -1.0), 2.0)
+    return edge.low + share * (edge.high - edge.low)
+
+
+def _bracket(line: Line, row: Sequence[CellResult]) -> Edge | None:
+    samples = [int(cell.cell.round_trip_ms / _ms(line, 1) + 1e-9) for cell in row]
+    unstable = [i for i, cell in enumerate(row) if cell.verdict != "stable"]
+    if not unstable:
+        return None
+    first = unstable[0]
+    return Edge(samples[first - 1] if first else -1, samples[first])
+
+
+def _ms(line: Line, samples: int) -> float:
+    return samples * _period_s(line) * 1e3
+
+
+def _period_s(line: Line) -> float:
+    return line.cell(0.0).controller().period_s
+
+
+def _line_result(line: Line, cells: tuple[CellResult, ...], link_ms: float | None) -> LineResult:
+    theory_s, theory_link_s = theory_of(line)
+    hold_ms = 0.5 * _ms(line, 1)
+    return LineResult(
+        line,
+        cells,
+        link_ms + hold_ms if link_ms is not None else None,
+        link_ms,
+        theory_s * 1e3 if theory_s is not None else None,
+        theory_link_s * 1e3 if theory_link_s is not None else None,
+    )
+
+
+def theory_of(line: Line) -> tuple[float | None, float | None]:
+    """Give T_c and T_d [s] of a line, where its law and environment make a linear loop with a constant delay."""
+    controller = line.cell(0.0).controller()
+    model = loop_model(line.law, controller.section(), line.stiffness_n_per_m)
+    if model is None or line.axes.environment != "spring" or line.jitter.value or line.loss:
+        return None, None
+    return critical_delay_s(model), critical_link_delay_s(model, controller.period_s)

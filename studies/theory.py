@@ -1,0 +1,213 @@
+"""What linear theory says about delay: margins of the loop, absolute stability and passivity of two-ports.
+
+**The paper's loop.** Against a linear environment F_s = K (x_s - L), with the round trip T in the loop,
+
+    L(s) = (K_f + 1) alpha_f alpha_p K e^(-sT) / (M_v s^2 + B_v s + K_v),
+
+and the delay margin is the phase margin over the crossover frequency, T_c = phi / omega_c.
+
+**The sample period.** The law integrates with the force held over a period Ts, so the loop that really runs is the
+exact discretisation of L at T = 0, with the delay counted in whole samples. Its own margin, T_d = phi_d / omega_d of
+the sampled loop, is how much delay the link may add. The hold is worth half a period: T_d = T_c - Ts/2 to first order
+in omega_c Ts, so what a link may add is 0.5 ms less than the continuous loop bears at 1 kHz. T_d + Ts/2 of the sampled
+loop is therefore what compares with T_c.
+
+**Two-ports.** A teleoperator is written in hybrid form at the hand's scale, (F_m, -v_s) = H (v_m, F_s), with
+F_s -> alpha_f F_s and v_s -> v_s / alpha_p. Llewellyn: it stays stable between any passive hand and any passive
+environment if and only if Re h11 >= 0, Re h22 >= 0 and 2 Re h11 Re h22 - Re(h12 h21) >= |h12 h21| at every frequency.
+It is passive if and only if the norm of its scattering matrix is at most 1, which asks for more.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import BaseModel
+
+Complex = npt.NDArray[np.complex128]
+Series = npt.NDArray[np.float64]
+
+
+class Margin(NamedTuple):
+    """Delay margin [s] (infinite where the gain never reaches 1), phase margin [rad], crossover [rad/s]."""
+
+    delay_s: float
+    phase_rad: float
+    crossover_rad_per_s: float
+
+
+class LoopModel(NamedTuple):
+    """L(s) at T = 0: gain / (mass s^2 + damping s + stiffness), at the hand's scale: all over [N/m], kg, N s/m."""
+
+    gain_n_per_m: float
+    mass_kg: float
+    damping_n_s_per_m: float
+    stiffness_n_per_m: float
+
+
+def loop_model(law: str, parameters: BaseModel, stiffness_n_per_m: float) -> LoopModel | None:
+    """Give the loop of a law against a linear environment K [N/m]; None for a law whose loop is not of this form.
+
+    virtual_impedance: (K_f + 1) alpha_f alpha_p K over its impedance. position_force: alpha_f alpha_p K over its mass.
+    """
+    values = parameters.model_dump()
+    if law not in ("virtual_impedance", "position_force"):
+        return None
+    gain = values["force_scale"] * values["position_scale"] * stiffness_n_per_m
+    return LoopModel(
+        gain * (values.get("force_gain", 0.0) + 1.0),
+        values["mass_kg"],
+        values["damping_n_s_per_m"],
+        values.get("stiffness_n_per_m", 0.0),
+    )
+
+
+def transfer_function(loop: LoopModel) -> Any:
+    """Give L(s) at T = 0 as a `control.TransferFunction`."""
+    import control
+
+    return control.tf([loop.gain_n_per_m], [loop.mass_kg, loop.damping_n_s_per_m, loop.stiffness_n_per_m])
+
+
+def sampled_loop(loop: Any, period_s: float) -> Any:
+    """Give the exact discretisation of a loop whose input is held over period_s [s]."""
+    import control
+
+    return control.sample_system(loop, period_s, method="zoh")
+
+
+def delay_margin(loop: Any) -> Margin:
+    """Give the smallest delay that makes a stable loop neutral, over all frequencies at which its gain is 1."""
+    import control
+
+    # of a sampled loop the crossover is found on its frequency response: its polynomials cancel near z = 1
+    method = "frd" if loop.isdtime(strict=True) else "best"
+    _, phases_deg, _, _, crossovers, _ = control.stability_margins(loop, returnall=True, method=method)
+    margins = [
+        Margin(float(math.radians(phase) % (2.0 * math.pi) / omega), math.radians(phase), float(omega))
+        for phase, omega in zip(np.atleast_1d(phases_deg), np.atleast_1d(crossovers), strict=True)
+        if omega > 0.0
+    ]
+    return min(margins, default=Margin(math.inf, math.inf, math.nan))
+
+
+def critical_delay_s(loop: LoopModel) -> float:
+    """Give T_c [s], the delay margin of the continuous loop."""
+    return delay_margin(transfer_function(loop)).delay_s
+
+
+def critical_link_delay_s(loop: LoopModel, period_s: float) -> float:
+    """Give T_d [s]: what the link may add to the loop that is sampled every period_s [s]."""
+    return delay_margin(sampled_loop(transfer_function(loop), period_s)).delay_s
+
+
+def characteristic_radius(loop: LoopModel, period_s: float, samples: int) -> float:
+    """Give the largest modulus of the poles of the sampled loop closed through so many samples of delay.
+
+    An independent check of T_d: it passes 1 between the numbers of samples on either side of T_d / Ts. The growth rate
+    of the slowest mode is log(radius) / Ts.
+    """
+    sampled = sampled_loop(transfer_function(loop), period_s)
+    numerator, denominator = np.squeeze(sampled.num[0][0]), np.squeeze(sampled.den[0][0])
+    closed = np.concatenate([denominator, np.zeros(samples)])
+    closed[-len(numerator) :] += numerator
+    return float(np.abs(np.roots(closed)).max())
+
+
+def hybrid_of(law: str, parameters: BaseModel, round_trip_s: float, omega_rad_per_s: Series) -> Complex | None:
+    """Give H of a law at its parameters over a constant round trip [s], half of it each way, at angular frequencies.
+
+    Returns: shape (n, 2, 2); None for a law that is not linear, or has no such form here.
+    """
+    values = parameters.model_dump()
+    half_s = 0.5 * round_trip_s
+    s = 1j * omega_rad_per_s
+    if law not in ("virtual_impedance", "position_force", "wave"):
+        return None
+    impedance = values["mass_kg"] * s + values["damping_n_s_per_m"] + values.get("stiffness_n_per_m", 0.0) / s
+    if law == "wave":
+        hybrid = wave_hybrid(values["impedance_n_s_per_m"], half_s, half_s, values["filter_s"], omega_rad_per_s)
+        hybrid[:, 0, 0] += impedance
+        return hybrid
+    return direct_hybrid(impedance, values.get("force_gain"), half_s, half_s, omega_rad_per_s)
+
+
+def direct_hybrid(
+    impedance: Complex, force_gain: float | None, forward_s: float, backward_s: float, omega_rad_per_s: Series
+) -> Complex:
+    """Give H of a law that sends position forward and force back as they are, over one-way delays [s].
+
+    Z v = K_f (F_m - F_s e^(-s T2)) - F_s e^(-s T2), v_s = v e^(-s T1): h11 = Z / K_f, h12 = (1 + 1/K_f) e^(-s T2),
+    h21 = -e^(-s T1), h22 = 0. force_gain None is direct reflection: Z v = F_m - F_s e^(-s T2), h11 = Z and
+    h12 = e^(-s T2).
+
+    Parameters: impedance, Z(j omega), shape (n,) [N s/m]. Raises: ValueError for K_f = 0, where the hand has no say.
+    """
+    if force_gain == 0.0:
+        raise ValueError("force_gain K_f = 0: the hand has no say, so there is no two-port in hybrid form")
+    s = 1j * omega_rad_per_s
+    gain, excess = (1.0, 1.0) if force_gain is None else (force_gain, 1.0 + 1.0 / force_gain)
+    return _matrices(impedance / gain, excess * np.exp(-s * backward_s), -np.exp(-s * forward_s), np.zeros_like(s))
+
+
+def wave_hybrid(
+    impedance_n_s_per_m: float, forward_s: float, backward_s: float, filter_s: float, omega_rad_per_s: Series
+) -> Complex:
+    """Give H of two wave transformations joined by constant delays [s] and wave filters of time constant filter_s [s].
+
+    With u = (b v + F) / sqrt(2 b), w = (b v - F) / sqrt(2 b), a = e^(-s T1) / (1 + tau s), c = e^(-s T2) / (1 + tau s):
+    h11 = b (1 - ac)/(1 + ac), h12 = 2c/(1 + ac), h21 = -2a/(1 + ac), h22 = (1 - ac)/(b (1 + ac))
+    (Niemeyer and Slotine 1991). b is the wave impedance at the hand's scale [N s/m].
+    """
+    s = 1j * omega_rad_per_s
+    lag = 1.0 / (1.0 + filter_s * s)
+    b, a, c = impedance_n_s_per_m, lag * np.exp(-s * forward_s), lag * np.exp(-s * backward_s)
+    line = (1.0 - a * c) / (1.0 + a * c)
+    return _matrices(b * line, 2.0 * c / (1.0 + a * c), -2.0 * a / (1.0 + a * c), line / b)
+
+
+def _matrices(h11: Complex, h12: Complex, h21: Complex, h22: Complex) -> Complex:
+    return np.moveaxis(np.array([[h11, h12], [h21, h22]]), -1, 0)
+
+
+def llewellyn(hybrid: Complex) -> Series:
+    """Give the least of Llewellyn's three conditions at each frequency: absolutely stable where it is >= 0.
+
+    Parameters: hybrid, shape (n, 2, 2). The conditions are scaled to be pure numbers: Re h11 / |h11|, Re h22 / |h22|,
+    (2 Re h11 Re h22 - Re h12 h21) / |h12 h21| - 1; one without anything to divide by is 0, at its bound.
+    """
+    h11, h12, h21, h22 = hybrid[:, 0, 0], hybrid[:, 0, 1], hybrid[:, 1, 0], hybrid[:, 1, 1]
+    transfer = h12 * h21
+    third = 2.0 * h11.real * h22.real - transfer.real - np.abs(transfer)
+    pairs = ((h11.real, np.abs(h11)), (h22.real, np.abs(h22)), (third, np.abs(transfer)))
+    return np.asarray(np.minimum.reduce([_ratio(part, size) for part, size in pairs]), dtype=np.float64)
+
+
+def _ratio(part: Series, size: Series) -> Series:
+    return np.divide(part, size, out=np.zeros_like(part), where=size > 0.0)
+
+
+def scattering_norm(hybrid: Complex, impedance_n_s_per_m: float) -> Series:
+    """Give the norm of the scattering matrix at each frequency; the two-port is passive if it never exceeds 1.
+
+    S = diag(1, -1) (H' - 1)(H' + 1)^-1 with H' normalised by an impedance b [N s/m], > 0, which does not change whether
+    the norm exceeds 1 (Anderson and Spong 1989).
+    """
+    root = math.sqrt(impedance_n_s_per_m)
+    # velocity in, force out on the first port, force in, velocity out on the second
+    normal = np.diag([1.0 / root, root]) @ hybrid @ np.diag([1.0 / root, root])
+    one = np.eye(2)
+    scattering = np.diag([1.0, -1.0]) @ (normal - one) @ np.linalg.inv(normal + one)
+    return np.asarray(np.linalg.norm(scattering, ord=2, axis=(1, 2)), dtype=np.float64)
+
+
+def varying_delay_gain(delay_rate: float) -> float:
+    """Give the largest gain on a received wave that keeps a varying delay passive: sqrt(1 - dT/dt).
+
+    A delay that grows stretches a wave in time, so that its energy arrives more than once (Lozano, Chopra and Spong
+    2002). Raises ValueError for dT/dt >= 1, where messages would arrive in reverse order, or not a number.
+    """
+    if not delay_rate < 1.0:
+        raise ValueError(f"rate of change of the delay dT/dt = {delay_rate} must be below 1")
+    return math.sqrt(1.0 - delay_rate) if delay_rate > 0.0 else 1.0

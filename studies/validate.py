@@ -1,0 +1,206 @@
+"""The bus agrees: chosen cells on real processes over the link, beside the same cells in lockstep.
+
+Each cell becomes a scenario file, `telenano up` runs it in a process of its own, and the recording is judged by the
+same function as the lockstep run. Two things are compared: the verdict, and, where the cell is stable, the course of
+the tip's force: the RMS of the difference over the session, as a share of the hand's force. Past the edge the phase of
+an oscillation depends on fractions of a millisecond, so there the verdict alone is compared.
+"""
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import yaml
+
+from services.afm_node.config import AfmConfig
+from services.recorder.columns import columns
+from services.recorder.reader import Recording
+from services.runtime.errors import ConfigError, TelenanoError
+from studies.cells import Cell, judged, scales_of, trajectory_of
+from studies.lockstep import Trajectory
+
+Series = npt.NDArray[np.float64]
+
+RECORDING_NAME = "session.mcap"
+# the bus adds about half a millisecond to the loop, and its session starts anywhere within a tick of the hand
+TOLERANCE_SHARE = 0.05
+# what the rig needs to come up and down around the session
+_OVERHEAD_S = 120.0
+
+
+class StudyError(TelenanoError):
+    """A rig that a study started did not run; the text says what it said."""
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """One cell on the bus and in lockstep. difference_share: None where the cell is not stable."""
+
+    law: str
+    environment: str
+    stiffness_n_per_m: float
+    round_trip_ms: float
+    lockstep: str
+    bus: str
+    lockstep_growth_per_s: float | None
+    bus_growth_per_s: float | None
+    difference_share: float | None
+    tolerance_share: float
+    agree: bool
+
+    def as_dict(self) -> dict[str, Any]:
+        """Give it as plain data."""
+        return asdict(self)
+
+
+class Bus(NamedTuple):
+    """How to start a rig: the site file, if not the usual one, and where its sessions are kept."""
+
+    site_file: Path | None
+    out: Path
+
+
+def scenario_of(cell: Cell) -> dict[str, Any]:
+    """Give the scenario that runs a cell on the bus.
+
+    Raises ConfigError for an environment that the AFM node cannot simulate.
+    """
+    direction: dict[str, Any] = {"delay_s": 0.5e-3 * cell.round_trip_ms}
+    if cell.jitter_ms:
+        direction["jitter"] = {"scale_s": cell.jitter_ms * 1e-3, "distribution": "uniform"}
+    if cell.loss:
+        direction["loss"] = {"probability": cell.loss}
+    points = [{"time_s": time, "force_n": force} for time, force in cell.hand_points()]
+    return {
+        "name": f"validate-{cell.key[:12]}",
+        "description": f"{cell.law} at {cell.round_trip_ms:g} ms, {cell.environment} {cell.stiffness_n_per_m:g} N/m",
+        "duration_s": cell.hold_s()[1],
+        "haptic_node": {"operator": {"kind": "force_profile", "points": points}},
+        "controller": cell.controller().model_dump(mode="json", exclude_unset=True),
+        "delay_node": {"seed": cell.seed, "forward": direction, "backward": direction},
+        "afm_node": _instrument_section(cell),
+    }
+
+
+def _instrument_section(cell: Cell) -> dict[str, Any]:
+    if cell.environment == "contact":
+        return {"cantilever": {"stiffness_n_per_m": cell.stiffness_n_per_m}}
+    if "environment" not in AfmConfig.model_fields:
+        raise ConfigError("--environment spring: the AFM node of this version cannot simulate a spring; give contact")
+    spring = {"stiffness_n_per_m": cell.stiffness_n_per_m, "rest_position_m": 0.0, "bilateral": True}
+    return {"environment": "spring", "spring": spring, "safety": {"retract_position_m": 0.0}}
+
+
+def validate_cells(cells: Sequence[Cell], bus: Bus, say: Callable[[str], None] = lambda text: None) -> list[Agreement]:
+    """Run cells on the bus, one after the other, and compare. Raises StudyError for a rig that does not run."""
+    agreements = []
+    for number, cell in enumerate(cells, start=1):
+        say(f"{number}/{len(cells)}: {cell.law} at {cell.round_trip_ms:g} ms on real processes")
+        agreements.append(compare(cell, trajectory_of(cell), run_on_bus(cell, bus)))
+    return agreements
+
+
+def run_on_bus(cell: Cell, bus: Bus) -> Trajectory:
+    """Run a cell on real processes and read its recording."""
+    folder = (bus.out / f"bus-{cell.key[:12]}").absolute()
+    folder.mkdir(parents=True, exist_ok=True)
+    scenario = folder / "cell.yaml"
+    document = scenario_of(cell)
+    scenario.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
+    command = [sys.executable, "-m", "services.launcher", "up", "--scenario", str(scenario), "--out", str(folder)]
+    command += ["--overwrite", "--headless", "--json"]
+    command += ["--site-file", str(bus.site_file)] if bus.site_file is not None else []
+    try:
+        done = subprocess.run(
+            command, capture_output=True, text=True, timeout=document["duration_s"] + _OVERHEAD_S, check=False
+        )
+    except subprocess.TimeoutExpired as error:
+        raise StudyError(f"the rig did not end within {error.timeout:.0f} s, see {folder}") from error
+    if done.returncode != 0:
+        raise StudyError(f"the rig did not run: {_reason(done.stdout, done.stderr)}")
+    return read_course(folder / RECORDING_NAME)
+
+
+def _reason(stdout: str, stderr: str) -> str:
+    try:
+        return str(json.loads(stdout)["error"])
+    except (ValueError, KeyError):
+        return stderr.strip() or stdout.strip() or "it said nothing"
+
+
+_MODE_NUMBERS = {"retracted": 0, "follow": 1, "hold": 2, "retracting": 3, "estop": 4}
+
+
+def read_course(path: Path) -> Trajectory:
+    """Read the last session of a recording as lockstep would give it, the tip's values at the hand's times.
+
+    Raises RecordingError naming the file and what it lacks; StudyError if the operator's programme never ran in it.
+    """
+    recording = Recording(path)
+    hand = columns(recording, "haptic/state", ("t_ns", "session_s", "operator_force_n.2", "position_m.2", "mode"))
+    running = np.flatnonzero(hand["session_s"] >= 0.0)
+    if running.size < 2:
+        raise StudyError(f"{path}: the operator's programme never ran in it")
+    begins = np.flatnonzero(np.diff(hand["session_s"][running]) < 0.0)
+    running = running[begins[-1] + 1 :] if begins.size else running
+    hand = {name: values[running] for name, values in hand.items()}
+    tip = columns(
+        recording, "afm/state", ("t_ns", "base_position_m.2", "tip_force_n.2", "separation_m", "in_contact", "mode")
+    )
+    command = columns(recording, "haptic/command", ("t_ns", "position_m.2", "force_n.2"))
+    # what stands at the end of the tick: the last message before the next one
+    ends_ns = np.append(hand["t_ns"][1:], hand["t_ns"][-1] + 1_000_000)
+    at_tip = np.maximum(np.searchsorted(tip["t_ns"], ends_ns) - 1, 0)
+    at_command = np.maximum(np.searchsorted(command["t_ns"], ends_ns) - 1, 0)
+    nothing = np.zeros(len(running))
+    return Trajectory(
+        time_s=hand["session_s"].astype(np.float64),
+        hand_force_n=-hand["operator_force_n.2"],
+        hand_position_m=-hand["position_m.2"],
+        reference_m=-command["position_m.2"][at_command],
+        rendered_force_n=command["force_n.2"][at_command],
+        base_position_m=-tip["base_position_m.2"][at_tip],
+        tip_force_n=tip["tip_force_n.2"][at_tip],
+        separation_m=tip["separation_m"][at_tip],
+        hand_energy_j=nothing,
+        tip_energy_j=nothing,
+        in_contact=tip["in_contact"][at_tip].astype(bool),
+        instrument_mode=np.array([_MODE_NUMBERS[mode] for mode in tip["mode"][at_tip]], dtype=np.int64),
+        hand_following=hand["mode"] != "off",
+    )
+
+
+def compare(cell: Cell, lockstep: Trajectory, bus: Trajectory) -> Agreement:
+    """Compare verdicts and, where both are stable, the course of the tip's force."""
+    expected, found = judged(cell, lockstep), judged(cell, bus)
+    difference = None
+    if expected.verdict == found.verdict == "stable":
+        difference = course_difference(cell, lockstep, bus)
+    same = (expected.verdict == "stable") == (found.verdict == "stable")
+    return Agreement(
+        cell.law,
+        cell.environment,
+        cell.stiffness_n_per_m,
+        cell.round_trip_ms,
+        expected.verdict,
+        found.verdict,
+        expected.growth_per_s,
+        found.growth_per_s,
+        difference,
+        TOLERANCE_SHARE,
+        same and (difference is None or difference <= TOLERANCE_SHARE),
+    )
+
+
+def course_difference(cell: Cell, lockstep: Trajectory, bus: Trajectory) -> float:
+    """Give the RMS of the difference in alpha_f F_s over the session, as a share of the hand's greatest force."""
+    times = lockstep.time_s[lockstep.time_s <= bus.time_s[-1]]
+    difference = lockstep.tip_force_n[: len(times)] - np.interp(times, bus.time_s, bus.tip_force_n)
+    scale = scales_of(cell.controller()).force_scale / float(np.abs(lockstep.hand_force_n).max())
+    return float(scale * np.sqrt(np.mean(difference**2)))

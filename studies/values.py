@@ -1,0 +1,105 @@
+"""Lists and ranges on the command line: every error names the option, what was given and what would be right."""
+
+import math
+from collections.abc import Sequence
+
+from services.controller.config import LAWS
+from services.runtime.config import flag_overrides
+from services.runtime.errors import ConfigError
+from studies.stability import Jitter
+
+_MOST_VALUES = 10_000
+
+
+def numbers(option: str, text: str, least: float, most: float, unit: str) -> tuple[float, ...]:
+    """Read `a,b,c` and `start:stop:step` (stop included), also mixed, into increasing different numbers.
+
+    Raises ConfigError for what is no number, outside [least, most], or no range.
+    """
+    values: list[float] = []
+    for part in text.split(","):
+        values += _range(option, part, unit) if ":" in part else [number(option, part, unit)]
+    for value in values:
+        if not least <= value <= most:
+            raise ConfigError(f"{option} {text}: {value:g} {unit} is outside {least:g} to {most:g} {unit}".rstrip())
+    return tuple(sorted(set(values)))
+
+
+def number(option: str, text: str, unit: str) -> float:
+    """Read one finite number."""
+    try:
+        value = float(text)
+    except ValueError as error:
+        raise ConfigError(
+            f"{option}: {text!r} is no number{f' [{unit}]' if unit else ''}: give a value, a list a,b,c or a range"
+            " start:stop:step"
+        ) from error
+    if not math.isfinite(value):
+        raise ConfigError(f"{option}: {text} is not finite")
+    return value
+
+
+def _range(option: str, text: str, unit: str) -> list[float]:
+    parts = text.split(":")
+    if len(parts) != 3:
+        raise ConfigError(f"{option} {text}: a range is start:stop:step, such as 0:200:5")
+    start, stop, step = (number(option, part, unit) for part in parts)
+    if not step > 0.0 or stop < start:
+        raise ConfigError(f"{option} {text}: a range needs a step > 0 and a stop that is not below its start")
+    count = math.floor((stop - start) / step * (1.0 + 1e-12)) + 1
+    if count > _MOST_VALUES:
+        raise ConfigError(f"{option} {text}: {count} values are more than {_MOST_VALUES}")
+    # rounded, so that 0.1 + 0.2 does not become a delay of its own
+    return [round(start + i * step, 9) for i in range(count)]
+
+
+def laws(text: str) -> tuple[str, ...]:
+    """Read names of laws, or `all`."""
+    if text.strip() == "all":
+        return tuple(LAWS)
+    names = tuple(dict.fromkeys(name.strip() for name in text.split(",")))
+    for name in names:
+        if name not in LAWS:
+            raise ConfigError(f"--law: unknown law {name!r}, known are all, {', '.join(LAWS)}")
+    return names
+
+
+def jitters(text: str) -> tuple[Jitter, ...]:
+    """Read half-widths in ms, or with a % sign in shares of the one-way delay."""
+    found = []
+    for part in text.split(","):
+        relative = part.strip().endswith("%")
+        value = number("--jitter", part.strip().removesuffix("%"), "ms or %")
+        if not 0.0 <= value <= (100.0 if relative else 1e5):
+            raise ConfigError(f"--jitter {part}: must be 0 ms or more, or 0 to 100 %")
+        found.append(Jitter(0.01 * value if relative else value, relative))
+    return tuple(dict.fromkeys(found))
+
+
+def losses(text: str) -> tuple[float, ...]:
+    """Read shares 0..1, or with a % sign."""
+    shares = []
+    for part in text.split(","):
+        relative = part.strip().endswith("%")
+        value = number("--loss", part.strip().removesuffix("%"), "share") * (0.01 if relative else 1.0)
+        if not 0.0 <= value <= 1.0:
+            raise ConfigError(f"--loss {part}: a share of the messages lies between 0 and 1 (or 0 % and 100 %)")
+        shares.append(value)
+    return tuple(sorted(set(shares)))
+
+
+def settings(given: Sequence[str]) -> tuple[tuple[str, float | int | str | bool], ...]:
+    """Read KEY=VALUE of the section `controller` into dotted keys."""
+    return tuple(sorted(_flat("", flag_overrides(given))))
+
+
+def _flat(prefix: str, tree: dict[str, object]) -> list[tuple[str, float | int | str | bool]]:
+    found: list[tuple[str, float | int | str | bool]] = []
+    for key, value in tree.items():
+        if isinstance(value, dict):
+            found += _flat(f"{prefix}{key}.", value)
+        elif isinstance(value, float | int | str | bool):
+            found.append((f"{prefix}{key}", value))
+        else:
+            raise ConfigError(f"--set {prefix}{key}: {value!r} is no single value")
+    return found

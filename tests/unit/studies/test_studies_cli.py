@@ -1,0 +1,137 @@
+"""The command line of the studies: what it reads, what it refuses and how it says so."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from services.controller.config import LAWS
+from services.runtime.errors import ConfigError
+from studies import values
+from studies.cli import app
+from studies.stability import Jitter
+
+RUN = CliRunner()
+STABILITY = ["stability", "--law", "virtual_impedance", "--environment", "spring"]
+
+
+def test_numbers_are_lists_and_ranges() -> None:
+    assert values.numbers("--delay", "0:20:5", 0.0, 100.0, "ms") == (0.0, 5.0, 10.0, 15.0, 20.0)
+    assert values.numbers("--delay", "40,0:0.3:0.1,7", 0.0, 100.0, "ms") == (0.0, 0.1, 0.2, 0.3, 7.0, 40.0)
+    assert values.numbers("--delay", "3:3:1", 0.0, 100.0, "ms") == (3.0,)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("-1", "-1 ms is outside 0 to 100 ms"),
+        ("101", "outside"),
+        ("x", "'x' is no number"),
+        ("", "is no number"),
+        ("1:2", "start:stop:step"),
+        ("1:2:0", "step > 0"),
+        ("1:2:-1", "step > 0"),
+        ("5:1:1", "not below its start"),
+        ("nan", "not finite"),
+        ("0:inf:1", "not finite"),
+        ("0:100:0.001", "more than 10000"),
+    ],
+)
+def test_bad_numbers_name_option_and_remedy(text: str, words: str) -> None:
+    with pytest.raises(ConfigError, match=words) as caught:
+        values.numbers("--delay", text, 0.0, 100.0, "ms")
+    assert str(caught.value).startswith("--delay")
+
+
+def test_laws_jitter_and_loss() -> None:
+    assert values.laws("all") == tuple(LAWS)
+    assert values.laws("wave, smith,wave") == ("wave", "smith")
+    assert values.jitters("0,5,50%") == (Jitter(0.0), Jitter(5.0), Jitter(0.5, relative=True))
+    assert values.losses("20%,0") == (0.0, 0.2)
+    assert values.settings(["wave.filter_s=0.0", "deadband.enabled=true"]) == (
+        ("deadband.enabled", True), ("wave.filter_s", 0.0),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--law", "nonsense"], "unknown law 'nonsense', known are all, virtual_impedance"),
+        (["--delay", "-5"], "--delay -5"),
+        (["--loss", "1.5"], "--loss 1.5"),
+        (["--loss", "-0.1"], "--loss -0.1"),
+        (["--jitter", "-1"], "--jitter -1"),
+        (["--jitter", "120%"], "--jitter 120%"),
+        (["--stiffness", "0"], "--stiffness 0"),
+        (["--gain", "x"], "--gain"),
+        (["--duration", "-1"], "--duration"),
+        (["--duration", "1", "--delay", "200"], "leaves no hold"),
+        (["--set", "virtual_impedance.mass_kg"], "not of the form"),
+        (["--set", "virtual_impedance.mass_kg=-1"], "mass_kg"),
+        (["--set", "virtual_impedance.unknown=1"], "unknown"),
+    ],
+)
+def test_bad_options_end_in_a_sentence_and_code_2(tmp_path: Path, options: list[str], words: str) -> None:
+    result = RUN.invoke(app, [*STABILITY, "--out", str(tmp_path / "out"), "--json", *options])
+    assert result.exit_code == 2
+    assert words in json.loads(result.stdout)["error"]
+    assert words in result.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_folder_that_cannot_be_made(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    result = RUN.invoke(app, [*STABILITY, "--out", str(tmp_path / "file" / "out")])
+    assert result.exit_code == 2
+    assert "cannot be made a folder" in result.stderr
+
+
+def test_stability_prints_one_object(tmp_path: Path) -> None:
+    options = ["--delay", "0,60", "--stiffness", "38", "--workers", "1", "--out", str(tmp_path), "--json"]
+    result = RUN.invoke(app, [*STABILITY, *options])
+    assert result.exit_code == 0, result.output
+    summary = json.loads(result.stdout)
+    assert summary["critical_delay_ms"]["38"] == pytest.approx(22.44, rel=2e-3, abs=0.0)
+    assert summary == json.loads((tmp_path / "stability.json").read_text())
+    assert {p.name for p in tmp_path.iterdir()} >= {"stability.html", "stability.png", "stability.parquet"}
+
+
+def test_stability_prints_a_table(tmp_path: Path) -> None:
+    options = ["--delay", "0,60", "--stiffness", "38", "--workers", "1", "--out", str(tmp_path)]
+    result = RUN.invoke(app, [*STABILITY, *options])
+    assert result.exit_code == 0, result.output
+    assert "22.45" in result.stdout or "22.44" in result.stdout
+    assert "stability.html" in result.stdout
+
+
+def test_transparency_prints_one_object(tmp_path: Path) -> None:
+    options = ["--law", "virtual_impedance", "--delay", "0,100", "--out", str(tmp_path), "--json"]
+    result = RUN.invoke(app, ["transparency", *options])
+    assert result.exit_code == 0, result.output
+    first, second = json.loads(result.stdout)["rows"]
+    assert first["verdict"] == "stable"
+    assert second["rendered_stiffness_n_per_m"] is None
+    assert "http" not in (tmp_path / "transparency.html").read_text()
+
+
+def test_compare_puts_laws_on_one_page(tmp_path: Path) -> None:
+    options = ["--law", "virtual_impedance", "--delay", "60", "--map-delay", "0,100", "--stiffness", "20"]
+    result = RUN.invoke(app, ["compare", *options, "--workers", "1", "--out", str(tmp_path), "--json"])
+    assert result.exit_code == 0, result.output
+    law = json.loads(result.stdout)["laws"]["virtual_impedance"]
+    assert law["critical_delay_ms"]["20"] == pytest.approx(45.51, rel=2e-3, abs=0.0)
+    assert 50.0 < law["critical_delay_contact_ms"] < 53.0
+    assert law["contact"]["60"]["verdict"] == "limit_cycle"
+    assert (tmp_path / "compare.html").exists()
+
+
+def test_help_is_there_at_once() -> None:
+    code = "import sys; import studies.cli; bad = {'numpy', 'numba', 'matplotlib', 'control', 'pyarrow', 'dask'}; "
+    code += "print(sorted(bad & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+    for command in ("stability", "transparency", "compare", "validate"):
+        assert RUN.invoke(app, [command, "--help"]).exit_code == 0

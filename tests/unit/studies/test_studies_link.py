@@ -1,0 +1,69 @@
+"""The schedule of the link against the link's own engine and against arithmetic."""
+
+import numpy as np
+import pytest
+
+from services.delay_node.config import SettingsError, parse_settings
+from studies import link
+from studies.link import schedule_of, symmetric_link
+
+PERIOD_S = 1e-3
+
+
+def test_constant_delay_is_half_the_round_trip_each_way() -> None:
+    schedule = schedule_of(symmetric_link(45.3e-3, 0.0, 0.0, 0), 100, PERIOD_S)
+    sent = np.arange(100) * 1_000_000
+    assert (schedule.forward_ns == sent + 22_650_000).all()
+    assert (schedule.backward_ns == sent + 45_300_000).all()
+    assert (schedule.forward_of == np.arange(100)).all()
+    assert (schedule.backward_of == np.arange(100)).all()
+
+
+def test_constant_delay_is_what_the_engine_says() -> None:
+    settings = symmetric_link(33.3e-3, 0.0, 0.0, 0)
+    quick = schedule_of(settings, 50, PERIOD_S)
+    # a jitter of no width changes nothing but the path taken
+    slow = {"delay_s": 0.5 * 33.3e-3, "jitter": {"scale_s": 0.0, "distribution": "uniform"}}
+    engine = schedule_of(parse_settings({"forward": slow, "backward": slow}), 50, PERIOD_S)
+    for name in ("forward_ns", "forward_of", "backward_ns", "backward_of"):
+        assert (getattr(quick, name) == getattr(engine, name)).all()
+
+
+def test_readers_take_the_newest_only() -> None:
+    schedule = schedule_of(symmetric_link(20e-3, 8e-3, 0.2, 3), 2000, PERIOD_S)
+    for times, numbers in ((schedule.forward_ns, schedule.forward_of), (schedule.backward_ns, schedule.backward_of)):
+        assert (np.diff(times) >= 0).all()
+        assert (np.diff(numbers) > 0).all()
+    # 20 % are lost, and of those that remain the overtaken ones are of no use
+    assert 0.1 * 2000 < len(schedule.forward_ns) < 0.8 * 2000
+
+
+def test_loss_is_binomial() -> None:
+    count = len(schedule_of(symmetric_link(10e-3, 0.0, 0.2, 1), 5_000, PERIOD_S).forward_ns)
+    assert abs(count - 4_000) < 4.0 * np.sqrt(5_000 * 0.2 * 0.8)
+
+
+def test_window_holds_all_that_is_in_flight() -> None:
+    schedule = schedule_of(symmetric_link(300e-3, 40e-3, 0.0, 1), 3000, PERIOD_S)
+    lag = schedule.forward_ns // 1_000_000 - schedule.forward_of
+    assert schedule.window > lag.max()
+    answered = np.searchsorted(schedule.forward_ns, schedule.backward_ns, side="right")
+    assert schedule.window > (answered - schedule.backward_of).max()
+    assert schedule.window & (schedule.window - 1) == 0
+
+
+def test_link_that_loses_all_has_no_arrivals() -> None:
+    schedule = schedule_of(symmetric_link(10e-3, 0.0, 1.0, 0), 100, PERIOD_S)
+    assert len(schedule.forward_ns) == len(schedule.backward_ns) == 0
+
+
+def test_corrupted_messages_are_refused_by_their_reader() -> None:
+    settings = parse_settings({"forward": {"corruption": {"probability": 0.5}}})
+    assert 300 < len(schedule_of(settings, 1000, PERIOD_S).forward_ns) < 700
+    assert link.FORWARD_TOPIC == "teleop/forward"
+
+
+@pytest.mark.parametrize(("delay", "jitter", "loss"), [(-1e-3, 0.0, 0.0), (0.0, -1e-3, 0.0), (0.0, 0.0, 1.01)])
+def test_impossible_links_are_refused(delay: float, jitter: float, loss: float) -> None:
+    with pytest.raises(SettingsError, match="forward"):
+        symmetric_link(delay, jitter, loss, 0)

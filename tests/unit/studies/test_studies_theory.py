@@ -1,0 +1,141 @@
+"""Margins, absolute stability and passivity: known numbers, bounds, and independent ways to the same figure."""
+
+import math
+
+import numpy as np
+import pytest
+
+from services.controller.position_force import PositionForceConfig
+from services.controller.virtual_impedance import VirtualImpedanceConfig
+from services.controller.wave import WaveConfig
+from studies.theory import (
+    LoopModel,
+    characteristic_radius,
+    critical_delay_s,
+    critical_link_delay_s,
+    delay_margin,
+    direct_hybrid,
+    hybrid_of,
+    llewellyn,
+    loop_model,
+    scattering_norm,
+    transfer_function,
+    varying_delay_gain,
+    wave_hybrid,
+)
+
+OMEGA = np.geomspace(0.1, 3000.0, 2000)
+PERIOD_S = 1e-3
+
+
+def paper_loop(stiffness: float) -> LoopModel:
+    model = loop_model("virtual_impedance", VirtualImpedanceConfig(), stiffness)
+    assert model is not None
+    return model
+
+
+@pytest.mark.parametrize(("stiffness", "delay_ms"), [(10.0, 95.05), (20.0, 45.51), (38.0, 22.44)])
+def test_delay_margin_of_the_paper(stiffness: float, delay_ms: float) -> None:
+    assert 1e3 * critical_delay_s(paper_loop(stiffness)) == pytest.approx(delay_ms, rel=2e-4, abs=0.0)
+
+
+@pytest.mark.parametrize("stiffness", [3.0, 10.0, 38.0, 100.0])
+def test_margin_is_the_closed_form(stiffness: float) -> None:
+    # |L| = 1: (M w^2)^2 + (B w)^2 = G^2; phase of 1/(-M w^2 + j B w) is -(pi - atan(B / (M w)))
+    model = paper_loop(stiffness)
+    m, b, g = model.mass_kg, model.damping_n_s_per_m, model.gain_n_per_m
+    w = math.sqrt((-(b * b) + math.sqrt(b**4 + 4.0 * m * m * g * g)) / (2.0 * m * m))
+    expected = math.atan(b / (m * w)) / w
+    margin = delay_margin(transfer_function(model))
+    assert margin.delay_s == pytest.approx(expected, rel=1e-6, abs=0.0)
+    assert margin.crossover_rad_per_s == pytest.approx(w, rel=1e-6, abs=0.0)
+
+
+@pytest.mark.parametrize("stiffness", [10.0, 20.0, 38.0])
+def test_hold_costs_half_a_period(stiffness: float) -> None:
+    model = paper_loop(stiffness)
+    link = critical_link_delay_s(model, PERIOD_S)
+    assert critical_delay_s(model) - link == pytest.approx(0.5 * PERIOD_S, rel=0.02, abs=0.0)
+    # and a tenth of the period costs a tenth of that
+    assert critical_delay_s(model) - critical_link_delay_s(model, 1e-4) == pytest.approx(0.5e-4, rel=0.05, abs=0.0)
+
+
+@pytest.mark.parametrize("stiffness", [10.0, 20.0, 38.0])
+def test_poles_leave_the_circle_at_the_margin_of_the_sampled_loop(stiffness: float) -> None:
+    model = paper_loop(stiffness)
+    samples = int(critical_link_delay_s(model, PERIOD_S) / PERIOD_S)
+    assert characteristic_radius(model, PERIOD_S, samples) < 1.0
+    assert characteristic_radius(model, PERIOD_S, samples + 1) > 1.0
+
+
+def test_loop_below_unity_bears_any_delay() -> None:
+    assert critical_delay_s(LoopModel(10.0, 1.0, 50.0, 1000.0)) == math.inf
+
+
+def test_laws_that_are_no_such_loop_have_none() -> None:
+    assert loop_model("wave", WaveConfig(), 10.0) is None
+    model = loop_model("position_force", PositionForceConfig(), 10.0)
+    assert model is not None
+    assert model.gain_n_per_m == pytest.approx(1500.0, rel=1e-12, abs=0.0)
+
+
+@pytest.mark.parametrize("law", ["virtual_impedance", "position_force"])
+def test_direct_laws_are_absolutely_stable_without_delay_only(law: str) -> None:
+    config = {"virtual_impedance": VirtualImpedanceConfig(), "position_force": PositionForceConfig()}[law]
+    for delay_s, holds in ((0.0, True), (1e-6, False), (0.04, False)):
+        hybrid = hybrid_of(law, config, delay_s, OMEGA)
+        assert hybrid is not None
+        assert bool(llewellyn(hybrid).min() >= -1e-12) is holds
+
+
+@pytest.mark.parametrize("filter_s", [0.0, 0.005])
+@pytest.mark.parametrize("delays", [(0.0, 0.0), (0.02, 0.02), (0.01, 0.24)])
+def test_waves_are_passive_at_every_constant_delay(delays: tuple[float, float], filter_s: float) -> None:
+    hybrid = wave_hybrid(100.0, *delays, filter_s, OMEGA)
+    assert llewellyn(hybrid).min() >= -1e-9
+    for impedance in (10.0, 100.0, 1000.0):
+        assert scattering_norm(hybrid, impedance).max() <= 1.0 + 1e-9
+    law = hybrid_of("wave", WaveConfig(), sum(delays), OMEGA)
+    assert law is not None
+    assert scattering_norm(law, 100.0).max() <= 1.0 + 1e-9
+
+
+def test_wave_bound_holds_at_a_gain_of_one_and_fails_just_past_it() -> None:
+    # a gain g on both waves: a lossless line stays at the bound for g = 1
+    for gain, passive in ((1.0, True), (1.0 + 1e-6, False), (0.9, True)):
+        s = 1j * OMEGA
+        a = gain * np.exp(-s * 0.03)
+        line = (1.0 - a * a) / (1.0 + a * a)
+        hybrid = np.moveaxis(np.array([[100.0 * line, 2.0 * a / (1.0 + a * a)],
+                                       [-2.0 * a / (1.0 + a * a), line / 100.0]]), -1, 0)  # fmt: skip
+        assert bool(scattering_norm(hybrid, 100.0).max() <= 1.0 + 1e-9) is passive
+
+
+def test_scattering_of_the_wave_line_is_the_pure_delay() -> None:
+    hybrid = wave_hybrid(100.0, 0.02, 0.03, 0.0, OMEGA)
+    np.testing.assert_allclose(scattering_norm(hybrid, 100.0), 1.0, rtol=1e-9, atol=0.0)
+
+
+def test_passive_is_absolutely_stable_but_not_the_other_way_round() -> None:
+    # a gain on the force and its inverse on the velocity keeps h12 h21, which is all that Llewellyn sees
+    impedance = np.full(3, 50.0 + 0.0j)
+    omega = np.array([1.0, 2.0, 3.0])
+    hybrid = direct_hybrid(impedance, None, 0.0, 0.0, omega)
+    hybrid[:, 0, 1] *= 3.0
+    hybrid[:, 1, 0] /= 3.0
+    assert llewellyn(hybrid).min() >= -1e-12
+    assert scattering_norm(hybrid, 50.0).max() > 1.0
+
+
+def test_varying_delay_gain() -> None:
+    assert varying_delay_gain(0.0) == 1.0
+    assert varying_delay_gain(-0.5) == 1.0
+    assert varying_delay_gain(0.75) == 0.5
+    for rate in (1.0, math.nan):
+        with pytest.raises(ValueError, match="below 1"):
+            varying_delay_gain(rate)
+
+
+def test_law_without_the_hands_say_has_no_hybrid_form() -> None:
+    with pytest.raises(ValueError, match="K_f = 0"):
+        hybrid_of("virtual_impedance", VirtualImpedanceConfig(force_gain=0.0), 0.0, OMEGA)

@@ -1,0 +1,108 @@
+"""Lockstep against the bus: the scenario that a cell becomes, and what counts as agreement."""
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from services.afm_node.config import AfmConfig
+from services.controller.config import ControllerConfig
+from services.delay_node.config import parse_settings
+from services.haptic_node.config import HapticConfig
+from services.runtime.config import validate
+from services.runtime.errors import ConfigError
+from services.runtime.scenario import Scenario
+from studies import validate as study
+from studies.cells import Cell, trajectory_of
+from studies.link import symmetric_link
+from studies.validate import Bus, StudyError, compare, run_on_bus, scenario_of
+
+
+def cell(**changes: Any) -> Cell:
+    values: dict[str, Any] = {
+        "law": "virtual_impedance",
+        "environment": "contact",
+        "round_trip_ms": 40.0,
+        "stiffness_n_per_m": 40.0,
+        "session_s": 6.0,
+    }
+    return Cell(**{**values, **changes})
+
+
+def test_scenario_says_what_the_cell_says() -> None:
+    example = cell(jitter_ms=3.0, loss=0.1, seed=4, gain=10.0)
+    scenario = validate(Scenario, scenario_of(example), "test")
+    controller = validate(ControllerConfig, scenario.controller, "test", "controller")
+    assert controller == example.controller()
+    assert parse_settings(scenario.delay_node).model_dump() == symmetric_link(0.04, 3e-3, 0.1, 4).model_dump()
+    assert validate(AfmConfig, scenario.afm_node, "test").cantilever.stiffness_n_per_m == 40.0
+    operator = validate(HapticConfig, scenario.haptic_node, "test").operator
+    assert tuple((p.time_s, p.force_n) for p in operator.points) == example.hand_points()
+    assert scenario.duration_s == 6.0
+
+
+def test_the_same_course_agrees() -> None:
+    course = trajectory_of(cell())
+    found = compare(cell(), course, course)
+    assert found.agree
+    assert found.difference_share == 0.0
+    assert found.lockstep == found.bus == "stable"
+
+
+@pytest.mark.parametrize(("offset_share", "agrees"), [(0.049, True), (0.051, False)])
+def test_courses_agree_up_to_the_tolerance(offset_share: float, agrees: bool) -> None:
+    course = trajectory_of(cell())
+    # 2 N is the hand's greatest force
+    moved = dataclasses.replace(course, tip_force_n=course.tip_force_n + offset_share * 2.0 / 1e8)
+    found = compare(cell(), course, moved)
+    assert found.difference_share == pytest.approx(offset_share, rel=1e-6, abs=0.0)
+    assert found.agree is agrees
+
+
+def test_other_verdict_is_no_agreement_and_another_way_of_failing_is_one() -> None:
+    stable, cycling = trajectory_of(cell()), trajectory_of(cell(round_trip_ms=70.0))
+    assert not compare(cell(), stable, cycling).agree
+    found = compare(cell(round_trip_ms=70.0), cycling, cycling)
+    assert found.agree
+    assert found.difference_share is None
+
+
+def test_bus_that_starts_within_a_tick_is_compared_in_time() -> None:
+    course = trajectory_of(cell())
+    late = dataclasses.replace(course, time_s=course.time_s + 4e-4)
+    found = compare(cell(), course, late)
+    assert found.difference_share is not None
+    assert 0.0 < found.difference_share < 0.02
+
+
+def test_spring_needs_an_instrument_that_can_be_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    fields = {name: field for name, field in AfmConfig.model_fields.items() if name != "environment"}
+    monkeypatch.setattr(study, "AfmConfig", type("AfmConfig", (), {"model_fields": fields}))
+    with pytest.raises(ConfigError, match="cannot simulate a spring; give contact"):
+        scenario_of(cell(environment="spring"))
+
+
+def test_rig_that_does_not_run_says_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Done:
+        returncode, stdout, stderr = 1, '{"error": "afm_node@slave died"}', "telenano: afm_node@slave died"
+
+    asked: list[list[str]] = []
+
+    def run(command: list[str], **options: Any) -> Done:
+        asked.append(command)
+        return Done()
+
+    monkeypatch.setattr(study.subprocess, "run", run)
+    with pytest.raises(StudyError, match="afm_node@slave died"):
+        run_on_bus(cell(), Bus(tmp_path / "site.yaml", tmp_path))
+    assert asked[0][asked[0].index("--site-file") + 1] == str(tmp_path / "site.yaml")
+    scenario = Path(asked[0][asked[0].index("--scenario") + 1])
+    assert "virtual_impedance" in scenario.read_text()
+
+
+def test_lockstep_course_has_the_hands_grid() -> None:
+    course = trajectory_of(cell())
+    np.testing.assert_allclose(np.diff(course.time_s), 1e-3, rtol=1e-9, atol=0.0)
+    assert course.time_s[0] == 0.0
