@@ -231,7 +231,7 @@ def validate(
     """Run cells on real processes over the link and compare with lockstep; exit code 1 where they disagree."""
     with errors_told(as_json):
         from studies.page import Page, write_parquet
-        from studies.validate import Bus, validate_cells
+        from studies.validate import Bus, bus_edges, validate_cells
 
         given = _Given(law, environment, stiffness, None, jitter, loss, seed, duration, settings)
         axes = given.axes(delay)
@@ -240,12 +240,28 @@ def validate(
         agreements = validate_cells(cells, Bus(site_file, out), lambda text: typer.echo(text, err=True))
         records = [agreement.as_dict() for agreement in agreements]
         write_parquet(out / "validate.parquet", records)
-        summary = {"study": "validate", "agree": all(a.agree for a in agreements), "cells": records}
+        edges = bus_edges(agreements, cells[0].controller().period_s)
+        summary = {
+            "study": "validate",
+            "agree": all(a.agree for a in agreements),
+            "bus_critical_delay_ms": [edge._asdict() for edge in edges],
+            "cells": records,
+        }
         (out / "validate.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
-        head = ("law", "stiffness [N/m]", "delay [ms]", "lockstep", "bus", "difference", "agree")
+        head = (
+            "law",
+            "stiffness [N/m]",
+            "delay [ms]",
+            "lockstep",
+            "bus",
+            "growth, lockstep [1/s]",
+            "growth, bus [1/s]",
+            "difference",
+            "agree",
+        )
         rows = [
-            (a.law, a.stiffness_n_per_m, a.round_trip_ms, a.lockstep, a.bus, a.difference_share,
-             "yes" if a.agree else "no") for a in agreements
+            (a.law, a.stiffness_n_per_m, a.round_trip_ms, a.lockstep, a.bus, a.lockstep_growth_per_s,
+             a.bus_growth_per_s, a.difference_share, "yes" if a.agree else "no") for a in agreements
         ]  # fmt: skip
         page = Page(f"The bus against lockstep: {environment.value}")
         page.code(_command())
@@ -254,6 +270,12 @@ def validate(
             "Difference: RMS of the tip's force on the bus less that in lockstep, over the session, as a share of the"
             f" hand's force; at most {agreements[0].tolerance_share:g} where both are stable."
         )
+        if edges:
+            page.table(("law", "stiffness [N/m]", "critical delay on the bus [ms]"), [(e[0], *e[2:]) for e in edges])
+            page.paragraph(
+                "Where the growth rate on the bus passes zero, taken as linear between two cells, half a sample period"
+                " included: it compares with the continuous theory and with lockstep."
+            )
         page.write(out / "validate.html")
         if as_json:
             _print_json(summary)

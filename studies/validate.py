@@ -11,6 +11,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -196,6 +197,39 @@ def compare(cell: Cell, lockstep: Trajectory, bus: Trajectory) -> Agreement:
         TOLERANCE_SHARE,
         same and (difference is None or difference <= TOLERANCE_SHARE),
     )
+
+
+class BusEdge(NamedTuple):
+    """Round trip [ms] at which the motion on the bus neither grows nor dies, half a sample included as in lockstep."""
+
+    law: str
+    environment: str
+    stiffness_n_per_m: float
+    bus_critical_delay_ms: float
+
+
+def bus_edges(agreements: Sequence[Agreement], period_s: float) -> list[BusEdge]:
+    """Find the edge on the bus of every line of cells that has one cell on each side of it.
+
+    Between the last cell in which the motion dies out and the first in which it grows, the growth rate is taken to be
+    linear in the delay; half a sample period is added, as for lockstep, so that it compares with the continuous theory.
+    """
+    lines: dict[tuple[str, str, float], list[Agreement]] = {}
+    for agreement in agreements:
+        if agreement.bus_growth_per_s is not None:
+            key = (agreement.law, agreement.environment, agreement.stiffness_n_per_m)
+            lines.setdefault(key, []).append(agreement)
+    edges = []
+    for key, line in lines.items():
+        line.sort(key=lambda agreement: agreement.round_trip_ms)
+        for before, after in pairwise(line):
+            low, high = before.bus_growth_per_s or 0.0, after.bus_growth_per_s or 0.0
+            if low < 0.0 <= high:
+                share = -low / (high - low)
+                delay_ms = before.round_trip_ms + share * (after.round_trip_ms - before.round_trip_ms)
+                edges.append(BusEdge(*key, delay_ms + 0.5e3 * period_s))
+                break
+    return edges
 
 
 def course_difference(cell: Cell, lockstep: Trajectory, bus: Trajectory) -> float:

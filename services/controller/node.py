@@ -324,9 +324,12 @@ class MasterController(HalfLaw):
             along(message.operator_force_n),
             message.mode != "off",
         )
-        if self.law_state is None or elapsed is None:
+        if self.law_state is None:
             self.law_state = self.law.master_start(self.params, self.hand)
+        if elapsed is None:
             self.port = energy.opened(self.hand.position_m, self.hand.force_n)
+        # after a pause the law goes on from its own state: a hand that was restarted is off, and a law stays with an
+        # off hand, while one that was only held up finds its reference where it was
         self._dt_s = elapsed if elapsed is not None else self.config.period_s
         hand = self.hand._replace(following=False) if self.switching else self.hand
         self.law_state, signal = self.law.master_send(self.params, self.law_state, hand, self._dt_s)

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from services.launcher.lazy import LazyRoot
 from services.launcher.telling import EXIT_FAILED, console, errors_told, fail, print_json, tell
 from services.runtime.errors import ConfigError
 from studies.cli import app as study_app
@@ -26,19 +27,18 @@ if TYPE_CHECKING:
 
 _LIST_S = 1.5
 _NODES = ("haptic_node", "controller", "delay_node", "afm_node", "recorder")
-_CHANNEL_COLUMNS = ("channel_topic", "src", "messages", "rate_hz", "gaps", "lost", "restarts")
+ALLOW_REPLAY = ("afm_node.allow_replay=true", "haptic_node.allow_replay=true")
 _SITE_FILE = Path(__file__).resolve().parent / "sites" / "local.yaml"
 
 app = typer.Typer(
+    cls=LazyRoot,
     help="A software rig for remote touch at the nanoscale: hand, delayed network, atomic force microscope.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
 )
 topic_app = typer.Typer(help="Look at the bus of a running rig.", no_args_is_help=True)
-bag_app = typer.Typer(help="Look into a recording.", no_args_is_help=True)
 app.add_typer(topic_app, name="topic")
-app.add_typer(bag_app, name="bag")
 
 link_app = typer.Typer(help="Look at the link of a running rig and change it.", no_args_is_help=True)
 app.add_typer(link_app, name="link")
@@ -113,6 +113,15 @@ def up(
             "--set", metavar="SECTION.KEY=VALUE", help="Change one key of the scenario (SI units); may be repeated."
         ),
     ] = None,
+    without: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--without", metavar="NODE", help="Leave this node out, for a replay to take its place (repeatable)."
+        ),
+    ] = None,
+    allow_replay: Annotated[
+        bool, typer.Option("--allow-replay", help="Let the devices obey commands that come from a recording.")
+    ] = False,
     headless: Annotated[bool, typer.Option("--headless", help="No live view, a line for each phase instead.")] = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -121,7 +130,8 @@ def up(
     from services.launcher.up import default_folder, report_of, run_rig
 
     with errors_told(as_json):
-        request = UpRequest(scenario, site_file, delay_ms, duration, out, overwrite, settings or ())
+        changes = [*(settings or ()), *(ALLOW_REPLAY if allow_replay else ())]
+        request = UpRequest(scenario, site_file, delay_ms, duration, out, overwrite, changes, without or ())
         plan = make_plan(request, default_folder(scenario, datetime.now()))
         view = _view(live=not headless and not as_json, quiet=as_json)
         with view:
@@ -289,22 +299,6 @@ def node(
             raise ConfigError(f"unknown node {name!r}: known are {', '.join(_NODES)}")
     # the node takes the place of this process, so that signals reach it
     os.execv(sys.executable, [sys.executable, "-m", f"services.{name}", *context.args])
-
-
-@bag_app.command("info")
-def bag_info(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="Recording (.mcap).")], as_json: JsonOption = False
-) -> None:
-    """Say what a recording holds."""
-    from services.recorder.reader import Recording
-
-    with errors_told(as_json):
-        info = Recording(file).info().model_dump(mode="json")
-    if not as_json:
-        # the whole of it is wider and longer than a screen
-        info["channels"] = [{key: row[key] for key in _CHANNEL_COLUMNS} for row in info["channels"]]
-        info["metadata"] = info["metadata"].get("recording", {})
-    tell(info, str(file), as_json=as_json)
 
 
 @app.command()

@@ -10,9 +10,9 @@ an order that the stamps allow.
 
 from bisect import bisect_right
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
-from copy import copy
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
@@ -27,6 +27,7 @@ from proto.messages import (
     SessionControl,
     SessionEvent,
     TeleopBackward,
+    TeleopForward,
 )
 from services.launcher.plan import node_kind
 from services.recorder.compare import Tolerances, first_difference
@@ -45,9 +46,15 @@ from services.runtime.site import SiteBook
 _TRANSIT_NS = 100_000
 # orders tried for one tick before it counts as different
 _MOST_ORDERS = 6
+# turns back, and how often at one place, before a difference counts as one
+_LONGEST_RETURN = 12
+_MOST_RETURNS = 500
 # far more than an instrument takes to answer
 _LONGEST_ANSWER_NS = 50_000_000
+_FAR_FUTURE_NS = 2**63
 _START_NS = 10**9
+# outputs in a row with known inputs after which one without is a loss and not the start
+_SETTLED = 200
 _MOST_ON_THEIR_WAY = 100
 # commands of the session on which the instrument makes a step at once
 _STEPPING = ("arm", "estop")
@@ -75,6 +82,17 @@ class RerunResult(BaseModel):
     field: str = ""
     ended_early: str = ""
 
+    def verdict(self) -> str:
+        """Say in a sentence what came of it."""
+        counts = ", ".join(f"{count} {topic}" for topic, count in self.compared.items()) or "nothing"
+        if self.difference:
+            late = max(self.first_seq.values(), default=0)
+            begun = f" (the recording begins with seq {late}, what the node heard before is unknown)" if late else ""
+            return f"differs after {counts}: {self.difference}{begun}"
+        if self.ended_early:
+            return f"the same as far as it could be compared ({counts}): {self.ended_early}"
+        return f"the same in every message: {counts}" if self.identical else "nothing could be compared"
+
 
 class ReplayClock:
     """A clock that shows what the re-run says; pace and stamps are set apart."""
@@ -100,21 +118,23 @@ class RerunBus:
     def __init__(self, key: str, clock: ReplayClock, outputs: Sequence["Output"]) -> None:
         self._key = key
         self._clock = clock
-        self._expected: dict[str, deque[Output]] = {}
+        self._expected: dict[str, list[Output]] = {}
         for output in outputs:
-            self._expected.setdefault(output.topic, deque()).append(output)
+            self._expected.setdefault(output.topic, []).append(output)
+        self._met = dict.fromkeys(self._expected, 0)
         self._others = 0
         self.produced: list[tuple[str, Message]] = []
 
     def publish(self, topic: str, **fields: Any) -> Message:
         """Keep a message; `t_ns` and `seq` are those of the recorded one that comes next on the topic."""
-        queue = self._expected.get(topic)
-        if queue is None:
+        expected = self._expected.get(topic)
+        if expected is None:
             self._others += 1
             return self._make(topic, self._others, self._clock.now, fields)
-        if not queue:
+        if self._met[topic] == len(expected):
             raise _BeyondRecordingError
-        recorded = queue.popleft()
+        recorded = expected[self._met[topic]]
+        self._met[topic] += 1
         self._clock.now = recorded.t_ns
         message = self._make(topic, recorded.seq, recorded.t_ns, fields)
         self.produced.append((topic, message))
@@ -127,13 +147,13 @@ class RerunBus:
     def wait(self, deadline_ns: int) -> None:
         """Do not wait."""
 
-    def mark(self) -> dict[str, deque["Output"]]:
+    def mark(self) -> dict[str, int]:
         """Give the state of the bus, to return to."""
-        return {topic: copy(queue) for topic, queue in self._expected.items()}
+        return dict(self._met)
 
-    def reset(self, mark: dict[str, deque["Output"]]) -> None:
+    def reset(self, mark: dict[str, int]) -> None:
         """Return to a state of the bus."""
-        self._expected = {topic: copy(queue) for topic, queue in mark.items()}
+        self._met = dict(mark)
 
     def _make(self, topic: str, seq: int, t_ns: int, fields: dict[str, Any]) -> Message:
         model = TOPICS[topic].model
@@ -157,16 +177,29 @@ class Output(NamedTuple):
 Act = Callable[[Node, ReplayClock], None]
 
 
+class Place(NamedTuple):
+    """How far a re-run has come: outputs, inputs that come in a row and session commands taken, and what is pending.
+
+    `pending` is an output that the next turn has to give first, `used` the stamp of the newest input of its kind.
+    """
+
+    output: int = 0
+    taken: int = 0
+    controls: int = 0
+    used: int = 0
+    pending: "Output | None" = None
+
+
 class Try(NamedTuple):
-    """One possible order of inputs and the recorded outputs that it has to give."""
+    """One possible order of inputs, the recorded outputs that it has to give, and the place where it leads."""
 
     acts: Sequence[Act]
     expected: Sequence[Output]
+    following: Place
 
 
-Turn = Sequence[Try]
-# gives turns, and is told which of its possible orders held
-Turns = Generator[Turn, int, None]
+# the possible orders of one turn, the likely ones first; none at the end of the recording
+Turns = Callable[[Place], Sequence[Try]]
 
 
 @dataclass
@@ -176,23 +209,24 @@ class Heard:
     key: str
     outputs: list[Output]
     inputs: dict[str, list[RecordedMessage]]
-    answered: deque[tuple[int, SessionControl]] = field(default_factory=deque)
+    answered: list[tuple[int, SessionControl]] = field(default_factory=list)
 
     def index(self, topic: str, key: Callable[[Any], object]) -> dict[object, tuple[Any, RecordedMessage]]:
         """Give the inputs of a topic by something that identifies them."""
         found = ((recorded.decode(), recorded) for recorded in self.inputs[topic])
         return {key(message): (message, recorded) for message, recorded in found}
 
-    def controls_before(self, t_ns: int) -> list[SessionControl]:
-        """Take the commands of the session that were answered before a time [ns]."""
-        controls: list[SessionControl] = []
-        while self.answered and self.answered[0][0] < t_ns:
-            controls.append(self.answered.popleft()[1])
-        return controls
+    def controls_before(self, t_ns: int, first: int) -> list[SessionControl]:
+        """Give the commands of the session from number `first` on that were answered before a time [ns]."""
+        return [control for answered_ns, control in self.answered[first:] if answered_ns < t_ns]
 
-    def commands_before(self, t_ns: int) -> list[Act]:
-        """Take the same as acts of the re-run."""
-        return [_control(control) for control in self.controls_before(t_ns)]
+    def commands_before(self, t_ns: int, first: int) -> list[Act]:
+        """Give the same as acts of the re-run."""
+        return [_control(control) for control in self.controls_before(t_ns, first)]
+
+    def next_is(self, number: int, kind: type[Message]) -> bool:
+        """Say whether the output of a number exists and is of a kind."""
+        return number < len(self.outputs) and isinstance(self.outputs[number].message, kind)
 
 
 def rerun(
@@ -226,40 +260,67 @@ class _Comparison:
         self._clock = clock
         self._bus = bus
         self._tolerances = tolerances
-        self._compared: dict[str, int] = {}
+        self._choices: deque[_Choice] = deque(maxlen=_LONGEST_RETURN)
         self._reordered = 0
+        # the place that no order got beyond, what differs there, and the returns to earlier turns made for it
+        self._furthest: tuple[int, dict[str, int], dict[str, Any]] = (-1, {}, {})
+        self._returns = 0
 
     def run(self, turns: Turns) -> RerunResult:
-        """Take the turns until one gives something else than recorded."""
+        """Take the turns until none of the orders that are possible gives what was recorded."""
+        place, number = Place(), 0
         try:
-            turn = next(turns)
-            while True:
-                chosen, fault = self._take(turn)
-                if fault:
+            orders = turns(place)
+            while orders:
+                chosen, fault = self._first_that_holds(orders, number, _Snapshot.of(self._node, self._bus, self._clock))
+                if chosen is None:
+                    self._note(number, fault)
+                    # an order that gave the right outputs may have left the wrong state
+                    chosen, number = self._earlier_choice(number)
+                if chosen is None:
+                    _, reached, fault = self._furthest
+                    self._bus.reset(reached)
                     return self._result(**fault)
-                turn = turns.send(chosen)
-        except StopIteration:
-            return self._result()
+                place, number = chosen.following, number + 1
+                orders = turns(place)
         except _MissingInputError as error:
             return self._result(ended_early=str(error))
+        return self._result()
 
-    def _take(self, turn: Turn) -> tuple[int, dict[str, Any]]:
-        """Try the orders of a turn; gives which one held, or the difference of the most likely one."""
-        saved, mark, times = copy(self._node.__dict__), self._bus.mark(), (self._clock.monotonic, self._clock.now)
+    def _first_that_holds(
+        self, orders: Sequence[Try], number: int, before: "_Snapshot"
+    ) -> tuple[Try | None, dict[str, Any]]:
+        """Try orders; those left are a choice to return to. If none holds, the likeliest tells what differs."""
         first: dict[str, Any] = {}
-        for number, attempt in enumerate(turn):
+        for position, attempt in enumerate(orders):
             fault = self._attempt(attempt)
             if not fault:
-                self._reordered += number > 0
-                for output in attempt.expected:
-                    self._compared[output.topic] = self._compared.get(output.topic, 0) + 1
-                return number, {}
+                if position + 1 < len(orders):
+                    self._choices.append(_Choice(number, before, orders[position + 1 :]))
+                self._reordered += position > 0
+                return attempt, {}
             first = first or fault
-            self._node.__dict__.clear()
-            self._node.__dict__.update(saved)
-            self._bus.reset(mark)
-            self._clock.monotonic, self._clock.now = times
-        return 0, first
+            before.restore(self._node, self._bus, self._clock)
+        return None, first
+
+    def _note(self, number: int, fault: dict[str, Any]) -> None:
+        if number > self._furthest[0]:
+            self._furthest = (number, self._bus.mark(), fault)
+            self._returns = 0
+
+    def _earlier_choice(self, number: int) -> tuple[Try | None, int]:
+        """Return to the last choices and take another order there."""
+        while self._choices and self._returns < _MOST_RETURNS:
+            choice = self._choices.pop()
+            if self._furthest[0] - choice.number > _LONGEST_RETURN:
+                break
+            self._returns += 1
+            choice.before.restore(self._node, self._bus, self._clock)
+            found, _ = self._first_that_holds(choice.orders, choice.number, choice.before)
+            if found is not None:
+                self._reordered += 1
+                return found, choice.number
+        return None, number
 
     def _attempt(self, attempt: Try) -> dict[str, Any]:
         self._bus.produced.clear()
@@ -299,15 +360,42 @@ class _Comparison:
 
     def _result(self, **facts: Any) -> RerunResult:
         first = {output.topic: output.seq for output in reversed(self._heard.outputs)}
-        identical = not facts and bool(self._compared)
+        compared = {topic: count for topic, count in self._bus.mark().items() if count}
+        identical = not facts and bool(compared)
         return RerunResult(
             node=self._heard.key,
-            compared=self._compared,
+            compared=compared,
             first_seq=first,
             reordered=self._reordered,
             identical=identical,
             **facts,
         )
+
+
+class _Snapshot(NamedTuple):
+    """The state of a re-run, to return to; a node's parts are values, so a shallow copy holds."""
+
+    parts: dict[str, Any]
+    met: dict[str, int]
+    times: tuple[int, int]
+
+    @classmethod
+    def of(cls, node: Node, bus: RerunBus, clock: ReplayClock) -> "_Snapshot":
+        return cls(dict(node.__dict__), bus.mark(), (clock.monotonic, clock.now))
+
+    def restore(self, node: Node, bus: RerunBus, clock: ReplayClock) -> None:
+        node.__dict__.clear()
+        node.__dict__.update(self.parts)
+        bus.reset(self.met)
+        clock.monotonic, clock.now = self.times
+
+
+class _Choice(NamedTuple):
+    """A turn at which other orders are left to try."""
+
+    number: int
+    before: _Snapshot
+    orders: Sequence[Try]
 
 
 class _MissingInputError(Exception):
@@ -339,8 +427,39 @@ def _read(recording: Recording, key: str, kind: "_Kind") -> Heard:
             control = cast(SessionControl, recorded.decode())
             controls[control.id] = control
     outputs.sort(key=lambda output: output.t_ns)
-    known = sorted((t_ns, controls[name]) for name, t_ns in answers.items() if name in controls)
-    return Heard(key, outputs, inputs, deque(known))
+    outputs = _from_first_known(kind, outputs, inputs)
+    if not outputs:
+        raise RecordingError(f"{recording.path}: has nothing that {key} said with all that it heard before")
+    known = sorted(
+        ((t_ns, controls[name]) for name, t_ns in answers.items() if name in controls), key=lambda pair: pair[0]
+    )
+    return Heard(key, outputs, inputs, known)
+
+
+def _from_first_known(
+    kind: "_Kind", outputs: list[Output], inputs: Mapping[str, list[RecordedMessage]]
+) -> list[Output]:
+    """Leave out what the node said at the start to messages that the recorder, still connecting, did not hear."""
+    heard = {topic: {_hand_time(recorded) for recorded in found} | {0} for topic, found in inputs.items()}
+    # a number above 0 at the start: the node may have heard more than the recorder
+    begun_ns = max((found[0].publish_ns for found in inputs.values() if found and found[0].seq > 0), default=0)
+    unknown = settled = 0
+    for number, output in enumerate(outputs):
+        topic, hand_t_ns = kind.input_of(output.message)
+        if hand_t_ns not in heard[topic] or output.t_ns < begun_ns:
+            unknown, settled = number + 1, 0
+        settled += hand_t_ns > 0
+        # from here on a message that is not there is a loss
+        if settled > _SETTLED:
+            break
+    while unknown < len(outputs) and outputs[unknown].topic != kind.outputs[0]:
+        unknown += 1
+    return outputs[unknown:]
+
+
+def _hand_time(recorded: RecordedMessage) -> int:
+    fields = recorded.fields()
+    return int(fields["t_ns" if recorded.topic == "haptic/state" else "hand_t_ns"])
 
 
 def _output(recorded: RecordedMessage) -> Output:
@@ -442,71 +561,70 @@ def _master_turns(heard: Heard) -> Turns:
     """
     hands = heard.index("haptic/state", _own_key)
     answers = heard.index("teleop/backward@master", _sample_key)
-    outputs = deque(heard.outputs)
-    while outputs and isinstance(outputs[0].message, HapticCommand):
-        # the forward before it was not recorded
-        outputs.popleft()
-    used: tuple[int, int] = (0, 0)
-    overdue: list[Output] = []
-    while outputs:
-        forward = outputs.popleft()
-        before = heard.commands_before((overdue[0] if overdue else forward).t_ns)
+
+    def orders(place: Place) -> Sequence[Try]:
+        if place.output >= len(heard.outputs):
+            return ()
+        forward = heard.outputs[place.output]
+        sent = [*([place.pending] if place.pending else ()), forward]
+        before = heard.commands_before(sent[0].t_ns, place.controls)
         hand = _hear(*_named(hands, _sample_key(forward.message), "haptic/state", forward))
-        sent, overdue = [*overdue, forward], []
-        if not outputs or not isinstance(outputs[0].message, HapticCommand):
-            yield [Try([*before, hand], sent)]
-            continue
-        command = outputs.popleft()
-        between = heard.commands_before(command.t_ns)
+        after = place._replace(output=place.output + 1, controls=place.controls + len(before), pending=None)
+        if not heard.next_is(after.output, HapticCommand):
+            return [Try([*before, hand], sent, after)]
+        command = heard.outputs[after.output]
+        between = heard.commands_before(command.t_ns, after.controls)
         key = _sample_key(command.message)
-        if key == used:
-            overdue = [command]
-            yield [Try([*before, hand, *between], sent)]
-            continue
-        used = key
+        done = after._replace(output=after.output + 1, controls=after.controls + len(between), used=key[1])
+        overdue = done._replace(pending=command)
+        if key[1] == place.used:
+            return [Try([*before, hand, *between], sent, overdue)]
         answer, recorded = _named(answers, key, "teleop/backward@master", command)
-        prompt = Try([*before, hand, _at(command.t_ns), *between, _hear(answer, recorded)], [*sent, command])
-        early = Try([*before, _hear(answer, recorded, sent[0].t_ns), hand, *between], sent)
-        # told apart by the command: early has it come with the next sample of the hand
-        if (yield [prompt, early]):
-            overdue = [command]
+        prompt = [*before, hand, _at(command.t_ns), *between, _hear(answer, recorded)]
+        early = [*before, _hear(answer, recorded, sent[0].t_ns), hand, *between]
+        return [Try(prompt, [*sent, command], done), Try(early, sent, overdue)]
+
+    return orders
 
 
 def _slave_turns(heard: Heard) -> Turns:
     """Rebuild what the slave half heard: each command names its forward, and the instrument's states are in order.
 
     The signal back goes out when the instrument has answered the command, or else at the next forward. States that the
-    instrument sent on its own clock are placed by their stamps; for those near a forward the other places are tried.
+    instrument sent on its own clock are placed by their stamps; the other places near a forward are tried as well.
     """
     forwards = heard.index("teleop/forward@slave", _sample_key)
-    states = deque((cast(AfmState, recorded.decode()), recorded) for recorded in heard.inputs["afm/state"])
-    outputs = deque(heard.outputs)
-    while outputs and isinstance(outputs[0].message, TeleopBackward):
-        # the command before it was not recorded
-        outputs.popleft()
-    overdue: list[Output] = []
-    while outputs:
-        command = outputs.popleft()
-        sent, overdue = [*overdue, command], []
-        before = heard.commands_before(sent[0].t_ns)
+    states = [(cast(AfmState, recorded.decode()), recorded) for recorded in heard.inputs["afm/state"]]
+
+    def orders(place: Place) -> Sequence[Try]:
+        if place.output >= len(heard.outputs):
+            return ()
+        command = heard.outputs[place.output]
+        sent = [*([place.pending] if place.pending else ()), command]
+        before = heard.commands_before(sent[0].t_ns, place.controls)
         forward = _hear(*_named(forwards, _sample_key(command.message), "teleop/forward@slave", command))
-        backward = outputs.popleft() if outputs and isinstance(outputs[0].message, TeleopBackward) else None
-        between = [] if backward is None else heard.commands_before(backward.t_ns)
-        waiting, answer = _states_until(states, command, backward or command)
+        after = place._replace(output=place.output + 1, controls=place.controls + len(before), pending=None)
+        backward = heard.outputs[after.output] if heard.next_is(after.output, TeleopBackward) else None
+        between: list[Act] = []
+        if backward is not None:
+            between = heard.commands_before(backward.t_ns, after.controls)
+            after = after._replace(output=after.output + 1, controls=after.controls + len(between))
+        waiting, answer = _states_until(islice(states, place.taken, None), command, backward or command)
         likely = sum(state.t_ns + _TRANSIT_NS <= sent[0].t_ns for state, _ in waiting)
-        prompt: list[tuple[int, Try]] = []
-        late: list[tuple[int, Try]] = []
-        for split in sorted(range(len(waiting) + 1), key=lambda n: abs(n - likely))[:_MOST_ORDERS]:
+        # the last one: at the start the node may hear nothing of the instrument for longer than the recorder
+        splits = [*sorted(range(1, len(waiting) + 1), key=lambda n: abs(n - likely))[:_MOST_ORDERS], 0]
+        prompt: list[Try] = []
+        late: list[Try] = []
+        for split in splits:
             acts = [*before, *_all(waiting[:split]), forward]
-            late.append((split, Try([*acts, *between], sent)))
+            late.append(Try([*acts, *between], sent, after._replace(taken=place.taken + split, pending=backward)))
             if backward is not None and answer is not None:
                 rest = [*_all(waiting[split:]), _at(backward.t_ns), *between, _hear(*answer)]
-                prompt.append((len(waiting) + 1, Try([*acts, *rest], [*sent, backward])))
-        orders = [*prompt, *late]
-        taken, chosen = orders[(yield [attempt for _, attempt in orders])]
-        for _ in range(taken):
-            states.popleft()
-        overdue = [backward] if backward is not None and backward not in chosen.expected else []
+                done = after._replace(taken=place.taken + len(waiting) + 1)
+                prompt.append(Try([*acts, *rest], [*sent, backward], done))
+        return [*prompt, *late]
+
+    return orders
 
 
 State = tuple[AfmState, RecordedMessage]
@@ -538,23 +656,26 @@ def _instrument_turns(heard: Heard) -> Turns:
     `step_s` gives the time of each step exactly.
     """
     commands = heard.index("afm/command", lambda message: (message.seq, message.hand_t_ns))
-    outputs = heard.outputs
-    previous: tuple[int, int] = (0, 0)
-    for number, output in enumerate(outputs):
+
+    def orders(place: Place) -> Sequence[Try]:
+        if place.output >= len(heard.outputs):
+            return ()
+        output = heard.outputs[place.output]
         state = cast(AfmState, output.message)
-        key = (state.command_seq, state.hand_t_ns)
-        after_ns = outputs[number + 1].t_ns if number + 1 < len(outputs) else output.t_ns + _LONGEST_ANSWER_NS
+        following = place.output + 1
+        # the answer to a command of the session comes after the state that it made
+        after_ns = heard.outputs[following].t_ns if following < len(heard.outputs) else _FAR_FUTURE_NS
+        controls = heard.controls_before(after_ns, place.controls)
+        asked = [_control(control) for control in controls if control.command in _STEPPING]
+        done = place._replace(output=following, controls=place.controls + len(controls), used=state.hand_t_ns)
         step = _advance(round(state.step_s * 1e9))
-        # the answer to a command of the session follows the state that it made
-        asked = [_control(control) for control in heard.controls_before(after_ns) if control.command in _STEPPING]
-        if key != previous and state.hand_t_ns > 0:
+        if state.hand_t_ns not in (0, place.used):
+            key = (state.command_seq, state.hand_t_ns)
             message, recorded = _named(commands, key, "afm/command", output)
-            yield [Try([step, _hear(message, recorded, output.t_ns)], [output])]
-        elif asked:
-            yield [Try([step, *asked], [output])]
-        else:
-            yield [Try([step, _step_by_itself], [output])]
-        previous = key
+            return [Try([step, _hear(message, recorded, output.t_ns)], [output], done)]
+        return [Try([step, *(asked or [_step_by_itself])], [output], done)]
+
+    return orders
 
 
 def _hand_turns(heard: Heard) -> Turns:
@@ -567,22 +688,27 @@ def _hand_turns(heard: Heard) -> Turns:
         key=lambda pair: pair[0].t_ns,
     )
     times = [command.t_ns for command, _ in commands]
-    arrived = 0
-    for output in heard.outputs:
+
+    def orders(place: Place) -> Sequence[Try]:
+        if place.output >= len(heard.outputs):
+            return ()
+        output = heard.outputs[place.output]
         state = cast(HapticState, output.message)
-        acts = heard.commands_before(output.t_ns)
-        if state.answered_at_ns not in (0, arrived):
-            # the newest that answers that sample and had been sent by then: a newer one may still have been on its way
-            sent = commands[: bisect_right(times, state.answered_at_ns)][-_MOST_ON_THEIR_WAY:]
+        acts = heard.commands_before(output.t_ns, place.controls)
+        done = Place(place.output + 1, 0, place.controls + len(acts), state.answered_at_ns)
+        if state.answered_at_ns not in (0, place.used):
+            # the newest that answers that sample and had been sent by then: a newer one may have been on its way
+            last = bisect_right(times, state.answered_at_ns)
+            sent = commands[max(0, last - _MOST_ON_THEIR_WAY) : last]
             key = (state.answered_seq, state.answered_t_ns)
             found = next((pair for pair in reversed(sent) if _sample_key(pair[0]) == key), None)
             if found is None:
-                raise _MissingInputError(
-                    f"{output.topic}, seq {output.seq} acts on a message of haptic/command that the recording lacks"
-                )
+                text = f"{output.topic}, seq {output.seq} acts on a message of haptic/command that the recording lacks"
+                raise _MissingInputError(text)
             acts.append(_hear(*found, received_ns=state.answered_at_ns))
-            arrived = state.answered_at_ns
-        yield [Try([*acts, _at(output.t_ns), _tick(state.step_s)], [output])]
+        return [Try([*acts, _at(output.t_ns), _tick(state.step_s)], [output], done)]
+
+    return orders
 
 
 def _advance(elapsed_ns: int) -> Act:
@@ -605,19 +731,37 @@ def _tick(step_s: float) -> Act:
     return act
 
 
+def _master_input(message: Any) -> tuple[str, int]:
+    return ("haptic/state" if isinstance(message, TeleopForward) else "teleop/backward@master"), message.hand_t_ns
+
+
 class _Kind(NamedTuple):
-    """How a node is re-run: its compared outputs, its inputs by channel, and how their order is rebuilt."""
+    """How a node is re-run: its compared outputs, its inputs by channel, and how their order is rebuilt.
+
+    The first output is the one that a turn begins with. `input_of` gives the topic that an output answers and the stamp
+    of the hand's sample [ns] by which the message is known; 0 for none yet.
+    """
 
     outputs: tuple[str, ...]
     inputs: tuple[str, ...]
     turns: Callable[[Heard], Turns]
+    input_of: Callable[[Any], tuple[str, int]]
 
 
 _TURNS: dict[str, _Kind] = {
     "controller@master": _Kind(
-        ("teleop/forward", "haptic/command"), ("haptic/state", "teleop/backward@master"), _master_turns
+        ("teleop/forward", "haptic/command"), ("haptic/state", "teleop/backward@master"), _master_turns, _master_input
     ),
-    "controller@slave": _Kind(("afm/command", "teleop/backward"), ("teleop/forward@slave", "afm/state"), _slave_turns),
-    "afm_node@slave": _Kind(("afm/state",), ("afm/command",), _instrument_turns),
-    "haptic_node@master": _Kind(("haptic/state",), ("haptic/command",), _hand_turns),
+    "controller@slave": _Kind(
+        ("afm/command", "teleop/backward"),
+        ("teleop/forward@slave", "afm/state"),
+        _slave_turns,
+        lambda message: ("teleop/forward@slave", message.hand_t_ns),
+    ),
+    "afm_node@slave": _Kind(
+        ("afm/state",), ("afm/command",), _instrument_turns, lambda message: ("afm/command", message.hand_t_ns)
+    ),
+    "haptic_node@master": _Kind(
+        ("haptic/state",), ("haptic/command",), _hand_turns, lambda message: ("haptic/command", message.answered_t_ns)
+    ),
 }

@@ -2,13 +2,11 @@
 
 import sys
 
-from proto import TOPICS
 from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake, Listener
+from services.recorder.live import connect
 from services.recorder.node import RecorderBus, RecorderNode
-from services.recorder.provenance import write_provenance
-from services.recorder.writer import RecordingWriter
-from services.runtime.errors import RecordingError
+from services.recorder.start import begin_intake
 from services.runtime.main import NodeKind, Wiring, run_node
 from services.runtime.node import AccountedBus, Node
 
@@ -23,22 +21,12 @@ def build(wiring: Wiring, config: RecorderConfig) -> tuple[Node, AccountedBus]:
 
 def listeners(wiring: Wiring) -> list[Listener]:
     """Connect to each node for every recorded topic that can be heard there."""
-    found = []
-    for node, topics in wiring.book.observed().items():
-        recorded = [topic for topic in topics if TOPICS[topic].recorded]
-        if recorded:
-            found.append(Listener(node, wiring.subscriber({node: recorded})))
-    return found
+    return connect(wiring.zmq_context, wiring.clock, wiring.book)
 
 
 def begin(wiring: Wiring, config: RecorderConfig) -> Intake:
     """Begin the recording; a file that cannot be written is a fault to report, not a reason to stop the rig."""
-    try:
-        writer = RecordingWriter.create(wiring.key, config)
-        write_provenance(writer, config, wiring.site_file, wiring.scenario_file, wiring.clock.now_ns())
-    except RecordingError as error:
-        return Intake(None, str(error))
-    return Intake(writer)
+    return begin_intake(wiring.key, wiring.clock, config, wiring.site_file, wiring.scenario_file)
 
 
 RECORDER = NodeKind("recorder", ("master", "slave"), RecorderConfig, build, realtime=False)

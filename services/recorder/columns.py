@@ -13,6 +13,8 @@ Column = npt.NDArray[Any]
 
 # of the record and not of the message; seq and t_ns are in the message as well
 _RECORD_FIELDS = ("log_ns", "publish_ns")
+# topics of the loop, by their declared rate [Hz]
+_FAST_HZ = 100.0
 
 
 def columns(
@@ -42,6 +44,24 @@ def columns(
         if paths:
             _take_fields(recording, message, paths, values)
     return {field: _array(recording, channel_topic, field, values[field]) for field in fields}
+
+
+def replay_shifts(recording: Recording) -> dict[str, int]:
+    """Give by how much [ns] the stamps of each source lie behind those of live nodes, because it was replayed.
+
+    A rig in which a player stood in for some nodes has old stamps beside new ones; the time of reception puts them on
+    one axis. Empty where none was replayed, or all were: then the stamps agree with one another as they are.
+    """
+    health = recording.select(lambda channel: channel.channel_topic == "node/health")
+    replayed = {message.src for message in health if message.fields().get("replay") is True}
+    fast = {c.src: c.channel_topic for c in recording.channels if c.via == "direct" and (c.rate_hz or 0.0) >= _FAST_HZ}
+    if not replayed & set(fast) or set(fast) <= replayed:
+        return {}
+    shifts = {}
+    for src in replayed & set(fast):
+        times = columns(recording, fast[src], ("log_ns", "publish_ns"))
+        shifts[src] = round(float(np.median(times["log_ns"] - times["publish_ns"])))
+    return shifts
 
 
 def _take_fields(

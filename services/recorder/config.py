@@ -1,9 +1,14 @@
 """What the recorder can be told."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from services.recorder.selection import Selection
+from services.runtime.errors import ConfigError
+
+_Size = Annotated[int, Field(ge=65_536, le=1 << 50)]
 
 
 class RecorderConfig(BaseModel):
@@ -28,3 +33,51 @@ class RecorderConfig(BaseModel):
         default=False,
         description="Wait at each flush until the disk has the data: then a power cut loses no more either",
     )
+    topics: tuple[str, ...] = Field(
+        default=(), description="Record only these: globs of channel names, or /regular expressions/; none = all"
+    )
+    exclude: tuple[str, ...] = Field(default=(), description="Do not record these: the same patterns")
+    split_size_bytes: _Size | None = Field(
+        default=None, description="Begin a new file at this size [bytes]; none = never"
+    )
+    split_interval_s: Annotated[float, Field(ge=1.0, le=86_400.0)] | None = Field(
+        default=None, description="Begin a new file after this time [s], 1 to 86400; none = never"
+    )
+    quota_bytes: _Size | None = Field(
+        default=None, description="Most that the files of this recording may take together [bytes]; none = no limit"
+    )
+    quota_policy: Literal["stop", "drop_oldest"] = Field(
+        default="stop", description="At the quota: stop recording, or remove the oldest file of this recording"
+    )
+    snapshot_s: Annotated[float, Field(ge=0.1, le=3600.0)] | None = Field(
+        default=None,
+        description="Keep this time in memory and write it on a trigger only [s], 0.1 to 3600; none = always write",
+    )
+    snapshot_after_s: Annotated[float, Field(ge=0.0, le=3600.0)] = Field(
+        default=1.0, description="Go on writing after a trigger for this time [s], 0 to 3600"
+    )
+    snapshot_size_bytes: Annotated[int, Field(ge=65_536, le=1 << 32)] = Field(
+        default=256 << 20, description="Most that the snapshot may keep in memory [bytes]"
+    )
+    snapshot_on: tuple[Literal["mode", "fault", "contact"], ...] = Field(
+        default=(), description="Events that trigger a snapshot, besides the command: mode, fault, contact (snap-in)"
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        try:
+            self.selection()
+        except ConfigError as error:
+            raise ValueError(str(error)) from error
+        splits = self.split_size_bytes is not None or self.split_interval_s is not None or self.snapshot_s is not None
+        if self.quota_bytes is not None and self.quota_policy == "drop_oldest" and not splits:
+            raise ValueError(
+                "quota_policy drop_oldest removes whole files: it needs split_size_bytes or split_interval_s"
+            )
+        if self.quota_bytes is not None and (self.split_size_bytes or 0) > self.quota_bytes:
+            raise ValueError(f"split_size_bytes must not be above quota_bytes, which is {self.quota_bytes}")
+        return self
+
+    def selection(self) -> Selection:
+        """Give the channels to record."""
+        return Selection.of(self.topics, self.exclude)

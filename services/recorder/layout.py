@@ -12,7 +12,7 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Metadata
+from mcap.records import Attachment, Channel, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC
 
 Bytes = bytes | mmap.mmap
@@ -21,11 +21,13 @@ MAGIC: bytes = MCAP0_MAGIC
 RECORD_HEAD = struct.Struct("<BQ")
 _CHUNK_HEAD = struct.Struct("<QQQII")
 _LENGTH = struct.Struct("<Q")
+_CRC = struct.Struct("<I")
 _LONGEST_COMPRESSION_NAME = 8
 # a damaged size must not ask for the whole memory; ours are at most 64 MiB and one message
 _LARGEST_CHUNK = 1 << 30
 _CONTENT = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
 _FIRST_PRIVATE_OPCODE = 0x80
+_END_OF_TIME = 2**64
 # what the parts of a damaged record can raise while they are read
 UNREADABLE = (McapError, struct.error, UnicodeDecodeError, MemoryError, OverflowError)
 
@@ -41,7 +43,10 @@ class Damage:
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """Schemas, channels and messages in a row: a chunk, or such records outside of any chunk."""
+    """Schemas, channels and messages in a row: a chunk, or such records outside of any chunk.
+
+    `first_ns` and `last_ns` bound the log times of its messages, so that a search can pass it over unread.
+    """
 
     offset: int
     data_start: int
@@ -50,6 +55,8 @@ class Block:
     size_bytes: int = 0
     crc: int = 0
     whole: bool = True
+    first_ns: int = 0
+    last_ns: int = _END_OF_TIME
 
 
 @dataclass
@@ -60,6 +67,7 @@ class Layout:
     attachments: dict[str, Attachment] = field(default_factory=dict)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     summary_channels: dict[int, Channel] = field(default_factory=dict)
+    summary_schemas: dict[int, Schema] = field(default_factory=dict)
     damage: list[Damage] = field(default_factory=list)
     finished: bool = False
 
@@ -129,7 +137,7 @@ def _chunk_at(data: Bytes, position: int, end: int | None) -> Block | None:
     body = position + RECORD_HEAD.size
     if body + _CHUNK_HEAD.size > len(data):
         return None
-    _, _, size, crc, name_length = _CHUNK_HEAD.unpack_from(data, body)
+    first_ns, last_ns, size, crc, name_length = _CHUNK_HEAD.unpack_from(data, body)
     data_start = body + _CHUNK_HEAD.size + name_length + _LENGTH.size
     if name_length > _LONGEST_COMPRESSION_NAME or data_start > len(data) or size > _LARGEST_CHUNK:
         return None
@@ -137,7 +145,9 @@ def _chunk_at(data: Bytes, position: int, end: int | None) -> Block | None:
     stored_end = data_start + _LENGTH.unpack_from(data, data_start - _LENGTH.size)[0]
     if end is None:
         return Block(position, data_start, len(data), name, size, crc, whole=False) if stored_end > len(data) else None
-    return Block(position, data_start, stored_end, name, size, crc) if stored_end == end else None
+    if stored_end != end:
+        return None
+    return Block(position, data_start, stored_end, name, size, crc, first_ns=first_ns, last_ns=last_ns)
 
 
 def _enter_block(data: Bytes, position: int, end: int, opcode: int, layout: Layout) -> int:
@@ -156,6 +166,10 @@ def _enter_other(data: Bytes, position: int, end: int, opcode: int, layout: Layo
     try:
         if opcode == Opcode.ATTACHMENT:
             attachment = Attachment.read(stream)
+            if not _attachment_sound(data[position + RECORD_HEAD.size : end]):
+                layout.damage.append(
+                    Damage(position, end - position, f"the check sum of the attachment {attachment.name} is wrong")
+                )
             layout.attachments[attachment.name] = attachment
         elif opcode == Opcode.METADATA:
             metadata = Metadata.read(stream)
@@ -163,8 +177,17 @@ def _enter_other(data: Bytes, position: int, end: int, opcode: int, layout: Layo
         elif opcode == Opcode.CHANNEL:
             channel = Channel.read(stream)
             layout.summary_channels[channel.id] = channel
+        elif opcode == Opcode.SCHEMA:
+            schema = Schema.read(stream)
+            layout.summary_schemas[schema.id] = schema
     except UNREADABLE as error:
         layout.damage.append(Damage(position, end - position, f"a damaged record: {type(error).__name__}"))
+
+
+def _attachment_sound(body: bytes) -> bool:
+    """Compare an attachment with its check sum, which ends it; 0 stands for none."""
+    (crc,) = _CRC.unpack_from(body, len(body) - _CRC.size)
+    return crc in (0, zlib.crc32(body[: -_CRC.size]))
 
 
 def _skip_damage(data: Bytes, position: int, trusted: int, opcode: int, layout: Layout) -> int:

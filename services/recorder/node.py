@@ -16,6 +16,8 @@ from services.runtime.schedule import Grid
 
 # how long the end may take to fetch what still waits in the sockets
 _LAST_WORDS_NS = 250_000_000
+_MEASURED_NS = 1_000_000_000
+_ORDERS = ("record.split", "record.snapshot", "record.status")
 
 
 class RecorderBus(ZmqBus):
@@ -65,9 +67,12 @@ class RecorderNode(Node):
         self.state = "running"
         self._grid = Grid(self.clock.monotonic_ns(), round(config.flush_interval_s * 1e9))
         self._path = "" if intake.writer is None else str(intake.writer.path)
-        self._announced_start = False
+        self._announced_path = ""
         self._announced_fault = ""
         self._announced_lost = 0
+        self._announced_dropped = 0
+        self._measured = (self.clock.monotonic_ns(), 0)
+        self.rate_hz = 0.0
 
     @property
     def steps(self) -> int:
@@ -87,22 +92,73 @@ class RecorderNode(Node):
 
     def on_deadline(self, now_ns: int) -> None:
         """Flush, and report what has changed since the last time."""
-        self._intake.flush()
+        # the file that the flush may end is told of before
+        self._announce()
+        self._intake.flush(now_ns)
         self._grid.advance(now_ns)
         self.overruns = self._grid.overruns
+        self._measure(now_ns)
         self._report()
 
     def on_control(self, control: SessionControl) -> str:
-        """Take note of a mark."""
-        if control.command != "mark":
-            raise RefusedError(f"{self.context.key} knows mark, not {control.command}")
-        if self._intake.writer is None:
+        """Take note of a mark; `set` begins a new file, writes a snapshot, or asks how the recording does."""
+        if control.command == "mark":
+            return self._mark(control)
+        if control.command != "set":
+            raise RefusedError(f"{self.context.key} knows mark and set, not {control.command}")
+        unknown = sorted(set(control.parameters) - set(_ORDERS))
+        if unknown or not control.parameters:
+            raise RefusedError(f"{', '.join(unknown) or 'nothing'} cannot be set: known are {', '.join(_ORDERS)}")
+        wrong = [name for name, value in control.parameters.items() if value is not True]
+        if wrong:
+            raise RefusedError(f"{', '.join(wrong)} is an order and takes true only")
+        if "record.split" in control.parameters:
+            self.split()
+        if "record.snapshot" in control.parameters:
+            self.snapshot()
+        return self.status()
+
+    @property
+    def path(self) -> str:
+        """File in hand, or the last one."""
+        return self._path
+
+    def split(self) -> None:
+        """Go on in a new file; RecordingError says why that cannot be."""
+        self._intake.split(self.clock.monotonic_ns())
+        self._report()
+
+    def snapshot(self) -> None:
+        """Write what is kept in memory; RecordingError when nothing is."""
+        self._intake.snapshot()
+
+    def status(self) -> str:
+        """Say in a line how the recording does: where, how much, how fast, what was lost."""
+        intake = self._intake
+        if intake.fault:
+            return f"not recording: {intake.fault}"
+        words = [f"recording to {self._path}" if intake.writer is not None else "waiting for a trigger"]
+        words += [f"{intake.size_bytes / 1e6:.1f} MB"] * (intake.writer is not None)
+        if intake.ring is not None:
+            words.append(f"{len(intake.ring)} messages, {intake.ring.size_bytes / 1e6:.1f} MB in memory")
+        words += [f"{intake.written} written", f"{self.rate_hz:.0f} messages/s", f"{intake.lost} lost"]
+        words += [f"{intake.rejected} rejected"] * (intake.rejected > 0)
+        return ", ".join(words)
+
+    def _mark(self, control: SessionControl) -> str:
+        if self._intake.fault:
             raise RefusedError(f"the mark is not recorded: {self._intake.fault}")
         # the parameters come from outside: as keywords of `event` they could clash with its own
         self.publish(
             "session/event", id="", kind="mark", level="info", text="mark of the operator", data=control.parameters
         )
-        return f"marked in {self._path}"
+        return f"marked in {self._path or 'memory'}"
+
+    def _measure(self, now_ns: int) -> None:
+        since_ns, heard = self._measured
+        if now_ns - since_ns >= _MEASURED_NS:
+            self.rate_hz = (self._intake.heard - heard) * 1e9 / (now_ns - since_ns)
+            self._measured = (now_ns, self._intake.heard)
 
     def make_safe(self) -> None:
         """Take what still waits in the sockets and complete the file."""
@@ -120,12 +176,21 @@ class RecorderNode(Node):
             for _ in self.context.bus.receive():
                 pass
 
-    def _report(self) -> None:
+    def _announce(self) -> None:
         intake = self._intake
         # said after the first flush, when whoever listens has had the time to connect
-        if self._path and not self._announced_start:
-            self._announced_start = True
+        self._path = self._path if intake.writer is None else str(intake.writer.path)
+        if self._path != self._announced_path:
+            self._announced_path = self._path
             self.event("recording", "info", f"recording to {self._path}", state="started", path=self._path)
+
+    def _report(self) -> None:
+        intake = self._intake
+        self._announce()
+        dropped = 0 if intake.parts is None else intake.parts.dropped
+        if dropped > self._announced_dropped:
+            self._announced_dropped = dropped
+            self.event("recording", "warning", f"{dropped} old files were removed for the quota", dropped=dropped)
         if intake.fault != self._announced_fault:
             self._announced_fault = intake.fault
             self.state = "safe"

@@ -23,19 +23,22 @@ def versions() -> dict[str, str]:
 
 
 def write_provenance(
-    writer: RecordingWriter, config: RecorderConfig, site_file: Path, scenario_file: Path, now_ns: int
+    writer: RecordingWriter, config: RecorderConfig, site_file: Path, scenario_file: Path | None, now_ns: int
 ) -> None:
-    """Write site file, scenario, versions and settings at the start of a recording.
+    """Write site file, scenario (where one is known), versions and settings at the start of a recording.
 
     Raises RecordingError naming the file that cannot be read or written.
     """
-    for name, path in (("site.yaml", site_file), ("scenario.yaml", scenario_file)):
+    files = {}
+    for name, path in (("site", site_file), ("scenario", scenario_file)):
+        if path is None:
+            continue
+        files[f"{name}_file"] = str(path.absolute())
         try:
             data = path.read_bytes()
         except OSError as error:
             raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error
-        writer.attach(name, "application/yaml", data, now_ns)
-    files = {"site_file": str(site_file.absolute()), "scenario_file": str(scenario_file.absolute())}
+        writer.attach(f"{name}.yaml", "application/yaml", data, now_ns)
     settings = {f"recorder {key}": str(value) for key, value in config.model_dump(mode="json").items()}
     writer.add_metadata("recording", {"node": writer.node, "started_ns": str(now_ns), **files, **settings})
     writer.add_metadata("versions", versions())

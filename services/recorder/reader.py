@@ -1,22 +1,22 @@
 """Reading a recording, whether it was finished, killed, cut off or damaged."""
 
 import mmap
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cached_property
 from io import BytesIO
 from pathlib import Path
 from struct import Struct
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import msgpack
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Channel
+from mcap.records import Attachment, Channel, Schema
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from proto import WireError, decode
 from proto.messages import Record
-from services.recorder.layout import MAGIC, RECORD_HEAD, UNREADABLE, Damage, DamagedBlockError, scan, unpack
+from services.recorder.layout import MAGIC, RECORD_HEAD, UNREADABLE, Block, Damage, DamagedBlockError, scan, unpack
 from services.recorder.records import RECORDS
 from services.runtime.errors import RecordingError
 from services.runtime.sequence import SequenceTracker
@@ -101,6 +101,46 @@ class RecordedMessage(NamedTuple):
         if not isinstance(found, dict):
             raise RecordingError(f"{self.channel_topic}, seq {self.seq}: not a msgpack map")
         return found
+
+
+Wanted = Callable[[RecordedChannel], bool]
+
+
+def _every(channel: RecordedChannel) -> bool:
+    return True
+
+
+def _none(channel: RecordedChannel) -> bool:
+    return False
+
+
+class RawChannel(NamedTuple):
+    """All that a file says of a channel; `schema` is name, encoding and data, None where there is none."""
+
+    topic: str
+    encoding: str
+    metadata: tuple[tuple[str, str], ...]
+    schema: tuple[str, str, bytes] | None
+
+    @property
+    def channel_topic(self) -> str:
+        """Name of the channel."""
+        return self.topic
+
+    @property
+    def src(self) -> str:
+        """Publisher, empty in a file that is not a recording of ours."""
+        return dict(self.metadata).get("src", "")
+
+
+class RawMessage(NamedTuple):
+    """A message with everything that a copy needs."""
+
+    channel: RawChannel
+    log_ns: int
+    publish_ns: int
+    seq: int
+    payload: bytes
 
 
 class _Info(BaseModel):
@@ -193,11 +233,26 @@ class Recording:
     @cached_property
     def channels(self) -> tuple[RecordedChannel, ...]:
         """Everything that was said, by whom and where heard, in the order of its first appearance."""
+        return tuple(dict.fromkeys(self._numbers.values()))
+
+    @cached_property
+    def _numbers(self) -> dict[int, RecordedChannel]:
+        """The channels by their number in the file."""
         known = {number: _channel_of(found) for number, found in self._layout.summary_channels.items()}
         if not self.complete:
-            for _ in self._walk(known, lambda channel: False, _ignore):
+            for _ in self._walk(known, _none, _ignore):
                 pass
-        return tuple(dict.fromkeys(known.values()))
+        return known
+
+    @cached_property
+    def span_ns(self) -> tuple[int, int]:
+        """First and last time of reception [ns]; zeros in a recording without messages."""
+        blocks = [block for block in self._layout.blocks if block.first_ns or block.last_ns]
+        bounded = bool(blocks) and all(block.whole and block.last_ns != _END_OF_TIME for block in blocks)
+        if self.complete and bounded:
+            return min(block.first_ns for block in blocks), max(block.last_ns for block in blocks)
+        times = [message.log_ns for message in self.select()]
+        return (min(times), max(times)) if times else (0, 0)
 
     def messages(
         self, topics: Iterable[str] | None = None, start_ns: int | None = None, end_ns: int | None = None
@@ -207,12 +262,81 @@ class Recording:
         Parameters: topics, names of channels such as `teleop/forward@slave`, all when None; start_ns (included) and
         end_ns (excluded), bounds of the time of reception [ns], none when None.
         """
-        wanted = None if topics is None else frozenset(topics)
+        if topics is None:
+            return self.select(_every, start_ns, end_ns)
+        names = frozenset(topics)
+        return self.select(lambda channel: channel.channel_topic in names, start_ns, end_ns)
+
+    def select(
+        self,
+        wanted: Wanted | None = None,
+        start_ns: int | None = None,
+        end_ns: int | None = None,
+        report: Report | None = None,
+    ) -> Iterator[RecordedMessage]:
+        """Give messages as `messages` does, of the channels for which `wanted` holds.
+
+        Chunks outside of the bounds are not read. `report` is told of each part that cannot be used.
+        """
         first = 0 if start_ns is None else start_ns
         after = _END_OF_TIME if end_ns is None else end_ns
-        for message in self._walk({}, lambda channel: wanted is None or channel.channel_topic in wanted, _ignore):
+        known: dict[int, RecordedChannel] = {} if start_ns is None else dict(self._numbers)
+        for message in self._walk(known, wanted or _every, report or _ignore, first, after):
             if first <= message.log_ns < after:
                 yield message
+
+    def newest_before(self, time_ns: int, wanted: Wanted | None = None) -> dict[RecordedChannel, RecordedMessage]:
+        """Give the newest message of each wanted channel heard before a time [ns], reading backwards from there."""
+        missing = {channel for channel in self.channels if wanted is None or wanted(channel)}
+        newest: dict[RecordedChannel, RecordedMessage] = {}
+        for block in reversed(self._layout.blocks):
+            if not missing:
+                break
+            if block.first_ns >= time_ns:
+                continue
+            found: dict[RecordedChannel, RecordedMessage] = {}
+            for message in self._walk(dict(self._numbers), missing.__contains__, _ignore, blocks=(block,)):
+                if message.log_ns < time_ns:
+                    found[message.channel] = message
+            newest |= found
+            missing -= set(found)
+        return newest
+
+    def raw(self, report: Report | None = None) -> Iterator[RawMessage]:
+        """Give every message with all that the file says of its channel, in the order of the file: for copies.
+
+        `report` is told of each part that cannot be used while reading; `structural_damage` has what is known before.
+        """
+        report = report or _ignore
+        schemas = dict(self._layout.summary_schemas)
+        channels = {number: _raw_channel(found, schemas) for number, found in self._layout.summary_channels.items()}
+        with self._open() as data:
+            for block in self._layout.blocks:
+                try:
+                    content = unpack(data, block)
+                except DamagedBlockError as error:
+                    report(Damage(block.offset, block.data_end - block.offset, str(error)))
+                    continue
+                for opcode, start, end in _records(content):
+                    if opcode == Opcode.MESSAGE:
+                        number, seq, log_ns, publish_ns = _MESSAGE_HEAD.unpack_from(content, start)
+                        if number in channels:
+                            payload = content[start + _MESSAGE_HEAD.size : end]
+                            yield RawMessage(channels[number], log_ns, publish_ns, seq, payload)
+                        else:
+                            report(Damage(block.offset, end - start, f"a message of the unknown channel {number}"))
+                    elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                        _learn_raw(opcode, content[start:end], schemas, channels)
+
+    @property
+    def structural_damage(self) -> tuple[Damage, ...]:
+        """The parts of the file that are no records, or damaged ones outside of the chunks."""
+        return tuple(self._layout.damage)
+
+    @property
+    def attached(self) -> dict[str, Attachment]:
+        """The same as `attachments`, with media types and times."""
+        return self._layout.attachments
 
     def info(self) -> RecordingInfo:
         """Read the whole file and give its account."""
@@ -251,15 +375,26 @@ class Recording:
             raise RecordingError(f"{self.path}: cannot be read any more: {error}") from error
 
     def _walk(
-        self, known: dict[int, RecordedChannel], wanted: Callable[[RecordedChannel], bool], report: Report
+        self,
+        known: dict[int, RecordedChannel],
+        wanted: Wanted,
+        report: Report,
+        first_ns: int = 0,
+        after_ns: int = _END_OF_TIME,
+        blocks: Iterable[Block] | None = None,
     ) -> Iterator[RecordedMessage]:
-        """Give the messages of the wanted channels, enter every channel in `known`, report what cannot be used."""
+        """Give the messages of the wanted channels, enter every channel in `known`, report what cannot be used.
+
+        Blocks that lie outside of the bounds [ns] as a whole are passed over.
+        """
         # what the summary says helps where the chunk that introduced a channel is damaged
         for number, channel in self._layout.summary_channels.items():
             known.setdefault(number, _channel_of(channel))
         selected = {number: channel for number, channel in known.items() if wanted(channel)}
         with self._open() as data:
-            for block in self._layout.blocks:
+            for block in self._layout.blocks if blocks is None else blocks:
+                if block.last_ns < first_ns or block.first_ns >= after_ns:
+                    continue
                 try:
                     content = unpack(data, block)
                 except DamagedBlockError as error:
@@ -276,6 +411,72 @@ class Recording:
                             report(Damage(block.offset, end - start, f"a message of the unknown channel {number}"))
                     elif opcode == Opcode.CHANNEL:
                         _learn(content[start:end], known, selected, wanted)
+
+
+class Source(Protocol):
+    """What can be played and searched: a recording, or the parts of one."""
+
+    @property
+    def path(self) -> Path:
+        """File, or the first of several."""
+
+    @property
+    def channels(self) -> tuple[RecordedChannel, ...]:
+        """Everything that was said, by whom and where heard."""
+
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """First and last time of reception [ns]."""
+
+    def select(
+        self, wanted: Wanted | None = None, start_ns: int | None = None, end_ns: int | None = None
+    ) -> Iterator[RecordedMessage]:
+        """Give messages of wanted channels within bounds [ns]."""
+
+    def newest_before(self, time_ns: int, wanted: Wanted | None = None) -> dict[RecordedChannel, RecordedMessage]:
+        """Give the newest message of each wanted channel that was heard before a time [ns]."""
+
+
+class Series:
+    """The parts of a recording that was split, read as one."""
+
+    def __init__(self, parts: Sequence[Recording]) -> None:
+        """Take recordings, which are put in the order of time."""
+        filled = [part for part in parts if part.span_ns != (0, 0)] or list(parts[:1])
+        self.parts = sorted(filled, key=lambda part: part.span_ns)
+        self.path = self.parts[0].path
+
+    @property
+    def channels(self) -> tuple[RecordedChannel, ...]:
+        """Everything that was said, by whom and where heard."""
+        return tuple(dict.fromkeys(channel for part in self.parts for channel in part.channels))
+
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """First and last time of reception [ns]."""
+        return self.parts[0].span_ns[0], max(part.span_ns[1] for part in self.parts)
+
+    def select(
+        self, wanted: Wanted | None = None, start_ns: int | None = None, end_ns: int | None = None
+    ) -> Iterator[RecordedMessage]:
+        """Give messages of wanted channels within bounds [ns], part by part."""
+        for part in self.parts:
+            yield from part.select(wanted, start_ns, end_ns)
+
+    def newest_before(self, time_ns: int, wanted: Wanted | None = None) -> dict[RecordedChannel, RecordedMessage]:
+        """Give the newest message of each wanted channel that was heard before a time [ns]."""
+        newest: dict[RecordedChannel, RecordedMessage] = {}
+        for part in self.parts:
+            newest |= part.newest_before(time_ns, wanted)
+        return newest
+
+
+def open_recordings(paths: Sequence[str | Path]) -> Source:
+    """Open a recording, or the parts of one; RecordingError names the file that cannot be read."""
+    if not paths:
+        raise RecordingError("no recording was named")
+    parts = [Recording(path) for path in paths]
+    return parts[0] if len(parts) == 1 else Series(parts)
 
 
 class _Account:
@@ -333,7 +534,7 @@ def _learn(
     body: bytes,
     known: dict[int, RecordedChannel],
     selected: dict[int, RecordedChannel],
-    wanted: Callable[[RecordedChannel], bool],
+    wanted: Wanted,
 ) -> None:
     try:
         found = Channel.read(ReadDataStream(BytesIO(body)))
@@ -344,6 +545,26 @@ def _learn(
     known[found.id] = channel
     if wanted(channel):
         selected[found.id] = channel
+
+
+def _learn_raw(opcode: int, body: bytes, schemas: dict[int, Schema], channels: dict[int, RawChannel]) -> None:
+    stream = ReadDataStream(BytesIO(body))
+    try:
+        if opcode == Opcode.SCHEMA:
+            schema = Schema.read(stream)
+            schemas[schema.id] = schema
+        else:
+            found = Channel.read(stream)
+            channels.setdefault(found.id, _raw_channel(found, schemas))
+    except UNREADABLE:
+        # its messages are reported as those of an unknown channel
+        return
+
+
+def _raw_channel(found: Channel, schemas: dict[int, Schema]) -> RawChannel:
+    schema = schemas.get(found.schema_id)
+    described = None if schema is None else (schema.name, schema.encoding, schema.data)
+    return RawChannel(found.topic, found.message_encoding, tuple(sorted(found.metadata.items())), described)
 
 
 def _channel_of(found: Channel) -> RecordedChannel:

@@ -63,12 +63,13 @@ class RecordingWriter:
         )
         with self._guarded():
             self._mcap.start("telenano")
+            # from its first moment on the file is one that opens
+            self._stream.flush()
 
     @classmethod
-    def create(cls, node: str, config: RecorderConfig) -> "RecordingWriter":
-        """Make the file, under the first free name; nothing is ever overwritten."""
+    def create(cls, node: str, config: RecorderConfig, number: int = 0) -> "RecordingWriter":
+        """Make the file, under the first free name from a number on; nothing is ever overwritten."""
         stem, suffix = Path(config.file_name).stem, Path(config.file_name).suffix
-        number = 0
         while True:
             path = config.directory / (f"{stem}_{number}{suffix}" if number else config.file_name)
             try:

@@ -35,8 +35,8 @@ class RealtimeConfig(BaseModel):
     )
     cpus: Literal["auto", "free"] | dict[str, Annotated[int, Field(ge=0)]] = Field(
         default="auto",
-        description="Processor that a process stays on. auto: under SCHED_FIFO the master's nodes on one, link and slave's "
-        "nodes on another; free: any; or a mapping of node or node@site to a processor",
+        description="Processor that a process stays on. auto: under SCHED_FIFO the master's nodes on one, link and "
+        "slave's nodes on another; free: any; or a mapping of node or node@site to a processor",
     )
 
 

@@ -60,10 +60,10 @@ class Rig:
     def command(self, *arguments: str) -> list[str]:
         return [sys.executable, "-m", "services.launcher", *arguments]
 
-    def tell(self, *arguments: str) -> subprocess.CompletedProcess[str]:
+    def tell(self, *arguments: str, patience_s: float = 60.0) -> subprocess.CompletedProcess[str]:
         """Run another telenano command beside the rig."""
         return subprocess.run(
-            self.command(*arguments), env=self.environment, cwd=ROOT, capture_output=True, text=True, timeout=60
+            self.command(*arguments), env=self.environment, cwd=ROOT, capture_output=True, text=True, timeout=patience_s
         )
 
     def process_of(self, node: str) -> int | None:

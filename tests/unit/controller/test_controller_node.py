@@ -162,12 +162,38 @@ def test_lateness_of_the_hand_does_not_enter_the_law(master: Any, bench_of: Any)
     assert positions[0] == positions[1]
 
 
-def test_restarted_hand_starts_the_law_where_it_is(master: Any) -> None:
+def pushed(bench: Any, node: MasterController) -> Any:
+    """Push for a while in free space, and give the last reference of the tip."""
+    for _ in range(200):
+        hand = tick(bench, node, 1.0)
+        fields = answer_fields(0.0, hand.seq, hand.t_ns)
+        node.on_message(bench.heard("teleop/backward", "controller@slave", **fields))
+    last = bench.take("teleop/forward")[-1].position_m[2]
+    assert last < -2e-9
+    return last
+
+
+def test_hand_that_was_held_up_finds_its_reference_where_it_was(master: Any) -> None:
     bench, node = master
-    tick(bench, node, 1.0)
+    before = pushed(bench, node)
     bench.clock.advance_ns(10**9)
-    tick(bench, node, 0.0, position_m=(0.0, 0.0, -4e-3))
+    tick(bench, node, 1.0, position_m=(0.0, 0.0, -node.law_state.position_m))
+    after = bench.take("teleop/forward")[-1].position_m[2]
+    # a tick of free motion at most
+    assert 0.0 < before - after < 16e-12
+
+
+def test_hand_that_was_restarted_is_joined_where_it_is_and_the_tip_stays(master: Any) -> None:
+    bench, node = master
+    before = pushed(bench, node)
+    bench.clock.advance_ns(10**9)
+    for _ in range(3):
+        hand = tick(bench, node, 0.0, mode="off", position_m=(0.0, 0.0, -4e-3))
+        fields = answer_fields(0.0, hand.seq, hand.t_ns)
+        node.on_message(bench.heard("teleop/backward", "controller@slave", **fields))
     assert node.law_state.position_m == 4e-3
+    after = bench.take("teleop/forward")[-1].position_m[2]
+    assert abs(before - after) < 32e-12
 
 
 def test_parameters_change_at_run_time(master: Any) -> None:

@@ -11,6 +11,7 @@ import typer
 from typer.testing import CliRunner
 
 from services.launcher.cli import app
+from services.launcher.lazy import LATE, load
 
 DOCUMENTATION = Path(__file__).parents[3] / "docs" / "cli.md"
 RUNNER = CliRunner()
@@ -35,6 +36,8 @@ def leaves(command: object, path: str) -> Iterator[tuple[str, object]]:
 
 
 COMMANDS = dict(leaves(typer.main.get_command(app), "telenano"))
+for late in LATE:
+    COMMANDS.update(leaves(load(late), f"telenano {late}"))
 GROUPS = {"telenano topic", "telenano bag", "telenano link", "telenano study"}
 
 

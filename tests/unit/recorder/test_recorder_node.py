@@ -91,7 +91,7 @@ def rig(config: RecorderConfig) -> Iterator[Rig]:
 
 def test_flushes_come_at_the_interval_of_the_configuration(rig: Rig) -> None:
     flushed_at: list[int] = []
-    rig.intake.flush = lambda: flushed_at.append(rig.clock.monotonic_ns())
+    rig.intake.flush = lambda now_ns: flushed_at.append(rig.clock.monotonic_ns())
     while rig.clock.monotonic_ns() < 1_000_000_000:
         rig.loop.turn()
     assert flushed_at == [200_000_000, 400_000_000, 600_000_000, 800_000_000, 1_000_000_000]

@@ -17,7 +17,7 @@ from services.runtime.scenario import Scenario
 from studies import validate as study
 from studies.cells import Cell, trajectory_of
 from studies.link import symmetric_link
-from studies.validate import Bus, StudyError, compare, run_on_bus, scenario_of
+from studies.validate import Agreement, Bus, StudyError, bus_edges, compare, run_on_bus, scenario_of
 
 
 def cell(**changes: Any) -> Cell:
@@ -106,3 +106,21 @@ def test_lockstep_course_has_the_hands_grid() -> None:
     course = trajectory_of(cell())
     np.testing.assert_allclose(np.diff(course.time_s), 1e-3, rtol=1e-9, atol=0.0)
     assert course.time_s[0] == 0.0
+
+
+def agreement(round_trip_ms: float, growth: float | None, stiffness: float = 38.0) -> Agreement:
+    return Agreement(
+        "virtual_impedance", "spring", stiffness, round_trip_ms, "stable", "stable", None, growth, None, 0.05, True
+    )
+
+
+def test_edge_on_the_bus_is_the_zero_of_the_growth_rate() -> None:
+    line = [agreement(24.0, 2.0), agreement(15.0, None), agreement(20.0, -2.0), agreement(30.0, 5.0)]
+    (edge,) = bus_edges(line, 1e-3)
+    assert edge.bus_critical_delay_ms == pytest.approx(22.5, rel=1e-12, abs=0.0)
+    assert (edge.law, edge.stiffness_n_per_m) == ("virtual_impedance", 38.0)
+
+
+def test_no_edge_without_a_cell_on_each_side() -> None:
+    assert bus_edges([agreement(20.0, -2.0), agreement(24.0, -1.0), agreement(30.0, None)], 1e-3) == []
+    assert bus_edges([agreement(20.0, -2.0), agreement(24.0, 1.0, stiffness=20.0)], 1e-3) == []

@@ -1,0 +1,348 @@
+"""`telenano bag`: everything that can be done with a recording on disk."""
+
+import json
+from collections.abc import Iterable
+from enum import StrEnum
+from itertools import islice
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from pydantic import BaseModel
+
+from services.launcher.telling import EXIT_FAILED, console, errors_told, print_json, tell
+from services.recorder.compare import Tolerances
+from services.recorder.reader import Recording, open_recordings
+from services.recorder.selection import Selection
+from services.runtime.errors import RecordingError
+
+_CHANNEL_COLUMNS = ("channel_topic", "src", "messages", "rate_hz", "gaps", "lost", "restarts")
+_PLOT_SIZE = (100, 12)
+
+app = typer.Typer(
+    help="Look into a recording, and make others from it.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+FileArgument = Annotated[Path, typer.Argument(metavar="FILE", help="Recording (.mcap).")]
+FilesArgument = Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings (.mcap).")]
+OutOption = Annotated[Path, typer.Option("--out", metavar="PATH", help="File or folder to make, never overwritten.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print exactly one JSON object on stdout, nothing else.")]
+TopicsOption = Annotated[
+    list[str] | None,
+    typer.Option("--topics", metavar="PATTERN", help="Only these channels: glob or /regular expression/ (repeatable)."),
+]
+ExcludeOption = Annotated[
+    list[str] | None, typer.Option("--exclude", metavar="PATTERN", help="Not these channels (repeatable).")
+]
+NodesOption = Annotated[
+    list[str] | None, typer.Option("--nodes", metavar="NODE", help="Only what these nodes said (repeatable).")
+]
+StartOption = Annotated[float, typer.Option("--start", min=0.0, metavar="S", help="From this time on [s].")]
+EndOption = Annotated[float | None, typer.Option("--end", metavar="S", help="Up to this time [s].")]
+ToleranceOption = Annotated[
+    list[str] | None,
+    typer.Option("--tolerance", metavar="FIELD=VALUE", help="Largest difference, in the field's unit (repeatable)."),
+]
+
+
+class ExportFormat(StrEnum):
+    """What a recording can be exported to."""
+
+    PARQUET = "parquet"
+    CSV = "csv"
+    HDF5 = "hdf5"
+    MCAP_JSON = "mcap-json"
+
+
+@app.command()
+def info(file: FileArgument, as_json: JsonOption = False) -> None:
+    """Say what a recording holds."""
+    with errors_told(as_json):
+        found = Recording(file).info().model_dump(mode="json")
+    if not as_json:
+        # the whole of it is wider and longer than a screen
+        found["channels"] = [{key: row[key] for key in _CHANNEL_COLUMNS} for row in found["channels"]]
+        found["metadata"] = found["metadata"].get("recording", {})
+    tell(found, str(file), as_json=as_json)
+
+
+@app.command("list")
+def list_files(
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder to look through, with all below.")] = Path(),
+    as_json: JsonOption = False,
+) -> None:
+    """List the recordings in a folder: length, messages, size, and whether they were closed in order."""
+    with errors_told(as_json):
+        if not folder.is_dir():
+            raise RecordingError(f"{folder}: is not a folder")
+        rows = [_row(path) for path in sorted(folder.rglob("*.mcap"))]
+    if as_json:
+        print_json({"folder": str(folder), "recordings": rows})
+    elif rows:
+        _print_rows(rows)
+    else:
+        typer.echo(f"{folder}: no recordings")
+
+
+@app.command()
+def cat(
+    files: FilesArgument,
+    topics: TopicsOption = None,
+    exclude: ExcludeOption = None,
+    nodes: NodesOption = None,
+    start: StartOption = 0.0,
+    end: EndOption = None,
+    count: Annotated[int | None, typer.Option("--count", min=1, metavar="N", help="End after N messages.")] = None,
+) -> None:
+    """Print messages with the facts of their records, one a line as JSON."""
+    from services.recorder.rows import line
+
+    with errors_told(as_json=False):
+        recording = open_recordings(files)
+        chosen = Selection.of(topics or (), exclude or (), nodes or ())
+        _print_lines(map(line, islice(recording.select(chosen, *_bounds(recording.span_ns[0], start, end)), count)))
+
+
+@app.command()
+def echo(
+    file: FileArgument,
+    topic: Annotated[str, typer.Argument(metavar="TOPIC", help="Channel, such as teleop/forward@slave.")],
+    start: StartOption = 0.0,
+    end: EndOption = None,
+    count: Annotated[int | None, typer.Option("--count", min=1, metavar="N", help="End after N messages.")] = None,
+) -> None:
+    """Print the messages of a channel as `telenano topic echo` does with those of a running rig."""
+    from services.recorder.rows import plain
+
+    with errors_told(as_json=False):
+        recording = Recording(file)
+        known = [channel.channel_topic for channel in recording.channels]
+        if topic not in known:
+            raise RecordingError(f"{file}: has no channel {topic}, it has {', '.join(dict.fromkeys(known))}")
+        bounds = _bounds(recording.span_ns[0], start, end)
+        _print_lines(map(plain, islice(recording.messages([topic], *bounds), count)))
+
+
+@app.command("filter")
+def filter_file(
+    file: FileArgument,
+    out: OutOption,
+    topics: TopicsOption = None,
+    exclude: ExcludeOption = None,
+    nodes: NodesOption = None,
+    start: StartOption = 0.0,
+    end: EndOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Copy chosen channels and times into a new recording."""
+    from services.recorder.edit import filter_recording
+
+    with errors_told(as_json):
+        chosen = Selection.of(topics or (), exclude or (), nodes or ())
+        _tell_model(filter_recording(file, out, chosen, start, end), as_json)
+
+
+@app.command()
+def merge(files: FilesArgument, out: OutOption, as_json: JsonOption = False) -> None:
+    """Put recordings together in the order of time."""
+    from services.recorder.edit import merge_recordings
+
+    with errors_told(as_json):
+        _tell_model(merge_recordings(files, out), as_json)
+
+
+@app.command()
+def split(
+    file: FileArgument,
+    out: OutOption,
+    interval: Annotated[float | None, typer.Option("--interval", metavar="S", help="Time in each part [s].")] = None,
+    size: Annotated[int | None, typer.Option("--size", metavar="BYTES", help="Payload in each part [bytes].")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Cut a recording into parts."""
+    from services.recorder.edit import split_recording
+
+    with errors_told(as_json):
+        parts = [
+            part.model_dump(mode="json") for part in split_recording(file, out, interval_s=interval, size_bytes=size)
+        ]
+    if as_json:
+        print_json({"parts": parts})
+    else:
+        _print_rows([{"path": part["path"], "messages": part["messages"]} for part in parts])
+
+
+@app.command()
+def verify(files: FilesArgument, as_json: JsonOption = False) -> None:
+    """Check check sums, order, numbers and contents, and say precisely what is missing; exit code 1 if anything is.
+
+    Several files are taken as the parts of one recording.
+    """
+    from services.recorder.verify import verify as check
+
+    with errors_told(as_json):
+        verdict = check(files)
+    if as_json:
+        print_json(verdict.model_dump(mode="json"))
+    else:
+        for finding in verdict.findings:
+            place = f" {finding.channel}" if finding.channel else ""
+            typer.echo(f"{finding.level}: {finding.check}: {finding.file}{place}: {finding.text}")
+        typer.echo(f"{verdict.messages} messages, {'sound' if verdict.sound else 'not sound'}")
+    if not verdict.sound:
+        raise typer.Exit(EXIT_FAILED)
+
+
+@app.command()
+def recover(file: FileArgument, out: OutOption, as_json: JsonOption = False) -> None:
+    """Copy everything readable in a killed, cut-off or damaged recording into a finished one."""
+    from services.recorder.edit import filter_recording
+
+    with errors_told(as_json):
+        _tell_model(filter_recording(file, out), as_json)
+
+
+@app.command()
+def export(
+    file: FileArgument,
+    out: OutOption,
+    to: Annotated[ExportFormat, typer.Option("--to", help="parquet, csv: a folder; hdf5, mcap-json: a file.")],
+    topics: TopicsOption = None,
+    exclude: ExcludeOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Write a recording for other tools; mcap-json is what Foxglove and Lichtblick show."""
+    from services.recorder.export import export_recording
+
+    with errors_told(as_json):
+        _tell_model(export_recording(file, out, to.value, Selection.of(topics or (), exclude or ())), as_json)
+
+
+@app.command()
+def diff(
+    left: FileArgument,
+    right: FileArgument,
+    topics: TopicsOption = None,
+    exclude: ExcludeOption = None,
+    tolerance: ToleranceOption = None,
+    ignore: Annotated[
+        list[str] | None,
+        typer.Option("--ignore", metavar="FIELD", help="Not this field, such as t_ns (repeatable)."),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Compare two recordings message by message, by channel and number; exit code 1 if they differ."""
+    from services.recorder.diff import diff_recordings
+
+    with errors_told(as_json):
+        allowed = Tolerances.parse(tolerance or ())
+        chosen = Selection.of(topics or (), exclude or ())
+        found = diff_recordings(left, right, allowed, ignore or (), chosen)
+    if as_json:
+        print_json(found.model_dump(mode="json"))
+    else:
+        rows = [row.model_dump() for row in found.channels if row.only_left or row.only_right or row.different]
+        typer.echo("the same" if found.same else f"{left} and {right} differ")
+        if rows:
+            _print_rows(rows)
+    if not found.same:
+        raise typer.Exit(EXIT_FAILED)
+
+
+@app.command()
+def rerun(
+    file: FileArgument,
+    node: Annotated[
+        list[str],
+        typer.Option(
+            "--node", metavar="NODE@SITE", help="Node to run once more (repeatable), such as controller@master."
+        ),
+    ],
+    tolerance: ToleranceOption = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", metavar="SECTION.KEY=VALUE", help="Change one key of the recorded scenario (repeatable)."
+        ),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Feed a recording to a node's code and compare what it says with what it said; exit code 1 if it differs."""
+    from services.launcher.rerun import rerun as run_again
+
+    with errors_told(as_json):
+        recording, allowed = Recording(file), Tolerances.parse(tolerance or ())
+        results = [run_again(recording, key, allowed, settings or ()) for key in node]
+    if as_json:
+        print_json({"nodes": [result.model_dump(mode="json") for result in results]})
+    else:
+        for result in results:
+            typer.echo(f"{result.node}: {result.verdict()}")
+    if not all(result.identical for result in results):
+        raise typer.Exit(EXIT_FAILED)
+
+
+@app.command()
+def plot(
+    file: FileArgument,
+    fields: Annotated[
+        list[str], typer.Argument(metavar="TOPIC.FIELD...", help="What to draw, such as afm/state.tip_force_n.2.")
+    ],
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="FILE", help="PNG to make; default: the terminal.")
+    ] = None,
+) -> None:
+    """Draw fields over time, on the terminal or into a PNG."""
+    from services.launcher.plot import draw, read_traces, save_png
+
+    with errors_told(as_json=False):
+        traces = read_traces(file, fields)
+        if out is not None:
+            save_png(traces, out, file.name)
+            typer.echo(str(out))
+            return
+        size = console().size
+        width = size.width if console().is_terminal else _PLOT_SIZE[0]
+        for trace in traces:
+            typer.echo(draw(trace, width, _PLOT_SIZE[1]))
+
+
+def _row(path: Path) -> dict[str, Any]:
+    try:
+        found = Recording(path).info()
+    except RecordingError as error:
+        return {
+            "path": str(path),
+            "duration_s": None,
+            "messages": 0,
+            "size_bytes": path.stat().st_size,
+            "note": str(error),
+        }
+    note = "" if found.complete else "not closed in order"
+    note = f"{note}, {found.skipped_bytes} bytes damaged".strip(", ") if found.skipped_bytes else note
+    facts = {"path": str(path), "duration_s": round(found.duration_s, 3), "messages": found.messages}
+    return {**facts, "size_bytes": found.size_bytes, "note": note}
+
+
+def _bounds(origin_ns: int, start_s: float, end_s: float | None) -> tuple[int, int | None]:
+    end_ns = None if end_s is None else origin_ns + round(end_s * 1e9)
+    return origin_ns + round(start_s * 1e9), end_ns
+
+
+def _print_lines(lines: Iterable[dict[str, Any]]) -> None:
+    for found in lines:
+        typer.echo(json.dumps(found))
+
+
+def _tell_model(model: BaseModel, as_json: bool) -> None:
+    document = model.model_dump(mode="json")
+    tell(document, str(document.get("path", "")), as_json=as_json)
+
+
+def _print_rows(rows: list[dict[str, Any]]) -> None:
+    from services.launcher.view import rows_table
+
+    console().print(rows_table(rows))

@@ -1,0 +1,52 @@
+"""Commands that are imported when they run: the help of `telenano` is there at once, without what they need."""
+
+import importlib
+from typing import Any, NamedTuple
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+
+
+class Late(NamedTuple):
+    """Where a command is, and what the list of commands says of it."""
+
+    module: str
+    attribute: str
+    about: str
+
+
+LATE = {
+    "bag": Late("services.launcher.bag", "app", "Look into a recording, and make others from it."),
+    "record": Late("services.launcher.record", "record", "Attach to a running rig and record it."),
+    "replay": Late("services.launcher.replay", "replay", "Play a recording in the place of nodes that do not run."),
+}
+
+
+def load(name: str) -> Any:
+    """Import one of the late commands."""
+    found = getattr(importlib.import_module(LATE[name].module), LATE[name].attribute)
+    if isinstance(found, typer.Typer):
+        return typer.main.get_command(found)
+    alone = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+    alone.command(name)(found)
+    return typer.main.get_command(alone)
+
+
+class LazyRoot(TyperGroup):
+    """The group of all commands, which lists the late ones without importing them."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Give the names of all commands."""
+        return [*super().list_commands(ctx), *LATE]
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """Give a command; of a late one what the list needs."""
+        if cmd_name in LATE:
+            return TyperCommand(name=cmd_name, help=LATE[cmd_name].about)
+        return super().get_command(ctx, cmd_name)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Give the command to run, imported now if it is a late one."""
+        if args and args[0] in LATE:
+            return args[0], load(args[0]), args[1:]
+        return super().resolve_command(ctx, args)

@@ -1,0 +1,97 @@
+"""`telenano bag plot`: fields of a recording over time, as PNG or drawn with characters on the terminal."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from services.recorder.columns import columns
+from services.recorder.reader import Recording
+from services.runtime.errors import ConfigError, RecordingError
+
+Floats = npt.NDArray[np.float64]
+
+# dots of a braille character: column, row from the top
+_DOTS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])
+_BRAILLE = 0x2800
+_LABEL_COLUMNS = 12
+
+
+class Trace(NamedTuple):
+    """A field over time [s] from the start of the recording, by the time of reception."""
+
+    name: str
+    time_s: Floats
+    values: Floats
+
+
+def read_traces(path: Path, names: Sequence[str]) -> list[Trace]:
+    """Read TOPIC.FIELD names; ConfigError or RecordingError says what is wrong with one."""
+    recording = Recording(path)
+    origin_ns = recording.span_ns[0]
+    traces = []
+    for name in names:
+        topic, _, field = name.partition(".")
+        if not field:
+            raise ConfigError(f"{name}: is not of the form TOPIC.FIELD, such as afm/state.tip_force_n.2")
+        found = columns(recording, topic, ("log_ns", field))
+        if found[field].dtype == object:
+            raise RecordingError(f"{path}: {topic}: {field} is text, which cannot be drawn")
+        time_s = (found["log_ns"] - origin_ns) * 1e-9
+        traces.append(Trace(name, np.asarray(time_s, dtype=np.float64), found[field].astype(np.float64)))
+    return traces
+
+
+def save_png(traces: Sequence[Trace], path: Path, title: str) -> None:
+    """Draw each trace in a panel of its own, on one axis of time; RecordingError when the file cannot be written."""
+    # it takes a second to import, which the other commands should not pay
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9.0, 1.0 + 2.0 * len(traces)), layout="constrained")
+    panels = figure.subplots(len(traces), 1, sharex=True, squeeze=False)[:, 0]
+    for panel, trace in zip(panels, traces, strict=True):
+        panel.plot(trace.time_s, trace.values, linewidth=0.8)
+        panel.set_ylabel(trace.name.replace(".", "\n", 1), fontsize=8)
+        panel.grid(alpha=0.3)
+    panels[-1].set_xlabel("time since the start of the recording, s")
+    panels[0].set_title(title, fontsize=9)
+    try:
+        figure.savefig(path, dpi=120)
+    except (OSError, ValueError) as error:
+        raise RecordingError(f"{path}: cannot be written: {error}") from error
+
+
+def draw(trace: Trace, width: int, height: int) -> str:
+    """Draw a trace with braille characters.
+
+    Parameters: width, height of the whole in characters; at least 20 by 3.
+    Returns: lines with the range of values at the left and of time below.
+    """
+    finite = np.isfinite(trace.values)
+    if not finite.any():
+        return f"{trace.name}: no value"
+    time_s, values = trace.time_s[finite], trace.values[finite]
+    inner = max(8, width - _LABEL_COLUMNS - 1)
+    grid = np.zeros((height * 4, inner * 2), dtype=bool)
+    across = _cells(time_s, inner * 2)
+    down = height * 4 - 1 - _cells(values, height * 4)
+    grid[down, across] = True
+    blocks = grid.reshape(height, 4, inner, 2).transpose(0, 2, 1, 3)
+    codes = (blocks * _DOTS).sum(axis=(2, 3)) + _BRAILLE
+    labels = [""] * height
+    labels[0], labels[-1] = f"{values.max():.4g}", f"{values.min():.4g}"
+    lines = [f"{label:>{_LABEL_COLUMNS}} {''.join(map(chr, row))}" for label, row in zip(labels, codes, strict=True)]
+    left, right = f"{time_s.min():.3f} s", f"{time_s.max():.3f} s"
+    axis = " " * (_LABEL_COLUMNS + 1) + left + right.rjust(max(1, inner - len(left)))
+    return "\n".join([trace.name, *lines, axis])
+
+
+def _cells(values: Floats, count: int) -> npt.NDArray[np.int64]:
+    """Give for each value which of `count` equal cells between the least and the greatest it falls into."""
+    low, span = values.min(), np.ptp(values)
+    if span == 0.0:
+        return np.full(values.shape, count // 2, dtype=np.int64)
+    cells: npt.NDArray[np.int64] = np.minimum(((values - low) / span * count).astype(np.int64), count - 1)
+    return cells

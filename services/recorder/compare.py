@@ -1,0 +1,101 @@
+"""Comparing messages field by field, with a tolerance for each field in its own unit."""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from fnmatch import fnmatchcase
+from typing import Any, NamedTuple
+
+from services.runtime.errors import ConfigError
+
+
+class Tolerances:
+    """Largest difference allowed in numeric fields, by glob of their dotted name; zero where none is given.
+
+    The unit is that of the field: `position_m=1e-12` allows a picometre in every component.
+    """
+
+    def __init__(self, limits: Mapping[str, float] | None = None) -> None:
+        self._limits = dict(limits or {})
+
+    @classmethod
+    def parse(cls, texts: Sequence[str]) -> "Tolerances":
+        """Read FIELD=VALUE; ConfigError names what is wrong."""
+        limits: dict[str, float] = {}
+        for text in texts:
+            field, _, value = text.partition("=")
+            try:
+                limits[field] = float(value)
+            except ValueError as error:
+                raise ConfigError(f"tolerance {text}: is not of the form FIELD=VALUE") from error
+            if not (field and math.isfinite(limits[field]) and limits[field] >= 0.0):
+                raise ConfigError(f"tolerance {text}: a finite value of 0 or more, in the unit of the field, is needed")
+        return cls(limits)
+
+    def of(self, field: str) -> float:
+        """Give the tolerance of a field: that of the whole vector holds for its parts."""
+        stem = field.partition(".")[0]
+        found = [limit for name, limit in self._limits.items() if fnmatchcase(field, name) or name == stem]
+        return max(found, default=0.0)
+
+
+class FieldDifference(NamedTuple):
+    """A field that differs: its dotted name and both values."""
+
+    field: str
+    left: Any
+    right: Any
+
+    @property
+    def text(self) -> str:
+        """The difference in words."""
+        return f"{self.field}: {self.left!r} against {self.right!r}"
+
+
+def first_difference(
+    left: Mapping[str, Any], right: Mapping[str, Any], tolerances: Tolerances, ignore: Iterable[str] = ()
+) -> FieldDifference | None:
+    """Give the first field in which two messages differ by more than its tolerance; None when they agree.
+
+    Fields are plain values as `RecordedMessage.fields` gives them. `ignore` names top-level keys left out.
+    """
+    skipped = frozenset(ignore)
+    for key in (*left, *(key for key in right if key not in left)):
+        if key not in skipped:
+            found = _difference(key, left.get(key, _ABSENT), right.get(key, _ABSENT), tolerances)
+            if found is not None:
+                return found
+    return None
+
+
+class _Absent:
+    def __repr__(self) -> str:
+        return "nothing"
+
+
+_ABSENT = _Absent()
+
+
+def _difference(name: str, left: Any, right: Any, tolerances: Tolerances) -> FieldDifference | None:
+    if isinstance(left, Mapping) and isinstance(right, Mapping):
+        for key in (*left, *(key for key in right if key not in left)):
+            found = _difference(f"{name}.{key}", left.get(key, _ABSENT), right.get(key, _ABSENT), tolerances)
+            if found is not None:
+                return found
+        return None
+    if isinstance(left, list | tuple) and isinstance(right, list | tuple) and len(left) == len(right):
+        parts = (_difference(f"{name}.{i}", *pair, tolerances) for i, pair in enumerate(zip(left, right, strict=True)))
+        return next((part for part in parts if part is not None), None)
+    return None if _same(left, right, tolerances.of(name)) else FieldDifference(name, left, right)
+
+
+def _same(left: Any, right: Any, tolerance: float) -> bool:
+    if isinstance(left, float) and isinstance(right, float):
+        # the sign of a zero is a bit as well
+        if tolerance == 0.0:
+            return left == right and math.copysign(1.0, left) == math.copysign(1.0, right)
+        return abs(left - right) <= tolerance
+    if type(left) is not type(right):
+        return False
+    if tolerance > 0.0 and type(left) is int:
+        return bool(abs(left - right) <= tolerance)
+    return bool(left == right)

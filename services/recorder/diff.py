@@ -1,0 +1,101 @@
+"""What two recordings have that differs, channel by channel and message by message."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from pydantic import BaseModel
+
+from services.recorder.compare import Tolerances, first_difference
+from services.recorder.reader import RecordedChannel, RecordedMessage, Recording
+from services.recorder.selection import ALL, Selection
+
+
+class ChannelDifference(BaseModel):
+    """Account of one channel: messages on both sides, how many of the same number differ, and the first of them."""
+
+    channel: str
+    src: str
+    left: int
+    right: int
+    only_left: int
+    only_right: int
+    different: int
+    first: str
+
+
+class RecordingDifference(BaseModel):
+    """Account of two recordings; `same` when every message of one is in the other."""
+
+    same: bool
+    left: str
+    right: str
+    channels: tuple[ChannelDifference, ...]
+
+
+Key = tuple[int, int]
+Side = dict[RecordedChannel, dict[Key, RecordedMessage]]
+
+
+def diff_recordings(
+    left: Path,
+    right: Path,
+    tolerances: Tolerances | None = None,
+    ignore: Iterable[str] = (),
+    selection: Selection = ALL,
+) -> RecordingDifference:
+    """Compare two recordings by channel, publisher and number of the message, whatever the times of reception.
+
+    Parameters: tolerances by field, zero when None; ignore, top-level fields left out, such as t_ns.
+    Raises RecordingError when a file is no recording.
+    """
+    allowed, skipped = tolerances or Tolerances(), tuple(ignore)
+    sides = [_side(Recording(path), selection) for path in (left, right)]
+    rows = [
+        _compare(channel, sides[0].get(channel, {}), sides[1].get(channel, {}), allowed, skipped)
+        for channel in dict.fromkeys((*sides[0], *sides[1]))
+    ]
+    same = all(row.only_left == row.only_right == row.different == 0 for row in rows)
+    return RecordingDifference(same=same, left=str(left), right=str(right), channels=tuple(rows))
+
+
+def _side(recording: Recording, selection: Selection) -> Side:
+    found: Side = {}
+    for message in recording.select(selection):
+        channel = found.setdefault(message.channel, {})
+        # a restarted publisher uses its numbers again
+        turn = 0
+        while (message.seq, turn) in channel:
+            turn += 1
+        channel[message.seq, turn] = message
+    return found
+
+
+def _compare(
+    channel: RecordedChannel,
+    left: dict[Key, RecordedMessage],
+    right: dict[Key, RecordedMessage],
+    tolerances: Tolerances,
+    ignore: Iterable[str],
+) -> ChannelDifference:
+    different, first = 0, ""
+    for key in left.keys() & right.keys():
+        if left[key].payload == right[key].payload:
+            continue
+        found = first_difference(left[key].fields(), right[key].fields(), tolerances, ignore)
+        if found is not None:
+            different += 1
+    for key in sorted(left.keys() & right.keys()) if different else ():
+        found = first_difference(left[key].fields(), right[key].fields(), tolerances, ignore)
+        if found is not None:
+            first = f"seq {key[0]}: {found.text}"
+            break
+    return ChannelDifference(
+        channel=channel.channel_topic,
+        src=channel.src,
+        left=len(left),
+        right=len(right),
+        only_left=len(left.keys() - right.keys()),
+        only_right=len(right.keys() - left.keys()),
+        different=different,
+        first=first,
+    )

@@ -1,0 +1,171 @@
+"""Recordings for other tools: Parquet, CSV, HDF5 tables, and MCAP with JSON payloads for Foxglove and Lichtblick."""
+
+import csv
+import importlib
+import json
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from proto import TOPICS
+from services.recorder.edit import Copied, CopyWriter, describe
+from services.recorder.layout import Damage
+from services.recorder.reader import RawChannel, RawMessage, RecordedMessage, Recording
+from services.recorder.records import RECORDS
+from services.recorder.rows import plain, table
+from services.recorder.selection import ALL, Selection
+from services.runtime.errors import ConfigError, RecordingError
+
+Format = Literal["parquet", "csv", "hdf5", "mcap-json"]
+Columns = dict[str, list[Any]]
+
+
+def export_recording(source: Path, target: Path, kind: Format, selection: Selection = ALL) -> Copied:
+    """Write the chosen channels of a recording in another format.
+
+    `parquet` and `csv` make a folder with a file for each channel, `hdf5` a file with a group for each, `mcap-json`
+    an MCAP file. Raises RecordingError when the source is no recording or the target exists, ConfigError when a package
+    that the format needs is not installed.
+    """
+    recording = Recording(source)
+    if target.exists():
+        raise RecordingError(f"{target}: exists already, and nothing is overwritten")
+    if kind == "mcap-json":
+        return _export_json(recording, target, selection)
+    if kind == "hdf5":
+        return _export_hdf5(recording, target, selection)
+    write = _write_csv if kind == "csv" else _parquet_writer()
+    target.mkdir(parents=True)
+    total = 0
+    for name, columns in _tables(recording, selection):
+        write(target / f"{file_stem(name)}.{kind}", columns)
+        total += len(columns["log_ns"])
+    return Copied(path=str(target), messages=total, skipped=describe(recording.structural_damage))
+
+
+def file_stem(channel_topic: str) -> str:
+    """Give a channel's name as it can stand in a file name."""
+    return channel_topic.replace("/", "_")
+
+
+def plain_schema(schema: Mapping[str, Any]) -> dict[str, Any]:
+    """Give a JSON Schema without references, tuples and alternatives, as viewers read it.
+
+    Vectors become lists of numbers, optional parts are described by what they are when present, arrays as lists.
+    """
+    definitions = schema.get("$defs", {})
+
+    def simple(node: Mapping[str, Any]) -> dict[str, Any]:
+        if "$ref" in node:
+            name = node["$ref"].rpartition("/")[2]
+            return _ARRAY if name == "Array" else simple(definitions[name])
+        choices = [choice for choice in node.get("anyOf", ()) if choice.get("type") != "null"]
+        if choices:
+            return simple(choices[0])
+        kind = node.get("type", "object")
+        about = {key: node[key] for key in ("description",) if key in node}
+        if kind == "array":
+            items = node.get("prefixItems", [node.get("items", {})])[0]
+            return {"type": "array", "items": simple(items) if items else {"type": "string"}, **about}
+        if kind == "object":
+            properties = {name: simple(part) for name, part in node.get("properties", {}).items()}
+            return {"type": "object", "properties": properties, **about}
+        encoding = {"contentEncoding": "base64"} if node.get("format") == "binary" else {}
+        return {"type": kind, **encoding, **about}
+
+    return {"title": schema.get("title", ""), **simple(schema)}
+
+
+_ARRAY: dict[str, Any] = {"type": "array", "items": {"type": "number"}}
+
+
+def _tables(recording: Recording, selection: Selection) -> Iterator[tuple[str, Columns]]:
+    names = dict.fromkeys(channel.channel_topic for channel in recording.channels if selection(channel))
+    for name in names:
+        chosen = (found for found in recording.messages([name]) if selection(found.channel))
+        columns = table(chosen)
+        if columns:
+            yield name, columns
+
+
+def _write_csv(path: Path, columns: Columns) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        # float repr has all digits
+        writer.writerows(zip(*columns.values(), strict=True))
+
+
+def _parquet_writer() -> Callable[[Path, Columns], None]:
+    arrow, parquet = _package("pyarrow", "parquet"), _package("pyarrow.parquet", "parquet")
+
+    def write(path: Path, columns: Columns) -> None:
+        parquet.write_table(arrow.table(columns), path, compression="zstd")
+
+    return write
+
+
+def _export_hdf5(recording: Recording, target: Path, selection: Selection) -> Copied:
+    h5py = _package("h5py", "hdf5")
+    total = 0
+    with h5py.File(target, "x") as file:
+        for name, facts in recording.metadata.items():
+            file.create_group(f"metadata/{name}").attrs.update(facts)
+        for name, data in recording.attachments.items():
+            file[f"attachments/{name}"] = np.void(data)
+        for name, columns in _tables(recording, selection):
+            group = file.create_group(name)
+            total += len(columns["log_ns"])
+            for column, values in columns.items():
+                _write_dataset(h5py, group, column, values)
+    return Copied(path=str(target), messages=total, skipped=describe(recording.structural_damage))
+
+
+def _write_dataset(h5py: Any, group: Any, name: str, values: list[Any]) -> None:
+    present = [value for value in values if value is not None]
+    first = present[0] if present else 0.0
+    if isinstance(first, str):
+        group.create_dataset(name, data=[value or "" for value in values], dtype=h5py.string_dtype())
+    elif isinstance(first, list):
+        data = group.create_dataset(name, (len(values),), dtype=h5py.vlen_dtype(np.float64))
+        for number, value in enumerate(values):
+            data[number] = np.asarray(value or [], dtype=np.float64)
+    elif len(present) < len(values):
+        group.create_dataset(name, data=np.array([np.nan if value is None else value for value in values], dtype=float))
+    else:
+        group.create_dataset(name, data=np.array(values), compression="gzip", shuffle=True)
+
+
+def _export_json(recording: Recording, target: Path, selection: Selection) -> Copied:
+    skipped: list[Damage] = list(recording.structural_damage)
+    channels: dict[str, RawChannel] = {}
+    with CopyWriter(target, profile="") as writer:
+        writer.take_over([recording])
+        for message in recording.select(selection, report=skipped.append):
+            key = f"{message.channel_topic} {message.src}"
+            if key not in channels:
+                channels[key] = _json_channel(message)
+            payload = json.dumps(plain(message), separators=(",", ":")).encode()
+            writer.add(RawMessage(channels[key], message.log_ns, message.publish_ns, message.seq, payload))
+    return Copied(path=str(target), messages=writer.messages, skipped=describe(skipped))
+
+
+def _json_channel(message: RecordedMessage) -> RawChannel:
+    channel = message.channel
+    model = RECORDS.get(channel.topic) or (TOPICS[channel.topic].model if channel.topic in TOPICS else None)
+    facts = {"topic": channel.topic, "site": channel.site, "via": channel.via, "src": channel.src}
+    schema = {"type": "object", "properties": {}} if model is None else plain_schema(model.model_json_schema())
+    name = channel.topic if model is None else f"telenano.{model.__name__}"
+    return RawChannel(
+        channel.channel_topic, "json", tuple(sorted(facts.items())), (name, "jsonschema", json.dumps(schema).encode())
+    )
+
+
+def _package(name: str, format_name: str) -> Any:
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        package = name.partition(".")[0]
+        raise ConfigError(f"{format_name} needs the package {package}: pip install 'telenano[export]'") from error

@@ -1,0 +1,74 @@
+"""The files of one recording: when the next one is begun, and what is done when the disk quota is used up."""
+
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+
+from services.recorder.config import RecorderConfig
+from services.recorder.writer import RecordingWriter
+from services.runtime.errors import RecordingError
+
+Begin = Callable[[int], RecordingWriter]
+
+
+class QuotaError(RecordingError):
+    """The quota is used up and the policy is to stop; the text says so."""
+
+
+class Parts:
+    """Begins and ends the files of a recording.
+
+    Sizes are what has been flushed, so limits are kept to within one flush interval.
+    """
+
+    def __init__(self, config: RecorderConfig, begin: Begin) -> None:
+        """Take the function that makes a file with everything at its beginning, named with a number or a later one."""
+        self._config = config
+        self._begin = begin
+        self._begun_ns = 0
+        self._finished: deque[tuple[Path, int]] = deque()
+        self.count = 0
+        self.dropped = 0
+
+    def begin(self, now_ns: int) -> RecordingWriter:
+        """Make the next file; RecordingError says why that fails."""
+        # numbers grow, also where the files of lower ones are gone
+        writer = self._begin(self.count)
+        self._begun_ns = now_ns
+        self.count += 1
+        return writer
+
+    def finish(self, writer: RecordingWriter) -> None:
+        """Complete a file, which then counts against the quota as a whole."""
+        writer.finish()
+        self._finished.append((writer.path, writer.size_bytes))
+
+    def due(self, writer: RecordingWriter, now_ns: int) -> bool:
+        """Say whether the file in hand is long or large enough."""
+        config = self._config
+        too_large = config.split_size_bytes is not None and writer.size_bytes >= config.split_size_bytes
+        too_long = config.split_interval_s is not None and now_ns - self._begun_ns >= config.split_interval_s * 1e9
+        return too_large or too_long
+
+    def keep_quota(self, writer: RecordingWriter | None) -> None:
+        """Make room as the policy says.
+
+        Raises QuotaError under the policy `stop`, RecordingError when an old file cannot be removed.
+        """
+        quota = self._config.quota_bytes
+        if quota is None:
+            return
+        current = 0 if writer is None else writer.size_bytes
+        while current + sum(size for _, size in self._finished) > quota:
+            if self._config.quota_policy == "stop":
+                raise QuotaError(f"the quota of {quota} bytes is used up")
+            if not self._finished:
+                return
+            self._drop(self._finished.popleft()[0])
+
+    def _drop(self, path: Path) -> None:
+        try:
+            path.unlink(missing_ok=True)
+        except OSError as error:
+            raise RecordingError(f"{path}: the oldest file cannot be removed: {error.strerror}") from error
+        self.dropped += 1

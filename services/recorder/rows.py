@@ -1,0 +1,96 @@
+"""Messages as what other tools hold: JSON values, and flat rows of named columns."""
+
+import base64
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel
+
+from proto.messages import Array
+from services.recorder.reader import RecordedMessage
+from services.runtime.errors import RecordingError
+
+_SCALARS = (bool, int, float, str)
+
+
+def plain(message: RecordedMessage) -> dict[str, Any]:
+    """Give a message as JSON can hold it: arrays as lists of numbers, bytes as base64.
+
+    A message that this version does not understand is given by its fields as they are. Raises RecordingError when it
+    is no msgpack map either.
+    """
+    try:
+        return {key: _plain(value) for key, value in message.decode().__dict__.items()}
+    except RecordingError:
+        return {key: _plain(value) for key, value in message.fields().items()}
+
+
+def line(message: RecordedMessage) -> dict[str, Any]:
+    """Give a message with the facts of its record, for JSON lines."""
+    return {
+        "channel": message.channel_topic,
+        "src": message.src,
+        "log_ns": message.log_ns,
+        "publish_ns": message.publish_ns,
+        "seq": message.seq,
+        "message": plain(message),
+    }
+
+
+def row(message: RecordedMessage) -> dict[str, Any]:
+    """Give a message as a flat row: `position_m.0` for parts, arrays as lists, free maps and lists of maps as JSON."""
+    found: dict[str, Any] = {"log_ns": message.log_ns, "publish_ns": message.publish_ns}
+    try:
+        fields = message.decode().__dict__
+    except RecordingError:
+        fields = message.fields()
+    for key, value in fields.items():
+        _flatten(key, value, found)
+    return found
+
+
+def table(messages: Iterable[RecordedMessage]) -> dict[str, list[Any]]:
+    """Give columns of equal length with values of one type each; None where a message has no such value."""
+    rows = [row(message) for message in messages]
+    names = list(dict.fromkeys(name for found in rows for name in found))
+    return {name: _uniform([found.get(name) for found in rows]) for name in names}
+
+
+def _flatten(name: str, value: Any, found: dict[str, Any]) -> None:
+    if isinstance(value, Array):
+        found[name] = value.to_numpy().ravel().tolist()
+    elif isinstance(value, BaseModel):
+        for key, inner in value.__dict__.items():
+            _flatten(f"{name}.{key}", inner, found)
+    elif isinstance(value, tuple | list) and all(isinstance(item, _SCALARS) for item in value) and value:
+        for number, item in enumerate(value):
+            found[f"{name}.{number}"] = item
+    elif value is None or isinstance(value, _SCALARS):
+        found[name] = value
+    else:
+        found[name] = json.dumps(_plain(value))
+
+
+def _uniform(values: Sequence[Any]) -> list[Any]:
+    kinds = {type(value) for value in values if value is not None}
+    if len(kinds) <= 1:
+        return list(values)
+    if kinds <= {int, float}:
+        return [None if value is None else float(value) for value in values]
+    return [None if value is None else json.dumps(value) for value in values]
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Array):
+        return value.to_numpy().tolist()
+    if isinstance(value, BaseModel):
+        return {key: _plain(inner) for key, inner in value.__dict__.items()}
+    if isinstance(value, Mapping):
+        return {str(key): _plain(inner) for key, inner in value.items()}
+    if isinstance(value, tuple | list):
+        return [_plain(item) for item in value]
+    if isinstance(value, bytes):
+        return base64.b64encode(value).decode()
+    return value if np.isscalar(value) or value is None else str(value)

@@ -1,0 +1,72 @@
+"""Which channels of a recording, or of the bus, are meant: patterns of names."""
+
+import re
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from typing import Protocol
+
+from services.runtime.errors import ConfigError
+
+Matcher = Callable[[str], bool]
+
+
+class _Named(Protocol):
+    @property
+    def channel_topic(self) -> str: ...
+    @property
+    def src(self) -> str: ...
+
+
+def matcher(pattern: str) -> Matcher:
+    """Give the test of a pattern: a glob such as `teleop/*`, or a regular expression between slashes, `/^afm/`.
+
+    Raises ConfigError naming a pattern that is no regular expression.
+    """
+    if len(pattern) > 1 and pattern.startswith("/") and pattern.endswith("/"):
+        try:
+            expression = re.compile(pattern[1:-1])
+        except re.error as error:
+            raise ConfigError(f"pattern {pattern}: is not a regular expression: {error}") from error
+        return lambda name: expression.search(name) is not None
+    return lambda name: fnmatchcase(name, pattern)
+
+
+def node_matcher(pattern: str) -> Matcher:
+    """Give the test of a pattern of nodes: `node@site`, or `node` for all of that name."""
+    test = matcher(pattern)
+    return lambda key: test(key) or test(key.partition("@")[0])
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Channels by the name of the channel and of the publisher; nothing given means all.
+
+    A channel is named as in the recording: `teleop/forward` where it was sent, `teleop/forward@slave` out of the link.
+    """
+
+    topics: tuple[Matcher, ...] = ()
+    exclude: tuple[Matcher, ...] = ()
+    nodes: tuple[Matcher, ...] = ()
+
+    @classmethod
+    def of(cls, topics: Iterable[str] = (), exclude: Iterable[str] = (), nodes: Iterable[str] = ()) -> "Selection":
+        """Read patterns; ConfigError names one that is wrong."""
+        return cls(
+            tuple(map(matcher, topics)), tuple(map(matcher, exclude)), tuple(node_matcher(node) for node in nodes)
+        )
+
+    def __call__(self, channel: _Named) -> bool:
+        """Say whether a channel is meant."""
+        if self.nodes and not any(test(channel.src) for test in self.nodes):
+            return False
+        return self.names(channel.channel_topic)
+
+    def names(self, channel_topic: str) -> bool:
+        """Say whether a channel of this name is meant, whoever speaks on it."""
+        if any(test(channel_topic) for test in self.exclude):
+            return False
+        return not self.topics or any(test(channel_topic) for test in self.topics)
+
+
+ALL = Selection()

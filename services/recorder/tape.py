@@ -1,0 +1,155 @@
+"""A recording as something to play: where it stands, what comes next, what was last said before.
+
+No socket and no clock: `Tape` knows times of the recording only, `Transport` maps them to the time of playing.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from proto import TOPICS
+from services.recorder.reader import RecordedChannel, RecordedMessage, Source, Wanted
+from services.runtime.errors import RecordingError
+
+_NS = 1e9
+
+
+@dataclass(frozen=True)
+class Span:
+    """What is played: times [s] from the start of the recording; `loop` begins again at `start_s` after `end_s`."""
+
+    start_s: float = 0.0
+    end_s: float | None = None
+    loop: bool = False
+
+
+class Tape:
+    """The chosen messages of a recording in the order of their reception.
+
+    Positions are in ns on the recorder's clock. Only `peek` and what comes after it read from the file.
+    """
+
+    def __init__(self, recording: Source, wanted: Wanted, span: Span) -> None:
+        """Stand at the start of the span; RecordingError says when there is nothing to play."""
+        self.recording = recording
+        self.origin_ns, last_ns = recording.span_ns
+        self.wanted = wanted
+        self.loop = span.loop
+        self.length_s = (last_ns - self.origin_ns) / _NS
+        self.channels = tuple(channel for channel in recording.channels if wanted(channel))
+        if not self.channels:
+            raise RecordingError(f"{recording.path}: has none of the messages that were chosen")
+        self._last_ns = last_ns
+        self.start_ns = self.at(span.start_s)
+        self.end_ns = last_ns + 1 if span.end_s is None else self.at(span.end_s)
+        if self.start_ns > last_ns or self.end_ns <= self.start_ns:
+            raise RecordingError(
+                f"{recording.path}: is {self.length_s:.3f} s long, "
+                f"there is nothing from {span.start_s:g} s to {self.length_s if span.end_s is None else span.end_s:g} s"
+            )
+        self.position_ns = self.start_ns
+        self._messages: Iterator[RecordedMessage] = iter(())
+        self._next: RecordedMessage | None = None
+        self._go(self.start_ns)
+
+    def at(self, time_s: float) -> int:
+        """Give the position [ns] of a time [s] from the start of the recording."""
+        return self.origin_ns + round(time_s * _NS)
+
+    @property
+    def time_s(self) -> float:
+        """The position as time [s] from the start of the recording."""
+        return (self.position_ns - self.origin_ns) / _NS
+
+    def peek(self) -> RecordedMessage | None:
+        """Give the message that comes next; None at the end of the span."""
+        return self._next
+
+    def take(self) -> RecordedMessage:
+        """Give the message that comes next and pass it; RecordingError at the end."""
+        message = self._next
+        if message is None:
+            raise RecordingError(f"{self.recording.path}: there is nothing after {self.time_s:.3f} s")
+        self.position_ns = max(self.position_ns, message.log_ns)
+        self._next = next(self._messages, None)
+        return message
+
+    def seek(self, position_ns: int) -> list[RecordedMessage]:
+        """Go to a position [ns], kept within the recording; gives the state there: `state_at`."""
+        kept = min(max(position_ns, self.origin_ns), self._last_ns)
+        if kept >= self.end_ns:
+            # beyond what was to be played: somebody wants to see it
+            self.end_ns = self._last_ns + 1
+        self._go(kept)
+        return self.state_at(kept)
+
+    def rewind(self) -> list[RecordedMessage]:
+        """Go to the start of the span; gives the state there."""
+        self._go(self.start_ns)
+        return self.state_at(self.start_ns)
+
+    def state_at(self, position_ns: int) -> list[RecordedMessage]:
+        """Give the last value before a position [ns] of each state topic, by time: what a reader must know there.
+
+        Topics of which every message counts, such as commands and events, are not repeated.
+        """
+        newest = self.recording.newest_before(position_ns, lambda channel: self.wanted(channel) and is_state(channel))
+        return sorted(newest.values(), key=lambda message: message.log_ns)
+
+    def next_event_ns(self) -> int | None:
+        """Give the time [ns] of the next session/event in the whole recording after the position; None without one."""
+        events = self.recording.select(lambda channel: channel.topic == "session/event", self.position_ns + 1)
+        return next((event.log_ns for event in events), None)
+
+    def limit(self, start_ns: int | None = None, end_ns: int | None = None) -> None:
+        """Change the bounds [ns] of what is played: the points A and B of a loop.
+
+        Raises RecordingError when B does not come after A.
+        """
+        start = self.start_ns if start_ns is None else start_ns
+        end = self.end_ns if end_ns is None else end_ns
+        if end <= start:
+            begin_s = (start - self.origin_ns) / _NS
+            raise RecordingError(f"the end of a loop must come after its start at {begin_s:.3f} s")
+        self.start_ns, self.end_ns = start, end
+        self._open(self.position_ns + 1 if self._next is None else self._next.log_ns)
+
+    def _go(self, position_ns: int) -> None:
+        self.position_ns = position_ns
+        self._open(position_ns)
+
+    def _open(self, first_ns: int) -> None:
+        self._messages = self.recording.select(self.wanted, first_ns, self.end_ns)
+        self._next = next(self._messages, None)
+
+
+def is_state(channel: RecordedChannel) -> bool:
+    """Say whether the newest message of a channel replaces the ones before it."""
+    row = TOPICS.get(channel.topic)
+    return row is not None and row.delivery == "latest"
+
+
+class Transport:
+    """When what stands at a position of the recording is due, in ns of a monotonic clock.
+
+    `rate` 1 is as recorded, 2 twice as fast, 0 as fast as possible: everything is due at once.
+    """
+
+    def __init__(self, now_ns: int, position_ns: int, rate: float, *, paused: bool) -> None:
+        self.rate = rate
+        self.paused = paused
+        self._now_ns = now_ns
+        self._position_ns = position_ns
+
+    def due_ns(self, position_ns: int) -> int | None:
+        """Give the time at which a position is due; None while paused."""
+        if self.paused:
+            return None
+        if self.rate == 0.0:
+            return self._now_ns
+        return self._now_ns + round((position_ns - self._position_ns) / self.rate)
+
+    def change(self, now_ns: int, position_ns: int, *, rate: float | None = None, paused: bool | None = None) -> None:
+        """Go on from a position with another rate, or be paused; what is not given stays."""
+        self._now_ns, self._position_ns = now_ns, position_ns
+        self.rate = self.rate if rate is None else rate
+        self.paused = self.paused if paused is None else paused

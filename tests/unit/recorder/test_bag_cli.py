@@ -1,0 +1,140 @@
+"""The commands on recordings, as a person types them."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+from recorder_samples import haptic_state
+from typer.testing import CliRunner
+
+from services.launcher.bag import app
+from services.launcher.plot import Trace, draw
+from services.launcher.record import record
+from services.launcher.replay import parse_remap, replay
+from services.launcher.telling import split_keys
+from services.recorder.reader import Recording
+from services.runtime.errors import ConfigError
+
+MakeFile = Callable[..., Path]
+commands = typer.Typer()
+commands.command()(replay)
+commands.command()(record)
+
+
+def run(*arguments: str | Path, exit_code: int = 0) -> str:
+    result = CliRunner().invoke(app, [str(argument) for argument in arguments])
+    assert result.exit_code == exit_code, result.output
+    return result.stdout
+
+
+def run_json(*arguments: str | Path, exit_code: int = 0) -> Any:
+    return json.loads(run(*arguments, "--json", exit_code=exit_code))
+
+
+def test_info_and_list(make_file: MakeFile, tmp_path: Path) -> None:
+    path = make_file()
+    (tmp_path / "broken.mcap").write_bytes(b"no recording")
+    assert run_json("info", path)["messages"] == 80
+    assert "haptic/state" in run("info", path)
+    rows = {Path(row["path"]).name: row for row in run_json("list", tmp_path)["recordings"]}
+    assert rows["session.mcap"]["messages"] == 80
+    assert "is not an MCAP file" in rows["broken.mcap"]["note"]
+    assert "session.mcap" in run("list", tmp_path)
+    run("list", tmp_path / "nowhere", exit_code=1)
+
+
+def test_cat_and_echo_print_a_line_a_message(make_file: MakeFile) -> None:
+    path = make_file()
+    lines = [json.loads(line) for line in run("cat", path, "--nodes", "haptic_node", "--count", "3").splitlines()]
+    assert [(line["channel"], line["seq"]) for line in lines] == [("haptic/state", seq) for seq in range(3)]
+    late = [json.loads(line) for line in run("cat", path, "--start", "0.0385").splitlines()]
+    assert [line["seq"] for line in late] == [39, 39]
+    messages = [json.loads(line) for line in run("echo", path, "teleop/forward@slave").splitlines()]
+    assert [message["seq"] for message in messages] == list(range(40))
+    run("echo", path, "teleop/forward", exit_code=1)
+
+
+def test_filter_split_merge_recover_and_diff(make_file: MakeFile, tmp_path: Path) -> None:
+    path = make_file()
+    assert run_json("filter", path, "--topics", "/state/", "--out", tmp_path / "f.mcap")["messages"] == 40
+    parts = run_json("split", path, "--interval", "0.01", "--out", tmp_path / "parts")["parts"]
+    assert len(parts) == 4
+    run("merge", *(part["path"] for part in parts), "--out", tmp_path / "m.mcap")
+    assert run_json("diff", path, tmp_path / "m.mcap")["same"]
+    assert not run_json("diff", path, tmp_path / "f.mcap", exit_code=1)["same"]
+    path.write_bytes(path.read_bytes()[:2000])
+    recovered = run_json("recover", path, "--out", tmp_path / "r.mcap")
+    assert recovered["skipped"]
+    assert Recording(tmp_path / "r.mcap").complete
+    run("recover", path, "--out", tmp_path / "r.mcap", exit_code=1)
+
+
+def test_verify_gives_its_verdict_as_exit_code(make_file: MakeFile) -> None:
+    path = make_file()
+    assert run_json("verify", path)["sound"]
+    path.write_bytes(path.read_bytes()[:-100])
+    assert "end: " in run("verify", path, exit_code=1)
+
+
+def test_export_names_its_formats(make_file: MakeFile, tmp_path: Path) -> None:
+    path = make_file()
+    assert run_json("export", path, "--to", "csv", "--out", tmp_path / "csv")["messages"] == 80
+    run("export", path, "--to", "xls", "--out", tmp_path / "xls", exit_code=2)
+
+
+def test_a_plot_is_drawn_on_the_terminal_or_saved(make_file: MakeFile, tmp_path: Path) -> None:
+    path = make_file()
+    drawn = run("plot", path, "haptic/state.position_m.2")
+    assert "0.039 s" in drawn
+    assert "-0.039" in drawn
+    run("plot", path, "haptic/state.position_m.2", "haptic/state.limited", "--out", tmp_path / "p.png")
+    assert (tmp_path / "p.png").read_bytes().startswith(b"\x89PNG")
+    run("plot", path, "haptic/state", exit_code=2)
+    run("plot", path, "haptic/state.nothing", exit_code=1)
+    run("plot", path, "haptic/state.mode", exit_code=1)
+    run("plot", path, "haptic/state.seq", "--out", tmp_path / "none" / "p.png", exit_code=1)
+
+
+def test_a_rising_line_is_drawn_rising() -> None:
+    import numpy as np
+
+    ramp = Trace("ramp", np.linspace(0.0, 1.0, 500), np.linspace(-1.0, 1.0, 500))
+    rows = draw(ramp, 60, 5).splitlines()[1:6]
+    first_marks = [next(i for i, c in enumerate(row[13:]) if c != "⠀") for row in rows]
+    assert first_marks == sorted(first_marks, reverse=True)
+    assert "1" in rows[0][:12]
+    assert "-1" in rows[-1][:12]
+    flat = Trace("flat", np.zeros(3), np.full(3, np.nan))
+    assert draw(flat, 60, 5) == "flat: no value"
+
+
+def test_replay_and_record_refuse_what_cannot_be(make_file: MakeFile, tmp_path: Path) -> None:
+    site = tmp_path / "site.yaml"
+    site.write_text(f"nodes: {{haptic_node@master: 'ipc://{tmp_path}/h', player@master: 'ipc://{tmp_path}/p'}}\n")
+    path = make_file()
+
+    def fails(*arguments: str | Path) -> str:
+        result = CliRunner().invoke(commands, [str(argument) for argument in arguments])
+        assert result.exit_code in (1, 2)
+        return result.stderr
+
+    assert "delay_node@slave is not in the site file" in fails("replay", path, "--site-file", site)
+    assert "give one of them" in fails("replay", path, "--end", "1", "--duration", "1")
+    assert "none of the messages" in fails("replay", path, "--site-file", site, "--nodes", "afm_node")
+    assert "quota_policy" in fails("record", "--out", tmp_path / "x.mcap", "--quota-policy", "none")
+    site.write_text(f"nodes: {{haptic_node@master: 'ipc://{tmp_path}/h'}}\n")
+    assert "player@master is missing" in fails("replay", path, "--site-file", site, "--nodes", "haptic_node")
+
+
+def test_renaming_is_read_and_wrong_ones_are_refused() -> None:
+    assert parse_remap(["a/b=c/d", "x@master=y@master"]) == {"a/b": "c/d", "x@master": "y@master"}
+    with pytest.raises(ConfigError, match="OLD=NEW"):
+        parse_remap(["a/b"])
+
+
+def test_keys_of_a_terminal_are_told_apart() -> None:
+    assert split_keys(b" \x1b[C.\x1b[Dq") == ["space", "right", ".", "left", "q"]
+    assert haptic_state(0).seq == 0

@@ -1,0 +1,48 @@
+import pytest
+
+from services.recorder.compare import Tolerances, first_difference
+from services.runtime.errors import ConfigError
+
+LEFT = {"seq": 1, "position_m": (0.0, 0.0, -1e-9), "mode": "follow", "data": {"a": 1}}
+
+
+def test_equal_messages_have_no_difference() -> None:
+    assert first_difference(LEFT, dict(LEFT), Tolerances()) is None
+
+
+@pytest.mark.parametrize(
+    ("change", "field"),
+    [
+        ({"position_m": (0.0, 0.0, -1.1e-9)}, "position_m.2"),
+        ({"position_m": (-0.0, 0.0, -1e-9)}, "position_m.0"),
+        ({"position_m": (0.0, 0.0)}, "position_m"),
+        ({"mode": "hold"}, "mode"),
+        ({"data": {"a": 2}}, "data.a"),
+        ({"data": {"a": True}}, "data.a"),
+        ({"data": {}}, "data.a"),
+        ({"more": 1.0}, "more"),
+    ],
+)
+def test_the_first_differing_field_is_named(change: dict[str, object], field: str) -> None:
+    found = first_difference(LEFT, {**LEFT, **change}, Tolerances())
+    assert found is not None
+    assert found.field == field
+    assert field in found.text
+
+
+def test_a_tolerance_holds_for_the_parts_of_its_field_only() -> None:
+    moved = {**LEFT, "position_m": (0.0, 0.0, -1.1e-9)}
+    assert first_difference(LEFT, moved, Tolerances({"position_m": 1.01e-10})) is None
+    assert first_difference(LEFT, moved, Tolerances({"position_m.0": 1.0})) is not None
+    assert first_difference(LEFT, moved, Tolerances({"position_m": 0.99e-10})) is not None
+    assert first_difference(LEFT, {**LEFT, "mode": "hold"}, Tolerances({"*": 1.0})) is not None
+
+
+def test_ignored_fields_are_left_out() -> None:
+    assert first_difference(LEFT, {**LEFT, "seq": 2}, Tolerances(), ("seq",)) is None
+
+
+@pytest.mark.parametrize("text", ["force_n", "force_n=x", "=1", "force_n=-1", "force_n=nan"])
+def test_a_wrong_tolerance_is_refused(text: str) -> None:
+    with pytest.raises(ConfigError, match="tolerance"):
+        Tolerances.parse([text])

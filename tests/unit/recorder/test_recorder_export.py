@@ -1,0 +1,164 @@
+"""Exports, read back with the tools that they are made for."""
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pyarrow.parquet as parquet
+import pytest
+from mcap.reader import make_reader
+from recorder_samples import EPOCH_NS, NODE, haptic_state, sample
+
+from proto import TOPICS, encode
+from proto.messages import AfmScanline, Array
+from services.recorder.config import RecorderConfig
+from services.recorder.export import export_recording, plain_schema
+from services.recorder.reader import Recording
+from services.recorder.records import REJECTED_TOPIC, RejectedRecord
+from services.recorder.rows import line, plain
+from services.recorder.selection import Selection
+from services.recorder.writer import RecordingWriter
+from services.runtime.errors import ConfigError, RecordingError
+
+HEIGHTS = np.array([1e-9, -2.5e-10, 3e-12])
+
+
+@pytest.fixture
+def rich(tmp_path: Path) -> Path:
+    """A recording with every kind of field: vectors, flags, text, arrays, maps, parts that may be nil."""
+    writer = RecordingWriter.create(NODE, RecorderConfig(directory=tmp_path))
+    writer.attach("site.yaml", "application/yaml", b"nodes: {}\n", EPOCH_NS)
+    writer.add_metadata("versions", {"python": "3"})
+    hand = writer.channel("haptic/state", "haptic_node@master", "master")
+    forward = writer.channel("teleop/forward", "controller@master", "slave")
+    lines = writer.channel("afm/scanline", "afm_node@slave", "slave")
+    event = writer.channel("session/event", "afm_node@slave", "slave")
+    for seq in range(10):
+        writer.write(hand, EPOCH_NS + seq, seq, seq, encode(haptic_state(seq)))
+        wave = (0.0, 0.0, 0.5) if seq == 3 else None
+        message = sample("teleop/forward", seq, src="controller@master", wave_sqrt_w=wave, energy_j=None)
+        writer.write(forward, EPOCH_NS + seq, message.t_ns, seq, encode(message))
+        scan = sample("afm/scanline", seq, src="afm_node@slave", height_m=Array.from_numpy(HEIGHTS * seq))
+        writer.write(lines, EPOCH_NS + seq, scan.t_ns, seq, encode(scan))
+        said = sample("session/event", seq, src="afm_node@slave", data={"force_n": 1.5, f"k{seq}": "x"})
+        writer.write(event, EPOCH_NS + seq, said.t_ns, seq, encode(said))
+    rejected = RejectedRecord(
+        reason="malformed", text="t", publisher="afm_node@slave", size_bytes=2, frames=(b"\x00\xff",)
+    )
+    writer.write_rejected(EPOCH_NS, rejected)
+    writer.finish()
+    return writer.path
+
+
+def test_parquet_holds_every_digit(rich: Path, tmp_path: Path) -> None:
+    target = tmp_path / "tables"
+    copied = export_recording(rich, target, "parquet")
+    assert copied.messages == 41
+    hand = parquet.read_table(target / "haptic_state.parquet").to_pydict()
+    assert hand["position_m.2"] == [haptic_state(seq).position_m[2] for seq in range(10)]
+    assert hand["limited"] == [seq % 2 == 1 for seq in range(10)]
+    forward = parquet.read_table(target / "teleop_forward@slave.parquet").to_pydict()
+    assert forward["wave_sqrt_w.2"] == [0.5 if seq == 3 else None for seq in range(10)]
+    scan = parquet.read_table(target / "afm_scanline.parquet").to_pydict()
+    assert scan["height_m"] == [(HEIGHTS * seq).tolist() for seq in range(10)]
+    event = parquet.read_table(target / "session_event.parquet").to_pydict()
+    assert json.loads(event["data"][4]) == {"force_n": 1.5, "k4": "x"}
+
+
+def test_csv_holds_every_digit(rich: Path, tmp_path: Path) -> None:
+    export_recording(rich, tmp_path / "csv", "csv", Selection.of(["haptic/*"]))
+    (path,) = (tmp_path / "csv").iterdir()
+    with path.open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert [float(row["operator_force_n.2"]) for row in rows] == [
+        haptic_state(seq).operator_force_n[2] for seq in range(10)
+    ]
+    assert [int(row["log_ns"]) for row in rows] == [EPOCH_NS + seq for seq in range(10)]
+
+
+def test_hdf5_has_a_group_a_channel_and_the_attachments(rich: Path, tmp_path: Path) -> None:
+    target = tmp_path / "session.h5"
+    export_recording(rich, target, "hdf5")
+    with h5py.File(target) as file:
+        assert file["haptic/state/position_m.2"][:].tolist() == [haptic_state(seq).position_m[2] for seq in range(10)]
+        assert file["haptic/state/log_ns"].dtype == np.int64
+        assert file["haptic/state/limited"].dtype == np.bool_
+        assert file["haptic/state/mode"].asstr()[0] == haptic_state(0).mode
+        wave = file["teleop/forward@slave/wave_sqrt_w.2"][:]
+        assert wave[3] == 0.5
+        assert np.isnan(np.delete(wave, 3)).all()
+        assert file["afm/scanline/height_m"][2].tolist() == (HEIGHTS * 2).tolist()
+        assert file["attachments/site.yaml"][()].tobytes() == b"nodes: {}\n"
+        assert file["metadata/versions"].attrs["python"] == "3"
+
+
+def test_the_json_recording_is_read_by_the_reference_reader(rich: Path, tmp_path: Path) -> None:
+    target = tmp_path / "viewer.mcap"
+    export_recording(rich, target, "mcap-json")
+    with target.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        rows = list(reader.iter_messages())
+        assert [attachment.name for attachment in reader.iter_attachments()] == ["site.yaml"]
+    assert len(rows) == 41
+    for schema, channel, message in rows:
+        assert channel.message_encoding == "json"
+        assert schema is not None
+        assert schema.encoding == "jsonschema"
+        described = json.loads(schema.data)
+        assert described["type"] == "object"
+        payload = json.loads(message.data)
+        assert set(payload) <= set(described["properties"])
+    hand = [json.loads(message.data) for _, channel, message in rows if channel.topic == "haptic/state"]
+    assert [fields["position_m"] for fields in hand] == [list(haptic_state(seq).position_m) for seq in range(10)]
+    scan = [json.loads(message.data) for _, channel, message in rows if channel.topic == "afm/scanline"]
+    assert scan[3]["height_m"] == (HEIGHTS * 3).tolist()
+    (rejected,) = [json.loads(message.data) for _, channel, message in rows if channel.topic == REJECTED_TOPIC]
+    assert rejected["frames"] == ["AP8="]
+
+
+@pytest.mark.parametrize("topic", list(TOPICS))
+def test_the_schema_for_viewers_is_plain(topic: str) -> None:
+    def check(node: Any) -> None:
+        assert not {"$ref", "$defs", "anyOf", "prefixItems", "allOf"} & set(node)
+        assert node["type"] in ("object", "array", "number", "integer", "string", "boolean")
+        for part in node.get("properties", {}).values():
+            check(part)
+        if node["type"] == "array":
+            check(node["items"])
+
+    model = TOPICS[topic].model
+    schema = plain_schema(model.model_json_schema())
+    check(schema)
+    assert set(schema["properties"]) == set(model.model_fields)
+
+
+def test_nothing_is_overwritten(rich: Path, tmp_path: Path) -> None:
+    for kind in ("parquet", "csv", "hdf5", "mcap-json"):
+        with pytest.raises(RecordingError, match="exists already"):
+            export_recording(rich, tmp_path, kind)
+
+
+def test_a_package_that_is_not_there_is_named(rich: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "h5py", None)
+    with pytest.raises(ConfigError, match=r"hdf5 needs the package h5py: pip install 'telenano\[export\]'"):
+        export_recording(rich, tmp_path / "x.h5", "hdf5")
+
+
+def test_lines_are_json_with_the_facts_of_the_record(rich: Path) -> None:
+    found = [json.loads(json.dumps(line(message))) for message in Recording(rich).messages(["haptic/state"])]
+    assert found[2]["seq"] == 2
+    assert found[2]["log_ns"] == EPOCH_NS + 2
+    assert found[2]["message"]["mode"] == haptic_state(2).mode
+
+
+def test_what_is_not_understood_is_given_as_it_is(tmp_path: Path) -> None:
+    writer = RecordingWriter.create(NODE, RecorderConfig(directory=tmp_path))
+    hand = writer.channel("haptic/state", "haptic_node@master", "master")
+    writer.write(hand, EPOCH_NS, 0, 0, b"\x81\xa1a\x01")
+    writer.finish()
+    (message,) = Recording(writer.path).messages()
+    assert plain(message) == {"a": 1}
+    assert AfmScanline.version >= 1

@@ -1,0 +1,52 @@
+"""The live rig and the file give the same messages through the same iterator."""
+
+import threading
+from pathlib import Path
+
+import zmq
+from recorder_samples import haptic_state, teleop_forward
+
+from proto import encode
+from services.recorder.live import LiveRecording
+from services.recorder.reader import RecordedMessage
+from services.runtime.bus import Publisher
+from services.runtime.clock import SystemClock
+from services.runtime.site import SiteBook
+
+HAND, FAR = "haptic_node@master", "delay_node@slave"
+
+
+def test_a_live_rig_is_read_like_a_recording(tmp_path: Path) -> None:
+    book = SiteBook(nodes={node: f"ipc://{tmp_path}/{node}" for node in (HAND, FAR)})
+    done = threading.Event()
+    with zmq.Context() as context:
+        publishers = [Publisher(context, SystemClock(), node, book.endpoint(node)) for node in (HAND, FAR)]
+
+        def speak() -> None:
+            seq = 0
+            while not done.wait(0.002):
+                publishers[0].send("haptic/state", encode(haptic_state(seq)))
+                publishers[0].send("haptic/state", b"\xc1")
+                publishers[1].send("teleop/forward", encode(teleop_forward(seq)))
+                seq += 1
+
+        thread = threading.Thread(target=speak)
+        thread.start()
+        try:
+            with LiveRecording(book) as live:
+                found: dict[str, RecordedMessage] = {}
+                for message in live.messages(duration_s=20.0):
+                    found[message.channel_topic] = message
+                    if len(found) == 2:
+                        break
+                channels = {channel.channel_topic for channel in live.channels}
+        finally:
+            done.set()
+            thread.join()
+            for publisher in publishers:
+                publisher.close()
+    assert channels == {"haptic/state", "teleop/forward@slave"}
+    hand, forward = found["haptic/state"], found["teleop/forward@slave"]
+    assert hand.decode() == haptic_state(hand.seq)
+    assert hand.publish_ns == haptic_state(hand.seq).t_ns
+    assert (forward.site, forward.via, forward.src) == ("slave", "link", "controller@master")

@@ -1,0 +1,275 @@
+"""Splitting, quota, snapshots and filters of a recorder whose frames come from the test."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zmq
+from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state, sample, session_control, teleop_forward
+
+from proto import Message, encode
+from proto.messages import SessionControl, SessionEvent
+from services.recorder.config import RecorderConfig
+from services.recorder.intake import Intake, Listener
+from services.recorder.node import RecorderNode
+from services.recorder.reader import Recording, open_recordings
+from services.recorder.ring import Entry, Ring
+from services.recorder.silent import OBSERVER, SilentPublisher
+from services.recorder.start import begin_intake
+from services.runtime.bus import Subscriber, ZmqBus
+from services.runtime.clock import VirtualClock
+from services.runtime.config import validate
+from services.runtime.errors import ConfigError, RecordingError, RefusedError
+from services.runtime.log import StructuredLog
+from services.runtime.node import NodeContext
+
+SECOND_NS = 1_000_000_000
+
+
+class Desk:
+    """A recorder without a bus: frames and time come from the test."""
+
+    def __init__(self, folder: Path, context: "zmq.Context[Any]", **settings: Any) -> None:
+        self.folder = folder
+        self.clock = VirtualClock(0, EPOCH_NS)
+        self.config = RecorderConfig(directory=folder, **settings)
+        site_file = folder.parent / "site.yaml"
+        site_file.write_text("nodes: {}\n")
+        self.intake = begin_intake(NODE, self.clock, self.config, site_file, None)
+        subscriber = Subscriber(context, self.clock, {"inproc://nowhere": ["haptic/state"]})
+        self.listener = Listener("haptic_node@master", subscriber)
+        self.publisher = SilentPublisher(self.clock, OBSERVER)
+        self.events: list[SessionEvent] = []
+        bus = ZmqBus(self.publisher, [], self.clock, -1)
+        bus.publish = self._publish
+        self.node = RecorderNode(NodeContext(NODE, self.clock, bus, StructuredLog(NODE)), self.config, self.intake)
+
+    def _publish(self, topic: str, **fields: Any) -> Message:
+        message = self.publisher.publish(topic, **fields)
+        if isinstance(message, SessionEvent):
+            self.events.append(message)
+        return message
+
+    def hear(self, topic: str, message: Message) -> None:
+        self.intake.take(self.listener, [topic.encode(), encode(message)], self.clock.now_ns())
+
+    def hear_states(self, first: int, count: int) -> None:
+        for seq in range(first, first + count):
+            self.clock.advance_ns(MILLISECOND_NS)
+            self.hear("haptic/state", haptic_state(seq))
+
+    def flush(self) -> None:
+        self.node.on_deadline(self.clock.monotonic_ns())
+
+    def command(self, **parameters: Any) -> str:
+        return self.node.on_control(
+            SessionControl.model_validate(
+                {**session_control(0).__dict__, "command": "set", "parameters": parameters, "target": "recorder"}
+            )
+        )
+
+    def files(self) -> list[Path]:
+        return sorted(self.folder.glob("*.mcap"), key=lambda path: (len(path.name), path.name))
+
+
+@pytest.fixture
+def desk(tmp_path: Path) -> Iterator[Callable[..., Desk]]:
+    made: list[Desk] = []
+    with zmq.Context() as context:
+
+        def make(**settings: Any) -> Desk:
+            made.append(Desk(tmp_path / "out", context, **settings))
+            return made[-1]
+
+        yield make
+        for each in made:
+            each.intake.finish()
+            each.listener.subscriber.close()
+
+
+def seqs(path: Path, topic: str = "haptic/state") -> list[int]:
+    return [message.seq for message in Recording(path).messages([topic])]
+
+
+def test_only_the_chosen_channels_are_written(desk: Callable[..., Desk]) -> None:
+    rig = desk(topics=("haptic/*",), exclude=("/command/",))
+    rig.hear_states(0, 3)
+    rig.hear("teleop/forward", teleop_forward(0))
+    rig.hear("haptic/command", sample("haptic/command", 0, src="controller@master"))
+    rig.intake.finish()
+    assert {channel.channel_topic for channel in Recording(rig.files()[0]).channels} == {"haptic/state"}
+    assert rig.intake.heard == 5
+    assert rig.intake.written == 3
+
+
+def test_a_new_file_begins_after_the_time_and_nothing_is_lost_between(desk: Callable[..., Desk]) -> None:
+    rig = desk(split_interval_s=1.0)
+    for second in range(3):
+        rig.hear_states(second * 1000, 1000)
+        rig.flush()
+    rig.intake.finish()
+    assert len(rig.files()) == 4
+    assert [seq for path in rig.files() for seq in seqs(path)] == list(range(3000))
+    assert all(Recording(path).complete for path in rig.files())
+    assert all("site.yaml" in Recording(path).attachments for path in rig.files())
+    assert [message.seq for message in open_recordings(rig.files()).select()] == list(range(3000))
+    assert [event.data["path"] for event in rig.events] == [str(path) for path in rig.files()]
+
+
+def test_a_new_file_begins_at_the_size(desk: Callable[..., Desk]) -> None:
+    rig = desk(split_size_bytes=65_536, compression="none")
+    for turn in range(6):
+        rig.hear_states(turn * 100, 100)
+        rig.flush()
+    assert len(rig.files()) > 1
+    # kept to within one flush
+    assert all(path.stat().st_size < 65_536 + 80_000 for path in rig.files())
+
+
+def test_a_new_file_begins_on_demand_and_none_is_overwritten(desk: Callable[..., Desk]) -> None:
+    rig = desk()
+    rig.hear_states(0, 5)
+    assert "session_1.mcap" in rig.command(**{"record.split": True})
+    rig.hear_states(5, 5)
+    rig.intake.finish()
+    assert [seqs(path) for path in rig.files()] == [[0, 1, 2, 3, 4], [5, 6, 7, 8, 9]]
+
+
+def test_at_the_quota_recording_stops_with_a_finished_file(desk: Callable[..., Desk]) -> None:
+    rig = desk(quota_bytes=65_536, compression="none")
+    for turn in range(6):
+        rig.hear_states(turn * 100, 100)
+        rig.flush()
+    (path,) = rig.files()
+    assert Recording(path).complete
+    assert "quota of 65536 bytes" in rig.intake.fault
+    (failed,) = [event for event in rig.events if event.data.get("state") == "failed"]
+    assert failed.level == "error"
+    assert rig.node.state == "safe"
+    # the rig goes on and is heard
+    rig.hear_states(600, 1)
+    assert rig.intake.heard == 601
+
+
+def test_at_the_quota_the_oldest_file_goes(desk: Callable[..., Desk]) -> None:
+    rig = desk(quota_bytes=300_000, quota_policy="drop_oldest", split_size_bytes=65_536, compression="none")
+    for turn in range(20):
+        rig.hear_states(turn * 100, 100)
+        rig.flush()
+    rig.intake.finish()
+    assert rig.intake.fault == ""
+    assert rig.intake.parts is not None
+    assert rig.intake.parts.dropped > 0
+    kept = [seq for path in rig.files() for seq in seqs(path)]
+    assert kept == list(range(kept[0], 2000))
+    assert kept[0] > 0
+    assert sum(path.stat().st_size for path in rig.files()) < 300_000 + 90_000
+    assert any("removed for the quota" in event.text for event in rig.events)
+
+
+def test_a_snapshot_holds_what_came_before_its_trigger(desk: Callable[..., Desk]) -> None:
+    rig = desk(snapshot_s=0.5, snapshot_after_s=0.2)
+    for turn in range(10):
+        rig.hear_states(turn * 100, 100)
+        rig.flush()
+    assert rig.files() == []
+    assert "waiting for a trigger" in rig.node.status()
+    rig.command(**{"record.snapshot": True})
+    for turn in range(10, 16):
+        rig.hear_states(turn * 100, 100)
+        rig.flush()
+    (path,) = rig.files()
+    assert Recording(path).complete
+    # half a second before the flush that wrote it, and what was heard up to the first flush 0.2 s later
+    assert seqs(path) == list(range(599, 1300))
+
+
+@pytest.mark.parametrize(
+    ("cause", "topic", "messages"),
+    [
+        ("mode", "session/event", [sample("session/event", 0, src="haptic_node@master", kind="mode")]),
+        ("fault", "session/event", [sample("session/event", 0, src="haptic_node@master", kind="fault")]),
+        (
+            "contact",
+            "afm/state",
+            [sample("afm/state", seq, src="afm_node@master", in_contact=seq == 1) for seq in range(2)],
+        ),
+    ],
+)
+def test_an_event_triggers_a_snapshot(
+    desk: Callable[..., Desk], cause: str, topic: str, messages: list[Message]
+) -> None:
+    rig = desk(snapshot_s=1.0, snapshot_on=(cause,))
+    rig.hear_states(0, 10)
+    rig.flush()
+    assert rig.files() == []
+    for message in messages:
+        rig.hear(topic, message)
+    rig.flush()
+    rig.intake.finish()
+    (path,) = rig.files()
+    assert seqs(path) == list(range(10))
+
+
+def test_contact_from_the_start_is_no_snap(desk: Callable[..., Desk]) -> None:
+    rig = desk(snapshot_s=1.0, snapshot_on=("contact",))
+    for seq in range(3):
+        rig.hear("afm/state", sample("afm/state", seq, src="afm_node@master", in_contact=True))
+    rig.flush()
+    assert rig.files() == []
+
+
+def test_the_ring_forgets_by_time_and_by_size() -> None:
+    ring = Ring(1.0, 1000)
+    for second in range(5):
+        ring.add(Entry(second * SECOND_NS // 2, 0, second, b"x" * 10, None, None))
+    assert [entry.seq for entry in ring.take()] == [2, 3, 4]
+    for number in range(20):
+        ring.add(Entry(0, 0, number, b"x" * 100, None, None))
+    assert (len(ring), ring.size_bytes) == (10, 1000)
+
+
+def test_the_recorder_says_how_it_does(desk: Callable[..., Desk]) -> None:
+    rig = desk()
+    rig.hear_states(0, 1000)
+    rig.flush()
+    status = rig.command(**{"record.status": True})
+    assert "1000 messages/s" in status
+    assert "1000 written" in status
+    assert "0 lost" in status
+    rig.hear_states(1005, 1)
+    assert "5 lost" in rig.node.status()
+
+
+def test_orders_that_make_no_sense_are_refused(desk: Callable[..., Desk]) -> None:
+    rig = desk()
+    with pytest.raises(RefusedError, match=r"known are record\.split"):
+        rig.command(**{"record.splt": True})
+    with pytest.raises(RefusedError, match="takes true only"):
+        rig.command(**{"record.split": 3})
+    with pytest.raises(RecordingError, match="there is no snapshot"):
+        rig.command(**{"record.snapshot": True})
+    rig.intake.finish()
+    rig.intake.fault, rig.intake.writer = "the disk is full", None
+    with pytest.raises(RecordingError, match="the disk is full"):
+        rig.command(**{"record.split": True})
+
+
+@pytest.mark.parametrize(
+    ("settings", "text"),
+    [
+        ({"quota_bytes": 100_000, "quota_policy": "drop_oldest"}, "needs split_size_bytes"),
+        ({"quota_bytes": 100_000, "split_size_bytes": 200_000}, "must not be above quota_bytes"),
+        ({"topics": ["/[/"]}, "is not a regular expression"),
+        ({"snapshot_on": ["crash"]}, "snapshot_on"),
+    ],
+)
+def test_settings_that_cannot_be_are_refused(settings: dict[str, Any], text: str) -> None:
+    with pytest.raises(ConfigError, match=text):
+        validate(RecorderConfig, settings, "test")
+
+
+def test_an_intake_without_parts_cannot_split(config: RecorderConfig) -> None:
+    with pytest.raises(RecordingError, match="no folder"):
+        Intake(None, "no folder").split(0)
