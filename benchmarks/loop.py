@@ -4,8 +4,10 @@
 
 The floor: five processes pass bytes of the very sizes of our messages along the eight hops of the loop
 (hand, master half, link, slave half, AFM, slave half, link, master half, hand) over connected Unix-domain sockets,
-paced at 1 kHz, under the same scheduling as the rig, doing nothing else. The rig: `telenano up --scenario fig12`, its
-age of the loop as its own recording has it. Floor and rig take turns, and the medians of the rounds are compared.
+paced at 1 kHz, doing nothing else. It is measured twice: `plain`, as any program would run, and `placed`, under the
+scheduling that the rig's nodes ask for (SCHED_FIFO, a processor for each side of the link). The rig: `telenano up
+--scenario fig12`, the age of the loop as its own recording has it. All take turns, and the medians of the rounds are
+compared.
 """
 
 import argparse
@@ -92,44 +94,46 @@ def hop_sizes() -> dict[str, int]:
     return {topic: len(topic) + len(encode(message)) for topic, message in messages.items()}
 
 
-def relay(node: str, near: socket.socket, far: socket.socket, there: bytes, back: bytes) -> None:
+def relay(node: str, placed: bool, near: socket.socket, far: socket.socket, there: bytes, back: bytes) -> None:
     """Pass a message on and its answer back, until the near side closes."""
-    prepare(node)
+    prepare(node, placed)
     while near.recv(4096):
         far.send(there)
         far.recv(4096)
         near.send(back)
 
 
-def turn(near: socket.socket, answer: bytes) -> None:
+def turn(placed: bool, near: socket.socket, answer: bytes) -> None:
     """Answer every message."""
-    prepare("afm_node@slave")
+    prepare("afm_node@slave", placed)
     while near.recv(4096):
         near.send(answer)
 
 
-def prepare(node: str) -> None:
-    """Ask for the scheduling that the rig's nodes ask for."""
-    apply_realtime(RealtimeConfig(), StructuredLog("floor"), node)
+def prepare(node: str, placed: bool) -> None:
+    """Ask for the scheduling that the rig's nodes ask for, if it is wanted."""
+    if placed:
+        apply_realtime(RealtimeConfig(), StructuredLog("floor"), node)
     freeze_garbage()
 
 
-def measure_floor(ticks: int) -> list[float]:
+def measure_floor(ticks: int, *, placed: bool) -> list[float]:
     """Give the age [ms] of each of `ticks` round trips over eight hops of Unix-domain sockets."""
     sizes = {topic: bytes(size) for topic, size in hop_sizes().items()}
     pairs = [socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET) for _ in range(4)]
     there = [sizes["teleop/forward"], sizes["teleop/forward"], sizes["afm/command"]]
     back = [sizes["haptic/command"], sizes["teleop/backward"], sizes["teleop/backward"]]
     context = multiprocessing.get_context("fork")
-    workers = [
-        context.Process(target=relay, args=(node, pairs[hop][1], pairs[hop + 1][0], there[hop], back[hop]), daemon=True)
-        for hop, node in enumerate(("controller@master", "delay_node@master", "controller@slave"))
-    ]
-    workers.append(context.Process(target=turn, args=(pairs[3][1], sizes["afm/state"]), daemon=True))
+    relays = enumerate(("controller@master", "delay_node@master", "controller@slave"))
+    tasks = [(node, placed, pairs[hop][1], pairs[hop + 1][0], there[hop], back[hop]) for hop, node in relays]
+    workers = [context.Process(target=relay, args=task, daemon=True) for task in tasks]
+    workers.append(context.Process(target=turn, args=(placed, pairs[3][1], sizes["afm/state"]), daemon=True))
     for worker in workers:
         worker.start()
     master = context.Pipe(duplex=False)
-    pacer = context.Process(target=pace, args=(pairs[0][0], sizes["haptic/state"], ticks, master[1]), daemon=True)
+    pacer = context.Process(
+        target=pace, args=(placed, pairs[0][0], sizes["haptic/state"], ticks, master[1]), daemon=True
+    )
     pacer.start()
     ages: list[float] = master[0].recv()
     for process in (pacer, *workers):
@@ -141,9 +145,11 @@ def measure_floor(ticks: int) -> list[float]:
     return ages
 
 
-def pace(near: socket.socket, payload: bytes, ticks: int, result: "multiprocessing.connection.Connection") -> None:
+def pace(
+    placed: bool, near: socket.socket, payload: bytes, ticks: int, result: "multiprocessing.connection.Connection"
+) -> None:
     """Send on an absolute grid as the haptic node does and time the answers."""
-    prepare("haptic_node@master")
+    prepare("haptic_node@master", placed)
     ages = []
     deadline = time.monotonic_ns() + 200 * PERIOD_NS
     for _ in range(ticks):
@@ -176,22 +182,29 @@ def main() -> None:
     parser.add_argument("--duration", type=float, default=5.0, help="length of each turn [s]")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     given = parser.parse_args()
-    floors, rigs = [], []
+    rounds: dict[str, list[dict[str, float]]] = {"plain": [], "placed": [], "rig": []}
     for _ in range(given.rounds):
-        with shallow_idle():
-            ages = sorted(measure_floor(round(given.duration * 1000)))
-        floors.append({"p50": statistics.median(ages), "p99": ages[int(0.99 * len(ages))], "max": ages[-1]})
-        rigs.append(measure_rig(given.duration))
-    floor = {key: statistics.median(turn_[key] for turn_ in floors) for key in ("p50", "p99", "max")}
-    rig = {key: statistics.median(turn_[key] for turn_ in rigs) for key in ("p50", "p99", "max")}
-    ratio = {key: rig[key] / floor[key] for key in floor}
+        for floor in ("plain", "placed"):
+            with shallow_idle():
+                ages = sorted(measure_floor(round(given.duration * 1000), placed=floor == "placed"))
+            rounds[floor].append({"p50": statistics.median(ages), "p99": ages[int(0.99 * len(ages))], "max": ages[-1]})
+        rounds["rig"].append(measure_rig(given.duration))
+    ages_ms = {
+        name: {key: statistics.median(found[key] for found in turns) for key in ("p50", "p99", "max")}
+        for name, turns in rounds.items()
+    }
+    ratios = {
+        floor: {key: ages_ms["rig"][key] / ages_ms[floor][key] for key in ("p50", "p99", "max")}
+        for floor in ("plain", "placed")
+    }
     if given.json:
-        print(json.dumps({"floor_ms": floor, "rig_ms": rig, "ratio": ratio}))
+        print(json.dumps({"age_ms": ages_ms, "ratio": ratios}))
         return
-    print(f"{'':24}{'p50':>9}{'p99':>9}{'max':>9}")
-    print(f"{'Unix sockets, ms':24}" + "".join(f"{floor[key]:9.3f}" for key in floor))
-    print(f"{'rig, ms':24}" + "".join(f"{rig[key]:9.3f}" for key in rig))
-    print(f"{'ratio':24}" + "".join(f"{ratio[key]:9.2f}" for key in ratio))
+    print(f"{'':28}{'p50':>9}{'p99':>9}{'max':>9}")
+    for name, label in (("plain", "sockets, plain, ms"), ("placed", "sockets, placed, ms"), ("rig", "rig, ms")):
+        print(f"{label:28}" + "".join(f"{value:9.3f}" for value in ages_ms[name].values()))
+    for floor, ratio in ratios.items():
+        print(f"{'rig / sockets, ' + floor:28}" + "".join(f"{value:9.2f}" for value in ratio.values()))
 
 
 if __name__ == "__main__":
