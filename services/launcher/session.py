@@ -21,6 +21,9 @@ READY_DEADLINE_S = 60.0
 # what a stopping rig waits for the answer to `stop`; the devices make themselves safe on SIGTERM in any case
 _STOP_ANSWER_NS = 2_000_000_000
 _REMEMBERED_EVENTS = 8
+# a refusal at the start is asked about again for so long, so often
+_REFUSAL_PATIENCE_NS = 5_000_000_000
+_ASK_AGAIN_NS = 300_000_000
 
 
 @dataclass(frozen=True)
@@ -76,6 +79,8 @@ class SessionNode(Node):
         # a device that somebody else runs is not ours to arm, and its operator starts without us
         self._steps = deque(step for step in BEGIN if set(step.expected) <= set(nodes))
         self._pending: PendingControl | None = None
+        self._step = BEGIN[0]
+        self._patient_until_ns = self._ask_again_ns = 0
 
     def launch(self) -> None:
         """Start every node for the first time."""
@@ -190,10 +195,11 @@ class SessionNode(Node):
             self._run()
             return
         if pending is None:
-            step = self._steps.popleft()
+            step = self._step = self._steps.popleft()
             pending = self._pending = PendingControl(self.clock, step.command, step.target, step.expected)
+            self._patient_until_ns = self.clock.monotonic_ns() + _REFUSAL_PATIENCE_NS
         if failure := pending.failure():
-            self._fail(failure)
+            self._ask_again(failure)
         elif pending.complete:
             self._pending = None
             if self._steps:
@@ -202,6 +208,16 @@ class SessionNode(Node):
                 self._run()
         elif pending.take_due():
             self.publish("session/control", **pending.fields())
+
+    def _ask_again(self, failure: str) -> None:
+        """Give a device some time to become able: its first fresh command may still be on the way."""
+        now = self.clock.monotonic_ns()
+        if self._pending is None or not self._pending.refusals or now >= self._patient_until_ns:
+            self._fail(failure)
+        elif now >= self._ask_again_ns:
+            step = self._step
+            self._pending = PendingControl(self.clock, step.command, step.target, step.expected)
+            self._ask_again_ns = now + _ASK_AGAIN_NS
 
     def _run(self) -> None:
         self._running_ns = self.clock.monotonic_ns()

@@ -168,9 +168,24 @@ def test_a_refusal_ends_the_rig_with_its_reason() -> None:
     rig = Rig()
     rig.refusing = {"afm_node@slave"}
     rig.all_ready()
-    rig.tick(3)
+    rig.tick(90)
+    assert not rig.finished
+    rig.tick(30)
     assert rig.finished
     assert rig.session.failure == "afm_node@slave refused arm: said"
+
+
+def test_a_device_that_becomes_able_is_asked_again() -> None:
+    rig = Rig()
+    rig.refusing = {"afm_node@slave"}
+    rig.all_ready()
+    rig.tick(20)
+    rig.refusing = set()
+    rig.tick(20)
+    assert rig.session.ran
+    asked = [control.id for control in rig.bus.controls() if control.target == "afm_node"]
+    # a command of its own each time: a node carries an id out only once
+    assert 2 < len(set(asked)) < 10
 
 
 def test_what_is_not_ready_in_time_is_named_with_its_missing_input_and_its_log() -> None:
