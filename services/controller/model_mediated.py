@@ -32,6 +32,7 @@ from typing import NamedTuple
 from pydantic import Field
 
 from services.controller.law import Books, HandSample, Law, MasterReference, PortSignal, SlaveReference, TipSample
+from services.controller.pass_through import measured
 from services.controller.surface import (
     KAPPA_UNIT,
     NANO,
@@ -293,19 +294,7 @@ def slave_send(
     params: ModelMediatedParams, state: SlaveState, tip: TipSample, dt: float
 ) -> tuple[SlaveState, PortSignal]:
     """Send what the tip is at: the sample that the model is fitted to."""
-    return state, PortSignal(
-        tip.position_m,
-        0.0,
-        tip.force_n,
-        0.0,
-        0.0,
-        tip.separation_m,
-        tip.separation_valid,
-        tip.in_contact,
-        tip.following,
-        0.0,
-        0.0,
-    )
+    return state, measured(tip)
 
 
 @compiled

@@ -1,6 +1,7 @@
 """The controller processes: each runs one half of a law on the arrival of messages."""
 
 import math
+from abc import abstractmethod
 from collections.abc import Mapping
 from typing import Any, ClassVar, Literal, cast
 
@@ -142,9 +143,9 @@ class HalfLaw(Node):
         """Carry the state of this half over a change of parameters."""
         return self.law_state
 
+    @abstractmethod
     def books(self) -> Books:
         """Give what this half of the law knows of energy."""
-        raise NotImplementedError
 
     def hear(self, message: TeleopForward | TeleopBackward, received_ns: int) -> bool:
         """Take a signal of the other half; one of another law is not understood and counts as silence."""

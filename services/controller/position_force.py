@@ -13,7 +13,8 @@ present delay, with the last force and position held.
 
 from typing import NamedTuple
 
-from services.controller.law import HandSample, Law, MasterReference, PortSignal, SlaveReference, TipSample
+from services.controller.law import HandSample, Law, MasterReference, PortSignal
+from services.controller.pass_through import slave_receive, slave_send, slave_start
 from services.controller.virtual_mass import (
     Mass,
     MassConfig,
@@ -42,12 +43,6 @@ class PositionForceConfig(MassConfig):
     def to_params(self, period_s: float) -> PositionForceParams:
         """Give the constants of the compiled steps for a period [s] of the hand."""
         return PositionForceParams(self.mass_params(period_s))
-
-
-class SlaveState(NamedTuple):
-    """The reference that was last passed on [m]."""
-
-    position_m: float
 
 
 @compiled
@@ -85,40 +80,6 @@ def master_receive(
     for _ in range(periods_in(dt, p.period_s)):
         state = moved(p, state, hand.force_n - force)
     return state, MasterReference(state.position_m, state.velocity_m_per_s, force, True)
-
-
-@compiled
-def slave_start(params: PositionForceParams, tip: TipSample) -> SlaveState:
-    """Begin where the base is."""
-    return SlaveState(tip.position_m)
-
-
-@compiled
-def slave_receive(
-    params: PositionForceParams, state: SlaveState, signal: PortSignal, tip: TipSample, dt: float
-) -> tuple[SlaveState, SlaveReference]:
-    """Pass the reference on."""
-    return SlaveState(signal.position_m), SlaveReference(signal.position_m, True)
-
-
-@compiled
-def slave_send(
-    params: PositionForceParams, state: SlaveState, tip: TipSample, dt: float
-) -> tuple[SlaveState, PortSignal]:
-    """Send the measured force back."""
-    return state, PortSignal(
-        tip.position_m,
-        0.0,
-        tip.force_n,
-        0.0,
-        0.0,
-        tip.separation_m,
-        tip.separation_valid,
-        tip.in_contact,
-        tip.following,
-        0.0,
-        0.0,
-    )
 
 
 @compiled

@@ -31,7 +31,8 @@ import numpy.typing as npt
 from pydantic import Field
 
 from services.controller import virtual_impedance as impedance
-from services.controller.law import HandSample, Law, MasterReference, PortSignal, SlaveReference, TipSample
+from services.controller.law import HandSample, Law, MasterReference, PortSignal
+from services.controller.pass_through import slave_receive, slave_send, slave_start
 from services.controller.virtual_impedance import ImpedanceConfig, VirtualImpedanceParams
 from services.controller.virtual_mass import NotNegative, Positive, periods_in
 from services.runtime.compiled import compiled
@@ -187,28 +188,6 @@ def master_receive(
     )
     inner, reference = impedance.master_receive(p, state.impedance, hand, predicted, dt)
     return MasterState(inner, state.sent_m, state.newest, estimate, in_use), reference
-
-
-@compiled
-def slave_start(params: SmithParams, tip: TipSample) -> impedance.SlaveState:
-    """Begin where the base is."""
-    return impedance.slave_start(params.impedance, tip)
-
-
-@compiled
-def slave_receive(
-    params: SmithParams, state: impedance.SlaveState, signal: PortSignal, tip: TipSample, dt: float
-) -> tuple[impedance.SlaveState, SlaveReference]:
-    """Pass the reference on."""
-    return impedance.slave_receive(params.impedance, state, signal, tip, dt)
-
-
-@compiled
-def slave_send(
-    params: SmithParams, state: impedance.SlaveState, tip: TipSample, dt: float
-) -> tuple[impedance.SlaveState, PortSignal]:
-    """Send the measured force back."""
-    return impedance.slave_send(params.impedance, state, tip, dt)
 
 
 @compiled

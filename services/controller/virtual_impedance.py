@@ -11,7 +11,8 @@ from typing import NamedTuple
 
 from pydantic import Field
 
-from services.controller.law import HandSample, Law, MasterReference, PortSignal, SlaveReference, TipSample
+from services.controller.law import HandSample, Law, MasterReference, PortSignal
+from services.controller.pass_through import slave_receive, slave_send, slave_start
 from services.controller.virtual_mass import NotNegative, Positive, ScaledConfig, exact_discretisation
 from services.runtime.compiled import compiled
 
@@ -74,12 +75,6 @@ class MasterState(NamedTuple):
     tip_offset_m: float
 
 
-class SlaveState(NamedTuple):
-    """The reference that was last passed on [m]."""
-
-    position_m: float
-
-
 @compiled
 def master_start(params: VirtualImpedanceParams, hand: HandSample) -> MasterState:
     """Put the virtual mass to rest where the hand is."""
@@ -132,40 +127,6 @@ def master_receive(
 def _offset_that_keeps(params: VirtualImpedanceParams, state: MasterState, position_m: float) -> float:
     """Give the offset with which the tip's reference stays put while the virtual mass is moved to the hand."""
     return state.tip_offset_m + params.position_scale * (state.position_m - position_m)
-
-
-@compiled
-def slave_start(params: VirtualImpedanceParams, tip: TipSample) -> SlaveState:
-    """Begin where the base is."""
-    return SlaveState(tip.position_m)
-
-
-@compiled
-def slave_receive(
-    params: VirtualImpedanceParams, state: SlaveState, signal: PortSignal, tip: TipSample, dt: float
-) -> tuple[SlaveState, SlaveReference]:
-    """Pass the reference on."""
-    return SlaveState(signal.position_m), SlaveReference(signal.position_m, True)
-
-
-@compiled
-def slave_send(
-    params: VirtualImpedanceParams, state: SlaveState, tip: TipSample, dt: float
-) -> tuple[SlaveState, PortSignal]:
-    """Send the measured force back."""
-    return state, PortSignal(
-        tip.position_m,
-        0.0,
-        tip.force_n,
-        0.0,
-        0.0,
-        tip.separation_m,
-        tip.separation_valid,
-        tip.in_contact,
-        tip.following,
-        0.0,
-        0.0,
-    )
 
 
 @compiled

@@ -1,0 +1,50 @@
+"""The slave half of laws that need none: the reference is passed on to the base, the measured force is sent back."""
+
+from typing import NamedTuple
+
+from services.controller.law import PortSignal, SlaveReference, TipSample
+from services.runtime.compiled import compiled
+
+
+class SlaveState(NamedTuple):
+    """The reference that was last passed on [m]."""
+
+    position_m: float
+
+
+@compiled
+def measured(tip: TipSample) -> PortSignal:
+    """Give the signal that says what the tip is at."""
+    return PortSignal(
+        tip.position_m,
+        0.0,
+        tip.force_n,
+        0.0,
+        0.0,
+        tip.separation_m,
+        tip.separation_valid,
+        tip.in_contact,
+        tip.following,
+        0.0,
+        0.0,
+    )
+
+
+@compiled
+def slave_start(params: object, tip: TipSample) -> SlaveState:
+    """Begin where the base is."""
+    return SlaveState(tip.position_m)
+
+
+@compiled
+def slave_receive(
+    params: object, state: SlaveState, signal: PortSignal, tip: TipSample, dt: float
+) -> tuple[SlaveState, SlaveReference]:
+    """Pass the reference on."""
+    return SlaveState(signal.position_m), SlaveReference(signal.position_m, True)
+
+
+@compiled
+def slave_send(params: object, state: SlaveState, tip: TipSample, dt: float) -> tuple[SlaveState, PortSignal]:
+    """Send the measured force back."""
+    return state, measured(tip)
