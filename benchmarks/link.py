@@ -55,7 +55,7 @@ def endpoints(folder: Path) -> dict[str, str]:
 
 def source(book: dict[str, str], ticks: int, go: Connection) -> None:
     """Send a burst of each topic at every tick of an absolute grid."""
-    apply_realtime(RealtimeConfig(), StructuredLog("source"), "source@master")
+    apply_realtime(RealtimeConfig(cpus="free"), StructuredLog("source"), "source@master")
     clock, context = SystemClock(), zmq.Context[zmq.Socket[bytes]]()
     master = Publisher(context, clock, "controller@master", book["controller@master"])
     slave = Publisher(context, clock, "controller@slave", book["controller@slave"])
@@ -76,7 +76,7 @@ def source(book: dict[str, str], ticks: int, go: Connection) -> None:
 
 def sink(book: dict[str, str], result: Connection, go: Connection) -> None:
     """Stamp what comes from the source and from the link; give the ages [ns] by way and topic."""
-    apply_realtime(RealtimeConfig(), StructuredLog("sink"), "sink@slave")
+    apply_realtime(RealtimeConfig(cpus="free"), StructuredLog("sink"), "sink@slave")
     clock, context = SystemClock(), zmq.Context[zmq.Socket[bytes]]()
     plans = {
         "direct": {book["controller@master"]: ["teleop/forward"], book["controller@slave"]: ["teleop/backward"]},
