@@ -11,11 +11,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from services.runtime.errors import ConfigError, TelenanoError
+from services.launcher.telling import EXIT_FAILED, errors_told, print_json
+from services.runtime.errors import ConfigError
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -23,8 +24,7 @@ if TYPE_CHECKING:
     from studies.stability import Axes
     from studies.sweep import Sweep
 
-EXIT_FAILED = 1
-EXIT_BAD_CONFIGURATION = 2
+_INTERRUPTED = "interrupted: the journal keeps what is done, the same command goes on"
 _LONGEST_MS = 10_000.0
 _STIFFEST_N_PER_M = 1e5
 
@@ -107,7 +107,7 @@ def stability(
     as_json: JsonOption = False,
 ) -> None:
     """Map delay against stiffness, gain, jitter or loss: stable, limit cycle or diverged, and the critical delay."""
-    with errors_told(as_json):
+    with errors_told(as_json, _INTERRUPTED):
         from studies.stability import run_stability
         from studies.stability_page import write_stability
 
@@ -117,7 +117,7 @@ def stability(
             results = run_stability(axes, sweep)
         summary = write_stability(results, out, _command())
         if as_json:
-            _print_json(summary)
+            print_json(summary)
             return
         rows = [
             (r.line.law, r.line.label, _ms(r.theory_ms), _ms(r.critical_delay_ms), _ms(r.critical_link_ms))
@@ -139,7 +139,7 @@ def transparency(
     as_json: JsonOption = False,
 ) -> None:
     """Measure tracking error, rendered stiffness, Z-width and perceived delay of each law on a spring."""
-    with errors_told(as_json):
+    with errors_told(as_json, _INTERRUPTED):
         from studies.compare import measure_all, write_transparency
         from studies.page import Page, write_parquet
 
@@ -156,7 +156,7 @@ def transparency(
         summary = {"study": "transparency", "rows": records}
         (out / "transparency.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
         if as_json:
-            _print_json(summary)
+            print_json(summary)
             return
         head = ("law", "delay [ms]", "verdict", "tracking [%]", "rendered [N/m]", "perceived [ms]", "Z-width [dB]")
         _tell(head, [
@@ -182,7 +182,7 @@ def compare(
     as_json: JsonOption = False,
 ) -> None:
     """Put all laws on one page: critical delays, contact over a good and a bad link, transparency."""
-    with errors_told(as_json):
+    with errors_told(as_json, _INTERRUPTED):
         from studies import values
         from studies.cells import DEFAULT_STIFFNESS
         from studies.compare import Request, run_comparison, write_comparison
@@ -200,7 +200,7 @@ def compare(
             result = run_comparison(request, sweep)
         summary = write_comparison(result, out, _command())
         if as_json:
-            _print_json(summary)
+            print_json(summary)
             return
         head = ("law", *(f"spring {k:g} N/m" for k in springs), "contact")
         _tell(head, [
@@ -229,7 +229,7 @@ def validate(
     as_json: JsonOption = False,
 ) -> None:
     """Run cells on real processes over the link and compare with lockstep; exit code 1 where they disagree."""
-    with errors_told(as_json):
+    with errors_told(as_json, _INTERRUPTED):
         from studies.page import Page, write_parquet
         from studies.validate import Bus, bus_edges, validate_cells
 
@@ -278,7 +278,7 @@ def validate(
             )
         page.write(out / "validate.html")
         if as_json:
-            _print_json(summary)
+            print_json(summary)
         else:
             _tell(head, rows, out / "validate.html")
     if not summary["agree"]:
@@ -354,28 +354,6 @@ def _make(out: Path) -> None:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ConfigError(f"--out {out}: cannot be made a folder: {error.strerror}") from error
-
-
-@contextlib.contextmanager
-def errors_told(as_json: bool) -> Iterator[None]:
-    """Turn what a person can cause into a sentence on stderr and an exit code."""
-    try:
-        yield
-    except TelenanoError as error:
-        _fail(str(error), EXIT_BAD_CONFIGURATION if isinstance(error, ConfigError) else EXIT_FAILED, as_json=as_json)
-    except KeyboardInterrupt:
-        _fail("interrupted: the journal keeps what is done, the same command goes on", EXIT_FAILED, as_json=as_json)
-
-
-def _fail(text: str, code: int, *, as_json: bool) -> NoReturn:
-    typer.echo(f"telenano: {text}", err=True)
-    if as_json:
-        _print_json({"error": text})
-    raise typer.Exit(code)
-
-
-def _print_json(document: dict[str, Any]) -> None:
-    typer.echo(json.dumps(document))
 
 
 def _command() -> str:

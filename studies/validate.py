@@ -20,7 +20,7 @@ import numpy.typing as npt
 import yaml
 
 from services.afm_node.config import AfmConfig
-from services.recorder.columns import columns
+from services.recorder.columns import columns, last_session
 from services.recorder.reader import Recording
 from services.runtime.errors import ConfigError, TelenanoError
 from studies.cells import Cell, judged, scales_of, trajectory_of
@@ -145,11 +145,9 @@ def read_course(path: Path) -> Trajectory:
     """
     recording = Recording(path)
     hand = columns(recording, "haptic/state", ("t_ns", "session_s", "operator_force_n.2", "position_m.2", "mode"))
-    running = np.flatnonzero(hand["session_s"] >= 0.0)
+    running = last_session(hand["session_s"])
     if running.size < 2:
         raise StudyError(f"{path}: the operator's programme never ran in it")
-    begins = np.flatnonzero(np.diff(hand["session_s"][running]) < 0.0)
-    running = running[begins[-1] + 1 :] if begins.size else running
     hand = {name: values[running] for name, values in hand.items()}
     tip = columns(
         recording, "afm/state", ("t_ns", "base_position_m.2", "tip_force_n.2", "separation_m", "in_contact", "mode")

@@ -3,13 +3,14 @@
 import math
 from typing import ClassVar
 
-from proto.messages import AfmCommand, ClockPing, SessionControl, Vector3
+from proto.messages import AfmCommand, ClockPing, SessionControl
 from services.afm_node import safety
 from services.afm_node.config import AfmConfig
 from services.afm_node.driver import AfmDriver
 from services.afm_node.step import AfmSample
 from services.runtime.bus import Received
 from services.runtime.errors import RefusedError
+from services.runtime.frames import across, along
 from services.runtime.node import Node, NodeContext
 from services.runtime.replayed import ReplayGuard
 
@@ -28,11 +29,6 @@ _ALARMING = (
     safety.REASON_COMMAND_DEADLINE,
     safety.REASON_HOLD_EXPIRED,
 )
-
-
-def across(value: float) -> Vector3:
-    """Give the vector in the AFM frame of a coordinate along the paper's axis; 0.0 stays +0.0."""
-    return (0.0, 0.0, 0.0 - value)
 
 
 class AfmNode(Node):
@@ -112,7 +108,7 @@ class AfmNode(Node):
         command = self._command
         age_s = math.inf if command is None else (self.clock.now_ns() - self._command_received_ns) * 1e-9
         asked = safety.SafetyInputs(
-            reference_m=0.0 if command is None else 0.0 - command.base_position_m[2],
+            reference_m=0.0 if command is None else along(command.base_position_m),
             command_age_s=age_s,
             action=safety.ACTION_HOLD if command is None else _ACTION_CODES[command.mode],
             arm=arm,

@@ -14,7 +14,6 @@ from proto.messages import (
     SessionControl,
     TeleopBackward,
     TeleopForward,
-    Vector3,
 )
 from services.controller import energy
 from services.controller.config import LAWS, ControllerConfig
@@ -32,6 +31,7 @@ from services.controller.law import (
 from services.runtime.bus import Received
 from services.runtime.config import merge, nested, validate
 from services.runtime.errors import ConfigError, RefusedError
+from services.runtime.frames import across, along
 from services.runtime.node import Node, NodeContext
 
 # oldest sample of the instrument that a law may still take for the present
@@ -44,16 +44,6 @@ STATUS_PERIOD_S = 0.01
 # while the other half is waited for, the hand comes to rest like a virtual mass that is left alone
 _COASTING_S = 0.005
 _NEVER = (0.0, False)
-
-
-def along(vector: Vector3) -> float:
-    """Give the paper's coordinate (towards the sample) of a vector in a site's frame (z away from it)."""
-    return 0.0 - vector[2]
-
-
-def across(value: float) -> Vector3:
-    """Give the vector in a site's frame of a coordinate along the paper's axis; 0.0 stays +0.0."""
-    return (0.0, 0.0, 0.0 - value)
 
 
 def warm_up(law: Law, params: Any, config: ControllerConfig) -> None:

@@ -3,11 +3,12 @@
 import math
 from typing import ClassVar
 
-from proto.messages import HapticCommand, SessionControl, Vector3
+from proto.messages import HapticCommand, SessionControl
 from services.haptic_node import safety
 from services.haptic_node.config import HapticConfig
 from services.haptic_node.driver import DeviceReading, DriveCommand, HapticDevice
 from services.runtime.bus import Received
+from services.runtime.frames import across, along
 from services.runtime.node import Node, NodeContext
 from services.runtime.replayed import ReplayGuard
 from services.runtime.schedule import Grid
@@ -18,11 +19,6 @@ _MODE_CODES = {name: code for code, name in safety.MODE_NAMES.items()}
 # what acts on the way to the device without being a change of its mode
 _LIMITS = (safety.REASON_TRAVEL_LIMIT, safety.REASON_SPEED_LIMIT, safety.REASON_FORCE_LIMIT)
 _NOT_RUNNING_S = -1.0
-
-
-def across(value: float) -> Vector3:
-    """Give the vector in the master frame of a coordinate along the paper's axis; 0.0 stays +0.0."""
-    return (0.0, 0.0, 0.0 - value)
 
 
 class HapticNode(Node):
@@ -114,8 +110,8 @@ class HapticNode(Node):
         age_s = math.inf if command is None else (self.clock.now_ns() - self._command_received_ns) * 1e-9
         asked = safety.SafetyInputs(
             command_mode=safety.MODE_OFF if command is None else _MODE_CODES[command.mode],
-            position_reference_m=0.0 if command is None else 0.0 - command.position_m[2],
-            force_reference_n=0.0 if command is None else 0.0 - command.force_n[2],
+            position_reference_m=0.0 if command is None else along(command.position_m),
+            force_reference_n=0.0 if command is None else along(command.force_n),
             command_age_s=age_s,
             estop=self._estop_asked,
             arm=self._arm_asked,

@@ -12,7 +12,7 @@ import yaml
 
 from proto import TOPICS
 from services.controller.config import ControllerConfig
-from services.recorder.columns import columns, replay_shifts
+from services.recorder.columns import columns, last_session, replay_shifts
 from services.recorder.reader import Recording, RecordingInfo
 from services.runtime.config import validate
 from services.runtime.errors import RecordingError
@@ -106,12 +106,9 @@ def read_session(recording: Recording) -> Session:
         ("session_s", "operator_force_n.2", "position_m.2", "answered_seq", "answered_t_ns", "answered_at_ns"),
         shifts,
     )
-    running = np.flatnonzero(hand["session_s"] >= 0.0)
+    running = last_session(hand["session_s"])
     if running.size < 2:
         raise RecordingError(f"{recording.path}: the operator's programme never ran in it, so there is no session")
-    # a programme that was started again begins at a lower time: the last one is reported
-    begins = np.flatnonzero(np.diff(hand["session_s"][running]) < 0.0)
-    running = running[begins[-1] + 1 :] if begins.size else running
     start_ns = int(hand["t_ns"][running[0]] - round(hand["session_s"][running[0]] * 1e9))
     end_ns = int(hand["t_ns"][running[-1]])
     document = _scenario(recording)

@@ -25,8 +25,8 @@ _NAMED_KEYS = {b"\x1b[C": "right", b"\x1b[D": "left", b"\x1b[A": "up", b"\x1b[B"
 
 
 @contextlib.contextmanager
-def errors_told(as_json: bool) -> Iterator[None]:
-    """Turn what a person can cause into a sentence on stderr and an exit code."""
+def errors_told(as_json: bool, interrupted: str = "interrupted") -> Iterator[None]:
+    """Turn what a person can cause into a sentence on stderr and an exit code; `interrupted` is what Ctrl-C says."""
     try:
         yield
     except TelenanoError as error:
@@ -36,7 +36,7 @@ def errors_told(as_json: bool) -> Iterator[None]:
         # the reader of a pipe, such as `head`, has enough; nothing more can be said there
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except KeyboardInterrupt:
-        fail("interrupted", EXIT_FAILED, as_json=as_json)
+        fail(interrupted, EXIT_FAILED, as_json=as_json)
 
 
 def fail(text: str, code: int = EXIT_FAILED, *, as_json: bool, **facts: Any) -> NoReturn:

@@ -101,3 +101,15 @@ def _array(recording: Recording, channel_topic: str, field: str, values: list[An
     raise RecordingError(
         f"{recording.path}: {channel_topic}: {field} is a {kind}; name one of its parts, such as {field}.0"
     )
+
+
+def last_session(session_s: Column) -> npt.NDArray[np.intp]:
+    """Give the indices at which the operator's programme ran for the last time.
+
+    Parameters: session_s of `haptic/state` [s], negative while no programme runs.
+    Returns: indices, fewer than two when there is no session to speak of.
+    """
+    running = np.flatnonzero(session_s >= 0.0)
+    # a programme that was started again begins at a lower time
+    begins = np.flatnonzero(np.diff(session_s[running]) < 0.0)
+    return running[begins[-1] + 1 :] if begins.size else running
