@@ -13,7 +13,7 @@ from proto.topics import TOPICS
 
 MAX_MESSAGE_BYTES = 1 << 20
 
-Reason = Literal["frames", "topic", "oversized", "malformed", "newer_version", "schema", "source"]
+Reason = Literal["frames", "topic", "oversized", "malformed", "newer_version", "schema", "source", "role"]
 
 
 class WireError(ValueError):

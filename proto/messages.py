@@ -288,9 +288,9 @@ class SessionEvent(Message):
     """What happened at a node."""
 
     id: str = Field(pattern=r"^[A-Za-z0-9_-]{0,64}$", description="Id of the command answered; empty = unasked")
-    kind: Literal["ack", "refused", "mode", "link", "node", "recording", "mark", "fault"] = Field(
-        description="ack and refused answer a command; mode: a device changed mode; link, node, recording: what "
-        "became of them; mark: a mark of the operator; fault: something went wrong and was dealt with"
+    kind: Literal["ack", "refused", "mode", "link", "network", "node", "recording", "mark", "fault"] = Field(
+        description="ack and refused answer a command; mode: a device changed mode; link, network, node, recording: "
+        "what became of them; mark: a mark of the operator; fault: something went wrong and was dealt with"
     )
     level: Literal["info", "warning", "error"] = Field(description="How much it matters")
     text: Text = Field(description="One sentence for a person")
@@ -323,7 +323,7 @@ class NodeHealth(Message):
     lateness_p99_s: Seconds = Field(description="99 % lateness since the last report [s]")
     lateness_max_s: Seconds = Field(description="Greatest lateness since the last report [s]")
     overruns: Count = Field(description="Deadlines missed by a period or more since the start")
-    rejected: Counts = Field(description="Frames refused since the start, by reason")
+    rejected: Counts = Field(description="Frames and connections refused since the start, by reason")
     cpu_percent: Seconds = Field(description="Processor time used since the last report [% of one core]")
     memory_bytes: Count = Field(description="Resident memory [bytes]")
     realtime: bool = Field(description="SCHED_FIFO is in force")

@@ -22,8 +22,8 @@ def build(wiring: Wiring, settings: LinkSettings) -> tuple[Node, AccountedBus]:
     connections = [wiring.book.bridged_from(site) for site in ("master", "slave")]
     for answering, topics in wiring.book.sources("delay_node@slave", ["clock/pong"]).items():
         connections[1].setdefault(answering, []).extend(topics)
-    listeners = [wiring.subscriber(plan) for plan in connections]
-    bus = ZmqBus(to_master, listeners, wiring.clock, wiring.wake_descriptor)
+    listeners = [listener for plan in connections for listener in wiring.subscribers(plan)]
+    bus = ZmqBus(to_master, listeners, wiring.clock, wiring.wake_descriptor, wiring.network)
     bus.also_closes(to_slave)
     try:
         node = DelayNode(wiring.context(bus), settings, to_slave, to_master, wiring.scenario_file.parent)

@@ -13,9 +13,11 @@ from pydantic import BaseModel
 from proto import TOPICS
 from proto.messages import Array, Message
 from services.launcher.errors import RigError
-from services.runtime.bus import Received, Subscriber
+from services.runtime.bus import Notice, Received
 from services.runtime.clock import SystemClock
 from services.runtime.errors import ConfigError
+from services.runtime.network import Network
+from services.runtime.security import Keyring, this_machine
 from services.runtime.sequence import SequenceTracker
 from services.runtime.site import SiteBook, site_of
 
@@ -44,23 +46,29 @@ class Observer:
     """One connection to every socket of the rig, so that original and copy are accounted for apart."""
 
     def __init__(self, book: SiteBook, topic: str | None = None) -> None:
-        """Connect for one topic, or for all."""
+        """Connect for one topic, or for all, as the machine that this process runs on.
+
+        Raises ConfigError when this machine lacks a key that the rig demands.
+        """
+        self.notices: list[Notice] = []
         self._context = zmq.Context[zmq.Socket[bytes]]()
-        self._clock = SystemClock()
         self._poller = zmq.Poller()
-        self.subscribers: dict[str, Subscriber] = {}
-        for node, topics in book.observed().items():
-            wanted = [name for name in topics if topic in (None, name)]
-            if wanted:
-                subscriber = Subscriber(self._context, self._clock, {book.endpoint(node): wanted})
-                self.subscribers[node] = subscriber
-                self._poller.register(subscriber.socket, zmq.POLLIN)
+        self._network = Network(self._context, SystemClock(), book, this_machine(Keyring()))
+        plan = {
+            node: [name for name in topics if topic in (None, name)]
+            for node, topics in book.observed(self._network.machine).items()
+        }
+        plan = {node: topics for node, topics in plan.items() if topics}
+        self.subscribers = dict(zip(plan, self._network.subscribers(plan, apart=True), strict=True))
+        for subscriber in self.subscribers.values():
+            self._poller.register(subscriber.socket, zmq.POLLIN)
 
     def listen(self, duration_s: float | None) -> Iterator[Heard]:
         """Give what is heard within a time [s], None for no end."""
         deadline = math.inf if duration_s is None else time.monotonic() + duration_s
         while time.monotonic() < deadline:
             self._poller.poll(_WAIT_MS)
+            self.notices += self._network.attend()
             for node, subscriber in self.subscribers.items():
                 for received in subscriber.receive():
                     yield Heard(self.name(node, received.topic, received.message.src), received)
@@ -82,6 +90,7 @@ class Observer:
         """Close every socket."""
         for subscriber in self.subscribers.values():
             subscriber.close()
+        self._network.close()
         self._context.term()
 
 

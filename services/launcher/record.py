@@ -20,8 +20,10 @@ from services.runtime.config import validate
 from services.runtime.errors import TelenanoError
 from services.runtime.log import StructuredLog
 from services.runtime.main import load_site
+from services.runtime.network import Network
 from services.runtime.node import NodeContext, NodeLoop, install_stop_signals
 from services.runtime.realtime import RealtimeStatus, freeze_garbage
+from services.runtime.security import Keyring, this_machine
 
 _KEYS_TEXT = "s new file · t snapshot · q end"
 
@@ -78,9 +80,10 @@ def run_record(
 
     wake = install_stop_signals(stop)
     with zmq.Context[zmq.Socket[bytes]]() as context:
-        listeners = connect(context, clock, book)
+        network = Network(context, clock, book, this_machine(Keyring()))
+        listeners = connect(network, book)
         intake = begin_intake(OBSERVER, clock, config, site_file, scenario_file)
-        bus = RecorderBus(SilentPublisher(clock, OBSERVER), listeners, intake, clock, wake)
+        bus = RecorderBus(SilentPublisher(clock, OBSERVER), listeners, intake, clock, wake, network)
         node = _Observer(NodeContext(OBSERVER, clock, bus, StructuredLog(OBSERVER)), config, intake)
         loop = NodeLoop(node, bus, RealtimeStatus(fifo=False, memory_locked=False))
         node.end = loop.stop

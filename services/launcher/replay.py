@@ -14,11 +14,12 @@ from services.recorder.player import PLAYER, Cast, Outlet, PlayerNode, PlaySetti
 from services.recorder.reader import open_recordings
 from services.recorder.selection import Selection
 from services.recorder.tape import Span, Tape
-from services.runtime.bus import Publisher, Subscriber, ZmqBus
+from services.runtime.bus import ZmqBus
 from services.runtime.clock import SystemClock
 from services.runtime.errors import ConfigError, EndpointError, TelenanoError
 from services.runtime.log import StructuredLog
 from services.runtime.main import load_site
+from services.runtime.network import Network
 from services.runtime.node import NodeContext, NodeLoop, install_stop_signals
 from services.runtime.realtime import RealtimeStatus, freeze_garbage, shallow_idle
 
@@ -72,19 +73,18 @@ def run_replay(request: ReplayRequest, observe: Callable[[PlayerNode], None] = l
 
     wake = install_stop_signals(stop)
     with zmq.Context[zmq.Socket[bytes]]() as context, shallow_idle():
-        publishers: list[Publisher] = []
+        network = Network(context, clock, book, book.machine_of(PLAYER))
+        publishers = [network.publisher(PLAYER)]
         try:
-            for node in (PLAYER, *parts.nodes):
-                kind = zmq.PUB if node == PLAYER else zmq.XPUB
-                publishers.append(Publisher(context, clock, node, book.endpoint(node), kind=kind))
+            publishers.extend(network.publisher(node, zmq.XPUB) for node in parts.nodes)
         except EndpointError:
             for publisher in publishers:
                 publisher.close()
             raise
         outlets = {publisher.node: Outlet(publisher) for publisher in publishers[1:]}
         sources = book.sources(PLAYER, list(PlayerNode.inputs))
-        live = {book.endpoint(node): topics for node, topics in sources.items() if node not in outlets}
-        bus = ZmqBus(publishers[0], [Subscriber(context, clock, live)], clock, wake)
+        live = {node: topics for node, topics in sources.items() if node not in outlets}
+        bus = ZmqBus(publishers[0], network.subscribers(live), clock, wake, network)
         for publisher in publishers[1:]:
             bus.also_closes(publisher)
         node_context = NodeContext(PLAYER, clock, bus, StructuredLog(PLAYER))

@@ -483,7 +483,7 @@ def _build(recording: Recording, key: str, clock: ReplayClock, bus: RerunBus, se
         scenario_file=Path(),
         clock=clock,
         log=_NoLog(key),
-        zmq_context=cast(Any, None),
+        network=cast(Any, None),
         wake_descriptor=-1,
     )
     node, _ = kind.build(wiring.with_bus(bus), config)

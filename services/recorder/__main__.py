@@ -9,19 +9,26 @@ from services.recorder.node import RecorderBus, RecorderNode
 from services.recorder.start import begin_intake
 from services.runtime.main import NodeKind, Wiring, run_node
 from services.runtime.node import AccountedBus, Node
+from services.runtime.site import site_of
 
 
 def build(wiring: Wiring, config: RecorderConfig) -> tuple[Node, AccountedBus]:
     """Connect to every node of the site file and begin the recording."""
     publisher = wiring.publisher(wiring.key)
     intake = begin(wiring, config)
-    bus = RecorderBus(publisher, listeners(wiring), intake, wiring.clock, wiring.wake_descriptor)
+    bus = RecorderBus(publisher, listeners(wiring), intake, wiring.clock, wiring.wake_descriptor, wiring.network)
     return RecorderNode(wiring.context(bus), config, intake), bus
 
 
 def listeners(wiring: Wiring) -> list[Listener]:
-    """Connect to each node for every recorded topic that can be heard there."""
-    return connect(wiring.zmq_context, wiring.clock, wiring.book)
+    """Connect to each node for every recorded topic that can be heard there; at the slave to its own site only.
+
+    What the slave hears of the master's it hears through the link, and a network between is not asked to carry the
+    rest of it a second time.
+    """
+    site = site_of(wiring.key)
+    heard = ("master", "slave") if site == "master" or not wiring.book.spans_machines else (site,)
+    return connect(wiring.network, wiring.book, heard)
 
 
 def begin(wiring: Wiring, config: RecorderConfig) -> Intake:

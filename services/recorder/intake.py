@@ -189,6 +189,9 @@ class Intake:
             raise WireError("topic", f"unknown topic {topic[:80]!r}")
         fields = read_fields(row, payload)
         seq, t_ns, src = check_header(row, fields)
+        permit = listener.subscriber.permit
+        if permit is not None:
+            permit(topic, src)
         stream = listener.streams.get((frames[0], src))
         if stream is None:
             stream = self._open_stream(listener, frames[0], row, src)

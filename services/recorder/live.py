@@ -1,7 +1,7 @@
 """A running rig as something to read like a recording: the same iterator of the same messages."""
 
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from types import TracebackType
 from typing import Self
 
@@ -11,21 +11,24 @@ from proto import TOPICS, WireError
 from services.recorder.intake import Listener, read_header
 from services.recorder.reader import RecordedChannel, RecordedMessage
 from services.recorder.writer import channel_topic
-from services.runtime.bus import Subscriber, split_frames
-from services.runtime.clock import Clock, SystemClock
+from services.runtime.bus import split_frames
+from services.runtime.clock import SystemClock
+from services.runtime.errors import ConfigError
+from services.runtime.network import Network
+from services.runtime.security import Keyring, this_machine
 from services.runtime.site import SiteBook, site_of
 
 _WAIT_MS = 100
 
 
-def connect(context: "zmq.Context[zmq.Socket[bytes]]", clock: Clock, book: SiteBook) -> list[Listener]:
-    """Connect to each node for every recorded topic that can be heard there."""
-    found = []
-    for node, topics in book.observed().items():
-        recorded = [topic for topic in topics if TOPICS[topic].recorded]
-        if recorded:
-            found.append(Listener(node, Subscriber(context, clock, {book.endpoint(node): recorded})))
-    return found
+def connect(network: Network, book: SiteBook, sites: Sequence[str] = ("master", "slave")) -> list[Listener]:
+    """Connect to each node at `sites` for every recorded topic that can be heard there."""
+    plan = {
+        node: [topic for topic in topics if TOPICS[topic].recorded]
+        for node, topics in book.observed(network.machine, sites).items()
+    }
+    plan = {node: topics for node, topics in plan.items() if topics}
+    return [Listener(node, reader) for node, reader in zip(plan, network.subscribers(plan, apart=True), strict=True)]
 
 
 class LiveRecording:
@@ -35,8 +38,14 @@ class LiveRecording:
     """
 
     def __init__(self, book: SiteBook) -> None:
+        """Listen as the machine that this process runs on; ConfigError when it lacks a key that the rig demands."""
         self._context = zmq.Context[zmq.Socket[bytes]]()
-        self._listeners = connect(self._context, SystemClock(), book)
+        try:
+            self._network = Network(self._context, SystemClock(), book, this_machine(Keyring()))
+        except ConfigError:
+            self._context.term()
+            raise
+        self._listeners = connect(self._network, book)
         self._channels: dict[tuple[str, str, str], RecordedChannel] = {}
 
     def __enter__(self) -> Self:
@@ -68,9 +77,10 @@ class LiveRecording:
             poller.register(listener.subscriber.socket, zmq.POLLIN)
         while end is None or time.monotonic() < end:
             poller.poll(_WAIT_MS)
+            self._network.attend()
             for listener in self._listeners:
                 for frames, received_ns in listener.subscriber.receive_raw():
-                    message = self._message(listener.publisher, frames, received_ns)
+                    message = self._message(listener, frames, received_ns)
                     if message is not None and (wanted is None or message.channel_topic in wanted):
                         yield message
 
@@ -78,13 +88,17 @@ class LiveRecording:
         """Close every connection."""
         for listener in self._listeners:
             listener.subscriber.close()
+        self._network.close()
         self._context.term()
 
-    def _message(self, publisher: str, frames: list[bytes], received_ns: int) -> RecordedMessage | None:
+    def _message(self, listener: Listener, frames: list[bytes], received_ns: int) -> RecordedMessage | None:
+        publisher, permit = listener.publisher, listener.subscriber.permit
         try:
             topic, payload = split_frames(frames)
             row = TOPICS[topic]
             seq, t_ns, src = read_header(row, payload)
+            if permit is not None:
+                permit(topic, src)
         except (WireError, KeyError):
             return None
         channel = self._channels.get((publisher, topic, src))

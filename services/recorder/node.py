@@ -8,14 +8,15 @@ import zmq
 from proto.messages import SessionControl
 from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake, Listener
-from services.runtime.bus import Publisher, Received, ZmqBus
+from services.runtime.bus import Attendant, Publisher, Received, ZmqBus
 from services.runtime.clock import Clock
 from services.runtime.errors import RefusedError
 from services.runtime.node import Node, NodeContext
 from services.runtime.schedule import Grid
 
-# how long the end may take to fetch what still waits in the sockets
-_LAST_WORDS_NS = 250_000_000
+# how long the end may take to fetch what still waits in the sockets, seconds of it on a machine that was too busy;
+# within the grace that a supervisor gives
+_LAST_WORDS_NS = 2_000_000_000
 _MEASURED_NS = 1_000_000_000
 _ORDERS = ("record.split", "record.snapshot", "record.status")
 
@@ -24,16 +25,23 @@ class RecorderBus(ZmqBus):
     """A bus with a connection of its own to each publisher, so that the place where a message was heard is known."""
 
     def __init__(
-        self, publisher: Publisher, listeners: Sequence[Listener], intake: Intake, clock: Clock, wake_descriptor: int
+        self,
+        publisher: Publisher,
+        listeners: Sequence[Listener],
+        intake: Intake,
+        clock: Clock,
+        wake_descriptor: int,
+        network: Attendant | None = None,
     ) -> None:
-        super().__init__(publisher, [listener.subscriber for listener in listeners], clock, wake_descriptor)
+        super().__init__(publisher, [listener.subscriber for listener in listeners], clock, wake_descriptor, network)
         self._intake = intake
         self._listeners: dict[object, Listener] = {listener.subscriber.socket: listener for listener in listeners}
         # one poll over a dozen sockets takes 6 us, to ask each takes 19, and there is one for every message or two
         self._poller = zmq.Poller()
         for listener in listeners:
             self._poller.register(listener.subscriber.socket, zmq.POLLIN)
-        self._poller.register(wake_descriptor, zmq.POLLIN)
+        for descriptor in (wake_descriptor, *self._network_descriptors):
+            self._poller.register(descriptor, zmq.POLLIN)
         self._ready: list[tuple[object, int]] = []
 
     def receive(self) -> Iterator[Received]:
@@ -52,7 +60,9 @@ class RecorderBus(ZmqBus):
         """Wait until something has arrived or the monotonic clock has reached `deadline_ns`."""
         remaining_ns = max(0, deadline_ns - self._clock.monotonic_ns())
         # rounded up, because waking a little early would only mean to wait once more
-        self._ready = self._poller.poll(-(-remaining_ns // 1_000_000))
+        self._ready = self._poller.poll(0 if self._attend else -(-remaining_ns // 1_000_000))
+        if self._network_descriptors:
+            self._attend = self._attend or any(socket in self._network_descriptors for socket, _ in self._ready)
 
 
 class RecorderNode(Node):

@@ -3,7 +3,7 @@
 import fcntl
 import os
 import select
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any, NamedTuple, Protocol, cast
 
@@ -20,6 +20,8 @@ from services.runtime.sequence import Arrival, SequenceTracker
 HIGH_WATER_MARK = 10_000
 # a frame above this is not even taken into memory: libzmq drops the connection that sent it
 _LARGEST_FRAME = 16 * MAX_MESSAGE_BYTES
+# what a subscriber says are names of topics
+_LARGEST_SUBSCRIPTION = 4096
 _RECONNECT_MS = 50
 # messages taken before a node looks at its deadline again, so that a flood cannot hold a loop
 _BATCH = 256
@@ -53,12 +55,52 @@ class Bus(Protocol):
         """Wait until something has arrived or the monotonic clock has reached `deadline_ns`."""
 
 
+class Notice(NamedTuple):
+    """What happened to a connection of a node; it becomes a session/event."""
+
+    level: str
+    text: str
+    data: dict[str, bool | float | str]
+
+
+class Attendant(Protocol):
+    """What looks after the network connections of a bus."""
+
+    restless: bool
+
+    @property
+    def rejected(self) -> dict[str, int]:
+        """How often connections were refused, by reason."""
+
+    @property
+    def last_error(self) -> str:
+        """The newest refusal in words."""
+
+    @property
+    def descriptors(self) -> Sequence[int]:
+        """What becomes readable when there is something to attend to."""
+
+    def attend(self) -> list[Notice]:
+        """Deal with what has come up; `restless` afterwards when more is left to do."""
+
+    def close(self) -> None:
+        """Close what is not closed with the sockets of the bus."""
+
+
 class Publisher:
     """The PUB socket of a node: numbers, stamps, checks and sends its messages."""
 
     def __init__(
-        self, context: "zmq.Context[zmq.Socket[bytes]]", clock: Clock, node: str, endpoint: str, *, kind: int = zmq.PUB
+        self,
+        context: "zmq.Context[zmq.Socket[bytes]]",
+        clock: Clock,
+        node: str,
+        endpoint: str,
+        *,
+        kind: int = zmq.PUB,
+        prepare: Callable[["zmq.Socket[bytes]"], None] = lambda socket: None,
     ) -> None:
+        """Bind an endpoint, with a socket that `prepare` was called with; EndpointError says why that fails."""
         self.node = node
         self._clock = clock
         self._sequence: dict[str, int] = {}
@@ -66,6 +108,8 @@ class Publisher:
         self.socket = context.socket(kind)
         self.socket.set(zmq.SNDHWM, HIGH_WATER_MARK)
         self.socket.set(zmq.LINGER, _LINGER_MS)
+        self.socket.set(zmq.MAXMSGSIZE, _LARGEST_SUBSCRIPTION)
+        prepare(self.socket)
         try:
             bind(self.socket, endpoint, node)
         except EndpointError:
@@ -89,6 +133,14 @@ class Publisher:
         self.socket.send(topic.encode(), zmq.SNDMORE)
         self.socket.send(payload)
 
+    def also_bind(self, endpoint: str) -> None:
+        """Bind a further endpoint; EndpointError says why that fails, and everything is closed."""
+        try:
+            bind(self.socket, endpoint, self.node)
+        except EndpointError:
+            self._lock.close()
+            raise
+
     def close(self) -> None:
         """Close the socket and let the endpoint go."""
         self.socket.close()
@@ -103,9 +155,17 @@ class Subscriber:
         context: "zmq.Context[zmq.Socket[bytes]]",
         clock: Clock,
         connections: Mapping[str, Sequence[str]],
+        *,
+        connect: bool = True,
+        permit: Callable[[str, str], None] | None = None,
     ) -> None:
-        """Connect to endpoints (keys) for topics (values)."""
+        """Connect to endpoints (keys) for topics (values).
+
+        Parameters: connect, false when somebody else connects the socket later; permit, called with topic and source
+        of each message, raises WireError for what the peers of this socket may not say.
+        """
         self._clock = clock
+        self.permit = permit
         self.trackers: dict[tuple[str, str], SequenceTracker] = {}
         self.rejected: dict[str, int] = {}
         self.last_error = ""
@@ -119,7 +179,7 @@ class Subscriber:
         self.topics = sorted({topic for topics in connections.values() for topic in topics})
         for topic in self.topics:
             self.socket.subscribe(topic.encode())
-        for endpoint in connections:
+        for endpoint in connections if connect else ():
             self.socket.connect(endpoint)
         self.descriptor: int = self.socket.fileno()
 
@@ -149,6 +209,8 @@ class Subscriber:
         try:
             topic, payload = split_frames(frames)
             message = decode(topic, payload)
+            if self.permit is not None:
+                self.permit(topic, message.src)
             tracker = self.tracker(topic, message.src)
         except WireError as error:
             self.rejected[error.reason] = self.rejected.get(error.reason, 0) + 1
@@ -191,14 +253,29 @@ class ZmqBus:
     """A publisher and its subscribers as one bus, with a wait that a signal or a message ends."""
 
     def __init__(
-        self, publisher: Publisher, subscribers: Sequence[Subscriber], clock: Clock, wake_descriptor: int
+        self,
+        publisher: Publisher,
+        subscribers: Sequence[Subscriber],
+        clock: Clock,
+        wake_descriptor: int,
+        network: Attendant | None = None,
     ) -> None:
         self.publisher = publisher
         self.subscribers = list(subscribers)
         self._clock = clock
+        self._network = network if network is not None and network.descriptors else None
         self._descriptors = [*(subscriber.descriptor for subscriber in subscribers), wake_descriptor]
+        # a rig on one machine has no network to look after
+        self._network_descriptors = frozenset(self._network.descriptors if self._network is not None else ())
+        self._descriptors += self._network_descriptors
+        self._attend = self._network is not None
         self.publish = publisher.publish
         self._others: list[Publisher] = []
+        self._accounts: list[Subscriber | Attendant] = [*self.subscribers]
+        if self._network is not None:
+            self._accounts.append(self._network)
+        self._counted = [0] * len(self._accounts)
+        self._last_error = ""
 
     def also_closes(self, publisher: Publisher) -> None:
         """Close another publisher of the same node together with this bus."""
@@ -216,20 +293,33 @@ class ZmqBus:
         it told of has been taken.
         """
         remaining = deadline_ns - self._clock.monotonic_ns()
-        if remaining > 0 and all([subscriber.dry for subscriber in self.subscribers]):
-            select.select(self._descriptors, (), (), remaining * 1e-9)
+        if remaining > 0 and not self._attend and all([subscriber.dry for subscriber in self.subscribers]):
+            ready, _, _ = select.select(self._descriptors, (), (), remaining * 1e-9)
+            if self._network_descriptors:
+                self._attend = not self._network_descriptors.isdisjoint(ready)
+
+    def attend(self, *, now: bool = False) -> Sequence[Notice]:
+        """Look after network connections if there is cause, or if asked to do so `now`; gives what happened to them."""
+        if self._network is None or not (self._attend or now):
+            return ()
+        notices = self._network.attend()
+        self._attend = self._network.restless
+        return notices
 
     def input_health(self) -> tuple[InputHealth, ...]:
         """Give the account of every input."""
         return tuple(health for subscriber in self.subscribers for health in subscriber.input_health())
 
     def rejections(self) -> tuple[dict[str, int], str]:
-        """Give the frames refused so far by reason, and the text of the newest refusal known."""
+        """Give frames and connections refused so far by reason, and the text of a refusal since it was last asked."""
         total: dict[str, int] = {}
-        for subscriber in self.subscribers:
-            for reason, count in subscriber.rejected.items():
+        for place, account in enumerate(self._accounts):
+            for reason, count in account.rejected.items():
                 total[reason] = total.get(reason, 0) + count
-        return total, next((s.last_error for s in self.subscribers if s.last_error), "")
+            counted = sum(account.rejected.values())
+            if counted != self._counted[place]:
+                self._counted[place], self._last_error = counted, account.last_error
+        return total, self._last_error
 
     def close(self) -> None:
         """Close every socket."""
@@ -237,6 +327,8 @@ class ZmqBus:
             subscriber.close()
         for publisher in (self.publisher, *self._others):
             publisher.close()
+        if self._network is not None:
+            self._network.close()
 
 
 def split_frames(frames: Sequence[bytes]) -> tuple[str, bytes]:

@@ -3,6 +3,7 @@
 import argparse
 import signal
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Generic, TypeVar
@@ -15,8 +16,15 @@ from services.runtime.clock import Clock, SystemClock
 from services.runtime.config import read_yaml, validate
 from services.runtime.errors import EndpointError, TelenanoError
 from services.runtime.log import StructuredLog, configure_logging
+from services.runtime.network import Network
 from services.runtime.node import AccountedBus, Node, NodeContext, NodeLoop, install_stop_signals
-from services.runtime.realtime import RealtimeConfig, apply_realtime, die_with_parent, freeze_garbage
+from services.runtime.realtime import (
+    RealtimeConfig,
+    apply_realtime,
+    die_with_parent,
+    freeze_garbage,
+    raise_file_limit,
+)
 from services.runtime.scenario import load_scenario
 from services.runtime.site import SiteBook
 
@@ -35,28 +43,23 @@ class Wiring:
     scenario_file: Path
     clock: Clock
     log: StructuredLog
-    zmq_context: "zmq.Context[zmq.Socket[bytes]]"
+    network: Network
     wake_descriptor: int
 
     def publisher(self, key: str) -> Publisher:
         """Bind the PUB socket of a node; EndpointError says why that fails."""
-        try:
-            endpoint = self.book.endpoint(key)
-        except KeyError as error:
-            raise EndpointError(str(error.args[0])) from error
-        return Publisher(self.zmq_context, self.clock, key, endpoint)
+        return self.network.publisher(key)
 
-    def subscriber(self, connections: Mapping[str, Sequence[str]]) -> Subscriber:
-        """Connect to nodes (keys) for topics (values)."""
-        by_endpoint = {self.book.endpoint(node): topics for node, topics in connections.items()}
-        return Subscriber(self.zmq_context, self.clock, by_endpoint)
+    def subscribers(self, connections: Mapping[str, Sequence[str]]) -> list[Subscriber]:
+        """Connect to nodes (keys) for topics (values): a socket for each machine that they run on."""
+        return self.network.subscribers(connections)
 
     def bus(self, topics: Sequence[str]) -> ZmqBus:
-        """Make the bus of an ordinary node: its own PUB socket and one SUB socket for its inputs."""
+        """Make the bus of an ordinary node: its own PUB socket and the SUB sockets for its inputs."""
         # the publisher first: it is what may fail, and nothing is open yet
         publisher = self.publisher(self.key)
-        subscriber = self.subscriber(self.book.sources(self.key, list(topics)))
-        return ZmqBus(publisher, [subscriber], self.clock, self.wake_descriptor)
+        subscribers = self.subscribers(self.book.sources(self.key, list(topics)))
+        return ZmqBus(publisher, subscribers, self.clock, self.wake_descriptor, self.network)
 
     def context(self, bus: ZmqBus) -> NodeContext:
         """Give what a node needs of the world."""
@@ -135,15 +138,21 @@ def _run(kind: NodeKind[C], given: NodeArguments, log: StructuredLog) -> None:
     status = apply_realtime(wanted, log, key)
     stopper = _Stopper()
     wake_descriptor = install_stop_signals(stopper.stop)
-    with zmq.Context[zmq.Socket[bytes]]() as context:
+    raise_file_limit()
+    clock = SystemClock()
+    machine = _machine_of(book, key)
+    with (
+        zmq.Context[zmq.Socket[bytes]]() as context,
+        closing(Network(context, clock, book, machine)) as network,
+    ):
         wiring = Wiring(
             key=key,
             book=book,
             site_file=given.site_file,
             scenario_file=given.scenario,
-            clock=SystemClock(),
+            clock=clock,
             log=log,
-            zmq_context=context,
+            network=network,
             wake_descriptor=wake_descriptor,
         )
         node, bus = kind.build(wiring, config)
@@ -156,6 +165,13 @@ def _run(kind: NodeKind[C], given: NodeArguments, log: StructuredLog) -> None:
         finally:
             bus.close()
     log.info("stopped")
+
+
+def _machine_of(book: SiteBook, key: str) -> str:
+    try:
+        return book.machine_of(key)
+    except KeyError as error:
+        raise EndpointError(str(error.args[0])) from error
 
 
 class _Stopper:

@@ -6,7 +6,7 @@ import socket
 import time
 from abc import ABC, abstractmethod
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -14,8 +14,8 @@ from types import FrameType
 from typing import ClassVar, Literal, Protocol
 
 from proto import TOPICS
-from proto.messages import MAX_TEXT, InputHealth, SessionControl
-from services.runtime.bus import Bus, Received
+from proto.messages import MAX_TEXT, InputHealth, Scalar, SessionControl
+from services.runtime.bus import Bus, Notice, Received
 from services.runtime.clock import Clock
 from services.runtime.errors import RefusedError, TelenanoError
 from services.runtime.log import RateLimitedLog, StructuredLog
@@ -41,6 +41,10 @@ class NodeContext:
 
     def event(self, kind: str, level: str, text: str, *, answer_to: str = "", **data: bool | float | str) -> None:
         """Publish a session/event and write it to the log."""
+        self.tell(kind, level, text, data, answer_to)
+
+    def tell(self, kind: str, level: str, text: str, data: Mapping[str, Scalar], answer_to: str = "") -> None:
+        """Do the same with facts that were gathered elsewhere."""
         # the text may repeat what a peer or a file name said: as much as the wire takes, in what it can hold
         text = text[:MAX_TEXT].encode(errors="replace").decode()
         self.bus.publish("session/event", id=answer_to, kind=kind, level=level, text=text, data=data)
@@ -100,6 +104,9 @@ class AccountedBus(Bus, Protocol):
 
     def rejections(self) -> tuple[dict[str, int], str]:
         """Give the frames refused so far by reason, and the text of the last refusal."""
+
+    def attend(self, *, now: bool = False) -> Sequence[Notice]:
+        """Look after network connections if there is cause, or `now`; gives what happened to them."""
 
     def close(self) -> None:
         """Close every socket."""
@@ -173,6 +180,7 @@ class NodeLoop:
         self._bus.wait(min(deadline - self._spin_ns, self._health_due_ns))
         for received in self._bus.receive():
             self._dispatch(received)
+        self._tell(self._bus.attend())
         # a message may have moved the deadline
         deadline = self.node.deadline_ns()
         now = self._clock.monotonic_ns()
@@ -186,6 +194,7 @@ class NodeLoop:
 
     def publish_health(self, now_ns: int) -> None:
         """Send node/health and start a new interval."""
+        self._tell(self._bus.attend(now=True))
         self._report_rejections()
         elapsed_s = max(now_ns - self._last_health_ns, 1) * 1e-9
         cpu_s = time.process_time()
@@ -222,6 +231,10 @@ class NodeLoop:
         if isinstance(received.message, SessionControl):
             self._desk.handle(received.message)
 
+    def _tell(self, notices: Sequence[Notice]) -> None:
+        for notice in notices:
+            self.node.context.tell("network", notice.level, notice.text, notice.data)
+
     def _report_gap(self, received: Received) -> None:
         source = received.message.src
         text = f"messages on {received.topic} from {source} were lost before number {received.message.seq}"
@@ -231,7 +244,7 @@ class NodeLoop:
         rejected, last = self._bus.rejections()
         total = sum(rejected.values())
         if total > self._rejected_seen:
-            self._limited_log.warning("rejected", f"frames refused: {last}", count=total - self._rejected_seen)
+            self._limited_log.warning("rejected", f"refused: {last}", count=total - self._rejected_seen)
             self._rejected_seen = total
 
 

@@ -4,6 +4,7 @@ import contextlib
 import ctypes
 import gc
 import os
+import resource
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Literal
@@ -17,6 +18,8 @@ _PR_SET_TIMERSLACK = 29
 _PR_SET_PDEATHSIG = 1
 # pages are locked as they are first touched: locking every reserved page would take 400 MB a process
 _MCL_CURRENT_FUTURE_ONFAULT = 7
+# far above what a rig needs; libzmq scans nothing by number, so the size costs nothing
+_MOST_FILES = 65_536
 _CPU_DMA_LATENCY = Path("/dev/cpu_dma_latency")
 
 
@@ -83,6 +86,12 @@ def freeze_garbage() -> None:
     gc.collect()
     gc.freeze()
     gc.disable()
+
+
+def raise_file_limit() -> None:
+    """Allow as many open files as are permitted: strangers that only connect must not use them up."""
+    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (min(most, _MOST_FILES), most))
 
 
 def die_with_parent(signal_number: int) -> None:

@@ -1,30 +1,52 @@
 """The site file: where each node binds, and who publishes a topic for a reader at a given site."""
 
+import contextlib
+import ipaddress
 import os
 import re
+import socket
 import tempfile
+from collections.abc import Mapping, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Annotated, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from proto.messages import SOURCE_PATTERN
 from proto.topics import TOPICS, Topic
+from services.runtime.errors import EndpointError
 
 LINK_NODE = "delay_node"
+# the machine that the link runs on, with its faces at both sites
+LINK_MACHINE = "master"
 RUNTIME_DIRECTORY_VARIABLE = "TELENANO_RUNTIME_DIR"
-_LOOPBACK = re.compile(r"tcp://(127\.[0-9]+\.[0-9]+\.[0-9]+|localhost|\[::1\]):([0-9]+)")
+BIND_ADDRESS_VARIABLE = "TELENANO_BIND_ADDRESS"
+HOST_VARIABLE_PREFIX = "TELENANO_HOST_"
+MACHINE_PATTERN = r"^[a-z][a-z0-9_]{0,31}$"
 _TCP = re.compile(r"tcp://(\[[0-9a-fA-F:.]+\]|[A-Za-z0-9_.-]+):([0-9]{1,5})")
+_PLACEHOLDER = re.compile(r"\{([^{}]*)\}")
+_NO_ENDPOINT = "is neither ipc:///absolute/path nor tcp://host:port (1-65535)"
 # sun_path holds 108 bytes on Linux, with its closing zero
 _LONGEST_IPC_PATH = 107
 
 NodeKey = Annotated[str, Field(pattern=SOURCE_PATTERN)]
+MachineName = Annotated[str, Field(pattern=MACHINE_PATTERN)]
 
 
 def site_of(node: str) -> str:
     """Give the site of `node@site`."""
     return node.partition("@")[2]
+
+
+def is_console(node: str) -> bool:
+    """Say whether a node is one that commands are typed at: console@site, or console_NAME@site on a further machine."""
+    return fnmatchcase(node.partition("@")[0], "console") or fnmatchcase(node, "console_*")
+
+
+def is_visitor(node: str) -> bool:
+    """Say whether a node comes and goes with a command: that it is not there is no news."""
+    return is_console(node) or node.partition("@")[0] == "player"
 
 
 def runtime_directory() -> Path:
@@ -38,36 +60,150 @@ def runtime_directory() -> Path:
     return Path(tempfile.gettempdir()) / f"telenano-{os.getuid()}"
 
 
+class NodeEntry(BaseModel):
+    """Where a node can be heard: `local` by readers on its machine, `network` by those on other machines."""
+
+    model_config = ConfigDict(frozen=True, strict=True, extra="forbid")
+
+    local: str | None = Field(default=None, description="ipc:///absolute/path for readers on the same machine")
+    network: str | None = Field(default=None, description="tcp://host:port for readers on other machines")
+    machine: MachineName | None = Field(
+        default=None,
+        description="Machine that the node runs on; the node's site, and master for the link, if not given",
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.local is None and self.network is None:
+            raise ValueError("local, network or both are needed")
+        if self.local is not None and not self.local.startswith("ipc://"):
+            raise ValueError(f"local: {self.local} is not of the form ipc:///absolute/path")
+        if self.network is not None and not self.network.startswith("tcp://"):
+            raise ValueError(f"network: {self.network} is not of the form tcp://host:port")
+        return self
+
+
+def _as_entry(value: object) -> object:
+    """Give the short form of an entry, its only endpoint, in full."""
+    if isinstance(value, str):
+        if not value.startswith(("ipc://", "tcp://")):
+            raise ValueError(_NO_ENDPOINT)
+        return {"network" if value.startswith("tcp://") else "local": value}
+    return value
+
+
 class SiteBook(BaseModel):
     """The address book of a rig.
 
-    `{runtime}` in an endpoint stands for the private folder of `runtime_directory`. A reader at one site reaches
-    a publisher at the other only through the link, which republishes on a socket of its own at each site.
+    `{runtime}` in an ipc endpoint stands for the private folder of `runtime_directory`, `{NAME}` in a tcp endpoint
+    for the address of a machine. A reader at one site reaches a publisher at the other only through the link, which
+    republishes on a socket of its own at each site.
     """
 
     model_config = ConfigDict(frozen=True, strict=True, extra="forbid")
 
-    nodes: dict[NodeKey, str] = Field(description="Endpoint that each node binds: ipc://path or tcp://host:port")
-    insecure: bool = Field(default=False, description="Allow plain tcp:// beyond the loopback interface")
+    machines: dict[MachineName, str] = Field(
+        default={}, description="Address of each machine; TELENANO_HOST_NAME in the environment replaces that of NAME"
+    )
+    bind: dict[MachineName, str] = Field(
+        default={},
+        description="Address that a machine binds in place of its own, such as 0.0.0.0 behind a router; "
+        "TELENANO_BIND_ADDRESS in the environment replaces it",
+    )
+    nodes: dict[NodeKey, Annotated[NodeEntry, BeforeValidator(_as_entry)]] = Field(
+        description="Endpoint that each node binds: ipc://path or tcp://host:port, or both as local and network"
+    )
+    insecure: bool = Field(default=False, description="Plain tcp:// without keys: whoever reaches a port hears it")
 
     @model_validator(mode="after")
     def _check_endpoints(self) -> Self:
+        unused = sorted(set(self.bind) - {self.machine_of(node) for node in self.nodes})
+        if unused:
+            raise ValueError(f"bind.{unused[0]}: no node runs on this machine")
         seen: dict[str, str] = {}
-        for node, endpoint in self.nodes.items():
-            _check_endpoint(node, endpoint, insecure=self.insecure)
-            resolved = self.endpoint(node)
-            if resolved in seen:
-                raise ValueError(f"nodes.{node}: {endpoint} is the endpoint of {seen[resolved]} already")
-            seen[resolved] = node
+        for node in self.nodes:
+            for endpoint in (self.local_endpoint(node), self.network_endpoint(node)):
+                if endpoint is None:
+                    continue
+                _check_endpoint(node, endpoint)
+                if endpoint in seen:
+                    raise ValueError(f"nodes.{node}: {endpoint} is the endpoint of {seen[endpoint]} already")
+                seen[endpoint] = node
         return self
 
-    def endpoint(self, node: str) -> str:
-        """Give the endpoint that `node` binds; KeyError text names the nodes that the book has."""
-        if node not in self.nodes:
-            raise KeyError(f"{node} is not in the site file, it has {', '.join(sorted(self.nodes))}")
-        return self.nodes[node].replace("{runtime}", str(runtime_directory()))
+    @property
+    def spans_machines(self) -> bool:
+        """Say whether some node is heard over a network."""
+        return any(self.network_endpoint(node) for node in self.nodes)
 
-    def sources(self, reader: str, topics: list[str]) -> dict[str, list[str]]:
+    @property
+    def locked(self) -> bool:
+        """Say whether machines prove to one another who they are: over a network, unless that was waived."""
+        return self.spans_machines and not self.insecure
+
+    def machine_of(self, node: str) -> str:
+        """Give the machine that a node runs on; both faces of the link are on one."""
+        named = self._entry(node).machine
+        if named is not None:
+            return named
+        return LINK_MACHINE if node.partition("@")[0] == LINK_NODE else site_of(node)
+
+    def local_endpoint(self, node: str) -> str | None:
+        """Give the ipc endpoint of a node, None if it has none."""
+        local = self._entry(node).local
+        return None if local is None else local.replace("{runtime}", str(runtime_directory()))
+
+    def network_endpoint(self, node: str) -> str | None:
+        """Give the tcp endpoint at which other machines reach a node, None if it has none."""
+        network = self._entry(node).network
+        if network is None:
+            return None
+        hosts = {**self.machines, **_hosts_of_environment(self.machines)}
+        for name in _PLACEHOLDER.findall(network):
+            if name not in hosts:
+                known = ", ".join(hosts) or "none"
+                raise ValueError(f"nodes.{node}: {network}: {{{name}}} is no machine of `machines`, known are {known}")
+        return _PLACEHOLDER.sub(lambda found: hosts[found.group(1)], network)
+
+    def bind_endpoint(self, node: str) -> str | None:
+        """Give the tcp endpoint that a node itself binds; EndpointError when a host name is not known here."""
+        endpoint = self.network_endpoint(node)
+        match = _TCP.fullmatch(endpoint or "")
+        if endpoint is None or match is None:
+            return endpoint
+        named = os.environ.get(BIND_ADDRESS_VARIABLE) or self.bind.get(self.machine_of(node))
+        return f"tcp://{named or _numeric(node, match.group(1))}:{match.group(2)}"
+
+    def endpoint(self, node: str, reader: str | None = None) -> str:
+        """Give the endpoint at which a reader hears `node`; KeyError text names the nodes that the book has.
+
+        Parameters: reader, machine that the reader runs on; None for that of the node.
+        """
+        local, network = self.local_endpoint(node), self.network_endpoint(node)
+        if local is not None and (network is None or reader in (None, self.machine_of(node))):
+            return local
+        return network or ""
+
+    def connect_endpoint(self, node: str, reader: str) -> str:
+        """Give the same with the address of a host name, where it is known now.
+
+        libzmq would ask for it before each attempt, in the thread that moves all messages of a process, and that may
+        take many seconds while a network is down.
+        """
+        endpoint = self.endpoint(node, reader)
+        match = _TCP.fullmatch(endpoint)
+        if match is None:
+            return endpoint
+        with contextlib.suppress(EndpointError):
+            return f"tcp://{_numeric(node, match.group(1))}:{match.group(2)}"
+        return endpoint
+
+    def reaches(self, reader: str | None, node: str) -> bool:
+        """Say whether a reader on a machine can hear a node at all: ipc ends at the machine's border."""
+        near = reader in (None, self.machine_of(node)) or not self.spans_machines
+        return near or self.network_endpoint(node) is not None
+
+    def sources(self, reader: str, topics: Sequence[str]) -> dict[str, list[str]]:
         """Say which nodes a reader connects to and which topics it asks each for.
 
         Parameters: reader, node@site; topics, names from the topic table.
@@ -80,17 +216,20 @@ class SiteBook(BaseModel):
                     plan.setdefault(publisher, []).append(name)
         return plan
 
-    def observed(self) -> dict[str, list[str]]:
-        """Say what an observer with access to every endpoint connects to: each node, every topic it may send."""
-        return {node: self.published_by(node) for node in self.nodes}
+    def observed(self, reader: str | None = None, sites: Sequence[str] = ("master", "slave")) -> dict[str, list[str]]:
+        """Say what an observer connects to: each node at `sites` that its machine reaches, every topic it may send."""
+        heard = [node for node in self.nodes if site_of(node) in sites and self.reaches(reader, node)]
+        return {node: self.published_by(node) for node in heard}
 
     def bridged_from(self, site: str) -> dict[str, list[str]]:
         """Say what the link connects to at a site: each node there, the topics that cross to the other site."""
         away = "slave" if site == "master" else "master"
+        link = f"{LINK_NODE}@{site}"
+        reader = self.machine_of(link) if link in self.nodes else None
         plan = {
             node: [name for name, topic in TOPICS.items() if _publishes(topic, node) and _crosses(topic, to_site=away)]
             for node in self.nodes
-            if site_of(node) == site and node.partition("@")[0] != LINK_NODE
+            if site_of(node) == site and node.partition("@")[0] != LINK_NODE and self.reaches(reader, node)
         }
         return {node: topics for node, topics in plan.items() if topics}
 
@@ -101,14 +240,32 @@ class SiteBook(BaseModel):
             own += [name for name, topic in TOPICS.items() if _crosses(topic, to_site=site_of(node))]
         return list(dict.fromkeys(own))
 
+    def _entry(self, node: str) -> NodeEntry:
+        if node not in self.nodes:
+            raise KeyError(f"{node} is not in the site file, it has {', '.join(sorted(self.nodes))}")
+        return self.nodes[node]
+
     def _reachable_publishers(self, reader: str, topic: Topic) -> list[str]:
         here = site_of(reader)
-        found = [node for node in self.nodes if _publishes(topic, node) and site_of(node) == here]
+        machine = self.machine_of(reader) if reader in self.nodes else here
+        found = [
+            node
+            for node in self.nodes
+            if _publishes(topic, node) and site_of(node) == here and self.reaches(machine, node)
+        ]
         far = any(_publishes(topic, node) and site_of(node) != here for node in self.nodes)
         link = f"{LINK_NODE}@{here}"
         if far and link in self.nodes and _crosses(topic, to_site=here) and link not in found:
             found.append(link)
         return found
+
+
+def may_carry(node: str, src: str) -> bool:
+    """Say whether a message of `src` may come out of the socket of `node`: its own, or what the link bridges there."""
+    name, _, site = node.partition("@")
+    if name != LINK_NODE:
+        return src == node
+    return src.partition("@")[0] == LINK_NODE or site_of(src) != site
 
 
 def _publishes(topic: Topic, node: str) -> bool:
@@ -120,9 +277,29 @@ def _crosses(topic: Topic, to_site: str) -> bool:
     return topic.bridged in (("forward", "both") if to_site == "slave" else ("backward", "both"))
 
 
-def _check_endpoint(node: str, endpoint: str, *, insecure: bool) -> None:
+def _hosts_of_environment(machines: Mapping[str, str]) -> dict[str, str]:
+    named = {name: os.environ.get(HOST_VARIABLE_PREFIX + name.upper()) for name in machines}
+    return {name: host for name, host in named.items() if host}
+
+
+def _numeric(node: str, host: str) -> str:
+    """Give the address of a host; libzmq binds no names."""
+    try:
+        ipaddress.ip_address(host.strip("[]"))
+    except ValueError:
+        try:
+            return str(socket.getaddrinfo(host, None, socket.AF_INET)[0][4][0])
+        except OSError as error:
+            raise EndpointError(
+                f"{node} cannot bind {host}: the name is not known here ({error.strerror}), give an address, or "
+                f"{BIND_ADDRESS_VARIABLE}=0.0.0.0 to bind every interface"
+            ) from error
+    return host
+
+
+def _check_endpoint(node: str, endpoint: str) -> None:
     if endpoint.startswith("ipc://"):
-        path = endpoint.removeprefix("ipc://").replace("{runtime}", str(runtime_directory()))
+        path = endpoint.removeprefix("ipc://")
         if not path.startswith("/"):
             raise ValueError(f"nodes.{node}: {endpoint} needs an absolute path, such as ipc://{{runtime}}/{node}")
         if len(os.fsencode(path)) > _LONGEST_IPC_PATH:
@@ -130,6 +307,4 @@ def _check_endpoint(node: str, endpoint: str, *, insecure: bool) -> None:
         return
     match = _TCP.fullmatch(endpoint)
     if match is None or not 1 <= int(match.group(2)) <= 65535:
-        raise ValueError(f"nodes.{node}: {endpoint} is neither ipc:///absolute/path nor tcp://host:port (1-65535)")
-    if not insecure and not _LOOPBACK.fullmatch(endpoint):
-        raise ValueError(f"nodes.{node}: {endpoint} is plain tcp beyond loopback, which needs insecure: true")
+        raise ValueError(f"nodes.{node}: {endpoint} {_NO_ENDPOINT}")

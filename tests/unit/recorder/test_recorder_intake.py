@@ -18,6 +18,7 @@ from services.recorder.records import GAP_TOPIC, REJECTED_TOPIC, GapRecord, Reje
 from services.recorder.writer import RecordingWriter
 from services.runtime.bus import Subscriber
 from services.runtime.clock import VirtualClock
+from services.runtime.lines import Rights
 
 MakeListener = Callable[[str], Listener]
 
@@ -183,6 +184,30 @@ def test_a_flood_of_made_up_sources_ends_in_rejections(intake: Intake, listen: M
         intake.take(listener, [b"node/health", header(src=f"n{number}@master")], EPOCH_NS)
     assert listener.subscriber.rejected == {"source": 1100 - 1024}
     assert len(listener.streams) == 1024
+
+
+def test_what_a_machine_may_not_say_is_kept_apart_and_not_acted_on(intake: Intake, listen: MakeListener) -> None:
+    listener = listen("afm_node@slave")
+    rights = listener.subscriber.permit = Rights("slave", ["afm_node@slave"], ["observe"])
+    command = frames("session/control", sample("session/control", 0, src="afm_node@slave"))
+    assert intake.take(listener, command, EPOCH_NS) is None
+    assert intake.take(listener, frames("afm/state", sample("afm/state", 0, src="afm_node@slave")), EPOCH_NS) is None
+    assert listener.subscriber.rejected == {"role": 2}
+    assert listener.subscriber.last_error == (
+        "afm/state of afm_node@slave: the machine slave lacks the role data, has observe"
+    )
+    rights.change(["data", "control"])
+    assert intake.take(listener, frames("afm/state", sample("afm/state", 0, src="controller@slave")), EPOCH_NS) is None
+    assert listener.subscriber.rejected == {"role": 2, "source": 1}
+    intake.take(listener, frames("afm/state", sample("afm/state", 1, src="afm_node@slave")), EPOCH_NS)
+    received = intake.take(listener, command, EPOCH_NS)
+    assert received is not None
+    assert received.topic == "session/control"
+    assert [(m.channel_topic, m.src, m.seq) for m in recorded(intake).messages(["afm/state", "session/control"])] == [
+        ("afm/state", "afm_node@slave", 1),
+        ("session/control", "afm_node@slave", 0),
+    ]
+    assert intake.rejected == 3
 
 
 def test_a_header_is_read_without_its_message() -> None:

@@ -3,6 +3,7 @@
 import threading
 from pathlib import Path
 
+import pytest
 import zmq
 from recorder_samples import haptic_state, teleop_forward
 
@@ -11,6 +12,7 @@ from services.recorder.live import LiveRecording
 from services.recorder.reader import RecordedMessage
 from services.runtime.bus import Publisher
 from services.runtime.clock import SystemClock
+from services.runtime.errors import ConfigError
 from services.runtime.site import SiteBook
 
 HAND, FAR = "haptic_node@master", "delay_node@slave"
@@ -50,3 +52,10 @@ def test_a_live_rig_is_read_like_a_recording(tmp_path: Path) -> None:
     assert hand.decode() == haptic_state(hand.seq)
     assert hand.publish_ns == haptic_state(hand.seq).t_ns
     assert (forward.site, forward.via, forward.src) == ("slave", "link", "controller@master")
+
+
+def test_a_rig_with_keys_is_not_heard_without_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TELENANO_KEYS_DIR", str(tmp_path))
+    monkeypatch.setenv("TELENANO_MACHINE", "laptop")
+    with pytest.raises(ConfigError, match="`telenano keys new laptop` makes one"):
+        LiveRecording(SiteBook.model_validate({"nodes": {HAND: "tcp://127.0.0.1:5701"}}))

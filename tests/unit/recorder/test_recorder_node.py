@@ -21,10 +21,11 @@ from services.recorder.intake import Intake
 from services.recorder.node import RecorderBus, RecorderNode
 from services.recorder.reader import Recording
 from services.recorder.writer import RecordingWriter
-from services.runtime.bus import Publisher, Received
+from services.runtime.bus import Notice, Publisher, Received
 from services.runtime.clock import SystemClock, VirtualClock
 from services.runtime.log import StructuredLog
 from services.runtime.main import Wiring
+from services.runtime.network import Network
 from services.runtime.node import NodeContext, NodeLoop
 from services.runtime.realtime import RealtimeStatus
 from services.runtime.sequence import Arrival
@@ -59,6 +60,9 @@ class QuietBus:
 
     def rejections(self) -> tuple[dict[str, int], str]:
         return {}, ""
+
+    def attend(self, *, now: bool = False) -> Sequence[Notice]:
+        return ()
 
     def close(self) -> None:
         pass
@@ -267,11 +271,11 @@ def test_everything_on_real_sockets_is_heard_at_its_place(
             scenario_file=scenario_file,
             clock=clock,
             log=StructuredLog(NODE),
-            zmq_context=context,
+            network=Network(context, clock, book, "master"),
             wake_descriptor=reader,
         )
         intake = begin(wiring, config)
-        bus = RecorderBus(wiring.publisher(NODE), listeners(wiring), intake, clock, reader)
+        bus = RecorderBus(wiring.publisher(NODE), listeners(wiring), intake, clock, reader, wiring.network)
         node = RecorderNode(wiring.context(bus), config, intake)
         loop = NodeLoop(node, bus, RealtimeStatus(fifo=False, memory_locked=False))
         others = stage([key for key in NODES if key != NODE])

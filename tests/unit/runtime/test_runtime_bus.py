@@ -455,7 +455,7 @@ def test_the_accounts_of_several_subscribers_are_one(
         hand(deaf, 0, 0)
         counts, text = bus.rejections()
         assert counts == {"frames": 2, "malformed": 1}
-        assert "frames" in text
+        assert "not msgpack" in text
         assert [h.topic for h in bus.input_health()] == ["haptic/state", "session/control", "haptic/state"]
     finally:
         bus.close()

@@ -4,6 +4,7 @@ import gc
 import logging
 import os
 import signal
+import socket
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, ClassVar
@@ -15,6 +16,7 @@ from services.runtime.bus import Received
 from services.runtime.errors import ConfigError
 from services.runtime.main import EXIT_BAD_START, NodeKind, load_site, ordinary, parse_arguments, run_node
 from services.runtime.node import Node, NodeContext
+from services.runtime.security import Keyring
 
 SCENARIO = """
 name: test
@@ -115,6 +117,42 @@ def test_a_bad_start_is_one_clear_line_and_an_exit_code(
     assert Mortal.ended == []
 
 
+@pytest.fixture
+def locked(arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> int:
+    """Have the node bind a port for other machines; gives the port."""
+    monkeypatch.setenv("TELENANO_KEYS_DIR", str(tmp_path / "keys"))
+    with socket.socket() as found:
+        found.bind(("127.0.0.1", 0))
+        port = int(found.getsockname()[1])
+    local = f"ipc://{tmp_path}/controller"
+    (tmp_path / "site.yaml").write_text(
+        f"nodes: {{controller@master: {{local: '{local}', network: 'tcp://127.0.0.1:{port}'}}}}\n"
+    )
+    return port
+
+
+def test_a_node_of_a_rig_on_several_machines_needs_a_key(
+    arguments: list[str], locked: int, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert run_node(KIND, arguments) == EXIT_BAD_START
+    (line,) = capfd.readouterr().err.splitlines()
+    assert f"{tmp_path}/keys/master.key_secret: there is no key for the machine master: `telenano keys new" in line
+    Keyring().create("master")
+    assert run_node(KIND, arguments) == 0
+    assert Mortal.ended == ["controller@master gain 2.0"]
+
+
+def test_a_port_that_is_taken_is_a_bad_start_that_leaves_nothing_open(
+    arguments: list[str], locked: int, capfd: pytest.CaptureFixture[str]
+) -> None:
+    Keyring().create("master")
+    with socket.create_server(("127.0.0.1", locked)):
+        assert run_node(KIND, arguments) == EXIT_BAD_START
+        (line,) = capfd.readouterr().err.splitlines()
+        assert f"controller@master cannot bind tcp://127.0.0.1:{locked}: another process has it" in line
+    assert run_node(KIND, arguments) == 0
+
+
 def test_arguments_and_their_help(capsys: pytest.CaptureFixture[str]) -> None:
     given = parse_arguments("afm_node", ("slave",), ["--site-file", "s", "--scenario", "x", "--with-parent"])
     assert (given.site, given.set, given.with_parent) == ("slave", [], True)
@@ -128,6 +166,6 @@ def test_arguments_and_their_help(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_a_wrong_site_file_names_its_key(tmp_path: Path) -> None:
     path = tmp_path / "site.yaml"
-    path.write_text("nodes: {afm_node@slave: 'tcp://10.0.0.1:5501'}\n")
-    with pytest.raises(ConfigError, match=r"site\.yaml: nodes\.afm_node@slave: .* needs insecure: true"):
+    path.write_text("nodes: {afm_node@slave: 'tcp://{slave}:5501'}\n")
+    with pytest.raises(ConfigError, match=r"site\.yaml: nodes\.afm_node@slave: .* no machine of `machines`"):
         load_site(path)

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from proto import TOPICS, Message, encode
 from proto.contract import examples
 from proto.messages import MAX_TEXT, InputHealth, NodeHealth, SessionControl, SessionEvent
-from services.runtime.bus import Received
+from services.runtime.bus import Notice, Received
 from services.runtime.clock import VirtualClock
 from services.runtime.errors import ConfigError, RefusedError
 from services.runtime.log import StructuredLog
@@ -46,6 +46,8 @@ class FakeBus:
         self.refused: dict[str, int] = {}
         self.waits: list[int] = []
         self.oversleep_ns = 0
+        self.notices: list[Notice] = []
+        self.attended: list[bool] = []
 
     def publish(self, topic: str, **fields: Any) -> Message:
         model = TOPICS[topic].model
@@ -77,6 +79,11 @@ class FakeBus:
 
     def rejections(self) -> tuple[dict[str, int], str]:
         return dict(self.refused), "haptic/state: not msgpack" if self.refused else ""
+
+    def attend(self, *, now: bool = False) -> list[Notice]:
+        self.attended.append(now)
+        told, self.notices = self.notices, []
+        return told
 
     def close(self) -> None:
         self.sent.clear()
@@ -290,8 +297,40 @@ def test_refused_frames_are_in_the_report_and_in_the_log(caplog: pytest.LogCaptu
         rig.run_until(2100 * MS)
     assert [h.rejected for h in rig.health][:2] == [{}, {"malformed": 3}]
     texts = [record.getMessage() for record in caplog.records]
-    assert texts == ["frames refused: haptic/state: not msgpack"] * 2
+    assert texts == ["refused: haptic/state: not msgpack"] * 2
     assert [record.facts["count"] for record in caplog.records] == [3, 1]
+
+
+def test_what_happens_to_network_connections_is_an_event_and_in_the_log(caplog: pytest.LogCaptureFixture) -> None:
+    rig = Rig(period_ns=MS)
+    facts = {"peer": "afm_node@slave", "endpoint": "tcp://10.0.0.2:5712", "connection": "down"}
+    rig.loop.turn()
+    with caplog.at_level(logging.INFO):
+        rig.bus.notices = [Notice("warning", "the connection is lost", facts), Notice("info", "it is back", {})]
+        rig.loop.turn()
+    assert [(e.kind, e.level, e.text, e.data, e.id) for e in rig.events] == [
+        ("network", "warning", "the connection is lost", facts, ""),
+        ("network", "info", "it is back", {}, ""),
+    ]
+    assert [(r.levelname, r.getMessage(), r.facts) for r in caplog.records] == [
+        ("WARNING", "the connection is lost", {"kind": "network", **facts}),
+        ("INFO", "it is back", {"kind": "network"}),
+    ]
+
+
+def test_connections_are_looked_after_in_every_turn_and_in_any_case_with_every_report() -> None:
+    rig = Rig(period_ns=MS)
+    rig.run_until(1100 * MS)
+    assert rig.bus.attended.count(True) == len(rig.health) == 3
+    assert rig.bus.attended.count(False) == len(rig.bus.waits)
+
+
+def test_what_is_said_of_connections_at_the_very_end_is_told_too() -> None:
+    rig = Rig(period_ns=MS)
+    rig.loop.stop()
+    rig.bus.notices = [Notice("info", "it is back", {})]
+    rig.loop.run()
+    assert [e.text for e in rig.events] == ["it is back"]
 
 
 def test_a_command_reaches_the_node_and_its_desk() -> None:

@@ -1,15 +1,17 @@
 """Who connects to whom: readers reach the other site through the link alone."""
 
+import socket
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from proto import TOPICS
-from services.runtime.config import validate
-from services.runtime.errors import ConfigError
-from services.runtime.site import SiteBook, runtime_directory, site_of
+from services.runtime.config import read_yaml, validate
+from services.runtime.errors import ConfigError, EndpointError
+from services.runtime.site import NodeEntry, SiteBook, may_carry, runtime_directory, site_of
 
+TWO_SITES = Path(__file__).resolve().parents[3] / "services" / "launcher" / "sites" / "two_sites.yaml"
 NODES = (
     "haptic_node@master",
     "controller@master",
@@ -26,7 +28,13 @@ def book(*nodes: str, **more: Any) -> SiteBook:
     return SiteBook(nodes={node: f"ipc://{{runtime}}/{node}" for node in nodes or NODES}, **more)
 
 
-def error_of(nodes: dict[str, str], **more: object) -> str:
+@pytest.fixture(autouse=True)
+def _no_address_of_this_machine(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("TELENANO_HOST_MASTER", "TELENANO_HOST_SLAVE", "TELENANO_BIND_ADDRESS"):
+        monkeypatch.delenv(name, raising=False)
+
+
+def error_of(nodes: dict[str, Any], **more: object) -> str:
     with pytest.raises(ConfigError) as caught:
         validate(SiteBook, {"nodes": nodes, **more}, "site.yaml")
     return str(caught.value)
@@ -85,8 +93,6 @@ def test_an_observer_connects_to_every_node_for_all_that_it_may_send() -> None:
     assert set(observed) == set(NODES)
     assert observed["afm_node@slave"] == ["afm/state", "afm/scanline", "clock/pong", "session/event", "node/health"]
     assert observed["delay_node@slave"] == [
-        "link/status",
-        "link/fates",
         "clock/ping",
         "session/event",
         "node/health",
@@ -121,14 +127,22 @@ def test_endpoints_on_this_machine_pass(endpoint: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "endpoint", ["tcp://192.168.1.7:5501", "tcp://0.0.0.0:5501", "tcp://afm.example.org:5501", "tcp://[fe80::1]:5501"]
+    "endpoint",
+    ["tcp://127.0.0.1:5501", "tcp://192.168.1.7:5501", "tcp://afm.example.org:5501", "tcp://[fe80::1]:5501"],
 )
-def test_plain_tcp_beyond_loopback_needs_a_word(endpoint: str) -> None:
-    text = error_of({"afm_node@slave": endpoint})
-    assert text == (
-        f"site.yaml: nodes.afm_node@slave: {endpoint} is plain tcp beyond loopback, which needs insecure: true"
-    )
-    assert SiteBook(nodes={"afm_node@slave": endpoint}, insecure=True).endpoint("afm_node@slave") == endpoint
+def test_tcp_is_locked_unless_that_is_waived_even_on_this_machine(endpoint: str) -> None:
+    rig = SiteBook(nodes={"afm_node@slave": endpoint})
+    assert (rig.spans_machines, rig.locked) == (True, True)
+    assert rig.endpoint("afm_node@slave") == rig.network_endpoint("afm_node@slave") == endpoint
+    assert rig.local_endpoint("afm_node@slave") is None
+    rig = SiteBook(nodes={"afm_node@slave": endpoint}, insecure=True)
+    assert (rig.spans_machines, rig.locked) == (True, False)
+
+
+def test_ipc_alone_needs_no_key() -> None:
+    rig = book()
+    assert (rig.spans_machines, rig.locked) == (False, False)
+    assert {rig.network_endpoint(node) for node in NODES} == {rig.bind_endpoint(node) for node in NODES} == {None}
 
 
 @pytest.mark.parametrize(
@@ -181,6 +195,215 @@ def test_a_wrong_node_name_is_refused(node: str) -> None:
 
 
 def test_an_unknown_key_lists_the_known_ones() -> None:
-    assert error_of({}, secure=True) == "site.yaml: secure: unknown key, known are nodes, insecure"
+    assert error_of({}, secure=True) == "site.yaml: secure: unknown key, known are machines, bind, nodes, insecure"
     with pytest.raises(ConfigError, match=r"site\.yaml: nodes: is missing"):
         validate(SiteBook, {}, "site.yaml")
+
+
+# --- two machines ---
+
+
+def two_sites() -> SiteBook:
+    return validate(SiteBook, read_yaml(TWO_SITES), str(TWO_SITES))
+
+
+def test_two_sites_are_locked_and_the_link_runs_at_the_operators() -> None:
+    rig = two_sites()
+    assert rig.locked
+    assert {node: rig.machine_of(node) for node in rig.nodes if node.startswith("delay_node")} == {
+        "delay_node@master": "master",
+        "delay_node@slave": "master",
+    }
+    others = [node for node in rig.nodes if not node.startswith("delay_node")]
+    assert {rig.machine_of(node) == site_of(node) for node in others} == {True}
+
+
+def test_two_sites_are_heard_nearby_over_ipc_and_from_afar_over_tcp(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TELENANO_RUNTIME_DIR", "/run/rig")
+    monkeypatch.setenv("TELENANO_HOST_MASTER", "10.0.0.1")
+    monkeypatch.setenv("TELENANO_HOST_SLAVE", "10.0.0.2")
+    rig = two_sites()
+    near = {node: rig.endpoint(node, rig.machine_of(node)) for node in rig.nodes}
+    assert near == {node: f"ipc:///run/rig/{node}" for node in rig.nodes}
+    # whoever does not say where it is, is where the node is
+    assert near == {node: rig.endpoint(node) for node in rig.nodes}
+    afar = {
+        "delay_node@slave": "tcp://10.0.0.1:5704",
+        "controller@slave": "tcp://10.0.0.2:5711",
+        "afm_node@slave": "tcp://10.0.0.2:5712",
+        "recorder@slave": "tcp://10.0.0.2:5713",
+        "launcher@slave": "tcp://10.0.0.2:5714",
+    }
+    assert {node: rig.network_endpoint(node) for node in rig.nodes if rig.network_endpoint(node)} == afar
+    other = {"master": "slave", "slave": "master"}
+    assert {node: rig.endpoint(node, other[rig.machine_of(node)]) for node in afar} == afar
+
+
+def test_two_sites_reach_one_another_where_there_is_a_port_alone() -> None:
+    rig = two_sites()
+    for node in rig.nodes:
+        for reader in ("master", "slave"):
+            assert rig.reaches(reader, node) == (
+                reader == rig.machine_of(node) or rig.network_endpoint(node) is not None
+            ), (reader, node)
+        assert rig.reaches(None, node)
+    assert not rig.reaches("slave", "haptic_node@master")
+    assert not rig.reaches("master", "console@slave")
+    assert not rig.reaches("laptop", "controller@master")
+    assert rig.reaches("laptop", "afm_node@slave")
+
+
+def test_two_sites_are_one_rig_to_those_who_read_and_bridge() -> None:
+    rig = two_sites()
+    assert rig.sources("controller@slave", ["afm/state", "teleop/forward"]) == {
+        "afm_node@slave": ["afm/state"],
+        "delay_node@slave": ["teleop/forward"],
+    }
+    assert rig.sources("afm_node@slave", ["session/control"]) == {
+        node: ["session/control"] for node in ("delay_node@slave", "launcher@slave", "console@slave")
+    }
+    assert rig.sources("controller@master", ["teleop/backward"]) == {"delay_node@master": ["teleop/backward"]}
+    # the link, on the operator's machine, cannot hear a console that has no port there
+    assert set(rig.bridged_from("slave")) == {"controller@slave", "afm_node@slave", "recorder@slave", "launcher@slave"}
+    assert set(rig.bridged_from("master")) == {"controller@master", "launcher@master", "console@master"}
+
+
+def test_two_sites_are_observed_as_far_as_a_machine_reaches() -> None:
+    rig = two_sites()
+    assert set(rig.observed("master")) == set(rig.nodes) - {"console@slave"}
+    assert set(rig.observed("slave")) == {node for node in rig.nodes if site_of(node) == "slave"}
+    assert set(rig.observed("slave", ["master"])) == set()
+    assert set(rig.observed("master", ["master"])) == {node for node in rig.nodes if site_of(node) == "master"}
+    assert set(rig.observed()) == set(rig.nodes)
+    assert rig.observed("master")["afm_node@slave"] == rig.published_by("afm_node@slave")
+
+
+def test_an_address_comes_from_the_file_the_environment_or_both(monkeypatch: pytest.MonkeyPatch) -> None:
+    hosts = {"slave": "afm.lab"}
+    rig = SiteBook(machines=hosts, nodes={"afm_node@slave": "tcp://{slave}:5712"})
+    assert rig.network_endpoint("afm_node@slave") == "tcp://afm.lab:5712"
+    monkeypatch.setenv("TELENANO_HOST_SLAVE", "")
+    assert rig.network_endpoint("afm_node@slave") == "tcp://afm.lab:5712"
+    monkeypatch.setenv("TELENANO_HOST_SLAVE", "[fe80::2]")
+    assert rig.network_endpoint("afm_node@slave") == "tcp://[fe80::2]:5712"
+    # what is no machine of the file is none of the environment either
+    monkeypatch.setenv("TELENANO_HOST_LAPTOP", "10.0.0.3")
+    assert error_of({"afm_node@slave": "tcp://{laptop}:5712"}, machines=hosts) == (
+        "site.yaml: nodes.afm_node@slave: tcp://{laptop}:5712: {laptop} is no machine of `machines`, known are slave"
+    )
+    assert error_of({"afm_node@slave": "tcp://{slave}:5712"}).endswith("known are none")
+
+
+def test_a_wrong_address_of_the_environment_is_seen_at_the_start(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TELENANO_HOST_SLAVE", "fe80::2")
+    text = error_of({"afm_node@slave": "tcp://{slave}:5712"}, machines={"slave": "10.0.0.2"})
+    assert text.startswith("site.yaml: nodes.afm_node@slave: tcp://fe80::2:5712 is neither ipc:///absolute/path nor")
+
+
+def test_what_a_node_binds_is_its_address_or_the_one_named_for_that(monkeypatch: pytest.MonkeyPatch) -> None:
+    nodes = {"afm_node@slave": "tcp://{slave}:5712", "delay_node@slave": "tcp://{master}:5704"}
+    hosts = {"master": "10.0.0.1", "slave": "[fe80::2]"}
+    rig = SiteBook(machines=hosts, nodes=nodes)
+    assert [rig.bind_endpoint(node) for node in nodes] == ["tcp://[fe80::2]:5712", "tcp://10.0.0.1:5704"]
+    rig = SiteBook(machines=hosts, nodes=nodes, bind={"slave": "[::]"})
+    assert [rig.bind_endpoint(node) for node in nodes] == ["tcp://[::]:5712", "tcp://10.0.0.1:5704"]
+    monkeypatch.setenv("TELENANO_BIND_ADDRESS", "0.0.0.0")
+    assert [rig.bind_endpoint(node) for node in nodes] == ["tcp://0.0.0.0:5712", "tcp://0.0.0.0:5704"]
+    # readers go on to use the address
+    assert rig.endpoint("delay_node@slave", "slave") == "tcp://10.0.0.1:5704"
+
+
+def test_an_address_to_bind_is_of_a_machine_with_nodes() -> None:
+    text = error_of({"afm_node@slave": "tcp://10.0.0.2:5712"}, bind={"slvae": "0.0.0.0"})
+    assert text == "site.yaml: bind.slvae: no node runs on this machine"
+
+
+NAMES = {"afm.lab": "10.1.2.3"}
+
+
+@pytest.fixture
+def _names(monkeypatch: pytest.MonkeyPatch) -> None:
+    def look_up(host: str, port: object, family: int) -> list[Any]:
+        assert family == socket.AF_INET
+        if host not in NAMES:
+            raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
+        return [(family, 0, 0, "", (NAMES[host], 0))]
+
+    monkeypatch.setattr(socket, "getaddrinfo", look_up)
+
+
+@pytest.mark.usefixtures("_names")
+def test_a_name_is_looked_up_where_it_is_bound_and_where_it_is_connected_to() -> None:
+    rig = SiteBook(nodes={"afm_node@slave": "tcp://afm.lab:5712", "controller@slave": "tcp://[::1]:5711"})
+    assert rig.bind_endpoint("afm_node@slave") == "tcp://10.1.2.3:5712"
+    assert rig.connect_endpoint("afm_node@slave", "master") == "tcp://10.1.2.3:5712"
+    assert rig.connect_endpoint("controller@slave", "master") == "tcp://[::1]:5711"
+
+
+@pytest.mark.usefixtures("_names")
+def test_a_name_that_is_not_known_here_cannot_be_bound_but_may_be_known_later_to_a_reader() -> None:
+    rig = SiteBook(nodes={"afm_node@slave": "tcp://afm.elsewhere:5712"})
+    with pytest.raises(EndpointError) as caught:
+        rig.bind_endpoint("afm_node@slave")
+    assert str(caught.value) == (
+        "afm_node@slave cannot bind afm.elsewhere: the name is not known here (Name or service not known), give an "
+        "address, or TELENANO_BIND_ADDRESS=0.0.0.0 to bind every interface"
+    )
+    assert rig.connect_endpoint("afm_node@slave", "master") == "tcp://afm.elsewhere:5712"
+    # bound elsewhere, the name need not be known
+    assert rig.model_copy(update={"bind": {"slave": "0.0.0.0"}}).bind_endpoint("afm_node@slave") == "tcp://0.0.0.0:5712"
+
+
+def test_an_entry_has_two_forms() -> None:
+    short = validate(SiteBook, {"nodes": {"afm_node@slave": "tcp://10.0.0.2:5712"}}, "site.yaml")
+    full = validate(SiteBook, {"nodes": {"afm_node@slave": {"network": "tcp://10.0.0.2:5712"}}}, "site.yaml")
+    made = SiteBook(nodes={"afm_node@slave": NodeEntry(network="tcp://10.0.0.2:5712")})
+    assert short == full == made
+    assert SiteBook.model_validate_json(full.model_dump_json()) == full
+
+
+def test_a_node_may_run_on_a_third_machine() -> None:
+    nodes = {"recorder@master": {"network": "tcp://{archive}:5705", "machine": "archive"}, "afm_node@slave": "ipc:///a"}
+    rig = validate(SiteBook, {"machines": {"archive": "10.0.0.9"}, "nodes": nodes}, "site.yaml")
+    assert rig.machine_of("recorder@master") == "archive"
+    # nobody on that machine hears a node that has no port
+    assert rig.sources("recorder@master", ["afm/state"]) == {}
+    assert rig.endpoint("recorder@master", "master") == "tcp://10.0.0.9:5705"
+
+
+@pytest.mark.parametrize(
+    ("entry", "text"),
+    [
+        ({}, ": local, network or both are needed"),
+        ({"local": "tcp://10.0.0.2:1"}, ": local: tcp://10.0.0.2:1 is not of the form ipc:///absolute/path"),
+        ({"network": "ipc:///a"}, ": network: ipc:///a is not of the form tcp://host:port"),
+        ({"network": "tcp://a:1", "machine": "A B"}, ".machine: String should match pattern"),
+        ({"netwrk": "tcp://a:1"}, ".netwrk: unknown key"),
+        (7, ": Input should be an object, got 7"),
+        ("afm", ": is neither ipc:///absolute/path nor tcp://host:port (1-65535), got 'afm'"),
+    ],
+)
+def test_a_wrong_entry_is_named(entry: object, text: str) -> None:
+    assert error_of({"afm_node@slave": entry}).startswith(f"site.yaml: nodes.afm_node@slave{text}")
+
+
+def test_a_wrong_name_of_a_machine_is_named() -> None:
+    assert error_of({}, machines={"Slave": "10.0.0.2"}).startswith("site.yaml: machines.Slave")
+
+
+@pytest.mark.parametrize(
+    ("node", "src", "may"),
+    [
+        ("afm_node@slave", "afm_node@slave", True),
+        ("afm_node@slave", "controller@slave", False),
+        ("afm_node@slave", "controller@master", False),
+        ("delay_node@slave", "delay_node@slave", True),
+        ("delay_node@slave", "delay_node@master", True),
+        ("delay_node@slave", "controller@master", True),
+        ("delay_node@slave", "controller@slave", False),
+        ("delay_node@master", "controller@slave", True),
+        ("delay_node@master", "launcher@master", False),
+    ],
+)
+def test_a_socket_carries_its_node_and_that_of_the_link_the_other_site(node: str, src: str, may: bool) -> None:
+    assert may_carry(node, src) is may

@@ -1,0 +1,186 @@
+"""What encryption costs between two machines: CURVE against plain TCP, with a Unix socket as the floor.
+
+    python benchmarks/network.py [--rounds N] [--messages N] [--json]
+
+Two processes play the two machines on this one. Each sends checked messages as the rig does, at 1 kHz: the first says
+teleop/forward, the second answers each with teleop/backward, and the first takes the time from its send to the answer.
+The three ways alternate in short runs, so that what else the machine does falls on all alike. The processor time is
+that of both processes, their ZeroMQ threads included.
+"""
+
+import argparse
+import json
+import multiprocessing
+import os
+import socket
+import tempfile
+import time
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zmq
+
+from services.runtime.clock import SystemClock
+from services.runtime.log import StructuredLog
+from services.runtime.network import Network
+from services.runtime.realtime import RealtimeConfig, apply_realtime, freeze_garbage, shallow_idle
+from services.runtime.security import KEYS_DIRECTORY_VARIABLE, Keyring
+from services.runtime.site import SiteBook
+
+PERIOD_NS = 1_000_000
+MASTER, SLAVE = "controller@master", "controller@slave"
+VECTOR = (0.0, 0.0, -7.123456789e-3)
+SIGNAL: dict[str, Any] = {
+    "law": "virtual_impedance",
+    "active": True,
+    "position_m": VECTOR,
+    "velocity_m_per_s": VECTOR,
+    "force_n": VECTOR,
+    "wave_sqrt_w": None,
+    "energy_j": None,
+    "hand_seq": 0,
+    "hand_t_ns": 0,
+}
+ANSWER = {**SIGNAL, "separation_m": 1e-9, "separation_valid": True, "in_contact": True}
+WAYS = ("ipc", "plain", "curve")
+WARM_UP = 200
+# an answer that takes longer than this will not come any more
+LOST_S = 1.0
+
+
+def book_of(way: str, folder: Path, ports: tuple[int, int]) -> SiteBook:
+    """Give the address book of the two processes for a way of transport."""
+    if way == "ipc":
+        return SiteBook(nodes={node: f"ipc://{folder}/{node}" for node in (MASTER, SLAVE)})
+    nodes = {node: f"tcp://127.0.0.1:{port}" for node, port in zip((MASTER, SLAVE), ports, strict=True)}
+    return SiteBook(nodes=nodes, insecure=way == "plain")
+
+
+def talk(node: str, peer: str, book: SiteBook, messages: int, pipe: Connection) -> None:
+    """Be one of the two machines; gives the round trips [ns], none where it answers, and the processor time [s]."""
+    own_cpu = RealtimeConfig(cpus={node: 0 if node == MASTER else os.cpu_count() - 1})
+    apply_realtime(own_cpu, StructuredLog(node), node)
+    with zmq.Context[zmq.Socket[bytes]]() as context:
+        clock = SystemClock()
+        network = Network(context, clock, book, book.machine_of(node))
+        publisher = network.publisher(node)
+        heard = "teleop/backward" if node == MASTER else "teleop/forward"
+        readers = [reader for reader in network.subscribers({peer: [heard]}) if reader.topics]
+        poller = zmq.Poller()
+        for descriptor in (*(reader.socket for reader in readers), *network.descriptors):
+            poller.register(descriptor, zmq.POLLIN)
+        freeze_garbage()
+        pipe.send("ready")
+        trips: list[int] = []
+        count, deadline, cpu_s = 0, clock.monotonic_ns() + 50 * PERIOD_NS, 0.0
+        silent_since = time.monotonic()
+        asking = node == MASTER
+        while count < messages and not (not asking and pipe.poll()):
+            if asking:
+                deadline += PERIOD_NS
+                time.sleep(max(0, deadline - clock.monotonic_ns()) * 1e-9)
+                sent_ns = clock.monotonic_ns()
+                publisher.publish("teleop/forward", **SIGNAL)
+            answered = False
+            until = time.monotonic() + (0.02 if asking else 0.1)
+            while not answered and time.monotonic() < until:
+                poller.poll(20)
+                network.attend()
+                for reader in readers:
+                    for _ in reader.receive():
+                        answered = True
+            if answered and asking:
+                trips.append(clock.monotonic_ns() - sent_ns)
+                count += 1
+                if count == WARM_UP:
+                    cpu_s = time.process_time()
+                silent_since = time.monotonic()
+            elif answered:
+                publisher.publish("teleop/backward", **ANSWER)
+                count += 1
+                cpu_s = cpu_s or time.process_time()
+            if asking and time.monotonic() - silent_since > 20 * LOST_S:
+                break
+        pipe.send((trips[WARM_UP:], time.process_time() - cpu_s))
+        publisher.close()
+        for reader in readers:
+            reader.close()
+        network.close()
+
+
+def run(way: str, folder: Path, messages: int) -> tuple[list[int], float]:
+    """Give the round trips [ns] of a run and the processor time of both processes [s]."""
+    book = book_of(way, folder, (free_port(), free_port()))
+    spawn = multiprocessing.get_context("spawn")
+    pipes = [spawn.Pipe() for _ in (MASTER, SLAVE)]
+    pairs = ((MASTER, SLAVE), (SLAVE, MASTER))
+    processes = [
+        spawn.Process(target=talk, args=(node, peer, book, messages if node == MASTER else 1 << 40, end))
+        for (node, peer), (_, end) in zip(pairs, pipes, strict=True)
+    ]
+    for process in processes:
+        process.start()
+    for mine, _ in pipes:
+        mine.recv()
+    trips, cpu_s = pipes[0][0].recv()
+    pipes[1][0].send("stop")
+    _, answering_s = pipes[1][0].recv()
+    for process in processes:
+        process.join()
+    return trips, cpu_s + answering_s
+
+
+def free_port() -> int:
+    """Give a port that nobody has at the moment."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def make_keys(folder: Path) -> None:
+    """Have both machines know each other."""
+    os.environ[KEYS_DIRECTORY_VARIABLE] = str(folder)
+    ring = Keyring(folder)
+    for name in ("master", "slave"):
+        ring.allow(name, ring.create(name).public.decode(), ["data"])
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--rounds", type=int, default=3, help="runs of each way")
+    parser.add_argument("--messages", type=int, default=3000, help="messages a run")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    given = parser.parse_args()
+    trips: dict[str, list[int]] = {way: [] for way in WAYS}
+    cpu_s = dict.fromkeys(WAYS, 0.0)
+    with tempfile.TemporaryDirectory() as name, shallow_idle():
+        make_keys(Path(name) / "keys")
+        for _ in range(given.rounds):
+            for way in WAYS:
+                found, used_s = run(way, Path(name), given.messages)
+                trips[way] += found
+                cpu_s[way] += used_s
+    ms = {way: np.array(values) * 1e-6 for way, values in trips.items()}
+    p50, p99 = ({way: float(np.percentile(ms[way], q)) for way in WAYS} for q in (50, 99))
+    report = {
+        "round_trip_p50_ms": p50,
+        "round_trip_p99_ms": p99,
+        "cpu_us_a_round_trip": {way: cpu_s[way] / len(trips[way]) * 1e6 for way in WAYS},
+        "curve_to_plain": {
+            "p50": p50["curve"] / p50["plain"],
+            "p99": p99["curve"] / p99["plain"],
+            "cpu": (cpu_s["curve"] / len(trips["curve"])) / (cpu_s["plain"] / len(trips["plain"])),
+        },
+    }
+    if given.json:
+        print(json.dumps(report))
+        return
+    for key, value in report.items():
+        print(f"{key:22}" + "  ".join(f"{way} {figure:.3f}" for way, figure in value.items()))
+
+
+if __name__ == "__main__":
+    main()

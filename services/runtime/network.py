@@ -1,0 +1,167 @@
+"""The sockets of one process: plain ipc within its machine, CURVE between machines, and an eye on every connection.
+
+Nothing here runs in a thread of its own: the node's loop calls `attend` when a descriptor speaks or twice a second, and
+each call does a bounded piece of work, so that a flood of strangers cannot hold a loop. (A thread could: the
+interpreter makes a loop wait up to 5 ms for one that is busy.)
+"""
+
+from collections.abc import Mapping, Sequence
+
+import zmq
+
+from services.runtime.bus import Notice, Publisher, Subscriber
+from services.runtime.clock import Clock
+from services.runtime.doors import Doorman
+from services.runtime.errors import ConfigError, EndpointError
+from services.runtime.lines import Lines
+from services.runtime.monitor import Refusals
+from services.runtime.security import Keyring
+from services.runtime.site import SiteBook
+from services.runtime.trust import Trust
+
+# a loop gives up a connection on which nothing is heard for a second: a pulled cable says nothing, and what was sent
+# into it meanwhile must not come out of it later
+_LOOP_SILENCE_MS = 1000
+# who reads everything may be late by seconds on a busy machine, and answers its heartbeats as late
+_READER_SILENCE_MS = 5000
+_HEARTBEATS = 4
+# four round trips of a satellite link
+_HANDSHAKE_MS = 5000
+# left to the system, the next attempt to connect may come minutes after the cable is back
+_CONNECT_MS = 2000
+_RECONNECT_MS, _RECONNECT_MOST_MS = 100, 1000
+# below the half second in which a loop calls at the latest, so that each such call looks
+_LOOK_NS = 400_000_000
+
+
+class Network:
+    """Makes the sockets of a process and looks after those of them that leave its machine."""
+
+    def __init__(
+        self,
+        context: "zmq.Context[zmq.Socket[bytes]]",
+        clock: Clock,
+        book: SiteBook,
+        machine: str,
+        keyring: Keyring | None = None,
+    ) -> None:
+        """Open the keys of a machine if the rig needs any.
+
+        Raises ConfigError when the machine has no key, or one that others can read.
+        """
+        self.machine = machine
+        self.trust = Trust(machine, keyring or Keyring(), locked=book.locked)
+        self.restless = False
+        self._context = context
+        self._clock = clock
+        self._book = book
+        self._refusals = Refusals()
+        self._doorman = Doorman(context, self.trust, self._refusals)
+        self._lines: list[Lines] = []
+        self._sides: list[Doorman | Lines] = [self._doorman]
+        self._look_ns = clock.monotonic_ns() + _LOOK_NS
+
+    @property
+    def descriptors(self) -> Sequence[int]:
+        """What becomes readable when there is something to attend to."""
+        return [socket.fileno() for side in self._sides for socket in side.sockets]
+
+    @property
+    def rejected(self) -> dict[str, int]:
+        """How often a connection was refused or failed for want of agreement, by reason."""
+        return self._refusals.counts
+
+    @property
+    def last_error(self) -> str:
+        """The newest refusal in words."""
+        return self._refusals.newest
+
+    def publisher(self, key: str, kind: int = zmq.PUB) -> Publisher:
+        """Bind the endpoints of a node; EndpointError says why that fails."""
+        try:
+            local, network = self._book.local_endpoint(key), self._book.bind_endpoint(key)
+        except KeyError as error:
+            raise EndpointError(str(error.args[0])) from error
+        if network is None:
+            return Publisher(self._context, self._clock, key, local or "", kind=kind)
+
+        def prepare(socket: "zmq.Socket[bytes]") -> None:
+            _set_network_options(socket, _READER_SILENCE_MS, network)
+            self._doorman.lock(socket, key)
+
+        if local is None:
+            publisher = Publisher(self._context, self._clock, key, network, kind=kind, prepare=prepare)
+        else:
+            # what a socket has bound keeps the options of that moment, so ipc stays plain
+            publisher = Publisher(self._context, self._clock, key, local, kind=kind)
+            prepare(publisher.socket)
+            publisher.also_bind(network)
+        self._doorman.watch(publisher)
+        return publisher
+
+    def subscribers(self, sources: Mapping[str, Sequence[str]], *, apart: bool = False) -> list[Subscriber]:
+        """Connect to nodes (keys) for topics (values): one socket for this machine, one for each other machine.
+
+        Parameters: apart, one socket for each node, in order, so that the place where a message was heard is known.
+        """
+        if apart:
+            return [self._reader({node: topics}, _READER_SILENCE_MS) for node, topics in sources.items()]
+        groups: dict[str, dict[str, Sequence[str]]] = {"": {}}
+        for node, topics in sources.items():
+            near = self._book.endpoint(node, self.machine).startswith("ipc://")
+            groups.setdefault("" if near else self._book.machine_of(node), {})[node] = topics
+        return [self._reader(plan, _LOOP_SILENCE_MS) for plan in groups.values()]
+
+    def attend(self) -> list[Notice]:
+        """Answer who knocks, note what became of connections, and look whether the list of keys has changed."""
+        # each side in its turn, and none left out because another one has more to do
+        self.restless = any([side.attend() for side in self._sides])
+        notices = self._look()
+        for side in self._sides:
+            notices += side.take_notices()
+        return notices
+
+    def close(self) -> None:
+        """Close what is not closed with the publishers and subscribers."""
+        for socket in (socket for side in self._sides for socket in side.sockets):
+            socket.close()
+
+    def _reader(self, plan: Mapping[str, Sequence[str]], silence_ms: int) -> Subscriber:
+        endpoints = {node: self._book.connect_endpoint(node, self.machine) for node in plan}
+        by_endpoint = {endpoints[node]: topics for node, topics in plan.items()}
+        if not any(endpoint.startswith("tcp://") for endpoint in by_endpoint):
+            return Subscriber(self._context, self._clock, by_endpoint)
+        subscriber = Subscriber(self._context, self._clock, by_endpoint, connect=False)
+        _set_network_options(subscriber.socket, silence_ms, *by_endpoint)
+        machine = self._book.machine_of(next(iter(plan)))
+        lines = Lines(machine, endpoints, subscriber, self._clock, self.trust, self._refusals)
+        self._lines.append(lines)
+        self._sides.append(lines)
+        return subscriber
+
+    def _look(self) -> list[Notice]:
+        now = self._clock.monotonic_ns()
+        if now < self._look_ns:
+            return []
+        self._look_ns = now + _LOOK_NS
+        notices = []
+        try:
+            if self.trust.reload():
+                for side in self._sides:
+                    side.review()
+        except ConfigError as error:
+            notices.append(Notice("error", f"the list of keys stays as it was: {error}", {}))
+        for line in self._lines:
+            line.look(now)
+        return notices
+
+
+def _set_network_options(socket: "zmq.Socket[bytes]", silence_ms: int, *endpoints: str) -> None:
+    if any("[" in endpoint for endpoint in endpoints):
+        socket.set(zmq.IPV6, 1)
+    socket.set(zmq.HEARTBEAT_IVL, silence_ms // _HEARTBEATS)
+    socket.set(zmq.HEARTBEAT_TIMEOUT, silence_ms)
+    socket.set(zmq.HANDSHAKE_IVL, _HANDSHAKE_MS)
+    socket.set(zmq.CONNECT_TIMEOUT, _CONNECT_MS)
+    socket.set(zmq.RECONNECT_IVL, _RECONNECT_MS)
+    socket.set(zmq.RECONNECT_IVL_MAX, _RECONNECT_MOST_MS)

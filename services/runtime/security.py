@@ -1,0 +1,243 @@
+"""Who may speak to this machine: its own CURVE keys, and the list of those of others with what each may do.
+
+A machine has one key pair for all its nodes, named after the machine in the site file. Keys and list are in one folder
+that only its owner can read.
+"""
+
+import os
+import re
+import struct
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Literal, NamedTuple, Self
+
+import yaml
+import zmq.auth
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+from zmq.utils import z85
+
+from services.runtime.config import read_yaml, validate
+from services.runtime.errors import ConfigError
+from services.runtime.site import MACHINE_PATTERN
+
+KEYS_DIRECTORY_VARIABLE = "TELENANO_KEYS_DIR"
+MACHINE_VARIABLE = "TELENANO_MACHINE"
+ALLOWED_NAME = "allowed.yaml"
+_SECRET_SUFFIX = ".key_secret"
+_OTHERS = 0o077
+
+Role = Literal["data", "control", "observe"]
+ROLES: tuple[Role, ...] = ("data", "control", "observe")
+_KEY_LENGTH = 40
+
+
+def _check_key(text: str) -> str:
+    try:
+        valid = len(text) == _KEY_LENGTH and bool(z85.decode(text))
+    # what the decoder says of letters, and of numbers, that Z85 does not have
+    except (KeyError, ValueError, struct.error):
+        valid = False
+    if not valid:
+        raise ValueError(f"is no public key, which has {_KEY_LENGTH} characters of Z85 (`telenano keys show`)")
+    return text
+
+
+PublicKey = Annotated[str, AfterValidator(_check_key)]
+
+
+class KeyPair(NamedTuple):
+    """A CURVE key pair as Z85 text."""
+
+    public: bytes
+    secret: bytes
+
+
+class AllowedKey(BaseModel):
+    """A key of another machine and what it may do here; every key listed and not revoked may observe."""
+
+    model_config = ConfigDict(frozen=True, strict=True, extra="forbid")
+
+    name: Annotated[str, Field(pattern=MACHINE_PATTERN)] = Field(description="Machine that the key belongs to")
+    public_key: PublicKey = Field(description="Its public key, 40 characters of Z85")
+    roles: tuple[Role, ...] = Field(
+        min_length=1, description="data: its measurements and references are taken; control: its commands; observe"
+    )
+    revoked: bool = Field(default=False, description="The key is refused for ever")
+
+
+class AllowList(BaseModel):
+    """The keys that are known at this machine."""
+
+    model_config = ConfigDict(frozen=True, strict=True, extra="forbid")
+
+    keys: tuple[AllowedKey, ...] = Field(default=(), description="One entry a key")
+
+    @model_validator(mode="after")
+    def _check_unique(self) -> Self:
+        valid = [key.name for key in self.keys if not key.revoked]
+        for values, what in ((valid, "name"), ([key.public_key for key in self.keys], "public_key")):
+            twice = next((value for value in values if values.count(value) > 1), None)
+            if twice is not None:
+                raise ValueError(f"keys: {what} {twice} is given twice")
+        return self
+
+    def of_machine(self, name: str) -> AllowedKey | None:
+        """Give the valid key of a machine, None if it has none."""
+        return next((key for key in self.keys if key.name == name and not key.revoked), None)
+
+    def of_key(self, public_key: str) -> AllowedKey | None:
+        """Give the entry of a key, revoked or not; None when it is not listed."""
+        return next((key for key in self.keys if key.public_key == public_key), None)
+
+
+def keys_directory() -> Path:
+    """Give the folder of keys: TELENANO_KEYS_DIR, or `telenano/keys` in the user's configuration folder."""
+    named = os.environ.get(KEYS_DIRECTORY_VARIABLE)
+    if named:
+        return Path(named)
+    base = os.environ.get("XDG_CONFIG_HOME")
+    return (Path(base) if base else Path.home() / ".config") / "telenano" / "keys"
+
+
+class Keyring:
+    """The folder of keys of one machine; ConfigError names the file at fault and the command that helps."""
+
+    def __init__(self, folder: Path | None = None) -> None:
+        self.folder = folder or keys_directory()
+        self.allowed_path = self.folder / ALLOWED_NAME
+
+    def names(self) -> list[str]:
+        """Give the names of the key pairs that are here."""
+        try:
+            return sorted(path.name.removesuffix(_SECRET_SUFFIX) for path in self.folder.glob("*" + _SECRET_SUFFIX))
+        except OSError as error:
+            raise ConfigError(f"{self.folder}: cannot be read: {error.strerror}") from error
+
+    def own(self, name: str) -> KeyPair:
+        """Give the key pair of a machine; refused when others can read its file."""
+        path = self.folder / f"{name}{_SECRET_SUFFIX}"
+        hint, again = (f"`telenano keys new {name}{option}` makes one" for option in ("", " --replace"))
+        try:
+            mode = path.stat().st_mode
+            if mode & _OTHERS:
+                raise ConfigError(f"{path}: others can read this secret key (mode {mode & 0o777:o}): chmod 600 {path}")
+            public, secret = zmq.auth.load_certificate(path)
+        except FileNotFoundError as error:
+            raise ConfigError(f"{path}: there is no key for the machine {name}: {hint}") from error
+        except OSError as error:
+            raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
+        except ValueError as error:
+            raise ConfigError(f"{path}: holds no key pair: {again}") from error
+        if secret is None or not _is_key_pair(public, secret):
+            raise ConfigError(f"{path}: holds no valid key pair: {again}")
+        return KeyPair(public, secret)
+
+    def create(self, name: str, *, replace: bool = False) -> KeyPair:
+        """Make a key pair; an existing one is kept unless it is to be replaced."""
+        _check_name(name)
+        path = self.folder / f"{name}{_SECRET_SUFFIX}"
+        if not replace and name in self.names():
+            raise ConfigError(f"{path} exists already: --replace makes a new key, which the other machines must allow")
+        with self._private():
+            zmq.auth.create_certificates(self.folder, name)
+            # on a command line, a key that begins with a dash would be taken for an option
+            while self.own(name).public.startswith(b"-"):
+                zmq.auth.create_certificates(self.folder, name)
+        return self.own(name)
+
+    def allowed(self) -> AllowList:
+        """Give the list of the keys known here; without a file nobody is."""
+        if self.stamp() is None:
+            return AllowList()
+        return validate(AllowList, read_yaml(self.allowed_path), str(self.allowed_path))
+
+    def allow(self, name: str, public_key: str, roles: Sequence[Role]) -> AllowedKey:
+        """Enter a key, or change the roles of one that is there."""
+        _check_name(name)
+        known = self.allowed()
+        entry = validate(
+            AllowedKey, {"name": name, "public_key": public_key, "roles": list(dict.fromkeys(roles))}, f"key of {name}"
+        )
+        listed, holder = known.of_key(public_key), known.of_machine(name)
+        if listed is not None and listed.revoked:
+            raise ConfigError(f"{public_key} was revoked and stays so: make a new key at {name}")
+        if listed is not None and listed.name != name:
+            raise ConfigError(f"{public_key} is allowed already, as {listed.name}")
+        if holder is not None and holder.public_key != public_key:
+            raise ConfigError(f"{name} has another key here: `telenano keys revoke {name}` first")
+        self._write([*(key for key in known.keys if key is not listed), entry])
+        return entry
+
+    def revoke(self, name_or_key: str) -> AllowedKey:
+        """Refuse a key from now on, given by name or by itself; running nodes see it within a second."""
+        known = self.allowed()
+        entry = known.of_machine(name_or_key) or known.of_key(name_or_key)
+        if entry is None:
+            listed = ", ".join(key.name for key in known.keys if not key.revoked) or "none"
+            raise ConfigError(f"{self.allowed_path}: there is no key of {name_or_key}, listed are {listed}")
+        gone = entry.model_copy(update={"revoked": True})
+        self._write([gone if key is entry else key for key in known.keys])
+        return gone
+
+    def stamp(self) -> tuple[int, int] | None:
+        """Give what changes whenever the list does, None while there is no list."""
+        try:
+            found = self.allowed_path.stat()
+        except FileNotFoundError:
+            return None
+        except OSError as error:
+            return error.errno or 0, 0
+        return found.st_mtime_ns, found.st_ino
+
+    def _write(self, keys: Sequence[AllowedKey]) -> None:
+        document = {"keys": [key.model_dump(mode="json") for key in sorted(keys, key=lambda key: key.name)]}
+        # whole or not at all: a running node may read it at any moment
+        new = self.allowed_path.with_suffix(".new")
+        with self._private():
+            new.write_text(yaml.safe_dump(document, sort_keys=False, width=120), encoding="utf-8")
+            new.replace(self.allowed_path)
+
+    @contextmanager
+    def _private(self) -> Iterator[None]:
+        """Have what is made in the block readable by this user alone."""
+        before = os.umask(_OTHERS)
+        try:
+            self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+            yield
+        except OSError as error:
+            raise ConfigError(f"{self.folder}: cannot be written: {error.strerror}") from error
+        finally:
+            os.umask(before)
+
+
+def this_machine(keyring: Keyring) -> str:
+    """Give the machine that this process runs on, for programs that are no node of the site file.
+
+    TELENANO_MACHINE says so; else the machine whose key is here, `master` where there are several or none.
+    """
+    named = os.environ.get(MACHINE_VARIABLE)
+    if named:
+        if not re.fullmatch(MACHINE_PATTERN, named):
+            raise ConfigError(f"environment variable {MACHINE_VARIABLE} is {named!r}, a name such as master is needed")
+        return named
+    names = keyring.names()
+    return names[0] if len(names) == 1 else "master"
+
+
+def key_text(raw: bytes) -> str:
+    """Give a key of 32 bytes as Z85 text."""
+    encoded: bytes = z85.encode(raw)
+    return encoded.decode("ascii")
+
+
+def _check_name(name: str) -> None:
+    if not re.fullmatch(MACHINE_PATTERN, name):
+        raise ConfigError(f"{name!r} is no name of a machine: small letters, digits and _, a letter first, 32 at most")
+
+
+def _is_key_pair(public: bytes, secret: bytes) -> bool:
+    try:
+        return zmq.curve_public(secret) == public
+    except (zmq.ZMQError, ValueError, UnicodeDecodeError):
+        return False

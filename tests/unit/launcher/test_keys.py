@@ -1,0 +1,142 @@
+"""`telenano keys`: what it prints and leaves behind, and what it refuses."""
+
+import json
+from pathlib import Path
+
+import pytest
+import zmq
+from typer.testing import CliRunner
+
+from services.launcher.keys import app
+from services.runtime.security import Keyring
+
+RUNNER = CliRunner()
+KEY, OTHER = (zmq.curve_keypair()[0].decode().replace("-", "0", 1) for _ in range(2))
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("TELENANO_KEYS_DIR", str(tmp_path / "keys"))
+    return tmp_path / "keys"
+
+
+def run(*arguments: str) -> tuple[int, str, str]:
+    result = RUNNER.invoke(app, arguments)
+    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
+    return result.exit_code, result.stdout, result.stderr
+
+
+def document(*arguments: str) -> dict[str, object]:
+    code, out, err = run(*arguments, "--json")
+    assert (code, err) == (0, "")
+    return json.loads(out)
+
+
+def test_a_new_key_is_shown_with_what_to_do_elsewhere_and_its_secret_never(folder: Path) -> None:
+    code, out, err = run("new", "master")
+    pair = Keyring(folder).own("master")
+    assert (code, err) == (0, "")
+    assert out == (
+        f"made the key of master in {folder}; its public half is\n\n  {pair.public.decode()}\n\n"
+        f"On each other machine:  telenano keys allow master '{pair.public.decode()}' --role ...\n"
+    )
+    shown = run("show")[1] + run("show", "--json")[1] + out
+    assert pair.public.decode() in shown
+    assert pair.secret.decode() not in shown
+
+
+def test_a_key_that_is_there_is_replaced_on_demand_alone(folder: Path) -> None:
+    first = document("new", "master")
+    assert first == {"name": "master", "public_key": first["public_key"], "folder": str(folder)}
+    code, out, err = run("new", "master")
+    assert (code, out) == (2, "")
+    assert err.startswith(f"telenano: {folder / 'master.key_secret'} exists already: --replace makes a new key")
+    assert document("new", "master", "--replace")["public_key"] != first["public_key"]
+
+
+def test_the_way_of_two_machines_to_one_another(tmp_path: Path) -> None:
+    folders = {name: str(tmp_path / name) for name in ("master", "slave")}
+    keys = {name: str(document("new", name, "--dir", folders[name])["public_key"]) for name in folders}
+    arguments = ("--role", "data", "--role", "control", "--dir", folders["slave"])
+    code, out, _ = run("allow", "master", keys["master"], *arguments)
+    assert (code, out) == (0, "master is allowed: data, control\n")
+    # a file that was copied serves as well as the text
+    public_file = str(tmp_path / "slave" / "slave.key")
+    entry = document("allow", "slave", public_file, "--role", "data", "--dir", folders["master"])
+    assert entry == {"name": "slave", "public_key": keys["slave"], "roles": ["data"], "revoked": False}
+    assert document("show", "--dir", folders["slave"]) == {
+        "folder": folders["slave"],
+        "own": {"slave": keys["slave"]},
+        "allowed": [{"name": "master", "public_key": keys["master"], "roles": ["data", "control"], "revoked": False}],
+    }
+
+
+def test_a_table_shows_whole_keys_and_how_they_stand(folder: Path) -> None:
+    code, out, _ = run("show")
+    assert (code, out) == (0, f"no key is in {folder}: `telenano keys new NAME`\n")
+    own = document("new", "master")["public_key"]
+    run("allow", "slave", KEY, "--role", "observe", "--role", "data")
+    run("allow", "laptop", OTHER, "--role", "observe")
+    run("revoke", "laptop")
+    rows = [line.split() for line in run("show")[1].splitlines()]
+    for name, key, here in (("master", own, "own"), ("slave", KEY, "observe, data"), ("laptop", OTHER, "revoked")):
+        assert any({name, key, *here.split()} <= set(row) for row in rows), (name, rows)
+
+
+def test_a_role_is_needed_and_one_of_three(folder: Path) -> None:
+    code, _, err = run("allow", "slave", KEY)
+    assert code == 2
+    assert "--role" in err
+    code, _, err = run("allow", "slave", KEY, "--role", "admin")
+    assert code == 2
+    assert "admin" in err
+    assert not folder.exists()
+
+
+@pytest.mark.parametrize("by", ["slave", KEY])
+def test_a_key_is_revoked_for_ever_by_name_or_by_itself(folder: Path, by: str) -> None:
+    run("allow", "slave", KEY, "--role", "data")
+    code, out, _ = run("revoke", by)
+    assert (code, out) == (0, f"the key {KEY} of slave is revoked\n")
+    code, _, err = run("allow", "slave", KEY, "--role", "data")
+    assert code == 2
+    assert err == f"telenano: {KEY} was revoked and stays so: make a new key at slave\n"
+    run("allow", "slave", OTHER, "--role", "data")
+    assert document("revoke", "slave") == {"name": "slave", "public_key": OTHER, "roles": ["data"], "revoked": True}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["new", "Master"], "'Master' is no name of a machine"),
+        (["allow", "slave", "abc", "--role", "data"], "is no public key, which has 40 characters of Z85"),
+        (["allow", "slave", "/nowhere/slave.key", "--role", "data"], "/nowhere/slave.key: holds no public key"),
+        (["revoke", "slave"], "there is no key of slave, listed are none"),
+    ],
+)
+def test_what_is_wrong_is_one_sentence_and_an_exit_code(folder: Path, arguments: list[str], text: str) -> None:
+    code, out, err = run(*arguments)
+    assert (code, out) == (2, "")
+    assert err.startswith("telenano: ")
+    assert text in err
+    assert len(err.splitlines()) == 1
+    code, out, _ = run(*arguments, "--json")
+    assert code == 2
+    assert text in json.loads(out)["error"]
+
+
+def test_a_file_without_a_public_key_is_named(tmp_path: Path, folder: Path) -> None:
+    for content in (b"", b"\xff\xfe", b'public-key = "\xff"\n', b'public-key = "abc"\n'):
+        file = tmp_path / "slave.key"
+        file.write_bytes(content)
+        code, _, err = run("allow", "slave", str(file), "--role", "data")
+        assert code == 2
+        assert "no public key" in err
+
+
+def test_a_damaged_key_is_named_when_keys_are_shown(folder: Path) -> None:
+    run("new", "master")
+    (folder / "master.key_secret").write_text("nothing")
+    code, _, err = run("show")
+    assert code == 2
+    assert f"{folder / 'master.key_secret'}: holds no key pair" in err

@@ -1,0 +1,165 @@
+"""Machines of a rig within one process: a context, a folder of keys and a clock each, real sockets between them."""
+
+import select
+import socket
+import time
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import zmq
+
+from proto import TOPICS, Message, encode
+from proto.contract import examples
+from services.runtime.bus import Notice, Publisher, Received, Subscriber
+from services.runtime.clock import VirtualClock
+from services.runtime.network import Network
+from services.runtime.security import Keyring, Role
+from services.runtime.site import SiteBook
+
+PATIENCE_S = 30.0
+TURN_NS = 20_000_000
+AFM, CONTROLLER, LINK = "afm_node@slave", "controller@slave", "delay_node@slave"
+BOTH: tuple[Role, ...] = ("data", "control")
+# what each node says in every turn
+TOPIC_OF = {AFM: "afm/state", CONTROLLER: "teleop/backward", LINK: "teleop/forward"}
+SOURCE_OF = {LINK: "controller@master"}
+
+
+def free_ports(count: int) -> list[int]:
+    """Give ports that nobody has."""
+    sockets = [socket.socket() for _ in range(count)]
+    for each in sockets:
+        each.bind(("127.0.0.1", 0))
+    ports = [each.getsockname()[1] for each in sockets]
+    for each in sockets:
+        each.close()
+    return ports
+
+
+def two_machine_book(folder: Path, **more: Any) -> SiteBook:
+    """Three nodes that are heard over a network: the link at the master, two at the slave."""
+    hosts = {AFM: "slave", CONTROLLER: "slave", LINK: "master"}
+    nodes = {
+        node: {"local": f"ipc://{folder}/{node}", "network": f"tcp://{{{host}}}:{port}"}
+        for (node, host), port in zip(hosts.items(), free_ports(len(hosts)), strict=True)
+    }
+    document = {"machines": {"master": "127.0.0.1", "slave": "127.0.0.1"}, "nodes": nodes, **more}
+    return SiteBook.model_validate(document)
+
+
+def port_of(book: SiteBook, node: str) -> int:
+    """Give the port of a node."""
+    return int((book.network_endpoint(node) or "").rpartition(":")[2])
+
+
+def payload(topic: str, src: str, seq: int) -> bytes:
+    """Give a message of a topic as it is on the wire."""
+    return encode(_example(topic).model_copy(update={"src": src, "seq": seq}))
+
+
+@cache
+def _example(topic: str) -> Message:
+    return examples(TOPICS[topic])["ordinary"]
+
+
+class Machine:
+    """One machine, whose clock advances by 20 ms a turn."""
+
+    def __init__(self, name: str, book: SiteBook, folder: Path) -> None:
+        self.name = name
+        self.book = book
+        self.ring = Keyring(folder / name)
+        self.clock = VirtualClock(start_ns=10**9, epoch_offset_ns=10**18)
+        self.notices: list[Notice] = []
+        self.received: list[Received] = []
+        self.publishers: dict[str, Publisher] = {}
+        self.subscribers: list[Subscriber] = []
+        self.sent = 0
+        if book.locked:
+            self.ring.create(name)
+
+    @property
+    def key(self) -> str:
+        return self.ring.own(self.name).public.decode()
+
+    def knows(self, other: "Machine", roles: Sequence[Role] = BOTH) -> None:
+        """Allow the key of another machine."""
+        self.ring.allow(other.name, other.key, roles)
+
+    def open(self) -> "Machine":
+        self.context = zmq.Context[zmq.Socket[bytes]]()
+        self.network = Network(self.context, self.clock, self.book, self.name, self.ring)
+        return self
+
+    def speaks(self, *nodes: str) -> "Machine":
+        self.publishers |= {node: self.network.publisher(node) for node in nodes}
+        return self
+
+    def hears(self, sources: Mapping[str, Sequence[str]] | None = None, *, apart: bool = False) -> "Machine":
+        plan = sources or {AFM: ["afm/state"], CONTROLLER: ["teleop/backward"]}
+        self.subscribers += self.network.subscribers(plan, apart=apart)
+        return self
+
+    def turn(self) -> None:
+        """Say one message at each publisher, look after the network and take what has come."""
+        self.clock.advance_ns(TURN_NS)
+        for node, publisher in self.publishers.items():
+            topic = TOPIC_OF.get(node, "session/event")
+            publisher.send(topic, payload(topic, SOURCE_OF.get(node, node), self.sent))
+        self.sent += 1
+        self.notices += self.network.attend()
+        for subscriber in self.subscribers:
+            self.received += subscriber.receive()
+
+    def heard_from(self, src: str) -> int:
+        """Give how many messages of a source have been heard."""
+        return sum(received.message.src == src for received in self.received)
+
+    def texts(self, connection: str, peer: str | None = None) -> list[str]:
+        """Give what was told of a kind of event on connections."""
+        return [
+            n.text for n in self.notices if n.data.get("connection") == connection and peer in (None, n.data["peer"])
+        ]
+
+    def close(self) -> None:
+        """Close as a node does."""
+        for each in (*self.subscribers, *self.publishers.values()):
+            each.close()
+        self.subscribers.clear()
+        self.publishers.clear()
+        self.network.close()
+        self.context.term()
+
+
+def turns(count: int, *machines: Machine) -> None:
+    """Let machines run for a number of turns, at least 1 ms each."""
+    for _ in range(count):
+        for machine in machines:
+            machine.turn()
+        _pause(machines)
+
+
+def until(condition: Callable[[], object], *machines: Machine) -> None:
+    """Let machines run until a condition holds."""
+    end = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < end, [
+            (machine.name, machine.notices, machine.network.rejected) for machine in machines
+        ]
+        for machine in machines:
+            machine.turn()
+        _pause(machines)
+
+
+def hears_more(machine: Machine, src: str, count: int = 5) -> Callable[[], bool]:
+    """Give the condition that a machine hears more of a source than it has so far."""
+    before = machine.heard_from(src)
+    return lambda: machine.heard_from(src) >= before + count
+
+
+def _pause(machines: Sequence[Machine]) -> None:
+    descriptors = [descriptor for machine in machines for descriptor in machine.network.descriptors]
+    descriptors += [subscriber.descriptor for machine in machines for subscriber in machine.subscribers]
+    select.select(descriptors, (), (), 0.001)

@@ -1,0 +1,1104 @@
+"""Two machines over CURVE: who is heard, who is refused and how that is told, and what comes back by itself."""
+
+import contextlib
+import os
+import select
+import socket
+import struct
+import threading
+import time
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, ClassVar
+
+import pytest
+import zmq
+from network_bench import (
+    AFM,
+    CONTROLLER,
+    LINK,
+    PATIENCE_S,
+    Machine,
+    free_ports,
+    hears_more,
+    payload,
+    port_of,
+    turns,
+    two_machine_book,
+    until,
+)
+
+from proto import WireError
+from services.runtime import doors, lines, monitor, network
+from services.runtime.bus import Publisher, Subscriber, ZmqBus
+from services.runtime.clock import SystemClock, VirtualClock
+from services.runtime.doors import Door
+from services.runtime.errors import ConfigError, EndpointError
+from services.runtime.lines import Rights
+from services.runtime.monitor import FAILURES, PROTOCOL_FAILED, Monitor
+from services.runtime.network import Network
+from services.runtime.security import Keyring
+from services.runtime.site import SiteBook
+
+OPERATOR = "controller@master"
+
+
+@pytest.fixture(autouse=True)
+def _no_address_of_this_machine(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("TELENANO_HOST_MASTER", "TELENANO_HOST_SLAVE", "TELENANO_BIND_ADDRESS"):
+        monkeypatch.delenv(name, raising=False)
+
+
+@pytest.fixture
+def world(tmp_path: Path) -> Iterator[Callable[..., list[Machine]]]:
+    """Make machines, master and slave and more by name, that know one another unless told otherwise."""
+    made: list[Machine] = []
+
+    def make(*names: str, book: SiteBook | None = None, strangers: bool = False) -> list[Machine]:
+        book = book or two_machine_book(tmp_path)
+        machines = [Machine(name, book, tmp_path) for name in names or ("master", "slave")]
+        for one in machines:
+            for other in machines:
+                if one is not other and book.locked and not strangers:
+                    one.knows(other)
+        made.extend(machines)
+        return machines
+
+    yield make
+    for machine in made:
+        if hasattr(machine, "network"):
+            machine.close()
+
+
+@contextlib.contextmanager
+def raw_connection(book: SiteBook, node: str = AFM) -> Iterator[socket.socket]:
+    with socket.create_connection(("127.0.0.1", port_of(book, node)), timeout=PATIENCE_S) as raw:
+        yield raw
+
+
+def is_closed(raw: socket.socket) -> bool:
+    """Say whether the other end has closed a connection, without waiting."""
+    raw.setblocking(False)
+    try:
+        return raw.recv(4096) == b""
+    except BlockingIOError:
+        return False
+    except ConnectionError:
+        return True
+
+
+# --- who is heard ---
+
+
+def test_listed_machines_hear_one_another(world: Callable[..., list[Machine]]) -> None:
+    master, slave = world()
+    master.open().speaks(LINK).hears()
+    slave.open().speaks(AFM, CONTROLLER).hears({LINK: ["teleop/forward"]})
+    until(
+        lambda: master.heard_from(AFM) and master.heard_from(CONTROLLER) and slave.heard_from(OPERATOR), master, slave
+    )
+    endpoint = master.book.network_endpoint(AFM)
+    (up,) = [notice for notice in master.notices if notice.data.get("peer") == AFM]
+    assert (up.level, up.text) == ("info", f"{AFM} is connected ({endpoint})")
+    assert up.data == {"peer": AFM, "endpoint": endpoint, "connection": "up", "gone_s": up.data["gone_s"]}
+    assert (master.network.rejected, master.network.last_error) == (slave.network.rejected, "") == ({}, "")
+    assert [subscriber.rejected for subscriber in master.subscribers] == [{}, {}]
+
+
+def test_one_socket_is_plain_nearby_and_locked_afar(world: Callable[..., list[Machine]]) -> None:
+    master, slave = world()
+    slave.open().speaks(AFM).hears({AFM: ["afm/state"]})
+    master.open().hears({AFM: ["afm/state"]})
+    # a program that knows nothing of keys
+    plain = master.context.socket(zmq.SUB)
+    plain.subscribe(b"")
+    plain.connect(slave.book.local_endpoint(AFM))
+    try:
+        until(lambda: slave.heard_from(AFM) and master.heard_from(AFM) and plain.poll(0), master, slave)
+    finally:
+        plain.close()
+    assert slave.publishers[AFM].socket.get(zmq.MECHANISM) == zmq.CURVE
+    assert slave.subscribers[0].socket.get(zmq.MECHANISM) == zmq.NULL
+    assert slave.network.rejected == {}
+
+
+def test_nodes_with_a_port_alone_are_locked_on_their_own_machine_too(world: Callable[..., list[Machine]]) -> None:
+    (port,) = free_ports(1)
+    (slave,) = world("slave", book=SiteBook.model_validate({"nodes": {AFM: f"tcp://127.0.0.1:{port}"}}))
+    slave.open().speaks(AFM).hears({AFM: ["afm/state"]})
+    until(lambda: slave.heard_from(AFM), slave)
+    assert slave.publishers[AFM].socket.get(zmq.MECHANISM) == zmq.CURVE
+    # what is said here is believed here, whatever the list says
+    assert slave.ring.allowed().keys == ()
+
+
+def test_readers_are_one_to_a_machine_or_one_to_a_node(world: Callable[..., list[Machine]]) -> None:
+    master, _ = world()
+    plan = {AFM: ["afm/state"], LINK: ["teleop/forward"], CONTROLLER: ["teleop/backward"]}
+    master.open().hears(plan)
+    assert [subscriber.topics for subscriber in master.subscribers] == [
+        ["teleop/forward"],
+        ["afm/state", "teleop/backward"],
+    ]
+    master.hears(plan, apart=True)
+    assert [subscriber.topics for subscriber in master.subscribers[2:]] == list(plan.values())
+
+
+@pytest.mark.parametrize("host", ["localhost", "[::1]"])
+def test_an_address_may_be_a_name_or_of_ipv6(world: Callable[..., list[Machine]], tmp_path: Path, host: str) -> None:
+    if host == "[::1]" and not _has_ipv6():
+        pytest.skip("this machine has no IPv6 on its loopback interface")
+    hosts = {"master": host, "slave": host}
+    master, slave = world(book=two_machine_book(tmp_path, machines=hosts))
+    slave.open().speaks(AFM)
+    master.open().hears({AFM: ["afm/state"]})
+    until(hears_more(master, AFM), master, slave)
+    until(lambda: master.texts("up"), master, slave)
+    slave.close()
+    until(lambda: master.texts("down"), master)
+    slave.open().speaks(AFM)
+    until(lambda: len(master.texts("up")) == 2, master, slave)
+
+
+def test_a_name_that_is_known_to_the_library_alone_is_followed_too(
+    world: Callable[..., list[Machine]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(SiteBook, "connect_endpoint", SiteBook.endpoint)
+    master, slave = world(book=two_machine_book(tmp_path, machines={"master": "localhost", "slave": "localhost"}))
+    slave.open().speaks(AFM, CONTROLLER)
+    master.open().hears()
+    until(lambda: master.texts("up", AFM) and master.texts("up", CONTROLLER), master, slave)
+    slave.close()
+    until(lambda: master.texts("down", AFM) and master.texts("down", CONTROLLER), master)
+    slave.open().speaks(AFM, CONTROLLER)
+    until(lambda: len(master.texts("up")) == 4, master, slave)
+    assert len(master.texts("up", AFM)) == 2
+    slave.ring.revoke("master")
+    until(lambda: master.texts("refused", AFM), master, slave)
+
+
+def _has_ipv6() -> bool:
+    try:
+        with socket.socket(socket.AF_INET6) as found:
+            found.bind(("::1", 0))
+    except OSError:
+        return False
+    return True
+
+
+def test_without_a_network_there_is_nothing_to_look_after(tmp_path: Path) -> None:
+    book = SiteBook(nodes={node: f"ipc://{tmp_path}/{node}" for node in (AFM, CONTROLLER)})
+    with zmq.Context() as context:
+        # no key is needed, and the folder of keys not even looked for
+        quiet = Network(context, VirtualClock(), book, "slave", Keyring(tmp_path / "none"))
+        publisher = quiet.publisher(AFM)
+        subscribers = quiet.subscribers({AFM: ["afm/state"], CONTROLLER: ["teleop/backward"]})
+        assert (list(quiet.descriptors), len(subscribers)) == ([], 1)
+        assert publisher.socket.get(zmq.HEARTBEAT_IVL) == 0
+        bus = ZmqBus(publisher, subscribers, SystemClock(), -1, quiet)
+        assert (bus.attend(), bus.attend(now=True), bus.rejections()) == ((), (), ({}, ""))
+        assert quiet.attend() == []
+        bus.close()
+
+
+def test_plain_tcp_is_heard_where_locks_are_waived(world: Callable[..., list[Machine]], tmp_path: Path) -> None:
+    master, slave = world(book=two_machine_book(tmp_path, insecure=True))
+    slave.open().speaks(AFM, CONTROLLER)
+    master.open().hears()
+    until(lambda: master.heard_from(AFM) and master.heard_from(CONTROLLER), master, slave)
+    until(lambda: len(master.texts("up")) == 2, master, slave)
+    assert slave.publishers[AFM].socket.get(zmq.MECHANISM) == zmq.NULL
+    assert not master.ring.folder.exists()
+    with raw_connection(slave.book) as raw:
+        raw.sendall(zmtp_greeting(b"PLAIN"))
+        until(lambda: slave.network.rejected == {"handshake": 1}, slave)
+    slave.close()
+    until(lambda: len(master.texts("down")) == 2, master)
+
+
+def test_a_machine_without_a_key_cannot_take_part(world: Callable[..., list[Machine]]) -> None:
+    master, _ = world()
+    (master.ring.folder / "master.key_secret").unlink()
+    with zmq.Context() as context, pytest.raises(ConfigError, match="`telenano keys new master` makes one"):
+        Network(context, master.clock, master.book, "master", master.ring)
+
+
+def test_what_cannot_be_bound_is_named(world: Callable[..., list[Machine]], tmp_path: Path) -> None:
+    (_, slave) = world()
+    slave.open()
+    with pytest.raises(EndpointError, match="viz_node@slave is not in the site file, it has afm_node@slave"):
+        slave.network.publisher("viz_node@slave")
+    with socket.socket() as holder:
+        holder.bind(("127.0.0.1", port_of(slave.book, AFM)))
+        holder.listen()
+        with pytest.raises(
+            EndpointError, match=r"afm_node@slave cannot bind tcp://127\.0\.0\.1:\d+: another process has"
+        ):
+            slave.network.publisher(AFM)
+    # neither the socket nor its place nearby is kept
+    slave.speaks(AFM)
+
+
+# --- who is refused ---
+
+
+def test_an_unlisted_machine_is_refused_told_and_let_in_once_it_is_listed(world: Callable[..., list[Machine]]) -> None:
+    master, slave, laptop = world("master", "slave", "laptop", strangers=True)
+    master.knows(slave)
+    laptop.knows(slave)
+    slave.knows(laptop, ["observe"])
+    slave.open().speaks(AFM)
+    master.open().hears({AFM: ["afm/state"]})
+    laptop.open().hears({AFM: ["afm/state"]})
+    until(lambda: master.texts("refused") and laptop.heard_from(AFM), master, slave, laptop)
+    endpoint = slave.book.network_endpoint(AFM)
+    assert master.texts("refused") == [
+        f"slave refuses the key of master at {AFM} ({endpoint}): there, "
+        f"`telenano keys allow master '{master.key}' --role ...`"
+    ]
+    assert slave.network.rejected == {"unlisted": 1}
+    assert slave.network.last_error == f"somebody (127.0.0.1) at {AFM}: the key {master.key} is not in the list"
+    # it goes on asking, is told so once, and nobody else hears less
+    until(lambda: slave.network.rejected["unlisted"] >= 3, master, slave, laptop)
+    until(hears_more(laptop, AFM), master, slave, laptop)
+    assert len(master.texts("refused")) == 1
+    assert master.network.rejected == {"handshake": slave.network.rejected["unlisted"]}
+    assert master.network.last_error == f"{AFM} at {endpoint}: the key was refused"
+    assert (master.heard_from(AFM), master.texts("up")) == (0, [])
+    assert laptop.network.rejected == {}
+    slave.knows(master, ["observe"])
+    until(hears_more(master, AFM), master, slave, laptop)
+    assert master.texts("up") == [f"{AFM} is connected ({endpoint})"]
+
+
+def test_a_revoked_key_is_refused_by_name(world: Callable[..., list[Machine]]) -> None:
+    master, slave = world()
+    slave.ring.revoke("master")
+    slave.open().speaks(AFM, CONTROLLER)
+    master.open().hears()
+    until(lambda: master.texts("refused", AFM) and master.texts("refused", CONTROLLER), master, slave)
+    assert slave.network.rejected["revoked"] >= 2
+    assert set(slave.network.rejected) == {"revoked"}
+    assert f"master (127.0.0.1) at {CONTROLLER}: the key {master.key} was revoked" in (
+        slave.network.last_error,
+        slave.network.last_error.replace(AFM, CONTROLLER),
+    )
+    assert master.received == []
+
+
+def test_another_key_of_the_server_than_the_listed_one_is_no_connection_until_the_new_one_is_listed(
+    world: Callable[..., list[Machine]],
+) -> None:
+    master, slave, laptop = world("master", "slave", "laptop")
+    slave.ring.create("slave", replace=True)
+    laptop.ring.revoke("slave")
+    laptop.knows(slave)
+    slave.open().speaks(AFM)
+    master.open().hears({AFM: ["afm/state"]})
+    laptop.open().hears({AFM: ["afm/state"]})
+    until(lambda: master.texts("refused") and laptop.heard_from(AFM), master, slave, laptop)
+    endpoint = slave.book.network_endpoint(AFM)
+    assert master.texts("refused") == [
+        f"{AFM} ({endpoint}) does not agree on keys: is that of slave in {master.ring.allowed_path} the one it has, "
+        f"and is {endpoint} really slave?"
+    ]
+    assert set(slave.network.rejected) == {"handshake"}
+    assert slave.network.last_error.startswith(f"somebody at {AFM}: ")
+    assert set(master.network.rejected) == {"handshake"}
+    # both in one go, as a script would
+    master.ring.revoke("slave")
+    master.knows(slave)
+    until(hears_more(master, AFM), master, slave, laptop)
+
+
+def test_a_new_key_of_the_server_ends_what_the_old_one_began(world: Callable[..., list[Machine]]) -> None:
+    master, slave = world()
+    slave.open().speaks(AFM)
+    master.open().hears({AFM: ["afm/state"]})
+    until(hears_more(master, AFM), master, slave)
+    until(lambda: master.texts("up"), master, slave)
+    old = slave.key
+    slave.ring.create("slave", replace=True)
+    master.ring.revoke("slave")
+    master.knows(slave)
+    # the process over there has the old key, which is no longer believed here
+    until(lambda: master.texts("down"), master, slave)
+    endpoint = slave.book.network_endpoint(AFM)
+    assert master.texts("down") == [
+        f"the connection to {AFM} ({endpoint}) was closed: the key of slave that it had is no longer allowed"
+    ]
+    before = master.heard_from(AFM)
+    until(lambda: master.network.rejected.get("handshake", 0) >= 3, master, slave)
+    assert (master.heard_from(AFM), slave.key != old) == (before, True)
+    slave.close()
+    slave.open().speaks(AFM)
+    until(hears_more(master, AFM), master, slave)
+
+
+def test_a_server_without_a_listed_key_is_not_connected_to_until_it_has_one(
+    world: Callable[..., list[Machine]],
+) -> None:
+    master, slave = world(strangers=True)
+    slave.knows(master)
+    slave.open().speaks(AFM)
+    master.open().hears({AFM: ["afm/state"]})
+    until(lambda: master.texts("unreached"), master, slave)
+    assert master.texts("unreached") == [
+        f"{AFM} is not listened to, no valid key of slave is in {master.ring.allowed_path}: "
+        "`telenano keys allow slave KEY --role data`"
+    ]
+    assert (master.network.rejected, slave.network.rejected, master.received) == ({}, {}, [])
+    master.knows(slave)
+    until(hears_more(master, AFM), master, slave)
+
+
+def test_a_plain_peer_hears_nothing(world: Callable[..., list[Machine]]) -> None:
+    master, slave = world()
+    slave.open().speaks(AFM)
+    master.open().hears({AFM: ["afm/state"]})
+    until(hears_more(master, AFM), master, slave)
+    plain = master.context.socket(zmq.SUB)
+    plain.subscribe(b"")
+    plain.connect(slave.book.network_endpoint(AFM))
+    try:
+        until(lambda: slave.network.rejected.get("handshake"), master, slave)
+        until(hears_more(master, AFM), master, slave)
+        assert not plain.poll(0)
+    finally:
+        plain.close()
+    assert slave.network.last_error.startswith(f"somebody at {AFM}: ")
+    assert set(slave.network.rejected) == {"handshake"}
+
+
+def zmtp_greeting(mechanism: bytes) -> bytes:
+    return b"\xff" + bytes(8) + b"\x7f\x03\x01" + mechanism.ljust(20, b"\0") + b"\0" + bytes(31)
+
+
+@pytest.mark.parametrize(
+    ("said", "counted"),
+    [
+        pytest.param(zmtp_greeting(b"NULL"), True, id="plain"),
+        pytest.param(zmtp_greeting(b"PLAIN"), True, id="password"),
+        pytest.param(zmtp_greeting(b"CURVE") + b"\x00\x05hello", True, id="message before handshake"),
+        pytest.param(zmtp_greeting(b"CURVE") + b"\x04\xc8\x05HELLO" + bytes(194), True, id="empty handshake"),
+        # libzmq closes these too, but says nothing of it that could be told from a peer that leaves
+        pytest.param(b"GET / HTTP/1.1\r\nHost: afm\r\n\r\n" * 8, False, id="web"),
+        pytest.param(bytes(range(256)) * 16, False, id="noise"),
+        pytest.param(zmtp_greeting(b"CURVE") + b"\x02" + struct.pack(">Q", 2**62), False, id="endless message"),
+        pytest.param(zmtp_greeting(b"CURVE") + b"\x06" + struct.pack(">Q", 2**62), False, id="endless command"),
+    ],
+)
+def test_garbage_on_the_port_is_refused_and_disturbs_nobody(
+    world: Callable[..., list[Machine]], said: bytes, counted: bool
+) -> None:
+    master, slave = world()
+    slave.open().speaks(AFM)
+    master.open().hears({AFM: ["afm/state"]})
+    until(hears_more(master, AFM), master, slave)
+    with raw_connection(slave.book) as raw:
+        raw.sendall(said)
+        until(lambda: is_closed(raw), master, slave)
+    until(hears_more(master, AFM), master, slave)
+    assert not master.texts("down")
+    if counted:
+        until(lambda: slave.network.rejected == {"handshake": 1}, master, slave)
+        assert slave.network.last_error.startswith(f"somebody at {AFM}: ")
+
+
+def test_connections_without_a_word_are_closed_and_disturb_nobody(
+    world: Callable[..., list[Machine]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(network, "_HANDSHAKE_MS", 300)
+    master, slave = world()
+    slave.open().speaks(AFM)
+    master.open().hears({AFM: ["afm/state"]})
+    until(hears_more(master, AFM), master, slave)
+    with contextlib.ExitStack() as stack:
+        silent = [stack.enter_context(raw_connection(slave.book)) for _ in range(100)]
+        until(hears_more(master, AFM, 20), master, slave)
+        until(lambda: slave.network.rejected == {"handshake": 100}, master, slave)
+        until(lambda: all(is_closed(raw) for raw in silent), master, slave)
+    assert not master.texts("down")
+    assert "it took too long" in slave.network.last_error
+
+
+def test_a_frame_that_no_subscription_needs_closes_the_connection_of_its_sender_alone(
+    world: Callable[..., list[Machine]],
+) -> None:
+    master, slave, laptop = world("master", "slave", "laptop")
+    slave.open().speaks(AFM)
+    master.open().hears({AFM: ["afm/state"]})
+    laptop.open()
+    until(hears_more(master, AFM), master, slave)
+    sender = laptop.context.socket(zmq.XSUB)
+    sender.set(zmq.LINGER, 0)
+    own = laptop.ring.own("laptop")
+    sender.set(zmq.CURVE_PUBLICKEY, own.public)
+    sender.set(zmq.CURVE_SECRETKEY, own.secret)
+    sender.set(zmq.CURVE_SERVERKEY, slave.key.encode())
+    watch = sender.get_monitor_socket(zmq.EVENT_DISCONNECTED)
+    sender.connect(slave.book.network_endpoint(AFM))
+    try:
+        sender.send(b"\x01afm/state")
+        until(lambda: sender.poll(0), master, slave)
+        sender.send(b"\x01" + bytes(10_000))
+        until(lambda: watch.poll(0), master, slave)
+    finally:
+        sender.close()
+        watch.close()
+    until(hears_more(master, AFM), master, slave)
+    assert not master.texts("down")
+
+
+def test_a_message_that_nobody_may_send_closes_the_connection_of_its_sender_alone(
+    world: Callable[..., list[Machine]],
+) -> None:
+    master, slave = world()
+    slave.open().speaks(AFM, CONTROLLER)
+    master.open().hears()
+    until(lambda: master.heard_from(AFM) and master.heard_from(CONTROLLER), master, slave)
+    until(lambda: len(master.texts("up")) == 2, master, slave)
+    slave.publishers[AFM].send("afm/state", bytes(17 << 20))
+    until(lambda: master.texts("down"), master, slave)
+    assert set(notice.data["peer"] for notice in master.notices if notice.data["connection"] == "down") == {AFM}
+    until(lambda: len(master.texts("up", AFM)) == 2, master, slave)
+    until(hears_more(master, CONTROLLER), master, slave)
+    until(hears_more(master, AFM), master, slave)
+    tracker = master.subscribers[-1].tracker("teleop/backward", CONTROLLER)
+    assert tracker.lost == 0
+
+
+def test_nobody_is_let_in_while_nobody_is_at_the_post(
+    world: Callable[..., list[Machine]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(network, "_HANDSHAKE_MS", 300)
+    master, slave = world()
+    slave.open().speaks(AFM)
+    slave.network.close()
+    master.open().hears({AFM: ["afm/state"]})
+    end = time.monotonic() + PATIENCE_S
+    while not master.network.rejected.get("handshake"):
+        assert time.monotonic() < end
+        slave.publishers[AFM].send("afm/state", payload("afm/state", AFM, 0))
+        master.turn()
+    assert (master.received, master.texts("up")) == ([], [])
+
+
+# --- who is no longer welcome ---
+
+
+@pytest.mark.parametrize("bind", ["127.0.0.1", "0.0.0.0", "[::]"])
+def test_a_key_revoked_while_it_is_connected_is_cut_off_and_the_others_come_back(
+    world: Callable[..., list[Machine]], tmp_path: Path, bind: str
+) -> None:
+    if bind == "[::]" and not _has_ipv6():
+        pytest.skip("this machine has no IPv6 on its loopback interface")
+    book = two_machine_book(tmp_path, bind={"slave": bind})
+    master, slave, laptop = world("master", "slave", "laptop", book=book)
+    # nearby, a program that nothing of this may disturb
+    slave.open().speaks(AFM).hears({AFM: ["afm/state"]})
+    master.open().hears({AFM: ["afm/state"]})
+    laptop.open().hears({AFM: ["afm/state"]})
+    everybody = (master, slave, laptop)
+    until(lambda: all(machine.heard_from(AFM) for machine in everybody), *everybody)
+    until(lambda: laptop.texts("up") and master.texts("up"), *everybody)
+    slave.ring.revoke("laptop")
+    until(lambda: laptop.texts("down") and master.texts("down"), *everybody)
+    (notice,) = slave.notices
+    endpoint = slave.book.bind_endpoint(AFM)
+    assert (notice.level, notice.text) == (
+        "warning",
+        f"the key of laptop is no longer allowed: all network connections at {AFM} were closed",
+    )
+    assert notice.data == {"endpoint": endpoint, "connection": "revoked"}
+    cut = laptop.heard_from(AFM)
+    until(hears_more(master, AFM), *everybody)
+    until(lambda: laptop.texts("refused"), *everybody)
+    assert (laptop.heard_from(AFM), len(master.texts("up"))) == (cut, 2)
+    assert set(slave.network.rejected) == {"revoked"}
+    assert slave.subscribers[0].tracker("afm/state", AFM).lost == 0
+    assert len(slave.notices) == 1
+
+
+def test_a_revocation_is_seen_at_the_next_look_which_every_report_is(world: Callable[..., list[Machine]]) -> None:
+    master, slave = world()
+    slave.open().speaks(AFM)
+    master.open().hears({AFM: ["afm/state"]})
+    until(hears_more(master, AFM), master, slave)
+    slave.clock.advance_ns(network._LOOK_NS)
+    assert slave.network.attend() == []
+    slave.ring.revoke("master")
+    slave.clock.advance_ns(network._LOOK_NS - 1)
+    assert slave.network.attend() == []
+    slave.clock.advance_ns(1)
+    assert [notice.data["connection"] for notice in slave.network.attend()] == ["revoked"]
+    # health is reported twice a second, and looks each time
+    assert network._LOOK_NS < 500_000_000
+    until(lambda: master.texts("down"), master, slave)
+
+
+def test_a_key_taken_off_the_list_is_cut_off_too(world: Callable[..., list[Machine]]) -> None:
+    master, slave = world()
+    slave.open().speaks(AFM)
+    master.open().hears({AFM: ["afm/state"]})
+    until(hears_more(master, AFM), master, slave)
+    slave.ring.allowed_path.write_text("keys: []\n")
+    until(lambda: master.texts("refused"), master, slave)
+    assert slave.notices[0].text.startswith("the key of a machine taken off the list is no longer allowed: ")
+    assert set(slave.network.rejected) == {"unlisted"}
+
+
+def test_a_change_that_concerns_nobody_here_disturbs_nobody(world: Callable[..., list[Machine]]) -> None:
+    master, slave = world()
+    slave.open().speaks(AFM)
+    master.open().hears({AFM: ["afm/state"]})
+    until(lambda: master.texts("up"), master, slave)
+    for ring in (slave.ring, master.ring):
+        ring.allow("laptop", zmq.curve_keypair()[0].decode(), ["observe"])
+        ring.revoke("laptop")
+    slave.knows(master, ["observe"])
+    turns(60, master, slave)
+    assert (slave.notices, len(master.notices)) == ([], 1)
+
+
+def test_a_machine_that_revokes_the_key_of_another_stops_listening_to_it(world: Callable[..., list[Machine]]) -> None:
+    master, slave = world()
+    slave.open().speaks(AFM, CONTROLLER)
+    master.open().hears()
+    until(lambda: len(master.texts("up")) == 2, master, slave)
+    master.ring.revoke("slave")
+    until(lambda: len(master.texts("down")) == 2, master, slave)
+    assert all(text.endswith("the key of slave that it had is no longer allowed") for text in master.texts("down"))
+    heard = len(master.received)
+    until(lambda: len(master.texts("unreached")) == 2, master, slave)
+    assert (len(master.received), master.subscribers[-1].rejected) == (heard, {})
+    assert all("no valid key of slave is in" in text for text in master.texts("unreached"))
+
+
+def test_a_list_that_breaks_is_told_once_and_changes_nothing(world: Callable[..., list[Machine]]) -> None:
+    master, slave = world()
+    slave.open().speaks(AFM)
+    master.open().hears({AFM: ["afm/state"]})
+    until(lambda: master.texts("up"), master, slave)
+    good = slave.ring.allowed_path.read_text()
+    slave.ring.allowed_path.write_text("keys: [")
+    until(lambda: slave.notices, master, slave)
+    turns(60, master, slave)
+    (notice,) = slave.notices
+    assert notice.level == "error"
+    assert notice.text.startswith(f"the list of keys stays as it was: {slave.ring.allowed_path}: is not YAML")
+    slave.ring.allowed_path.unlink()
+    until(lambda: len(slave.notices) == 2, master, slave)
+    assert slave.notices[1].text.startswith(f"the list of keys stays as it was: {slave.ring.allowed_path}: is gone")
+    slave.ring.allowed_path.write_text(good)
+    slave.ring.revoke("master")
+    until(lambda: master.texts("refused"), master, slave)
+
+
+class StubbornSocket:
+    """A socket whose port somebody else takes as soon as it is let go."""
+
+    def __init__(self) -> None:
+        self.stubborn = True
+        self.calls: list[str] = []
+
+    def unbind(self, endpoint: str) -> None:
+        self.calls.append("unbind")
+
+    def bind(self, endpoint: str) -> None:
+        self.calls.append("bind")
+        if self.stubborn:
+            raise zmq.ZMQError(zmq.EADDRINUSE)
+
+
+def test_a_door_that_cannot_be_opened_again_is_told_and_tried_again_without_holding_the_loop(
+    world: Callable[..., list[Machine]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(doors, "_HURRIED", 3)
+    _, slave = world()
+    slave.open()
+    doorman, stubborn = slave.network._doorman, StubbornSocket()
+    quiet = SimpleNamespace(events=list, restless=False, socket=None)
+    door = Door(SimpleNamespace(socket=stubborn, node=AFM), quiet, "tcp://127.0.0.1:1")
+    doorman.doors.append(door)
+    try:
+        door.accepted.add(zmq.curve_keypair()[0].decode())
+        doorman.review()
+        assert [doorman.attend() for _ in range(4)] == [True, False, False, False]
+        texts = [notice.text for notice in doorman.take_notices()]
+        assert len(texts) == 2
+        assert texts[1] == (
+            f"{AFM} cannot bind tcp://127.0.0.1:1 again: Address already in use; it is tried twice a second"
+        )
+        # somebody who was being answered when the door was shut, and is revoked in his turn
+        door.accepted.add(zmq.curve_keypair()[0].decode())
+        doorman.review()
+        stubborn.stubborn = False
+        assert not doorman.attend()
+        doorman.attend()
+        assert stubborn.calls == ["unbind"] + ["bind"] * 7
+        assert door.unbound is False
+    finally:
+        doorman.doors.remove(door)
+
+
+# --- what may be said ---
+
+
+def test_a_role_that_a_machine_lacks_is_what_its_messages_are_refused_for(world: Callable[..., list[Machine]]) -> None:
+    master, slave = world(strangers=True)
+    slave.knows(master)
+    master.knows(slave, ["observe"])
+    slave.open().speaks(AFM)
+    master.open().hears({AFM: ["afm/state", "session/control"]})
+    (_, subscriber) = master.subscribers
+    sent = 0
+
+    def command() -> None:
+        nonlocal sent
+        slave.publishers[AFM].send("session/control", payload("session/control", AFM, sent))
+        sent += 1
+
+    def until_heard(topic: str) -> None:
+        before = len(master.received)
+        until(lambda: command() or topic in {r.topic for r in master.received[before:]}, master, slave)
+
+    until(lambda: command() or subscriber.rejected.get("role", 0) >= 5, master, slave)
+    assert (master.received, set(subscriber.rejected)) == ([], {"role"})
+    assert subscriber.last_error in [
+        f"{topic} of {AFM}: the machine slave lacks the role {role}, has observe"
+        for topic, role in (("afm/state", "data"), ("session/control", "control"))
+    ]
+    master.knows(slave, ["data"])
+    until_heard("afm/state")
+    assert {received.topic for received in master.received} == {"afm/state"}
+    refused = subscriber.rejected["role"]
+    until(lambda: command() or subscriber.rejected["role"] > refused + 5, master, slave)
+    master.knows(slave, ["control", "data"])
+    until_heard("session/control")
+    master.knows(slave, ["control"])
+    refused = subscriber.rejected["role"]
+    until(lambda: subscriber.rejected["role"] > refused + 5, master, slave)
+    assert subscriber.last_error == f"afm/state of {AFM}: the machine slave lacks the role data, has control"
+    until_heard("session/control")
+    # roles are no reason to end a connection
+    assert len(master.texts("up")) == 1
+    assert not master.texts("down")
+
+
+def test_a_machine_speaks_for_its_own_nodes(world: Callable[..., list[Machine]]) -> None:
+    master, slave = world()
+    slave.open().speaks(AFM, CONTROLLER)
+    master.open().hears({AFM: ["afm/state"], CONTROLLER: ["teleop/backward"]})
+    (_, subscriber) = master.subscribers
+
+    def pretend(src: str) -> None:
+        slave.publishers[AFM].send("afm/state", payload("afm/state", src, 0))
+
+    until(lambda: pretend("haptic_node@master") or subscriber.rejected.get("source", 0) > 3, master, slave)
+    assert subscriber.last_error == "afm/state: the machine slave may not speak for haptic_node@master"
+    assert master.heard_from("haptic_node@master") == 0
+    # within a machine no wall is claimed
+    until(lambda: pretend(CONTROLLER) or "afm/state" in _topics(master, CONTROLLER), master, slave)
+
+
+def test_a_reader_to_each_node_lets_each_speak_for_itself_alone(world: Callable[..., list[Machine]]) -> None:
+    master, slave = world()
+    slave.open().speaks(AFM)
+    master.open().hears({AFM: ["afm/state"], CONTROLLER: ["teleop/backward"]}, apart=True)
+    rejected = master.subscribers[0].rejected
+
+    def pretend() -> None:
+        slave.publishers[AFM].send("afm/state", payload("afm/state", CONTROLLER, 0))
+
+    until(lambda: pretend() or rejected.get("source", 0) > 3, master, slave)
+    assert master.heard_from(CONTROLLER) == 0
+    until(hears_more(master, AFM), master, slave)
+
+
+def _topics(machine: Machine, src: str) -> set[str]:
+    return {received.topic for received in machine.received if received.message.src == src}
+
+
+def test_the_link_carries_what_comes_from_the_other_site(world: Callable[..., list[Machine]]) -> None:
+    master, slave = world()
+    master.open().speaks(LINK)
+    slave.open().hears({LINK: ["teleop/forward"]})
+    until(hears_more(slave, OPERATOR), master, slave)
+    master.publishers[LINK].send("teleop/forward", payload("teleop/forward", CONTROLLER, 0))
+    (_, subscriber) = slave.subscribers
+    until(lambda: subscriber.rejected == {"source": 1}, master, slave)
+    assert slave.heard_from(CONTROLLER) == 0
+
+
+def test_rights_are_remembered_to_a_bound(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(lines, "_MOST_REMEMBERED", 2)
+    rights = Rights("master", [LINK], ["data"])
+    for number in range(10):
+        rights("teleop/forward", f"node{number}@master")
+    assert len(rights._fine) == 2
+    with pytest.raises(WireError) as caught:
+        rights("session/control", "launcher@master")
+    assert caught.value.reason == "role"
+    rights.change(["control"])
+    rights("session/control", "launcher@master")
+    for number in (0, 9):
+        with pytest.raises(WireError, match="the machine master lacks the role data, has control"):
+            rights("teleop/forward", f"node{number}@master")
+    rights.change([])
+    with pytest.raises(WireError, match="lacks the role control, has none"):
+        rights("session/control", "launcher@master")
+
+
+# --- what goes and comes back ---
+
+
+def test_a_server_that_goes_away_and_comes_back_is_told_of(world: Callable[..., list[Machine]]) -> None:
+    master, slave = world()
+    slave.open().speaks(AFM, CONTROLLER)
+    master.open().hears()
+    until(lambda: len(master.texts("up")) == 2, master, slave)
+    master.notices.clear()
+    slave.close()
+    until(lambda: len(master.texts("down")) == 2, master)
+    endpoint = master.book.network_endpoint(AFM)
+    (down,) = [notice for notice in master.notices if notice.data["peer"] == AFM]
+    assert (down.level, down.text) == ("warning", f"the connection to {AFM} ({endpoint}) is lost")
+    assert down.data == {"peer": AFM, "endpoint": endpoint, "connection": "down"}
+    gone_ns = master.clock.monotonic_ns()
+    master.clock.advance_ns(2_000_000_000)
+    # the other one stays away
+    slave.open().speaks(AFM)
+    until(hears_more(master, AFM), master, slave)
+    (up,) = [notice for notice in master.notices if notice.data["connection"] == "up"]
+    assert 2.0 <= up.data["gone_s"] <= (master.clock.monotonic_ns() - gone_ns) * 1e-9 + 1.0
+    assert up.text == f"{AFM} is connected again after {up.data['gone_s']:.1f} s ({endpoint})"
+    assert (up.level, master.texts("up", CONTROLLER)) == ("info", [])
+
+
+def test_what_is_not_reached_is_told_after_5_s_and_every_minute(world: Callable[..., list[Machine]]) -> None:
+    master, _ = world()
+    master.open().hears({AFM: ["afm/state"]})
+    began = master.clock.monotonic_ns()
+    told: list[tuple[float, str]] = []
+    while master.clock.monotonic_ns() < began + 130e9:
+        master.clock.advance_ns(100_000_000)
+        told += [((master.clock.monotonic_ns() - began) * 1e-9, notice.text) for notice in master.network.attend()]
+    assert [round(at_s) for at_s, _ in told] == [5, 65, 125]
+    endpoint = master.book.network_endpoint(AFM)
+    for at_s, text in told:
+        assert 0.0 <= at_s % 60.0 - 5.0 < 1.0
+        assert text == (
+            f"{AFM} has not been reached at {endpoint} for {at_s:.0f} s: is slave running, is the address right, does "
+            "a firewall close the port?"
+        )
+
+
+def test_who_comes_and_goes_with_a_command_is_not_missed(world: Callable[..., list[Machine]], tmp_path: Path) -> None:
+    console = "console@slave"
+    book = two_machine_book(tmp_path)
+    nodes = {console: book.nodes[AFM]}
+    master, slave = world(book=SiteBook.model_validate({"machines": book.machines, "nodes": nodes}))
+    master.open().hears({console: ["session/event"]})
+    for _ in range(200):
+        master.clock.advance_ns(network._LOOK_NS)
+        assert master.network.attend() == []
+    slave.open().speaks(console)
+    until(lambda: master.texts("up") and master.heard_from(console), master, slave)
+    slave.close()
+    until(lambda: master.texts("down"), master)
+    assert {notice.level for notice in master.notices} == {"info"}
+
+
+def test_what_is_reached_but_refuses_is_reminded_of_as_that(world: Callable[..., list[Machine]]) -> None:
+    master, slave = world(strangers=True)
+    master.knows(slave)
+    slave.open().speaks(AFM)
+    master.open().hears({AFM: ["afm/state"]})
+    until(lambda: master.texts("unreached"), master, slave)
+    assert master.texts("unreached")[0].endswith(" s: the key was refused")
+
+
+def test_a_port_that_speaks_something_else_is_asked_again_until_the_right_program_is_there(
+    world: Callable[..., list[Machine]],
+) -> None:
+    master, slave = world()
+    with socket.create_server(("127.0.0.1", port_of(master.book, AFM))) as wrong:
+        master.open().hears({AFM: ["afm/state"]})
+        for _ in range(2):
+            until(lambda: select.select([wrong], (), (), 0)[0], master)
+            with wrong.accept()[0] as connection:
+                connection.sendall(b"SSH-2.0-OpenSSH_9.2\r\n" * 10)
+                until(partial(is_closed, connection), master)
+    slave.open().speaks(AFM)
+    until(hears_more(master, AFM), master, slave)
+
+
+def test_what_was_said_before_a_connection_was_lost_is_still_heard(world: Callable[..., list[Machine]]) -> None:
+    master, slave = world()
+    slave.open().speaks(AFM)
+    master.open().hears({AFM: ["afm/state"]})
+    until(lambda: master.texts("up") and master.heard_from(AFM), master, slave)
+    master.clock.advance_ns(network._LOOK_NS)
+    master.network.attend()
+    # more than a reader takes in a turn, and then the end
+    last_words = 3000
+    for seq in range(slave.sent, slave.sent + last_words):
+        slave.publishers[AFM].send("afm/state", payload("afm/state", AFM, seq))
+    slave.close()
+    # a slow reader, who comes to look after the connection before all is taken
+    until(lambda: master.clock.advance_ns(3_000_000_000) or master.texts("down"), master)
+    assert len(master.received) < last_words
+    until(lambda: master.clock.advance_ns(3_000_000_000) or len(master.received) >= last_words, master)
+    assert master.received[-1].message.seq == slave.sent + last_words - 1
+    assert master.subscribers[-1].tracker("afm/state", AFM).lost == 0
+
+
+class Cable:
+    """A wire between two ports that can be pulled: what is sent then neither arrives nor comes back as an error."""
+
+    def __init__(self, here: int, there: int) -> None:
+        self.pulled = threading.Event()
+        self._ended = threading.Event()
+        self._there = there
+        self._listener = socket.create_server(("127.0.0.1", here))
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def _run(self) -> None:
+        ends: dict[socket.socket, socket.socket] = {}
+        while not self._ended.is_set():
+            watched = [] if self.pulled.is_set() else [self._listener, *ends]
+            ready, _, _ = select.select(watched, (), (), 0.02)
+            for each in ready:
+                self._carry(each, ends)
+        for each in (self._listener, *ends):
+            each.close()
+
+    def _carry(self, each: socket.socket, ends: dict[socket.socket, socket.socket]) -> None:
+        if each is self._listener:
+            near, _ = each.accept()
+            far = socket.create_connection(("127.0.0.1", self._there))
+            ends[near], ends[far] = far, near
+        elif each in ends:
+            with contextlib.suppress(OSError):
+                data = each.recv(65536)
+                if data:
+                    ends[each].sendall(data)
+                    return
+            for end in (each, ends.pop(each)):
+                ends.pop(end, None)
+                end.close()
+
+    def close(self) -> None:
+        self._ended.set()
+        self._thread.join()
+
+
+def test_a_pulled_cable_is_noticed_and_what_was_sent_into_it_does_not_come_out_later(
+    world: Callable[..., list[Machine]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, value_ms in (("_LOOP_SILENCE_MS", 300), ("_READER_SILENCE_MS", 300), ("_HANDSHAKE_MS", 500)):
+        monkeypatch.setattr(network, name, value_ms)
+    book = two_machine_book(tmp_path)
+    (away,) = free_ports(1)
+    cable = Cable(away, port_of(book, AFM))
+    nodes = {AFM: {**book.nodes[AFM].model_dump(), "network": f"tcp://127.0.0.1:{away}"}}
+    master, slave = world(book=book)
+    master.book = SiteBook.model_validate({"nodes": nodes})
+    try:
+        slave.open().speaks(AFM)
+        master.open().hears({AFM: ["afm/state"]})
+        until(lambda: master.texts("up") and master.heard_from(AFM), master, slave)
+        cable.pulled.set()
+        until(lambda: master.texts("down"), master, slave)
+        first_after = slave.sent
+        turns(100, master, slave)
+        cable.pulled.clear()
+        again = slave.sent
+        until(lambda: len(master.texts("up")) == 2, master, slave)
+        until(hears_more(master, AFM), master, slave)
+    finally:
+        slave.close()
+        cable.close()
+    heard = [received.message.seq for received in master.received]
+    assert not [seq for seq in heard if first_after <= seq < again]
+
+
+# --- the turn of a loop ---
+
+
+def test_strangers_are_answered_a_few_at_a_time(world: Callable[..., list[Machine]]) -> None:
+    _, slave = world()
+    slave.open().speaks(AFM)
+    knocks = 3 * doors._AT_ONCE + 1
+    flood = slave.context.socket(zmq.DEALER)
+    flood.set(zmq.LINGER, 0)
+    flood.connect("inproc://zeromq.zap.01")
+    key = bytes(32)
+    try:
+        for number in range(knocks):
+            request = [b"", b"1.0", b"%d" % number, AFM.encode(), b"10.0.0.7", b"", b"CURVE", key]
+            flood.send_multipart(request)
+        counted, restless = [], []
+        for _ in range(4):
+            slave.network.attend()
+            counted.append(slave.network.rejected["unlisted"])
+            restless.append(slave.network.restless)
+        assert counted == [doors._AT_ONCE, 2 * doors._AT_ONCE, 3 * doors._AT_ONCE, knocks]
+        assert restless == [True, True, True, False]
+        answers = [flood.recv_multipart(zmq.NOBLOCK) for _ in range(knocks)]
+        assert answers[-1] == [b"", b"1.0", b"%d" % (knocks - 1), b"400", b"unlisted", b"", b""]
+        # a question of a kind that no door here asks
+        flood.send_multipart([b"", b"1.0", b"n", b"", b"10.0.0.7", b"", b"NULL"])
+        slave.network.attend()
+        assert flood.recv_multipart(zmq.NOBLOCK)[3] == b"400"
+        assert slave.network.rejected == {"unlisted": knocks, "handshake": 1}
+    finally:
+        flood.close()
+
+
+def test_an_answer_names_the_machine_to_the_socket(world: Callable[..., list[Machine]]) -> None:
+    master, slave = world()
+    slave.open().speaks(AFM)
+    with contextlib.closing(slave.context.socket(zmq.DEALER)) as asking:
+        asking.connect("inproc://zeromq.zap.01")
+        asking.send_multipart(
+            [b"", b"1.0", b"7", AFM.encode(), b"10.0.0.7", b"", b"CURVE", zmq.utils.z85.decode(master.key)]
+        )
+        slave.network.attend()
+        assert asking.recv_multipart(zmq.NOBLOCK) == [b"", b"1.0", b"7", b"200", b"", b"master", b""]
+    assert slave.network.rejected == {}
+
+
+def test_events_of_connections_are_taken_a_few_at_a_time() -> None:
+    with zmq.Context() as context, contextlib.closing(context.socket(zmq.PUB)) as server:
+        watch = Monitor(server, PROTOCOL_FAILED)
+        port = server.bind_to_random_port("tcp://127.0.0.1")
+        for _ in range(100):
+            with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S) as raw:
+                raw.sendall(zmtp_greeting(b"PLAIN"))
+                while raw.recv(4096):
+                    pass
+        total = 0
+        end = time.monotonic() + PATIENCE_S
+        while total < 100 and time.monotonic() < end:
+            taken = watch.events()
+            assert len(taken) <= monitor._AT_ONCE
+            assert watch.restless == (len(taken) == monitor._AT_ONCE)
+            total += len(taken)
+        assert total == 100
+        assert {event for event, _ in taken} == {PROTOCOL_FAILED}
+        watch.socket.close()
+
+
+def test_every_knock_ends_a_wait_however_often(world: Callable[..., list[Machine]]) -> None:
+    """ZeroMQ's descriptors tell of changes only: none may be missed, the first one before the first wait included."""
+    _, slave = world()
+    slave.open()
+    clock = SystemClock()
+    wake = os.pipe()
+    bus = ZmqBus(slave.network.publisher(AFM), [], clock, wake[0], slave.network)
+    try:
+        for number in range(1, 31):
+            with raw_connection(slave.book) as raw:
+                raw.sendall(zmtp_greeting(b"PLAIN"))
+                end = time.monotonic() + PATIENCE_S
+                while bus.rejections()[0].get("handshake", 0) < number:
+                    bus.wait(clock.monotonic_ns() + round(PATIENCE_S * 1e9))
+                    assert time.monotonic() < end, f"knock {number} was not noticed"
+                    bus.attend()
+        counts, text = bus.rejections()
+        assert (counts, text) == ({"handshake": 30}, f"somebody at {AFM}: {FAILURES[PROTOCOL_FAILED]}")
+        # and then all is quiet: nothing wakes the loop for nothing
+        deadline = clock.monotonic_ns() + 200_000_000
+        waits = 0
+        while clock.monotonic_ns() < deadline:
+            bus.wait(deadline)
+            bus.attend()
+            waits += 1
+        assert waits <= 3
+    finally:
+        bus.close()
+        bus.close()
+        for end_of_pipe in wake:
+            os.close(end_of_pipe)
+
+
+def test_a_bus_that_has_more_to_attend_to_does_not_wait(tmp_path: Path) -> None:
+    class Restless:
+        restless = True
+        rejected: ClassVar[dict[str, int]] = {}
+        last_error = ""
+        calls = 0
+
+        def __init__(self, descriptor: int) -> None:
+            self.descriptors = [descriptor]
+
+        def attend(self) -> list[Any]:
+            self.calls += 1
+            self.restless = self.calls < 5
+            return []
+
+        def close(self) -> None:
+            pass
+
+    wake, quiet = os.pipe(), os.pipe()
+    clock = SystemClock()
+    with zmq.Context() as context:
+        attendant = Restless(quiet[0])
+        bus = ZmqBus(Publisher(context, clock, AFM, f"ipc://{tmp_path}/a"), [], clock, wake[0], attendant)
+        try:
+            for _ in range(5):
+                # would take an hour
+                bus.wait(clock.monotonic_ns() + 3_600_000_000_000)
+                bus.attend()
+            # quiet now: asked for only when its descriptor speaks, or in so many words
+            bus.wait(clock.monotonic_ns() + 1_000_000)
+            bus.attend()
+            assert attendant.calls == 5
+            bus.attend(now=True)
+            assert attendant.calls == 6
+            os.write(quiet[1], b"x")
+            bus.wait(clock.monotonic_ns() + 3_600_000_000_000)
+            bus.attend()
+            assert attendant.calls == 7
+        finally:
+            bus.close()
+    for end_of_pipe in (*wake, *quiet):
+        os.close(end_of_pipe)
+
+
+def test_the_newest_refusal_is_the_one_that_is_told(world: Callable[..., list[Machine]]) -> None:
+    _, slave = world()
+    slave.open()
+    clock = SystemClock()
+    reader = Subscriber(slave.context, clock, {})
+    bus = ZmqBus(slave.network.publisher(AFM), [reader], clock, -1, slave.network)
+    refusals = slave.network._refusals
+    try:
+        reader.examine([b"one"], 0)
+        assert bus.rejections()[1].startswith("a message has 2 frames")
+        refusals.enter("unlisted", "somebody at the door")
+        assert bus.rejections() == ({"frames": 1, "unlisted": 1}, "somebody at the door")
+        assert bus.rejections() == ({"frames": 1, "unlisted": 1}, "somebody at the door")
+        reader.examine([b"one"], 0)
+        assert bus.rejections()[1].startswith("a message has 2 frames")
+    finally:
+        bus.close()
+
+
+def test_an_end_in_the_middle_of_a_handshake_is_no_hang(world: Callable[..., list[Machine]]) -> None:
+    master, slave, laptop = world("master", "slave", "laptop")
+    slave.open().speaks(AFM, CONTROLLER)
+    slave.ring.revoke("laptop")
+    for machine in (master, laptop):
+        machine.open().hears()
+    with raw_connection(slave.book), raw_connection(slave.book, CONTROLLER):
+        # they knock, and nobody answers
+        assert select.select([slave.network._doorman.socket.fileno()], (), (), PATIENCE_S)[0]
+        slave.close()
+        for machine in (master, laptop):
+            machine.close()

@@ -1,0 +1,456 @@
+"""Keys on disk: who can read them, what is refused of them, and what becomes of a list of other machines' keys."""
+
+import os
+from pathlib import Path
+
+import pytest
+import yaml
+import zmq
+
+from services.runtime.errors import ConfigError
+from services.runtime.security import AllowedKey, KeyPair, Keyring, key_text, keys_directory, this_machine
+from services.runtime.site import SiteBook
+from services.runtime.trust import Trust, check_keys
+
+
+def public_key() -> str:
+    return zmq.curve_keypair()[0].decode()
+
+
+KEY, OTHER = public_key(), public_key()
+
+
+@pytest.fixture
+def ring(tmp_path: Path) -> Keyring:
+    return Keyring(tmp_path / "keys")
+
+
+def refusal_of(call: object, *arguments: object, **more: object) -> str:
+    with pytest.raises(ConfigError) as caught:
+        call(*arguments, **more)
+    return str(caught.value)
+
+
+def listed(ring: Keyring) -> list[tuple[str, str, tuple[str, ...], bool]]:
+    return [(key.name, key.public_key, key.roles, key.revoked) for key in ring.allowed().keys]
+
+
+def secret_file(ring: Keyring, name: str = "master") -> Path:
+    return ring.folder / f"{name}.key_secret"
+
+
+# --- the own key ---
+
+
+def test_a_key_pair_is_made_for_this_user_alone(ring: Keyring) -> None:
+    before = os.umask(0)
+    try:
+        pair = ring.create("master")
+    finally:
+        assert os.umask(before) == 0
+    assert zmq.curve_public(pair.secret) == pair.public
+    assert ring.own("master") == pair
+    assert ring.names() == ["master"]
+    assert ring.folder.stat().st_mode & 0o777 == 0o700
+    assert {path.name: path.stat().st_mode & 0o777 for path in ring.folder.iterdir()} == {
+        "master.key": 0o600,
+        "master.key_secret": 0o600,
+    }
+    assert pair.secret not in (ring.folder / "master.key").read_bytes()
+
+
+def test_a_key_is_replaced_only_when_that_is_wanted(ring: Keyring) -> None:
+    pair = ring.create("master")
+    text = refusal_of(ring.create, "master")
+    assert text == (
+        f"{secret_file(ring)} exists already: --replace makes a new key, which the other machines must allow"
+    )
+    assert ring.own("master") == pair
+    assert ring.create("master", replace=True) != pair
+    assert ring.create("slave", replace=True) == ring.own("slave")
+    assert ring.names() == ["master", "slave"]
+
+
+def test_a_key_that_looks_like_an_option_is_not_given_out(ring: Keyring, monkeypatch: pytest.MonkeyPatch) -> None:
+    real, pairs = zmq.curve_keypair, []
+    while len(pairs) < 2:
+        pair = real()
+        if pair[0].startswith(b"-") == (not pairs):
+            pairs.append(pair)
+    coming = iter(pairs)
+    monkeypatch.setattr(zmq, "curve_keypair", lambda: next(coming))
+    assert ring.create("master") == KeyPair(*pairs[1])
+
+
+def test_a_missing_key_says_how_to_make_one(ring: Keyring) -> None:
+    text = f"{secret_file(ring)}: there is no key for the machine master: `telenano keys new master` makes one"
+    assert refusal_of(ring.own, "master") == text
+    assert ring.names() == []
+    ring.create("slave")
+    assert refusal_of(ring.own, "master") == text
+
+
+@pytest.mark.parametrize("mode", [0o640, 0o604, 0o620, 0o666])
+def test_a_secret_that_others_can_read_is_refused(ring: Keyring, mode: int) -> None:
+    ring.create("master")
+    secret_file(ring).chmod(mode)
+    text = refusal_of(ring.own, "master")
+    assert text == (
+        f"{secret_file(ring)}: others can read this secret key (mode {mode:o}): chmod 600 {secret_file(ring)}"
+    )
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"\x00\xff\xfe",
+        b"curve\n",
+        b'    public-key = "%b"\n' % KEY.encode(),
+        b'    public-key = "abc"\n    secret-key = "abc"\n',
+        b'    public-key = "%b"\n    secret-key = "%b"\n' % (KEY.encode(), b"#" * 40),
+        b'    public-key = "%b"\n    secret-key = "\xff%b"\n' % (KEY.encode(), b"a" * 39),
+        # two halves of different pairs
+        b'    public-key = "%b"\n    secret-key = "%b"\n' % (KEY.encode(), zmq.curve_keypair()[1]),
+    ],
+)
+def test_a_file_without_a_key_pair_is_refused(ring: Keyring, content: bytes) -> None:
+    ring.create("master")
+    secret_file(ring).write_bytes(content)
+    text = refusal_of(ring.own, "master")
+    assert text.startswith(f"{secret_file(ring)}: holds no ")
+    assert text.endswith("`telenano keys new master --replace` makes one")
+
+
+def test_a_folder_that_cannot_be_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    ring = Keyring(tmp_path / "file" / "keys")
+    assert refusal_of(ring.create, "master") == f"{ring.folder}: cannot be written: Not a directory"
+    assert refusal_of(ring.own, "master").endswith("master.key_secret: cannot be read: Not a directory")
+    assert ring.names() == []
+
+
+@pytest.mark.parametrize("name", ["", "Master", "1st", "a b", "a" * 33, "../master", "master\n", "ä"])
+def test_a_wrong_name_is_refused(ring: Keyring, name: str) -> None:
+    for text in (refusal_of(ring.create, name), refusal_of(ring.allow, name, KEY, ["data"])):
+        assert text == f"{name!r} is no name of a machine: small letters, digits and _, a letter first, 32 at most"
+    assert not ring.folder.exists()
+
+
+def test_the_folder_is_named_or_in_the_configuration_of_the_user(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("TELENANO_KEYS_DIR", "/run/keys")
+    monkeypatch.setenv("XDG_CONFIG_HOME", "/etc/me")
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert keys_directory() == Keyring().folder == Path("/run/keys")
+    monkeypatch.delenv("TELENANO_KEYS_DIR")
+    assert keys_directory() == Path("/etc/me/telenano/keys")
+    monkeypatch.delenv("XDG_CONFIG_HOME")
+    assert keys_directory() == tmp_path / ".config" / "telenano" / "keys"
+
+
+# --- the keys of others ---
+
+
+def test_nobody_is_allowed_before_somebody_is(ring: Keyring) -> None:
+    assert ring.allowed().keys == ()
+    assert ring.stamp() is None
+
+
+def test_a_key_is_allowed_with_its_roles(ring: Keyring) -> None:
+    entry = ring.allow("slave", KEY, ["control", "data", "control"])
+    assert entry == AllowedKey(name="slave", public_key=KEY, roles=("control", "data"))
+    assert listed(ring) == [("slave", KEY, ("control", "data"), False)]
+    assert ring.allowed().of_machine("slave") == ring.allowed().of_key(KEY) == entry
+    assert ring.allowed().of_machine("master") is ring.allowed().of_key(OTHER) is None
+    assert ring.allowed_path.stat().st_mode & 0o777 == 0o600
+
+
+def test_roles_change_when_a_key_is_allowed_again(ring: Keyring) -> None:
+    ring.allow("slave", KEY, ["data", "control"])
+    ring.allow("laptop", OTHER, ["observe"])
+    ring.allow("slave", KEY, ["observe"])
+    assert listed(ring) == [("laptop", OTHER, ("observe",), False), ("slave", KEY, ("observe",), False)]
+
+
+def test_a_machine_has_one_key_and_a_key_one_machine(ring: Keyring) -> None:
+    ring.allow("slave", KEY, ["data"])
+    assert refusal_of(ring.allow, "slave", OTHER, ["data"]) == (
+        "slave has another key here: `telenano keys revoke slave` first"
+    )
+    assert refusal_of(ring.allow, "laptop", KEY, ["data"]) == f"{KEY} is allowed already, as slave"
+    assert listed(ring) == [("slave", KEY, ("data",), False)]
+
+
+def test_a_revoked_key_stays_so_and_a_new_one_takes_its_place(ring: Keyring) -> None:
+    ring.allow("slave", KEY, ["data"])
+    assert ring.revoke("slave") == AllowedKey(name="slave", public_key=KEY, roles=("data",), revoked=True)
+    assert ring.allowed().of_machine("slave") is None
+    assert ring.allowed().of_key(KEY).revoked
+    for name in ("slave", "laptop"):
+        text = refusal_of(ring.allow, name, KEY, ["data"])
+        assert text == f"{KEY} was revoked and stays so: make a new key at {name}"
+    ring.allow("slave", OTHER, ["control"])
+    assert sorted(listed(ring)) == sorted(
+        [("slave", KEY, ("data",), True), ("slave", OTHER, ("control",), False)],
+    )
+    # the valid key is meant by the name, the old one can be named by itself, and again
+    assert ring.revoke(KEY).public_key == KEY
+    assert ring.allowed().of_machine("slave").public_key == OTHER
+    assert ring.revoke("slave").public_key == OTHER
+    assert [key.revoked for key in ring.allowed().keys] == [True, True]
+
+
+def test_a_key_is_revoked_by_itself(ring: Keyring) -> None:
+    ring.allow("slave", KEY, ["data"])
+    assert ring.revoke(KEY).name == "slave"
+    assert ring.allowed().of_machine("slave") is None
+
+
+def test_who_is_not_listed_cannot_be_revoked(ring: Keyring) -> None:
+    assert refusal_of(ring.revoke, "slave") == (f"{ring.allowed_path}: there is no key of slave, listed are none")
+    ring.allow("laptop", KEY, ["data"])
+    ring.allow("tablet", OTHER, ["data"])
+    ring.revoke("tablet")
+    assert refusal_of(ring.revoke, "slave").endswith("listed are laptop")
+    assert refusal_of(ring.revoke, "tablet").endswith("listed are laptop")
+
+
+@pytest.mark.parametrize("key", ["", "abc", "~" * 40, "ä" * 40, "a" * 45, KEY + "\n", "#" * 40, KEY[:39] + "'"])
+def test_what_is_no_key_is_refused(ring: Keyring, key: str) -> None:
+    assert refusal_of(ring.allow, "slave", key, ["data"]) == (
+        "key of slave: public_key: is no public key, which has 40 characters of Z85 (`telenano keys show`), "
+        f"got {key!r}"
+    )
+    assert not ring.allowed_path.exists()
+
+
+def test_a_key_without_a_role_is_of_no_use(ring: Keyring) -> None:
+    assert "roles" in refusal_of(ring.allow, "slave", KEY, [])
+    assert "data', 'control' or 'observe', got 'admin'" in refusal_of(ring.allow, "slave", KEY, ["admin"])
+
+
+def test_every_key_survives_the_file(ring: Keyring) -> None:
+    keys = {f"m{number}": public_key() for number in range(50)}
+    # signs that mean something to YAML, at the beginning of a key
+    keys |= {f"s{ord(sign)}": f"{sign}0000{KEY[5:]}" for sign in "-:?[]{}&*!%@>=^/.0"}
+    for name, key in keys.items():
+        ring.allow(name, key, ["data"])
+    assert {name: key for name, key, _, _ in listed(ring)} == keys
+
+
+def test_the_list_is_replaced_whole_and_leaves_nothing_beside_it(
+    ring: Keyring, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ring.allow("slave", KEY, ["data"])
+    before, stamp = ring.allowed_path.read_bytes(), ring.stamp()
+    assert [path.name for path in ring.folder.iterdir()] == ["allowed.yaml"]
+
+    def fail(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "replace", fail)
+        text = refusal_of(ring.allow, "laptop", OTHER, ["data"])
+    assert text == f"{ring.folder}: cannot be written: No space left on device"
+    assert ring.allowed_path.read_bytes() == before
+    assert ring.stamp() == stamp
+    ring.allow("laptop", OTHER, ["data"])
+    assert [path.name for path in ring.folder.iterdir()] == ["allowed.yaml"]
+    assert ring.stamp() != stamp
+
+
+@pytest.mark.parametrize(
+    ("document", "text"),
+    [
+        ("[]", "holds a list, a mapping of keys is needed"),
+        ("keys: [", "is not YAML"),
+        ("kesy: []", "kesy: unknown key, known are keys"),
+        ("keys: {}", "keys: Input should be a valid array"),
+        ("keys: [{name: slave}]", "keys.0.public_key: is missing"),
+        (f"keys: [{{name: slave, public_key: '{KEY}', roles: [read]}}]", "keys.0.roles.0: Input should be 'data'"),
+        (f"keys: [{{name: Slave, public_key: '{KEY}', roles: [data]}}]", "keys.0.name: String should match"),
+        ("keys: [{name: slave, public_key: abc, roles: [data]}]", "keys.0.public_key: is no public key"),
+        (f"keys: [{{name: slave, public_key: '{KEY}', roles: [data], revoked: 1}}]", "keys.0.revoked: "),
+    ],
+)
+def test_a_malformed_list_names_file_and_key(ring: Keyring, document: str, text: str) -> None:
+    ring.folder.mkdir()
+    ring.allowed_path.write_text(document)
+    assert refusal_of(ring.allowed).startswith(f"{ring.allowed_path}: {text}")
+    # and is not written over
+    for change in (lambda: ring.allow("x", OTHER, ["data"]), lambda: ring.revoke("slave")):
+        assert str(ring.allowed_path) in refusal_of(change)
+    assert ring.allowed_path.read_text() == document
+
+
+@pytest.mark.parametrize(
+    ("second", "what"),
+    [
+        ({"name": "laptop", "public_key": KEY}, f"public_key {KEY}"),
+        ({"name": "laptop", "public_key": KEY, "revoked": True}, f"public_key {KEY}"),
+        ({"name": "slave", "public_key": OTHER}, "name slave"),
+    ],
+)
+def test_nothing_is_listed_twice(ring: Keyring, second: dict[str, object], what: str) -> None:
+    first = {"name": "slave", "public_key": KEY, "roles": ["data"]}
+    ring.folder.mkdir()
+    ring.allowed_path.write_text(yaml.safe_dump({"keys": [first, {**second, "roles": ["data"]}]}))
+    assert refusal_of(ring.allowed) == f"{ring.allowed_path}: keys: {what} is given twice"
+
+
+def test_a_list_that_cannot_be_read_is_not_an_empty_one(ring: Keyring) -> None:
+    ring.allowed_path.mkdir(parents=True)
+    assert refusal_of(ring.allowed) == f"{ring.allowed_path}: cannot be read: Is a directory"
+
+
+def test_a_list_out_of_reach_is_not_an_empty_one(ring: Keyring, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "stat", fail)
+    monkeypatch.setattr(Path, "read_text", fail)
+    assert ring.stamp() == (13, 0)
+    assert refusal_of(ring.allowed) == f"{ring.allowed_path}: cannot be read: Permission denied"
+
+
+# --- which machine this is ---
+
+
+def test_this_machine_is_named_or_the_one_whose_key_is_here(ring: Keyring, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("TELENANO_MACHINE", raising=False)
+    assert this_machine(ring) == "master"
+    ring.create("slave")
+    assert this_machine(ring) == "slave"
+    ring.create("laptop")
+    assert this_machine(ring) == "master"
+    monkeypatch.setenv("TELENANO_MACHINE", "laptop")
+    assert this_machine(ring) == "laptop"
+    monkeypatch.setenv("TELENANO_MACHINE", "Laptop 1")
+    assert refusal_of(this_machine, ring) == (
+        "environment variable TELENANO_MACHINE is 'Laptop 1', a name such as master is needed"
+    )
+
+
+def test_a_key_as_text() -> None:
+    # the example of the specification of Z85
+    assert key_text(bytes.fromhex("864FD26FB559F75B") * 4) == "HelloWorld" * 4
+
+
+# --- what a process believes ---
+
+
+@pytest.fixture
+def trust(ring: Keyring) -> Trust:
+    ring.create("master")
+    ring.allow("slave", KEY, ["data", "control"])
+    return Trust("master", ring, locked=True)
+
+
+def test_verdicts_on_keys(trust: Trust, ring: Keyring) -> None:
+    own = ring.own("master").public.decode()
+    assert trust.public_key == own
+    assert trust.judge(own) == ("master", "")
+    assert trust.judge(KEY) == ("slave", "")
+    assert trust.judge(OTHER) == ("", "unlisted")
+    assert [trust.roles(machine) for machine in ("slave", "laptop", "master")] == [
+        ("data", "control"),
+        (),
+        ("data", "control", "observe"),
+    ]
+    assert [trust.server_key(machine) for machine in ("slave", "laptop", "master")] == [
+        KEY.encode(),
+        None,
+        own.encode(),
+    ]
+
+
+def test_the_list_is_read_again_when_it_has_changed(trust: Trust, ring: Keyring) -> None:
+    assert not trust.reload()
+    ring.revoke("slave")
+    # nothing changes behind the back of a process
+    assert trust.judge(KEY) == ("slave", "")
+    assert trust.reload()
+    assert trust.judge(KEY) == ("slave", "revoked")
+    assert (trust.roles("slave"), trust.server_key("slave")) == ((), None)
+    ring.allow("slave", OTHER, ["observe"])
+    assert trust.reload()
+    assert (trust.judge(OTHER), trust.roles("slave")) == (("slave", ""), ("observe",))
+    assert trust.judge(KEY) == ("slave", "revoked")
+    assert not trust.reload()
+
+
+@pytest.mark.parametrize("harm", ["gone", "broken", "folder gone"])
+def test_a_list_that_breaks_leaves_the_old_one_in_force_and_is_told_once(
+    trust: Trust, ring: Keyring, harm: str
+) -> None:
+    good = ring.allowed_path.read_bytes()
+    if harm == "broken":
+        ring.allowed_path.write_text("keys: [")
+    elif harm == "gone":
+        ring.allowed_path.unlink()
+    else:
+        ring.folder.rename(ring.folder.with_name("elsewhere"))
+    assert str(ring.allowed_path) in refusal_of(trust.reload)
+    for _ in range(3):
+        assert not trust.reload()
+    assert trust.judge(KEY) == ("slave", "")
+    ring.folder.mkdir(exist_ok=True)
+    ring.allowed_path.write_bytes(good)
+    assert trust.reload()
+    assert trust.judge(KEY) == ("slave", "")
+
+
+def test_a_list_that_comes_later_is_read(ring: Keyring) -> None:
+    ring.create("master")
+    trust = Trust("master", ring, locked=True)
+    assert not trust.reload()
+    assert trust.judge(KEY) == ("", "unlisted")
+    ring.allow("slave", KEY, ["data"])
+    assert trust.reload()
+    assert trust.judge(KEY) == ("slave", "")
+
+
+def test_without_locks_nothing_is_read_and_everybody_may_everything(tmp_path: Path) -> None:
+    trust = Trust("master", Keyring(tmp_path / "none"), locked=False)
+    assert not trust.reload()
+    assert (trust.public_key, trust.own, trust.server_key("slave")) == ("", None, None)
+    assert trust.roles("slave") == ("data", "control", "observe")
+
+
+def test_a_locked_rig_needs_the_own_key_and_a_list_in_order(ring: Keyring) -> None:
+    assert "`telenano keys new master` makes one" in refusal_of(Trust, "master", ring, locked=True)
+    ring.create("master")
+    ring.allowed_path.write_text("keys: 1")
+    assert refusal_of(Trust, "master", ring, locked=True).startswith(f"{ring.allowed_path}: keys: ")
+
+
+NODES = {
+    "controller@master": "ipc:///m",
+    "delay_node@slave": {"local": "ipc:///l", "network": "tcp://10.0.0.1:5704"},
+    "afm_node@slave": {"local": "ipc:///a", "network": "tcp://10.0.0.2:5712"},
+}
+
+
+def test_what_a_machine_lacks_is_said_with_the_commands_that_help(ring: Keyring) -> None:
+    book = SiteBook.model_validate({"nodes": NODES})
+    assert "`telenano keys new slave` makes one" in refusal_of(check_keys, book, "slave", ring)
+    ring.create("slave")
+    # commands of the operator come out of the link, which runs at the master
+    assert refusal_of(check_keys, book, "slave", ring) == (
+        f"{ring.allowed_path}: the key of master is not allowed here: `telenano keys allow master KEY --role data "
+        "--role control`, with the KEY that `telenano keys show` says there"
+    )
+    ring.create("master")
+    assert "`telenano keys allow slave KEY --role data`, with" in refusal_of(check_keys, book, "master", ring)
+    ring.allow("slave", KEY, ["data"])
+    check_keys(book, "master", ring)
+    ring.revoke("slave")
+    assert "the key of slave is not allowed here" in refusal_of(check_keys, book, "master", ring)
+
+
+def test_a_rig_without_keys_lacks_none(ring: Keyring) -> None:
+    check_keys(SiteBook.model_validate({"nodes": NODES, "insecure": True}), "slave", ring)
+    check_keys(SiteBook.model_validate({"nodes": {"afm_node@slave": "ipc:///a"}}), "slave", ring)
+    assert not ring.folder.exists()
