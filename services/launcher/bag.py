@@ -24,6 +24,8 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
+    # markup would swallow the units in brackets
+    rich_markup_mode=None,
 )
 
 FileArgument = Annotated[Path, typer.Argument(metavar="FILE", help="Recording (.mcap).")]

@@ -10,7 +10,7 @@ from datetime import datetime
 from enum import StrEnum
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -22,12 +22,12 @@ from studies.cli import app as study_app
 if TYPE_CHECKING:
     from proto.messages import SessionEvent
     from services.launcher.observe import Observer
+    from services.launcher.plan import Plan
     from services.launcher.up import Outcome
     from services.launcher.view import LineView, LiveView
 
 _LIST_S = 1.5
 _NODES = ("haptic_node", "controller", "delay_node", "afm_node", "recorder")
-ALLOW_REPLAY = ("afm_node.allow_replay=true", "haptic_node.allow_replay=true")
 _SITE_FILE = Path(__file__).resolve().parent / "sites" / "local.yaml"
 
 app = typer.Typer(
@@ -36,17 +36,29 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
+    # markup would swallow the units in brackets
+    rich_markup_mode=None,
 )
-topic_app = typer.Typer(help="Look at the bus of a running rig.", no_args_is_help=True)
+topic_app = typer.Typer(help="Look at the bus of a running rig.", no_args_is_help=True, rich_markup_mode=None)
 app.add_typer(topic_app, name="topic")
 
-link_app = typer.Typer(help="Look at the link of a running rig and change it.", no_args_is_help=True)
+link_app = typer.Typer(
+    help="Look at the link of a running rig, and change it.", no_args_is_help=True, rich_markup_mode=None
+)
 app.add_typer(link_app, name="link")
 app.add_typer(study_app, name="study")
 
 SiteFileOption = Annotated[
     Path,
     typer.Option("--site-file", metavar="FILE", help="Address book of the rig (YAML); default: all on this machine."),
+]
+RigFileOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--site-file",
+        metavar="FILE",
+        help="Address book of the rig (YAML); default: all on this machine, with --site two of them.",
+    ),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print exactly one JSON object on stdout, nothing else.")]
 CountOption = Annotated[
@@ -56,6 +68,13 @@ DurationOption = Annotated[
     float | None, typer.Option("--duration", min=0.0, metavar="S", help="End after this time [s]; default: no end.")
 ]
 TopicArgument = Annotated[str, typer.Argument(metavar="TOPIC", help="Topic; topic@site is the copy out of the link.")]
+
+
+class Site(StrEnum):
+    """The two sites of a rig."""
+
+    MASTER = "master"
+    SLAVE = "slave"
 
 
 class SessionCommand(StrEnum):
@@ -89,9 +108,28 @@ def root(
 @app.command()
 def up(
     scenario: Annotated[
-        str, typer.Option("--scenario", metavar="NAME|FILE", help="Experiment to run: a known name or a YAML file.")
+        str,
+        typer.Option(
+            "--scenario",
+            metavar="NAME|FILE",
+            help="Experiment to run: a known name or a YAML file. With --attach it gives name and duration only.",
+        ),
     ],
-    site_file: SiteFileOption = _SITE_FILE,
+    site_file: RigFileOption = None,
+    site: Annotated[
+        Site | None,
+        typer.Option("--site", help="Run the nodes of one site here, those of the other run on another machine."),
+    ] = None,
+    attach: Annotated[
+        bool,
+        typer.Option("--attach", help="Start no node: conduct a session of nodes that somebody else runs."),
+    ] = False,
+    wait: Annotated[
+        float | None,
+        typer.Option(
+            "--wait", min=0.0, metavar="S", help="Give up if nodes of somebody else are not ready by then [s]."
+        ),
+    ] = None,
     delay_ms: Annotated[
         float | None,
         typer.Option("--delay-ms", min=0.0, metavar="D", help="Delay of the link, one way, in both directions [ms]."),
@@ -105,7 +143,7 @@ def up(
         typer.Option("--out", metavar="DIR", help="Folder for the results; default: sessions/NAME-DATE-TIME."),
     ] = None,
     overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace a recording that the folder holds already.")
+        bool, typer.Option("--overwrite", help="Replace the results of a session that the folder holds already.")
     ] = False,
     settings: Annotated[
         list[str] | None,
@@ -130,15 +168,27 @@ def up(
     from services.launcher.up import default_folder, report_of, run_rig
 
     with errors_told(as_json):
-        changes = [*(settings or ()), *(ALLOW_REPLAY if allow_replay else ())]
-        request = UpRequest(scenario, site_file, delay_ms, duration, out, overwrite, changes, without or ())
+        request = UpRequest(
+            scenario=scenario,
+            site_file=site_file,
+            delay_ms=delay_ms,
+            duration_s=duration,
+            out=out,
+            overwrite=overwrite,
+            settings=settings or (),
+            without=without or (),
+            allow_replay=allow_replay,
+            site=None if site is None else site.value,
+            attach=attach,
+            wait_s=wait,
+        )
         plan = make_plan(request, default_folder(scenario, datetime.now()))
         view = _view(live=not headless and not as_json, quiet=as_json)
         with view:
             outcome = run_rig(plan, view.observe, view.say)
         _default_signals()
         summary = report_of(outcome, plan, view.say)
-    _tell_outcome(outcome, summary, plan.out, as_json=as_json)
+    _tell_outcome(outcome, summary, plan, as_json=as_json)
 
 
 @app.command()
@@ -150,11 +200,15 @@ def session(
     target: Annotated[
         str, typer.Option("--target", metavar="NODES", help="Nodes meant: node@site, node, or a pattern such as '*'.")
     ] = "*",
-    site_file: SiteFileOption = _SITE_FILE,
+    site: Annotated[
+        Site | None,
+        typer.Option("--site", help="Site of two at which this is typed: from the slave the nodes there are reached."),
+    ] = None,
+    site_file: RigFileOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Send a command to a running rig and wait for the answers; exit code 1 if one is refused or missing."""
-    _send(command, parameters or (), target, site_file, as_json=as_json)
+    _send(command, parameters or (), target, site_file, site, as_json=as_json)
 
 
 @topic_app.command("list")
@@ -315,20 +369,45 @@ def report(
     tell(summary, str(out), as_json=as_json)
 
 
-def _tell_outcome(outcome: "Outcome", summary: dict[str, Any] | None, out: Path, *, as_json: bool) -> None:
+def _tell_outcome(outcome: "Outcome", summary: dict[str, Any] | None, plan: "Plan", *, as_json: bool) -> None:
     if outcome.failure:
         fail(outcome.failure, as_json=as_json, summary=summary)
-    if summary is None:
+    if plan.site == "slave":
+        kept = {"recording": str(outcome.recording or ""), "restarts": outcome.restarts}
+        tell({"site": "slave", **kept}, str(plan.out), as_json=as_json)
+    elif outcome.ran and plan.attach and summary is None:
+        _tell_unreported(outcome, plan, as_json=as_json)
+    elif summary is None:
         reason = "the recorder left no recording" if outcome.ran else "stopped before the session began"
-        fail(f"{reason}, see {out / 'logs'}", as_json=as_json)
-    tell(summary, str(out), as_json=as_json)
+        fail(f"{reason}, see {plan.out / 'logs'}", as_json=as_json)
+    else:
+        tell(summary, str(plan.out), as_json=as_json)
 
 
-def _send(command: SessionCommand, parameters: Sequence[str], target: str, site_file: Path, *, as_json: bool) -> None:
+def _tell_unreported(outcome: "Outcome", plan: "Plan", *, as_json: bool) -> None:
+    """Say of a session whose recording is elsewhere, or that nobody recorded, that it ran and what there is."""
+    if as_json:
+        print_json({"scenario": plan.scenario.name, "recording": None, "note": outcome.note})
+    else:
+        typer.echo(f"the session ran; {outcome.note}")
+
+
+def _send(
+    command: SessionCommand,
+    parameters: Sequence[str],
+    target: str,
+    site_file: Path | None,
+    site: Site | None = None,
+    *,
+    as_json: bool,
+) -> None:
     from services.launcher.console import ControlRequest, parse_parameters, send_control
+    from services.launcher.plan import DEFAULT_SITE_FILE, TWO_SITES_FILE
 
     with errors_told(as_json):
-        request = ControlRequest(command.value, target, parse_parameters(parameters), site_file)
+        book_file = site_file or (DEFAULT_SITE_FILE if site is None else TWO_SITES_FILE)
+        at: Literal["master", "slave"] = "master" if site is None else site.value
+        request = ControlRequest(command.value, target, parse_parameters(parameters), book_file, at)
         answers = send_control(request, lambda event: None if as_json else _tell_answer(event))
     if as_json:
         rows = {src: {"kind": event.kind, "text": event.text} for src, event in sorted(answers.items())}

@@ -1,6 +1,8 @@
 """`telenano session`: a console that sends one command to a running rig and waits for the answers."""
 
+import contextlib
 import math
+import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -12,12 +14,14 @@ import zmq
 from proto.messages import NodeHealth, Scalar, SessionEvent
 from services.launcher.control import Command, PendingControl
 from services.launcher.errors import RigError
-from services.launcher.plan import LAUNCHER
+from services.launcher.plan import Site
 from services.runtime.bus import Publisher, Subscriber
 from services.runtime.clock import Clock, SystemClock
 from services.runtime.errors import ConfigError, EndpointError
 from services.runtime.main import load_site
-from services.runtime.site import LINK_NODE, SiteBook
+from services.runtime.network import Network
+from services.runtime.security import MACHINE_VARIABLE, Keyring, this_machine
+from services.runtime.site import LINK_NODE, SiteBook, is_console, site_of
 
 CONSOLE = "console@master"
 _BIND_PATIENCE_NS = 2_000_000_000
@@ -38,6 +42,7 @@ class ControlRequest:
     target: str
     parameters: dict[str, Scalar]
     site_file: Path
+    site: Site = "master"
 
 
 def parse_parameters(pairs: Sequence[str]) -> dict[str, Scalar]:
@@ -65,14 +70,47 @@ def _scalar(pair: str, text: str) -> Scalar:
     return text
 
 
-def addressed(book: SiteBook, target: str) -> list[str]:
-    """Give the nodes of the site file that a target means; ConfigError names those that there are."""
-    # the link's second socket belongs to the same process, which answers under the name of the first
-    nodes = [n for n in book.nodes if n not in (LAUNCHER, CONSOLE) and n != f"{LINK_NODE}@slave"]
-    meant = [n for n in nodes if fnmatchcase(n, target) or fnmatchcase(n.partition("@")[0], target)]
+def addressed(book: SiteBook, target: str, site: Site = "master") -> list[str]:
+    """Give the nodes of the site file that a target means at a console; ConfigError names those that there are.
+
+    Commands cross the link forward only: a console at the slave reaches the nodes there.
+    """
+    nodes = [n for n in book.nodes if not _answers_nothing(n)]
+    within = [n for n in nodes if site == "master" or site_of(n) == site]
+    meant = [n for n in within if _is_meant(n, target)]
     if not meant:
-        raise ConfigError(f"no node is meant by target {target!r}: there are {', '.join(sorted(nodes))}")
+        beyond = [n for n in nodes if _is_meant(n, target)]
+        hint = f"; {', '.join(beyond)} is told at the master" if beyond else ""
+        raise ConfigError(f"no node is meant by target {target!r}: there are {', '.join(sorted(within))}{hint}")
     return meant
+
+
+def _answers_nothing(node: str) -> bool:
+    # the link's second socket belongs to the same process, which answers under the name of the first
+    return is_console(node) or node.partition("@")[0] == "launcher" or node == f"{LINK_NODE}@slave"
+
+
+def console_of(book: SiteBook, site: Site) -> str:
+    """Give the console of a site whose machine this is; ConfigError when there is none."""
+    known = sorted(node for node in book.nodes if is_console(node) and site_of(node) == site)
+    machines = _machines_here(book)
+    here = [node for node in known if machines is None or book.machine_of(node) in machines]
+    if not here:
+        elsewhere = f", {', '.join(known)} is on another machine" if known else ""
+        raise ConfigError(f"nodes: a console@{site} of this machine is missing, commands need an endpoint{elsewhere}")
+    return here[0]
+
+
+def _machines_here(book: SiteBook) -> list[str] | None:
+    """Give the machines in whose name this process may speak; None for all, where there are no keys."""
+    if not book.locked:
+        return None
+    keyring = Keyring()
+    return [this_machine(keyring)] if MACHINE_VARIABLE in os.environ else keyring.names()
+
+
+def _is_meant(node: str, target: str) -> bool:
+    return fnmatchcase(node, target) or fnmatchcase(node.partition("@")[0], target)
 
 
 def send_control(request: ControlRequest, heard: Callable[[SessionEvent], None]) -> dict[str, SessionEvent]:
@@ -83,21 +121,44 @@ def send_control(request: ControlRequest, heard: Callable[[SessionEvent], None])
     Raises: RigError when nodes do not answer or no rig is there, EndpointError when another console is at work.
     """
     book, clock = load_site(request.site_file), SystemClock()
-    meant = addressed(book, request.target)
-    if CONSOLE not in book.nodes:
-        raise ConfigError(f"{request.site_file}: nodes: {CONSOLE} is missing, a console needs an endpoint")
-    with zmq.Context[zmq.Socket[bytes]]() as context:
-        publisher = _bind(context, clock, book.endpoint(CONSOLE))
-        sources = book.sources(CONSOLE, ["session/event", "node/health"])
-        connections = {book.endpoint(node): topics for node, topics in sources.items()}
-        subscriber = Subscriber(context, clock, connections)
-        try:
-            exchange = Exchange(clock, request, meant)
-            _converse(exchange, publisher, subscriber, heard)
-        finally:
-            subscriber.close()
-            publisher.close()
+    meant = addressed(book, request.target, request.site)
+    try:
+        console = console_of(book, request.site)
+    except ConfigError as error:
+        raise ConfigError(f"{request.site_file}: {error}") from error
+    with zmq.Context[zmq.Socket[bytes]]() as context, contextlib.ExitStack() as stack:
+        sockets = _open(context, clock, book, console, stack)
+        exchange = Exchange(clock, request, meant)
+        _converse(exchange, sockets, heard)
     return exchange.pending.answers
+
+
+@dataclass(frozen=True)
+class _Sockets:
+    """What a console speaks and hears with."""
+
+    network: Network
+    publisher: Publisher
+    subscribers: list[Subscriber]
+
+    def wait(self) -> None:
+        """Wait a moment for what arrives, and look after the connections."""
+        zmq.select([subscriber.socket for subscriber in self.subscribers], [], [], _POLL_MS * 1e-3)
+        self.network.attend()
+
+
+def _open(
+    context: "zmq.Context[zmq.Socket[bytes]]", clock: Clock, book: SiteBook, console: str, stack: contextlib.ExitStack
+) -> _Sockets:
+    """Bind the console's endpoint and connect to the nodes; what is opened is closed with the stack."""
+    network = Network(context, clock, book, book.machine_of(console))
+    stack.callback(network.close)
+    publisher = _bind(network, clock, console)
+    stack.callback(publisher.close)
+    subscribers = network.subscribers(book.sources(console, ["session/event", "node/health"]))
+    for subscriber in subscribers:
+        stack.callback(subscriber.close)
+    return _Sockets(network, publisher, subscribers)
 
 
 class Exchange:
@@ -149,16 +210,14 @@ class Exchange:
             raise RigError(f"{', '.join(self.pending.missing)} did not answer {command}")
 
 
-def _converse(
-    exchange: Exchange, publisher: Publisher, subscriber: Subscriber, heard: Callable[[SessionEvent], None]
-) -> None:
+def _converse(exchange: Exchange, sockets: _Sockets, heard: Callable[[SessionEvent], None]) -> None:
     while not exchange.done:
-        if _newcomers(publisher):
+        if _newcomers(sockets.publisher):
             exchange.pending.hurry()
         if exchange.pending.take_due():
-            publisher.publish("session/control", **exchange.pending.fields())
-        subscriber.socket.poll(_POLL_MS)
-        for received in subscriber.receive():
+            sockets.publisher.publish("session/control", **exchange.pending.fields())
+        sockets.wait()
+        for received in (message for subscriber in sockets.subscribers for message in subscriber.receive()):
             message = received.message
             if isinstance(message, NodeHealth):
                 exchange.enter_health(message)
@@ -175,11 +234,11 @@ def _newcomers(publisher: Publisher) -> int:
     return count
 
 
-def _bind(context: "zmq.Context[zmq.Socket[bytes]]", clock: Clock, endpoint: str) -> Publisher:
+def _bind(network: Network, clock: Clock, console: str) -> Publisher:
     deadline = clock.monotonic_ns() + _BIND_PATIENCE_NS
     while True:
         try:
-            publisher = Publisher(context, clock, CONSOLE, endpoint, kind=zmq.XPUB)
+            publisher = network.publisher(console, zmq.XPUB)
         except EndpointError:
             if clock.monotonic_ns() >= deadline:
                 raise

@@ -17,8 +17,13 @@ class Late(NamedTuple):
 
 LATE = {
     "bag": Late("services.launcher.bag", "app", "Look into a recording, and make others from it."),
+    "keys": Late("services.launcher.keys", "app", "Make, show and list the keys with which machines prove themselves."),
     "record": Late("services.launcher.record", "record", "Attach to a running rig and record it."),
+    "doctor": Late(
+        "services.launcher.doctor", "doctor", "Look whether this machine can run a rig, and say what to do."
+    ),
     "replay": Late("services.launcher.replay", "replay", "Play a recording in the place of nodes that do not run."),
+    "status": Late("services.launcher.status", "status", "Say how a running rig is doing."),
 }
 
 
@@ -27,7 +32,7 @@ def load(name: str) -> Any:
     found = getattr(importlib.import_module(LATE[name].module), LATE[name].attribute)
     if isinstance(found, typer.Typer):
         return typer.main.get_command(found)
-    alone = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+    alone = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
     alone.command(name)(found)
     return typer.main.get_command(alone)
 

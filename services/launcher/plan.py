@@ -1,10 +1,10 @@
 """What `telenano up` is to run, checked as a whole before anything is started."""
 
 import importlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import yaml
 
@@ -13,9 +13,12 @@ from services.runtime.config import layered, merge, validate
 from services.runtime.errors import ConfigError
 from services.runtime.main import NodeKind, load_site
 from services.runtime.scenario import LoadedScenario, Scenario
-from services.runtime.site import SiteBook
+from services.runtime.site import LINK_NODE, SiteBook, site_of
+
+Site = Literal["master", "slave"]
 
 LAUNCHER = "launcher@master"
+RECORDER = "recorder@master"
 RECORDING_NAME = "session.mcap"
 # started and stopped in this order: the recorder hears the others come and go, the devices are made safe first
 START_ORDER = (
@@ -37,37 +40,76 @@ STOP_ORDER = (
 _PACKAGE = Path(__file__).resolve().parent
 SCENARIO_DIRECTORY = _PACKAGE / "scenarios"
 DEFAULT_SITE_FILE = _PACKAGE / "sites" / "local.yaml"
+TWO_SITES_FILE = _PACKAGE / "sites" / "two_sites.yaml"
+# a site that has machines of its own may have a recorder of its own, which nobody else waits for
+_OPTIONAL_NODES = ("recorder@slave",)
+ALLOW_REPLAY = ("afm_node.allow_replay=true", "haptic_node.allow_replay=true")
 
 
 @dataclass(frozen=True)
 class UpRequest:
-    """What was asked for on the command line."""
+    """What was asked for on the command line; without `site` and `attach` the whole rig is run here."""
 
     scenario: str
-    site_file: Path
+    site_file: Path | None
     delay_ms: float | None
     duration_s: float | None
     out: Path | None
     overwrite: bool
     settings: Sequence[str]
     without: Sequence[str] = ()
+    allow_replay: bool = False
+    site: Site | None = None
+    attach: bool = False
+    wait_s: float | None = None
+
+    def check(self) -> None:
+        """Refuse what could not act; ConfigError says which option and why."""
+        changes = {
+            "--set": bool(self.settings),
+            "--delay-ms": self.delay_ms is not None,
+            "--without": bool(self.without),
+            "--allow-replay": self.allow_replay,
+        }
+        if self.attach:
+            _refuse(changes, "--attach starts no node, the nodes have a scenario of their own: tell them")
+            _refuse({"--site slave": self.site == "slave"}, "the session is conducted at the master: --attach there")
+        elif self.site == "slave":
+            _refuse({"--delay-ms": self.delay_ms is not None}, "the link runs at the master: say it there")
+            conducts = {"--duration": self.duration_s is not None, "--wait": self.wait_s is not None}
+            _refuse(conducts, "the session is conducted at the master: say it there")
+        elif self.site is None:
+            _refuse({"--wait": self.wait_s is not None}, "without --attach or --site nobody else is waited for")
+
+
+def _refuse(given: Mapping[str, bool], reason: str) -> None:
+    found = [option for option, is_given in given.items() if is_given]
+    if found:
+        raise ConfigError(f"{', '.join(found)}: {reason}")
 
 
 @dataclass(frozen=True)
 class Plan:
-    """A rig that is known to be sound: its address book, effective scenario and folder."""
+    """A rig that is known to be sound: its address book, effective scenario and folder.
+
+    `nodes` are those to start, in order; `others` those that somebody else runs and the session needs.
+    """
 
     book: SiteBook
     site_file: Path
     loaded: LoadedScenario
     out: Path
     overwrite: bool
-    without: frozenset[str] = frozenset()
+    nodes: tuple[str, ...]
+    others: tuple[str, ...] = ()
+    site: Site | None = None
+    attach: bool = False
+    wait_s: float | None = None
 
     @property
-    def nodes(self) -> tuple[str, ...]:
-        """The nodes to start, in order: all but those that somebody else runs or a recording stands in for."""
-        return tuple(node for node in START_ORDER if node not in self.without)
+    def launcher(self) -> str:
+        """Name of the launcher at this site."""
+        return f"launcher@{self.site or 'master'}"
 
     @property
     def scenario(self) -> Scenario:
@@ -86,7 +128,9 @@ class Plan:
 
     def leftovers(self) -> list[Path]:
         """Give the files of an earlier session in the folder; a recorder that was restarted left several recordings."""
-        patterns = ("session*.mcap", "fig12.png", "summary.json")
+        # a recorder of somebody else may be writing to this very folder
+        recordings = () if self.attach else ("session*.mcap",)
+        patterns = (*recordings, "fig12.png", "summary.json")
         return sorted(path for pattern in patterns for path in self.out.glob(pattern))
 
     def prepare_folder(self) -> None:
@@ -95,35 +139,78 @@ class Plan:
             self.out.mkdir(parents=True, exist_ok=True)
             for old in self.leftovers() if self.overwrite else ():
                 old.unlink()
-            self.scenario_file.write_text(yaml.safe_dump(self.loaded.document, sort_keys=False), encoding="utf-8")
+            if not self.attach:
+                self.scenario_file.write_text(yaml.safe_dump(self.loaded.document, sort_keys=False), encoding="utf-8")
         except OSError as error:
             raise RigError(f"{self.out}: cannot be written: {error.strerror}") from error
 
 
 def make_plan(request: UpRequest, default_out: Path) -> Plan:
     """Read and check everything that a rig needs; ConfigError names the file and key at fault."""
-    site_file = request.site_file.resolve()
+    request.check()
+    site_file = (request.site_file or (DEFAULT_SITE_FILE if request.site is None else TWO_SITES_FILE)).resolve()
     book = load_site(site_file)
-    absent = [node for node in (LAUNCHER, *START_ORDER) if node not in book.nodes]
-    if absent:
-        raise ConfigError(f"{site_file}: nodes: {', '.join(absent)} is missing, the rig needs an endpoint for each")
-    scenario_path = find_scenario(request.scenario)
+    own = own_nodes(book, request)
+    check_book(book, site_file, request)
     out = (request.out or default_out).absolute()
-    loaded = effective_scenario(scenario_path, request, out)
+    loaded = effective_scenario(find_scenario(request.scenario), request, out)
     check_sections(loaded)
-    plan = Plan(book, site_file, loaded, out, request.overwrite, left_out(request.without))
-    recordings = [path for path in plan.leftovers() if path.suffix == ".mcap"]
-    if recordings and not request.overwrite:
-        raise ConfigError(f"{recordings[0]} exists already: give another --out, or --overwrite to replace it")
+    plan = Plan(
+        book=book,
+        site_file=site_file,
+        loaded=loaded,
+        out=out,
+        overwrite=request.overwrite,
+        nodes=own,
+        others=other_nodes(request),
+        site=request.site,
+        attach=request.attach,
+        wait_s=request.wait_s,
+    )
+    kept = [path for path in plan.leftovers() if plan.attach or path.suffix == ".mcap"]
+    if kept and not request.overwrite:
+        raise ConfigError(f"{kept[0]} exists already: give another --out, or --overwrite to replace it")
     return plan
 
 
-def left_out(names: Sequence[str]) -> frozenset[str]:
+def own_nodes(book: SiteBook, request: UpRequest) -> tuple[str, ...]:
+    """Give the nodes to start, in order: all but those that somebody else runs or a recording stands in for."""
+    if request.attach:
+        return ()
+    known: tuple[str, ...] = START_ORDER
+    if request.site is not None:
+        optional = [node for node in _OPTIONAL_NODES if node in book.nodes]
+        known = tuple(node for node in (*optional, *START_ORDER) if site_of(node) == request.site)
+    absent = left_out(request.without, known)
+    return tuple(node for node in known if node not in absent)
+
+
+def other_nodes(request: UpRequest) -> tuple[str, ...]:
+    """Give the nodes of somebody else that the session needs, in the order in which a rig is shown."""
+    if request.attach:
+        return tuple(node for node in START_ORDER if node != RECORDER)
+    if request.site == "master":
+        return tuple(node for node in START_ORDER if site_of(node) == "slave")
+    return ()
+
+
+def check_book(book: SiteBook, site_file: Path, request: UpRequest) -> None:
+    """Raise ConfigError naming the nodes that a site file lacks."""
+    needed = [LAUNCHER, *(node for node in START_ORDER if not (request.attach and node == RECORDER))]
+    if request.site is not None:
+        # the link's face at the slave is what the nodes there hear of the master
+        needed += [f"launcher@{request.site}", f"{LINK_NODE}@slave"]
+    absent = [node for node in dict.fromkeys(needed) if node not in book.nodes]
+    if absent:
+        raise ConfigError(f"{site_file}: nodes: {', '.join(absent)} is missing, the rig needs an endpoint for each")
+
+
+def left_out(names: Sequence[str], known: Sequence[str] = START_ORDER) -> frozenset[str]:
     """Give the nodes meant by `node@site` or `node`; ConfigError names those that there are."""
     for name in names:
-        if not any(name in (node, node.partition("@")[0]) for node in START_ORDER):
-            raise ConfigError(f"--without {name}: there are {', '.join(START_ORDER)}")
-    return frozenset(node for node in START_ORDER if node in names or node.partition("@")[0] in names)
+        if not any(name in (node, node.partition("@")[0]) for node in known):
+            raise ConfigError(f"--without {name}: there are {', '.join(known)}")
+    return frozenset(node for node in known if node in names or node.partition("@")[0] in names)
 
 
 def known_scenarios() -> list[str]:
@@ -143,7 +230,8 @@ def find_scenario(name: str) -> Path:
 
 def effective_scenario(path: Path, request: UpRequest, out: Path) -> LoadedScenario:
     """Lay environment, --set and the other flags over a scenario file; ConfigError names file and key."""
-    document, origin = layered(path, request.settings)
+    settings = [*request.settings, *(ALLOW_REPLAY if request.allow_replay else ())]
+    document, origin = layered(path, settings)
     document = anchored(document, path.absolute().parent)
     flags: dict[str, Any] = {}
     if request.duration_s is not None:
@@ -153,7 +241,8 @@ def effective_scenario(path: Path, request: UpRequest, out: Path) -> LoadedScena
         one_way = {"delay_s": request.delay_ms / 1000.0}
         flags["delay_node"] = {"forward": one_way, "backward": dict(one_way)}
         origin += " + --delay-ms"
-    flags["recorder"] = {"directory": str(out), "file_name": RECORDING_NAME}
+    if not request.attach:
+        flags["recorder"] = {"directory": str(out), "file_name": RECORDING_NAME}
     document = merge(document, flags)
     return LoadedScenario(validate(Scenario, document, origin), origin, document)
 

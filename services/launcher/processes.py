@@ -33,6 +33,9 @@ class Children(Protocol):
     def log_tail(self, node: str) -> str:
         """Give the last lines that a node wrote, as text for a person."""
 
+    def log_path(self, node: str) -> Path:
+        """Give the file that a node's log goes to."""
+
     def stop(self) -> None:
         """End every process and wait until it is gone."""
 

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from services.runtime.clock import Clock
 from services.runtime.main import EXIT_BAD_START
 
+_REMEMBERED_DEATHS = 8
+
 
 @dataclass(frozen=True)
 class RestartPolicy:
@@ -42,6 +44,7 @@ class _Account:
         self.delay_s = 0.0
         self.restart_ns: int | None = None
         self.deaths_ns: deque[int] = deque()
+        self.deaths: deque[Death] = deque(maxlen=_REMEMBERED_DEATHS)
         self.restarts = 0
 
 
@@ -63,7 +66,12 @@ class Supervisor:
 
     def died(self, node: str, exit_code: int) -> Death:
         """Enter a death (exit code as of subprocess: negative is a signal) and decide what follows."""
-        account, policy, now = self._accounts[node], self._policy, self._clock.monotonic_ns()
+        death = self._judge(node, self._accounts[node], exit_code)
+        self._accounts[node].deaths.append(death)
+        return death
+
+    def _judge(self, node: str, account: _Account, exit_code: int) -> Death:
+        policy, now = self._policy, self._clock.monotonic_ns()
         life_s = (now - account.started_ns) * 1e-9
         account.deaths_ns.append(now)
         while now - account.deaths_ns[0] > policy.crash_loop_window_s * 1e9:
@@ -83,6 +91,10 @@ class Supervisor:
         """Give the nodes whose time to be started again has come."""
         now = self._clock.monotonic_ns()
         return [node for node, account in self._accounts.items() if account.restart_ns and account.restart_ns <= now]
+
+    def deaths(self, node: str) -> list[Death]:
+        """Give the last deaths of a node, in order."""
+        return list(self._accounts[node].deaths)
 
     def restarts(self, node: str) -> int:
         """Give how often a node was started again."""

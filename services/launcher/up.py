@@ -3,7 +3,7 @@
 import contextlib
 import logging
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -12,26 +12,37 @@ from typing import IO, Any
 import zmq
 
 from services.launcher.errors import RigError
-from services.launcher.plan import LAUNCHER, STOP_ORDER, Plan
+from services.launcher.keeper import Keeper
+from services.launcher.plan import RECORDER, STOP_ORDER, Plan
 from services.launcher.processes import NodeProcesses, node_command
-from services.launcher.session import SessionNode
-from services.runtime.bus import Publisher, Subscriber, ZmqBus
-from services.runtime.clock import SystemClock
+from services.launcher.session import RigNode, SessionNode, SiteNode
+from services.launcher.tape import Tape, readable_here
+from services.runtime.bus import ZmqBus
+from services.runtime.clock import Clock, SystemClock
 from services.runtime.errors import RecordingError
 from services.runtime.log import StructuredLog, configure_logging
+from services.runtime.network import Network
 from services.runtime.node import NodeContext, NodeLoop, install_stop_signals
 from services.runtime.realtime import RealtimeStatus, shallow_idle
+from services.runtime.site import LINK_NODE
 
-Observer = Callable[[SessionNode], None]
+Observer = Callable[[RigNode], None]
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a session ended."""
+    """How a session ended.
+
+    `recording` is the file of the session, None where none can be read from here; `note` then says why, and where it
+    is. `restarts` counts how often each own node was started again.
+    """
 
     failure: str
     interrupted: bool
     ran: bool
+    recording: Path | None
+    note: str
+    restarts: dict[str, int]
 
 
 def default_folder(scenario: str, now: datetime) -> Path:
@@ -40,61 +51,112 @@ def default_folder(scenario: str, now: datetime) -> Path:
 
 
 def run_rig(plan: Plan, observe: Observer, say: Callable[[str], None]) -> Outcome:
-    """Run the rig from the first process to the last; EndpointError and RigError say why it could not begin."""
+    """Run what a plan says from the first process to the last; TelenanoError says why it could not begin."""
     clock = SystemClock()
+    stopper = _Stopper()
     with zmq.Context[zmq.Socket[bytes]]() as context, contextlib.ExitStack() as stack:
         # the endpoint first: whoever has it runs a rig already, whose files must not be touched
-        publisher = Publisher(context, clock, LAUNCHER, plan.book.endpoint(LAUNCHER))
-        stack.callback(publisher.close)
+        inputs = SiteNode.inputs if plan.site == "slave" else SessionNode.inputs
+        bus = open_bus(context, clock, plan, inputs, stopper.wake)
+        stack.callback(bus.close)
         plan.prepare_folder()
         log_directory = plan.out / "logs"
         commands = {node: node_command(node, plan.site_file, plan.scenario_file) for node in plan.nodes}
         children = NodeProcesses(
             commands, STOP_ORDER, log_directory, clock.epoch_offset_ns, lambda node: say(f"stopping {node}")
         )
-        stack.enter_context(own_log(log_directory / f"{LAUNCHER}.log"))
-        by_endpoint = {
-            plan.book.endpoint(node): topics
-            for node, topics in plan.book.sources(LAUNCHER, list(SessionNode.inputs)).items()
-        }
-        subscriber = Subscriber(context, clock, by_endpoint)
-        stack.callback(subscriber.close)
-        return _conduct(plan, clock, publisher, subscriber, children, observe)
+        stack.enter_context(own_log(log_directory / f"{plan.launcher}.log"))
+        node_context = NodeContext(plan.launcher, clock, bus, StructuredLog(plan.launcher))
+        rig = make_rig(plan, node_context, Keeper(clock, plan.nodes, children))
+        rig.observe = observe
+        _run(rig, bus, stopper)
+    return outcome_of(rig, plan)
 
 
-def _conduct(
-    plan: Plan,
-    clock: SystemClock,
-    publisher: Publisher,
-    subscriber: Subscriber,
-    children: NodeProcesses,
-    observe: Observer,
-) -> Outcome:
-    stop_asked: list[SessionNode] = []
+def open_bus(
+    context: "zmq.Context[zmq.Socket[bytes]]", clock: Clock, plan: Plan, inputs: Sequence[str], wake: int
+) -> ZmqBus:
+    """Bind the launcher's endpoint and connect to what it hears; EndpointError names who has the endpoint."""
+    book = plan.book
+    network = Network(context, clock, book, book.machine_of(plan.launcher))
+    try:
+        publisher = network.publisher(plan.launcher)
+    except BaseException:
+        network.close()
+        raise
+    subscribers = network.subscribers(book.sources(plan.launcher, list(inputs)))
+    return ZmqBus(publisher, subscribers, clock, wake, network)
 
-    def stop() -> None:
+
+def make_rig(plan: Plan, context: NodeContext, keeper: Keeper) -> RigNode:
+    """Make the node that looks after what the plan says, and conducts its session unless another site does."""
+    if plan.site == "slave":
+        return SiteNode(context, keeper, link=f"{LINK_NODE}@slave", site="slave", other_site="master")
+    return SessionNode(
+        context,
+        keeper,
+        plan.scenario.duration_s,
+        others=plan.others,
+        site=plan.site or "",
+        other_site="slave" if plan.site == "master" and not plan.attach else "",
+        wait_s=plan.wait_s,
+        tape=Tape(context.clock, RECORDER) if plan.attach else None,
+    )
+
+
+class _Stopper:
+    """Takes the stop signals from the first moment on; the rig hears of them once there is one."""
+
+    def __init__(self) -> None:
+        self.rig: RigNode | None = None
+        self._asked = False
+        self.wake = install_stop_signals(self._stop)
+
+    def attach(self, rig: RigNode) -> None:
+        self.rig = rig
+        if self._asked:
+            rig.interrupt()
+
+    def _stop(self) -> None:
+        self._asked = True
         # the descriptor ends every wait until it is read, and this loop goes on waiting after a signal
         with contextlib.suppress(BlockingIOError):
-            os.read(wake, 64)
-        for asked in stop_asked:
-            asked.interrupt()
+            os.read(self.wake, 64)
+        if self.rig is not None:
+            self.rig.interrupt()
 
-    wake = install_stop_signals(stop)
-    bus = ZmqBus(publisher, [subscriber], clock, wake)
-    node_context = NodeContext(LAUNCHER, clock, bus, StructuredLog(LAUNCHER))
-    session = SessionNode(node_context, plan.nodes, children, plan.scenario.duration_s, observe=observe)
-    stop_asked.append(session)
-    loop = NodeLoop(session, bus, RealtimeStatus(fifo=False, memory_locked=False))
-    session.finish = loop.stop
+
+def _run(rig: RigNode, bus: ZmqBus, stopper: _Stopper) -> None:
+    loop = NodeLoop(rig, bus, RealtimeStatus(fifo=False, memory_locked=False))
+    rig.finish = loop.stop
+    stopper.attach(rig)
     with shallow_idle():
         try:
-            session.launch()
+            rig.launch()
             loop.run()
         except OSError as error:
             raise RigError(f"the rig could not be run: {error}") from error
         finally:
-            children.stop()
-    return Outcome(session.failure, session.interrupted, session.ran)
+            rig.keeper.stop()
+
+
+def outcome_of(rig: RigNode, plan: Plan) -> Outcome:
+    """Say how it ended, and where the recording is."""
+    ran = isinstance(rig, SessionNode) and rig.ran
+    recording: Path | None = plan.recording if plan.recording.exists() else None
+    note = ""
+    if isinstance(rig, SessionNode) and rig.tape is not None:
+        recording, note = _found(rig, rig.tape, plan) if ran else (None, "")
+    return Outcome(rig.failure, rig.interrupted, ran, recording, note, rig.keeper.restarts())
+
+
+def _found(session: SessionNode, tape: Tape, plan: Plan) -> tuple[Path | None, str]:
+    if not tape.path:
+        return None, f"nothing was recorded: {tape.fault}"
+    if readable_here(tape.path, session.start_id):
+        return Path(tape.path), ""
+    again = f"telenano report {tape.path} --out {plan.out}"
+    return None, f"{tape.recorder} recorded the session to {tape.path}, which cannot be read from here: `{again}` there"
 
 
 @contextlib.contextmanager
@@ -115,18 +177,19 @@ def report_of(outcome: Outcome, plan: Plan, say: Callable[[str], None]) -> dict[
 
     Raises: RecordingError when a session that did not fail left a recording that cannot be reported.
     """
-    if not outcome.ran or not plan.recording.exists():
+    recording = outcome.recording
+    if not outcome.ran or recording is None:
         return None
-    say("making figure and summary")
+    say(f"making figure and summary from {recording}" if plan.attach else "making figure and summary")
     try:
-        return make_report(plan.recording, plan.out)
+        return make_report(recording, plan.out)
     except RecordingError:
         # the failure of the rig is the cause, and is what the person is told
         if outcome.failure:
             return None
         raise
     except KeyboardInterrupt as error:
-        again = f"telenano report {plan.recording} --out {plan.out}"
+        again = f"telenano report {recording} --out {plan.out}"
         raise RigError(f"interrupted while the report was made, `{again}` makes it") from error
 
 

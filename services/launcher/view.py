@@ -13,32 +13,48 @@ from rich.text import Text
 
 from proto.messages import NodeHealth, SessionEvent
 from services.launcher.readiness import oldest_input_s
-from services.launcher.session import Phase, SessionNode
+from services.launcher.session import Phase, RigNode, SessionNode
 
 _REFRESH_TICKS = 5
+# how often a line says what is still waited for
+_REMIND_NS = 5_000_000_000
+_NEWS_SHOWN = 6
 _STATE_STYLES = {"ready": "green", "running": "green", "safe": "yellow", "starting": "yellow", "stopping": "red"}
 _LEVEL_STYLES = {"info": "", "warning": "yellow", "error": "red"}
 _COLUMNS = ("state", "rate Hz", "late p99 ms", "input age ms", "lost", "refused", "CPU %", "MB", "restarts")
 
 
 class LineView(AbstractContextManager["LineView"]):
-    """One line for each change of phase, for logs and pipes."""
+    """One line for each change of phase and each piece of news, for logs and pipes."""
 
     def __init__(self, console: Console, *, quiet: bool = False) -> None:
         self._console = console
         self._quiet = quiet
         self._phase: Phase | None = None
+        self._reasons: dict[str, str] = {}
+        self._reminded_ns = 0
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """Leave nothing behind."""
 
-    def observe(self, session: SessionNode) -> None:
-        """Write a line when the phase is a new one."""
-        if session.phase != self._phase:
-            self._phase = session.phase
-            self.say(phase_text(session))
+    def observe(self, rig: RigNode) -> None:
+        """Write what is new: news, a phase, who is waited for."""
+        while rig.news:
+            self.say(rig.news.popleft())
+        if rig.phase != self._phase:
+            self._phase = rig.phase
+            self._reasons, self._reminded_ns = {}, rig.clock.monotonic_ns()
+            self.say(rig.status_line())
+        elif isinstance(rig, SessionNode) and rig.waits_for_others and rig.phase == "starting":
+            self._remind(rig)
+
+    def _remind(self, session: SessionNode) -> None:
+        now, reasons = session.clock.monotonic_ns(), session.causes()
+        if reasons and reasons != self._reasons and now - self._reminded_ns >= _REMIND_NS:
+            self._reasons, self._reminded_ns = reasons, now
+            self.say("still waiting: " + "; ".join(f"{node} {reason}" for node, reason in reasons.items()))
 
     def say(self, text: str) -> None:
         """Write a line."""
@@ -66,11 +82,11 @@ class LiveView(AbstractContextManager["LiveView"]):
         """Give the terminal back."""
         self._live.stop()
 
-    def observe(self, session: SessionNode) -> None:
-        """Show a tick of the session, a few times a second."""
+    def observe(self, rig: RigNode) -> None:
+        """Show a tick of the rig, a few times a second."""
         self._ticks += 1
         if self._ticks % _REFRESH_TICKS == 1:
-            self._last = session_picture(session)
+            self._last = rig_picture(rig)
             self._live.update(self._last, refresh=True)
 
     def say(self, text: str) -> None:
@@ -78,40 +94,31 @@ class LiveView(AbstractContextManager["LiveView"]):
         self._live.update(Group(*([self._last] if self._last else []), Text(text)), refresh=True)
 
 
-def phase_text(session: SessionNode) -> str:
-    """Say in a line what the session is at."""
-    if session.phase == "starting":
-        waiting = session.waiting()
-        count = f"{len(waiting)} of {len(session.nodes)} nodes"
-        return f"waiting for {count} to be ready (the first start compiles the models, up to 60 s)"
-    if session.phase == "running":
-        return f"running for {session.duration_s:g} s, Ctrl-C stops it cleanly"
-    return {"arming": "arming the devices", "ending": "stopping", "over": "stopped"}[session.phase]
-
-
-def session_picture(session: SessionNode) -> Group:
-    """Draw a session: nodes, progress, last events."""
-    parts: list[RenderableType] = [nodes_table(session), Text(phase_text(session))]
-    if session.phase == "starting":
-        parts += [Text(f"  {node} {reason}", "yellow") for node, reason in session.waiting().items()]
-    if session.ran:
-        done = min(session.elapsed_s, session.duration_s)
+def rig_picture(rig: RigNode) -> Group:
+    """Draw a rig: nodes, what it is at, last news and events."""
+    parts: list[RenderableType] = [nodes_table(rig), Text(rig.status_line())]
+    if rig.phase == "starting":
+        parts += [Text(f"  {node} {reason}", "yellow") for node, reason in rig.causes().items()]
+    if rig.progress is not None:
+        done_s, whole_s = rig.progress
         bar = Table.grid(padding=(0, 1))
-        bar.add_row(ProgressBar(session.duration_s, done, width=50), f"{done:.1f} of {session.duration_s:g} s")
+        bar.add_row(ProgressBar(whole_s, done_s, width=50), f"{done_s:.1f} of {whole_s:g} s")
         parts.append(bar)
-    parts += [_event_line(event) for event in session.events]
+    parts += [Text(text, "yellow", overflow="ellipsis", no_wrap=True) for text in list(rig.news)[-_NEWS_SHOWN:]]
+    parts += [_event_line(event) for event in rig.events]
     return Group(*parts)
 
 
-def nodes_table(session: SessionNode) -> Table:
-    """Draw the table of nodes from what they last said."""
+def nodes_table(rig: RigNode) -> Table:
+    """Draw the table of nodes from what they last said; how often one was restarted is known of own nodes only."""
     table = Table("node", *_COLUMNS)
     for column in table.columns[2:]:
         column.justify = "right"
-    for node in session.nodes:
-        health = session.health.get(node)
+    restarts = rig.keeper.restarts()
+    for node in rig.nodes:
+        health = rig.health.get(node)
         cells = _cells(health) if health else [Text("-", "dim")] + [Text("")] * (len(_COLUMNS) - 2)
-        table.add_row(node, *cells, Text(str(session.supervisor.restarts(node))))
+        table.add_row(node, *cells, Text(str(restarts.get(node, "-"))))
     return table
 
 

@@ -38,7 +38,7 @@ def leaves(command: object, path: str) -> Iterator[tuple[str, object]]:
 COMMANDS = dict(leaves(typer.main.get_command(app), "telenano"))
 for late in LATE:
     COMMANDS.update(leaves(load(late), f"telenano {late}"))
-GROUPS = {"telenano topic", "telenano bag", "telenano link", "telenano study"}
+GROUPS = {"telenano topic", "telenano bag", "telenano keys", "telenano link", "telenano study"}
 
 
 def documented_flags(path: str) -> set[str]:
@@ -179,6 +179,32 @@ def test_a_listing_with_json_is_one_object_even_where_nobody_speaks() -> None:
     code, out, err = run("topic", "list", "--duration", "0", "--json")
     assert (code, err) == (0, "")
     assert {row["heard"] for row in json.loads(out)["topics"]} == {0}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--attach", "--set", "a.b=1", "--allow-replay"), "--set, --allow-replay: --attach starts no node"),
+        (("--wait", "3"), "--wait: without --attach or --site nobody else is waited for"),
+        (("--site", "slave", "--duration", "3"), "--duration: the session is conducted at the master"),
+        (("--site", "slave", "--attach"), "--site slave: the session is conducted at the master"),
+    ],
+)
+def test_up_refuses_what_could_not_act(arguments: tuple[str, ...], words: str) -> None:
+    code, out, err = run("up", "--scenario", "fig12", *arguments)
+    assert (code, out) == (2, "")
+    assert words in err
+
+
+def test_attaching_to_nobody_ends_at_its_limit(tmp_path: Path) -> None:
+    arguments = ("--attach", "--scenario", "fig12", "--wait", "0.1", "--out", str(tmp_path / "out"), "--json")
+    result = subprocess.run(
+        [sys.executable, "-m", "services.launcher", "up", *arguments], capture_output=True, text=True, check=False
+    )
+    assert result.returncode == 1
+    assert json.loads(result.stdout)["error"].startswith(
+        "the rig was not ready within 0.1 s: delay_node@master has not"
+    )
 
 
 def test_an_unknown_node_lists_the_known() -> None:

@@ -1,15 +1,19 @@
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from proto.messages import NodeHealth, SessionEvent
-from services.launcher.console import ControlRequest, Exchange, addressed, parse_parameters
+from services.launcher.console import ControlRequest, Exchange, addressed, console_of, parse_parameters, send_control
 from services.launcher.errors import RigError
-from services.launcher.plan import DEFAULT_SITE_FILE
+from services.launcher.plan import DEFAULT_SITE_FILE, TWO_SITES_FILE
 from services.runtime.clock import VirtualClock
+from services.runtime.config import validate
 from services.runtime.errors import ConfigError
 from services.runtime.main import load_site
+from services.runtime.security import Keyring
+from services.runtime.site import SiteBook
 
 MS = 1_000_000
 
@@ -68,6 +72,20 @@ def test_a_target_that_means_nobody_lists_the_nodes() -> None:
         addressed(load_site(DEFAULT_SITE_FILE), "hand")
 
 
+def test_a_console_at_the_slave_reaches_the_nodes_there() -> None:
+    book = load_site(TWO_SITES_FILE)
+    assert set(addressed(book, "*", "slave")) == {"afm_node@slave", "controller@slave", "recorder@slave"}
+    assert addressed(book, "controller", "slave") == ["controller@slave"]
+    assert set(addressed(book, "controller")) == {"controller@master", "controller@slave"}
+    with pytest.raises(ConfigError, match=r"'haptic_node'.*haptic_node@master is told at the master"):
+        addressed(book, "haptic_node", "slave")
+
+
+def test_a_site_file_without_a_console_at_the_site_is_named() -> None:
+    with pytest.raises(ConfigError, match="a console@slave of this machine is missing"):
+        send_control(ControlRequest("estop", "*", {}, DEFAULT_SITE_FILE, "slave"), lambda event: None)
+
+
 def test_parameters_are_flags_numbers_or_text() -> None:
     given = parse_parameters(["a=true", "b.c=3", "d=1e-9", "e=two words", "f=a=b", "g="])
     assert given == {"a": True, "b.c": 3, "d": 1e-9, "e": "two words", "f": "a=b", "g": ""}
@@ -122,3 +140,26 @@ def test_no_rig_and_no_taker_are_told_apart() -> None:
     of.enter_health(alive("recorder@master"))
     with pytest.raises(RigError, match="recorder@master do not know it"):
         of.check()
+
+
+def test_commands_are_typed_at_the_console_of_ones_own_machine(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("TELENANO_KEYS_DIR", str(tmp_path / "keys"))
+    monkeypatch.delenv("TELENANO_MACHINE", raising=False)
+    nodes: dict[str, Any] = {
+        "console@master": "ipc:///run/console",
+        "console_desk@master": {"network": "tcp://{desk}:5707", "machine": "desk"},
+        "controller@slave": "tcp://{slave}:5711",
+    }
+    machines = {"slave": "10.0.0.2", "desk": "10.0.0.3"}
+    book = validate(SiteBook, {"nodes": nodes, "machines": machines}, "site.yaml")
+    Keyring(tmp_path / "keys").create("desk")
+    assert console_of(book, "master") == "console_desk@master"
+    # with the keys of two machines here, as where one tries both, the site's own console comes first
+    Keyring(tmp_path / "keys").create("master")
+    assert console_of(book, "master") == "console@master"
+    monkeypatch.setenv("TELENANO_MACHINE", "desk")
+    assert console_of(book, "master") == "console_desk@master"
+    monkeypatch.setenv("TELENANO_MACHINE", "slave")
+    with pytest.raises(ConfigError, match=r"console@master, console_desk@master is on another machine"):
+        console_of(book, "master")
+    assert addressed(book, "*") == ["controller@slave"]

@@ -5,16 +5,20 @@ import pytest
 import yaml
 
 from services.launcher.plan import (
+    ALLOW_REPLAY,
     DEFAULT_SITE_FILE,
     LAUNCHER,
+    RECORDER,
     START_ORDER,
     STOP_ORDER,
+    TWO_SITES_FILE,
     UpRequest,
     anchored,
     known_scenarios,
     make_plan,
 )
 from services.runtime.config import read_yaml
+from services.runtime.errors import ConfigError
 from services.runtime.main import load_site
 
 
@@ -84,3 +88,85 @@ def test_file_names_in_a_scenario_are_meant_from_its_folder(tmp_path: Path) -> N
         },
         "n": 1,
     }
+
+
+def test_replay_is_allowed_to_the_devices_by_their_settings(tmp_path: Path) -> None:
+    plan = make_plan(request(tmp_path, allow_replay=True), tmp_path)
+    assert plan.scenario.afm_node["allow_replay"] is True
+    assert plan.scenario.haptic_node["allow_replay"] is True
+    assert len(ALLOW_REPLAY) == 2
+
+
+def test_attached_plans_start_nothing_and_leave_the_scenario_to_the_nodes(tmp_path: Path) -> None:
+    plan = make_plan(request(tmp_path, attach=True, duration_s=3.0, wait_s=7.0), tmp_path)
+    assert plan.nodes == ()
+    assert set(plan.others) == {*START_ORDER} - {RECORDER}
+    assert (plan.launcher, plan.scenario.duration_s, plan.wait_s) == (LAUNCHER, 3.0, 7.0)
+    plan.prepare_folder()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_attached_plans_never_touch_a_recording(tmp_path: Path) -> None:
+    # the recorder of somebody else may write to this very folder
+    for name in ("session.mcap", "session_1.mcap"):
+        (tmp_path / name).write_text("precious")
+    make_plan(request(tmp_path, attach=True), tmp_path)
+    (tmp_path / "summary.json").write_text("old")
+    with pytest.raises(ConfigError, match=r"summary\.json exists already"):
+        make_plan(request(tmp_path, attach=True), tmp_path)
+    make_plan(request(tmp_path, attach=True, overwrite=True), tmp_path).prepare_folder()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["session.mcap", "session_1.mcap"]
+
+
+def test_attaching_needs_no_recorder_in_the_site_file(tmp_path: Path) -> None:
+    document = read_yaml(DEFAULT_SITE_FILE)
+    del document["nodes"][RECORDER]
+    site_file = tmp_path / "site.yaml"
+    site_file.write_text(yaml.safe_dump(document))
+    make_plan(request(tmp_path / "out", attach=True, site_file=site_file), tmp_path)
+    with pytest.raises(ConfigError, match="recorder@master is missing"):
+        make_plan(request(tmp_path / "out", site_file=site_file), tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"attach": True, "settings": ("x.y=1",)}, ("--set: ", "--attach starts no node")),
+        ({"attach": True, "delay_ms": 0.0, "without": ("afm_node",)}, ("--delay-ms, --without: ",)),
+        ({"attach": True, "allow_replay": True}, ("--allow-replay: ",)),
+        ({"attach": True, "site": "slave"}, ("--site slave: ", "at the master")),
+        ({"site": "slave", "delay_ms": 1.0}, ("--delay-ms: ", "the link runs at the master")),
+        ({"site": "slave", "duration_s": 1.0, "wait_s": 1.0}, ("--duration, --wait: ", "at the master")),
+        ({"wait_s": 0.0}, ("--wait: ", "--attach or --site")),
+        ({"site": "master", "without": ("afm_node",)}, ("--without afm_node", "haptic_node@master")),
+    ],
+)
+def test_what_could_not_act_is_refused(tmp_path: Path, changes: dict[str, Any], words: tuple[str, ...]) -> None:
+    with pytest.raises(ConfigError) as caught:
+        make_plan(request(tmp_path, site_file=None, **changes), tmp_path)
+    assert all(word in str(caught.value) for word in words)
+
+
+def test_the_sites_share_the_rig_and_the_slave_is_awaited_by_the_master(tmp_path: Path) -> None:
+    plans = {site: make_plan(request(tmp_path, site=site, site_file=None), tmp_path) for site in ("master", "slave")}
+    assert plans["slave"].site_file == TWO_SITES_FILE
+    assert plans["slave"].nodes == ("recorder@slave", "afm_node@slave", "controller@slave")
+    assert plans["slave"].others == ()
+    assert plans["slave"].launcher == "launcher@slave"
+    assert plans["master"].nodes == tuple(node for node in START_ORDER if node.endswith("@master"))
+    assert plans["master"].others == ("afm_node@slave", "controller@slave")
+    started = {node for plan in plans.values() for node in plan.nodes}
+    assert started == {*START_ORDER, "recorder@slave"}
+
+
+def test_a_site_may_have_no_recorder_but_needs_its_launcher(tmp_path: Path) -> None:
+    document = read_yaml(TWO_SITES_FILE)
+    site_file = tmp_path / "site.yaml"
+    del document["nodes"]["recorder@slave"]
+    site_file.write_text(yaml.safe_dump(document))
+    slave = request(tmp_path / "out", site="slave", site_file=site_file)
+    assert make_plan(slave, tmp_path).nodes == ("afm_node@slave", "controller@slave")
+    del document["nodes"]["launcher@slave"]
+    site_file.write_text(yaml.safe_dump(document))
+    with pytest.raises(ConfigError, match="launcher@slave is missing"):
+        make_plan(slave, tmp_path)

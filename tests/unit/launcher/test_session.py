@@ -1,129 +1,9 @@
-from dataclasses import dataclass, field
-from typing import Any
-
 import pytest
+from launcher_bench import NODES, SECOND_NS, TICK_NS, Rig, health, row
 
-from proto import TOPICS
-from proto.messages import InputHealth, Message, NodeHealth, SessionControl, SessionEvent
-from services.launcher.readiness import oldest_input_s, silent_inputs, unmet
-from services.launcher.session import READY_DEADLINE_S, SessionNode
-from services.launcher.view import phase_text, session_picture
-from services.runtime.bus import Received
-from services.runtime.clock import VirtualClock
-from services.runtime.log import StructuredLog
-from services.runtime.node import NodeContext
-from services.runtime.sequence import Arrival
-
-NODES = ["recorder@master", "afm_node@slave", "haptic_node@master"]
-TICK_NS = 50_000_000
-SECOND_NS = 1_000_000_000
-
-
-def row(topic: str, src: str = "", *, heard: bool = True, age_s: float = 0.001) -> InputHealth:
-    return InputHealth(
-        topic=topic, src=src, received=int(heard), lost=0, gaps=0, repeated=0, restarts=0, age_valid=heard, age_s=age_s
-    )
-
-
-def health(node: str, state: str = "ready", inputs: tuple[InputHealth, ...] = ()) -> NodeHealth:
-    fields: dict[str, Any] = {
-        "seq": 0, "t_ns": 0, "src": node, "v": 1, "pid": 1, "state": state, "uptime_s": 1.0, "rate_hz": 1000.0,
-        "period_s": 0.001, "lateness_p50_s": 0.0, "lateness_p99_s": 0.0, "lateness_max_s": 0.0, "overruns": 0,
-        "rejected": {}, "cpu_percent": 1.0, "memory_bytes": 1, "realtime": False, "memory_locked": False,
-        "replay": False, "inputs": inputs,
-    }  # fmt: skip
-    return NodeHealth(**fields)
-
-
-@dataclass
-class FakeBus:
-    clock: VirtualClock
-    sent: list[Message] = field(default_factory=list)
-
-    def publish(self, topic: str, **fields: Any) -> Message:
-        message = TOPICS[topic].model(
-            seq=len(self.sent), t_ns=self.clock.now_ns(), src="launcher@master", v=1, **fields
-        )
-        self.sent.append(message)
-        return message
-
-    def receive(self) -> Any:
-        raise NotImplementedError
-
-    def wait(self, deadline_ns: int) -> None:
-        raise NotImplementedError
-
-    def controls(self) -> list[SessionControl]:
-        return [message for message in self.sent if isinstance(message, SessionControl)]
-
-    def events(self) -> list[SessionEvent]:
-        return [message for message in self.sent if isinstance(message, SessionEvent)]
-
-
-@dataclass
-class FakeChildren:
-    started: list[str] = field(default_factory=list)
-    ended: dict[str, int] = field(default_factory=dict)
-    stopped: int = 0
-
-    def start(self, node: str) -> int:
-        self.started.append(node)
-        return len(self.started)
-
-    def reap(self) -> dict[str, int]:
-        ended, self.ended = self.ended, {}
-        return ended
-
-    def log_tail(self, node: str) -> str:
-        return f"the last words of {node}"
-
-    def stop(self) -> None:
-        self.stopped += 1
-
-
-class Rig:
-    """A session in virtual time, with nodes that answer what they know unless they are told to be silent."""
-
-    def __init__(self, duration_s: float = 2.0) -> None:
-        self.clock = VirtualClock(start_ns=SECOND_NS)
-        self.bus = FakeBus(self.clock)
-        self.children = FakeChildren()
-        context = NodeContext("launcher@master", self.clock, self.bus, StructuredLog("launcher@master"))
-        self.session = SessionNode(context, NODES, self.children, duration_s)
-        self.finished = False
-        self.session.finish = self.finish
-        self.silent: set[str] = set()
-        self.refusing: set[str] = set()
-        self.answered = 0
-        self.session.launch()
-
-    def finish(self) -> None:
-        self.finished = True
-
-    def hear(self, message: Message, topic: str) -> None:
-        self.session.on_message(Received(topic, message, b"", self.clock.now_ns(), Arrival.NEXT))
-
-    def all_ready(self) -> None:
-        for node in NODES:
-            self.hear(health(node), "node/health")
-
-    def tick(self, count: int = 1) -> None:
-        for _ in range(count):
-            self.clock.advance_ns(TICK_NS)
-            self.session.on_deadline(self.clock.monotonic_ns())
-            self.answer()
-
-    def answer(self) -> None:
-        controls = self.bus.controls()
-        for control in controls[self.answered :]:
-            known = {"arm": {control.target + "@slave", control.target + "@master"} & set(NODES)}
-            for node in known.get(control.command, {"haptic_node@master"}) - self.silent:
-                kind: Any = "refused" if node in self.refusing else "ack"
-                event = SessionEvent(
-                    seq=0, t_ns=0, src=node, v=1, id=control.id, kind=kind, level="info", text="said", data={}
-                )
-                self.hear(event, "session/event")
-        self.answered = len(controls)
+from proto.messages import NodeHealth
+from services.launcher.readiness import READY_DEADLINE_S, oldest_input_s, silent_inputs, unmet
+from services.launcher.view import rig_picture
 
 
 def test_a_whole_session() -> None:
@@ -216,20 +96,26 @@ def test_a_death_is_published_and_the_node_comes_back() -> None:
     assert rig.children.started == [*NODES, "afm_node@slave"]
     assert rig.bus.events()[-1].text == "afm_node@slave was started again"
     assert rig.session.phase == "running"
-    assert rig.session.supervisor.restarts("afm_node@slave") == 1
+    assert rig.session.keeper.restarts()["afm_node@slave"] == 1
 
 
 def test_a_crash_loop_ends_the_rig_with_the_cause() -> None:
     rig = Rig(duration_s=1000.0)
     rig.all_ready()
     rig.tick(4)
-    for _ in range(5):
-        rig.children.ended = {"afm_node@slave": 1}
+    rig.children.ended = {"recorder@master": -15}
+    rig.tick(4)
+    for code in (-9, 1, 1, 1, 1):
+        rig.children.ended = {"afm_node@slave": code}
         rig.tick(30)
     assert rig.finished
-    assert "5 times within 30 s" in rig.session.failure
-    assert "exit code 1" in rig.session.failure
-    assert "the last words of afm_node@slave" in rig.session.failure
+    what, deaths, others, where, words = rig.session.failure.splitlines()
+    assert what.startswith("afm_node@slave ended with exit code 1 after ")
+    assert what.endswith("it died 5 times within 30 s")
+    assert deaths.startswith("its 5 deaths: was killed by SIGKILL after 0.5 s, ended with exit code 1 after ")
+    assert others == "others that were started again: recorder@master (1)"
+    assert where == "last lines of afm_node@slave, from logs/afm_node@slave.log:"
+    assert words == "the last words of afm_node@slave"
 
 
 def test_a_node_that_cannot_start_ends_the_rig_at_once() -> None:
@@ -300,8 +186,8 @@ def test_the_live_view_draws_every_phase() -> None:
     rig = Rig()
     texts = []
     for action in (lambda: None, rig.all_ready, rig.session.interrupt):
-        texts.append(phase_text(rig.session))
-        assert session_picture(rig.session).renderables
+        texts.append(rig.session.status_line())
+        assert rig_picture(rig.session).renderables
         action()
         rig.tick(4)
     assert texts[0].startswith("waiting for 3 of 3 nodes")

@@ -1,0 +1,465 @@
+"""What `telenano doctor` looks at: every check takes its facts as arguments and gives what it found, and what to do."""
+
+import ctypes
+import errno
+import fcntl
+import os
+import re
+import socket
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+from services.runtime.errors import ConfigError
+
+if TYPE_CHECKING:
+    from services.runtime.security import Keyring
+
+Level = Literal["ok", "warning", "problem"]
+
+_OLDEST_PYTHON = (3, 11)
+_LEAST_PROCESSORS = 2
+_PRIORITY = 50
+_GOOD_TIMER_S = 1e-3
+_LEAST_OPEN_FILES = 1024
+_LEAST_DISK_BYTES = 10**9
+# sun_path holds 108 bytes with its closing zero; the longest name of a socket in the folder is delay_node@master.lock
+_LONGEST_FOLDER = 107 - len("/haptic_node@master.lock")
+_SLOW_CLOCKS = ("hpet", "acpi_pm", "pit", "jiffies", "refined-jiffies")
+# extras for those who work on the project itself, and the sum of all others
+_NOT_LISTED = ("dev", "rig")
+_ENDPOINT_ADVICE: dict[str, tuple[Level, str]] = {
+    "in use": (
+        "warning",
+        "leave it if a rig runs; else end what `ss -tlnp` names, or give another port in the site file",
+    ),
+    "unusable": (
+        "problem",
+        "give this machine's own address in the site file or by TELENANO_HOST_NAME, or one to bind by "
+        "TELENANO_BIND_ADDRESS; where this is another machine, say so by TELENANO_MACHINE",
+    ),
+}
+_TCP = re.compile(r"tcp://(?P<host>.+):(?P<port>[0-9]+)")
+
+
+class Finding(NamedTuple):
+    """What a check found; what to do about it, empty where all is well."""
+
+    name: str
+    level: Level
+    found: str
+    advice: str = ""
+
+
+class KernelClock(NamedTuple):
+    """What the kernel says of its clock: disciplined by a time service, and the bound of its error [s]."""
+
+    synchronised: bool
+    largest_error_s: float
+
+
+class Endpoint(NamedTuple):
+    """What became of the attempt to have an endpoint: it is free, a rig holds it, somebody else does, or nobody can."""
+
+    state: Literal["free", "rig", "in use", "unusable"]
+    detail: str = ""
+
+
+def check_python(version: Sequence[int]) -> Finding:
+    """Look at the version of the interpreter."""
+    found = ".".join(map(str, version))
+    if tuple(version[:2]) >= _OLDEST_PYTHON:
+        return Finding("python", "ok", found)
+    oldest = ".".join(map(str, _OLDEST_PYTHON))
+    return Finding("python", "problem", found, f"install Python {oldest} or later and make the environment anew")
+
+
+def check_packages(requires: Iterable[str], installed: Callable[[str], str | None]) -> list[Finding]:
+    """Compare what is installed with what the metadata of the project demand; a missing extra is no problem.
+
+    Parameters: requires, lines such as `numba>=0.61; extra == 'afm'`; installed, gives a version, None if missing.
+    """
+    try:
+        from packaging.requirements import Requirement
+    except ImportError:
+        return [Finding("packages", "warning", "versions cannot be compared", "run `pip install packaging`")]
+    wanted = [(_extra_of(requirement.marker), requirement) for requirement in map(Requirement, requires)]
+    wanted = [(extra, requirement) for extra, requirement in wanted if extra not in _NOT_LISTED]
+    versions = {requirement.name: installed(requirement.name) for _, requirement in wanted}
+    # several extras may ask for the same
+    demands = {requirement.name: requirement.specifier for _, requirement in wanted}
+    wrong = [
+        Finding(name, "problem", f"{version} is installed", f'run `pip install "{name}{demands[name]}"`')
+        for name, version in versions.items()
+        if version is not None and not demands[name].contains(version, prereleases=True)
+    ]
+    missing: dict[str, list[str]] = {}
+    for extra, requirement in wanted:
+        if versions[requirement.name] is None:
+            missing.setdefault(extra, []).append(requirement.name)
+    absent = [Finding(name, "problem", "not installed", f"run `pip install {name}`") for name in missing.pop("", ())]
+    listed = ", ".join(f"{name} {version}" for name, version in sorted(versions.items()) if version)
+    lacking = "; ".join(f"{extra} lacks {', '.join(names)}" for extra, names in sorted(missing.items()))
+    return [
+        *wrong,
+        *absent,
+        Finding("packages", "ok", listed or "none"),
+        Finding("extras", "ok", f"not installed: {lacking}" if lacking else "all are installed"),
+    ]
+
+
+def _extra_of(marker: object) -> str:
+    match = re.search(r"extra == ['\"]([^'\"]+)['\"]", str(marker))
+    return match.group(1) if match else ""
+
+
+def check_zmq(libzmq: str, *, curve: bool) -> Finding:
+    """Look whether the message library can encrypt."""
+    if curve:
+        return Finding("libzmq", "ok", f"{libzmq} with CURVE")
+    return Finding(
+        "libzmq",
+        "warning",
+        f"{libzmq} without CURVE: nothing but sockets on this machine can be secured",
+        "run `pip install --force-reinstall --only-binary pyzmq pyzmq`",
+    )
+
+
+def check_processors(permitted: int, quota: float | None) -> Finding:
+    """Look at the processors that this process may use, by affinity and by the quota of its control group."""
+    found = f"{permitted} permitted" + ("" if quota is None else f", quota of {quota:g}")
+    if min(permitted, permitted if quota is None else quota) >= _LEAST_PROCESSORS:
+        return Finding("processors", "ok", found)
+    advice = f"give the rig {_LEAST_PROCESSORS} or more: a larger machine, `taskset`, or `cpus:` of a container"
+    return Finding(
+        "processors", "warning", f"{found}; too few for the 1 kHz loops to keep out of each other's way", advice
+    )
+
+
+def cpu_quota(groups: Path, membership: Path) -> float | None:
+    """Give the least quota [processors] among the control groups of a process and those above, None for no limit.
+
+    Parameters: groups, where control groups are mounted; membership, /proc/PID/cgroup.
+    """
+    quotas = []
+    for line in (_text(membership) or "").splitlines():
+        _, controllers, path = line.split(":", 2)
+        if controllers and "cpu" not in controllers.split(","):
+            continue
+        base = groups / "cpu" if controllers else groups
+        folder = base / path.lstrip("/")
+        # a container sees its own group as the root, whatever its path says
+        quotas += [_quota_of(part) for part in (folder, *folder.parents) if part.is_relative_to(base)]
+    return min((quota for quota in quotas if quota is not None), default=None)
+
+
+def _quota_of(folder: Path) -> float | None:
+    words = (_text(folder / "cpu.max") or "").split()
+    if not words:
+        words = [_text(folder / "cpu.cfs_quota_us") or "", _text(folder / "cpu.cfs_period_us") or ""]
+    if len(words) != 2 or not all(word.isdigit() for word in words):
+        return None
+    return int(words[0]) / int(words[1])
+
+
+def check_fifo(refused: str, limit: int, runtime_us: str | None, *, container: bool) -> Finding:
+    """Judge what came of the attempt to take SCHED_FIFO, `refused` being the reason or empty."""
+    kernel = f"RLIMIT_RTPRIO {_limit(limit)}, sched_rt_runtime_us {runtime_us or 'unknown'}"
+    if not refused:
+        return Finding("SCHED_FIFO", "ok", f"permitted; {kernel}")
+    if runtime_us == "0":
+        advice = "run `sudo sysctl -w kernel.sched_rt_runtime_us=950000`"
+    elif container:
+        advice = "give the container `cap_add: [SYS_NICE]` and `ulimits: {rtprio: 99}`"
+    else:
+        advice = "run as root, or put `USER - rtprio 99` into /etc/security/limits.d/telenano.conf and log in again"
+    return Finding("SCHED_FIFO", "warning", f"not permitted ({refused}), loops run late under load; {kernel}", advice)
+
+
+def check_memory_lock(refused: str, limit_bytes: int, *, container: bool) -> Finding:
+    """Judge what came of the attempt to lock as much memory as a node reserves."""
+    found = "RLIMIT_MEMLOCK " + ("unlimited" if limit_bytes < 0 else f"{limit_bytes / 1e6:.1f} MB")
+    if not refused:
+        return Finding("memory lock", "ok", f"permitted; {found}")
+    if container:
+        advice = "give the container `ulimits: {memlock: -1}`, or `cap_add: [IPC_LOCK]` where it runs as root"
+    else:
+        advice = "run as root, or put `USER - memlock unlimited` into /etc/security/limits.d/telenano.conf "
+        advice += "and log in again"
+    return Finding("memory lock", "warning", f"not permitted ({refused}), page faults delay loops; {found}", advice)
+
+
+def attempt_fifo() -> str:
+    """Try SCHED_FIFO in a process of its own; gives why it was refused, empty if it was not."""
+    return _attempt(f"import os\nos.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param({_PRIORITY}))")
+
+
+def attempt_memory_lock() -> str:
+    """Try to lock memory in a process of its own that reserves as much as a node; gives why it was refused."""
+    # without privilege the kernel compares all that is reserved, touched or not, with the limit
+    return _attempt(
+        "import ctypes, mmap, os\n"
+        "reserved = mmap.mmap(-1, 2**30)\n"
+        "libc = ctypes.CDLL(None, use_errno=True)\n"
+        "if libc.mlockall(7): raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))"
+    )
+
+
+def _attempt(code: str) -> str:
+    done = subprocess.run([sys.executable, "-I", "-S", "-c", code], capture_output=True, text=True, check=False)
+    if done.returncode == 0:
+        return ""
+    lines = done.stderr.strip().splitlines() or [f"exit code {done.returncode}"]
+    return lines[-1].rpartition("] ")[2]
+
+
+def check_governor(processors: Path, permitted: Iterable[int]) -> Finding:
+    """Look at the frequency governor of the processors that may be used."""
+    found = {_text(processors / f"cpu{number}/cpufreq/scaling_governor") for number in permitted} - {None}
+    names = ", ".join(sorted(name for name in found if name))
+    if not names:
+        return Finding("CPU governor", "ok", "none is seen here: the host or the hypervisor sets the frequency")
+    if names == "performance":
+        return Finding("CPU governor", "ok", names)
+    advice = "run `sudo cpupower frequency-set --governor performance`, in a container on its host"
+    return Finding("CPU governor", "warning", f"{names}: a processor that slept starts slowly", advice)
+
+
+def check_idle(device: Path, driver: Path, *, container: bool) -> Finding:
+    """Look whether a rig can keep the processors out of deep sleep; `driver` names who puts them there."""
+    name = _text(driver)
+    if name in (None, "", "none"):
+        return Finding("deep idle", "ok", "there is no idle driver: nothing to keep the processors from")
+    try:
+        os.close(os.open(device, os.O_WRONLY))
+    except OSError as error:
+        advice = (
+            f"give the container `devices: [{device}]`" if container else f"run `sudo setfacl -m u:USER:w {device}`"
+        )
+        reason = f"{device} cannot be written ({error.strerror}), {name} may put processors to sleep for long"
+        return Finding("deep idle", "warning", reason, advice)
+    return Finding("deep idle", "ok", f"can be held off through {device}")
+
+
+def check_clock_source(folder: Path) -> Finding:
+    """Look which counter the kernel reads the time from."""
+    name = _text(folder / "current_clocksource")
+    if name not in _SLOW_CLOCKS:
+        return Finding("clock source", "ok", name or "is not seen here")
+    if "tsc" in (_text(folder / "available_clocksource") or "").split():
+        advice = f"run `echo tsc | sudo tee {folder / 'current_clocksource'}`"
+    else:
+        advice = "boot with `tsc=reliable` where the processor's counter is steady, or use another machine"
+    return Finding("clock source", "warning", f"{name}: every look at the clock is slow", advice)
+
+
+def check_synchronised(clock: KernelClock | None) -> Finding:
+    """Look whether a time service keeps the clock right; None if the kernel does not say."""
+    if clock is None:
+        return Finding("clock", "ok", "the kernel does not say here whether it is synchronised")
+    if clock.synchronised:
+        return Finding("clock", "ok", f"synchronised, within {clock.largest_error_s * 1e3:.3g} ms")
+    advice = "start a time service on each machine (in a container: on its host): `sudo systemctl enable --now chrony`"
+    advice += " or `sudo timedatectl set-ntp true`"
+    found = "not synchronised, which matters to a rig on two machines: ages of messages are wrong by the difference"
+    return Finding("clock", "warning", found, advice)
+
+
+class _Timex(ctypes.Structure):
+    """`struct timex` of adjtimex(2); what stands behind `status` is not read."""
+
+    _fields_ = (
+        ("modes", ctypes.c_uint),
+        ("offset", ctypes.c_long),
+        ("freq", ctypes.c_long),
+        ("maxerror", ctypes.c_long),
+        ("esterror", ctypes.c_long),
+        ("status", ctypes.c_int),
+        ("rest", ctypes.c_long * 32),
+    )
+
+
+def kernel_clock() -> KernelClock | None:
+    """Ask the kernel for the state of its clock; None where a process may not ask."""
+    # modes is 0: nothing is changed
+    state = _Timex()
+    result = int(ctypes.CDLL(None, use_errno=True).adjtimex(ctypes.byref(state)))
+    return None if result < 0 else kernel_clock_of(result, state.status, state.maxerror)
+
+
+def kernel_clock_of(result: int, status: int, largest_error_us: int) -> KernelClock:
+    """Read what adjtimex(2) gave: TIME_ERROR (5) or STA_UNSYNC (0x40) is a clock that nobody keeps right."""
+    return KernelClock(result != 5 and not status & 0x40, largest_error_us * 1e-6)
+
+
+def measure_lateness_s(
+    count: int,
+    period_s: float,
+    now_s: Callable[[], float] = time.monotonic,
+    sleep_s: Callable[[float], None] = time.sleep,
+) -> list[float]:
+    """Sleep to absolute deadlines and give how late each came [s]."""
+    start_s = now_s()
+    lateness = []
+    for number in range(1, count + 1):
+        deadline_s = start_s + number * period_s
+        sleep_s(max(0.0, deadline_s - now_s()))
+        lateness.append(now_s() - deadline_s)
+    return lateness
+
+
+def check_timers(lateness_s: Sequence[float]) -> Finding:
+    """Judge how late sleeps ended [s], two samples or more."""
+    p99_s = statistics.quantiles(lateness_s, n=100, method="inclusive")[98]
+    found = f"late by {statistics.median(lateness_s) * 1e3:.3f} ms (p50), {p99_s * 1e3:.3f} ms (p99)"
+    if p99_s <= _GOOD_TIMER_S:
+        return Finding("timers", "ok", found)
+    advice = "end what else keeps the processors busy, permit SCHED_FIFO, give a virtual machine cores of its own"
+    return Finding("timers", "warning", f"{found}: more than a period of the 1 kHz loops", advice)
+
+
+def check_open_files(limit: int) -> Finding:
+    """Look at the number of files that a process may have open."""
+    found = f"RLIMIT_NOFILE {_limit(limit)}"
+    if limit < 0 or limit >= _LEAST_OPEN_FILES:
+        return Finding("open files", "ok", found)
+    return Finding("open files", "warning", found, "run `ulimit -n 4096` first; a container: `ulimits: {nofile: 4096}`")
+
+
+def check_runtime_folder(folder: Path, user: int) -> Finding:
+    """Look at the private folder of the sockets: short, this user's own, closed to others, or to be made."""
+    name = "runtime folder"
+    elsewhere = "name another by TELENANO_RUNTIME_DIR"
+    if len(os.fsencode(folder)) > _LONGEST_FOLDER:
+        found = f"{folder} has {len(os.fsencode(folder))} bytes, a socket in it has room for {_LONGEST_FOLDER}"
+        return Finding(name, "problem", found, elsewhere + " that is shorter")
+    if not folder.exists():
+        if _can_be_written(folder):
+            return Finding(name, "ok", f"{folder} can be made")
+        return Finding(name, "problem", f"{folder} is not there and cannot be made", elsewhere)
+    if not _can_be_written(folder):
+        return Finding(name, "problem", f"{folder} is no folder that can be written", elsewhere)
+    status = folder.stat()
+    if status.st_uid != user:
+        return Finding(name, "problem", f"{folder} belongs to user {status.st_uid}, this is user {user}", elsewhere)
+    if status.st_mode & 0o077:
+        found = f"{folder} has mode {status.st_mode & 0o777:o}: other users can reach the sockets"
+        return Finding(name, "warning", found, f"run `chmod 700 {folder}`")
+    return Finding(name, "ok", f"{folder} is private")
+
+
+def check_endpoints(endpoints: Mapping[str, str], probe: Callable[[str], Endpoint]) -> list[Finding]:
+    """Look which endpoints (keys, with their nodes) can be had; one of ipc that is held is a rig that runs."""
+    states = {endpoint: probe(endpoint) for endpoint in endpoints}
+    free = sum(found.state == "free" for found in states.values())
+    held = [f"{endpoints[at]} ({found.detail})" for at, found in states.items() if found.state == "rig"]
+    runs = f"; a rig runs: {', '.join(held)}" if held else ""
+    wrong = [at for at, found in states.items() if found.state in _ENDPOINT_ADVICE]
+    return [
+        Finding("endpoints", "ok", f"{free} of {len(states)} free{runs}"),
+        *(_endpoint_finding(endpoints[endpoint], endpoint, states[endpoint]) for endpoint in wrong),
+    ]
+
+
+def _endpoint_finding(node: str, endpoint: str, found: Endpoint) -> Finding:
+    level, advice = _ENDPOINT_ADVICE[found.state]
+    return Finding(f"endpoint of {node}", level, f"{endpoint}: {found.detail}", advice)
+
+
+def check_keys(machine: str, others: Iterable[str], keyring: "Keyring") -> list[Finding]:
+    """Look whether a machine has its key, and knows those of the other machines of a rig."""
+    try:
+        keyring.own(machine)
+        allowed = keyring.allowed()
+    except ConfigError as error:
+        # the text names the command that helps
+        return [Finding("keys", "problem", f"this machine is {machine}: {error}", "put it right with `telenano keys`")]
+    unknown = [name for name in sorted(others) if allowed.of_machine(name) is None]
+    if not unknown:
+        return [Finding("keys", "ok", f"this machine is {machine}; keys are known of {', '.join(sorted(others))}")]
+    advice = f"take over the public key that `telenano keys show` gives there: `telenano keys allow {unknown[0]} ...`"
+    return [Finding("keys", "warning", f"this machine is {machine}; no key is known of {', '.join(unknown)}", advice)]
+
+
+def probe_endpoint(endpoint: str) -> Endpoint:
+    """Try whether an endpoint can be had, and let it go at once."""
+    match = _TCP.fullmatch(endpoint)
+    if match is None:
+        return _probe_ipc(Path(endpoint.removeprefix("ipc://") + ".lock"))
+    return _probe_tcp(match["host"].strip("[]"), int(match["port"]))
+
+
+def _probe_ipc(lock_file: Path) -> Endpoint:
+    try:
+        with lock_file.open() as lock:
+            # shared, so that two doctors do not see each other
+            fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except FileNotFoundError:
+        return Endpoint("free")
+    except BlockingIOError:
+        return Endpoint("rig", f"process {_text(lock_file) or 'unknown'}")
+    except OSError as error:
+        return Endpoint("unusable", f"{lock_file} cannot be opened ({error.strerror})")
+    return Endpoint("free")
+
+
+def _probe_tcp(host: str, port: int) -> Endpoint:
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+    except OSError as error:
+        return Endpoint("unusable", f"{host} is not known ({error.strerror})")
+    with socket.socket(family, kind, protocol) as attempt:
+        # as ZeroMQ does: an ended connection is no hindrance
+        attempt.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            attempt.bind(address)
+        except OSError as error:
+            if error.errno == errno.EADDRINUSE:
+                return Endpoint("in use", "the port is in use")
+            return Endpoint("unusable", f"the port cannot be had ({error.strerror})")
+    return Endpoint("free")
+
+
+def check_disk(folder: Path, free_bytes: int) -> Finding:
+    """Look at the room for recordings."""
+    found = f"{free_bytes / 1e9:.1f} GB free in {folder}"
+    if free_bytes >= _LEAST_DISK_BYTES:
+        return Finding("disk", "ok", found)
+    return Finding("disk", "warning", found, "make room, or record elsewhere by `telenano up --out DIR`")
+
+
+def check_cache(folder: Path | None) -> Finding:
+    """Look at the folder of compiled code; None where there is no compiler."""
+    name = "compiled code"
+    if folder is None:
+        return Finding(name, "ok", "numba is not installed, nothing is compiled here")
+    if not _can_be_written(folder):
+        advice = "name a folder that can be written by XDG_CACHE_HOME or NUMBA_CACHE_DIR"
+        return Finding(name, "problem", f"{folder} cannot be written, every start would compile again", advice)
+    there = "is there" if folder.exists() else "is made at the first start, which takes up to 60 s"
+    return Finding(name, "ok", f"{folder} {there}")
+
+
+def in_container(root: Path = Path("/")) -> bool:
+    """Say whether docker or podman runs this process."""
+    return (root / ".dockerenv").exists() or (root / "run/.containerenv").exists()
+
+
+def _can_be_written(folder: Path) -> bool:
+    there = next(part for part in (folder.absolute(), *folder.absolute().parents) if part.exists())
+    return there.is_dir() and os.access(there, os.W_OK | os.X_OK)
+
+
+def _limit(value: int) -> str:
+    return "unlimited" if value < 0 else str(value)
+
+
+def _text(path: Path) -> str | None:
+    try:
+        return path.read_text().strip()
+    except OSError:
+        return None

@@ -1,0 +1,176 @@
+"""`telenano doctor`: looks at this machine before, or while, a rig runs, and says what to do about what it finds."""
+
+import importlib.util
+import os
+import resource
+import shutil
+import sys
+from collections.abc import Sequence
+from importlib.metadata import PackageNotFoundError, requires, version
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from services.launcher import checks
+from services.launcher.checks import Finding
+from services.launcher.telling import console, errors_told, fail, print_json
+from services.runtime.errors import ConfigError, EndpointError
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from services.runtime.site import SiteBook
+
+# not from the plan of a rig: that imports what may be missing here
+SITE_FILE = Path(__file__).resolve().parent / "sites" / "local.yaml"
+_SYSTEM = Path("/sys/devices/system")
+_STYLES = {"ok": "green", "warning": "yellow", "problem": "red"}
+_TIMER_SAMPLES = 200
+_TIMER_PERIOD_S = 1e-3
+
+
+def doctor(
+    site_file: Annotated[
+        Path, typer.Option("--site-file", metavar="FILE", help="Address book of the rig (YAML).")
+    ] = SITE_FILE,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout, nothing else.")] = False,
+) -> None:
+    """Look whether this machine can run a rig, and say what to do; exit code 1 if there is a problem."""
+    with errors_told(as_json):
+        tell_findings(examine(site_file), as_json=as_json)
+
+
+def examine(site_file: Path) -> list[Finding]:
+    """Make every check that this machine allows."""
+    findings = [checks.check_python(sys.version_info[:3]), *packages()]
+    findings += machine(container=checks.in_container())
+    try:
+        return [*findings, *rig(site_file)]
+    except ImportError as error:
+        # what every process needs is missing: there is nothing to read a site file with
+        return [*findings, Finding("site file", "problem", str(error), "install what is missing first, see above")]
+
+
+def machine(*, container: bool) -> list[Finding]:
+    """Look at what the machine gives to a process of this user."""
+    permitted = os.sched_getaffinity(0)
+    quota = checks.cpu_quota(Path("/sys/fs/cgroup"), Path("/proc/self/cgroup"))
+    runtime = Path("/proc/sys/kernel/sched_rt_runtime_us")
+    runtime_us = runtime.read_text().strip() if runtime.exists() else None
+    here = Path.cwd()
+    return [
+        checks.check_processors(len(permitted), quota),
+        checks.check_fifo(checks.attempt_fifo(), _limit(resource.RLIMIT_RTPRIO), runtime_us, container=container),
+        checks.check_memory_lock(checks.attempt_memory_lock(), _limit(resource.RLIMIT_MEMLOCK), container=container),
+        checks.check_governor(_SYSTEM / "cpu", permitted),
+        checks.check_idle(Path("/dev/cpu_dma_latency"), _SYSTEM / "cpu/cpuidle/current_driver", container=container),
+        checks.check_clock_source(_SYSTEM / "clocksource/clocksource0"),
+        checks.check_synchronised(checks.kernel_clock()),
+        checks.check_timers(checks.measure_lateness_s(_TIMER_SAMPLES, _TIMER_PERIOD_S)),
+        checks.check_open_files(_limit(resource.RLIMIT_NOFILE)),
+        checks.check_disk(here, shutil.disk_usage(here).free),
+    ]
+
+
+def tell_findings(findings: Sequence[Finding], *, as_json: bool) -> None:
+    """Print the findings and leave with 1 if one of them is a problem."""
+    problems = [finding.name for finding in findings if finding.level == "problem"]
+    warnings = [finding.name for finding in findings if finding.level == "warning"]
+    document: dict[str, Any] = {"ok": not problems, "findings": [finding._asdict() for finding in findings]}
+    if not as_json:
+        console().print(findings_table(findings))
+    if problems:
+        fail(f"a rig cannot run here as it is: {', '.join(problems)}", as_json=as_json, **document)
+    if as_json:
+        print_json(document)
+    else:
+        typer.echo(f"a rig can run here, {len(warnings)} warning(s){': ' if warnings else ''}{', '.join(warnings)}")
+
+
+def findings_table(findings: Sequence[Finding]) -> "Table":
+    """Draw findings, the advice below what it is about."""
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table("check", "level", "found")
+    for finding in findings:
+        found = Text(finding.found)
+        if finding.advice:
+            found.append(f"\n→ {finding.advice}", "bold")
+        table.add_row(finding.name, Text(finding.level, _STYLES[finding.level]), found)
+    return table
+
+
+def packages() -> list[Finding]:
+    """Compare what is installed with what the project demands."""
+    try:
+        return checks.check_packages(requires("telenano") or (), _installed)
+    except PackageNotFoundError:
+        advice = "run `pip install -e .` in its folder"
+        return [Finding("packages", "problem", "telenano is run without being installed", advice)]
+
+
+def _installed(name: str) -> str | None:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return None
+
+
+def rig(site_file: Path) -> list[Finding]:
+    """Look at what a rig of this site file uses; ImportError where what every process needs is missing."""
+    import zmq
+
+    from services.runtime.main import load_site
+    from services.runtime.site import runtime_directory
+
+    findings = [
+        checks.check_zmq(zmq.zmq_version(), curve=bool(zmq.has("curve"))),
+        checks.check_runtime_folder(runtime_directory(), os.getuid()),
+        checks.check_cache(_cache()),
+    ]
+    try:
+        return [*findings, *_addresses(load_site(site_file))]
+    except (ConfigError, EndpointError) as error:
+        return [*findings, Finding("site file", "problem", str(error), "put it right, or name another by --site-file")]
+
+
+def _addresses(book: "SiteBook") -> list[Finding]:
+    from services.runtime.security import Keyring, this_machine
+
+    keyring = Keyring()
+    machine = this_machine(keyring)
+    found = checks.check_endpoints(endpoints_of(book, machine), checks.probe_endpoint)
+    if book.locked:
+        others = {book.machine_of(node) for node in book.nodes} - {machine}
+        found += checks.check_keys(machine, others, keyring)
+    elif book.spans_machines:
+        advice = "take `insecure: true` out of it, and make keys by `telenano keys new`"
+        found.append(Finding("keys", "warning", "the site file waives them: whoever reaches a port hears it", advice))
+    return found
+
+
+def endpoints_of(book: "SiteBook", machine: str) -> dict[str, str]:
+    """Give the endpoints that the nodes of a machine bind, each with its node; EndpointError for an unknown name."""
+    endpoints = {}
+    for node in book.nodes:
+        # a rig that no network carries is on one machine, whatever that is called
+        if book.machine_of(node) == machine or not book.spans_machines:
+            for endpoint in (book.local_endpoint(node), book.bind_endpoint(node)):
+                if endpoint is not None:
+                    endpoints[endpoint] = node
+    return endpoints
+
+
+def _cache() -> Path | None:
+    if importlib.util.find_spec("numba") is None:
+        return None
+    from services.runtime.compiled import cache_directory
+
+    named = os.environ.get("NUMBA_CACHE_DIR")
+    return Path(named) if named else cache_directory()
+
+
+def _limit(kind: int) -> int:
+    return resource.getrlimit(kind)[0]

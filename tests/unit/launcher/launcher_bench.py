@@ -1,0 +1,175 @@
+"""A session in virtual time, whose nodes answer what they know unless they are told to be silent."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from proto import TOPICS
+from proto.messages import InputHealth, Message, NodeHealth, SessionControl, SessionEvent
+from services.launcher.keeper import Keeper
+from services.launcher.session import RigNode, SessionNode
+from services.launcher.tape import Tape
+from services.runtime.bus import Received
+from services.runtime.clock import VirtualClock
+from services.runtime.log import StructuredLog
+from services.runtime.node import NodeContext
+from services.runtime.sequence import Arrival
+
+NODES = ["recorder@master", "afm_node@slave", "haptic_node@master"]
+TICK_NS = 50_000_000
+SECOND_NS = 1_000_000_000
+
+
+def row(topic: str, src: str = "", *, heard: bool = True, age_s: float = 0.001) -> InputHealth:
+    return InputHealth(
+        topic=topic, src=src, received=int(heard), lost=0, gaps=0, repeated=0, restarts=0, age_valid=heard, age_s=age_s
+    )
+
+
+def health(node: str, state: str = "ready", inputs: tuple[InputHealth, ...] = (), uptime_s: float = 1.0) -> NodeHealth:
+    fields: dict[str, Any] = {
+        "seq": 0, "t_ns": 0, "src": node, "v": 1, "pid": 1, "state": state, "uptime_s": uptime_s, "rate_hz": 1000.0,
+        "period_s": 0.001, "lateness_p50_s": 0.0, "lateness_p99_s": 0.0, "lateness_max_s": 0.0, "overruns": 0,
+        "rejected": {}, "cpu_percent": 1.0, "memory_bytes": 1, "realtime": False, "memory_locked": False,
+        "replay": False, "inputs": inputs,
+    }  # fmt: skip
+    return NodeHealth(**fields)
+
+
+@dataclass
+class FakeBus:
+    clock: VirtualClock
+    key: str
+    sent: list[Message] = field(default_factory=list)
+
+    def publish(self, topic: str, **fields: Any) -> Message:
+        message = TOPICS[topic].model(seq=len(self.sent), t_ns=self.clock.now_ns(), src=self.key, v=1, **fields)
+        self.sent.append(message)
+        return message
+
+    def receive(self) -> Any:
+        raise NotImplementedError
+
+    def wait(self, deadline_ns: int) -> None:
+        raise NotImplementedError
+
+    def controls(self) -> list[SessionControl]:
+        return [message for message in self.sent if isinstance(message, SessionControl)]
+
+    def events(self) -> list[SessionEvent]:
+        return [message for message in self.sent if isinstance(message, SessionEvent)]
+
+
+@dataclass
+class FakeChildren:
+    started: list[str] = field(default_factory=list)
+    ended: dict[str, int] = field(default_factory=dict)
+    stopped: int = 0
+
+    def start(self, node: str) -> int:
+        self.started.append(node)
+        return len(self.started)
+
+    def reap(self) -> dict[str, int]:
+        ended, self.ended = self.ended, {}
+        return ended
+
+    def log_tail(self, node: str) -> str:
+        return f"the last words of {node}"
+
+    def log_path(self, node: str) -> Path:
+        return Path("logs") / f"{node}.log"
+
+    def stop(self) -> None:
+        self.stopped += 1
+
+
+class Bench:
+    """A launcher in virtual time: what it is told by others, and what it says."""
+
+    node: RigNode
+
+    def __init__(self, key: str = "launcher@master") -> None:
+        self.clock = VirtualClock(start_ns=SECOND_NS, epoch_offset_ns=10**18)
+        self.bus = FakeBus(self.clock, key)
+        self.children = FakeChildren()
+        self.context = NodeContext(key, self.clock, self.bus, StructuredLog(key))
+        self.finished = False
+        # every line that a person was shown
+        self.news: list[str] = []
+
+    def begin(self, node: RigNode) -> None:
+        self.node = node
+        node.finish = self.finish
+        node.observe = self.take_news
+        node.launch()
+
+    def finish(self) -> None:
+        self.finished = True
+
+    def take_news(self, node: RigNode) -> None:
+        while node.news:
+            self.news.append(node.news.popleft())
+
+    def hear(self, message: Message, topic: str) -> None:
+        self.node.on_message(Received(topic, message, b"", self.clock.now_ns(), Arrival.NEXT))
+
+    def hear_health(self, *nodes: str, **fields: Any) -> None:
+        for node in nodes:
+            self.hear(health(node, **fields), "node/health")
+
+    def hear_event(self, src: str, kind: Any, text: str = "said", answer_to: str = "", **data: Any) -> None:
+        event = SessionEvent(seq=0, t_ns=0, src=src, v=1, id=answer_to, kind=kind, level="info", text=text, data=data)
+        self.hear(event, "session/event")
+
+    def tick(self, count: int = 1) -> None:
+        for _ in range(count):
+            self.clock.advance_ns(TICK_NS)
+            self.node.on_deadline(self.clock.monotonic_ns())
+            self.after_tick()
+
+    def after_tick(self) -> None:
+        """Do what the nodes of the rig do in a tick."""
+
+
+class Rig(Bench):
+    """A session with its nodes: `own` are children of the launcher, `others` somebody else's."""
+
+    def __init__(
+        self,
+        duration_s: float = 2.0,
+        own: Sequence[str] = NODES,
+        others: Sequence[str] = (),
+        recorder: str = "",
+        **options: Any,
+    ) -> None:
+        super().__init__()
+        tape = Tape(self.clock, recorder) if recorder else None
+        self.silent: set[str] = set()
+        self.refusing: set[str] = set()
+        self.answered = 0
+        self.rig_nodes = [*own, *others]
+        self.session = SessionNode(
+            self.context, Keeper(self.clock, own, self.children), duration_s, others=others, tape=tape, **options
+        )
+        self.begin(self.session)
+
+    def all_ready(self) -> None:
+        self.hear_health(*self.rig_nodes)
+
+    def tick_alive(self, count: int = 1, missing: Sequence[str] = ()) -> None:
+        """Let time pass with every node but the missing ones heard."""
+        for _ in range(count):
+            self.hear_health(*(node for node in self.rig_nodes if node not in missing))
+            self.tick()
+
+    def after_tick(self) -> None:
+        controls = self.bus.controls()
+        for control in controls[self.answered :]:
+            named = {control.target + "@slave", control.target + "@master"}
+            known = {"arm": named, "estop": named, "set": {control.target}}
+            concerned = known.get(control.command, {"haptic_node@master"}) & set(self.rig_nodes)
+            for node in concerned - self.silent:
+                self.hear_event(node, "refused" if node in self.refusing else "ack", answer_to=control.id)
+        self.answered = len(controls)

@@ -1,0 +1,512 @@
+import builtins
+import fcntl
+import json
+import os
+import socket
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from services.launcher import checks, doctor
+from services.launcher.checks import Endpoint, Finding, KernelClock
+from services.launcher.cli import app
+from services.runtime.security import Keyring
+from services.runtime.site import NodeEntry, SiteBook
+
+REQUIRES = [
+    "msgpack>=1.1",
+    "numba>=0.61; extra == 'afm'",
+    "pymodbus<4,>=3.16.1; extra == 'afm'",
+    "numba>=0.61; extra == 'controller'",
+    "h5py>=3.12; extra == 'export'",
+    "ruff>=0.9; extra == 'dev'",
+    "h5py>=3.12; extra == 'rig'",
+]
+ALL = {"msgpack": "1.2.4", "numba": "0.68.1", "pymodbus": "3.16.1", "h5py": "3.16.0"}
+
+
+@pytest.fixture(autouse=True)
+def _private_runtime(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TELENANO_RUNTIME_DIR", str(tmp_path / "run"))
+
+
+def tree(root: Path, files: dict[str, str]) -> Path:
+    for name, text in files.items():
+        path = root / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(f"{text}\n")
+    return root
+
+
+def packages(**changes: str | None) -> dict[str, Finding]:
+    have: dict[str, str | None] = {**ALL, **changes}
+    return {finding.name: finding for finding in checks.check_packages(REQUIRES, have.get)}
+
+
+def judged(finding: Finding, level: str, *words: str) -> None:
+    assert finding.level == level
+    assert bool(finding.advice) == (level != "ok"), "advice is for what is not ok, and only for that"
+    for word in words:
+        assert word in f"{finding.found} {finding.advice}"
+
+
+def test_python() -> None:
+    judged(checks.check_python((3, 11, 0)), "ok", "3.11.0")
+    judged(checks.check_python((4, 0, 0)), "ok")
+    judged(checks.check_python((3, 10, 9)), "problem", "3.10.9", "3.11")
+
+
+def test_packages_that_fit_are_listed() -> None:
+    found = packages()
+    assert set(found) == {"packages", "extras"}
+    judged(found["packages"], "ok", "msgpack 1.2.4, numba 0.68.1, pymodbus 3.16.1")
+    judged(found["extras"], "ok", "all are installed")
+
+
+@pytest.mark.parametrize("version", ["3.16.0", "4.0.0", "3.9.1"])
+def test_a_wrong_version_is_a_problem_also_in_an_extra(version: str) -> None:
+    judged(packages(pymodbus=version)["pymodbus"], "problem", version, 'pip install "pymodbus<4,>=3.16.1"')
+
+
+def test_a_development_version_counts() -> None:
+    assert "msgpack" not in packages(msgpack="1.3.0rc1")
+
+
+def test_a_package_that_every_process_needs_must_be_there() -> None:
+    judged(packages(msgpack=None)["msgpack"], "problem", "not installed", "pip install msgpack")
+
+
+def test_extras_that_are_not_installed_are_information() -> None:
+    found = packages(numba=None, h5py=None)
+    assert set(found) == {"packages", "extras"}
+    judged(found["extras"], "ok", "afm lacks numba; controller lacks numba; export lacks h5py")
+    assert "ruff" not in found["extras"].found
+
+
+def test_without_packaging_versions_are_not_compared(monkeypatch: pytest.MonkeyPatch) -> None:
+    real = builtins.__import__
+
+    def without(name: str, *arguments: Any, **keywords: Any) -> Any:
+        if name.startswith("packaging"):
+            raise ImportError(name)
+        return real(name, *arguments, **keywords)
+
+    monkeypatch.setattr(builtins, "__import__", without)
+    [finding] = checks.check_packages(REQUIRES, ALL.get)
+    judged(finding, "warning", "pip install packaging")
+
+
+def test_libzmq() -> None:
+    judged(checks.check_zmq("4.3.5", curve=True), "ok", "4.3.5")
+    judged(checks.check_zmq("4.3.5", curve=False), "warning", "CURVE", "pip install")
+
+
+@pytest.mark.parametrize(
+    ("permitted", "quota", "level"),
+    [(2, None, "ok"), (1, None, "warning"), (8, 2.0, "ok"), (8, 1.5, "warning"), (8, 0.0, "warning")],
+)
+def test_processors(permitted: int, quota: float | None, level: str) -> None:
+    judged(checks.check_processors(permitted, quota), level, str(permitted), "" if quota is None else f"{quota:g}")
+
+
+@pytest.mark.parametrize(
+    ("membership", "files", "quota"),
+    [
+        ("0::/", {"cpu.max": "150000 100000"}, 1.5),
+        ("0::/", {"cpu.max": "max 100000"}, None),
+        ("0::/a/b", {"a/cpu.max": "300000 100000", "a/b/cpu.max": "max 100000", "cpu.max": "max 100000"}, 3.0),
+        ("0::/a/b", {"a/cpu.max": "300000 100000", "a/b/cpu.max": "200000 100000"}, 2.0),
+        ("0::/docker/0123", {"cpu.max": "50000 100000"}, 0.5),
+        ("4:memory:/x\n1:cpu,cpuacct:/", {"cpu/cpu.cfs_quota_us": "250000", "cpu/cpu.cfs_period_us": "100000"}, 2.5),
+        ("1:cpu:/", {"cpu/cpu.cfs_quota_us": "-1", "cpu/cpu.cfs_period_us": "100000"}, None),
+        ("4:memory:/", {"cpu.max": "1000 100000"}, None),
+        ("0::/", {}, None),
+    ],
+)
+def test_quota_of_the_control_group(
+    tmp_path: Path, membership: str, files: dict[str, str], quota: float | None
+) -> None:
+    (tmp_path / "membership").write_text(membership + "\n")
+    groups = tree(tmp_path / "groups", files)
+    assert checks.cpu_quota(groups, tmp_path / "membership") == quota
+
+
+def test_no_control_groups_are_no_quota(tmp_path: Path) -> None:
+    assert checks.cpu_quota(tmp_path, tmp_path / "missing") is None
+
+
+def test_fifo() -> None:
+    judged(checks.check_fifo("", 0, "950000", container=False), "ok", "RLIMIT_RTPRIO 0", "950000")
+    judged(checks.check_fifo("", -1, None, container=False), "ok", "unlimited", "unknown")
+    host = checks.check_fifo("Operation not permitted", 0, "950000", container=False)
+    judged(host, "warning", "Operation not permitted", "limits.d")
+    judged(checks.check_fifo("no", 0, "950000", container=True), "warning", "cap_add: [SYS_NICE]", "rtprio")
+    judged(checks.check_fifo("no", 0, "0", container=True), "warning", "kernel.sched_rt_runtime_us")
+
+
+def test_memory_lock() -> None:
+    judged(checks.check_memory_lock("", -1, container=False), "ok", "unlimited")
+    host = checks.check_memory_lock("Cannot allocate memory", 8 * 10**6, container=False)
+    judged(host, "warning", "Cannot allocate memory", "8.0 MB", "memlock")
+    judged(checks.check_memory_lock("no", 0, container=True), "warning", "memlock: -1", "IPC_LOCK")
+
+
+@pytest.mark.parametrize("attempt", [checks.attempt_fifo, checks.attempt_memory_lock])
+def test_attempts_leave_this_process_as_it_was(attempt: Any) -> None:
+    before = os.sched_getscheduler(0)
+    reason = attempt()
+    assert reason == "" or "permitted" in reason or "memory" in reason
+    assert os.sched_getscheduler(0) == before
+
+
+def test_a_refused_attempt_gives_the_reason(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    refuses = tmp_path / "python"
+    refuses.write_text("#!/bin/sh\necho 'PermissionError: [Errno 1] Operation not permitted' >&2\nexit 1\n")
+    refuses.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(refuses))
+    assert checks.attempt_fifo() == "Operation not permitted"
+    refuses.write_text("#!/bin/sh\nexit 3\n")
+    assert checks.attempt_memory_lock() == "exit code 3"
+
+
+def test_governor(tmp_path: Path) -> None:
+    names = {f"cpu{number}/cpufreq/scaling_governor": "performance" for number in (0, 1)}
+    cpus = tree(tmp_path, {**names, "cpu2/cpufreq/scaling_governor": "powersave"})
+    judged(checks.check_governor(cpus, [0, 1]), "ok", "performance")
+    judged(checks.check_governor(cpus, [0, 2]), "warning", "performance, powersave", "cpupower")
+    judged(checks.check_governor(cpus, [7]), "ok", "none is seen")
+
+
+def test_deep_idle(tmp_path: Path) -> None:
+    tree(tmp_path, {"device": "", "driver": "intel_idle", "none": "none"})
+    device, folder = tmp_path / "device", tmp_path
+    judged(checks.check_idle(device, tmp_path / "driver", container=False), "ok", "held off")
+    judged(checks.check_idle(folder, tmp_path / "none", container=False), "ok", "no idle driver")
+    judged(checks.check_idle(folder, tmp_path / "missing", container=False), "ok", "no idle driver")
+    judged(checks.check_idle(folder, tmp_path / "driver", container=False), "warning", "intel_idle", "setfacl")
+    gone = tmp_path / "gone"
+    judged(checks.check_idle(gone, tmp_path / "driver", container=True), "warning", f"devices: [{gone}]")
+    assert not gone.exists()
+
+
+@pytest.mark.parametrize(
+    ("current", "available", "level", "words"),
+    [
+        ("tsc", "tsc", "ok", "tsc"),
+        ("kvm-clock", "kvm-clock", "ok", "kvm-clock"),
+        ("hpet", "tsc hpet", "warning", "echo tsc"),
+        ("acpi_pm", "hpet acpi_pm", "warning", "tsc=reliable"),
+    ],
+)
+def test_clock_source(tmp_path: Path, current: str, available: str, level: str, words: str) -> None:
+    folder = tree(tmp_path, {"current_clocksource": current, "available_clocksource": available})
+    judged(checks.check_clock_source(folder), level, current, words)
+
+
+def test_a_clock_source_that_is_not_seen(tmp_path: Path) -> None:
+    judged(checks.check_clock_source(tmp_path), "ok", "not seen")
+
+
+def test_synchronised_clock() -> None:
+    judged(checks.check_synchronised(None), "ok", "does not say")
+    judged(checks.check_synchronised(KernelClock(True, 0.0123)), "ok", "12.3 ms")
+    judged(checks.check_synchronised(KernelClock(False, 16.0)), "warning", "not synchronised", "chrony")
+
+
+@pytest.mark.parametrize(
+    ("result", "status", "synchronised"), [(0, 0x2001, True), (5, 0x1, False), (0, 0x40, False), (1, 0x10, True)]
+)
+def test_what_the_kernel_says_of_its_clock(result: int, status: int, *, synchronised: bool) -> None:
+    assert checks.kernel_clock_of(result, status, 2000) == KernelClock(synchronised, 2000 * 1e-6)
+
+
+def test_the_kernel_is_asked() -> None:
+    clock = checks.kernel_clock()
+    # a container may not be allowed to ask; a bound of the error grows to 16 s at most
+    assert clock is None or 0.0 <= clock.largest_error_s <= 20.0
+
+
+def test_lateness_is_against_absolute_deadlines() -> None:
+    now_s = 10.0
+    slept: list[float] = []
+
+    def sleep(duration_s: float) -> None:
+        nonlocal now_s
+        slept.append(duration_s)
+        now_s += duration_s + 0.25
+
+    late = checks.measure_lateness_s(4, 1.0, lambda: now_s, sleep)
+    assert late == [0.25] * 4
+    assert slept == [1.0, 0.75, 0.75, 0.75]
+
+
+def test_a_missed_deadline_is_not_slept_for() -> None:
+    times = iter([0.0, 5.0, 5.0])
+    slept: list[float] = []
+    assert checks.measure_lateness_s(1, 1.0, lambda: next(times), slept.append) == [4.0]
+    assert slept == [0.0]
+
+
+def test_timers() -> None:
+    judged(checks.check_timers([1e-4] * 100), "ok", "0.100 ms (p50)")
+    judged(checks.check_timers([1e-4] * 98 + [2e-3] * 2), "warning", "(p99)", "SCHED_FIFO")
+    judged(checks.check_timers([1e-3] * 2), "ok", "1.000 ms (p99)")
+
+
+@pytest.mark.parametrize(("limit", "level"), [(1024, "ok"), (-1, "ok"), (1023, "warning"), (0, "warning")])
+def test_open_files(limit: int, level: str) -> None:
+    judged(checks.check_open_files(limit), level, "unlimited" if limit < 0 else str(limit))
+
+
+def test_runtime_folder(tmp_path: Path) -> None:
+    user = os.getuid()
+    folder = tmp_path / "run"
+    judged(checks.check_runtime_folder(folder, user), "ok", "can be made")
+    folder.mkdir(mode=0o700)
+    judged(checks.check_runtime_folder(folder, user), "ok", "is private")
+    judged(checks.check_runtime_folder(folder, user + 1), "problem", f"user {user}", "TELENANO_RUNTIME_DIR")
+    folder.chmod(0o750)
+    judged(checks.check_runtime_folder(folder, user), "warning", "mode 750", f"chmod 700 {folder}")
+
+
+def test_a_runtime_folder_that_cannot_be(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    judged(checks.check_runtime_folder(tmp_path / "file", os.getuid()), "problem", "no folder")
+    judged(checks.check_runtime_folder(tmp_path / "file" / "run", os.getuid()), "problem", "cannot be made")
+
+
+def test_the_longest_runtime_folder_holds_the_longest_socket() -> None:
+    longest = Path("/" + "x" * 82)
+    assert len(f"{longest}/haptic_node@master.lock") == 107
+    assert "bytes" not in checks.check_runtime_folder(longest, 0).found
+    judged(checks.check_runtime_folder(Path(f"{longest}x"), 0), "problem", "84 bytes", "room for 83")
+
+
+def test_endpoints_in_one_finding_and_one_for_each_that_is_wrong() -> None:
+    states = {
+        "ipc:///a": Endpoint("free"),
+        "ipc:///b": Endpoint("rig", "process 12"),
+        "tcp://127.0.0.1:2": Endpoint("in use", "the port is in use"),
+        "tcp://nowhere:3": Endpoint("unusable", "nowhere is not known"),
+    }
+    nodes = dict(zip(states, ("haptic_node@master", "b@master", "b@master", "e@master"), strict=True))
+    summary, used, unusable = checks.check_endpoints(nodes, states.__getitem__)
+    judged(summary, "ok", "1 of 4 free; a rig runs: b@master (process 12)")
+    judged(used, "warning", "tcp://127.0.0.1:2", "in use", "ss -tlnp")
+    judged(unusable, "problem", "tcp://nowhere:3", "not known", "TELENANO_BIND_ADDRESS", "TELENANO_MACHINE")
+    assert used.name == "endpoint of b@master"
+
+
+TWO_SITES = SiteBook(
+    machines={"master": "127.0.0.1", "slave": "127.0.0.2"},
+    nodes={
+        "haptic_node@master": "ipc:///h",
+        "delay_node@slave": NodeEntry(local="ipc:///d", network="tcp://{master}:5704"),
+        "afm_node@slave": NodeEntry(local="ipc:///a", network="tcp://{slave}:5712"),
+    },
+)
+
+
+def test_a_machine_binds_what_is_its_own() -> None:
+    assert doctor.endpoints_of(TWO_SITES, "master") == {
+        "ipc:///h": "haptic_node@master",
+        "ipc:///d": "delay_node@slave",
+        "tcp://127.0.0.1:5704": "delay_node@slave",
+    }
+    assert list(doctor.endpoints_of(TWO_SITES, "slave")) == ["ipc:///a", "tcp://127.0.0.2:5712"]
+    alone = SiteBook(nodes={"haptic_node@master": "ipc:///h", "afm_node@slave": "ipc:///a"})
+    assert list(doctor.endpoints_of(alone, "slave")) == ["ipc:///h", "ipc:///a"]
+
+
+def test_keys(tmp_path: Path) -> None:
+    here, there = Keyring(tmp_path / "here"), Keyring(tmp_path / "there")
+    judged(checks.check_keys("master", {"slave"}, here)[0], "problem", "master", "telenano keys new master")
+    here.create("master")
+    judged(checks.check_keys("master", {"slave"}, here)[0], "warning", "slave", "telenano keys allow slave")
+    here.allow("slave", there.create("slave").public.decode(), ["data"])
+    judged(checks.check_keys("master", {"slave"}, here)[0], "ok", "this machine is master", "slave")
+    here.revoke("slave")
+    judged(checks.check_keys("master", {"slave"}, here)[0], "warning", "slave")
+
+
+@pytest.mark.parametrize(
+    ("insecure", "spans", "level"), [(True, True, "warning"), (False, True, "problem"), (False, False, None)]
+)
+def test_keys_are_for_a_rig_on_two_machines(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, level: str | None, *, insecure: bool, spans: bool
+) -> None:
+    monkeypatch.setenv("TELENANO_KEYS_DIR", str(tmp_path / "keys"))
+    site_file = tmp_path / "site.yaml"
+    # the address of another machine, the slave, whose doctor this is not
+    other = "tcp://192.0.2.7:1" if spans else "ipc:///a"
+    site_file.write_text(f"insecure: {str(insecure).lower()}\nnodes:\n  afm_node@slave: {other}\n")
+    levels = {finding.name: finding.level for finding in doctor.rig(site_file)}
+    assert levels.get("keys") == level
+    assert levels["endpoints"] == "ok"
+
+
+def test_a_local_endpoint_is_held_by_who_has_its_lock(tmp_path: Path) -> None:
+    endpoint = f"ipc://{tmp_path}/node"
+    assert checks.probe_endpoint(endpoint).state == "free"
+    lock_file = tmp_path / "node.lock"
+    lock_file.write_text("4711")
+    assert checks.probe_endpoint(endpoint).state == "free"
+    with lock_file.open() as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        assert checks.probe_endpoint(endpoint) == Endpoint("rig", "process 4711")
+    with lock_file.open() as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+def test_a_lock_that_cannot_be_opened(tmp_path: Path) -> None:
+    (tmp_path / "node.lock").mkdir()
+    state, detail = checks.probe_endpoint(f"ipc://{tmp_path}/node")
+    assert (state, "cannot be opened" in detail) == ("unusable", True)
+
+
+@pytest.fixture
+def port() -> Iterator[int]:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        yield taken.getsockname()[1]
+
+
+def test_a_port_is_in_use_or_free(port: int) -> None:
+    assert checks.probe_endpoint(f"tcp://127.0.0.1:{port}") == Endpoint("in use", "the port is in use")
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        free = other.getsockname()[1]
+    assert checks.probe_endpoint(f"tcp://127.0.0.1:{free}") == Endpoint("free")
+
+
+def test_an_address_of_another_machine() -> None:
+    # from the range that is reserved for documentation: no machine has it
+    assert checks.probe_endpoint("tcp://192.0.2.7:5555").state == "unusable"
+
+
+def test_an_address_that_cannot_be_had(monkeypatch: pytest.MonkeyPatch) -> None:
+    def unknown(*arguments: Any, **keywords: Any) -> Any:
+        raise socket.gaierror(-2, "Name or service not known")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(socket, "getaddrinfo", unknown)
+        assert checks.probe_endpoint("tcp://rig:5555").detail == "rig is not known (Name or service not known)"
+
+    class Forbidden(socket.socket):
+        def bind(self, address: Any) -> None:
+            raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(socket, "socket", Forbidden)
+    state, detail = checks.probe_endpoint("tcp://127.0.0.1:80")
+    assert (state, detail) == ("unusable", "the port cannot be had (Permission denied)")
+
+
+def test_disk(tmp_path: Path) -> None:
+    judged(checks.check_disk(tmp_path, 10**9), "ok", "1.0 GB", str(tmp_path))
+    judged(checks.check_disk(tmp_path, 10**9 - 1), "warning", "--out")
+
+
+def test_compiled_code(tmp_path: Path) -> None:
+    judged(checks.check_cache(None), "ok", "not installed")
+    judged(checks.check_cache(tmp_path), "ok", "is there")
+    judged(checks.check_cache(tmp_path / "a" / "b"), "ok", "first start")
+    (tmp_path / "file").touch()
+    judged(checks.check_cache(tmp_path / "file" / "b"), "problem", "XDG_CACHE_HOME")
+
+
+@pytest.mark.parametrize(("name", "inside"), [(".dockerenv", True), ("run/.containerenv", True), ("x", False)])
+def test_containers_are_recognised(tmp_path: Path, name: str, *, inside: bool) -> None:
+    assert checks.in_container(tree(tmp_path, {name: ""})) is inside
+
+
+def run(*arguments: str) -> tuple[int, str, str]:
+    result = CliRunner().invoke(app, ["doctor", *arguments])
+    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
+    return result.exit_code, result.stdout, result.stderr
+
+
+def given(monkeypatch: pytest.MonkeyPatch, *findings: Finding) -> None:
+    monkeypatch.setattr(doctor, "examine", lambda site_file: list(findings))
+
+
+def test_every_check_is_made_here() -> None:
+    code, out, err = run("--json")
+    document = json.loads(out)
+    names = {finding["name"] for finding in document["findings"]}
+    assert names >= {
+        "python", "packages", "extras", "processors", "SCHED_FIFO", "memory lock", "CPU governor", "deep idle",
+        "clock source", "clock", "timers", "open files", "disk", "libzmq", "runtime folder", "compiled code",
+        "endpoints",
+    }  # fmt: skip
+    assert out.count("\n") == 1
+    assert code == (0 if document["ok"] else 1)
+    assert (err == "") == document["ok"]
+
+
+def test_warnings_do_not_fail(monkeypatch: pytest.MonkeyPatch) -> None:
+    given(monkeypatch, Finding("python", "ok", "3.11.7"), Finding("clock", "warning", "not right", "do [this]"))
+    code, out, err = run()
+    assert (code, err) == (0, "")
+    assert "→ do [this]" in out
+    assert "1 warning(s): clock" in out
+    code, out, _ = run("--json")
+    assert code == 0
+    assert json.loads(out)["findings"][1] == {
+        "name": "clock", "level": "warning", "found": "not right", "advice": "do [this]",
+    }  # fmt: skip
+
+
+def test_a_problem_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+    given(monkeypatch, Finding("python", "problem", "3.10", "get another"))
+    code, out, err = run()
+    assert code == 1
+    assert "3.10" in out
+    assert err == "telenano: a rig cannot run here as it is: python\n"
+    code, out, _ = run("--json")
+    document = json.loads(out)
+    assert (code, document["ok"], document["error"]) == (1, False, err.strip().removeprefix("telenano: "))
+
+
+def test_a_wrong_site_file_is_one_finding_among_others(tmp_path: Path) -> None:
+    missing = tmp_path / "nowhere.yaml"
+    *others, finding = doctor.rig(missing)
+    judged(finding, "problem", str(missing), "--site-file")
+    assert {other.name for other in others} == {"libzmq", "runtime folder", "compiled code"}
+
+
+def test_a_runtime_folder_that_is_too_long_spares_the_other_checks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TELENANO_RUNTIME_DIR", str(tmp_path / ("x" * 110)))
+    levels = {finding.name: finding.level for finding in doctor.rig(doctor.SITE_FILE)}
+    assert (levels["runtime folder"], levels["site file"]) == ("problem", "problem")
+
+
+def test_a_rig_that_cannot_be_read_for_want_of_a_package(monkeypatch: pytest.MonkeyPatch) -> None:
+    def missing(site_file: Path) -> list[Finding]:
+        raise ModuleNotFoundError("No module named 'zmq'")
+
+    monkeypatch.setattr(doctor, "rig", missing)
+    monkeypatch.setattr(doctor, "machine", lambda **given: [])
+    judged(doctor.examine(Path("x"))[-1], "problem", "No module named 'zmq'")
+
+
+def test_a_project_that_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
+    def unknown(name: str) -> list[str]:
+        raise doctor.PackageNotFoundError(name)
+
+    monkeypatch.setattr(doctor, "requires", unknown)
+    [finding] = doctor.packages()
+    judged(finding, "problem", "pip install -e .")
+
+
+def test_the_folder_of_compiled_code_is_the_one_in_use(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "file" / "cache"))
+    finding = next(finding for finding in doctor.rig(doctor.SITE_FILE) if finding.name == "compiled code")
+    judged(finding, "problem", str(tmp_path / "file" / "cache"))

@@ -1,0 +1,228 @@
+"""A session over two sites, at the one that conducts it and at the one that follows."""
+
+from io import StringIO
+
+from launcher_bench import SECOND_NS, TICK_NS, Bench, Rig, health, row
+from rich.console import Console
+
+from proto.messages import ClockPing
+from services.launcher.keeper import Keeper
+from services.launcher.readiness import READY_DEADLINE_S
+from services.launcher.session import SiteNode
+from services.launcher.view import LineView, rig_picture
+
+MASTER = ("recorder@master", "delay_node@master", "controller@master", "haptic_node@master")
+SLAVE = ("afm_node@slave", "controller@slave")
+LINK = "delay_node@slave"
+DEADLINE_TICKS = round(READY_DEADLINE_S * SECOND_NS / TICK_NS)
+DEAF = health("controller@master", inputs=(row("teleop/backward", heard=False),))
+ARM = "a tip that has retracted stays so until `telenano session arm --target afm_node --site "
+
+
+def master(duration_s: float = 2.0) -> Rig:
+    return Rig(duration_s, own=MASTER, others=SLAVE, site="master", other_site="slave")
+
+
+class Slave(Bench):
+    """The slave's site, with the link when it is there."""
+
+    def __init__(self) -> None:
+        super().__init__("launcher@slave")
+        keeper = Keeper(self.clock, SLAVE, self.children)
+        self.site = SiteNode(self.context, keeper, link=LINK, site="slave", other_site="master")
+        self.begin(self.site)
+
+    def ping(self) -> None:
+        self.hear(ClockPing(seq=0, t_ns=0, src=LINK, v=1), "clock/ping")
+
+    def tick_linked(self, count: int) -> None:
+        for _ in range(count):
+            self.ping()
+            self.tick()
+
+
+def test_the_master_waits_for_the_slave_without_a_limit() -> None:
+    rig = master()
+    assert rig.children.started == list(MASTER)
+    for _ in range(10 * DEADLINE_TICKS):
+        rig.hear_health(*MASTER)
+        # what only the other site sends is no fault of this one
+        rig.hear(DEAF, "node/health")
+        rig.tick()
+    assert rig.session.phase == "starting"
+    assert rig.session.causes() == dict.fromkeys(SLAVE, "has not been heard")
+    assert "controller@master" in rig.session.waiting()
+    assert "for the slave's site without a limit" in rig.session.status_line()
+    rig.tick_alive(6)
+    assert rig.session.phase == "running"
+    assert rig.news == ["the slave's site is heard"]
+
+
+def test_own_nodes_have_their_limit_whether_the_slave_is_there_or_not() -> None:
+    rig = master()
+    rig.hear_health(*MASTER[:3])
+    rig.tick(DEADLINE_TICKS + 1)
+    assert rig.finished
+    assert rig.session.failure.startswith(
+        "the rig was not ready within 60 s: haptic_node@master has not been heard\nlast lines of haptic_node@master"
+    )
+    assert "slave" not in rig.session.failure
+
+
+def test_inputs_have_their_limit_from_when_the_slave_is_heard() -> None:
+    rig = master()
+    rig.hear_health(*MASTER)
+    rig.tick(3 * DEADLINE_TICKS)
+    for _ in range(DEADLINE_TICKS):
+        rig.hear_health(*rig.rig_nodes)
+        rig.hear(DEAF, "node/health")
+        rig.tick()
+    assert not rig.finished
+    rig.hear_health(*rig.rig_nodes)
+    rig.hear(DEAF, "node/health")
+    rig.tick(3)
+    assert rig.finished
+    assert "controller@master does not hear teleop/backward" in rig.session.failure
+
+
+def test_a_node_that_dies_late_in_a_long_wait_has_its_time_again() -> None:
+    rig = master()
+    rig.hear_health(*MASTER)
+    rig.tick(2 * DEADLINE_TICKS)
+    rig.children.ended = {"haptic_node@master": -9}
+    rig.tick(DEADLINE_TICKS - 1)
+    assert not rig.finished
+    assert rig.children.started[-1] == "haptic_node@master"
+    rig.hear_health("haptic_node@master")
+    rig.tick(DEADLINE_TICKS)
+    assert not rig.finished
+
+
+def test_a_cable_that_is_pulled_is_told_and_the_session_goes_on() -> None:
+    rig = master(duration_s=100.0)
+    rig.tick_alive(10)
+    assert rig.session.phase == "running"
+    for silence in (5, 60):
+        rig.news.clear()
+        rig.tick_alive(20 * silence, missing=SLAVE)
+        assert [text[:32] for text in rig.news] == ["the slave's site is silent since"]
+        assert rig.session.status_line().endswith("silent: the slave's site")
+        assert rig.session.phase == "running"
+        rig.tick_alive(5)
+        assert rig.news[1].startswith(f"the slave's site is heard again after {silence}.")
+        assert rig.news[1].endswith(f"{ARM}master`")
+        assert len(rig.news) == 2
+    states = [event.data["state"] for event in rig.bus.events() if event.data.get("about_node") == "the slave's site"]
+    assert states == ["heard", "silent", "heard", "silent", "heard"]
+    # nobody but the operator arms again
+    assert [control.command for control in rig.bus.controls()] == ["arm", "arm", "start"]
+
+
+def test_one_node_of_the_slave_is_told_by_its_name() -> None:
+    rig = master(duration_s=100.0)
+    rig.tick_alive(10)
+    rig.news.clear()
+    rig.tick_alive(80, missing=["afm_node@slave"])
+    assert [text[:27] for text in rig.news] == ["afm_node@slave is silent si"]
+
+
+def test_the_end_stops_the_own_nodes_only() -> None:
+    rig = master(duration_s=1.0)
+    rig.tick_alive(40)
+    assert rig.finished
+    rig.session.make_safe()
+    assert rig.children.stopped == 1
+    assert rig.bus.events()[-1].text == "the session is over, the nodes are stopped"
+
+
+def test_the_slave_keeps_its_nodes_and_conducts_nothing() -> None:
+    rig = Slave()
+    assert rig.children.started == list(SLAVE)
+    assert "has not been heard yet" in rig.site.status_line()
+    # ready is who runs: inputs come from the other site
+    rig.hear(health("controller@slave", inputs=(row("teleop/forward", heard=False),)), "node/health")
+    assert rig.site.waiting() == {"afm_node@slave": "has not been heard"}
+    rig.hear_health("afm_node@slave")
+    rig.tick()
+    assert (rig.site.phase, rig.news) == ("running", [])
+    rig.tick_linked(3 * DEADLINE_TICKS)
+    assert rig.news == ["the master's site is heard"]
+    assert rig.site.status_line() == "running, the master's site is heard and conducts; Ctrl-C stops the nodes here"
+    assert rig.bus.controls() == []
+    rig.site.interrupt()
+    rig.tick()
+    assert rig.finished
+    assert rig.site.failure == ""
+    assert rig.site.phase == "ending"
+    rig.site.make_safe()
+    assert rig.children.stopped == 1
+
+
+def test_the_slave_tells_of_the_masters_silence_and_return() -> None:
+    rig = Slave()
+    rig.hear_health(*SLAVE)
+    rig.tick_linked(5)
+    rig.tick(20 * 60)
+    assert rig.news[-1].startswith("the master's site is silent since")
+    assert "is silent, the nodes here wait for it" in rig.site.status_line()
+    rig.tick_linked(20)
+    assert rig.news[-1].startswith("the master's site is heard again after 60.")
+    assert rig.news[-1].endswith(f"{ARM}slave`")
+    assert len(rig.news) == 3
+    assert not rig.finished
+
+
+def test_the_slave_starts_what_died_again_and_gives_up_what_cannot_run() -> None:
+    rig = Slave()
+    rig.hear_health(*SLAVE)
+    rig.tick(2)
+    rig.children.ended = {"afm_node@slave": -11}
+    rig.tick(4)
+    assert rig.children.started == [*SLAVE, "afm_node@slave"]
+    assert "afm_node@slave was killed by SIGSEGV" in rig.news[0]
+    assert rig.news[1] == "afm_node@slave was started again"
+    rig.children.ended = {"controller@slave": 2}
+    rig.tick()
+    assert rig.finished
+    assert "cannot start as it is configured" in rig.site.failure
+
+
+def test_the_slave_gives_its_own_nodes_a_limit() -> None:
+    rig = Slave()
+    rig.hear_health("controller@slave")
+    rig.tick_linked(DEADLINE_TICKS - 1)
+    assert not rig.finished
+    rig.tick_linked(2)
+    assert rig.finished
+    assert rig.site.failure.startswith("the site was not ready within 60 s: afm_node@slave has not been heard\nlast")
+
+
+def test_lines_tell_news_and_who_is_waited_for() -> None:
+    rig = master()
+    text = StringIO()
+    view = LineView(Console(file=text, width=200))
+    rig.node.observe = view.observe
+    for _ in range(400):
+        rig.hear_health(*MASTER, "afm_node@slave")
+        rig.tick()
+    rig.tick_alive(6)
+    lines = text.getvalue().splitlines()
+    assert lines[0] == "the slave's site is heard"
+    assert lines[1].startswith(
+        "waiting for 1 of 6 nodes to be ready (the first start compiles the models, up to 60 s; "
+    )
+    assert "still waiting: controller@slave has not been heard" in lines
+    assert len([line for line in lines if line.startswith("still waiting")]) == 1
+    assert lines[-1].startswith("running for 2 s")
+
+
+def test_the_live_view_draws_a_site_without_a_session() -> None:
+    rig = Slave()
+    rig.node.observe = lambda node: None
+    text = StringIO()
+    Console(file=text, width=200).print(rig_picture(rig.site))
+    assert "afm_node@slave has not been heard" in text.getvalue()
+    rig.hear_health(*SLAVE)
+    rig.tick_linked(1)
+    Console(file=text, width=200).print(rig_picture(rig.site))
+    assert "the master's site is heard and conducts" in text.getvalue()

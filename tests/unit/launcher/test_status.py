@@ -1,0 +1,355 @@
+import json
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zmq
+from typer.testing import CliRunner
+
+from proto import TOPICS
+from proto.messages import InputHealth, Message, NodeHealth
+from services.launcher import status
+from services.launcher.cli import app
+from services.launcher.errors import RigError
+from services.launcher.observe import Heard, Observer
+from services.launcher.plan import DEFAULT_SITE_FILE
+from services.launcher.status import Picture, document_of, expected_nodes, listen, problems_of, stalled_inputs
+from services.runtime.bus import Notice, Publisher, Received
+from services.runtime.clock import SystemClock
+from services.runtime.main import load_site
+from services.runtime.sequence import Arrival
+from services.runtime.site import SiteBook
+
+RIG = [
+    "haptic_node@master",
+    "controller@master",
+    "delay_node@master",
+    "controller@slave",
+    "afm_node@slave",
+    "recorder@master",
+]
+SECOND_NS = 1_000_000_000
+DIRECTION = {
+    "profile": "wan", "settings": {}, "messages_in": 9, "messages_out": 8, "dropped": {"loss": 3}, "duplicated": 0,
+    "reordered": 0, "corrupted": 0, "queue_depth": 2, "delay_valid": True, "delay_mean_s": 0.0205, "delay_min_s": 0.02,
+    "delay_max_s": 0.03,
+}  # fmt: skip
+SILENT = {**DIRECTION, "dropped": {}, "delay_valid": False}
+CLOCK = {"valid": True, "offset_s": 1.5e-3, "uncertainty_s": 1e-4, "round_trip_s": 2e-4, "exchanges": 5}
+LAW = {
+    "law": "virtual_impedance", "switching": False, "port_energy_j": 0.0, "port_power_w": 0.0, "net_valid": True,
+    "net_energy_j": 0.0025, "left_j": 0.0, "dissipated_j": 0.0, "passive": True, "saved_percent": 0.0, "heard": True,
+    "silence_s": 0.002, "round_trip_valid": False, "round_trip_s": 0.0,
+}  # fmt: skip
+ZERO = (0.0, 0.0, 0.0)
+HAND = {
+    "position_m": ZERO, "velocity_m_per_s": ZERO, "operator_force_n": ZERO, "motor_force_n": ZERO, "reference_m": ZERO,
+    "mode": "position", "estop": False, "limited": False, "session_s": 3.25, "answered_seq": 0, "answered_t_ns": 0,
+    "answered_at_ns": 0, "step_s": 0.001,
+}  # fmt: skip
+AFM = {
+    "hand_seq": 0, "hand_t_ns": 0, "command_seq": 0, "base_position_m": ZERO, "deflection_m": 0.0, "tip_force_n": ZERO,
+    "separation_m": 0.0, "separation_valid": False, "in_contact": True, "meniscus": False, "mode": "follow",
+    "limited": False, "step_s": 0.001,
+}  # fmt: skip
+EVENT = {"id": "", "kind": "recording", "level": "info", "text": "recording to x.mcap", "data": {}}
+
+
+def message(topic: str, src: str, t_s: float = 1.0, seq: int = 0, **fields: Any) -> Message:
+    model = TOPICS[topic].model
+    return model(seq=seq, t_ns=round(t_s * SECOND_NS), src=src, v=model.version, **fields)
+
+
+def row(topic: str, src: str = "x@master", received: int = 10, **changes: Any) -> InputHealth:
+    fields = {
+        "topic": topic, "src": src, "received": received, "lost": 0, "gaps": 0, "repeated": 0, "restarts": 0,
+        "age_valid": received > 0, "age_s": 0.001, **changes,
+    }  # fmt: skip
+    return InputHealth(**fields)
+
+
+def health(node: str, *inputs: InputHealth, t_s: float = 1.0, **changes: Any) -> NodeHealth:
+    fields = {
+        "pid": 1, "state": "running", "uptime_s": 3725.0, "rate_hz": 999.9, "period_s": 0.001, "lateness_p50_s": 0.0,
+        "lateness_p99_s": 0.00021, "lateness_max_s": 0.0, "overruns": 0, "rejected": {}, "cpu_percent": 25.0,
+        "memory_bytes": 176_000_000, "realtime": True, "memory_locked": True, "replay": False, "inputs": inputs,
+        **changes,
+    }  # fmt: skip
+    made = message("node/health", node, t_s, **fields)
+    assert isinstance(made, NodeHealth)
+    return made
+
+
+def picture_of(*messages: Message) -> Picture:
+    picture = Picture()
+    for each in messages:
+        picture.enter(each)
+    return picture
+
+
+class Mute:
+    topics = ()
+
+
+class FakeObserver:
+    """Hears what it is given."""
+
+    heard: tuple[Message, ...] = ()
+
+    def __init__(self, book: SiteBook) -> None:
+        self.book = book
+        self.subscribers = {node: Mute() for node in book.nodes}
+        self.notices = [Notice("warning", "slave is not reached", {})]
+
+    def listen(self, duration_s: float) -> Iterator[Heard]:
+        for each in self.heard:
+            yield Heard("", Received("", each, b"", 0, Arrival.NEXT))
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+def run(monkeypatch: pytest.MonkeyPatch, *messages: Message, arguments: tuple[str, ...] = ()) -> tuple[int, str, str]:
+    monkeypatch.setattr(status, "Observer", FakeObserver)
+    monkeypatch.setattr(FakeObserver, "heard", messages)
+    result = CliRunner().invoke(app, ["status", *arguments])
+    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
+    return result.exit_code, result.stdout, result.stderr
+
+
+def test_the_nodes_that_report_while_a_rig_runs() -> None:
+    nodes = list(load_site(DEFAULT_SITE_FILE).nodes)
+    assert expected_nodes(nodes, nodes) == RIG
+    assert "recorder@master" not in expected_nodes([node for node in nodes if node != "recorder@master"], nodes)
+    assert expected_nodes([*nodes, "recorder@slave", "launcher@slave"], [*nodes, "recorder@slave"]) == RIG
+
+
+def test_what_a_machine_cannot_hear_is_not_expected_of_it() -> None:
+    nodes = load_site(DEFAULT_SITE_FILE).nodes
+    assert expected_nodes(nodes, ["delay_node@slave", "afm_node@slave"]) == ["afm_node@slave"]
+    # the link brings the health of the slave's nodes to the master
+    at_master = ["haptic_node@master", "delay_node@master"]
+    assert expected_nodes(nodes, at_master) == [*at_master, "controller@slave", "afm_node@slave"]
+
+
+def test_the_newest_counts_and_a_copy_out_of_the_link_is_no_second_event() -> None:
+    old, new = health("afm_node@slave", t_s=1.0, pid=3), health("afm_node@slave", t_s=2.0, pid=4)
+    event = message("session/event", "afm_node@slave", **EVENT)
+    picture = picture_of(new, old, event, event)
+    assert picture.newest(NodeHealth) == {"afm_node@slave": new}
+    assert len(picture.events) == 1
+
+
+def test_a_rig_in_which_all_is_well() -> None:
+    assert problems_of(picture_of(*map(health, RIG)), RIG) == {}
+
+
+@pytest.mark.parametrize(
+    ("newest", "words"),
+    [
+        (None, "has not been heard"),
+        (health("afm_node@slave", state="starting"), "is still starting"),
+        (health("afm_node@slave", state="stopping"), "is stopping"),
+        (health("afm_node@slave", row("afm/command", received=0)), "does not hear afm/command"),
+    ],
+)
+def test_what_is_wrong_with_a_node(newest: NodeHealth | None, words: str) -> None:
+    heard = [health(node) for node in RIG if node != "afm_node@slave"] + ([newest] if newest else [])
+    assert problems_of(picture_of(*heard), RIG) == {"afm_node@slave": words}
+
+
+@pytest.mark.parametrize("state", ["safe", "ready"])
+def test_a_device_that_waits_for_its_operator_is_no_problem(state: str) -> None:
+    assert problems_of(picture_of(health("afm_node@slave", state=state)), ["afm_node@slave"]) == {}
+
+
+def test_the_launcher_is_judged_where_it_is_heard_and_a_console_is_not() -> None:
+    heard = [*map(health, RIG), health("console@master", state="stopping"), health("player@master", state="stopping")]
+    assert problems_of(picture_of(*heard), RIG) == {}
+    heard.append(health("launcher@master", state="starting"))
+    assert problems_of(picture_of(*heard), RIG) == {"launcher@master": "is still starting"}
+
+
+def test_an_input_that_fell_silent_while_listening() -> None:
+    node = "controller@master"
+    before = health(node, row("teleop/backward"), row("haptic/state"), t_s=1.0)
+    after = health(node, row("teleop/backward"), row("haptic/state", received=11), t_s=2.0)
+    assert problems_of(picture_of(before, after), [node]) == {node: "hears no more of teleop/backward"}
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "span_s", "stalled"),
+    [
+        ([row("link/status")], [row("link/status")], 0.51, ["link/status"]),
+        ([row("link/status")], [row("link/status")], 0.5, []),
+        ([row("link/status", received=0)], [row("link/status", received=0)], 1.0, []),
+        ([], [row("link/status")], 1.0, []),
+        ([row("session/event")], [row("session/event")], 1.0, []),
+        ([row("not/known")], [row("not/known")], 1.0, []),
+        ([row("node/health")], [row("node/health")], 1.5, []),
+        # two sources of a topic: one of them that goes on is enough, as it is at the start
+        ([row("law/status", "a@x"), row("law/status", "b@x")],
+         [row("law/status", "a@x"), row("law/status", "b@x", received=20)], 1.0, []),
+    ],
+)  # fmt: skip
+def test_silence_is_judged_by_the_deadline_of_the_topic(
+    before: list[InputHealth], after: list[InputHealth], span_s: float, stalled: list[str]
+) -> None:
+    first, newest = health("recorder@master", *before, t_s=1.0), health("recorder@master", *after, t_s=1.0 + span_s)
+    assert stalled_inputs(first, newest) == stalled
+
+
+def test_a_node_that_was_restarted_meanwhile_counts_anew() -> None:
+    first = health("afm_node@slave", row("afm/command"), pid=3)
+    assert stalled_inputs(first, health("afm_node@slave", row("afm/command"), pid=4, t_s=2.0)) == []
+
+
+def test_the_facts_of_a_node() -> None:
+    inputs = (row("afm/command", age_s=0.002, lost=3), row("node/health", age_s=0.4, lost=1))
+    node = health("afm_node@slave", *inputs, rejected={"topic": 2}, overruns=7)
+    [facts] = document_of(picture_of(node), ["afm_node@slave"])["nodes"]
+    assert facts == {
+        "node": "afm_node@slave", "heard": True, "problem": None, "state": "running", "uptime_s": 3725.0,
+        "rate_hz": 999.9, "overruns": 7, "cpu_percent": 25.0, "memory_bytes": 176_000_000, "realtime": True,
+        "memory_locked": True, "replay": False, "lateness_p99_s": 0.00021, "oldest_input_s": 0.002, "received": 20,
+        "lost": 4, "refused": {"topic": 2},
+    }  # fmt: skip
+
+
+def test_a_node_that_acts_on_messages_only_has_no_lateness() -> None:
+    [facts] = document_of(picture_of(health("controller@master", period_s=0.0)), ["controller@master"])["nodes"]
+    assert (facts["lateness_p99_s"], facts["oldest_input_s"]) == (None, None)
+
+
+def test_a_site_of_its_own_is_ok() -> None:
+    document = document_of(picture_of(health("haptic_node@master")), ["haptic_node@master"])
+    assert (document["ok"], document["problems"], document["link"], document["laws"]) == (True, [], None, [])
+
+
+def well() -> list[Message]:
+    return [
+        *map(health, RIG[:-1]),
+        health("recorder@master", row("afm/state", received=1234), realtime=False, memory_locked=False, period_s=0.0),
+        health("launcher@master", memory_locked=False),
+        message("link/status", "delay_node@master", forward=DIRECTION, backward=SILENT, clock=CLOCK),
+        message("law/status", "controller@slave", **{**LAW, "net_valid": False}),
+        message("law/status", "controller@master", **LAW),
+        message("haptic/state", "haptic_node@master", **HAND),
+        message("afm/state", "afm_node@slave", **AFM),
+        message("session/event", "recorder@master", **EVENT),
+    ]
+
+
+def test_a_rig_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
+    code, out, err = run(monkeypatch, *well())
+    assert (code, err) == (0, "")
+    assert max(map(len, out.splitlines())) <= 140
+    for words in (
+        "haptic_node@master │ running", "1:02:05", "999.9", "0.210", "fifo, memory", "│ nothing", "launcher@master",
+        "wan · delay 20.50 ms · dropped loss 3 · 2 in flight", "wan · no message · dropped 0",
+        "the slave's is 1.500 ms ahead, ± 0.100 ms", "net energy 0.0025 J · other half heard 2 ms ago",
+        "position · programme at 3.2 s", "follow · in contact", "running · 1234 messages heard · 0 lost",
+        "slave is not reached", "recording to x.mcap", "every node is heard and none waits",
+    ):  # fmt: skip
+        assert words in out, words
+
+
+def test_a_rig_as_json(monkeypatch: pytest.MonkeyPatch) -> None:
+    code, out, err = run(monkeypatch, *well(), arguments=("--json",))
+    document = json.loads(out)
+    assert (code, err, out.count("\n")) == (0, "", 1)
+    assert (document["ok"], document["problems"]) == (True, [])
+    assert [facts["node"] for facts in document["nodes"]] == [*RIG, "launcher@master"]
+    assert document["link"]["forward"] == {
+        "profile": "wan", "delay_mean_s": 0.0205, "dropped": {"loss": 3}, "queue_depth": 2,
+    }  # fmt: skip
+    assert document["link"]["backward"]["delay_mean_s"] is None
+    assert document["link"]["clock"] == {"offset_s": 1.5e-3, "uncertainty_s": 1e-4}
+    assert [law["src"] for law in document["laws"]] == ["controller@master", "controller@slave"]
+    assert document["hand"][0]["mode"] == "position"
+    assert document["afm"][0]["in_contact"] is True
+    assert document["events"][0]["kind"] == "recording"
+
+
+def test_a_rig_in_trouble_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
+    heard = [
+        health("haptic_node@master", replay=True, rejected={"version": 4}),
+        health("controller@master", row("haptic/state", received=0)),
+        message(
+            "link/status", "delay_node@master", forward=DIRECTION, backward=DIRECTION, clock={**CLOCK, "valid": False}
+        ),
+        message(
+            "law/status", "controller@master", **{**LAW, "passive": False, "heard": False, "switching": True}
+        ),
+        message("haptic/state", "haptic_node@master", **{**HAND, "estop": True, "limited": True, "session_s": -1.0}),
+        message("afm/state", "afm_node@slave", **{**AFM, "mode": "estop", "limited": True, "meniscus": True}),
+    ]  # fmt: skip
+    code, out, err = run(monkeypatch, *heard)
+    assert code == 1
+    assert err == (
+        "telenano: not all is well with controller@master, delay_node@master, controller@slave, afm_node@slave, "
+        "recorder@master\n"
+    )
+    for words in (
+        "│ replay", "version 4", "not heard", "has not been heard", "does not hear haptic/state", "not passive",
+        "waits for the other half to switch", "other half never heard", "emergency stop is latched",
+        "programme not running · at a limit", "estop · in contact · meniscus · at a limit",
+    ):  # fmt: skip
+        assert words in out, words
+    assert "clocks" not in out
+
+
+def test_a_rig_in_trouble_as_json(monkeypatch: pytest.MonkeyPatch) -> None:
+    code, out, err = run(monkeypatch, *map(health, RIG[1:]), arguments=("--json",))
+    document = json.loads(out)
+    assert (code, document["ok"], out.count("\n")) == (1, False, 1)
+    assert document["problems"] == ["haptic_node@master has not been heard"]
+    assert err == f"telenano: {document['error']}\n"
+    assert document["nodes"][0] == {"node": "haptic_node@master", "heard": False, "problem": "has not been heard"}
+
+
+def test_a_silent_rig_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TELENANO_RUNTIME_DIR", str(tmp_path / "run"))
+    result = CliRunner().invoke(app, ["status", "--duration", "0", "--json"])
+    assert result.exit_code == 1
+    assert "no rig is heard" in json.loads(result.stdout)["error"]
+
+
+def test_it_listens_on_the_bus_and_only_to_what_it_needs(tmp_path: Path) -> None:
+    node = "controller@master"
+    book = SiteBook(nodes={node: f"ipc://{tmp_path}/node"})
+    over = threading.Event()
+
+    def speak() -> None:
+        with zmq.Context[zmq.Socket[bytes]]() as context:
+            publisher = Publisher(context, SystemClock(), node, book.endpoint(node))
+            template = health(node).model_dump(exclude={"seq", "t_ns", "src", "v"})
+            while not over.wait(0.005):
+                publisher.publish("session/event", **EVENT)
+                publisher.publish("node/health", **template)
+                publisher.publish("haptic/command", hand_seq=0, hand_t_ns=0, mode="off", position_m=ZERO,
+                                  velocity_m_per_s=ZERO, force_n=ZERO)  # fmt: skip
+            publisher.close()
+
+    speaker = threading.Thread(target=speak)
+    speaker.start()
+    observer = Observer(book)
+    try:
+        picture = listen(observer, 0.5)
+        heard = {topic for topic, _ in observer.subscribers[node].trackers}
+    finally:
+        over.set()
+        speaker.join()
+        observer.close()
+    assert set(picture.newest(NodeHealth)) == {node}
+    assert picture.events
+    assert heard == {"node/health", "session/event"}
+
+
+def test_nobody_speaks(tmp_path: Path) -> None:
+    observer = Observer(SiteBook(nodes={"controller@master": f"ipc://{tmp_path}/node"}))
+    with pytest.raises(RigError, match="no rig is heard"):
+        listen(observer, 0.0)
+    observer.close()

@@ -1,0 +1,159 @@
+import os
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from launcher_bench import Bench
+
+from proto import encode
+from proto.messages import SessionControl
+from services.launcher import up
+from services.launcher.errors import RigError
+from services.launcher.keeper import Keeper
+from services.launcher.plan import Plan, UpRequest, make_plan
+from services.launcher.session import SessionNode, SiteNode
+from services.launcher.tape import holds_command
+from services.launcher.up import Outcome, make_rig, outcome_of, report_of, run_rig
+from services.recorder.config import RecorderConfig
+from services.recorder.writer import RecordingWriter
+from services.runtime.errors import RecordingError
+
+RECORDER = "recorder@master"
+
+
+@pytest.fixture(autouse=True)
+def _private_runtime(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TELENANO_RUNTIME_DIR", str(tmp_path / "run"))
+
+
+@pytest.fixture
+def own_signals() -> Iterator[None]:
+    """Keep this process's own signal handlers."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
+    descriptor = signal.set_wakeup_fd(-1)
+    yield
+    signal.set_wakeup_fd(descriptor)
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+def plan_of(tmp_path: Path, **options: Any) -> Plan:
+    request = UpRequest("fig12", None, None, options.pop("duration_s", None), tmp_path / "out", False, (), **options)
+    return make_plan(request, tmp_path)
+
+
+def attached(tmp_path: Path) -> tuple[Plan, SessionNode]:
+    plan, bench = plan_of(tmp_path, attach=True), Bench()
+    session = make_rig(plan, bench.context, Keeper(bench.clock, (), bench.children))
+    assert isinstance(session, SessionNode)
+    session._running_ns = 0
+    session.start_id = "the-start"
+    return plan, session
+
+
+def recorded(folder: Path, command_id: str) -> Path:
+    """Write a recording in which a command was given."""
+    writer = RecordingWriter.create(RECORDER, RecorderConfig(directory=folder), 0)
+    channel = writer.channel("session/control", "launcher@master", "master")
+    control = SessionControl(
+        seq=0, t_ns=5, src="launcher@master", v=1, id=command_id, command="start", target="*", parameters={}
+    )
+    writer.write(channel, 5, 5, 0, encode(control))
+    writer.finish()
+    return writer.path
+
+
+def test_the_plan_says_which_rig_is_made(tmp_path: Path) -> None:
+    bench = Bench()
+    made = {
+        name: make_rig(plan_of(tmp_path, **options), bench.context, Keeper(bench.clock, (), bench.children))
+        for name, options in {
+            "plain": {},
+            "attach": {"attach": True, "wait_s": 3.0},
+            "master": {"site": "master"},
+            "slave": {"site": "slave"},
+        }.items()
+    }
+    assert isinstance(made["slave"], SiteNode)
+    sessions = {name: rig for name, rig in made.items() if isinstance(rig, SessionNode)}
+    assert set(sessions) == {"plain", "attach", "master"}
+    assert {name for name, session in sessions.items() if session.tape is not None} == {"attach"}
+    assert {name: session.watch.site for name, session in sessions.items()} == {
+        "plain": "",
+        "attach": "",
+        "master": "slave",
+    }
+
+
+def test_the_file_that_the_recorder_named_is_found_if_it_is_the_sessions(tmp_path: Path) -> None:
+    plan, session = attached(tmp_path)
+    assert session.tape is not None
+    path = recorded(tmp_path / "rec", "the-start")
+    session.tape.files = [str(path)]
+    assert holds_command(path, "the-start")
+    outcome = outcome_of(session, plan)
+    assert (outcome.ran, outcome.recording, outcome.note) == (True, path, "")
+    session.start_id = "another"
+    outcome = outcome_of(session, plan)
+    assert outcome.recording is None
+    assert f"`telenano report {path} --out {plan.out}`" in outcome.note
+
+
+def test_a_recording_elsewhere_is_told_with_the_command_that_reports_it(tmp_path: Path) -> None:
+    plan, session = attached(tmp_path)
+    assert session.tape is not None
+    session.tape.files = ["/elsewhere/session_1.mcap"]
+    outcome = outcome_of(session, plan)
+    assert outcome.recording is None
+    assert "recorder@master recorded the session to /elsewhere/session_1.mcap" in outcome.note
+    session.tape.files = []
+    assert outcome_of(session, plan).note == "nothing was recorded: no recorder was heard"
+
+
+def test_a_report_is_made_of_a_session_that_ran(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    plan = plan_of(tmp_path)
+    path = tmp_path / "session.mcap"
+    said: list[str] = []
+    ran = Outcome("", False, True, path, "", {})
+    monkeypatch.setattr(up, "make_report", lambda recording, out: {"recording": str(recording), "out": str(out)})
+    assert report_of(ran, plan, said.append) == {"recording": str(path), "out": str(plan.out)}
+    assert said == ["making figure and summary"]
+    assert report_of(Outcome("", True, False, path, "", {}), plan, said.append) is None
+    assert report_of(Outcome("", False, True, None, "elsewhere", {}), plan, said.append) is None
+
+    def broken(recording: Path, out: Path) -> Any:
+        raise RecordingError("no session in it")
+
+    monkeypatch.setattr(up, "make_report", broken)
+    assert report_of(Outcome("the cause", False, True, path, "", {}), plan, said.append) is None
+    with pytest.raises(RecordingError, match="no session in it"):
+        report_of(ran, plan, said.append)
+
+    def interrupted(recording: Path, out: Path) -> Any:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(up, "make_report", interrupted)
+    with pytest.raises(RigError, match=r"`telenano report .* makes it"):
+        report_of(ran, plan, said.append)
+
+
+@pytest.mark.usefixtures("own_signals")
+def test_attaching_to_nobody_gives_up_at_its_limit_and_leaves_a_log(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, attach=True, wait_s=0.2)
+    phases: list[str] = []
+    outcome = run_rig(plan, lambda rig: phases.append(rig.phase), phases.append)
+    assert outcome.failure.startswith("the rig was not ready within 0.2 s: ")
+    assert "haptic_node@master has not been heard" in outcome.failure
+    assert not outcome.ran
+    assert phases[0] == "starting"
+    assert "has not been heard" not in phases
+    assert (plan.out / "logs" / "launcher@master.log").exists()
+
+
+@pytest.mark.usefixtures("own_signals")
+def test_a_stop_signal_ends_the_wait(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, attach=True)
+    outcome = run_rig(plan, lambda rig: os.kill(os.getpid(), signal.SIGTERM), lambda text: None)
+    assert (outcome.failure, outcome.interrupted, outcome.ran) == ("", True, False)
