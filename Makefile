@@ -3,8 +3,16 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 OUT ?= out/fig12
+# the images of deploy/ and the extras of pyproject.toml that each one has
+IMAGES := haptic_node:haptic controller:controller delay_node:delay afm_node:afm recorder:recorder \
+  session:launcher,haptic,afm,controller,delay study:studies
+comma := ,
+COMPILE := $(BIN)/uv pip compile --quiet --generate-hashes --no-emit-index-url --custom-compile-command "make lock"
 
-.PHONY: setup demo test lint bench lock clean
+# compose v2 where there is one
+COMPOSE ?= $(shell docker compose version >/dev/null 2>&1 && echo docker compose || echo docker-compose)
+
+.PHONY: setup demo test lint bench reliability lock image-locks images clean
 
 setup: $(VENV)/.complete
 
@@ -35,10 +43,35 @@ lint: setup
 bench: setup
 	$(BIN)/python benchmarks/loop.py
 
-lock: setup
-	$(BIN)/python -m pip install --quiet uv
-	$(BIN)/uv pip compile --quiet pyproject.toml --all-extras --generate-hashes --no-emit-index-url \
-	  --custom-compile-command "make lock" -o requirements.lock
+# the table of docs/reliability.md, from faults injected into real rigs; needs root for the two sites
+reliability: setup
+	@mkdir -p out && rm -f out/faults.jsonl
+	TELENANO_LEDGER=out/faults.jsonl $(BIN)/pytest tests/stack/test_chaos.py tests/stack/test_two_sites.py tests/stack/test_compose.py
+	$(BIN)/python tests/stack/ledger.py out/faults.jsonl docs/reliability.md
+
+lock: $(BIN)/uv
+	$(COMPILE) pyproject.toml --all-extras -o requirements.lock
+	@$(MAKE) --no-print-directory image-locks
+
+# each a part of requirements.lock: pip takes no file with hashes as a constraint, and an image has only its own extras
+image-locks: $(BIN)/uv
+	@mkdir -p deploy/locks
+	$(foreach image,$(IMAGES),$(call image_lock,$(subst :, ,$(image))))
+	$(BIN)/python -c 'import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["build-system"]["requires"])' | \
+	  $(COMPILE) - --constraint requirements.lock -o deploy/locks/build.lock
+
+$(BIN)/uv: | setup
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check uv
+
+images:
+	cd deploy && $(COMPOSE) --profile study build
+
+# $(call image_lock,IMAGE EXTRA,EXTRA)
+define image_lock
+$(COMPILE) pyproject.toml --constraint requirements.lock \
+	  $(addprefix --extra ,$(subst $(comma), ,$(word 2,$(1)))) -o deploy/locks/$(word 1,$(1)).lock
+
+endef
 
 clean:
 	rm -rf $(VENV) out .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

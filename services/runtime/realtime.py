@@ -132,7 +132,7 @@ def _set_fifo(config: RealtimeConfig, log: StructuredLog) -> bool:
             ) from error
         log.warning(
             "SCHED_FIFO is not permitted, the loop may run late under load: run as root, "
-            "raise `ulimit -r`, or give a container `cap_add: SYS_NICE`"
+            "raise `ulimit -r`, or give a container `ulimits: {rtprio: 99}`"
         )
         return False
     return True

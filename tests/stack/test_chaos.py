@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
+from ledger import enter
 from stack_rig import Rig
 
 from services.recorder.reader import Recording
@@ -142,3 +143,56 @@ def test_interrupted_rig_stops_cleanly(wreck: Any) -> None:
     assert code in (0, 1), err
     assert (rig.out / "session_1.mcap").exists()
     assert rig.process_of("haptic_node@master") is None
+
+
+def after_ms(path: Path, topic: str, kill: Kill, mode: str) -> float | None:
+    """Give the time from a kill until a device was in a mode [ms]."""
+    for state in states(path, topic, kill.at_ns, kill.at_ns + LATER_NS):
+        if state.mode == mode:
+            return (state.t_ns - kill.at_ns) * 1e-6
+    return None
+
+
+def test_times_are_entered_in_the_table_of_faults(wreck: Any) -> None:
+    path = wreck[0].out / "session.mcap"
+    for kill in wreck[1]:
+        told = []
+        for topic, mode, words in (
+            ("haptic/state", "off", "hand off"),
+            ("afm/state", "hold", "tip held"),
+            ("afm/state", "retracted", "withdrawn"),
+        ):
+            # the device that was killed itself says nothing until it is back
+            if kill.node.partition("_")[0] == topic.partition("/")[0] or kill.node == "recorder@master":
+                continue
+            at_ms = after_ms(path, topic, kill, mode)
+            assert at_ms is not None, (kill.node, topic, mode)
+            told.append(f"{words} after {at_ms:.0f} ms")
+        if kill.node == "recorder@master":
+            lost_ms = (kill.at_ns - max(m.publish_ns for m in Recording(path).messages(["haptic/state"]))) * 1e-6
+            told.append(f"{max(lost_ms, 0.0):.0f} ms lost, the rest in session_1.mcap")
+        enter(f"kill -9 of {kill.node}", "; ".join([*told, "restarted"]))
+
+
+def test_a_node_that_dies_again_and_again_ends_the_rig(tmp_path: Path) -> None:
+    rig = Rig(tmp_path)
+    try:
+        rig.start("--duration", "600")
+        rig.wait_until(rig.running, "a running session")
+        killed: set[int] = set()
+        end = time.monotonic() + 60.0
+        while rig.process is not None and rig.process.poll() is None and time.monotonic() < end:
+            process_id = rig.process_of("delay_node@master")
+            if process_id is not None and process_id not in killed:
+                killed.add(rig.kill("delay_node@master"))
+            time.sleep(0.05)
+        code, _, err = rig.finish()
+    finally:
+        rig.close()
+    assert code == 1
+    assert len(killed) == 5
+    assert "delay_node@master" in err
+    assert "5 times" in err
+    assert rig.process_of("haptic_node@master") is None
+    said = next(line for line in err.splitlines() if "5 times" in line).removeprefix("telenano: ")
+    enter("a node that dies again and again", f"exit code 1: {said}")

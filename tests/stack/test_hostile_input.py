@@ -48,7 +48,7 @@ def test_hostile_frames_are_counted_and_nobody_dies(rig: Any) -> None:
                 socket.send_multipart(frames)
         for node in READERS:
             # said with the next health report, which has to be in the recording
-            rig.wait_until(lambda node=node: rig.log_has(node, "frames refused"), f"{node} to refuse", patience_s=30.0)
+            rig.wait_until(lambda node=node: rig.log_has(node, "refused: "), f"{node} to refuse", patience_s=30.0)
         code, _, err = rig.stop()
     finally:
         socket.close(linger=0)

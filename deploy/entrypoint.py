@@ -1,0 +1,82 @@
+"""What a container does before its program: compiled code, the clock of the rig, the scenario in force."""
+
+import os
+import shutil
+import sys
+import time
+from pathlib import Path
+
+import yaml
+
+from services import launcher
+from services.launcher.plan import anchored
+from services.runtime.clock import EPOCH_OFFSET_VARIABLE
+from services.runtime.config import ENVIRONMENT_PREFIX, layered
+from services.runtime.errors import ConfigError
+from services.runtime.main import EXIT_BAD_START
+from services.runtime.site import runtime_directory
+
+# where the build leaves what it compiled; the image is read-only, and a new processor may need more
+COMPILED = Path("/opt/cache")
+IN_FORCE = Path("/tmp/scenario.yaml")
+FILES = Path(launcher.__file__).parent
+NODE, SITE_FILE, SCENARIO = "TELENANO_NODE", "TELENANO_SITE_FILE", "TELENANO_SCENARIO"
+
+
+def main(command: list[str]) -> None:
+    """Become the program: the command if one is given, else the node that the environment names."""
+    cache = Path(os.environ["XDG_CACHE_HOME"])
+    if COMPILED.is_dir() and not cache.exists():
+        shutil.copytree(COMPILED, cache)
+    node = os.environ.get(NODE, "")
+    if node and EPOCH_OFFSET_VARIABLE not in os.environ:
+        os.environ[EPOCH_OFFSET_VARIABLE] = str(shared_epoch_offset_ns(runtime_directory()))
+    try:
+        program = command or node_command(node)
+    except ConfigError as error:
+        sys.stderr.write(f"{error}\n")
+        raise SystemExit(EXIT_BAD_START) from error
+    os.execvp(program[0], program)
+
+
+def node_command(node: str) -> list[str]:
+    """Give the command line of a node, whose scenario is made now; ConfigError when there is none, or no node."""
+    name, _, site = node.partition("@")
+    if not site:
+        raise ConfigError(f"{NODE} is {node!r}: give a command, or the node to run as node@site")
+    site_file = os.environ.get(SITE_FILE) or str(FILES / "sites" / "local.yaml")
+    scenario = Path(os.environ.get(SCENARIO) or FILES / "scenarios" / "fig12.yaml")
+    write_in_force(scenario)
+    files = ["--site-file", site_file, "--scenario", str(IN_FORCE)]
+    return [sys.executable, "-m", f"services.{name}", *files, "--site", site]
+
+
+def write_in_force(scenario: Path) -> None:
+    """Write a scenario with the environment laid over it, as `telenano up` does: the recorder keeps this very file."""
+    document, _ = layered(scenario)
+    text = yaml.safe_dump(anchored(document, scenario.absolute().parent), sort_keys=False)
+    IN_FORCE.write_text(text, encoding="utf-8")
+    for name in [name for name in os.environ if name.startswith(ENVIRONMENT_PREFIX)]:
+        del os.environ[name]
+
+
+def shared_epoch_offset_ns(folder: Path) -> int:
+    """Give the one offset between monotonic clock and epoch [ns] of all containers that share a folder of sockets.
+
+    The wall clock may be set between the start of a rig and the restart of a node, whose stamps would then be wrong.
+    """
+    shared = folder / "epoch_offset_ns"
+    own = folder / f"{shared.name}.{os.uname().nodename}"
+    own.write_text(str(time.time_ns() - time.monotonic_ns()), encoding="ascii")
+    try:
+        # of those that start together one makes it
+        shared.hardlink_to(own)
+    except FileExistsError:
+        pass
+    finally:
+        own.unlink()
+    return int(shared.read_text(encoding="ascii"))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

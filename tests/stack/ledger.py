@@ -1,0 +1,80 @@
+"""The faults that the tests of the whole rig inject, what is promised for each, and the table of what happened.
+
+    python tests/stack/ledger.py out/faults.jsonl docs/reliability.md
+
+puts what a run entered (TELENANO_LEDGER=out/faults.jsonl pytest tests/stack) into the table of the page; `make
+reliability` does both.
+"""
+
+import json
+import os
+import sys
+from pathlib import Path
+
+VARIABLE = "TELENANO_LEDGER"
+BEGIN, END = "<!-- faults begin -->", "<!-- faults end -->"
+
+# the fault -> what is promised; the order is that of the table
+FAULTS = {
+    "kill -9 of controller@master": "hand let go, tip holds, then withdraws; restarted",
+    "kill -9 of controller@slave": "hand let go, tip holds, then withdraws; restarted",
+    "kill -9 of delay_node@master": "hand let go, tip holds, then withdraws; restarted",
+    "kill -9 of afm_node@slave": "hand let go; restarted withdrawn, waits to be armed",
+    "kill -9 of haptic_node@master": "tip holds, then withdraws; restarted with the motor off",
+    "kill -9 of recorder@master": "at most a flush interval is lost, the rig goes on; a second file follows",
+    "a node that dies again and again": "the rig is stopped with a summary of the deaths",
+    "the slave's site starts late": "the master waits, says for what, and begins by itself",
+    "the slave's address is not reached": "told after 5 s with what to look for, and again every minute",
+    "a key that is not listed": "hears nothing; counted, logged",
+    "a wrong server key": "hears nothing; counted, logged",
+    "no encryption": "hears nothing; counted, logged",
+    "an observer that sends e-stop": "no node obeys; counted, logged",
+    "a key revoked while it listens": "its connections are closed within seconds; the others come back",
+    "500 half-open connections": "closed after 5 s; every node keeps its rate",
+    "a flood of connections and garbage": "refused, counted; every node keeps its rate",
+    "a frame of 1 GB announced": "that connection is closed, no memory is taken",
+    "the cable is pulled for 5 s": "hand let go, tip holds, then withdraws; connected again without a restart",
+    "the cable is pulled for 60 s": "hand let go, tip holds, then withdraws; connected again without a restart",
+    "the slave's site is killed and started again": "hand let go; the session goes on, the tip waits to be armed",
+    "the master's site is killed and started again": "tip holds, then withdraws; a new session begins by itself",
+    "the AFM's process is killed in its container": "hand let go; restarted by the engine, waits to be armed",
+}
+
+
+def enter(fault: str, happened: str) -> None:
+    """Enter what happened on a fault, where a run is to fill the table."""
+    if fault not in FAULTS:
+        raise KeyError(f"{fault} is not among the faults that are promised anything")
+    path = os.environ.get(VARIABLE)
+    if path:
+        with Path(path).open("a", encoding="utf-8") as out:
+            out.write(json.dumps({"fault": fault, "happened": happened}) + "\n")
+
+
+def table(entries: dict[str, str]) -> str:
+    """Give the table in Markdown; a fault that nothing was entered for is left out of it."""
+    rows = [f"| {fault} | {FAULTS[fault]} | {entries[fault]} |" for fault in FAULTS if fault in entries]
+    return "\n".join(["| fault | promised | happened |", "|---|---|---|", *rows])
+
+
+def faults_of(page: str) -> list[str]:
+    """Give the faults in the table of a page."""
+    lines = page.partition(BEGIN)[2].partition(END)[0].strip().splitlines()[2:]
+    return [line.split("|")[1].strip() for line in lines]
+
+
+def main(entered: Path, page: Path) -> None:
+    """Put the newest entry of each fault into the table of the page; what was not entered stays as it is."""
+    text = page.read_text(encoding="utf-8")
+    head, _, rest = text.partition(BEGIN)
+    old, _, tail = rest.partition(END)
+    cells = [line.strip("| ").split(" | ") for line in old.strip().splitlines()[2:]]
+    entries = {cell[0]: cell[2] for cell in cells}
+    for line in entered.read_text(encoding="utf-8").splitlines():
+        entry = json.loads(line)
+        entries[entry["fault"]] = entry["happened"]
+    page.write_text(f"{head}{BEGIN}\n{table(entries)}\n{END}{tail}", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), Path(sys.argv[2]))

@@ -1,0 +1,456 @@
+"""Two machines with a cable between them: the experiment, who is let in, and what happens when things go wrong."""
+
+import json
+import signal
+import subprocess
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from ledger import enter
+from two_sites import MASTER, ROOT, SLAVE, Site, TwoSites, needs_namespaces, sniff
+
+from services.recorder.reader import Recording
+
+pytestmark = [needs_namespaces, pytest.mark.stack, pytest.mark.timeout(900)]
+
+NS_PER_S = 1_000_000_000
+CONSTANT_PUSH = "haptic_node.operator.points=[{time_s: 0.2, force_n: 0.0}, {time_s: 0.6, force_n: 1.0}]"
+# what every message of the loop would show to whoever listens
+IN_THE_CLEAR = (b"teleop/forward", b"virtual_impedance", b"position_m", b"afm/state")
+LINK_DOOR, CONTROLLER_DOOR, AFM_DOOR, HAND_DOOR = 5704, 5711, 5712, 5701
+
+# a stranger's client: arguments are host, port, its own keys, the server's key; it prints how much it heard
+CLIENT = """
+import sys, zmq
+host, port, public, secret, server = sys.argv[1:]
+context = zmq.Context()
+socket = context.socket(zmq.SUB)
+socket.subscribe(b"")
+if public:
+    socket.curve_publickey, socket.curve_secretkey = public.encode(), secret.encode()
+    socket.curve_serverkey = server.encode()
+socket.connect(f"tcp://{host}:{port}")
+heard = 0
+while socket.poll(3000):
+    socket.recv_multipart()
+    heard += 1
+    if heard >= 10:
+        break
+print(heard)
+context.destroy(linger=0)
+"""
+
+HALF_OPEN = """
+import socket, sys, time
+sockets = []
+for _ in range(int(sys.argv[3])):
+    try:
+        sockets.append(socket.create_connection((sys.argv[1], int(sys.argv[2])), timeout=2))
+    except OSError:
+        pass
+print(len(sockets), flush=True)
+time.sleep(7)
+closed = 0
+for s in sockets:
+    s.settimeout(0.05)
+    try:
+        while s.recv(4096):
+            pass
+        closed += 1
+    except TimeoutError:
+        pass
+    except OSError:
+        closed += 1
+print(closed)
+"""
+
+FLOOD = """
+import os, socket, sys, time
+end = time.monotonic() + float(sys.argv[3])
+made = 0
+while time.monotonic() < end:
+    try:
+        s = socket.create_connection((sys.argv[1], int(sys.argv[2])), timeout=2)
+        s.sendall(os.urandom(200))
+        s.close()
+        made += 1
+    except OSError:
+        pass
+    time.sleep(0.002)
+print(made)
+"""
+
+# greets as ZeroMQ 3.1 with CURVE does, then announces a frame of 1 GB and sends some of it
+HUGE = """
+import socket, sys
+s = socket.create_connection((sys.argv[1], int(sys.argv[2])), timeout=5)
+s.sendall(b"\\xff" + bytes(8) + b"\\x7f" + b"\\x03\\x01" + b"CURVE".ljust(20, b"\\0") + bytes(32))
+s.settimeout(5)
+greeting = b""
+while len(greeting) < 64:
+    greeting += s.recv(64)
+try:
+    s.sendall(b"\\x06" + (1 << 30).to_bytes(8, "big") + bytes(100_000))
+    print("closed" if not s.recv(1) else "open")
+except ConnectionError:
+    print("closed")
+except TimeoutError:
+    print("open")
+"""
+
+
+class Fault:
+    """What the recordings say of the time after a fault."""
+
+    def __init__(self, rig: TwoSites) -> None:
+        self.rig = rig
+        self.at_ns = time.time_ns()
+
+    def changes(self, site: Site, topic: str) -> list[tuple[float, str]]:
+        """Give mode and time since the fault [s] of each change of a device's mode, the mode before it first."""
+        found: list[tuple[float, str]] = []
+        for message in Recording(newest(site)).messages([topic], start_ns=self.at_ns - NS_PER_S):
+            mode = message.fields()["mode"]
+            if found and found[-1][1] == mode:
+                continue
+            entry = ((message.publish_ns - self.at_ns) / NS_PER_S, mode)
+            found = [*found, entry] if message.publish_ns >= self.at_ns else [entry]
+        return found
+
+    def hand_off_s(self) -> float:
+        """Give the time until the motor of the hand was off [s]."""
+        return first(self.changes(self.rig.master, "haptic/state"), "off")
+
+    def tip_s(self) -> tuple[float, float]:
+        """Give the times until the tip stood still and until it was withdrawn [s]."""
+        changes = self.changes(self.rig.slave, "afm/state")
+        return first(changes, "hold"), first(changes, "retracted")
+
+
+def first(changes: list[tuple[float, str]], mode: str) -> float:
+    return next((at_s for at_s, name in changes if name == mode and at_s >= 0.0), float("nan"))
+
+
+def newest(site: Site) -> Path:
+    return max(site.out.glob("session*.mcap"), key=lambda path: path.stat().st_mtime)
+
+
+def events(site: Site, since_ns: int) -> list[Any]:
+    return [message.decode() for message in Recording(newest(site)).messages(["session/event"], start_ns=since_ns)]
+
+
+def lately_ns() -> int:
+    """Give a time from which on every node has said several times how it is [ns]."""
+    return time.time_ns() - 10 * NS_PER_S
+
+
+def rejected(site: Site, node: str) -> dict[str, int]:
+    """Give what a node has refused since its start, by reason."""
+    counts: dict[str, int] = {}
+    for message in Recording(newest(site)).messages(["node/health"], start_ns=lately_ns()):
+        if message.src == node:
+            counts = message.fields()["rejected"]
+    return counts
+
+
+def recorded_until(site: Site) -> int:
+    """Give the time of the newest sample of the hand in a recording [ns]."""
+    hand = Recording(newest(site)).messages(["haptic/state"], start_ns=lately_ns())
+    return max((message.publish_ns for message in hand), default=0)
+
+
+def rates(site: Site, first_ns: int, last_ns: int, topics: tuple[str, ...]) -> dict[str, float]:
+    """Give the rate of topics between two times [Hz], from the stamps of the senders."""
+    counts = dict.fromkeys(topics, 0)
+    for message in Recording(newest(site)).messages(list(topics), start_ns=first_ns):
+        counts[message.channel_topic] += first_ns <= message.publish_ns < last_ns
+    return {topic: count * NS_PER_S / (last_ns - first_ns) for topic, count in counts.items()}
+
+
+# -- the experiment -----------------------------------------------------------------------------------------------
+
+
+def run_fig12(folder: Path, duration: str, *, insecure: bool) -> tuple[dict[str, Any], bytes]:
+    rig = TwoSites(folder, insecure=insecure)
+    try:
+        rig.start("--duration", duration)
+        seen = sniff(rig.slave, 1.5, folder / "wire")
+        code = rig.master.process.wait(timeout=120)
+        assert code == 0, rig.master.logs()
+        rig.slave.stop()
+        return rig.master.summary(), seen
+    finally:
+        rig.close()
+
+
+def test_fig12_passes_encrypted_between_two_machines(tmp_path: Path) -> None:
+    summary, seen = run_fig12(tmp_path, "8", insecure=False)
+    assert summary["stable"] is True
+    assert summary["hold_ratio"] == pytest.approx(1.050, abs=0.005)
+    assert summary["contact_x_cm"] == pytest.approx(0.703, abs=0.010)
+    assert abs(summary["release_force_nn"]) < 0.02
+    # a second and a half of the loop in both directions went by, and nothing of it could be read
+    assert len(seen) > 500_000
+    assert [text for text in IN_THE_CLEAR if text in seen] == []
+
+
+def test_the_same_listener_reads_everything_without_encryption(tmp_path: Path) -> None:
+    _, seen = run_fig12(tmp_path, "2", insecure=True)
+    assert [text for text in IN_THE_CLEAR if text not in seen] == []
+
+
+# -- one rig, one fault after the other ----------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TwoSites]:
+    found = TwoSites(tmp_path_factory.mktemp("two_sites"), guest=True)
+    try:
+        yield found
+    finally:
+        found.close()
+
+
+def take_up_again(rig: TwoSites) -> None:
+    """Arm both devices and leave them a second of coupled operation."""
+    rig.rearm()
+    time.sleep(1.5)
+
+
+def refusals(rig: TwoSites, reason: str, node: str = "delay_node@master") -> int:
+    # what is in the file lags by a flush and a health report
+    time.sleep(1.2)
+    return rejected(rig.master, node).get(reason, 0)
+
+
+def client(rig: TwoSites, public: str, secret: str, server: str, port: int = LINK_DOOR) -> int:
+    """Give how many messages a stranger at the slave's end of the cable hears from a door of the master's."""
+    process = rig.slave.python(CLIENT, MASTER, str(port), public, secret, server)
+    out, _ = process.communicate(timeout=60)
+    return int(out)
+
+
+def test_late_start_of_the_slave_is_waited_for(rig: TwoSites) -> None:
+    rig.master.start("--duration", "3600", "--set", CONSTANT_PUSH)
+    told_s = rig.wait_until(
+        lambda: rig.master.has_log("delay_node@master", "afm_node@slave has not been reached at tcp://"),
+        "the word that the slave is not reached",
+    )
+    enter("the slave's address is not reached", "told 5 s after the start of the link, with address and machine")
+    assert told_s > 4.0
+    assert not rig.running()
+    assert "afm_node@slave" in rig.master.log.read_text()
+    rig.slave.start()
+    began_s = rig.wait_until(rig.running, "a session that begins by itself")
+    enter(
+        "the slave's site starts late", f"the session began by itself, {began_s:.0f} s after the slave's start command"
+    )
+
+
+def test_who_is_not_known_hears_nothing(rig: TwoSites) -> None:
+    import zmq
+
+    public, secret = (key.decode() for key in zmq.curve_keypair())
+    guest = rig.guest.own("guest")
+    # the same client hears with a key that is listed
+    assert client(rig, guest.public.decode(), guest.secret.decode(), rig.keys["master"]) >= 10
+    for fault, reason, keys in (
+        ("a key that is not listed", "unlisted", (public, secret, rig.keys["master"])),
+        ("a wrong server key", "handshake", (guest.public.decode(), guest.secret.decode(), public)),
+        ("no encryption", "handshake", ("", "", "")),
+    ):
+        before = refusals(rig, reason)
+        assert client(rig, *keys) == 0
+        # what is in the file may lag on a busy machine
+        rig.wait_until(lambda r=reason, b=before: refusals(rig, r) > b, f"{fault} to be counted as {reason}")
+        enter(fault, f"heard nothing, counted as `{reason}` ({refusals(rig, reason) - before})")
+    assert rig.master.has_log("delay_node@master", "is not in the list")
+
+
+def test_an_observer_observes_and_commands_nobody(rig: TwoSites) -> None:
+    looked = rig.guest_command("topic", "echo", "haptic/state", "--count", "3")
+    assert looked.returncode == 0, looked.stderr
+    sent = rig.guest_command("session", "estop", "--target", "haptic_node")
+    assert sent.returncode != 0
+    rig.wait_until(lambda: refusals(rig, "role", "haptic_node@master") > 0, "commands to be counted as refused")
+    refused = refusals(rig, "role", "haptic_node@master")
+    state = list(Recording(newest(rig.master)).messages(["haptic/state"], start_ns=lately_ns()))[-1].fields()
+    assert state["estop"] is False
+    assert state["mode"] == "position"
+    assert rig.master.has_log("haptic_node@master", "lacks the role control")
+    enter("an observer that sends e-stop", f"no node obeyed, the hand went on; counted as `role` ({refused})")
+    # and with the role it is obeyed, without a restart of anything
+    rig.master.keyring.allow("guest", rig.keys["guest"], ["observe", "control"])
+    rig.wait_until(
+        lambda: rig.guest_command("session", "estop", "--target", "haptic_node").returncode == 0,
+        "an e-stop that is obeyed once the role is given",
+    )
+    rig.master.keyring.allow("guest", rig.keys["guest"], ["observe"])
+    take_up_again(rig)
+
+
+def test_a_key_revoked_while_it_listens_is_shut_out(rig: TwoSites) -> None:
+    environment = {**rig.slave.environment, "TELENANO_KEYS_DIR": str(rig.guest.folder), "TELENANO_MACHINE": "guest"}
+    command = rig.slave.command("topic", "echo", "haptic/state", "--site-file", str(rig.slave.site_file))
+    listener = subprocess.Popen(command, env=environment, cwd=ROOT, stdout=subprocess.PIPE, text=True)
+    assert listener.stdout is not None
+    try:
+        assert "position_m" in listener.stdout.readline()
+        told = rig.master.tell_keys("revoke", "guest")
+        revoked_ns = time.time_ns()
+        assert told.returncode == 0, told.stderr
+        rig.wait_until(
+            lambda: rig.master.has_log("haptic_node@master", "the key of guest is no longer allowed"), "a closed door"
+        )
+        time.sleep(1.0)
+        newest_ns = 0
+        for line in drained(listener):
+            newest_ns = json.loads(line)["t_ns"]
+    finally:
+        listener.kill()
+        listener.communicate()
+    heard_on_s = (newest_ns - revoked_ns) / NS_PER_S
+    assert heard_on_s < 2.0
+    guest = rig.guest.own("guest")
+    assert client(rig, guest.public.decode(), guest.secret.decode(), rig.keys["master"], HAND_DOOR) == 0
+    enter("a key revoked while it listens", f"cut off {max(heard_on_s, 0.0):.1f} s after the command; the link went on")
+    take_up_again(rig)
+
+
+def drained(process: "subprocess.Popen[str]") -> list[str]:
+    """Give the lines that wait in the pipe of a process that has gone silent."""
+    import os
+    import select
+
+    assert process.stdout is not None
+    text = ""
+    while select.select([process.stdout], [], [], 1.0)[0]:
+        chunk = os.read(process.stdout.fileno(), 1 << 20).decode()
+        if not chunk:
+            break
+        text += chunk
+    return [line for line in text.splitlines() if line.startswith("{") and line.endswith("}")]
+
+
+FAST_AT_MASTER = ("haptic/state", "haptic/command", "teleop/forward", "teleop/backward@master")
+FAST_AT_SLAVE = ("afm/state", "afm/command", "teleop/forward@slave", "teleop/backward")
+
+
+@pytest.mark.parametrize("port", [LINK_DOOR, CONTROLLER_DOOR])
+def test_strangers_do_not_slow_the_loop(rig: TwoSites, port: int) -> None:
+    victim, attacker, host = (rig.master, rig.slave, MASTER) if port == LINK_DOOR else (rig.slave, rig.master, SLAVE)
+    node = "delay_node@master" if port == LINK_DOOR else "controller@slave"
+    before = rejected(victim, node).get("handshake", 0)
+    begin_ns = time.time_ns()
+    half_open = attacker.python(HALF_OPEN, host, str(port), "500")
+    flood = attacker.python(FLOOD, host, str(port), "5")
+    made = int(flood.communicate(timeout=60)[0])
+    flood_end_ns = time.time_ns()
+    opened, closed = (int(word) for word in half_open.communicate(timeout=60)[0].split())
+    rig.wait_until(lambda: recorded_until(rig.master) > flood_end_ns, "the end of the flood in the recording")
+    seen = {
+        **rates(rig.master, begin_ns, flood_end_ns, FAST_AT_MASTER),
+        **rates(rig.slave, begin_ns, flood_end_ns, FAST_AT_SLAVE),
+    }
+    assert opened == 500
+    assert closed == 500
+    assert made > 200
+    rig.wait_until(lambda: rejected(victim, node).get("handshake", 0) - before >= 500, "half-open ones to be counted")
+    counted = rejected(victim, node).get("handshake", 0) - before
+    least = min(seen, key=lambda topic: seen[topic])
+    assert seen[least] > 990.0, seen
+    enter("500 half-open connections", "all closed after 5 s")
+    enter(
+        "a flood of connections and garbage",
+        f"{made / 5:.0f} a second at {node}, {counted} refusals counted; least rate {seen[least]:.1f} Hz ({least})",
+    )
+
+
+def test_a_huge_frame_takes_no_memory(rig: TwoSites) -> None:
+    outs = []
+    for site, host, port in ((rig.slave, MASTER, LINK_DOOR), (rig.master, SLAVE, AFM_DOOR)):
+        process = site.python(HUGE, host, str(port))
+        outs.append(process.communicate(timeout=30)[0].strip())
+    assert outs == ["closed", "closed"]
+    time.sleep(1.2)
+    told = Recording(newest(rig.master)).messages(["node/health"], start_ns=lately_ns())
+    sizes = [message.fields()["memory_bytes"] for message in told]
+    assert max(sizes) < 1 << 30
+    enter("a frame of 1 GB announced", f"connection closed; no node above {max(sizes) / 1e6:.0f} MB")
+
+
+@pytest.mark.parametrize("seconds", [5, 60])
+def test_a_pulled_cable_leaves_both_sides_safe_and_comes_back(rig: TwoSites, seconds: int) -> None:
+    take_up_again(rig)
+    fault = Fault(rig)
+    rig.cable.pull()
+    time.sleep(seconds)
+    rig.cable.plug()
+    plugged_ns = time.time_ns()
+    rig.wait_until(lambda: heard_again(rig, plugged_ns) is not None, "the slave's site heard again")
+    back_s = heard_again(rig, plugged_ns)
+    take_up_again(rig)
+    hand_s, (hold_s, gone_s) = fault.hand_off_s(), fault.tip_s()
+    assert 0.0 <= hand_s < 1.0
+    assert 0.0 <= hold_s < 1.0
+    assert hold_s < gone_s < 2.0
+    kinds = {
+        (event.src, event.data.get("connection"))
+        for event in (*events(rig.master, fault.at_ns), *events(rig.slave, fault.at_ns))
+        if event.kind == "network"
+    }
+    assert {("delay_node@master", "down"), ("delay_node@master", "up")} <= kinds
+    assert {("controller@slave", "down"), ("controller@slave", "up")} <= kinds
+    told = (*events(rig.master, fault.at_ns), *events(rig.slave, fault.at_ns))
+    assert [event for event in told if "started again" in event.text] == []
+    enter(
+        f"the cable is pulled for {seconds} s",
+        f"hand off after {hand_s * 1e3:.0f} ms, tip held after {hold_s * 1e3:.0f} ms, withdrawn after "
+        f"{gone_s * 1e3:.0f} ms; heard again {back_s:.1f} s after the cable was back",
+    )
+
+
+def heard_again(rig: TwoSites, since_ns: int) -> float | None:
+    """Give when the slave's half was first heard through the link after a time [s from it]; None if it was not."""
+    heard = Recording(newest(rig.master)).messages(["teleop/backward@master"], start_ns=since_ns)
+    fresh = (message.log_ns for message in heard if message.publish_ns > since_ns)
+    return next(((at_ns - since_ns) / NS_PER_S for at_ns in fresh), None)
+
+
+def test_the_slave_killed_and_started_again_is_taken_up(rig: TwoSites) -> None:
+    fault = Fault(rig)
+    rig.slave.stop(signal.SIGKILL)
+    time.sleep(2.0)
+    rig.slave.start()
+    started_ns = time.time_ns()
+    rig.wait_until(lambda: heard_again(rig, started_ns) is not None, "the slave heard again")
+    back_s = heard_again(rig, started_ns)
+    take_up_again(rig)
+    hand_s = fault.hand_off_s()
+    assert 0.0 <= hand_s < 1.0
+    assert first(Fault.changes(fault, rig.master, "haptic/state"), "position") > 0.0
+    enter(
+        "the slave's site is killed and started again",
+        f"hand off after {hand_s * 1e3:.0f} ms; heard again {back_s:.0f} s after its start, armed and going on",
+    )
+
+
+def test_the_master_killed_and_started_again_begins_anew(rig: TwoSites) -> None:
+    fault = Fault(rig)
+    rig.master.stop(signal.SIGKILL)
+    time.sleep(2.0)
+    rig.master.start("--duration", "5", "--set", CONSTANT_PUSH)
+    rig.wait_until(rig.running, "a new session")
+    assert rig.master.process is not None
+    assert rig.master.process.wait(timeout=120) == 0, rig.master.logs()
+    hold_s, gone_s = fault.tip_s()
+    assert 0.0 <= hold_s < 1.0
+    assert hold_s < gone_s < 2.0
+    enter(
+        "the master's site is killed and started again",
+        f"tip held after {hold_s * 1e3:.0f} ms, withdrawn after {gone_s * 1e3:.0f} ms; a new session began by itself",
+    )
+    assert rig.slave.stop() == 0

@@ -1,0 +1,295 @@
+"""What can be known of image and compose files without an engine: that they agree with the project and each other."""
+
+import importlib.util
+import os
+import re
+import tomllib
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from services.launcher.plan import START_ORDER, TWO_SITES_FILE, node_kind
+from services.runtime.config import environment_overrides, validate
+from services.runtime.errors import ConfigError
+from services.runtime.main import load_site
+from services.runtime.realtime import RealtimeConfig
+from services.runtime.scenario import Scenario, load_scenario
+from services.runtime.site import site_of
+
+ROOT = Path(__file__).resolve().parents[3]
+DEPLOY = ROOT / "deploy"
+WHOLE, MASTER, SLAVE = (DEPLOY / name for name in ("docker-compose.yml", "compose.master.yml", "compose.slave.yml"))
+NOT_NODES = {"session", "study", "keys"}
+_PIN = re.compile(r"^([A-Za-z0-9._-]+)==([^ ;\\]+)")
+
+
+def pins(lock: Path) -> dict[tuple[str, str], frozenset[str]]:
+    """Give the hashes of each (name, version) of a lock."""
+    found: dict[tuple[str, str], set[str]] = {}
+    here: set[str] = set()
+    for line in lock.read_text().splitlines():
+        if match := _PIN.match(line):
+            here = found.setdefault((match.group(1), match.group(2)), set())
+        here.update(re.findall(r"--hash=(sha256:[0-9a-f]{64})", line))
+    return {pin: frozenset(hashes) for pin, hashes in found.items()}
+
+
+def makefile_images() -> dict[str, list[str]]:
+    """Give the extras of each image as `make image-locks` has them."""
+    words = re.search(r"^IMAGES := (.*?)\n\w", (ROOT / "Makefile").read_text(), re.M | re.S)
+    assert words is not None
+    pairs = [word.split(":") for word in words.group(1).replace("\\\n", " ").split() if ":" in word]
+    return {image: extras.split(",") for image, extras in pairs}
+
+
+def compose(path: Path) -> dict[str, Any]:
+    document: dict[str, Any] = yaml.safe_load(path.read_text())
+    return document
+
+
+def effective(path: Path) -> dict[str, dict[str, Any]]:
+    """Give the services of a file with what they extend; of lists and mappings what both say."""
+    services = {}
+    for name, service in compose(path)["services"].items():
+        base = (
+            effective(DEPLOY / service["extends"]["file"])[service["extends"]["service"]]
+            if "extends" in service
+            else {}
+        )
+        merged = {**base, **service}
+        for key in ("environment", "volumes"):
+            if isinstance(base.get(key), dict):
+                merged[key] = {**base[key], **service.get(key, {})}
+            elif isinstance(base.get(key), list):
+                merged[key] = [*base[key], *service.get(key, [])]
+        services[name] = merged
+    return services
+
+
+def nodes(path: Path) -> dict[str, dict[str, Any]]:
+    return {service["environment"]["TELENANO_NODE"]: service for name, service in effective(path).items()
+            if name not in NOT_NODES}  # fmt: skip
+
+
+def test_every_image_has_a_lock_and_its_extras_exist() -> None:
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    images = makefile_images()
+    assert {path.stem for path in (DEPLOY / "locks").glob("*.lock")} == {*images, "build"}
+    assert {name for used in images.values() for name in used} <= set(extras)
+    built = {service["build"]["args"]["SERVICE"] for service in effective(WHOLE).values()}
+    assert built == set(images)
+
+
+@pytest.mark.parametrize("lock", sorted((DEPLOY / "locks").glob("*.lock")), ids=lambda path: path.stem)
+def test_locks_are_parts_of_the_one_lock(lock: Path) -> None:
+    whole, part = pins(ROOT / "requirements.lock"), pins(lock)
+    assert part
+    assert [pin for pin, hashes in part.items() if not hashes] == []
+    assert {pin: hashes for pin, hashes in part.items() if whole.get(pin) != hashes} == {}
+
+
+@pytest.mark.parametrize("image", sorted(makefile_images()))
+def test_locks_have_what_their_extras_ask_for(image: str) -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    extras = project["optional-dependencies"]
+
+    def names(requirements: list[str]) -> set[str]:
+        found: set[str] = set()
+        for requirement in requirements:
+            own = re.fullmatch(r"telenano\[(.*)\]", requirement)
+            if own:
+                found |= {name for extra in own.group(1).split(",") for name in names(extras[extra])}
+            else:
+                found.add(re.split(r"[\[<>=~! ]", requirement)[0].lower().replace("_", "-"))
+        return found
+
+    wanted = names(project["dependencies"] + [r for extra in makefile_images()[image] for r in extras[extra]])
+    assert wanted <= {name for name, _ in pins(DEPLOY / "locks" / f"{image}.lock")}
+
+
+def test_one_service_for_each_node() -> None:
+    assert sorted(nodes(WHOLE)) == sorted(START_ORDER)
+    assert sorted(nodes(MASTER)) == sorted(node for node in START_ORDER if site_of(node) == "master")
+    assert sorted(nodes(SLAVE)) == sorted([*(n for n in START_ORDER if site_of(n) == "slave"), "recorder@slave"])
+
+
+@pytest.mark.parametrize("path", [WHOLE, MASTER, SLAVE], ids=lambda path: path.name)
+def test_containers_have_no_more_than_they_need(path: Path) -> None:
+    for name, service in effective(path).items():
+        assert service["read_only"] is True, name
+        assert service["cap_drop"] == ["ALL"], name
+        assert service["security_opt"] == ["no-new-privileges:true"], name
+        assert service["init"] is True, name
+        assert not set(service) & {"privileged", "user", "pid", "ipc", "devices"}, name
+        assert "docker.sock" not in str(service["volumes"]), name
+        # the recorder of two machines listens to the far nodes too
+        networked = "ports" in service or (path == MASTER and name == "recorder")
+        assert service["network_mode"] == ("bridge" if networked else "none"), name
+
+
+@pytest.mark.parametrize("path", [WHOLE, MASTER, SLAVE], ids=lambda path: path.name)
+def test_nodes_come_back_after_a_crash_but_not_for_ever(path: Path) -> None:
+    for service in nodes(path).values():
+        assert re.fullmatch(r"on-failure:[1-9]", service["restart"])
+        assert service["cap_add"] == ["SYS_NICE"]
+        assert set(service["ulimits"]) == {"rtprio", "memlock"}
+    for name in NOT_NODES & set(effective(path)):
+        assert "restart" not in effective(path)[name], name
+
+
+@pytest.mark.parametrize(("path", "machine"), [(MASTER, "master"), (SLAVE, "slave")])
+def test_published_ports_are_those_of_the_site_file(path: Path, machine: str) -> None:
+    book = load_site(TWO_SITES_FILE)
+    published = {}
+    for node, service in nodes(path).items():
+        faces = ["delay_node@slave"] if node == "delay_node@master" else [node]
+        endpoint = book.network_endpoint(faces[0])
+        assert book.machine_of(faces[0]) == machine
+        assert bool(endpoint) == ("ports" in service), node
+        if endpoint:
+            published[node] = service["ports"]
+            port = endpoint.rpartition(":")[2]
+            assert service["ports"] == [f"{port}:{port}"]
+            assert service["network_mode"] == "bridge"
+        assert service["environment"]["TELENANO_MACHINE"] == machine
+    assert published
+
+
+def variables(*paths: Path) -> set[str]:
+    """Give the names that compose takes from .env: `${NAME…}`, and keys of the environment without a value."""
+    text = "\n".join(path.read_text() for path in paths)
+    bare = {key for path in paths for service in effective(path).values()
+            for key, value in service.get("environment", {}).items() if value is None}  # fmt: skip
+    return set(re.findall(r"(?<!\$)\$\{([A-Z_]+)", text)) | bare
+
+
+def example_variables() -> set[str]:
+    return set(re.findall(r"^#?([A-Z][A-Z0-9_]*)=", (DEPLOY / ".env.example").read_text(), re.M))
+
+
+def test_env_example_has_every_variable_and_no_other() -> None:
+    assert example_variables() == variables(WHOLE, MASTER, SLAVE)
+
+
+def test_env_example_says_what_happens_without_it() -> None:
+    defaults = dict(re.findall(r"\$\{([A-Z_]+):-([^}]*)\}", WHOLE.read_text()))
+    given = dict(re.findall(r"^([A-Z][A-Z0-9_]*)=(.*)$", (DEPLOY / ".env.example").read_text(), re.M))
+    assert given == {name: defaults[name] for name in given}
+
+
+def test_settings_handed_on_are_keys_that_there_are(tmp_path: Path) -> None:
+    values = dict(re.findall(r"^#?(TELENANO__\w+)=(.*)$", (DEPLOY / ".env.example").read_text(), re.M))
+    values["TELENANO__RECORDER__QUOTA_BYTES"] = "20000000000"
+    values["TELENANO__RECORDER__DIRECTORY"] = "/recordings"
+    handed_on = {key for service in effective(WHOLE).values() for key in service.get("environment", {})}
+    assert {key for key in handed_on if key.startswith("TELENANO__")} == set(values)
+    overrides = environment_overrides(values)
+    assert RealtimeConfig.model_validate(overrides.pop("realtime")) == RealtimeConfig()
+    assert overrides.pop("duration_s") == 8.0
+    for section, keys in overrides.items():
+        assert section in Scenario.model_fields
+        validate(node_kind(section).config, keys, ".env.example", section)
+
+
+def test_env_files_and_keys_stay_out_of_repository_and_image() -> None:
+    ignored = (DEPLOY / ".gitignore").read_text().split()
+    assert {".env", "keys/"} <= set(ignored)
+    rules = [line for line in (ROOT / ".dockerignore").read_text().splitlines() if line and not line.startswith("#")]
+    assert rules[0] == "*"
+    taken = [index for index, rule in enumerate(rules) if rule.startswith("!")]
+    # the last rule that fits decides: those that keep secrets out come after all that take something in
+    left_out = rules[max(taken) + 1 :]
+    for secret in (
+        "services/x/master.key_secret",
+        "proto/a.key",
+        "services/keys",
+        "deploy/locks/server.pem",
+        "studies/.env",
+    ):
+        parts = [secret, Path(secret).name]
+        assert any(fnmatchcase(part, rule.removeprefix("**/")) for part in parts for rule in left_out), secret
+    for kept in (".git", ".venv", "out", "sessions", "tests", "deploy/keys", "deploy/.env"):
+        assert not any(fnmatchcase(kept, rules[index][1:]) for index in taken), kept
+
+
+def test_compose_files_keep_to_what_both_commands_know() -> None:
+    for path in (WHOLE, MASTER, SLAVE):
+        document = compose(path)
+        assert {key for key in document if not key.startswith("x-")} <= {"services", "volumes"}
+        for service in effective(path).values():
+            assert service["build"]["network"] == "host"
+            assert not set(service) & {"develop", "include", "provider", "models"}
+            assert "start_interval" not in service.get("healthcheck", {})
+
+
+@pytest.fixture(scope="module")
+def entrypoint() -> Any:
+    specification = importlib.util.spec_from_file_location("entrypoint", DEPLOY / "entrypoint.py")
+    assert specification is not None
+    assert specification.loader is not None
+    module = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(module)
+    return module
+
+
+def test_scenario_in_force_is_one_file_and_the_environment_is_spent(
+    entrypoint: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scenario = tmp_path / "mine.yaml"
+    scenario.write_text("name: mine\ndescription: of a test\nduration_s: 1.0\ndelay_node: {trace: {file: t.csv}}\n")
+    monkeypatch.setattr(entrypoint, "IN_FORCE", tmp_path / "in_force.yaml")
+    monkeypatch.setenv("TELENANO__CONTROLLER__LAW", "wave")
+    monkeypatch.setenv("TELENANO__DURATION_S", "2.5")
+    monkeypatch.setenv("TELENANO_SCENARIO", str(scenario))
+    command = entrypoint.node_command("controller@slave")
+    assert command[1:3] == ["-m", "services.controller"]
+    assert command[-2:] == ["--site", "slave"]
+    assert [name for name in os.environ if name.startswith("TELENANO__")] == []
+    loaded = load_scenario(Path(command[command.index("--scenario") + 1])).scenario
+    assert loaded.controller == {"law": "wave"}
+    assert loaded.duration_s == 2.5
+    assert loaded.delay_node == {"trace": {"file": str(tmp_path / "t.csv")}}
+
+
+def test_wrong_node_and_scenario_are_told(
+    entrypoint: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.delenv("TELENANO_NODE", raising=False)
+    with pytest.raises(SystemExit) as left:
+        entrypoint.main([])
+    assert left.value.code == 2
+    assert "give a command, or the node to run as node@site" in capsys.readouterr().err
+    monkeypatch.setenv("TELENANO_SCENARIO", str(tmp_path / "none.yaml"))
+    with pytest.raises(ConfigError, match=r"none\.yaml: cannot be read"):
+        entrypoint.node_command("controller@slave")
+
+
+def test_containers_of_a_folder_share_one_epoch(entrypoint: Any, tmp_path: Path) -> None:
+    first = entrypoint.shared_epoch_offset_ns(tmp_path)
+    assert entrypoint.shared_epoch_offset_ns(tmp_path) == first
+    assert [path.name for path in tmp_path.iterdir()] == ["epoch_offset_ns"]
+
+
+def test_command_takes_the_place_of_the_entrypoint(
+    entrypoint: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    compiled, cache = tmp_path / "compiled", tmp_path / "cache"
+    compiled.mkdir()
+    (compiled / "steps").write_text("code")
+    monkeypatch.setattr(entrypoint, "COMPILED", compiled)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(cache))
+    monkeypatch.setenv("TELENANO_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setenv("TELENANO_NODE", "launcher@master")
+    monkeypatch.delenv("TELENANO_EPOCH_OFFSET_NS", raising=False)
+    run: list[Any] = []
+    monkeypatch.setattr(os, "execvp", lambda program, command: run.append((program, command)))
+    for _ in range(2):
+        entrypoint.main(["telenano", "--version"])
+    assert run == [("telenano", ["telenano", "--version"])] * 2
+    assert (cache / "steps").read_text() == "code"
+    assert os.environ["TELENANO_EPOCH_OFFSET_NS"] == (tmp_path / "epoch_offset_ns").read_text()
+    monkeypatch.delenv("TELENANO_EPOCH_OFFSET_NS")
