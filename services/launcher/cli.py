@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from services.launcher.lazy import LazyRoot
-from services.launcher.telling import EXIT_FAILED, console, errors_told, fail, print_json, tell
+from services.launcher.telling import EXIT_FAILED, console, errors_told, fail, print_json, site_file_named, tell
 from services.runtime.errors import ConfigError
 from studies.cli import app as study_app
 
@@ -50,13 +50,19 @@ app.add_typer(study_app, name="study")
 
 SiteFileOption = Annotated[
     Path,
-    typer.Option("--site-file", metavar="FILE", help="Address book of the rig (YAML); default: all on this machine."),
+    typer.Option(
+        "--site-file",
+        metavar="FILE",
+        callback=site_file_named,
+        help="Address book of the rig (YAML); default: all on this machine.",
+    ),
 ]
 RigFileOption = Annotated[
     Path | None,
     typer.Option(
         "--site-file",
         metavar="FILE",
+        callback=site_file_named,
         help="Address book of the rig (YAML); default: all on this machine, with --site two of them.",
     ),
 ]

@@ -14,7 +14,7 @@ import typer
 
 from services.launcher import checks
 from services.launcher.checks import Finding
-from services.launcher.telling import console, errors_told, fail, print_json
+from services.launcher.telling import console, errors_told, fail, print_json, site_file_named
 from services.runtime.errors import ConfigError, EndpointError
 
 if TYPE_CHECKING:
@@ -32,7 +32,8 @@ _TIMER_PERIOD_S = 1e-3
 
 def doctor(
     site_file: Annotated[
-        Path, typer.Option("--site-file", metavar="FILE", help="Address book of the rig (YAML).")
+        Path,
+        typer.Option("--site-file", metavar="FILE", callback=site_file_named, help="Address book of the rig (YAML)."),
     ] = SITE_FILE,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout, nothing else.")] = False,
 ) -> None:

@@ -9,7 +9,7 @@ import zmq
 from pydantic import BaseModel
 
 from services.launcher.plan import DEFAULT_SITE_FILE
-from services.launcher.telling import Keys, errors_told, fail, print_json
+from services.launcher.telling import Keys, errors_told, fail, print_json, site_file_named
 from services.recorder.config import RecorderConfig
 from services.recorder.live import connect
 from services.recorder.node import RecorderBus, RecorderNode
@@ -167,7 +167,8 @@ def record(
         typer.Option("--scenario", metavar="FILE", help="Scenario to attach, which report and re-run need (YAML)."),
     ] = None,
     site_file: Annotated[
-        Path, typer.Option("--site-file", metavar="FILE", help="Address book of the rig (YAML).")
+        Path,
+        typer.Option("--site-file", metavar="FILE", callback=site_file_named, help="Address book of the rig (YAML)."),
     ] = DEFAULT_SITE_FILE,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object at the end.")] = False,
 ) -> None:

@@ -9,7 +9,7 @@ import typer
 import zmq
 
 from services.launcher.plan import DEFAULT_SITE_FILE
-from services.launcher.telling import Keys, errors_told, print_json
+from services.launcher.telling import Keys, errors_told, print_json, site_file_named
 from services.recorder.player import PLAYER, Cast, Outlet, PlayerNode, PlaySettings
 from services.recorder.reader import open_recordings
 from services.recorder.selection import Selection
@@ -187,7 +187,8 @@ def replay(
         str, typer.Option("--step-topic", metavar="TOPIC", help="Channel to which the key n steps; default: the first.")
     ] = "",
     site_file: Annotated[
-        Path, typer.Option("--site-file", metavar="FILE", help="Address book of the rig (YAML).")
+        Path,
+        typer.Option("--site-file", metavar="FILE", callback=site_file_named, help="Address book of the rig (YAML)."),
     ] = DEFAULT_SITE_FILE,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object at the end.")] = False,
 ) -> None:

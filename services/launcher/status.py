@@ -25,7 +25,7 @@ from services.launcher.errors import RigError
 from services.launcher.observe import Observer
 from services.launcher.plan import DEFAULT_SITE_FILE
 from services.launcher.readiness import oldest_input_s, unmet
-from services.launcher.telling import console, errors_told, fail, print_json
+from services.launcher.telling import console, errors_told, fail, print_json, site_file_named
 from services.runtime.main import load_site
 from services.runtime.site import is_visitor, site_of
 
@@ -81,7 +81,8 @@ class Picture:
 
 def status(
     site_file: Annotated[
-        Path, typer.Option("--site-file", metavar="FILE", help="Address book of the rig (YAML).")
+        Path,
+        typer.Option("--site-file", metavar="FILE", callback=site_file_named, help="Address book of the rig (YAML)."),
     ] = DEFAULT_SITE_FILE,
     duration: Annotated[
         float, typer.Option("--duration", min=0.0, metavar="S", help="How long to listen [s].")

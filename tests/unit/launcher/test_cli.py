@@ -12,6 +12,8 @@ from typer.testing import CliRunner
 
 from services.launcher.cli import app
 from services.launcher.lazy import LATE, load
+from services.launcher.plan import TWO_SITES_FILE
+from services.launcher.telling import site_file_named
 
 DOCUMENTATION = Path(__file__).parents[3] / "docs" / "cli.md"
 RUNNER = CliRunner()
@@ -228,3 +230,14 @@ def test_help_does_not_import_what_it_does_not_need() -> None:
     code = "import sys, services.launcher.cli; print({'zmq', 'numpy', 'numba', 'matplotlib'} & set(sys.modules))"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert result.stdout == "set()\n"
+
+
+def test_a_site_file_of_the_project_has_a_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert site_file_named(Path("two_sites")) == TWO_SITES_FILE
+    assert site_file_named(None) is None
+    # a path stays a path, also one that is not there, so that the error names it
+    for path in (Path("mine.yaml"), Path("three_sites")):
+        assert site_file_named(path) == path
+    (tmp_path / "two_sites").write_text("nodes: {}")
+    assert site_file_named(Path("two_sites")) == Path("two_sites")

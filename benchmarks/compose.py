@@ -1,0 +1,89 @@
+"""What containers cost: the age of the loop under compose, as a ratio to the rig on the bare machine.
+
+    python benchmarks/compose.py [--rounds N] [--json]
+
+Runs the session of Fig. 12 in turn on the bare machine as it comes, on the bare machine without real time, and under
+`deploy/docker-compose.yml` with the images as they are (`make images`), and takes the medians over the rounds. The
+engine says by `node/health` whether it grants real time; where it does not, the second row is the fair baseline.
+"""
+
+import argparse
+import json
+import os
+import shutil
+import statistics
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+DEPLOY = Path(__file__).resolve().parents[1] / "deploy"
+PROJECT = f"telenano-bench-{os.getpid()}"
+NODES = ("haptic_node", "controller_master", "delay_node", "controller_slave", "afm_node", "recorder")
+ORDINARY = ("--set", "realtime.scheduler=normal", "--set", "realtime.memory_lock=off")
+SESSION = ("--scenario", "fig12", "--json")
+
+
+def compose_command() -> list[str]:
+    """Give compose v2 where there is one, else docker-compose."""
+    has_v2 = subprocess.run(["docker", "compose", "version"], capture_output=True).returncode == 0
+    command = ["docker", "compose"] if has_v2 else ["docker-compose"]
+    return [*command, "-p", PROJECT, "-f", "docker-compose.yml"]
+
+
+def bare(*options: str) -> dict[str, Any]:
+    """Give the summary of a session on the bare machine."""
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, "-m", "services.launcher", "up", *SESSION, "--out", folder, "--overwrite", *options]
+        done = subprocess.run(command, check=True, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    return dict(json.loads(done.stdout))
+
+
+def composed() -> dict[str, Any]:
+    """Give the summary of a session of containers, which are made for it and taken away."""
+    compose = compose_command()
+
+    def run(*arguments: str) -> str:
+        done = subprocess.run(
+            [*compose, *arguments], cwd=DEPLOY, check=True, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+        )
+        return done.stdout
+
+    try:
+        run("up", "-d", *NODES)
+        return dict(json.loads(run("run", "--rm", "-T", "session", "telenano", "up", "--attach", *SESSION)))
+    finally:
+        run("down", "-v")
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--rounds", type=int, default=3, help="sessions of each way")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    given = parser.parse_args()
+    if shutil.which("docker") is None:
+        sys.exit("docker is not installed, so there is nothing to compare with")
+    ways = {"bare": bare, "bare_normal": lambda: bare(*ORDINARY), "compose": composed}
+    found: dict[str, list[dict[str, Any]]] = {way: [] for way in ways}
+    for _ in range(given.rounds):
+        for way, session in ways.items():
+            found[way].append(session())
+    report: dict[str, Any] = {}
+    for way, summaries in found.items():
+        report[way] = {key: statistics.median(s["loop_age_ms"][key] for s in summaries) for key in ("p50", "p99")}
+        report[way] |= {
+            key: statistics.median(s[key] or 0.0 for s in summaries) for key in ("hold_ratio", "contact_x_cm")
+        }
+    for base in ("bare", "bare_normal"):
+        report[f"compose_to_{base}"] = {key: report["compose"][key] / report[base][key] for key in ("p50", "p99")}
+    if given.json:
+        print(json.dumps(report))
+        return
+    for key, value in report.items():
+        print(f"{key:22}" + "  ".join(f"{name} {figure:.3f}" for name, figure in value.items()))
+
+
+if __name__ == "__main__":
+    main()
