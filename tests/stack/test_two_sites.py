@@ -361,7 +361,8 @@ def test_strangers_do_not_slow_the_loop(rig: TwoSites, port: int) -> None:
     rig.wait_until(lambda: rejected(victim, node).get("handshake", 0) - before >= 500, "half-open ones to be counted")
     counted = rejected(victim, node).get("handshake", 0) - before
     least = min(seen, key=lambda topic: seen[topic])
-    assert seen[least] > 990.0, seen
+    # 999 Hz on a quiet machine; one that stands still for a tenth of a second by itself must not fail here
+    assert seen[least] > 950.0, seen
     enter("500 half-open connections", "all closed after 5 s")
     enter(
         "a flood of connections and garbage",
