@@ -17,10 +17,10 @@ import tempfile
 import time
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import zmq
+from link import ANSWER, SIGNAL
 
 from services.runtime.clock import SystemClock
 from services.runtime.log import StructuredLog
@@ -31,19 +31,6 @@ from services.runtime.site import SiteBook
 
 PERIOD_NS = 1_000_000
 MASTER, SLAVE = "controller@master", "controller@slave"
-VECTOR = (0.0, 0.0, -7.123456789e-3)
-SIGNAL: dict[str, Any] = {
-    "law": "virtual_impedance",
-    "active": True,
-    "position_m": VECTOR,
-    "velocity_m_per_s": VECTOR,
-    "force_n": VECTOR,
-    "wave_sqrt_w": None,
-    "energy_j": None,
-    "hand_seq": 0,
-    "hand_t_ns": 0,
-}
-ANSWER = {**SIGNAL, "separation_m": 1e-9, "separation_valid": True, "in_contact": True}
 WAYS = ("ipc", "plain", "curve")
 WARM_UP = 200
 # an answer that takes longer than this will not come any more

@@ -462,7 +462,8 @@ def _observer(site_file: Path, topic: str | None) -> Iterator["Observer"]:
     from services.launcher.observe import Observer, known_name
     from services.runtime.main import load_site
 
-    observer = Observer(load_site(site_file), known_name(topic)[0] if topic else None)
+    book = load_site(site_file)
+    observer = Observer(book, (known_name(topic)[0],)) if topic else Observer(book)
     try:
         yield observer
     finally:

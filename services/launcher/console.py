@@ -23,7 +23,6 @@ from services.runtime.network import Network
 from services.runtime.security import MACHINE_VARIABLE, Keyring, this_machine
 from services.runtime.site import LINK_NODE, SiteBook, is_console, site_of
 
-CONSOLE = "console@master"
 _BIND_PATIENCE_NS = 2_000_000_000
 _RETRY_S = 0.1
 # every node is heard within two of its reports

@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -45,8 +45,8 @@ def known_name(name: str) -> tuple[str, str | None]:
 class Observer:
     """One connection to every socket of the rig, so that original and copy are accounted for apart."""
 
-    def __init__(self, book: SiteBook, topic: str | None = None) -> None:
-        """Connect for one topic, or for all, as the machine that this process runs on.
+    def __init__(self, book: SiteBook, wanted: Collection[str] = TOPICS) -> None:
+        """Connect for some topics, or for all, as the machine that this process runs on.
 
         Raises ConfigError when this machine lacks a key that the rig demands.
         """
@@ -55,7 +55,7 @@ class Observer:
         self._poller = zmq.Poller()
         self._network = Network(self._context, SystemClock(), book, this_machine(Keyring()))
         plan = {
-            node: [name for name in topics if topic in (None, name)]
+            node: [name for name in topics if name in wanted]
             for node, topics in book.observed(self._network.machine).items()
         }
         plan = {node: topics for node, topics in plan.items() if topics}

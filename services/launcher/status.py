@@ -32,7 +32,8 @@ from services.runtime.site import is_visitor, site_of
 M = TypeVar("M", bound=Message)
 
 _DEFAULT_S = 1.5
-_TOPICS = ("node/health", "link/status", "law/status", "haptic/state", "afm/state", "session/event")
+# what the law sends at 1 kHz says nothing here, and reading it would cost the rig processor time
+NEEDED = ("node/health", "link/status", "law/status", "haptic/state", "afm/state", "session/event")
 # the first face of the link speaks for both; a recorder at the instrument is there if somebody wants one
 _OPTIONAL = ("delay_node@slave", "recorder@slave")
 _LINK = "delay_node@master"
@@ -92,7 +93,7 @@ def status(
     """Say how a running rig is doing; exit code 1 if a node is not heard or waits for something."""
     with errors_told(as_json):
         book = load_site(site_file)
-        with contextlib.closing(Observer(book)) as observer:
+        with contextlib.closing(Observer(book, NEEDED)) as observer:
             picture = listen(observer, duration)
     tell_status(picture, expected_nodes(book.nodes, observer.subscribers), as_json=as_json)
 
@@ -108,10 +109,6 @@ def expected_nodes(nodes: Iterable[str], reachable: Collection[str]) -> list[str
 
 def listen(observer: Observer, duration_s: float) -> Picture:
     """Listen to a rig for a time [s]; RigError where no node is heard."""
-    for subscriber in observer.subscribers.values():
-        # what the law sends at 1 kHz says nothing here, and reading it would cost the rig processor time
-        for topic in set(subscriber.topics) - set(_TOPICS):
-            subscriber.socket.unsubscribe(topic.encode())
     picture = Picture()
     for heard in observer.listen(duration_s):
         picture.enter(heard.received.message)

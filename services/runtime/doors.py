@@ -78,8 +78,7 @@ class Doorman:
         left = self.socket is not None and self._answer(self.socket)
         for door in self.doors:
             for event, _ in door.monitor.events():
-                if event in (CLOSED_IN_HANDSHAKE, PROTOCOL_FAILED):
-                    self._refusals.enter("handshake", f"somebody at {door.node}: {FAILURES[event]}")
+                self._refusals.enter("handshake", f"somebody at {door.node}: {FAILURES[event]}")
             left |= door.monitor.restless
             if door.unbound:
                 left |= self._bind_again(door)

@@ -41,7 +41,8 @@ def site_of(node: str) -> str:
 
 def is_console(node: str) -> bool:
     """Say whether a node is one that commands are typed at: console@site, or console_NAME@site on a further machine."""
-    return fnmatchcase(node.partition("@")[0], "console") or fnmatchcase(node, "console_*")
+    name = node.partition("@")[0]
+    return name == "console" or name.startswith("console_")
 
 
 def is_visitor(node: str) -> bool:

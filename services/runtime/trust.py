@@ -1,7 +1,7 @@
 """What a process believes of the machines around it: its own key, the list as last read, and verdicts on both."""
 
 from services.runtime.errors import ConfigError
-from services.runtime.security import ROLES, Keyring, Role
+from services.runtime.security import ROLES, AllowList, Keyring, Role
 from services.runtime.site import SiteBook
 
 
@@ -14,7 +14,7 @@ class Trust:
         self.keyring = keyring
         self.locked = locked
         self.own = keyring.own(machine) if locked else None
-        self._allowed = keyring.allowed() if locked else None
+        self._allowed = keyring.allowed() if locked else AllowList()
         self._stamp = keyring.stamp() if locked else None
 
     @property
@@ -24,8 +24,10 @@ class Trust:
 
     def reload(self) -> bool:
         """Read the list again if it has changed, and say whether it has; ConfigError leaves the old one in force."""
+        if not self.locked:
+            return False
         stamp = self.keyring.stamp()
-        if not self.locked or stamp == self._stamp:
+        if stamp == self._stamp:
             return False
         # first, so that what is wrong is said once
         self._stamp = stamp
@@ -38,7 +40,7 @@ class Trust:
         """Give the name of a key and, where it is refused, why: unlisted or revoked."""
         if public_key == self.public_key:
             return self.machine, ""
-        entry = None if self._allowed is None else self._allowed.of_key(public_key)
+        entry = self._allowed.of_key(public_key)
         if entry is None:
             return "", "unlisted"
         return entry.name, "revoked" if entry.revoked else ""
@@ -47,14 +49,14 @@ class Trust:
         """Give the public key of a machine, None when it is not listed."""
         if machine == self.machine:
             return self.public_key.encode()
-        entry = None if self._allowed is None else self._allowed.of_machine(machine)
+        entry = self._allowed.of_machine(machine)
         return None if entry is None else entry.public_key.encode()
 
     def roles(self, machine: str) -> tuple[Role, ...]:
         """Give what a machine may do here."""
         if not self.locked or machine == self.machine:
             return ROLES
-        entry = None if self._allowed is None else self._allowed.of_machine(machine)
+        entry = self._allowed.of_machine(machine)
         return () if entry is None else entry.roles
 
 

@@ -5,9 +5,9 @@ from typing import Any
 import msgpack
 import zmq
 
-from services.launcher.console import CONSOLE
 from services.recorder.reader import Recording
 
+CONSOLE = "console@master"
 GOOD = {
     "seq": 0,
     "t_ns": 1,

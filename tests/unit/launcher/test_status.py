@@ -1,6 +1,6 @@
 import json
 import threading
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from services.launcher.cli import app
 from services.launcher.errors import RigError
 from services.launcher.observe import Heard, Observer
 from services.launcher.plan import DEFAULT_SITE_FILE
-from services.launcher.status import Picture, document_of, expected_nodes, listen, problems_of, stalled_inputs
+from services.launcher.status import NEEDED, Picture, document_of, expected_nodes, listen, problems_of, stalled_inputs
 from services.runtime.bus import Notice, Publisher, Received
 from services.runtime.clock import SystemClock
 from services.runtime.main import load_site
@@ -89,18 +89,14 @@ def picture_of(*messages: Message) -> Picture:
     return picture
 
 
-class Mute:
-    topics = ()
-
-
 class FakeObserver:
     """Hears what it is given."""
 
     heard: tuple[Message, ...] = ()
 
-    def __init__(self, book: SiteBook) -> None:
+    def __init__(self, book: SiteBook, wanted: Collection[str] = TOPICS) -> None:
         self.book = book
-        self.subscribers = {node: Mute() for node in book.nodes}
+        self.subscribers = dict.fromkeys(book.nodes)
         self.notices = [Notice("warning", "slave is not reached", {})]
 
     def listen(self, duration_s: float) -> Iterator[Heard]:
@@ -335,7 +331,7 @@ def test_it_listens_on_the_bus_and_only_to_what_it_needs(tmp_path: Path) -> None
 
     speaker = threading.Thread(target=speak)
     speaker.start()
-    observer = Observer(book)
+    observer = Observer(book, NEEDED)
     try:
         picture = listen(observer, 0.5)
         heard = {topic for topic, _ in observer.subscribers[node].trackers}
