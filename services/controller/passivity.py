@@ -44,6 +44,7 @@ from typing import NamedTuple
 
 from pydantic import Field
 
+from services.controller.discretisation import approach
 from services.controller.law import Books, HandSample, Law, MasterReference, PortSignal, SlaveReference, TipSample
 from services.controller.virtual_mass import (
     Mass,
@@ -104,7 +105,7 @@ class PassivityConfig(SteeredConfig):
             mass=self.mass_params(period_s),
             coupling_n_per_m=self.coupling_stiffness_n_per_m,
             guard_n_per_m=guard,
-            relaxed=-math.expm1(-rate * period_s),
+            relaxed=approach(rate * period_s),
             step_m=self.speed_limit_m_per_s * period_s,
             margin_n=self.force_margin_n,
             start_j=min(self.start_energy_j, self.energy_cap_j),

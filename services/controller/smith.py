@@ -23,7 +23,6 @@ exponential forgetting, frozen while the motion in memory is too small to tell. 
 or the tip jumps, a linear model is wrong and the estimate is held within its bounds.
 """
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -31,6 +30,7 @@ import numpy.typing as npt
 from pydantic import Field
 
 from services.controller import virtual_impedance as impedance
+from services.controller.discretisation import decay
 from services.controller.law import HandSample, Law, MasterReference, PortSignal
 from services.controller.pass_through import slave_receive, slave_send, slave_start
 from services.controller.virtual_impedance import ImpedanceConfig, VirtualImpedanceParams
@@ -77,7 +77,7 @@ class SmithConfig(ImpedanceConfig):
             stiffness_max_n_per_m=self.environment_stiffness_max_n_per_m,
             rate_n_per_m=self.stiffness_rate_n_per_m_s * period_s,
             estimate=self.estimate,
-            forget=math.exp(-period_s / self.memory_s),
+            forget=decay(period_s / self.memory_s),
             motion_m=self.least_motion_m,
         )
 

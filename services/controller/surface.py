@@ -172,6 +172,20 @@ def _error(params: FitParams, surface: Surface, position_nm: float, force: float
 
 
 @compiled
+def solved_pair(p: float, q: float, r: float, u: float, v: float) -> tuple[float, float]:
+    """Solve [[p, q], [q, r]] [x, y]' = [u, v]', positive definite, by elimination in this order on every machine."""
+    below = q / p
+    y = (v - below * u) / (r - below * q)
+    return (u - q * y) / p, y
+
+
+@compiled
+def _damped(diagonal: float, damping: float) -> float:
+    # the last term keeps a parameter that nothing depends on where it is
+    return diagonal + damping * diagonal + 1e-12
+
+
+@compiled
 def fitted(params: FitParams, fit: Fit, position_nm: float, force: float) -> Fit:
     """Take one sample in contact into the fit, with one step of Levenberg and Marquardt over the bins.
 
@@ -181,7 +195,9 @@ def fitted(params: FitParams, fit: Fit, position_nm: float, force: float) -> Fit
     """
     fit = remembered(params, fit, position_nm, force)
     surface = fit.surface
-    normal, side = np.zeros((3, 3)), np.zeros(3)
+    # J' W J (c: x_c, k: kappa, a: F_a) and J' W e; the bins are added up in their order
+    cc = ck = ca = kk = ka = aa = 0.0
+    side_c = side_k = side_a = 0.0
     lowest = position_nm
     for index in range(BINS):
         weight = fit.weights[index]
@@ -190,20 +206,22 @@ def fitted(params: FitParams, fit: Fit, position_nm: float, force: float) -> Fit
             # what was seen before the surface moved has lost its say in where the contact ends
             if weight > _HEARD:
                 lowest = min(lowest, at)
-            slope = np.array(gradient(surface, params.cantilever, at - surface.contact_nm))
-            normal += weight * np.outer(slope, slope)
-            side += weight * _error(params, surface, at, fit.forces_nn[index]) * slope
-    for k in range(3):
-        normal[k, k] += fit.damping * normal[k, k] + 1e-12
-    step = np.linalg.solve(normal, side)
-    contact = min(max(surface.contact_nm + step[0], min(lowest - params.range_nm, surface.contact_nm)), lowest)
-    if contact != surface.contact_nm + step[0]:
-        # held at its bound, it leaves the rest of the step to the other two
-        step[1:] = np.linalg.solve(normal[1:, 1:].copy(), side[1:] - normal[1:, 0] * (contact - surface.contact_nm))
+            by_c, by_k, by_a = gradient(surface, params.cantilever, at - surface.contact_nm)
+            error = weight * _error(params, surface, at, fit.forces_nn[index])
+            cc, ck, ca = cc + weight * by_c * by_c, ck + weight * by_c * by_k, ca + weight * by_c * by_a
+            kk, ka, aa = kk + weight * by_k * by_k, ka + weight * by_k * by_a, aa + weight * by_a * by_a
+            side_c, side_k, side_a = side_c + error * by_c, side_k + error * by_k, side_a + error * by_a
+    cc, kk, aa = _damped(cc, fit.damping), _damped(kk, fit.damping), _damped(aa, fit.damping)
+    # x_c by the Schur complement of the other two: it has a bound, and what it cannot take is theirs
+    by_k, by_a = solved_pair(kk, ka, aa, ck, ca)
+    step_c = (side_c - side_k * by_k - side_a * by_a) / (cc - ck * by_k - ca * by_a)
+    contact = min(max(surface.contact_nm + step_c, min(lowest - params.range_nm, surface.contact_nm)), lowest)
+    step_c = contact - surface.contact_nm
+    step_k, step_a = solved_pair(kk, ka, aa, side_k - ck * step_c, side_a - ca * step_c)
     tried = Surface(
         contact,
-        min(max(surface.kappa + step[1], 0.02 * params.kappa), 50.0 * params.kappa),
-        max(surface.adhesion_nn + step[2], 0.0),
+        min(max(surface.kappa + step_k, 0.02 * params.kappa), 50.0 * params.kappa),
+        max(surface.adhesion_nn + step_a, 0.0),
     )
     better = misfit(params, fit, tried) <= misfit(params, fit, surface)
     damping = max(0.3 * fit.damping, _LEAST_DAMPING) if better else min(4.0 * fit.damping, _MOST_DAMPING)

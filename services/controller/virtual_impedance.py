@@ -11,9 +11,10 @@ from typing import NamedTuple
 
 from pydantic import Field
 
+from services.controller.discretisation import exact_discretisation
 from services.controller.law import HandSample, Law, MasterReference, PortSignal
 from services.controller.pass_through import slave_receive, slave_send, slave_start
-from services.controller.virtual_mass import NotNegative, Positive, ScaledConfig, exact_discretisation
+from services.controller.virtual_mass import NotNegative, Positive, ScaledConfig
 from services.runtime.compiled import compiled
 
 
@@ -43,19 +44,14 @@ class ImpedanceConfig(ScaledConfig):
 
     def impedance_params(self, period_s: float) -> VirtualImpedanceParams:
         """Give the constants of the impedance for a period [s] of the hand."""
-        phi, gamma = exact_discretisation(self.mass_kg, self.damping_n_s_per_m, self.stiffness_n_per_m, period_s)
+        step = exact_discretisation(self.mass_kg, self.damping_n_s_per_m, self.stiffness_n_per_m, period_s)
         return VirtualImpedanceParams(
             force_gain=self.force_gain,
             position_scale=self.position_scale,
             force_scale=self.force_scale,
             silence_limit_s=self.silence_limit_s,
             period_s=period_s,
-            phi_xx=float(phi[0, 0]),
-            phi_xv=float(phi[0, 1]),
-            phi_vx=float(phi[1, 0]),
-            phi_vv=float(phi[1, 1]),
-            gamma_x=float(gamma[0]),
-            gamma_v=float(gamma[1]),
+            **step._asdict(),
         )
 
 

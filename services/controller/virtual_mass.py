@@ -11,10 +11,9 @@ passivity the laws are about. The discretisation is exact for forces held over a
 
 from typing import Annotated, NamedTuple
 
-import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
-from scipy.linalg import expm
 
+from services.controller.discretisation import exact_discretisation
 from services.controller.law import HandSample, PortSignal
 from services.runtime.compiled import compiled
 
@@ -67,16 +66,16 @@ class MassConfig(ScaledConfig):
     def mass_params(self, period_s: float, line_n_s_per_m: float = 0.0) -> MassParams:
         """Give the constants for a period [s]; line_n_s_per_m: a damper [N s/m] of the law that acts on the mass."""
         damping = self.damping_n_s_per_m + line_n_s_per_m
-        phi, gamma = exact_discretisation(self.mass_kg, damping, 0.0, period_s)
+        step = exact_discretisation(self.mass_kg, damping, 0.0, period_s)
         return MassParams(
             position_scale=self.position_scale,
             force_scale=self.force_scale,
             silence_limit_s=self.silence_limit_s,
             period_s=period_s,
-            glide_s=float(phi[0, 1]),
-            keep=float(phi[1, 1]),
-            travel_m_per_n=float(gamma[0]),
-            kick_m_per_n_s=float(gamma[1]),
+            glide_s=step.phi_xv,
+            keep=step.phi_vv,
+            travel_m_per_n=step.gamma_x,
+            kick_m_per_n_s=step.gamma_v,
         )
 
 
@@ -91,15 +90,6 @@ class SteeredConfig(MassConfig):
     def guard_at_hand_n_per_m(self) -> float:
         """Give that stiffness at the hand's scale [N/m]."""
         return self.guard_stiffness_n_per_m * self.force_scale * self.position_scale
-
-
-def exact_discretisation(mass: float, damping: float, stiffness: float, period_s: float) -> tuple[np.ndarray, ...]:
-    """Give transition matrix (2, 2) and input vector (2,) of M x'' + B x' + K x = u for u held over a period [s]."""
-    continuous = np.zeros((3, 3))
-    continuous[0, 1] = 1.0
-    continuous[1] = [-stiffness / mass, -damping / mass, 1.0 / mass]
-    discrete = expm(continuous * period_s)
-    return discrete[:2, :2], discrete[:2, 2]
 
 
 @compiled

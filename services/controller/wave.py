@@ -45,6 +45,7 @@ from typing import NamedTuple
 
 from pydantic import Field
 
+from services.controller.discretisation import approach, decay
 from services.controller.law import Books, HandSample, Law, MasterReference, PortSignal, SlaveReference, TipSample
 from services.controller.virtual_mass import (
     Mass,
@@ -87,8 +88,8 @@ class WaveConfig(SteeredConfig):
     def to_params(self, period_s: float) -> WaveParams:
         """Give the constants of the compiled steps for a period [s] of the hand."""
         b = self.impedance_n_s_per_m
-        share = 1.0 if self.filter_s == 0.0 else -math.expm1(-period_s / self.filter_s)
-        fade = math.exp(-period_s / self.fade_s)
+        share = 1.0 if self.filter_s == 0.0 else approach(period_s / self.filter_s)
+        fade = decay(period_s / self.fade_s)
         return WaveParams(self.mass_params(period_s, b), b, share, self.guard_at_hand_n_per_m(), fade)
 
 

@@ -12,7 +12,7 @@ import pytest
 from ledger import enter
 from two_sites import MASTER, ROOT, SLAVE, Site, TwoSites, needs_namespaces, sniff
 
-from services.recorder.reader import Recording
+from proto import decode
 
 pytestmark = [needs_namespaces, pytest.mark.stack, pytest.mark.timeout(900)]
 
@@ -112,7 +112,7 @@ class Fault:
     def changes(self, site: Site, topic: str) -> list[tuple[float, str]]:
         """Give mode and time since the fault [s] of each change of a device's mode, the mode before it first."""
         found: list[tuple[float, str]] = []
-        for message in Recording(newest(site)).messages([topic], start_ns=self.at_ns - NS_PER_S):
+        for message in site.recording().messages(topic, self.at_ns - NS_PER_S):
             mode = message.fields()["mode"]
             if found and found[-1][1] == mode:
                 continue
@@ -134,12 +134,8 @@ def first(changes: list[tuple[float, str]], mode: str) -> float:
     return next((at_s for at_s, name in changes if name == mode and at_s >= 0.0), float("nan"))
 
 
-def newest(site: Site) -> Path:
-    return max(site.out.glob("session*.mcap"), key=lambda path: path.stat().st_mtime)
-
-
 def events(site: Site, since_ns: int) -> list[Any]:
-    return [message.decode() for message in Recording(newest(site)).messages(["session/event"], start_ns=since_ns)]
+    return [decode("session/event", heard.payload) for heard in site.recording().messages("session/event", since_ns)]
 
 
 def lately_ns() -> int:
@@ -149,24 +145,24 @@ def lately_ns() -> int:
 
 def rejected(site: Site, node: str) -> dict[str, int]:
     """Give what a node has refused since its start, by reason."""
-    counts: dict[str, int] = {}
-    for message in Recording(newest(site)).messages(["node/health"], start_ns=lately_ns()):
-        if message.src == node:
-            counts = message.fields()["rejected"]
-    return counts
+    health = (heard for heard in reversed(site.recording().messages("node/health")) if heard.src == node)
+    newest = next(health, None)
+    return newest.fields()["rejected"] if newest else {}
 
 
 def recorded_until(site: Site) -> int:
     """Give the time of the newest sample of the hand in a recording [ns]."""
-    hand = Recording(newest(site)).messages(["haptic/state"], start_ns=lately_ns())
-    return max((message.publish_ns for message in hand), default=0)
+    hand = site.recording().messages("haptic/state")
+    return hand[-1].publish_ns if hand else 0
 
 
 def rates(site: Site, first_ns: int, last_ns: int, topics: tuple[str, ...]) -> dict[str, float]:
     """Give the rate of topics between two times [Hz], from the stamps of the senders."""
-    counts = dict.fromkeys(topics, 0)
-    for message in Recording(newest(site)).messages(list(topics), start_ns=first_ns):
-        counts[message.channel_topic] += first_ns <= message.publish_ns < last_ns
+    recording = site.recording()
+    counts = {
+        topic: sum(first_ns <= heard.publish_ns < last_ns for heard in recording.messages(topic, first_ns))
+        for topic in topics
+    }
     return {topic: count * NS_PER_S / (last_ns - first_ns) for topic, count in counts.items()}
 
 
@@ -277,7 +273,7 @@ def test_an_observer_observes_and_commands_nobody(rig: TwoSites) -> None:
     assert sent.returncode != 0
     rig.wait_until(lambda: refusals(rig, "role", "haptic_node@master") > 0, "commands to be counted as refused")
     refused = refusals(rig, "role", "haptic_node@master")
-    state = list(Recording(newest(rig.master)).messages(["haptic/state"], start_ns=lately_ns()))[-1].fields()
+    state = rig.master.recording().messages("haptic/state", lately_ns())[-1].fields()
     assert state["estop"] is False
     assert state["mode"] == "position"
     assert rig.master.has_log("haptic_node@master", "lacks the role control")
@@ -377,7 +373,7 @@ def test_a_huge_frame_takes_no_memory(rig: TwoSites) -> None:
         outs.append(process.communicate(timeout=30)[0].strip())
     assert outs == ["closed", "closed"]
     time.sleep(1.2)
-    told = Recording(newest(rig.master)).messages(["node/health"], start_ns=lately_ns())
+    told = rig.master.recording().messages("node/health", lately_ns())
     sizes = [message.fields()["memory_bytes"] for message in told]
     assert max(sizes) < 1 << 30
     enter("a frame of 1 GB announced", f"connection closed; no node above {max(sizes) / 1e6:.0f} MB")
@@ -416,7 +412,7 @@ def test_a_pulled_cable_leaves_both_sides_safe_and_comes_back(rig: TwoSites, sec
 
 def heard_again(rig: TwoSites, since_ns: int) -> float | None:
     """Give when the slave's half was first heard through the link after a time [s from it]; None if it was not."""
-    heard = Recording(newest(rig.master)).messages(["teleop/backward@master"], start_ns=since_ns)
+    heard = rig.master.recording().messages("teleop/backward@master", since_ns)
     fresh = (message.log_ns for message in heard if message.publish_ns > since_ns)
     return next(((at_ns - since_ns) / NS_PER_S for at_ns in fresh), None)
 

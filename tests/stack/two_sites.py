@@ -15,8 +15,8 @@ from typing import Any
 
 import pytest
 import yaml
+from following import Following
 
-from services.recorder.reader import Recording
 from services.runtime.security import Keyring
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -109,6 +109,7 @@ class Site:
         }
         self.process: subprocess.Popen[str] | None = None
         self.log = self.out.parent / f"{name}.txt"
+        self._followed: dict[Path, Following] = {}
 
     def command(self, *arguments: str) -> list[str]:
         """Give a telenano command on this machine."""
@@ -157,9 +158,10 @@ class Site:
         tails += sorted((self.out / "logs").glob("*.log"))
         return "\n".join(f"== {path}\n{path.read_text()[-1500:]}" for path in tails)
 
-    def recording(self) -> Recording:
-        """Open what this site has recorded since its last start."""
-        return Recording(self.out / "session.mcap")
+    def recording(self) -> Following:
+        """Give what this site's recorder has written since its last start, up to now."""
+        path = max(self.out.glob("session*.mcap"), key=lambda path: path.stat().st_mtime)
+        return self._followed.setdefault(path, Following(path)).follow()
 
     def summary(self) -> dict[str, Any]:
         """Give the summary that the master's site made."""

@@ -20,6 +20,7 @@ from services.controller.surface import (
     potential,
     remembered,
     root_of,
+    solved_pair,
     unknown,
 )
 
@@ -55,7 +56,7 @@ def test_limits_of_the_force() -> None:
 def test_gradient_is_the_numerical_one(surface: Surface, y: float) -> None:
     x, slopes = surface.contact_nm + y, gradient(surface, K, y)
     for index in range(3):
-        step = 1e-5 * max(abs(surface[index]), 1e-3 * y)
+        step = 1e-5 * max(abs(surface[index]), y)
         ends = []
         for sign in (1.0, -1.0):
             values = list(surface)
@@ -136,3 +137,12 @@ def test_standing_still_does_not_let_the_fit_drift() -> None:
         fit = fitted(FIT, fit, 10.0, force_nn(MICA, K, RANGE, 10.0))
     np.testing.assert_allclose(force_nn(fit.surface, K, RANGE, 10.0), force_nn(MICA, K, RANGE, 10.0), rtol=1e-3)
     np.testing.assert_allclose(fit.surface, before, rtol=1e-3)
+
+
+@given(st.floats(1e-3, 1e3), st.floats(-0.999, 0.999), st.floats(1e-3, 1e3), st.floats(-1e3, 1e3), st.floats(-1e3, 1e3))
+def test_pair_of_equations_is_solved(p: float, correlation: float, r: float, u: float, v: float) -> None:
+    q = correlation * math.sqrt(p * r)
+    x, y = solved_pair(p, q, r, u, v)
+    scale = abs(p * x) + abs(q * y) + abs(q * x) + abs(r * y)
+    assert p * x + q * y == pytest.approx(u, rel=0.0, abs=1e-12 * scale + 1e-300)
+    assert q * x + r * y == pytest.approx(v, rel=0.0, abs=1e-12 * scale + 1e-300)

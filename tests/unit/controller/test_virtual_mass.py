@@ -9,7 +9,6 @@ from services.controller.virtual_mass import (
     Mass,
     MassConfig,
     at_rest,
-    exact_discretisation,
     is_coupled,
     let_go,
     moved,
@@ -44,12 +43,6 @@ def test_step_does_not_depend_on_how_time_is_cut(period_s: float) -> None:
 
 def test_damper_of_the_line_adds_to_that_of_the_mass() -> None:
     assert MassConfig().mass_params(PERIOD_S, 50.0) == MassConfig(damping_n_s_per_m=150.0).mass_params(PERIOD_S)
-
-
-def test_spring_of_the_exact_step_turns_the_phase_by_its_natural_frequency() -> None:
-    phi, gamma = exact_discretisation(2.0, 0.0, 2.0 * 30.0**2, PERIOD_S)
-    assert phi[0, 0] == pytest.approx(math.cos(30.0 * PERIOD_S), rel=1e-13, abs=0.0)
-    assert gamma[0] == pytest.approx((1.0 - math.cos(30.0 * PERIOD_S)) / (2.0 * 900.0), rel=1e-10, abs=0.0)
 
 
 def test_let_go_moves_the_mass_and_not_the_tip() -> None:

@@ -16,7 +16,6 @@ from services.runtime.bus import Subscriber
 from services.runtime.clock import VirtualClock
 
 MESSAGES = 8000
-NEEDED_PER_S = 20_000
 
 
 def cpu_s(work: Callable[[], None]) -> float:
@@ -54,12 +53,16 @@ def test_recording_keeps_up_and_costs_a_small_multiple_of_a_plain_writer(
         )
         plain_s, ours_s = cpu_s(plain), cpu_s(ours)
         listener.subscriber.close()
-    record_property("messages_per_cpu_s", MESSAGES / ours_s)
     record_property("ratio_to_plain_writer", ours_s / plain_s)
-    assert MESSAGES / ours_s > NEEDED_PER_S
     # about 2 when measured; a flush every 200 messages and the reading of each header are in it
     assert ours_s / plain_s < 5.0
 
     recording = Recording(tmp_path / "session.mcap")
     fields = ["position_m.2", "operator_force_n.2", "t_ns", "log_ns"]
-    assert cpu_s(lambda: record_property("last_seq", columns(recording, "haptic/state", fields)["t_ns"][-1])) < 1.0
+    found = {}
+    decoding_s = cpu_s(lambda: [message.fields() for message in recording.messages(["haptic/state"])])
+    columns_s = cpu_s(lambda: found.update(columns(recording, "haptic/state", fields)))
+    assert len(found["t_ns"]) == MESSAGES
+    record_property("ratio_of_columns_to_decoding", columns_s / decoding_s)
+    # about 1.3 when measured
+    assert columns_s / decoding_s < 5.0

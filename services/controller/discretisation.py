@@ -1,0 +1,94 @@
+"""Exact discretisation of the linear systems of the laws, with the same bits on every processor.
+
+LAPACK and BLAS choose their kernels, and with them the last digit, by the processor that they find; so do the
+elementary functions of the C library. Decimal arithmetic does not. It runs once for a set of parameters, never in a
+loop.
+"""
+
+from decimal import MAX_EMAX, MIN_EMIN, ROUND_HALF_EVEN, Context, Decimal, localcontext
+from typing import NamedTuple
+
+# far beyond the 17 digits of a double, for what rows of very different size lose to one another
+_DIGITS = 60
+_LARGEST_STEP = Decimal("0.25")
+
+
+class Discretisation(NamedTuple):
+    """x+ = phi_xx x + phi_xv v + gamma_x u, v+ = phi_vx x + phi_vv v + gamma_v u over one period."""
+
+    phi_xx: float
+    phi_xv: float
+    phi_vx: float
+    phi_vv: float
+    gamma_x: float
+    gamma_v: float
+
+
+def exact_discretisation(mass: float, damping: float, stiffness: float, period_s: float) -> Discretisation:
+    """Return the step of M x'' + B x' + K x = u over a period [s] for u held, each figure the double nearest to it.
+
+    Parameters: mass [kg], > 0; damping [N s/m], >= 0; stiffness [N/m], >= 0; period_s, > 0; all finite.
+
+    phi = exp(A T) with A = [[0, 1], [-K/M, -B/M]], gamma = psi [0, 1/M]' with psi the integral of exp(A t) from 0 to T.
+    Taylor's series gives both for a part T / 2^n; then psi(2 t) = psi(t) (1 + phi(t)), phi(2 t) = phi(t)^2, n times.
+    """
+    with localcontext(Context(prec=_DIGITS, rounding=ROUND_HALF_EVEN, Emin=MIN_EMIN, Emax=MAX_EMAX)) as context:
+        spring, damper = Decimal(stiffness) / Decimal(mass), Decimal(damping) / Decimal(mass)
+        step, doublings = Decimal(period_s), 0
+        while (spring.sqrt() + damper) * step > _LARGEST_STEP:
+            step, doublings = step / 2, doublings + 1
+        # each doubling may cost a bit
+        context.prec += doublings // 3
+        phi, psi = _series((Decimal(0), Decimal(1), -spring, -damper), step)
+        for _ in range(doublings):
+            psi = _plus(psi, _times(psi, phi))
+            phi = _times(phi, phi)
+        phi_xx, phi_xv, phi_vx, phi_vv = map(float, phi)
+        gamma_x, gamma_v = float(psi[1] / Decimal(mass)), float(psi[3] / Decimal(mass))
+        return Discretisation(phi_xx, phi_xv, phi_vx, phi_vv, gamma_x, gamma_v)
+
+
+def decay(ratio: float) -> float:
+    """Return exp(-ratio), the double nearest to it; ratio [1], >= 0."""
+    with localcontext(Context(prec=_DIGITS, Emin=MIN_EMIN, Emax=MAX_EMAX)):
+        return float((-Decimal(ratio)).exp())
+
+
+def approach(ratio: float) -> float:
+    """Return 1 - exp(-ratio), the double nearest to it: the share of a first-order step; ratio [1], >= 0."""
+    exact = Decimal(ratio)
+    # as many more digits as the difference from 1 loses
+    lost = max(0, -exact.adjusted()) if exact.is_finite() else 0
+    with localcontext(Context(prec=_DIGITS + lost, Emin=MIN_EMIN, Emax=MAX_EMAX)):
+        return float(1 - (-exact).exp())
+
+
+# a matrix of two rows and two columns, row by row
+_Matrix = tuple[Decimal, Decimal, Decimal, Decimal]
+
+
+def _series(a: _Matrix, step: Decimal) -> tuple[_Matrix, _Matrix]:
+    """Return exp(A t) and its integral for a small step t, by their series to the last digit of the context."""
+    one = (Decimal(1), Decimal(0), Decimal(0), Decimal(1))
+    phi, psi, term, order = one, _scaled(one, step), one, 1
+    while True:
+        term = _scaled(_times(term, a), step / order)
+        order += 1
+        next_phi, next_psi = _plus(phi, term), _plus(psi, _scaled(term, step / order))
+        if (next_phi, next_psi) == (phi, psi):
+            return phi, psi
+        phi, psi = next_phi, next_psi
+
+
+def _times(p: _Matrix, q: _Matrix) -> _Matrix:
+    a, b, c, d = p
+    e, f, g, h = q
+    return a * e + b * g, a * f + b * h, c * e + d * g, c * f + d * h
+
+
+def _plus(p: _Matrix, q: _Matrix) -> _Matrix:
+    return p[0] + q[0], p[1] + q[1], p[2] + q[2], p[3] + q[3]
+
+
+def _scaled(p: _Matrix, factor: Decimal) -> _Matrix:
+    return p[0] * factor, p[1] * factor, p[2] * factor, p[3] * factor
