@@ -46,7 +46,9 @@ StartOption = Annotated[float, typer.Option("--start", min=0.0, metavar="S", hel
 EndOption = Annotated[float | None, typer.Option("--end", metavar="S", help="Up to this time [s].")]
 ToleranceOption = Annotated[
     list[str] | None,
-    typer.Option("--tolerance", metavar="FIELD=VALUE", help="Largest difference, in the field's unit (repeatable)."),
+    typer.Option(
+        "--tolerance", metavar="[TOPIC:]FIELD=VALUE", help="Largest difference, in the field's unit (repeatable)."
+    ),
 ]
 
 

@@ -230,11 +230,16 @@ class Heard:
 
 
 def rerun(
-    recording: Recording, key: str, tolerances: Tolerances | None = None, settings: Sequence[str] = ()
+    recording: Recording,
+    key: str,
+    tolerances: Tolerances | None = None,
+    settings: Sequence[str] = (),
+    take: Callable[[str, Message], None] = lambda topic, message: None,
 ) -> RerunResult:
     """Drive a node with what a recording says it heard and compare what it says.
 
-    Parameters: key, node@site; tolerances, none when None; settings, `section.key=value` over the recorded scenario.
+    Parameters: key, node@site; tolerances, none when None; settings, `section.key=value` over the recorded scenario;
+    take, is given topic and message of each output that was met.
     Raises ConfigError when the node is not one that can be re-run or the scenario is wrong, RecordingError when the
     recording lacks the scenario or the node.
     """
@@ -245,7 +250,7 @@ def rerun(
     clock = ReplayClock()
     bus = RerunBus(key, clock, heard.outputs)
     node = _build(recording, key, clock, bus, settings)
-    return _Comparison(recording, heard, node, clock, bus, tolerances or Tolerances()).run(kind.turns(heard))
+    return _Comparison(recording, heard, node, clock, bus, tolerances or Tolerances()).run(kind.turns(heard), take)
 
 
 class _Comparison:
@@ -266,7 +271,7 @@ class _Comparison:
         self._furthest: tuple[int, dict[str, int], dict[str, Any]] = (-1, {}, {})
         self._returns = 0
 
-    def run(self, turns: Turns) -> RerunResult:
+    def run(self, turns: Turns, take: Callable[[str, Message], None]) -> RerunResult:
         """Take the turns until none of the orders that are possible gives what was recorded."""
         place, number = Place(), 0
         try:
@@ -281,6 +286,8 @@ class _Comparison:
                     _, reached, fault = self._furthest
                     self._bus.reset(reached)
                     return self._result(**fault)
+                for topic, message in self._bus.produced:
+                    take(topic, message)
                 place, number = chosen.following, number + 1
                 orders = turns(place)
         except _MissingInputError as error:
@@ -349,7 +356,7 @@ class _Comparison:
             return self._where(output, "", f"the node sends {topic} instead")
         if encode(message) == output.payload:
             return {}
-        different = first_difference(message.model_dump(), output.message.model_dump(), self._tolerances)
+        different = first_difference(message.model_dump(), output.message.model_dump(), self._tolerances.on(topic))
         return self._where(output, different.field, f"re-run {different.text} recorded") if different else {}
 
     def _where(self, output: Output, name: str, text: str) -> dict[str, Any]:

@@ -11,7 +11,8 @@ from services.runtime.errors import ConfigError
 class Tolerances:
     """Largest difference allowed in numeric fields, by glob of their dotted name; zero where none is given.
 
-    The unit is that of the field: `position_m=1e-12` allows a picometre in every component.
+    The unit is that of the field: `position_m=1e-12` allows a picometre in every component. `TOPIC:FIELD` limits a
+    field of that topic only: metres at the hand and at the tip differ by a factor of a million.
     """
 
     def __init__(self, limits: Mapping[str, float] | None = None) -> None:
@@ -30,6 +31,13 @@ class Tolerances:
             if not (field and math.isfinite(limits[field]) and limits[field] >= 0.0):
                 raise ConfigError(f"tolerance {text}: a finite value of 0 or more, in the unit of the field, is needed")
         return cls(limits)
+
+    def on(self, topic: str) -> "Tolerances":
+        """Give those that hold for the fields of a topic."""
+        heads = {name: name.rpartition(":") for name in self._limits}
+        return Tolerances(
+            {heads[name][2]: limit for name, limit in self._limits.items() if heads[name][0] in ("", topic)}
+        )
 
     def of(self, field: str) -> float:
         """Give the tolerance of a field: that of the whole vector holds for its parts."""

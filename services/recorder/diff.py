@@ -78,6 +78,7 @@ def _compare(
     ignore: Iterable[str],
 ) -> ChannelDifference:
     different, first = 0, ""
+    tolerances = tolerances.on(channel.topic)
     for key in left.keys() & right.keys():
         if left[key].payload == right[key].payload:
             continue

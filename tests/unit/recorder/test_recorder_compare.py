@@ -46,3 +46,10 @@ def test_ignored_fields_are_left_out() -> None:
 def test_a_wrong_tolerance_is_refused(text: str) -> None:
     with pytest.raises(ConfigError, match="tolerance"):
         Tolerances.parse([text])
+
+
+def test_a_tolerance_may_be_for_one_topic() -> None:
+    limits = Tolerances.parse(["afm/state:position_m=1e-12", "force_n=0.5"])
+    assert limits.on("afm/state").of("position_m.2") == 1e-12
+    assert limits.on("haptic/state").of("position_m.2") == 0.0
+    assert limits.on("haptic/state").of("force_n") == 0.5
