@@ -1,4 +1,4 @@
-"""What a container does before its program: compiled code, the clock of the rig, the scenario in force."""
+"""What a container does before its program: its cache, the clock of the rig, the scenario in force."""
 
 import os
 import shutil
@@ -16,8 +16,8 @@ from services.runtime.errors import ConfigError
 from services.runtime.main import EXIT_BAD_START
 from services.runtime.site import runtime_directory
 
-# where the build leaves what it compiled; the image is read-only, and a new processor may need more
-COMPILED = Path("/opt/cache")
+# where the build leaves what it looked up; the image is read-only, and a study compiles more
+PREPARED = Path("/opt/cache")
 IN_FORCE = Path("/tmp/scenario.yaml")
 FILES = Path(launcher.__file__).parent
 NODE, SITE_FILE, SCENARIO = "TELENANO_NODE", "TELENANO_SITE_FILE", "TELENANO_SCENARIO"
@@ -26,8 +26,8 @@ NODE, SITE_FILE, SCENARIO = "TELENANO_NODE", "TELENANO_SITE_FILE", "TELENANO_SCE
 def main(command: list[str]) -> None:
     """Become the program: the command if one is given, else the node that the environment names."""
     cache = Path(os.environ["XDG_CACHE_HOME"])
-    if COMPILED.is_dir() and not cache.exists():
-        shutil.copytree(COMPILED, cache)
+    if PREPARED.is_dir() and not cache.exists():
+        shutil.copytree(PREPARED, cache)
     node = os.environ.get(NODE, "")
     if node and EPOCH_OFFSET_VARIABLE not in os.environ:
         os.environ[EPOCH_OFFSET_VARIABLE] = str(shared_epoch_offset_ns(runtime_directory()))

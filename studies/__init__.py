@@ -1,1 +1,5 @@
-"""Closed loop in lockstep: the same compiled steps as the nodes, without processes."""
+"""Closed loop in lockstep: the same steps as the nodes, compiled, without processes."""
+
+from services.runtime.compiled import compile_steps
+
+compile_steps()

@@ -29,7 +29,7 @@ _LONGEST_MS = 10_000.0
 _STIFFEST_N_PER_M = 1e5
 
 app = typer.Typer(
-    help="Studies in lockstep: which delay each law bears, what the hand feels of it, and whether the bus agrees.",
+    help="Study in lockstep which delay each law bears, and what the hand feels of it.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,

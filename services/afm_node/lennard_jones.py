@@ -21,7 +21,8 @@ def lennard_jones_force(distance_m: float, hamaker_j: float, radius_m: float, si
     Valid for h much smaller than R.
     """
     F0 = hamaker_j * radius_m / (6.0 * sigma_m * sigma_m)
-    q2 = (sigma_m / distance_m) ** 2
+    q = sigma_m / distance_m
+    q2 = q * q
     q8 = q2 * q2 * q2 * q2
     return -F0 * (q2 - q8 / 30.0), F0 * (2.0 * q2 - 8.0 * q8 / 30.0) / distance_m
 

@@ -100,6 +100,11 @@ def maugis_dugdale(
     )
 
 
+# a difference in the last digit of a double [1]
+_LAST_DIGIT = 2e-16
+_MOST_NEWTON_STEPS = 50
+
+
 @compiled
 def _f1(s: float) -> float:
     """Give sin(2s)/2 - s cos(2s), by its series where the two terms cancel."""
@@ -107,7 +112,7 @@ def _f1(s: float) -> float:
     if z > _SERIES_BELOW:
         return 0.5 * (math.sin(z) - z * math.cos(z))
     # sin z - z cos z = sum over n >= 1 of (-1)^(n+1) 2n z^(2n+1) / (2n+1)!
-    term = z**3 / 3.0
+    term = z * z * z / 3.0
     total = term
     for n in range(2, 9):
         term *= -z * z / ((2.0 * n - 2.0) * (2.0 * n + 1.0))
@@ -126,15 +131,17 @@ def contact_at(transition: float, s: float) -> Contact:
     if s >= HALF_PI:
         cos = 0.0
     f1 = _f1(s)
-    f2 = s * sin - 2.0 * math.sin(0.5 * s) ** 2
+    half = math.sin(0.5 * s)
+    f2 = s * sin - 2.0 * half * half
     f3 = sin * cos + s
     a2, a1 = 0.5 * lam * f1, 4.0 / 3.0 * lam * lam * f2
     C = 2.0 / (a1 + math.sqrt(a1 * a1 + 4.0 * a2))
-    P = (C * cos) ** 3 - lam * C * C * f3
-    D = (C * cos) ** 2 - 4.0 / 3.0 * lam * C * sin
+    A = C * cos
+    P = A * A * A - lam * C * C * f3
+    D = A * A - 4.0 / 3.0 * lam * C * sin
     # f1' = 2 s sin 2s, f2' = s cos s, f3' = 2 cos^2 s: each carries one factor cos s, taken out here.
     C1 = -(2.0 * lam * C * C * s * sin + 4.0 / 3.0 * lam * lam * C * s) / (2.0 * a2 * C + a1)
-    P1 = 3.0 * C * C * C1 * cos**3 - 3.0 * C**3 * cos * sin - lam * (2.0 * C * C1 * f3 + 2.0 * C * C * cos)
+    P1 = 3.0 * A * A * C1 * cos - 3.0 * A * C * C * sin - lam * (2.0 * C * C1 * f3 + 2.0 * C * C * cos)
     D1 = 2.0 * C * C1 * cos * cos - 2.0 * C * C * sin - 4.0 / 3.0 * lam * (C1 * sin + C)
     return Contact(C * cos, C, P, D, P1, D1)
 
@@ -236,7 +243,39 @@ def force_at(transition: float, indentation: float) -> tuple[float, float, float
 @compiled
 def angle_at(transition: float, indentation: float, end: float) -> float:
     """Angle of the stable contact at an indentation D, given the angle at which the contact ends (`end_angle`)."""
-    return _decreasing_root(transition, indentation, min(_outer_angle(transition, indentation, 0), end), end, 0)
+    low = min(_outer_angle(transition, indentation, 0), end)
+    ended = contact_at(transition, end).indentation
+    return angle_between(transition, indentation, ended, low, end, 0.5 * (low + end))
+
+
+@compiled
+def angle_between(transition: float, indentation: float, ended: float, low: float, high: float, guess: float) -> float:
+    """Angle of the stable contact at an indentation D, given angles on both sides of it and one to begin with.
+
+    ended: D0, the indentation at which the contact ends. Newton's method is for u = sqrt(D - D0), straight there.
+    """
+    s = guess if low < guess < high else 0.5 * (low + high)
+    # Newton, and bisection where it would leave the bracket or gets nowhere, as next to a fold
+    tries, wanted = 0, math.sqrt(max(indentation - ended, 0.0))
+    while True:
+        point = contact_at(transition, s)
+        if abs(point.indentation - indentation) <= _LAST_DIGIT * abs(indentation):
+            return s
+        if point.indentation > indentation:
+            low = s
+        else:
+            high = s
+        following = 0.5 * (low + high)
+        slope = point.indentation_slope * math.cos(s)
+        if slope < 0.0 and tries < _MOST_NEWTON_STEPS:
+            u = math.sqrt(max(point.indentation - ended, 0.0))
+            newton = s - 2.0 * u * (u - wanted) / slope
+            if low < newton < high:
+                following = newton
+        if abs(following - s) <= _LAST_DIGIT * s or not low < following < high:
+            return following
+        tries += 1
+        s = following
 
 
 @compiled

@@ -22,6 +22,7 @@ import numpy.typing as npt
 from services.afm_node.maugis_dugdale import (
     MaugisDugdale,
     angle_at,
+    angle_between,
     cohesive_at,
     cohesive_end,
     contact_at,
@@ -162,8 +163,14 @@ def _tabulate(contact: MaugisDugdale, end: float, start: float, span: float, cel
 def _direct(transition: float, end: float, start: float, u: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     """Force, its slope dP/du and the stiffness dP/dD at each u, nondimensional, shape (len(u), 3)."""
     exact = np.empty((u.shape[0], 3))
+    greatest = 0.0
     for i in range(u.shape[0]):
-        s = end if u[i] == 0.0 else angle_at(transition, start + u[i] * u[i], end)
+        greatest = max(greatest, u[i])
+    # an angle outside of all of them, and each the guess for its neighbour
+    outer = min(0.999 * angle_at(transition, start + greatest * greatest, end), end)
+    s = outer
+    for i in range(u.shape[0]):
+        s = end if u[i] == 0.0 else angle_between(transition, start + u[i] * u[i], start, outer, end, s)
         point = contact_at(transition, s)
         stiffness = point.force_slope / min(point.indentation_slope, -1e-150)
         exact[i, 0], exact[i, 1], exact[i, 2] = point.force, 2.0 * u[i] * stiffness, stiffness

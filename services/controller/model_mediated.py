@@ -254,7 +254,8 @@ def master_receive(
         before = mass.position_m
         mass = moved(p, mass, hand.force_n - force)
         # the mean velocity never overstates what the damper took
-        taken = params.damping_n_s_per_m * (mass.position_m - before) ** 2 / p.period_s
+        moved_m = mass.position_m - before
+        taken = params.damping_n_s_per_m * moved_m * moved_m / p.period_s
         store = min(store + taken, params.cap_j)
         dissipated += taken
     state = MasterState(mass, fit, model, rendered, store, injected, dissipated)

@@ -104,9 +104,9 @@ def potential(surface: Surface, cantilever: float, range_nm: float, position_nm:
     if y <= -range_nm:
         return 0.0
     if y < 0.0:
-        return -0.5 * surface.adhesion_nn * (y + range_nm) ** 2 / range_nm
+        return -0.5 * surface.adhesion_nn * (y + range_nm) * (y + range_nm) / range_nm
     r = root_of(y, surface.kappa / cantilever)
-    stored = surface.kappa * r**5 * (0.4 + 0.5 * surface.kappa * r / cantilever)
+    stored = surface.kappa * r * r * r * r * r * (0.4 + 0.5 * surface.kappa * r / cantilever)
     return stored - surface.adhesion_nn * (y + 0.5 * range_nm)
 
 
@@ -161,7 +161,8 @@ def misfit(params: FitParams, fit: Fit, surface: Surface) -> float:
     total = 0.0
     for index in range(BINS):
         if fit.weights[index] > 0.0:
-            total += fit.weights[index] * _error(params, surface, fit.positions_nm[index], fit.forces_nn[index]) ** 2
+            error = _error(params, surface, fit.positions_nm[index], fit.forces_nn[index])
+            total += fit.weights[index] * error * error
     return total
 
 

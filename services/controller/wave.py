@@ -290,7 +290,8 @@ def slave_send(params: WaveParams, state: SlaveState, tip: TipSample, dt: float)
         moved_m = (tip.position_m - state.last_m) / p.position_scale
         mean = 0.5 * (force + state.last_n) - bias
         granted += abs(bias * moved_m)
-        bias *= params.fade ** periods_in(dt, p.period_s)
+        for _ in range(periods_in(dt, p.period_s)):
+            bias *= params.fade
         reserve -= mean * moved_m
         wave = (b * moved_m / dt - mean) / math.sqrt(2.0 * b)
         most = math.sqrt(2.0 * max(reserve, 0.0) / dt)

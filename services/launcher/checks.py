@@ -436,11 +436,11 @@ def check_cache(folder: Path | None) -> Finding:
     """Look at the folder of compiled code; None where there is no compiler."""
     name = "compiled code"
     if folder is None:
-        return Finding(name, "ok", "numba is not installed, nothing is compiled here")
+        return Finding(name, "ok", "numba is not installed: rigs run without it, studies cannot")
     if not _can_be_written(folder):
         advice = "name a folder that can be written by XDG_CACHE_HOME or NUMBA_CACHE_DIR"
-        return Finding(name, "problem", f"{folder} cannot be written, every start would compile again", advice)
-    there = "is there" if folder.exists() else "is made at the first start, which takes up to 60 s"
+        return Finding(name, "problem", f"{folder} cannot be written, every study would compile again", advice)
+    there = "is there" if folder.exists() else "is made by the first study, which takes up to 60 s longer"
     return Finding(name, "ok", f"{folder} {there}")
 
 

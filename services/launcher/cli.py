@@ -17,7 +17,6 @@ import typer
 from services.launcher.lazy import LazyRoot
 from services.launcher.telling import EXIT_FAILED, console, errors_told, fail, print_json, site_file_named, tell
 from services.runtime.errors import ConfigError
-from studies.cli import app as study_app
 
 if TYPE_CHECKING:
     from proto.messages import SessionEvent
@@ -46,7 +45,6 @@ link_app = typer.Typer(
     help="Look at the link of a running rig, and change it.", no_args_is_help=True, rich_markup_mode=None
 )
 app.add_typer(link_app, name="link")
-app.add_typer(study_app, name="study")
 
 SiteFileOption = Annotated[
     Path,

@@ -24,6 +24,9 @@ LATE = {
     ),
     "replay": Late("services.launcher.replay", "replay", "Play a recording in the place of nodes that do not run."),
     "status": Late("services.launcher.status", "status", "Say how a running rig is doing."),
+    "study": Late(
+        "studies.cli", "app", "Studies in lockstep: which delay each law bears, and what the hand feels of it."
+    ),
 }
 
 

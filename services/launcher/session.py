@@ -259,7 +259,7 @@ class SessionNode(RigNode):
 
     def _patience(self) -> str:
         """Say how long is waited."""
-        own = [] if self.attached else ["the first start compiles the models, up to 60 s"]
+        own = [] if self.attached else [f"up to {READY_DEADLINE_S:g} s"]
         others = "without a limit" if self._wait_s is None else f"up to {self._wait_s:g} s"
         who = "" if self.attached else f"for {self.watch.site_name} "
         return "; ".join([*own, *([f"{who}{others}, Ctrl-C gives up"] if self._others else [])])

@@ -26,6 +26,8 @@ _RECONNECT_MS = 50
 # messages taken before a node looks at its deadline again, so that a flood cannot hold a loop
 _BATCH = 256
 # as plain numbers: the enumerations of the binding cost half as much again as the question itself
+# messages after which a reader expects more of them
+_FEW = 3
 _EVENTS, _READABLE = int(zmq.EVENTS), int(zmq.POLLIN)
 # sources heard on one node; a peer that makes up names must not fill the memory
 _MOST_TRACKERS = 1024
@@ -186,13 +188,17 @@ class Subscriber:
     def receive_raw(self) -> Iterator[tuple[list[bytes], int]]:
         """Give the frames of what has arrived, a bounded number, and the time [ns] at which each was taken."""
         receive, pending = self.socket.recv, self.pending
-        for _ in range(_BATCH):
-            # asked first, because learning it from an exception costs as much as taking a message
-            if not pending():
+        for taken in range(_BATCH):
+            # asked first, because learning it from an exception costs as much as taking a message; not where many come
+            if taken < _FEW and not pending():
                 self.dry = True
                 return
             self.dry = False
-            frames = [receive()]
+            try:
+                frames = [receive(zmq.DONTWAIT)]
+            except zmq.Again:
+                self.dry = True
+                return
             while self.socket.get(zmq.RCVMORE):
                 frames.append(receive())
             yield frames, self._clock.now_ns()

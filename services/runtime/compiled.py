@@ -1,6 +1,10 @@
 """The one place where pure steps meet the compiler.
 
-`@compiled` is `numba.njit(cache=True)` with a type that mypy understands. Numba notices a change of the file a
+A step is plain Python until `compile_steps` is called, before the modules with steps are imported: a node makes a few
+calls a millisecond, and boxing their tuples for compiled code costs it more than the arithmetic. Who makes millions of
+calls in a row, as the studies do, compiles. Both give the same bits.
+
+`@compiled` is then `numba.njit(cache=True)` with a type that mypy understands. Numba notices a change of the file a
 function stands in, but not of the functions it calls from other files, so a plain cache would go on running an
 old model after an edit. The cache folder here is named after a digest of every source that compiled code can
 depend on: any edit gives a new folder, and a run on unchanged sources loads in milliseconds.
@@ -9,11 +13,10 @@ depend on: any edit gives a new folder, and a run on unchanged sources loads in 
 import hashlib
 import os
 from collections.abc import Callable
+from functools import cache
+from importlib.metadata import version
 from pathlib import Path
 from typing import TypeVar, cast
-
-import numba
-from numba.core import config as numba_config
 
 F = TypeVar("F", bound=Callable[..., object])
 
@@ -21,10 +24,27 @@ _ROOT = Path(__file__).resolve().parents[2]
 _PACKAGES = ("services/haptic_node", "services/afm_node", "services/controller", "studies")
 _SHELLS = ("node.py", "__main__.py")
 
+# steps that were left as plain Python, and whether the others are compiled
+_plain: list[str] = []
+_compiling = False
+
+
+def compile_steps() -> None:
+    """Compile every step that is defined from now on in this process.
+
+    Raises: RuntimeError naming a step that exists already: compiled code could not call it.
+    """
+    global _compiling
+    if _compiling:
+        return
+    if _plain:
+        raise RuntimeError(f"{_plain[0]} was imported before compile_steps(): call it (or import studies) first")
+    _compiling = True
+
 
 def source_digest(root: Path = _ROOT) -> str:
     """Give the digest (16 hex digits) of every Python file that may hold compiled steps or constants they use."""
-    digest = hashlib.sha256(numba.__version__.encode())
+    digest = hashlib.sha256(version("numba").encode())
     for package in _PACKAGES:
         for path in sorted((root / package).rglob("*.py")):
             if path.name not in _SHELLS:
@@ -39,10 +59,20 @@ def cache_directory(root: Path = _ROOT) -> Path:
     return base / "telenano" / f"numba-{source_digest(root)}"
 
 
-if "NUMBA_CACHE_DIR" not in os.environ:
-    vars(numba_config)["CACHE_DIR"] = str(cache_directory())
-
-
 def compiled(function: F) -> F:
-    """Compile a pure function; under NUMBA_DISABLE_JIT=1 it stays plain Python."""
+    """Compile a pure function where this process compiles; NUMBA_DISABLE_JIT=1 keeps it plain Python there too."""
+    if not _compiling:
+        _plain.append(f"{function.__module__}.{function.__qualname__}")
+        return function
+    # here and not above: who compiles nothing need not have it, nor wait for it
+    import numba
+    from numba.core import config
+
+    if "NUMBA_CACHE_DIR" not in os.environ:
+        vars(config)["CACHE_DIR"] = str(_cache_of_this_process())
     return cast(F, numba.njit(cache=True)(function))
+
+
+@cache
+def _cache_of_this_process() -> Path:
+    return cache_directory()

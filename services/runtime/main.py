@@ -20,6 +20,7 @@ from services.runtime.network import Network
 from services.runtime.node import AccountedBus, Node, NodeContext, NodeLoop, install_stop_signals
 from services.runtime.realtime import (
     RealtimeConfig,
+    ahead_of_others,
     apply_realtime,
     die_with_parent,
     freeze_garbage,
@@ -133,6 +134,8 @@ def _run(kind: NodeKind[C], given: NodeArguments, log: StructuredLog) -> None:
     loaded = load_scenario(given.scenario, given.set)
     config = loaded.section(kind.name, kind.config)
     wanted = loaded.scenario.realtime if kind.realtime else RealtimeConfig(scheduler="normal", memory_lock="off")
+    if not kind.realtime:
+        ahead_of_others()
     # before the ZeroMQ context exists: its threads inherit what is asked for here
     key = f"{kind.name}@{given.site}"
     status = apply_realtime(wanted, log, key)

@@ -20,6 +20,8 @@ _PR_SET_PDEATHSIG = 1
 _MCL_CURRENT_FUTURE_ONFAULT = 7
 # far above what a rig needs; libzmq scans nothing by number, so the size costs nothing
 _MOST_FILES = 65_536
+# ahead of what people do beside a rig; the nodes of the loop stay ahead of everything
+_BESIDE_THE_LOOP_NICENESS = -5
 _CPU_DMA_LATENCY = Path("/dev/cpu_dma_latency")
 
 
@@ -79,6 +81,12 @@ def processor_of(node: str, config: RealtimeConfig, permitted: Sequence[int]) ->
     # the last ones: the first tend to serve the machine's interrupts
     masters, slaves = permitted[-2:]
     return masters if node.endswith("@master") and not node.startswith("delay_node") else slaves
+
+
+def ahead_of_others() -> None:
+    """Take precedence over ordinary processes where that is permitted, for a node that has to keep up with the loop."""
+    with contextlib.suppress(PermissionError):
+        os.setpriority(os.PRIO_PROCESS, 0, _BESIDE_THE_LOOP_NICENESS)
 
 
 def freeze_garbage() -> None:

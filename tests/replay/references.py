@@ -11,6 +11,7 @@ import json
 import sys
 from pathlib import Path
 
+import studies  # noqa: F401 first: with it every step is compiled, unless NUMBA_DISABLE_JIT says otherwise
 from proto import Message, encode
 from services.launcher.rerun import RerunResult, rerun
 from services.recorder.compare import Tolerances

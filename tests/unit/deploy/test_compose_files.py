@@ -280,7 +280,7 @@ def test_command_takes_the_place_of_the_entrypoint(
     compiled, cache = tmp_path / "compiled", tmp_path / "cache"
     compiled.mkdir()
     (compiled / "steps").write_text("code")
-    monkeypatch.setattr(entrypoint, "COMPILED", compiled)
+    monkeypatch.setattr(entrypoint, "PREPARED", compiled)
     monkeypatch.setenv("XDG_CACHE_HOME", str(cache))
     monkeypatch.setenv("TELENANO_RUNTIME_DIR", str(tmp_path))
     monkeypatch.setenv("TELENANO_NODE", "launcher@master")

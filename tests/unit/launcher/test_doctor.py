@@ -414,7 +414,7 @@ def test_disk(tmp_path: Path) -> None:
 def test_compiled_code(tmp_path: Path) -> None:
     judged(checks.check_cache(None), "ok", "not installed")
     judged(checks.check_cache(tmp_path), "ok", "is there")
-    judged(checks.check_cache(tmp_path / "a" / "b"), "ok", "first start")
+    judged(checks.check_cache(tmp_path / "a" / "b"), "ok", "first study")
     (tmp_path / "file").touch()
     judged(checks.check_cache(tmp_path / "file" / "b"), "problem", "XDG_CACHE_HOME")
 

@@ -208,9 +208,7 @@ def test_lines_tell_news_and_who_is_waited_for() -> None:
     rig.tick_alive(6)
     lines = text.getvalue().splitlines()
     assert lines[0] == "the slave's site is heard"
-    assert lines[1].startswith(
-        "waiting for 1 of 6 nodes to be ready (the first start compiles the models, up to 60 s; "
-    )
+    assert lines[1].startswith("waiting for 1 of 6 nodes to be ready (up to 60 s; ")
     assert "still waiting: controller@slave has not been heard" in lines
     assert len([line for line in lines if line.startswith("still waiting")]) == 1
     assert lines[-1].startswith("running for 2 s")

@@ -23,9 +23,12 @@ class State(NamedTuple):
 def step(state: State, dt_s: float) -> State:
     return State(state.position_m + 2.0 * dt_s, state.steps + 1)
 """
-PROGRAM = (
-    "import model; s = model.step(model.State(1.0, 0), 0.25); assert s == (1.5, 1); print(type(model.step).__name__)"
-)
+PROGRAM = """
+import studies, model
+s = model.step(model.State(1.0, 0), 0.25)
+assert s == (1.5, 1)
+print(type(model.step).__name__)
+"""
 
 
 @pytest.fixture
@@ -76,12 +79,12 @@ def test_the_folder_lies_in_the_cache_of_the_user(tree: Path, monkeypatch: pytes
     assert cache_directory(tree).parent == tree / ".cache" / "telenano"
 
 
-def run_step(folder: Path, **environment: str) -> str:
+def run_step(folder: Path, program: str = PROGRAM, **environment: str) -> str:
     (folder / "model.py").write_text(MODULE)
     kept = {name: value for name, value in os.environ.items() if not name.startswith("NUMBA_")}
     paths = os.pathsep.join((str(folder), str(ROOT)))
     done = subprocess.run(
-        [sys.executable, "-c", PROGRAM],
+        [sys.executable, "-c", program],
         env={**kept, "PYTHONPATH": paths, "XDG_CACHE_HOME": str(folder), **environment},
         capture_output=True,
         text=True,
@@ -101,3 +104,17 @@ def test_a_step_is_compiled_into_that_folder(tmp_path: Path) -> None:
 def test_without_the_compiler_a_step_is_plain_python_with_the_same_result(tmp_path: Path) -> None:
     assert run_step(tmp_path, NUMBA_DISABLE_JIT="1") == "function"
     assert not list(tmp_path.rglob("*.nb?"))
+
+
+def test_a_process_that_does_not_ask_for_it_compiles_nothing_and_needs_no_compiler(tmp_path: Path) -> None:
+    nodes = "services.haptic_node, services.controller, services.afm_node, services.delay_node, services.recorder"
+    imports = ", ".join(f"{name.strip()}.__main__" for name in nodes.split(","))
+    program = f"import sys, {imports}; print(sorted({{'numba', 'scipy', 'llvmlite'}} & set(sys.modules)))"
+    assert run_step(tmp_path, program) == "[]"
+    assert run_step(tmp_path, PROGRAM.replace("studies, ", "")) == "function"
+    assert not list(tmp_path.rglob("*.nb?"))
+
+
+def test_a_step_imported_before_the_compiler_was_asked_for_is_named(tmp_path: Path) -> None:
+    program = "import model\ntry:\n    import studies\nexcept RuntimeError as error:\n    print(error)"
+    assert run_step(tmp_path, program).startswith("model.step was imported before compile_steps()")
