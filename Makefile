@@ -12,7 +12,7 @@ COMPILE := $(BIN)/uv pip compile --quiet --generate-hashes --no-emit-index-url -
 # compose v2 where there is one
 COMPOSE ?= $(shell docker compose version >/dev/null 2>&1 && echo docker compose || echo docker-compose)
 
-.PHONY: setup demo test lint bench reliability lock image-locks images clean
+.PHONY: setup demo test endurance lint bench reliability lock image-locks images clean
 
 setup: $(VENV)/.complete
 
@@ -30,8 +30,15 @@ $(VENV)/.complete: pyproject.toml requirements.lock
 demo: setup
 	$(BIN)/telenano up --scenario fig12 --out $(OUT) --overwrite
 
+# what is not timed runs side by side, the rigs have the machine to themselves
 test: lint
-	$(BIN)/pytest
+	$(BIN)/pytest -m "not stack" -n 2 --dist loadgroup
+	$(BIN)/pytest -m "stack and not endurance"
+
+# what takes minutes: long faults, many kills, ten minutes of the whole rig
+endurance: setup
+	$(BIN)/pytest -m endurance
+	$(BIN)/python benchmarks/soak.py
 
 lint: setup
 	$(BIN)/ruff check .

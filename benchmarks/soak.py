@@ -3,26 +3,22 @@
     python benchmarks/soak.py [--duration S] [--out DIR] [--json]
 
 Runs `telenano up` with a hand that presses, holds and lets go every ten seconds, and judges the session by its own
-recording. A loop that does nothing but keep deadlines of 1 ms, at a real-time priority above the rig's where that is
-permitted, runs beside it: the periods that it loses are the machine's, and the rig's rate is judged against its. Exit
-code 1 when a bound is missed.
+recording. Loops that do nothing but keep deadlines (`empty_loop.py`) run beside it: what they lose is the machine's,
+and the rig's rate is judged against theirs. A recorder that had to wait for a processor keeps the memory of what queued
+up meanwhile, so its growth counts from its longest wait on. Exit code 1 when a bound is missed.
 """
 
 import argparse
-import contextlib
 import json
-import multiprocessing
-import os
 import subprocess
 import sys
 import tempfile
-import time
-from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
+from empty_loop import EmptyLoops
 
 from proto import TOPICS
 from services.launcher.plan import SCENARIO_DIRECTORY
@@ -34,8 +30,6 @@ MOST_GROWTH_BYTES_PER_MIN = 250_000
 # the recorder keeps the index of its chunks, which the file ends with: 2 kB five times a second
 MOST_RECORDER_GROWTH_BYTES_PER_MIN = 1_000_000
 LEAST_RATE_SHARE = 0.999
-PERIOD_NS = 1_000_000
-BASELINE_PRIORITY = 90
 CYCLE = ((0.0, 0.0), (1.0, 1.0), (4.0, 1.0), (5.0, 2.0), (7.0, 2.0), (8.0, 0.0), (10.0, 0.0))
 
 
@@ -50,39 +44,32 @@ def scenario(duration_s: float) -> dict[str, Any]:
     return document
 
 
-def baseline(stop: Connection) -> None:
-    """Keep deadlines of 1 ms and send the share of periods that were kept [1], until told to stop."""
-    # where it is not permitted the rig has no real time either
-    with contextlib.suppress(PermissionError):
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(BASELINE_PRIORITY))
-    kept = lost = 0
-    deadline = time.monotonic_ns()
-    while not stop.poll():
-        deadline += PERIOD_NS
-        time.sleep(max(0, deadline - time.monotonic_ns()) * 1e-9)
-        missed = max(0, time.monotonic_ns() - deadline) // PERIOD_NS
-        kept, lost, deadline = kept + 1, lost + missed, deadline + missed * PERIOD_NS
-    stop.send(kept / (kept + lost))
+def growth_per_min(recording: Recording, settled_s: float) -> tuple[dict[str, float | None], float]:
+    """Give how fast the memory of each node grew [bytes/min] from `settled_s` on: the slope of a straight line.
 
-
-def growth_per_min(recording: Recording, settled_s: float) -> dict[str, float]:
-    """Give how fast the memory of each node grew [bytes/min] from `settled_s` on: the slope of a straight line."""
+    None where too little is left of a recorder after it was furthest behind, which is given as well [s].
+    """
     samples: dict[str, list[tuple[int, int]]] = {}
+    behind: dict[str, tuple[int, int]] = {}
     for message in recording.messages(["node/health"]):
         samples.setdefault(message.src, []).append((message.publish_ns, message.fields()["memory_bytes"]))
-    grown = {}
+        if message.src.startswith("recorder"):
+            lag_ns = message.log_ns - message.publish_ns
+            behind[message.src] = max(behind.get(message.src, (0, 0)), (lag_ns, message.log_ns))
+    grown: dict[str, float | None] = {}
     for node, pairs in samples.items():
         t_s, size = (np.array(pairs, dtype=float) * (1e-9, 1.0)).T
-        late = t_s - t_s[0] >= settled_s
-        if late.sum() > 10:
-            grown[node] = float(60.0 * np.polyfit(t_s[late] - t_s[0], size[late], 1)[0])
-    return grown
+        late = (t_s - t_s[0] >= settled_s) & (t_s > behind.get(node, (0, 0))[1] * 1e-9)
+        grown[node] = float(60.0 * np.polyfit(t_s[late] - t_s[0], size[late], 1)[0]) if late.sum() > 10 else None
+    return grown, max(lag_ns for lag_ns, _ in behind.values()) * 1e-9
 
 
-def judge(folder: Path, settled_s: float, machine_share: float) -> dict[str, Any]:
+def judge(folder: Path, settled_s: float, machine: EmptyLoops) -> dict[str, Any]:
     """Give the figures of a session and whether they are within the bounds."""
     summary = json.loads((folder / "summary.json").read_text())
-    grown = growth_per_min(Recording(folder / "session.mcap"), settled_s)
+    recording = Recording(folder / "session.mcap")
+    grown, behind_s = growth_per_min(recording, settled_s)
+    machine_share = machine.share(*recording.span_ns)
     rows = {name: TOPICS.get(name.partition("@")[0]) for name in summary["seq_gaps"]}
     lossless = {n: summary["seq_gaps"][n] for n, row in rows.items() if row and row.delivery == "lossless"}
     fast = {n: share for n, share in summary["completeness"].items() if (row := rows.get(n)) and row.rate_hz == 1000.0}
@@ -91,6 +78,7 @@ def judge(folder: Path, settled_s: float, machine_share: float) -> dict[str, Any
         "memory": all(
             rate < (MOST_RECORDER_GROWTH_BYTES_PER_MIN if node.startswith("recorder") else MOST_GROWTH_BYTES_PER_MIN)
             for node, rate in grown.items()
+            if rate is not None
         ),
         "gaps": not any(lossless.values()),
         "rate": fast[slowest] >= LEAST_RATE_SHARE * machine_share,
@@ -98,7 +86,10 @@ def judge(folder: Path, settled_s: float, machine_share: float) -> dict[str, Any
     return {
         "duration_s": summary["duration_s"],
         "stable": summary["stable"],
-        "memory_growth_mb_per_min": {node: round(rate * 1e-6, 3) for node, rate in sorted(grown.items())},
+        "memory_growth_mb_per_min": {
+            node: None if rate is None else round(rate * 1e-6, 3) for node, rate in sorted(grown.items())
+        },
+        "recorder_behind_s": behind_s,
         "lossless_gaps": lossless,
         "least_rate_share": fast[slowest],
         "slowest": slowest,
@@ -117,14 +108,9 @@ def run(duration_s: float, out: Path, settled_s: float) -> dict[str, Any]:
     file = out / "soak.yaml"
     file.write_text(yaml.safe_dump(scenario(duration_s)))
     command = [sys.executable, "-m", "services.launcher", "up", "--scenario", str(file), "--json"]
-    here, there = multiprocessing.Pipe()
-    idle = multiprocessing.get_context("spawn").Process(target=baseline, args=(there,), daemon=True)
-    idle.start()
-    subprocess.run([*command, "--out", str(out), "--overwrite"], check=True, stdout=subprocess.DEVNULL)
-    here.send("stop")
-    machine_share = float(here.recv())
-    idle.join()
-    return judge(out, settled_s, machine_share)
+    with EmptyLoops() as machine:
+        subprocess.run([*command, "--out", str(out), "--overwrite"], check=True, stdout=subprocess.DEVNULL)
+    return judge(out, settled_s, machine)
 
 
 def main() -> int:

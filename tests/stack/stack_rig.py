@@ -11,6 +11,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import machine
+from commands import COMMANDS
+from following import Following
+
 # far beyond what is expected: it only keeps a broken rig from holding the suite
 PATIENCE_S = 150.0
 ROOT = Path(__file__).resolve().parents[2]
@@ -26,6 +30,7 @@ class Rig:
         self.sockets = Path(f"/tmp/tn-{os.getpid()}-{time.monotonic_ns() % 10**9}")
         self.environment = {**os.environ, "TELENANO_RUNTIME_DIR": str(self.sockets)}
         self.process: subprocess.Popen[str] | None = None
+        self._followed: dict[Path, Following] = {}
 
     def start(self, *arguments: str, scenario: str = "fig12") -> None:
         command = ["up", "--scenario", scenario, "--out", str(self.out), "--json", *arguments]
@@ -36,6 +41,7 @@ class Rig:
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
+            preexec_fn=machine.usual_priority,
         )
 
     def finish(self) -> tuple[int, dict[str, Any], str]:
@@ -62,9 +68,7 @@ class Rig:
 
     def tell(self, *arguments: str, patience_s: float = 60.0) -> subprocess.CompletedProcess[str]:
         """Run another telenano command beside the rig."""
-        return subprocess.run(
-            self.command(*arguments), env=self.environment, cwd=ROOT, capture_output=True, text=True, timeout=patience_s
-        )
+        return COMMANDS.run(arguments, self.environment, patience_s)
 
     def process_of(self, node: str) -> int | None:
         """Give the process id of a node of this rig, e.g. controller@slave."""
@@ -86,6 +90,11 @@ class Rig:
         assert process_id is not None, f"{node} does not run"
         os.kill(process_id, signal.SIGKILL)
         return process_id
+
+    def recording(self) -> Following:
+        """Give what the recorder of the rig has written, up to now."""
+        path = max(self.out.glob("session*.mcap"), key=lambda path: path.stat().st_mtime)
+        return self._followed.setdefault(path, Following(path)).follow()
 
     def logs(self) -> str:
         tails = [f"== {p.name}\n" + p.read_text()[-1500:] for p in sorted((self.out / "logs").glob("*.log"))]

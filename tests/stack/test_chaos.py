@@ -55,7 +55,10 @@ def wreck(tmp_path_factory: pytest.TempPathFactory) -> Any:
             rig.kill(node)
             kills.append(Kill(node, time.time_ns()))
             recover(rig, node)
-        time.sleep(1.0)
+        rig.wait_until(
+            lambda: (rig.out / "session_1.mcap").exists() and len(rig.recording().messages("haptic/state")) > 1000,
+            "a second of what the next recorder recorded",
+        )
         code, summary, err = rig.stop()
         yield rig, kills, code, summary, err
     finally:

@@ -1,0 +1,36 @@
+"""What the machine gave and did not give while a test ran: said at the end, never passed over in silence."""
+
+import contextlib
+import os
+
+_NOTES: list[str] = []
+# level with the recorder, ahead of the rest that is not real-time
+_NICENESS = -5
+
+
+def note(text: str) -> None:
+    """Say at the end of the run what could not be judged here, or only at less than was asked for."""
+    _NOTES.append(text)
+
+
+def notes() -> list[str]:
+    return list(_NOTES)
+
+
+def keep_our_turn() -> None:
+    """Let this process run when it has to: a rig takes most of two processors."""
+    try:
+        os.setpriority(os.PRIO_PROCESS, 0, _NICENESS)
+    except PermissionError:
+        note("the tests may not raise their own priority (no root): on a busy machine they may wait in vain")
+
+
+def commands_turn() -> None:
+    """Let a command beside a rig come to its end: people who give one have a processor to spare."""
+    with contextlib.suppress(PermissionError):
+        os.setpriority(os.PRIO_PROCESS, 0, _NICENESS)
+
+
+def usual_priority() -> None:
+    """Begin a child as anybody would start it; for `preexec_fn`."""
+    os.setpriority(os.PRIO_PROCESS, 0, 0)
