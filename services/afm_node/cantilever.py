@@ -234,11 +234,7 @@ def build_plant(tip: TipSample, stiffness_n_per_m: float, rest_distance_m: float
     for b, rows in enumerate(intervals):
         branches[b, 0, :3] = (len(rows), *_passages(tip, b))
         branches[b, 1 : 1 + len(rows)] = np.reshape(rows, (-1, 4))
-    lowest = (
-        -tip.strength_n
-        - tip.hamaker_j * tip.radius_m / (tip.sigma_m * tip.sigma_m)
-        - 2.0 * tip.table.contact.force_unit_n
-    )
+    lowest = -tip.strength_n - tip.hamaker_j * tip.radius_m / tip.sigma_m**2 - 2.0 * tip.table.contact.force_unit_n
     return Plant(tip, k, L, volts_per_m, lowest, branches)
 
 

@@ -29,6 +29,9 @@ from services.runtime.compiled import compiled
 FOLD_TRANSITION = (9.0 * math.pi / (16.0 * (math.pi - 1.0))) ** (1.0 / 3.0)  # 0.938: the fold enters the contact
 HALF_PI = 0.5 * math.pi
 _SERIES_BELOW = 0.5
+# a difference in the last digit of a double [1]
+_LAST_DIGIT = 2e-16
+_MOST_NEWTON_STEPS = 50
 
 
 class MaugisDugdale(NamedTuple):
@@ -98,11 +101,6 @@ def maugis_dugdale(
         indentation_unit_m=(math.pi**2 * w**2 * R / K**2) ** (1.0 / 3.0),
         radius_unit_m=(math.pi * w * R**2 / K) ** (1.0 / 3.0),
     )
-
-
-# a difference in the last digit of a double [1]
-_LAST_DIGIT = 2e-16
-_MOST_NEWTON_STEPS = 50
 
 
 @compiled

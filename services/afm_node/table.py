@@ -163,11 +163,9 @@ def _tabulate(contact: MaugisDugdale, end: float, start: float, span: float, cel
 def _direct(transition: float, end: float, start: float, u: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     """Force, its slope dP/du and the stiffness dP/dD at each u, nondimensional, shape (len(u), 3)."""
     exact = np.empty((u.shape[0], 3))
-    greatest = 0.0
-    for i in range(u.shape[0]):
-        greatest = max(greatest, u[i])
+    greatest = u.max()
     # an angle outside of all of them, and each the guess for its neighbour
-    outer = min(0.999 * angle_at(transition, start + greatest * greatest, end), end)
+    outer = 0.999 * angle_at(transition, start + greatest * greatest, end)
     s = outer
     for i in range(u.shape[0]):
         s = end if u[i] == 0.0 else angle_between(transition, start + u[i] * u[i], start, outer, end, s)

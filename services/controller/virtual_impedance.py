@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from pydantic import Field
 
-from services.controller.discretisation import exact_discretisation
+from services.controller.discretisation import Discretisation, exact_discretisation
 from services.controller.law import HandSample, Law, MasterReference, PortSignal
 from services.controller.pass_through import slave_receive, slave_send, slave_start
 from services.controller.virtual_mass import NotNegative, Positive, ScaledConfig
@@ -26,12 +26,7 @@ class VirtualImpedanceParams(NamedTuple):
     force_scale: float
     silence_limit_s: float
     period_s: float
-    phi_xx: float
-    phi_xv: float
-    phi_vx: float
-    phi_vv: float
-    gamma_x: float
-    gamma_v: float
+    impedance: Discretisation
 
 
 class ImpedanceConfig(ScaledConfig):
@@ -44,14 +39,13 @@ class ImpedanceConfig(ScaledConfig):
 
     def impedance_params(self, period_s: float) -> VirtualImpedanceParams:
         """Give the constants of the impedance for a period [s] of the hand."""
-        step = exact_discretisation(self.mass_kg, self.damping_n_s_per_m, self.stiffness_n_per_m, period_s)
         return VirtualImpedanceParams(
             force_gain=self.force_gain,
             position_scale=self.position_scale,
             force_scale=self.force_scale,
             silence_limit_s=self.silence_limit_s,
             period_s=period_s,
-            **step._asdict(),
+            impedance=exact_discretisation(self.mass_kg, self.damping_n_s_per_m, self.stiffness_n_per_m, period_s),
         )
 
 
@@ -110,11 +104,12 @@ def master_receive(
         held = MasterState(hand.position_m, 0.0, _offset_that_keeps(params, state, hand.position_m))
         return held, MasterReference(hand.position_m, 0.0, scaled_force if coupled else 0.0, coupled)
     drive = params.force_gain * (hand.force_n - scaled_force) - scaled_force
+    step = params.impedance
     x, v = state.position_m, state.velocity_m_per_s
     for _ in range(max(1, round(dt / params.period_s))):
         x, v = (
-            params.phi_xx * x + params.phi_xv * v + params.gamma_x * drive,
-            params.phi_vx * x + params.phi_vv * v + params.gamma_v * drive,
+            step.phi_xx * x + step.phi_xv * v + step.gamma_x * drive,
+            step.phi_vx * x + step.phi_vv * v + step.gamma_v * drive,
         )
     return MasterState(x, v, state.tip_offset_m), MasterReference(x, v, scaled_force, True)
 

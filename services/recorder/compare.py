@@ -34,10 +34,12 @@ class Tolerances:
 
     def on(self, topic: str) -> "Tolerances":
         """Give those that hold for the fields of a topic."""
-        heads = {name: name.rpartition(":") for name in self._limits}
-        return Tolerances(
-            {heads[name][2]: limit for name, limit in self._limits.items() if heads[name][0] in ("", topic)}
-        )
+        limits: dict[str, float] = {}
+        for name, limit in self._limits.items():
+            limited, _, field = name.rpartition(":")
+            if limited in ("", topic):
+                limits[field] = max(limit, limits.get(field, 0.0))
+        return Tolerances(limits)
 
     def of(self, field: str) -> float:
         """Give the tolerance of a field: that of the whole vector holds for its parts."""

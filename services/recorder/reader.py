@@ -238,7 +238,7 @@ class Recording:
     @cached_property
     def _numbers(self) -> dict[int, RecordedChannel]:
         """The channels by their number in the file."""
-        known = {number: _channel_of(found) for number, found in self._layout.summary_channels.items()}
+        known = {number: recorded_channel(found) for number, found in self._layout.summary_channels.items()}
         if not self.complete:
             for _ in self._walk(known, _none, _ignore):
                 pass
@@ -389,7 +389,7 @@ class Recording:
         """
         # what the summary says helps where the chunk that introduced a channel is damaged
         for number, channel in self._layout.summary_channels.items():
-            known.setdefault(number, _channel_of(channel))
+            known.setdefault(number, recorded_channel(channel))
         selected = {number: channel for number, channel in known.items() if wanted(channel)}
         with self._open() as data:
             for block in self._layout.blocks if blocks is None else blocks:
@@ -538,7 +538,7 @@ def _learn(
 ) -> None:
     try:
         found = Channel.read(ReadDataStream(BytesIO(body)))
-        channel = _channel_of(found)
+        channel = recorded_channel(found)
     except UNREADABLE:
         # its messages are reported as those of an unknown channel
         return
@@ -567,7 +567,8 @@ def _raw_channel(found: Channel, schemas: dict[int, Schema]) -> RawChannel:
     return RawChannel(found.topic, found.message_encoding, tuple(sorted(found.metadata.items())), described)
 
 
-def _channel_of(found: Channel) -> RecordedChannel:
+def recorded_channel(found: Channel) -> RecordedChannel:
+    """Give what a channel of the file says of itself; empty where it is not one of ours."""
     facts = found.metadata
     return RecordedChannel(
         channel_topic=found.topic,

@@ -24,8 +24,8 @@ _ROOT = Path(__file__).resolve().parents[2]
 _PACKAGES = ("services/haptic_node", "services/afm_node", "services/controller", "studies")
 _SHELLS = ("node.py", "__main__.py")
 
-# steps that were left as plain Python, and whether the others are compiled
-_plain: list[str] = []
+# the first step that was left as plain Python, and whether those after it are compiled
+_plain = ""
 _compiling = False
 
 
@@ -38,7 +38,7 @@ def compile_steps() -> None:
     if _compiling:
         return
     if _plain:
-        raise RuntimeError(f"{_plain[0]} was imported before compile_steps(): call it (or import studies) first")
+        raise RuntimeError(f"{_plain} was imported before compile_steps(): call it (or import studies) first")
     _compiling = True
 
 
@@ -61,18 +61,19 @@ def cache_directory(root: Path = _ROOT) -> Path:
 
 def compiled(function: F) -> F:
     """Compile a pure function where this process compiles; NUMBA_DISABLE_JIT=1 keeps it plain Python there too."""
-    if not _compiling:
-        _plain.append(f"{function.__module__}.{function.__qualname__}")
-        return function
+    global _plain
+    if _compiling:
+        return cast(F, _compiler()(function))
+    _plain = _plain or f"{function.__module__}.{function.__qualname__}"
+    return function
+
+
+@cache
+def _compiler() -> Callable[[Callable[..., object]], object]:
     # here and not above: who compiles nothing need not have it, nor wait for it
     import numba
     from numba.core import config
 
     if "NUMBA_CACHE_DIR" not in os.environ:
-        vars(config)["CACHE_DIR"] = str(_cache_of_this_process())
-    return cast(F, numba.njit(cache=True)(function))
-
-
-@cache
-def _cache_of_this_process() -> Path:
-    return cache_directory()
+        vars(config)["CACHE_DIR"] = str(cache_directory())
+    return cast(Callable[[Callable[..., object]], object], numba.njit(cache=True))
