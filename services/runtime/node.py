@@ -20,7 +20,7 @@ from services.runtime.clock import Clock
 from services.runtime.errors import RefusedError, TelenanoError
 from services.runtime.log import RateLimitedLog, StructuredLog
 from services.runtime.realtime import RealtimeStatus
-from services.runtime.schedule import LatenessWindow
+from services.runtime.schedule import LatenessWindow, SpinMargin
 from services.runtime.sequence import Arrival
 
 NodeState = Literal["starting", "ready", "running", "safe", "stopping"]
@@ -151,7 +151,7 @@ class NodeLoop:
         self._bus = bus
         self._clock = node.clock
         self._realtime = realtime
-        self._spin_ns = round(spin_s * 1e9)
+        self._spin = SpinMargin(round(spin_s * 1e9))
         self._desk = ControlDesk(node)
         self._lateness = LatenessWindow()
         self._limited_log = RateLimitedLog(node.context.log, node.clock)
@@ -176,15 +176,20 @@ class NodeLoop:
 
     def turn(self) -> None:
         """Wait for the next message or deadline and act on it."""
-        deadline = self.node.deadline_ns()
-        self._bus.wait(min(deadline - self._spin_ns, self._health_due_ns))
+        wanted = self.node.deadline_ns() - self._spin.ns
+        self._bus.wait(min(wanted, self._health_due_ns))
+        woken = self._clock.monotonic_ns()
+        idle = True
         for received in self._bus.receive():
             self._dispatch(received)
+            idle = False
         self._tell(self._bus.attend())
         # a message may have moved the deadline
         deadline = self.node.deadline_ns()
         now = self._clock.monotonic_ns()
-        if deadline - self._spin_ns <= now:
+        if deadline - self._spin.ns <= now:
+            if idle and woken >= wanted:
+                self._spin.enter(woken - wanted)
             while now < deadline:
                 now = self._clock.monotonic_ns()
             self._lateness.enter((now - deadline) * 1e-9)

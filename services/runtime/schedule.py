@@ -28,6 +28,28 @@ class LatenessWindow:
         return float(p50), float(p99), float(used.max())
 
 
+class SpinMargin:
+    """How long before a deadline a loop wakes up to wait busily: what 99 of 100 wake-ups are late by, and no longer.
+
+    A quantile followed step by step: up by a step where a wake-up was later than the margin, down by a 99th of one
+    where it was not. It begins at the most that is allowed.
+    """
+
+    _STEP_NS = 2000
+    _SHARE = 99
+
+    def __init__(self, most_ns: int) -> None:
+        self.ns = most_ns
+        self._most_ns = most_ns
+
+    def enter(self, late_ns: int) -> None:
+        """Enter by how much [ns] a wait that nothing else ended was longer than asked for."""
+        if late_ns > self.ns:
+            self.ns = min(self.ns + self._STEP_NS, self._most_ns)
+        else:
+            self.ns = max(self.ns - self._STEP_NS // self._SHARE, 0)
+
+
 class Grid:
     """A grid of absolute deadlines: a late step moves no later one, and what was missed is skipped and counted."""
 
