@@ -81,7 +81,7 @@ def run_record(
     wake = install_stop_signals(stop)
     with zmq.Context[zmq.Socket[bytes]]() as context:
         network = Network(context, clock, book, this_machine(Keyring()))
-        listeners = connect(network, book)
+        listeners = connect(network, book, hears=config.hears)
         intake = begin_intake(OBSERVER, clock, config, site_file, scenario_file)
         bus = RecorderBus(SilentPublisher(clock, OBSERVER), listeners, intake, clock, wake, network)
         node = _Observer(NodeContext(OBSERVER, clock, bus, StructuredLog(OBSERVER)), config, intake)

@@ -16,19 +16,21 @@ def build(wiring: Wiring, config: RecorderConfig) -> tuple[Node, AccountedBus]:
     """Connect to every node of the site file and begin the recording."""
     publisher = wiring.publisher(wiring.key)
     intake = begin(wiring, config)
-    bus = RecorderBus(publisher, listeners(wiring), intake, wiring.clock, wiring.wake_descriptor, wiring.network)
+    bus = RecorderBus(
+        publisher, listeners(wiring, config), intake, wiring.clock, wiring.wake_descriptor, wiring.network
+    )
     return RecorderNode(wiring.context(bus), config, intake), bus
 
 
-def listeners(wiring: Wiring) -> list[Listener]:
-    """Connect to each node for every recorded topic that can be heard there; at the slave to its own site only.
+def listeners(wiring: Wiring, config: RecorderConfig) -> list[Listener]:
+    """Connect to each node for all that is to be recorded of it; at the slave to its own site only.
 
     What the slave hears of the master's it hears through the link, and a network between is not asked to carry the
     rest of it a second time.
     """
     site = site_of(wiring.key)
     heard = ("master", "slave") if site == "master" or not wiring.book.spans_machines else (site,)
-    return connect(wiring.network, wiring.book, heard)
+    return connect(wiring.network, wiring.book, heard, config.hears)
 
 
 def begin(wiring: Wiring, config: RecorderConfig) -> Intake:

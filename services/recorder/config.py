@@ -81,3 +81,9 @@ class RecorderConfig(BaseModel):
     def selection(self) -> Selection:
         """Give the channels to record."""
         return Selection.of(self.topics, self.exclude)
+
+    def hears(self, topic: str, site: str) -> bool:
+        """Say whether a bus topic has to be heard at a site: to be recorded, for its commands, or for a trigger."""
+        needed = ("session/control",) if self.snapshot_s is None else ("session/control", "session/event", "afm/state")
+        selection = self.selection()
+        return topic in needed or selection.names(topic) or selection.names(f"{topic}@{site}")

@@ -1,7 +1,7 @@
 """A running rig as something to read like a recording: the same iterator of the same messages."""
 
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from types import TracebackType
 from typing import Self
 
@@ -21,10 +21,22 @@ from services.runtime.site import SiteBook, site_of
 _WAIT_MS = 100
 
 
-def connect(network: Network, book: SiteBook, sites: Sequence[str] = ("master", "slave")) -> list[Listener]:
-    """Connect to each node at `sites` for every recorded topic that can be heard there."""
+def _everything(topic: str, site: str) -> bool:
+    return True
+
+
+def connect(
+    network: Network,
+    book: SiteBook,
+    sites: Sequence[str] = ("master", "slave"),
+    hears: Callable[[str, str], bool] = _everything,
+) -> list[Listener]:
+    """Connect to each node at `sites` for every recorded topic that can be heard there.
+
+    `hears` says of a topic and a site whether it is wanted: what is not asked for is not even sent.
+    """
     plan = {
-        node: [topic for topic in topics if TOPICS[topic].recorded]
+        node: [topic for topic in topics if TOPICS[topic].recorded and hears(topic, site_of(node))]
         for node, topics in book.observed(network.machine, sites).items()
     }
     plan = {node: topics for node, topics in plan.items() if topics}

@@ -2,6 +2,7 @@ from typing import Any
 
 import pytest
 
+from proto import TOPICS
 from services.recorder.config import RecorderConfig
 from services.runtime.config import validate
 from services.runtime.errors import ConfigError
@@ -29,3 +30,20 @@ def test_a_yaml_section_becomes_a_configuration() -> None:
 def test_what_is_wrong_is_named(key: str, value: Any) -> None:
     with pytest.raises(ConfigError, match=rf"rig\.yaml: recorder\.{key}"):
         validate(RecorderConfig, {key: value}, "rig.yaml", "recorder")
+
+
+def test_only_what_is_recorded_commands_or_triggers_is_heard() -> None:
+    lean = RecorderConfig(exclude=("afm/*", "teleop/forward@slave", "session/*"))
+    heard = {(topic, site): lean.hears(topic, site) for topic in TOPICS for site in ("master", "slave")}
+    assert {place for place, hears in heard.items() if not hears} == {
+        *((topic, site) for topic in ("afm/command", "afm/state", "afm/scanline") for site in ("master", "slave")),
+        ("session/event", "master"),
+        ("session/event", "slave"),
+    }
+    # what was sent at this site, or out of the link: one of both is recorded
+    assert heard["teleop/forward", "slave"]
+    assert not RecorderConfig(topics=("haptic/*",)).hears("teleop/forward", "slave")
+    assert RecorderConfig(topics=("teleop/forward@slave",)).hears("teleop/forward", "slave")
+    assert not RecorderConfig(topics=("teleop/forward@slave",)).hears("teleop/forward", "master")
+    # a trigger has to be seen whether it is recorded or not
+    assert RecorderConfig(topics=("haptic/*",), snapshot_s=1.0).hears("afm/state", "slave")

@@ -275,11 +275,17 @@ def test_everything_on_real_sockets_is_heard_at_its_place(
             wake_descriptor=reader,
         )
         intake = begin(wiring, config)
-        bus = RecorderBus(wiring.publisher(NODE), listeners(wiring), intake, clock, reader, wiring.network)
+        bus = RecorderBus(wiring.publisher(NODE), listeners(wiring, config), intake, clock, reader, wiring.network)
         node = RecorderNode(wiring.context(bus), config, intake)
         loop = NodeLoop(node, bus, RealtimeStatus(fifo=False, memory_locked=False))
         others = stage([key for key in NODES if key != NODE])
         end = time.monotonic() + PATIENCE_S
+        few = listeners(wiring, config.model_copy(update={"topics": ("haptic/state",)}))
+        asked = {(each.publisher, topic) for each in few for topic in each.subscriber.topics}
+        assert ("haptic_node@master", "haptic/state") in asked
+        assert {topic for _, topic in asked} == {"haptic/state", "session/control"}
+        for each in few:
+            each.subscriber.close()
         wanted = {"haptic/state", "teleop/forward", "teleop/forward@slave", "node/health", "session/event"}
         found: set[str] = set()
         while not wanted <= found and time.monotonic() < end:
