@@ -32,7 +32,7 @@ demo: setup
 
 # what is not timed runs side by side, the rigs have the machine to themselves
 test: lint
-	$(BIN)/pytest -m "not stack" -n 2 --dist loadgroup
+	$(BIN)/pytest -m "not stack" -n 2 --dist loadfile
 	$(BIN)/pytest -m "stack and not endurance"
 
 # what takes minutes: long faults, many kills, ten minutes of the whole rig
@@ -53,7 +53,7 @@ bench: setup
 # the table of docs/reliability.md, from faults injected into real rigs; needs root for the two sites
 reliability: setup
 	@mkdir -p out && rm -f out/faults.jsonl
-	TELENANO_LEDGER=out/faults.jsonl $(BIN)/pytest tests/stack/test_chaos.py tests/stack/test_two_sites.py tests/stack/test_compose.py
+	TELENANO_LEDGER=out/faults.jsonl $(BIN)/pytest -m stack tests/stack/test_chaos.py tests/stack/test_two_sites.py tests/stack/test_compose.py
 	$(BIN)/python tests/stack/ledger.py out/faults.jsonl docs/reliability.md
 
 lock: $(BIN)/uv

@@ -35,7 +35,8 @@ class EmptyLoops:
         self.stalls: list[Stall] = []
 
     def __enter__(self) -> "EmptyLoops":
-        context = multiprocessing.get_context("spawn")
+        # not a new interpreter: beside a rig that would take seconds to start
+        context = multiprocessing.get_context("fork")
         self._ends: list[Connection] = []
         self._loops = []
         for cpu in sorted(os.sched_getaffinity(0)):

@@ -76,7 +76,6 @@ def here(beginnings: Path) -> dict[str, tuple[str, str]]:
     return digests(beginnings)
 
 
-@pytest.mark.xdist_group("kernels")
 @pytest.mark.parametrize("kind", ELSEWHERE)
 def test_another_processor_gives_the_same(beginnings: Path, here: dict[str, tuple[str, str]], kind: str) -> None:
     command = [sys.executable, str(Path(__file__).with_name("references.py")), str(beginnings)]

@@ -16,8 +16,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import machine
-
 ROOT = Path(__file__).resolve().parents[2]
 _CLONE_NEWNET = 0x40000000
 
@@ -92,7 +90,6 @@ def become(request: dict[str, Any]) -> None:
     """Be the command: it never returns."""
     from services.launcher.cli import main
 
-    machine.commands_turn()
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     if request["namespace"]:
         with Path("/run/netns", request["namespace"]).open() as namespace:

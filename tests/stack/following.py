@@ -2,49 +2,20 @@
 
 import struct
 from bisect import bisect_left
+from functools import lru_cache
 from io import BytesIO
 from pathlib import Path
-from typing import Any, NamedTuple
 
-import msgpack
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk
-from mcap.stream_reader import get_chunk_data_stream
+from mcap.stream_reader import breakup_chunk, get_chunk_data_stream
 
 from services.recorder.layout import MAGIC, RECORD_HEAD
+from services.recorder.reader import RecordedChannel, RecordedMessage, recorded_channel
 
 # of a message: number of its channel, seq, log and publish time; of an index: number of a channel, bytes of its entries
 _MESSAGE_HEAD, _INDEX_HEAD, _INDEX_ENTRY = struct.Struct("<HIQQ"), struct.Struct("<HI"), struct.Struct("<QQ")
-
-
-class Heard(NamedTuple):
-    """A message: when it was recorded and when it was sent [ns], by whom, its number, and its bytes."""
-
-    log_ns: int
-    publish_ns: int
-    src: str
-    seq: int
-    payload: bytes
-
-    def fields(self) -> dict[str, Any]:
-        found: dict[str, Any] = msgpack.unpackb(self.payload, use_list=False)
-        return found
-
-
-class _Chunk:
-    """A chunk, decompressed when something in it is wanted."""
-
-    def __init__(self, body: bytes) -> None:
-        self._body = body
-        self._content: bytes | None = None
-
-    @property
-    def content(self) -> bytes:
-        if self._content is None:
-            stream, size = get_chunk_data_stream(Chunk.read(ReadDataStream(BytesIO(self._body))))
-            self._content, self._body = stream.read(size), b""
-        return self._content
 
 
 class Following:
@@ -53,11 +24,11 @@ class Following:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._read = len(MAGIC)
-        self._channels: dict[int, Channel] = {}
-        self._chunk: _Chunk | None = None
+        self._channels: dict[int, RecordedChannel] = {}
+        self._chunk = b""
         # by number of the channel: chunks and the places of its messages in them that nobody has asked for yet
-        self._waiting: dict[int, list[tuple[_Chunk, bytes]]] = {}
-        self._heard: dict[str, list[Heard]] = {}
+        self._waiting: dict[int, list[tuple[bytes, bytes]]] = {}
+        self._heard: dict[str, list[RecordedMessage]] = {}
 
     def follow(self) -> "Following":
         """Read what has been added since the last call, up to the last whole record."""
@@ -72,44 +43,69 @@ class Following:
             if end > len(added) or opcode == Opcode.DATA_END:
                 break
             if opcode == Opcode.CHUNK:
-                self._chunk = _Chunk(added[start:end])
+                self._chunk = added[start:end]
             elif opcode == Opcode.MESSAGE_INDEX:
                 self._enter_index(added[start:end])
             at = end
         self._read += at
         return self
 
-    def messages(self, channel_topic: str, since_ns: int = 0) -> list[Heard]:
+    def messages(self, channel_topic: str, since_ns: int = 0) -> list[RecordedMessage]:
         """Give what was recorded of a channel from a time of reception on [ns]."""
         heard = self._heard.setdefault(channel_topic, [])
-        fresh: list[Heard] = []
-        for number in [number for number, channel in self._channels.items() if channel.topic == channel_topic]:
-            src = self._channels[number].metadata.get("src", "")
-            for chunk, index in self._waiting.pop(number, []):
-                fresh += [_message(chunk.content, offset, src) for _, offset in _INDEX_ENTRY.iter_unpack(index)]
-        heard += sorted(fresh)
+        for number, channel in self._channels.items():
+            if channel.channel_topic == channel_topic:
+                waiting = self._waiting.pop(number, [])
+                # what is older than anybody wants waits on
+                self._waiting[number] = [row for row in waiting if _last_ns(row[1]) < since_ns]
+                heard += [
+                    _message(_content(chunk), offset, channel)
+                    for chunk, index in waiting
+                    if _last_ns(index) >= since_ns
+                    for _, offset in _INDEX_ENTRY.iter_unpack(index)
+                ]
+        heard.sort(key=lambda message: message.log_ns)
         return heard[bisect_left(heard, since_ns, key=lambda message: message.log_ns) :]
 
     def _enter_index(self, body: bytes) -> None:
-        assert self._chunk is not None
         number, size = _INDEX_HEAD.unpack_from(body)
         if number not in self._channels:
-            self._learn_channels(self._chunk.content)
+            found = [record for record in breakup_chunk(_chunk(self._chunk)) if isinstance(record, Channel)]
+            self._channels |= {channel.id: recorded_channel(channel) for channel in found}
         index = body[_INDEX_HEAD.size : _INDEX_HEAD.size + size]
         self._waiting.setdefault(number, []).append((self._chunk, index))
 
-    def _learn_channels(self, content: bytes) -> None:
-        at = 0
-        while at < len(content):
-            opcode, length = RECORD_HEAD.unpack_from(content, at)
-            start, at = at + RECORD_HEAD.size, at + RECORD_HEAD.size + length
-            if opcode == Opcode.CHANNEL:
-                channel = Channel.read(ReadDataStream(BytesIO(content[start:at])))
-                self._channels[channel.id] = channel
+
+class Recorded:
+    """What the recorder of one rig writes, whatever file it has in hand."""
+
+    def __init__(self) -> None:
+        self._followed: dict[Path, Following] = {}
+
+    def newest(self, folder: Path) -> Following:
+        """Give the newest recording of a folder, as far as it is written now."""
+        path = max(folder.glob("session*.mcap"), key=lambda path: path.stat().st_mtime)
+        return self._followed.setdefault(path, Following(path)).follow()
 
 
-def _message(content: bytes, offset: int, src: str) -> Heard:
+# the channels of a chunk are asked for one after the other, those of older ones hardly ever
+@lru_cache(maxsize=32)
+def _content(body: bytes) -> bytes:
+    stream, size = get_chunk_data_stream(_chunk(body))
+    return stream.read(size)
+
+
+def _chunk(body: bytes) -> Chunk:
+    return Chunk.read(ReadDataStream(BytesIO(body)))
+
+
+def _last_ns(index: bytes) -> int:
+    last_ns: int = _INDEX_ENTRY.unpack_from(index, len(index) - _INDEX_ENTRY.size)[0]
+    return last_ns
+
+
+def _message(content: bytes, offset: int, channel: RecordedChannel) -> RecordedMessage:
     _, length = RECORD_HEAD.unpack_from(content, offset)
     start = offset + RECORD_HEAD.size
     _, seq, log_ns, publish_ns = _MESSAGE_HEAD.unpack_from(content, start)
-    return Heard(log_ns, publish_ns, src, seq, content[start + _MESSAGE_HEAD.size : start + length])
+    return RecordedMessage(channel, log_ns, publish_ns, seq, content[start + _MESSAGE_HEAD.size : start + length])

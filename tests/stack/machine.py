@@ -1,11 +1,11 @@
 """What the machine gave and did not give while a test ran: said at the end, never passed over in silence."""
 
-import contextlib
 import os
 
 _NOTES: list[str] = []
 # level with the recorder, ahead of the rest that is not real-time
 _NICENESS = -5
+_OURS = os.getpriority(os.PRIO_PROCESS, 0)
 
 
 def note(text: str) -> None:
@@ -25,12 +25,6 @@ def keep_our_turn() -> None:
         note("the tests may not raise their own priority (no root): on a busy machine they may wait in vain")
 
 
-def commands_turn() -> None:
-    """Let a command beside a rig come to its end: people who give one have a processor to spare."""
-    with contextlib.suppress(PermissionError):
-        os.setpriority(os.PRIO_PROCESS, 0, _NICENESS)
-
-
 def usual_priority() -> None:
     """Begin a child as anybody would start it; for `preexec_fn`."""
-    os.setpriority(os.PRIO_PROCESS, 0, 0)
+    os.setpriority(os.PRIO_PROCESS, 0, _OURS)

@@ -13,10 +13,12 @@ from typing import Any
 
 import machine
 from commands import COMMANDS
-from following import Following
+from following import Following, Recorded
 
 # far beyond what is expected: it only keeps a broken rig from holding the suite
 PATIENCE_S = 150.0
+# a hand that takes up the sample and stays pressed onto it
+CONSTANT_PUSH = "haptic_node.operator.points=[{time_s: 0.2, force_n: 0.0}, {time_s: 0.6, force_n: 1.0}]"
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -30,7 +32,7 @@ class Rig:
         self.sockets = Path(f"/tmp/tn-{os.getpid()}-{time.monotonic_ns() % 10**9}")
         self.environment = {**os.environ, "TELENANO_RUNTIME_DIR": str(self.sockets)}
         self.process: subprocess.Popen[str] | None = None
-        self._followed: dict[Path, Following] = {}
+        self._recorded = Recorded()
 
     def start(self, *arguments: str, scenario: str = "fig12") -> None:
         command = ["up", "--scenario", scenario, "--out", str(self.out), "--json", *arguments]
@@ -93,8 +95,7 @@ class Rig:
 
     def recording(self) -> Following:
         """Give what the recorder of the rig has written, up to now."""
-        path = max(self.out.glob("session*.mcap"), key=lambda path: path.stat().st_mtime)
-        return self._followed.setdefault(path, Following(path)).follow()
+        return self._recorded.newest(self.out)
 
     def logs(self) -> str:
         tails = [f"== {p.name}\n" + p.read_text()[-1500:] for p in sorted((self.out / "logs").glob("*.log"))]

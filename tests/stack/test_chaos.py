@@ -6,11 +6,10 @@ from typing import Any, NamedTuple
 
 import pytest
 from ledger import enter
-from stack_rig import Rig
+from stack_rig import CONSTANT_PUSH, Rig
 
 from services.recorder.reader import Recording
 
-CONSTANT_PUSH = "haptic_node.operator.points=[{time_s: 0.2, force_n: 0.0}, {time_s: 0.6, force_n: 1.0}]"
 RESTARTED = "was started again"
 # generous against the 50 ms and 250 ms of the design: this machine may be busy, the order of things may not change
 SOON_NS = 1_000_000_000

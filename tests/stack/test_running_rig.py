@@ -9,12 +9,11 @@ from typing import Any
 import msgpack
 import pytest
 import zmq
-from stack_rig import Rig
+from killed import check_killed, kill_recorders
+from stack_rig import CONSTANT_PUSH, Rig
 
-from proto import decode
 from services.recorder.reader import Recording
 
-CONSTANT_PUSH = "haptic_node.operator.points=[{time_s: 0.2, force_n: 0.0}, {time_s: 0.6, force_n: 1.0}]"
 CONSOLE = "console@master"
 GOOD = {
     "seq": 0,
@@ -50,11 +49,11 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
 
 
 def newest(rig: Rig, topic: str) -> Any:
-    return decode(topic, rig.recording().messages(topic)[-1].payload)
+    return rig.recording().messages(topic)[-1].decode()
 
 
 def decoded(rig: Rig, topic: str, since_ns: int = 0) -> list[Any]:
-    return [decode(topic, heard.payload) for heard in rig.recording().messages(topic, since_ns)]
+    return [heard.decode() for heard in rig.recording().messages(topic, since_ns)]
 
 
 def test_topic_commands_look_at_a_running_rig(rig: Any) -> None:
@@ -182,6 +181,10 @@ def rejected(rig: Rig, node: str) -> set[str]:
     """Give the reasons for which a node says that it refused frames."""
     health = [heard for heard in rig.recording().messages("node/health") if heard.src == node]
     return set(health[-1].fields()["rejected"]) if health else set()
+
+
+def test_killed_recorders_leave_files_that_lack_no_more_than_a_flush(rig: Any) -> None:
+    check_killed(rig, kill_recorders(rig, 4))
 
 
 def test_after_all_of_it_the_rig_ends_in_order_and_nobody_was_started_again(rig: Any) -> None:

@@ -17,7 +17,7 @@ import machine
 import pytest
 import yaml
 from commands import COMMANDS
-from following import Following
+from following import Following, Recorded
 
 from services.runtime.security import Keyring
 
@@ -119,7 +119,7 @@ class Site:
         }
         self.process: subprocess.Popen[str] | None = None
         self.log = self.out.parent / f"{name}.txt"
-        self._followed: dict[Path, Following] = {}
+        self._recorded = Recorded()
 
     def command(self, *arguments: str) -> list[str]:
         """Give a telenano command on this machine."""
@@ -177,8 +177,7 @@ class Site:
 
     def recording(self) -> Following:
         """Give what this site's recorder has written since its last start, up to now."""
-        path = max(self.out.glob("session*.mcap"), key=lambda path: path.stat().st_mtime)
-        return self._followed.setdefault(path, Following(path)).follow()
+        return self._recorded.newest(self.out)
 
     def summary(self) -> dict[str, Any]:
         """Give the summary that the master's site made."""

@@ -1,0 +1,56 @@
+"""Recorders beside a running rig, killed at random moments: each file opens and lacks only what came after a flush."""
+
+import random
+import subprocess
+import time
+from pathlib import Path
+
+import machine
+from stack_rig import Rig
+
+from services.recorder.reader import Recording
+
+NS_PER_S = 1_000_000_000
+FLUSH_NS = NS_PER_S // 5
+SLACK_NS = 3 * NS_PER_S // 10
+
+
+def kill_recorders(rig: Rig, kills: int) -> list[tuple[Path, int]]:
+    """Start recorders beside a running rig, one after the other, kill each, and give its file and the time [ns]."""
+    draw = random.Random(4)
+    killed = []
+    for number in range(kills):
+        path = rig.folder / f"killed{number}.mcap"
+        recorder = subprocess.Popen(
+            rig.command("record", "--out", str(path)),
+            env=rig.environment,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        rig.wait_until(lambda path=path: path.exists() and path.stat().st_size > 4000, "a flushed recording")
+        time.sleep(draw.uniform(0.1, 0.8))  # the moment of the kill is what is drawn
+        recorder.kill()
+        killed.append((path, time.time_ns()))
+        recorder.wait()
+    return killed
+
+
+def check_killed(rig: Rig, killed: list[tuple[Path, int]]) -> None:
+    """Assert of each file that it opens and what it lacks, against the recording of the rig's own recorder."""
+    last_ns = killed[-1][1]
+    rig.wait_until(
+        lambda: rig.recording().messages("haptic/state")[-1].publish_ns > last_ns, "the time of the last kill recorded"
+    )
+    for path, killed_ns in killed:
+        recording = Recording(path)
+        assert not recording.complete
+        # how far behind the bus the rig's own recorder was then: the machine had no more for either
+        around = rig.recording().messages("haptic/state", killed_ns - 2 * NS_PER_S)
+        lags = [m.log_ns - m.publish_ns for m in around if m.publish_ns < killed_ns + NS_PER_S]
+        behind = max(lags, default=0)
+        if behind > FLUSH_NS:
+            machine.note(f"the rig's own recorder was {behind * 1e-9:.2f} s behind when {path.stem} was killed")
+        assert killed_ns - max(message.log_ns for message in recording.messages()) < FLUSH_NS + SLACK_NS + 2 * behind
+    verified = rig.tell("bag", "verify", str(killed[0][0]))
+    assert verified.returncode == 1
+    assert "the file was not closed" in verified.stdout
