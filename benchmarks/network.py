@@ -22,12 +22,12 @@ import numpy as np
 import zmq
 from link import ANSWER, SIGNAL
 
+from services.runtime.address_book import SiteBook
 from services.runtime.clock import SystemClock
 from services.runtime.log import StructuredLog
-from services.runtime.network import Network
 from services.runtime.realtime import RealtimeConfig, apply_realtime, freeze_garbage, shallow_idle
-from services.runtime.security import KEYS_DIRECTORY_VARIABLE, Keyring
-from services.runtime.site import SiteBook
+from services.runtime.security.keyring import KEYS_DIRECTORY_VARIABLE, Keyring
+from services.runtime.transport import Network
 
 PERIOD_NS = 1_000_000
 MASTER, SLAVE = "controller@master", "controller@slave"

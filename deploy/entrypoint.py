@@ -8,13 +8,13 @@ from pathlib import Path
 
 import yaml
 
+from proto.errors import ConfigError
 from services import launcher
 from services.launcher.plan import anchored
+from services.runtime.address_book import runtime_directory
 from services.runtime.clock import EPOCH_OFFSET_VARIABLE
 from services.runtime.config import ENVIRONMENT_PREFIX, layered
-from services.runtime.errors import ConfigError
 from services.runtime.main import EXIT_BAD_START
-from services.runtime.site import runtime_directory
 
 # where the build leaves what it looked up; the image is read-only, and a study compiles more
 PREPARED = Path("/opt/cache")

@@ -15,6 +15,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
+from proto.errors import ConfigError
 from services.afm_node.config import AfmConfig, CantileverConfig, SafetyConfig
 from services.afm_node.safety import MODE_FOLLOW, MODE_HOLD, SafetyParams
 from services.afm_node.spring import SpringParams, spring_params
@@ -23,7 +24,6 @@ from services.controller.config import LAWS, ControllerConfig
 from services.haptic_node.config import ForcePoint, ForceProfileConfig, HapticConfig
 from services.runtime.compiled import source_digest
 from services.runtime.config import merge, nested, validate
-from services.runtime.errors import ConfigError
 from studies.link import schedule_of, symmetric_link
 from studies.lockstep import Rig, Series, Trajectory, build_rig, simulate
 from studies.verdict import judge

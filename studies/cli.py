@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from proto.errors import ConfigError
 from services.launcher.telling import EXIT_FAILED, errors_told, print_json
-from services.runtime.errors import ConfigError
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -14,7 +14,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from services.runtime.errors import ConfigError
+from proto.errors import ConfigError
 from studies.cells import Cell, CellResult, run_cell
 
 JOURNAL_NAME = "journal.jsonl"

@@ -19,10 +19,10 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
+from proto.errors import ConfigError, TelenanoError
 from services.afm_node.config import AfmConfig
 from services.recorder.columns import columns, last_session
 from services.recorder.reader import Recording
-from services.runtime.errors import ConfigError, TelenanoError
 from studies.cells import Cell, judged, scales_of, trajectory_of
 from studies.lockstep import Trajectory
 

@@ -3,9 +3,9 @@
 import math
 from collections.abc import Sequence
 
+from proto.errors import ConfigError
 from services.controller.config import LAWS
 from services.runtime.config import flag_overrides
-from services.runtime.errors import ConfigError
 from studies.stability import Jitter
 
 _MOST_VALUES = 10_000

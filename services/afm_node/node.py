@@ -3,16 +3,16 @@
 import math
 from typing import ClassVar
 
+from proto.errors import RefusedError
 from proto.messages import AfmCommand, ClockPing, SessionControl
 from services.afm_node import safety
 from services.afm_node.config import AfmConfig
 from services.afm_node.driver import AfmDriver
 from services.afm_node.step import AfmSample
 from services.runtime.bus import Received
-from services.runtime.errors import RefusedError
 from services.runtime.frames import across, along
 from services.runtime.node import Node, NodeContext
-from services.runtime.replayed import ReplayGuard
+from services.runtime.replay_guard import ReplayGuard
 
 INPUTS = ("afm/command", "clock/ping", "session/control", "node/health")
 PERIOD_S = 1e-3

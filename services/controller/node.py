@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any, ClassVar, Literal, cast
 
 from proto import TOPICS
+from proto.errors import ConfigError, RefusedError
 from proto.messages import (
     AfmState,
     HapticState,
@@ -30,7 +31,6 @@ from services.controller.law import (
 )
 from services.runtime.bus import Received
 from services.runtime.config import merge, nested, validate
-from services.runtime.errors import ConfigError, RefusedError
 from services.runtime.frames import across, along
 from services.runtime.node import Node, NodeContext
 

@@ -2,10 +2,10 @@
 
 import sys
 
+from proto.errors import ConfigError, EndpointError
 from services.delay_node.config import LinkSettings, SettingsError
 from services.delay_node.node import DelayNode
 from services.runtime.bus import ZmqBus
-from services.runtime.errors import ConfigError, EndpointError
 from services.runtime.main import NodeKind, Wiring, run_node
 from services.runtime.node import AccountedBus, Node
 

@@ -5,15 +5,15 @@ from pathlib import Path
 from typing import ClassVar, Protocol
 
 from proto import TOPICS
+from proto.errors import RefusedError
 from proto.messages import ClockPong, LinkClock, LinkDirection, LinkFate, Message, SessionControl
 from services.delay_node.clock_offset import Exchange, Offset, OffsetFilter
 from services.delay_node.config import LinkSettings, SettingsError, changed, flattened
 from services.delay_node.engine import DirectionEngine, LinkEngine
 from services.delay_node.fate import DirectionStats, Fate, Release
 from services.runtime.bus import Received
-from services.runtime.errors import RefusedError
+from services.runtime.deadlines import Grid
 from services.runtime.node import Node, NodeContext
-from services.runtime.schedule import Grid
 
 STATUS_PERIOD_NS = 100_000_000
 # exchanges of time stamps in view, one a report: the clocks of two sites drift by microseconds in this time

@@ -8,10 +8,10 @@ from services.haptic_node import safety
 from services.haptic_node.config import HapticConfig
 from services.haptic_node.driver import DeviceReading, DriveCommand, HapticDevice
 from services.runtime.bus import Received
+from services.runtime.deadlines import Grid
 from services.runtime.frames import across, along
 from services.runtime.node import Node, NodeContext
-from services.runtime.replayed import ReplayGuard
-from services.runtime.schedule import Grid
+from services.runtime.replay_guard import ReplayGuard
 
 INPUTS = ("haptic/command", "session/control", "node/health")
 PERIOD_S = 1e-3

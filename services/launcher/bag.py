@@ -10,11 +10,11 @@ from typing import Annotated, Any
 import typer
 from pydantic import BaseModel
 
+from proto.errors import RecordingError
 from services.launcher.telling import EXIT_FAILED, console, errors_told, print_json, tell
 from services.recorder.compare import Tolerances
 from services.recorder.reader import Recording, open_recordings
 from services.recorder.selection import Selection
-from services.runtime.errors import RecordingError
 
 _CHANNEL_COLUMNS = ("channel_topic", "src", "messages", "rate_hz", "gaps", "lost", "restarts")
 _PLOT_SIZE = (100, 12)

@@ -14,10 +14,10 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
-from services.runtime.errors import ConfigError
+from proto.errors import ConfigError
 
 if TYPE_CHECKING:
-    from services.runtime.security import Keyring
+    from services.runtime.security.keyring import Keyring
 
 Level = Literal["ok", "warning", "problem"]
 

@@ -14,16 +14,16 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from proto.errors import ConfigError
 from services.launcher.lazy import LazyRoot
 from services.launcher.telling import EXIT_FAILED, console, errors_told, fail, print_json, site_file_named, tell
-from services.runtime.errors import ConfigError
 
 if TYPE_CHECKING:
     from proto.messages import SessionEvent
-    from services.launcher.observe import Observer
     from services.launcher.plan import Plan
     from services.launcher.up import Outcome
     from services.launcher.view import LineView, LiveView
+    from services.runtime.observer import Observer
 
 _LIST_S = 1.5
 _NODES = ("haptic_node", "controller", "delay_node", "afm_node", "recorder")
@@ -224,7 +224,7 @@ def topic_list(
     as_json: JsonOption = False,
 ) -> None:
     """List every topic: who publishes it, its declared rate, and whether it was heard."""
-    from services.launcher.observe import list_topics
+    from services.runtime.observer import list_topics
 
     with errors_told(as_json), _observer(site_file, None) as observer:
         rows = list_topics(observer, duration)
@@ -243,7 +243,7 @@ def topic_echo(
     as_json: JsonOption = False,
 ) -> None:
     """Print the messages of a topic, one a line as JSON; with --json as one object when it ends."""
-    from services.launcher.observe import message_fields, messages_of
+    from services.runtime.observer import message_fields, messages_of
 
     collected: list[dict[str, Any]] = []
     with errors_told(as_json), _observer(site_file, topic) as observer, contextlib.suppress(KeyboardInterrupt):
@@ -266,7 +266,7 @@ def topic_hz(
     as_json: JsonOption = False,
 ) -> None:
     """Measure the rate of a topic: mean, standard deviation of the interval, gaps in the sequence."""
-    from services.launcher.observe import measure_rate
+    from services.runtime.observer import measure_rate
 
     with errors_told(as_json), _observer(site_file, topic) as observer:
         rows = measure_rate(observer, topic, duration, count)
@@ -282,7 +282,7 @@ def topic_delay(
     as_json: JsonOption = False,
 ) -> None:
     """Measure how old the messages of a topic are when they arrive here: median, 99 %, greatest [ms]."""
-    from services.launcher.observe import measure_delay
+    from services.runtime.observer import measure_delay
 
     with errors_told(as_json), _observer(site_file, topic) as observer:
         rows = measure_delay(observer, topic, duration, count)
@@ -457,8 +457,8 @@ def _default_signals() -> None:
 
 @contextlib.contextmanager
 def _observer(site_file: Path, topic: str | None) -> Iterator["Observer"]:
-    from services.launcher.observe import Observer, known_name
     from services.runtime.main import load_site
+    from services.runtime.observer import Observer, known_name
 
     book = load_site(site_file)
     observer = Observer(book, (known_name(topic)[0],)) if topic else Observer(book)

@@ -11,17 +11,16 @@ from pathlib import Path
 
 import zmq
 
+from proto.errors import ConfigError, EndpointError, RigError
 from proto.messages import NodeHealth, Scalar, SessionEvent
 from services.launcher.control import Command, PendingControl
-from services.launcher.errors import RigError
 from services.launcher.plan import Site
+from services.runtime.address_book import LINK_NODE, SiteBook, is_console, site_of
 from services.runtime.bus import Publisher, Subscriber
 from services.runtime.clock import Clock, SystemClock
-from services.runtime.errors import ConfigError, EndpointError
 from services.runtime.main import load_site
-from services.runtime.network import Network
-from services.runtime.security import MACHINE_VARIABLE, Keyring, this_machine
-from services.runtime.site import LINK_NODE, SiteBook, is_console, site_of
+from services.runtime.security.keyring import MACHINE_VARIABLE, Keyring, this_machine
+from services.runtime.transport import Network
 
 _BIND_PATIENCE_NS = 2_000_000_000
 _RETRY_S = 0.1

@@ -12,15 +12,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from proto.errors import ConfigError, EndpointError
 from services.launcher import checks
 from services.launcher.checks import Finding
 from services.launcher.telling import console, errors_told, fail, print_json, site_file_named
-from services.runtime.errors import ConfigError, EndpointError
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from services.runtime.site import SiteBook
+    from services.runtime.address_book import SiteBook
 
 # not from the plan of a rig: that imports what may be missing here
 SITE_FILE = Path(__file__).resolve().parent / "sites" / "local.yaml"
@@ -123,8 +123,8 @@ def rig(site_file: Path) -> list[Finding]:
     """Look at what a rig of this site file uses; ImportError where what every process needs is missing."""
     import zmq
 
+    from services.runtime.address_book import runtime_directory
     from services.runtime.main import load_site
-    from services.runtime.site import runtime_directory
 
     findings = [
         checks.check_zmq(zmq.zmq_version(), curve=bool(zmq.has("curve"))),
@@ -138,7 +138,7 @@ def rig(site_file: Path) -> list[Finding]:
 
 
 def _addresses(book: "SiteBook") -> list[Finding]:
-    from services.runtime.security import Keyring, this_machine
+    from services.runtime.security.keyring import Keyring, this_machine
 
     keyring = Keyring()
     machine = this_machine(keyring)

@@ -7,9 +7,9 @@ from typing import Annotated, Any
 import typer
 import zmq.auth
 
+from proto.errors import ConfigError
 from services.launcher.telling import console, errors_told, print_json
-from services.runtime.errors import ConfigError
-from services.runtime.security import AllowedKey, Keyring, Role, keys_directory
+from services.runtime.security.keyring import AllowedKey, Keyring, Role, keys_directory
 
 app = typer.Typer(
     help="Make, show and list the keys with which machines prove who they are.",

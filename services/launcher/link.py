@@ -2,9 +2,9 @@
 
 from typing import Any
 
+from proto.errors import RigError
 from services.delay_node.profiles import PROFILES
-from services.launcher.errors import RigError
-from services.launcher.observe import Observer, message_fields, messages_of
+from services.runtime.observer import Observer, message_fields, messages_of
 
 _PATIENCE_S = 3.0
 _COUNTS = ("messages_in", "messages_out", "duplicated", "reordered", "corrupted", "queue_depth")

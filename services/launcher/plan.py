@@ -8,12 +8,11 @@ from typing import Any, Literal
 
 import yaml
 
-from services.launcher.errors import RigError
+from proto.errors import ConfigError, RigError
+from services.runtime.address_book import LINK_NODE, SiteBook, site_of
 from services.runtime.config import layered, merge, validate
-from services.runtime.errors import ConfigError
 from services.runtime.main import NodeKind, load_site
 from services.runtime.scenario import LoadedScenario, Scenario
-from services.runtime.site import LINK_NODE, SiteBook, site_of
 
 Site = Literal["master", "slave"]
 

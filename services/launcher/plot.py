@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from proto.errors import ConfigError, RecordingError
 from services.recorder.columns import columns
 from services.recorder.reader import Recording
-from services.runtime.errors import ConfigError, RecordingError
 
 Floats = npt.NDArray[np.float64]
 

@@ -8,6 +8,7 @@ import typer
 import zmq
 from pydantic import BaseModel
 
+from proto.errors import TelenanoError
 from services.launcher.plan import DEFAULT_SITE_FILE
 from services.launcher.telling import Keys, errors_told, fail, print_json, site_file_named
 from services.recorder.config import RecorderConfig
@@ -17,13 +18,12 @@ from services.recorder.silent import OBSERVER, SilentPublisher
 from services.recorder.start import begin_intake
 from services.runtime.clock import SystemClock
 from services.runtime.config import validate
-from services.runtime.errors import TelenanoError
 from services.runtime.log import StructuredLog
 from services.runtime.main import load_site
-from services.runtime.network import Network
 from services.runtime.node import NodeContext, NodeLoop, install_stop_signals
 from services.runtime.realtime import RealtimeStatus, freeze_garbage
-from services.runtime.security import Keyring, this_machine
+from services.runtime.security.keyring import Keyring, this_machine
+from services.runtime.transport import Network
 
 _KEYS_TEXT = "s new file · t snapshot · q end"
 

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 import zmq
 
+from proto.errors import ConfigError, EndpointError, TelenanoError
 from services.launcher.plan import DEFAULT_SITE_FILE
 from services.launcher.telling import Keys, errors_told, print_json, site_file_named
 from services.recorder.player import PLAYER, Cast, Outlet, PlayerNode, PlaySettings
@@ -16,12 +17,11 @@ from services.recorder.selection import Selection
 from services.recorder.tape import Span, Tape
 from services.runtime.bus import ZmqBus
 from services.runtime.clock import SystemClock
-from services.runtime.errors import ConfigError, EndpointError, TelenanoError
 from services.runtime.log import StructuredLog
 from services.runtime.main import load_site
-from services.runtime.network import Network
 from services.runtime.node import NodeContext, NodeLoop, install_stop_signals
 from services.runtime.realtime import RealtimeStatus, freeze_garbage, shallow_idle
+from services.runtime.transport import Network
 
 _RATE_STEP = 1.25
 _KEYS_TEXT = (

@@ -11,11 +11,11 @@ import numpy.typing as npt
 import yaml
 
 from proto import TOPICS
+from proto.errors import RecordingError
 from services.controller.config import ControllerConfig
 from services.recorder.columns import columns, last_session, replay_shifts
 from services.recorder.reader import Recording, RecordingInfo
 from services.runtime.config import validate
-from services.runtime.errors import RecordingError
 from services.runtime.scenario import Scenario
 from services.viz_node.fig12 import SessionSeries, save_fig12
 from services.viz_node.stability import judge_holds

@@ -20,6 +20,7 @@ import yaml
 from pydantic import BaseModel
 
 from proto import TOPICS, Message, encode
+from proto.errors import ConfigError, RecordingError, RefusedError
 from proto.messages import (
     AfmState,
     HapticCommand,
@@ -32,15 +33,14 @@ from proto.messages import (
 from services.launcher.plan import node_kind
 from services.recorder.compare import Tolerances, first_difference
 from services.recorder.reader import RecordedMessage, Recording
+from services.runtime.address_book import SiteBook
 from services.runtime.bus import Received, ZmqBus
 from services.runtime.config import flag_overrides, merge, validate
-from services.runtime.errors import ConfigError, RecordingError, RefusedError
 from services.runtime.log import StructuredLog
 from services.runtime.main import Wiring
 from services.runtime.node import Node
 from services.runtime.scenario import LoadedScenario, Scenario
 from services.runtime.sequence import Arrival
-from services.runtime.site import SiteBook
 
 # a message is acted on this long after it was published, as a rule; the alternatives cover what was otherwise
 _TRANSIT_NS = 100_000

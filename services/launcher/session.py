@@ -13,8 +13,8 @@ from services.launcher.readiness import READY_DEADLINE_S, Muster, unmet
 from services.launcher.tape import Tape
 from services.launcher.watch import Change, Watch
 from services.runtime.bus import Received
+from services.runtime.deadlines import Grid
 from services.runtime.node import Node, NodeContext
-from services.runtime.schedule import Grid
 
 Phase = Literal["starting", "arming", "running", "ending", "over"]
 

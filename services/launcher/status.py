@@ -11,6 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from proto import TOPICS
+from proto.errors import RigError
 from proto.messages import (
     AfmState,
     HapticState,
@@ -21,13 +22,12 @@ from proto.messages import (
     NodeHealth,
     SessionEvent,
 )
-from services.launcher.errors import RigError
-from services.launcher.observe import Observer
 from services.launcher.plan import DEFAULT_SITE_FILE
 from services.launcher.readiness import oldest_input_s, unmet
 from services.launcher.telling import console, errors_told, fail, print_json, site_file_named
+from services.runtime.address_book import is_visitor, site_of
 from services.runtime.main import load_site
-from services.runtime.site import is_visitor, site_of
+from services.runtime.observer import Observer
 
 M = TypeVar("M", bound=Message)
 

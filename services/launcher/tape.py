@@ -2,11 +2,11 @@
 
 from pathlib import Path
 
+from proto.errors import RecordingError
 from proto.messages import NodeHealth, SessionControl, SessionEvent
 from services.launcher.dialogue import Step
 from services.recorder.reader import Recording
 from services.runtime.clock import Clock
-from services.runtime.errors import RecordingError
 
 # what the recorder may take to be heard once everything else is: it reports twice a second
 _PATIENCE_NS = 3_000_000_000

@@ -15,7 +15,7 @@ from typing import Any, NoReturn, Self
 import typer
 from rich.console import Console
 
-from services.runtime.errors import ConfigError, TelenanoError
+from proto.errors import ConfigError, TelenanoError
 
 EXIT_FAILED = 1
 EXIT_BAD_CONFIGURATION = 2

@@ -11,20 +11,19 @@ from typing import IO, Any
 
 import zmq
 
-from services.launcher.errors import RigError
+from proto.errors import RecordingError, RigError
 from services.launcher.keeper import Keeper
 from services.launcher.plan import RECORDER, STOP_ORDER, Plan
 from services.launcher.processes import NodeProcesses, node_command
 from services.launcher.session import RigNode, SessionNode, SiteNode
 from services.launcher.tape import Tape, readable_here
+from services.runtime.address_book import LINK_NODE
 from services.runtime.bus import ZmqBus
 from services.runtime.clock import Clock, SystemClock
-from services.runtime.errors import RecordingError
 from services.runtime.log import StructuredLog, configure_logging
-from services.runtime.network import Network
 from services.runtime.node import NodeContext, NodeLoop, install_stop_signals
 from services.runtime.realtime import RealtimeStatus, shallow_idle
-from services.runtime.site import LINK_NODE
+from services.runtime.transport import Network
 
 Observer = Callable[[RigNode], None]
 

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from proto.errors import RecordingError
 from services.recorder.reader import RecordedMessage, Recording
-from services.runtime.errors import RecordingError
 
 Column = npt.NDArray[Any]
 

@@ -5,8 +5,8 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from proto.errors import ConfigError
 from services.recorder.selection import Selection
-from services.runtime.errors import ConfigError
 
 _Size = Annotated[int, Field(ge=65_536, le=1 << 50)]
 

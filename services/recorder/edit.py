@@ -9,10 +9,10 @@ from typing import IO, Any
 from mcap.writer import CompressionType, Writer
 from pydantic import BaseModel
 
+from proto.errors import ConfigError, RecordingError
 from services.recorder.layout import Damage
 from services.recorder.reader import RawChannel, RawMessage, Recording
 from services.recorder.selection import ALL, Selection
-from services.runtime.errors import ConfigError, RecordingError
 
 _CHUNK_BYTES = 1 << 20
 

@@ -10,13 +10,13 @@ from typing import Any, Literal
 import numpy as np
 
 from proto import TOPICS
+from proto.errors import ConfigError, RecordingError
 from services.recorder.edit import Copied, CopyWriter, describe
 from services.recorder.layout import Damage
 from services.recorder.reader import RawChannel, RawMessage, RecordedMessage, Recording
 from services.recorder.records import RECORDS
 from services.recorder.rows import plain, table
 from services.recorder.selection import ALL, Selection
-from services.runtime.errors import ConfigError, RecordingError
 
 Format = Literal["parquet", "csv", "hdf5", "mcap-json"]
 Columns = dict[str, list[Any]]

@@ -9,16 +9,16 @@ from typing import Any
 import msgpack
 
 from proto import MAX_MESSAGE_BYTES, TOPICS, Topic, WireError, decode
+from proto.errors import RecordingError
 from proto.messages import SOURCE_PATTERN
 from services.recorder.parts import Parts, QuotaError
 from services.recorder.records import GapRecord, RejectedRecord
 from services.recorder.ring import Entry, Happened, Ring, trigger
 from services.recorder.selection import ALL, Selection
 from services.recorder.writer import RecordingWriter, channel_topic
+from services.runtime.address_book import site_of
 from services.runtime.bus import Received, Subscriber, split_frames
-from services.runtime.errors import RecordingError
 from services.runtime.sequence import Arrival, SequenceTracker
-from services.runtime.site import site_of
 
 _SOURCE = re.compile(SOURCE_PATTERN)
 _LONGEST_SOURCE = 64

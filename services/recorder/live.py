@@ -8,15 +8,15 @@ from typing import Self
 import zmq
 
 from proto import TOPICS, WireError
+from proto.errors import ConfigError
 from services.recorder.intake import Listener, read_header
 from services.recorder.reader import RecordedChannel, RecordedMessage
 from services.recorder.writer import channel_topic
+from services.runtime.address_book import SiteBook, site_of
 from services.runtime.bus import split_frames
 from services.runtime.clock import SystemClock
-from services.runtime.errors import ConfigError
-from services.runtime.network import Network
-from services.runtime.security import Keyring, this_machine
-from services.runtime.site import SiteBook, site_of
+from services.runtime.security.keyring import Keyring, this_machine
+from services.runtime.transport import Network
 
 _WAIT_MS = 100
 

@@ -6,14 +6,14 @@ from typing import ClassVar
 
 import zmq
 
+from proto.errors import RefusedError
 from proto.messages import SessionControl
 from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake, Listener
 from services.runtime.bus import Attendant, Publisher, Received, ZmqBus
 from services.runtime.clock import Clock
-from services.runtime.errors import RefusedError
+from services.runtime.deadlines import Grid
 from services.runtime.node import Node, NodeContext
-from services.runtime.schedule import Grid
 
 # how long the end may take to fetch what still waits in the sockets, seconds of it on a machine that was too busy;
 # within the grace that a supervisor gives

@@ -4,9 +4,9 @@ from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 
+from proto.errors import RecordingError
 from services.recorder.config import RecorderConfig
 from services.recorder.writer import RecordingWriter
-from services.runtime.errors import RecordingError
 
 Begin = Callable[[int], RecordingWriter]
 

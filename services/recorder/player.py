@@ -13,15 +13,15 @@ from typing import Any, ClassVar
 import msgpack
 import zmq
 
+from proto.errors import ConfigError, RefusedError
 from proto.messages import Scalar, SessionControl
 from services.recorder.reader import RecordedChannel, RecordedMessage, Source
 from services.recorder.selection import Selection
 from services.recorder.tape import Span, Tape, Transport, is_state
+from services.runtime.address_book import LINK_NODE, SiteBook
 from services.runtime.bus import Publisher
 from services.runtime.clock import Clock
-from services.runtime.errors import ConfigError, RefusedError
 from services.runtime.node import HEALTH_PERIOD_NS, Node, NodeContext, resident_bytes
-from services.runtime.site import LINK_NODE, SiteBook
 
 PLAYER = "player@master"
 # an observer of the rig and the player itself are no part of what is played

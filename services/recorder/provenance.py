@@ -7,9 +7,9 @@ from pathlib import Path
 import zmq
 
 from proto import TOPICS
+from proto.errors import RecordingError
 from services.recorder.config import RecorderConfig
 from services.recorder.writer import RecordingWriter
-from services.runtime.errors import RecordingError
 
 _PACKAGES = ("telenano", "mcap", "msgpack", "numpy", "pydantic", "pyzmq", "zstandard")
 

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel
 
+from proto.errors import RecordingError
 from proto.messages import Array
 from services.recorder.reader import RecordedMessage
-from services.runtime.errors import RecordingError
 
 _SCALARS = (bool, int, float, str)
 

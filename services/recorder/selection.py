@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from typing import Protocol
 
-from services.runtime.errors import ConfigError
+from proto.errors import ConfigError
 
 Matcher = Callable[[str], bool]
 

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from proto.errors import RecordingError
 from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake
 from services.recorder.parts import Parts
@@ -9,7 +10,6 @@ from services.recorder.provenance import write_provenance
 from services.recorder.ring import Ring, trigger
 from services.recorder.writer import RecordingWriter
 from services.runtime.clock import Clock
-from services.runtime.errors import RecordingError
 
 
 def begin_intake(key: str, clock: Clock, config: RecorderConfig, site_file: Path, scenario_file: Path | None) -> Intake:

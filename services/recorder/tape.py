@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from proto import TOPICS
+from proto.errors import RecordingError
 from services.recorder.reader import RecordedChannel, RecordedMessage, Source, Wanted
-from services.runtime.errors import RecordingError
 
 _NS = 1e9
 

@@ -8,11 +8,11 @@ from typing import Literal
 from pydantic import BaseModel
 
 from proto import TOPICS
+from proto.errors import RecordingError
 from services.recorder.edit import describe
 from services.recorder.layout import Damage
 from services.recorder.reader import RecordedChannel, RecordedMessage, Recording
 from services.recorder.records import GAP_TOPIC, RECORDS
-from services.runtime.errors import RecordingError
 
 Check = Literal["crc", "order", "gap", "schema", "end"]
 Level = Literal["error", "warning", "info"]

@@ -11,11 +11,11 @@ import msgpack
 from mcap.writer import CompressionType, Writer
 
 from proto import TOPICS
+from proto.errors import RecordingError
 from proto.messages import Record
 from services.recorder.config import RecorderConfig
 from services.recorder.records import GAP_TOPIC, RECORDS, REJECTED_TOPIC, GapRecord, RejectedRecord
-from services.runtime.errors import RecordingError
-from services.runtime.site import site_of
+from services.runtime.address_book import site_of
 
 _COMPRESSION = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4, "none": CompressionType.NONE}
 # the sequence of an MCAP message has 32 bits, the payload keeps the whole number

@@ -11,9 +11,9 @@ import zmq
 
 from proto import TOPICS, WireError, decode, encode
 from proto.codec import MAX_MESSAGE_BYTES
+from proto.errors import EndpointError
 from proto.messages import InputHealth, Message
 from services.runtime.clock import Clock
-from services.runtime.errors import EndpointError
 from services.runtime.sequence import Arrival, SequenceTracker
 
 # ten seconds of a 1 kHz topic: a reader that stops for longer loses messages, which it then counts

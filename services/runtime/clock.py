@@ -4,7 +4,7 @@ import os
 import time
 from typing import Protocol
 
-from services.runtime.errors import ConfigError
+from proto.errors import ConfigError
 
 EPOCH_OFFSET_VARIABLE = "TELENANO_EPOCH_OFFSET_NS"
 

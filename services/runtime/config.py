@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import yaml
 from pydantic import BaseModel, ValidationError
 
-from services.runtime.errors import ConfigError
+from proto.errors import ConfigError
 
 M = TypeVar("M", bound=BaseModel)
 

@@ -11,12 +11,12 @@ from typing import Generic, TypeVar
 import zmq
 from pydantic import BaseModel
 
+from proto.errors import EndpointError, TelenanoError
+from services.runtime.address_book import SiteBook
 from services.runtime.bus import Publisher, Subscriber, ZmqBus
 from services.runtime.clock import Clock, SystemClock
 from services.runtime.config import read_yaml, validate
-from services.runtime.errors import EndpointError, TelenanoError
 from services.runtime.log import StructuredLog, configure_logging
-from services.runtime.network import Network
 from services.runtime.node import AccountedBus, Node, NodeContext, NodeLoop, install_stop_signals
 from services.runtime.realtime import (
     RealtimeConfig,
@@ -27,7 +27,7 @@ from services.runtime.realtime import (
     raise_file_limit,
 )
 from services.runtime.scenario import load_scenario
-from services.runtime.site import SiteBook
+from services.runtime.transport import Network
 
 C = TypeVar("C", bound=BaseModel)
 

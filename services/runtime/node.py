@@ -14,13 +14,13 @@ from types import FrameType
 from typing import ClassVar, Literal, Protocol
 
 from proto import TOPICS
+from proto.errors import RefusedError, TelenanoError
 from proto.messages import MAX_TEXT, InputHealth, Scalar, SessionControl
 from services.runtime.bus import Bus, Notice, Received
 from services.runtime.clock import Clock
-from services.runtime.errors import RefusedError, TelenanoError
+from services.runtime.deadlines import LatenessWindow, SpinMargin
 from services.runtime.log import RateLimitedLog, StructuredLog
 from services.runtime.realtime import RealtimeStatus
-from services.runtime.schedule import LatenessWindow, SpinMargin
 from services.runtime.sequence import Arrival
 
 NodeState = Literal["starting", "ready", "running", "safe", "stopping"]

@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from services.runtime.errors import ConfigError
+from proto.errors import ConfigError
 from services.runtime.log import StructuredLog
 
 _PR_SET_TIMERSLACK = 29

@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 from references import OUTPUTS, REFERENCES, SHARE, digests, rerun_digest, tolerances
 
+from proto.errors import ConfigError, RecordingError
 from services.controller.virtual_impedance import VirtualImpedanceConfig
 from services.launcher.rerun import rerun
 from services.recorder.compare import Tolerances
 from services.recorder.edit import filter_recording
 from services.recorder.reader import Recording
 from services.recorder.selection import Selection
-from services.runtime.errors import ConfigError, RecordingError
 
 REFERENCE = Path(__file__).parent / "virtual_impedance.mcap"
 

@@ -114,9 +114,6 @@ def become(request: dict[str, Any]) -> None:
 
 if __name__ == "__main__":
     # what most commands import when they run
-    import services.launcher.console
-    import services.launcher.observe
-    import services.recorder.reader  # noqa: F401
     from services.launcher import cli  # noqa: F401
 
     serve()

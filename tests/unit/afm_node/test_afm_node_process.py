@@ -4,10 +4,10 @@ from typing import Any
 
 import pytest
 
+from proto.errors import RefusedError
 from services.afm_node.config import AfmConfig
 from services.afm_node.node import AfmNode
 from services.afm_node.sim import SimulatedAfm
-from services.runtime.errors import RefusedError
 
 
 class Instrument:

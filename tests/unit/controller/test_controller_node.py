@@ -4,10 +4,10 @@ from typing import Any
 
 import pytest
 
+from proto.errors import RefusedError
 from proto.messages import SessionControl
 from services.controller.config import ControllerConfig
 from services.controller.node import MasterController, SlaveController, half_of_site
-from services.runtime.errors import RefusedError
 
 PERIOD_NS = 1_000_000
 ZERO = (0.0, 0.0, 0.0)

@@ -7,13 +7,13 @@ import msgpack
 import pytest
 
 from proto import encode
+from proto.errors import RefusedError
 from proto.messages import Message
 from services.afm_node.config import AfmConfig
 from services.afm_node.node import AfmNode
 from services.afm_node.sim import SimulatedAfm
 from services.delay_node.config import LinkSettings, parse_settings
 from services.delay_node.node import DelayNode
-from services.runtime.errors import RefusedError
 
 HALF = {
     "law": "virtual_impedance",

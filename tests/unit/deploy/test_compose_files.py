@@ -11,13 +11,13 @@ from typing import Any
 import pytest
 import yaml
 
+from proto.errors import ConfigError
 from services.launcher.plan import START_ORDER, TWO_SITES_FILE, node_kind
+from services.runtime.address_book import site_of
 from services.runtime.config import environment_overrides, validate
-from services.runtime.errors import ConfigError
 from services.runtime.main import load_site
 from services.runtime.realtime import RealtimeConfig
 from services.runtime.scenario import Scenario, load_scenario
-from services.runtime.site import site_of
 
 ROOT = Path(__file__).resolve().parents[3]
 DEPLOY = ROOT / "deploy"

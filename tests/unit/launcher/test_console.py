@@ -4,16 +4,15 @@ from typing import Any
 
 import pytest
 
+from proto.errors import ConfigError, RigError
 from proto.messages import NodeHealth, SessionEvent
 from services.launcher.console import ControlRequest, Exchange, addressed, console_of, parse_parameters, send_control
-from services.launcher.errors import RigError
 from services.launcher.plan import DEFAULT_SITE_FILE, TWO_SITES_FILE
+from services.runtime.address_book import SiteBook
 from services.runtime.clock import VirtualClock
 from services.runtime.config import validate
-from services.runtime.errors import ConfigError
 from services.runtime.main import load_site
-from services.runtime.security import Keyring
-from services.runtime.site import SiteBook
+from services.runtime.security.keyring import Keyring
 
 MS = 1_000_000
 

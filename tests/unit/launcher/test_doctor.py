@@ -14,8 +14,8 @@ from typer.testing import CliRunner
 from services.launcher import checks, doctor
 from services.launcher.checks import Endpoint, Finding, KernelClock
 from services.launcher.cli import app
-from services.runtime.security import Keyring
-from services.runtime.site import NodeEntry, SiteBook
+from services.runtime.address_book import NodeEntry, SiteBook
+from services.runtime.security.keyring import Keyring
 
 REQUIRES = [
     "msgpack>=1.1",

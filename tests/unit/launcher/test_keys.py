@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 from zmq.utils import z85
 
 from services.launcher.keys import app
-from services.runtime.security import Keyring
+from services.runtime.security.keyring import Keyring
 
 RUNNER = CliRunner()
 # the same at each collection: they stand in the names of tests, which two workers must agree on

@@ -4,6 +4,7 @@ from typing import Any
 import pytest
 import yaml
 
+from proto.errors import ConfigError
 from services.launcher.plan import (
     ALLOW_REPLAY,
     DEFAULT_SITE_FILE,
@@ -18,7 +19,6 @@ from services.launcher.plan import (
     make_plan,
 )
 from services.runtime.config import read_yaml
-from services.runtime.errors import ConfigError
 from services.runtime.main import load_site
 
 

@@ -9,18 +9,18 @@ import zmq
 from typer.testing import CliRunner
 
 from proto import TOPICS
+from proto.errors import RigError
 from proto.messages import InputHealth, Message, NodeHealth
 from services.launcher import status
 from services.launcher.cli import app
-from services.launcher.errors import RigError
-from services.launcher.observe import Heard, Observer
 from services.launcher.plan import DEFAULT_SITE_FILE
 from services.launcher.status import NEEDED, Picture, document_of, expected_nodes, listen, problems_of, stalled_inputs
+from services.runtime.address_book import SiteBook
 from services.runtime.bus import Notice, Publisher, Received
 from services.runtime.clock import SystemClock
 from services.runtime.main import load_site
+from services.runtime.observer import Heard, Observer
 from services.runtime.sequence import Arrival
-from services.runtime.site import SiteBook
 
 RIG = [
     "haptic_node@master",

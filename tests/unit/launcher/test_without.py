@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
+from proto.errors import ConfigError
 from services.launcher.plan import DEFAULT_SITE_FILE, START_ORDER, UpRequest, left_out, make_plan
-from services.runtime.errors import ConfigError
 
 
 def test_nodes_are_left_out_by_name_or_key() -> None:

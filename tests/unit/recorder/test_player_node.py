@@ -10,6 +10,7 @@ import zmq
 from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state, sample, session_control, teleop_forward
 
 from proto import decode, encode
+from proto.errors import ConfigError, RefusedError
 from proto.messages import HapticState, Message, NodeHealth, SessionControl, SessionEvent
 from services.recorder.config import RecorderConfig
 from services.recorder.player import PLAYER, Cast, Outlet, PlayerNode, PlaySettings
@@ -17,12 +18,11 @@ from services.recorder.reader import Recording
 from services.recorder.selection import Selection
 from services.recorder.tape import Span, Tape
 from services.recorder.writer import RecordingWriter
+from services.runtime.address_book import SiteBook
 from services.runtime.bus import Publisher, ZmqBus
 from services.runtime.clock import VirtualClock
-from services.runtime.errors import ConfigError, RefusedError
 from services.runtime.log import StructuredLog
 from services.runtime.node import NodeContext
-from services.runtime.site import SiteBook
 
 HAND, FAR = "haptic_node@master", "delay_node@slave"
 MakeFile = Callable[..., Path]

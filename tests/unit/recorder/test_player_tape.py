@@ -7,12 +7,12 @@ import pytest
 from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state, sample
 
 from proto import encode
+from proto.errors import RecordingError
 from services.recorder.config import RecorderConfig
 from services.recorder.reader import Recording
 from services.recorder.selection import ALL, Selection
 from services.recorder.tape import Span, Tape, Transport
 from services.recorder.writer import RecordingWriter
-from services.runtime.errors import RecordingError
 
 MakeFile = Callable[..., Path]
 

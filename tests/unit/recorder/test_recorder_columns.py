@@ -7,11 +7,11 @@ import pytest
 from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, teleop_forward
 
 from proto import encode
+from proto.errors import RecordingError
 from services.recorder.columns import columns
 from services.recorder.config import RecorderConfig
 from services.recorder.reader import Recording
 from services.recorder.writer import RecordingWriter
-from services.runtime.errors import RecordingError
 
 MakeFile = Callable[..., Path]
 

@@ -3,9 +3,9 @@ from typing import Any
 import pytest
 
 from proto import TOPICS
+from proto.errors import ConfigError
 from services.recorder.config import RecorderConfig
 from services.runtime.config import validate
-from services.runtime.errors import ConfigError
 
 
 def test_a_yaml_section_becomes_a_configuration() -> None:

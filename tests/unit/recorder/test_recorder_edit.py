@@ -10,6 +10,7 @@ from mcap.writer import Writer
 from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state
 
 from proto import encode
+from proto.errors import ConfigError, RecordingError
 from services.recorder.compare import Tolerances
 from services.recorder.config import RecorderConfig
 from services.recorder.diff import diff_recordings
@@ -20,7 +21,6 @@ from services.recorder.records import GapRecord
 from services.recorder.selection import Selection
 from services.recorder.verify import verify
 from services.recorder.writer import RecordingWriter
-from services.runtime.errors import ConfigError, RecordingError
 
 MakeFile = Callable[..., Path]
 

@@ -13,6 +13,7 @@ from mcap.reader import make_reader
 from recorder_samples import EPOCH_NS, NODE, haptic_state, sample
 
 from proto import TOPICS, encode
+from proto.errors import ConfigError, RecordingError
 from proto.messages import AfmScanline, Array
 from services.recorder.config import RecorderConfig
 from services.recorder.export import export_recording, plain_schema
@@ -21,7 +22,6 @@ from services.recorder.records import REJECTED_TOPIC, RejectedRecord
 from services.recorder.rows import line, plain
 from services.recorder.selection import Selection
 from services.recorder.writer import RecordingWriter
-from services.runtime.errors import ConfigError, RecordingError
 
 HEIGHTS = np.array([1e-9, -2.5e-10, 3e-12])
 

@@ -18,7 +18,7 @@ from services.recorder.records import GAP_TOPIC, REJECTED_TOPIC, GapRecord, Reje
 from services.recorder.writer import RecordingWriter
 from services.runtime.bus import Subscriber
 from services.runtime.clock import VirtualClock
-from services.runtime.lines import Rights
+from services.runtime.security.peer_connections import Rights
 
 MakeListener = Callable[[str], Listener]
 

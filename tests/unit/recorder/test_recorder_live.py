@@ -8,12 +8,12 @@ import zmq
 from recorder_samples import haptic_state, teleop_forward
 
 from proto import encode
+from proto.errors import ConfigError
 from services.recorder.live import LiveRecording
 from services.recorder.reader import RecordedMessage
+from services.runtime.address_book import SiteBook
 from services.runtime.bus import Publisher
 from services.runtime.clock import SystemClock
-from services.runtime.errors import ConfigError
-from services.runtime.site import SiteBook
 
 HAND, FAR = "haptic_node@master", "delay_node@slave"
 

@@ -21,15 +21,15 @@ from services.recorder.intake import Intake
 from services.recorder.node import RecorderBus, RecorderNode
 from services.recorder.reader import Recording
 from services.recorder.writer import RecordingWriter
+from services.runtime.address_book import SiteBook
 from services.runtime.bus import Notice, Publisher, Received
 from services.runtime.clock import SystemClock, VirtualClock
 from services.runtime.log import StructuredLog
 from services.runtime.main import Wiring
-from services.runtime.network import Network
 from services.runtime.node import NodeContext, NodeLoop
 from services.runtime.realtime import RealtimeStatus
 from services.runtime.sequence import Arrival
-from services.runtime.site import SiteBook
+from services.runtime.transport import Network
 
 PATIENCE_S = 30.0
 

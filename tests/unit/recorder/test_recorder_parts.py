@@ -9,6 +9,7 @@ import zmq
 from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state, sample, session_control, teleop_forward
 
 from proto import Message, encode
+from proto.errors import ConfigError, RecordingError, RefusedError
 from proto.messages import SessionControl, SessionEvent
 from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake, Listener
@@ -20,7 +21,6 @@ from services.recorder.start import begin_intake
 from services.runtime.bus import Subscriber, ZmqBus
 from services.runtime.clock import VirtualClock
 from services.runtime.config import validate
-from services.runtime.errors import ConfigError, RecordingError, RefusedError
 from services.runtime.log import StructuredLog
 from services.runtime.node import NodeContext
 

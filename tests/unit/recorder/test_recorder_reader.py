@@ -11,12 +11,12 @@ from mcap.writer import Writer
 from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state, teleop_forward
 
 from proto import encode
+from proto.errors import RecordingError
 from services.recorder.config import RecorderConfig
 from services.recorder.layout import MAGIC, scan
 from services.recorder.reader import RecordedMessage, Recording
 from services.recorder.records import GAP_TOPIC, REJECTED_TOPIC, GapRecord, RejectedRecord
 from services.recorder.writer import RecordingWriter
-from services.runtime.errors import RecordingError
 
 MakeFile = Callable[..., Path]
 

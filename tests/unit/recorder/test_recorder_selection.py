@@ -1,8 +1,8 @@
 import pytest
 
+from proto.errors import ConfigError
 from services.recorder.reader import RecordedChannel
 from services.recorder.selection import Selection, matcher, node_matcher
-from services.runtime.errors import ConfigError
 
 
 def channel(name: str, src: str = "afm_node@slave") -> RecordedChannel:

@@ -13,12 +13,12 @@ from mcap.reader import make_reader
 from recorder_samples import EPOCH_NS, NODE, haptic_state, teleop_forward
 
 from proto import encode
+from proto.errors import RecordingError
 from proto.messages import HapticState
 from services.recorder.config import RecorderConfig
 from services.recorder.reader import Recording
 from services.recorder.records import GAP_TOPIC, GapRecord
 from services.recorder.writer import RecordingWriter
-from services.runtime.errors import RecordingError
 
 
 class TinyDisk(io.BytesIO):
@@ -156,7 +156,7 @@ from pathlib import Path
 resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
 from services.recorder.config import RecorderConfig
 from services.recorder.writer import RecordingWriter
-from services.runtime.errors import RecordingError
+from proto.errors import RecordingError
 writer = RecordingWriter.create("recorder@master", RecorderConfig(directory=Path(sys.argv[1]), compression="none"))
 channel = writer.channel("haptic/state", "haptic_node@master", "master")
 try:

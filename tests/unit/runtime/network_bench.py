@@ -12,11 +12,11 @@ import zmq
 
 from proto import TOPICS, Message, encode
 from proto.contract import examples
+from services.runtime.address_book import SiteBook
 from services.runtime.bus import Notice, Publisher, Received, Subscriber
 from services.runtime.clock import VirtualClock
-from services.runtime.network import Network
-from services.runtime.security import Keyring, Role
-from services.runtime.site import SiteBook
+from services.runtime.security.keyring import Keyring, Role
+from services.runtime.transport import Network
 
 PATIENCE_S = 30.0
 TURN_NS = 20_000_000

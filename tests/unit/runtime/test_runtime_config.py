@@ -9,6 +9,7 @@ import pytest
 import yaml
 from pydantic import BaseModel, ConfigDict, Field
 
+from proto.errors import ConfigError, TelenanoError
 from services.runtime.config import (
     environment_overrides,
     flag_overrides,
@@ -18,7 +19,6 @@ from services.runtime.config import (
     read_yaml,
     validate,
 )
-from services.runtime.errors import ConfigError, TelenanoError
 
 
 class Strict(BaseModel):

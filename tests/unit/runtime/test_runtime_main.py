@@ -12,11 +12,11 @@ from typing import Annotated, ClassVar
 import pytest
 from pydantic import BaseModel, ConfigDict, Field
 
+from proto.errors import ConfigError
 from services.runtime.bus import Received
-from services.runtime.errors import ConfigError
 from services.runtime.main import EXIT_BAD_START, NodeKind, load_site, ordinary, parse_arguments, run_node
 from services.runtime.node import Node, NodeContext
-from services.runtime.security import Keyring
+from services.runtime.security.keyring import Keyring
 
 SCENARIO = """
 name: test

@@ -14,10 +14,11 @@ from hypothesis import strategies as st
 
 from proto import TOPICS, Message, encode
 from proto.contract import examples
+from proto.errors import ConfigError, RefusedError
 from proto.messages import MAX_TEXT, InputHealth, NodeHealth, SessionControl, SessionEvent
 from services.runtime.bus import Notice, Received
 from services.runtime.clock import VirtualClock
-from services.runtime.errors import ConfigError, RefusedError
+from services.runtime.deadlines import Grid
 from services.runtime.log import StructuredLog
 from services.runtime.node import (
     HEALTH_PERIOD_NS,
@@ -29,7 +30,6 @@ from services.runtime.node import (
     resident_bytes,
 )
 from services.runtime.realtime import RealtimeStatus
-from services.runtime.schedule import Grid
 from services.runtime.sequence import Arrival
 
 MS = 1_000_000

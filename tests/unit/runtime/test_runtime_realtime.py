@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 from pydantic import ValidationError
 
+from proto.errors import ConfigError
 from services.runtime import realtime
-from services.runtime.errors import ConfigError
 from services.runtime.log import StructuredLog
 from services.runtime.realtime import (
     RealtimeConfig,

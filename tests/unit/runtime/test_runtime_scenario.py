@@ -5,7 +5,7 @@ from typing import Annotated
 import pytest
 from pydantic import BaseModel, ConfigDict, Field
 
-from services.runtime.errors import ConfigError
+from proto.errors import ConfigError
 from services.runtime.realtime import RealtimeConfig
 from services.runtime.scenario import load_scenario
 

@@ -8,10 +8,10 @@ import yaml
 import zmq
 from zmq.utils import z85
 
-from services.runtime.errors import ConfigError
-from services.runtime.security import AllowedKey, KeyPair, Keyring, key_text, keys_directory, this_machine
-from services.runtime.site import SiteBook
-from services.runtime.trust import Trust, check_keys
+from proto.errors import ConfigError
+from services.runtime.address_book import SiteBook
+from services.runtime.security.access_control import Trust, check_keys
+from services.runtime.security.keyring import AllowedKey, KeyPair, Keyring, key_text, keys_directory, this_machine
 
 
 def secret_key(number: int) -> bytes:

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from proto.errors import ConfigError
 from services.controller.config import LAWS
-from services.runtime.errors import ConfigError
 from studies import values
 from studies.cli import app
 from studies.stability import Jitter

@@ -8,8 +8,8 @@ from typing import Any
 import pyarrow.parquet as pq
 import pytest
 
+from proto.errors import ConfigError
 from services.afm_node.safety import MODE_HOLD, MODE_RETRACTING
-from services.runtime.errors import ConfigError
 from studies import sweep as sweep_module
 from studies.cells import Cell, CellResult, judged, run_cell, trajectory_of
 from studies.stability import Axes, Edge, Jitter, LineResult, find_edges, neutral, run_stability

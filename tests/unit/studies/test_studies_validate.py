@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from proto.errors import ConfigError
 from services.afm_node.config import AfmConfig
 from services.controller.config import ControllerConfig
 from services.delay_node.config import parse_settings
 from services.haptic_node.config import HapticConfig
 from services.runtime.config import validate
-from services.runtime.errors import ConfigError
 from services.runtime.scenario import Scenario
 from studies import validate as study
 from studies.cells import Cell, trajectory_of

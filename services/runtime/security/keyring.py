@@ -17,9 +17,9 @@ import zmq.auth
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 from zmq.utils import z85
 
+from proto.errors import ConfigError
+from services.runtime.address_book import MACHINE_PATTERN
 from services.runtime.config import read_yaml, validate
-from services.runtime.errors import ConfigError
-from services.runtime.site import MACHINE_PATTERN
 
 KEYS_DIRECTORY_VARIABLE = "TELENANO_KEYS_DIR"
 MACHINE_VARIABLE = "TELENANO_MACHINE"

@@ -6,9 +6,12 @@ from dataclasses import dataclass
 import zmq
 
 from proto import WireError
+from services.runtime.address_book import is_visitor, may_carry
 from services.runtime.bus import Notice, Subscriber
 from services.runtime.clock import Clock
-from services.runtime.monitor import (
+from services.runtime.security.access_control import Trust
+from services.runtime.security.keyring import Role
+from services.runtime.security.socket_monitor import (
     CLOSED_IN_HANDSHAKE,
     CONNECTED,
     DISCONNECTED,
@@ -18,9 +21,6 @@ from services.runtime.monitor import (
     Monitor,
     Refusals,
 )
-from services.runtime.security import Role
-from services.runtime.site import is_visitor, may_carry
-from services.runtime.trust import Trust
 
 # libzmq does not try again where a key was refused or something else than its protocol was spoken, without saying so:
 # the key may be allowed meanwhile, and the right program have been started

@@ -10,8 +10,8 @@ import msgpack
 import pytest
 import zmq
 
-from services.runtime import probe
-from services.runtime.errors import ConfigError
+from proto.errors import ConfigError
+from services.runtime import healthcheck
 
 NODE = "afm_node@slave"
 HEALTHY = {"src": NODE, "state": "running", "rate_hz": 1000.0, "uptime_s": 12.0}
@@ -24,7 +24,7 @@ def frames(**changes: Any) -> list[bytes]:
 @pytest.fixture
 def sockets(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Path:
     folder = tmp_path_factory.mktemp("p")
-    monkeypatch.setenv(probe.RUNTIME_DIRECTORY_VARIABLE, str(folder))
+    monkeypatch.setenv(healthcheck.RUNTIME_DIRECTORY_VARIABLE, str(folder))
     return folder
 
 
@@ -57,14 +57,14 @@ def says(sockets: Path) -> Iterator[Any]:
 )
 def test_state_decides(says: Any, capsys: pytest.CaptureFixture[str], state: str, code: int) -> None:
     says(frames(state=state))
-    assert probe.main([NODE]) == code
+    assert healthcheck.main([NODE]) == code
     assert capsys.readouterr().out == f"afm_node@slave is {state} at 1000 Hz, up for 12 s\n"
 
 
 def test_reports_of_other_nodes_do_not_count(says: Any, capsys: pytest.CaptureFixture[str]) -> None:
     # the link carries those of the other site out of its own socket
     says(frames(src="controller@master"), frames(state="safe", rate_hz=1))
-    assert probe.main([NODE]) == 0
+    assert healthcheck.main([NODE]) == 0
     assert "is safe at 1 Hz" in capsys.readouterr().out
 
 
@@ -83,23 +83,23 @@ def test_reports_of_other_nodes_do_not_count(says: Any, capsys: pytest.CaptureFi
     ],
 )
 def test_what_is_no_report_is_passed_over(message: list[bytes]) -> None:
-    assert probe.health_in(message, NODE) is None
+    assert healthcheck.health_in(message, NODE) is None
 
 
 def test_report_is_taken() -> None:
-    assert probe.health_in(frames(), NODE) == HEALTHY
+    assert healthcheck.health_in(frames(), NODE) == HEALTHY
 
 
 def test_silence_is_not_waited_for_longer_than_asked(sockets: Path, capsys: pytest.CaptureFixture[str]) -> None:
     begun = time.monotonic()
-    assert probe.main([NODE, "--within", "0.2"]) == 1
+    assert healthcheck.main([NODE, "--within", "0.2"]) == 1
     assert 0.2 <= time.monotonic() - begun < 2.0
     assert capsys.readouterr().out == f"afm_node@slave was not heard at ipc://{sockets}/{NODE} within 0.2 s\n"
 
 
 def test_a_flood_of_other_messages_ends_in_time(says: Any, capsys: pytest.CaptureFixture[str]) -> None:
     says(*[frames(src="controller@master")] * 100)
-    assert probe.main([NODE, "--within", "0.3"]) == 1
+    assert healthcheck.main([NODE, "--within", "0.3"]) == 1
     assert "was not heard" in capsys.readouterr().out
 
 
@@ -107,41 +107,41 @@ def test_environment_names_the_node(
     says: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     says(frames())
-    monkeypatch.setenv(probe.NODE_VARIABLE, NODE)
-    assert probe.main([]) == 0
+    monkeypatch.setenv(healthcheck.NODE_VARIABLE, NODE)
+    assert healthcheck.main([]) == 0
     assert NODE in capsys.readouterr().out
 
 
 def test_site_file_says_where(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(probe.RUNTIME_DIRECTORY_VARIABLE, "/run/rig")
+    monkeypatch.setenv(healthcheck.RUNTIME_DIRECTORY_VARIABLE, "/run/rig")
     file = tmp_path / "site.yaml"
     file.write_text("nodes: {afm_node@slave: 'ipc://{runtime}/tip', controller@slave: 'ipc://{runtime}/c'}")
-    assert probe.endpoint_of(NODE, file) == "ipc:///run/rig/tip"
-    assert probe.endpoint_of(NODE, None) == f"ipc:///run/rig/{NODE}"
+    assert healthcheck.endpoint_of(NODE, file) == "ipc:///run/rig/tip"
+    assert healthcheck.endpoint_of(NODE, None) == f"ipc:///run/rig/{NODE}"
 
 
 def test_what_cannot_be_asked_is_said(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.delenv(probe.RUNTIME_DIRECTORY_VARIABLE, raising=False)
-    monkeypatch.delenv(probe.NODE_VARIABLE, raising=False)
-    assert probe.main([]) == 2
+    monkeypatch.delenv(healthcheck.RUNTIME_DIRECTORY_VARIABLE, raising=False)
+    monkeypatch.delenv(healthcheck.NODE_VARIABLE, raising=False)
+    assert healthcheck.main([]) == 2
     assert "give node@site, or set TELENANO_NODE" in capsys.readouterr().out
-    assert probe.main([NODE]) == 2
+    assert healthcheck.main([NODE]) == 2
     assert "set TELENANO_RUNTIME_DIR" in capsys.readouterr().out
     with pytest.raises(ConfigError):
-        probe.endpoint_of(NODE, None)
+        healthcheck.endpoint_of(NODE, None)
     file = tmp_path / "site.yaml"
     file.write_text("nodes: {controller@slave: 'ipc:///run/c'}")
-    assert probe.main([NODE, "--site-file", str(file)]) == 2
+    assert healthcheck.main([NODE, "--site-file", str(file)]) == 2
     assert "afm_node@slave is not in the site file" in capsys.readouterr().out
-    assert probe.main([NODE, "--site-file", str(tmp_path / "none.yaml")]) == 2
+    assert healthcheck.main([NODE, "--site-file", str(tmp_path / "none.yaml")]) == 2
     assert "none.yaml: cannot be read" in capsys.readouterr().out
 
 
 def test_it_imports_next_to_nothing() -> None:
     # it runs every few seconds beside the loops: models and arrays would cost it five times as much
-    code = "import sys, services.runtime.probe; print(*sys.modules)"
+    code = "import sys, services.runtime.healthcheck; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = {name.partition(".")[0] for name in done.stdout.split()}
     assert {"zmq", "msgpack"} <= loaded

@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 import zmq
 
 from services.runtime.bus import Notice, Publisher
-from services.runtime.monitor import CLOSED_IN_HANDSHAKE, FAILURES, PROTOCOL_FAILED, Monitor, Refusals
-from services.runtime.security import key_text
-from services.runtime.trust import Trust
+from services.runtime.security.access_control import Trust
+from services.runtime.security.keyring import key_text
+from services.runtime.security.socket_monitor import CLOSED_IN_HANDSHAKE, FAILURES, PROTOCOL_FAILED, Monitor, Refusals
 
 # of ZeroMQ's authentication protocol (ZAP)
 _ZAP_ENDPOINT = "inproc://zeromq.zap.01"

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from proto.messages import SessionEvent
-from services.runtime.replayed import ReplayGuard
+from services.runtime.replay_guard import ReplayGuard
 from services.runtime.sequence import Arrival, SequenceTracker
 
 SECOND_NS = 1_000_000_000

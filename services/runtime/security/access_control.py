@@ -1,8 +1,8 @@
 """What a process believes of the machines around it: its own key, the list as last read, and verdicts on both."""
 
-from services.runtime.errors import ConfigError
-from services.runtime.security import ROLES, AllowList, Keyring, Role
-from services.runtime.site import SiteBook
+from proto.errors import ConfigError
+from services.runtime.address_book import SiteBook
+from services.runtime.security.keyring import ROLES, AllowList, Keyring, Role
 
 
 class Trust:

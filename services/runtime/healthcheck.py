@@ -15,7 +15,7 @@ from typing import Any
 import msgpack
 import zmq
 
-from services.runtime.errors import ConfigError, TelenanoError
+from proto.errors import ConfigError, TelenanoError
 
 NODE_VARIABLE = "TELENANO_NODE"
 RUNTIME_DIRECTORY_VARIABLE = "TELENANO_RUNTIME_DIR"
@@ -92,7 +92,7 @@ def health_in(frames: Sequence[bytes], node: str) -> Mapping[str, Any] | None:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="python -m services.runtime.probe", description="Ask whether a node is alive."
+        prog="python -m services.runtime.healthcheck", description="Ask whether a node is alive."
     )
     named = os.environ.get(NODE_VARIABLE, "")
     parser.add_argument("node", nargs="?", default=named, metavar="NODE@SITE", help=f"default: {NODE_VARIABLE}")

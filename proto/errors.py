@@ -19,3 +19,7 @@ class RefusedError(TelenanoError):
 
 class RecordingError(TelenanoError):
     """A recording cannot be written or read; the text names the file."""
+
+
+class RigError(TelenanoError):
+    """The rig could not be started, kept running or reached; the text names the node and what it said."""

@@ -31,16 +31,17 @@ from network_bench import (
 )
 
 from proto import WireError
-from services.runtime import doors, lines, monitor, network
+from proto.errors import ConfigError, EndpointError
+from services.runtime import transport
+from services.runtime.address_book import SiteBook
 from services.runtime.bus import Publisher, Subscriber, ZmqBus
 from services.runtime.clock import SystemClock, VirtualClock
-from services.runtime.doors import Door
-from services.runtime.errors import ConfigError, EndpointError
-from services.runtime.lines import Rights
-from services.runtime.monitor import FAILURES, PROTOCOL_FAILED, Monitor
-from services.runtime.network import Network
-from services.runtime.security import Keyring
-from services.runtime.site import SiteBook
+from services.runtime.security import peer_connections, socket_monitor, zap_authenticator
+from services.runtime.security.keyring import Keyring
+from services.runtime.security.peer_connections import Rights
+from services.runtime.security.socket_monitor import FAILURES, PROTOCOL_FAILED, Monitor
+from services.runtime.security.zap_authenticator import Door
+from services.runtime.transport import Network
 
 OPERATOR = "controller@master"
 
@@ -411,7 +412,7 @@ def test_garbage_on_the_port_is_refused_and_disturbs_nobody(
 def test_connections_without_a_word_are_closed_and_disturb_nobody(
     world: Callable[..., list[Machine]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(network, "_HANDSHAKE_MS", 300)
+    monkeypatch.setattr(transport, "_HANDSHAKE_MS", 300)
     master, slave = world()
     slave.open().speaks(AFM)
     master.open().hears({AFM: ["afm/state"]})
@@ -474,7 +475,7 @@ def test_a_message_that_nobody_may_send_closes_the_connection_of_its_sender_alon
 def test_nobody_is_let_in_while_nobody_is_at_the_post(
     world: Callable[..., list[Machine]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(network, "_HANDSHAKE_MS", 300)
+    monkeypatch.setattr(transport, "_HANDSHAKE_MS", 300)
     master, slave = world()
     slave.open().speaks(AFM)
     slave.network.close()
@@ -528,15 +529,15 @@ def test_a_revocation_is_seen_at_the_next_look_which_every_report_is(world: Call
     slave.open().speaks(AFM)
     master.open().hears({AFM: ["afm/state"]})
     until(hears_more(master, AFM), master, slave)
-    slave.clock.advance_ns(network._LOOK_NS)
+    slave.clock.advance_ns(transport._LOOK_NS)
     assert slave.network.attend() == []
     slave.ring.revoke("master")
-    slave.clock.advance_ns(network._LOOK_NS - 1)
+    slave.clock.advance_ns(transport._LOOK_NS - 1)
     assert slave.network.attend() == []
     slave.clock.advance_ns(1)
     assert [notice.data["connection"] for notice in slave.network.attend()] == ["revoked"]
     # health is reported twice a second, and looks each time
-    assert network._LOOK_NS < 500_000_000
+    assert transport._LOOK_NS < 500_000_000
     until(lambda: master.texts("down"), master, slave)
 
 
@@ -617,7 +618,7 @@ class StubbornSocket:
 def test_a_door_that_cannot_be_opened_again_is_told_and_tried_again_without_holding_the_loop(
     world: Callable[..., list[Machine]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(doors, "_HURRIED", 3)
+    monkeypatch.setattr(zap_authenticator, "_HURRIED", 3)
     _, slave = world()
     slave.open()
     doorman, stubborn = slave.network._doorman, StubbornSocket()
@@ -735,7 +736,7 @@ def test_the_link_carries_what_comes_from_the_other_site(world: Callable[..., li
 
 
 def test_rights_are_remembered_to_a_bound(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(lines, "_MOST_REMEMBERED", 2)
+    monkeypatch.setattr(peer_connections, "_MOST_REMEMBERED", 2)
     rights = Rights("master", [LINK], ["data"])
     for number in range(10):
         rights("teleop/forward", f"node{number}@master")
@@ -804,7 +805,7 @@ def test_who_comes_and_goes_with_a_command_is_not_missed(world: Callable[..., li
     master, slave = world(book=SiteBook.model_validate({"machines": book.machines, "nodes": nodes}))
     master.open().hears({console: ["session/event"]})
     for _ in range(200):
-        master.clock.advance_ns(network._LOOK_NS)
+        master.clock.advance_ns(transport._LOOK_NS)
         assert master.network.attend() == []
     slave.open().speaks(console)
     until(lambda: master.texts("up") and master.heard_from(console), master, slave)
@@ -842,7 +843,7 @@ def test_what_was_said_before_a_connection_was_lost_is_still_heard(world: Callab
     slave.open().speaks(AFM)
     master.open().hears({AFM: ["afm/state"]})
     until(lambda: master.texts("up") and master.heard_from(AFM), master, slave)
-    master.clock.advance_ns(network._LOOK_NS)
+    master.clock.advance_ns(transport._LOOK_NS)
     master.network.attend()
     # more than a reader takes in a turn, and then the end
     last_words = 3000
@@ -902,7 +903,7 @@ def test_a_pulled_cable_is_noticed_and_what_was_sent_into_it_does_not_come_out_l
     world: Callable[..., list[Machine]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name, value_ms in (("_LOOP_SILENCE_MS", 300), ("_READER_SILENCE_MS", 300), ("_HANDSHAKE_MS", 500)):
-        monkeypatch.setattr(network, name, value_ms)
+        monkeypatch.setattr(transport, name, value_ms)
     book = two_machine_book(tmp_path)
     (away,) = free_ports(1)
     cable = Cable(away, port_of(book, AFM))
@@ -934,7 +935,7 @@ def test_a_pulled_cable_is_noticed_and_what_was_sent_into_it_does_not_come_out_l
 def test_strangers_are_answered_a_few_at_a_time(world: Callable[..., list[Machine]]) -> None:
     _, slave = world()
     slave.open().speaks(AFM)
-    knocks = 3 * doors._AT_ONCE + 1
+    knocks = 3 * zap_authenticator._AT_ONCE + 1
     flood = slave.context.socket(zmq.DEALER)
     flood.set(zmq.LINGER, 0)
     flood.connect("inproc://zeromq.zap.01")
@@ -948,7 +949,12 @@ def test_strangers_are_answered_a_few_at_a_time(world: Callable[..., list[Machin
             slave.network.attend()
             counted.append(slave.network.rejected["unlisted"])
             restless.append(slave.network.restless)
-        assert counted == [doors._AT_ONCE, 2 * doors._AT_ONCE, 3 * doors._AT_ONCE, knocks]
+        assert counted == [
+            zap_authenticator._AT_ONCE,
+            2 * zap_authenticator._AT_ONCE,
+            3 * zap_authenticator._AT_ONCE,
+            knocks,
+        ]
         assert restless == [True, True, True, False]
         answers = [flood.recv_multipart(zmq.NOBLOCK) for _ in range(knocks)]
         assert answers[-1] == [b"", b"1.0", b"%d" % (knocks - 1), b"400", b"unlisted", b"", b""]
@@ -987,8 +993,8 @@ def test_events_of_connections_are_taken_a_few_at_a_time() -> None:
         end = time.monotonic() + PATIENCE_S
         while total < 100 and time.monotonic() < end:
             taken = watch.events()
-            assert len(taken) <= monitor._AT_ONCE
-            assert watch.restless == (len(taken) == monitor._AT_ONCE)
+            assert len(taken) <= socket_monitor._AT_ONCE
+            assert watch.restless == (len(taken) == socket_monitor._AT_ONCE)
             total += len(taken)
         assert total == 100
         assert {event for event, _ in taken} == {PROTOCOL_FAILED}

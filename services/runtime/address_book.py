@@ -13,9 +13,9 @@ from typing import Annotated, Self
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
+from proto.errors import EndpointError
 from proto.messages import SOURCE_PATTERN
 from proto.topics import TOPICS, Topic
-from services.runtime.errors import EndpointError
 
 LINK_NODE = "delay_node"
 # the machine that the link runs on, with its faces at both sites

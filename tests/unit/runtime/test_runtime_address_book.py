@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 
 from proto import TOPICS
+from proto.errors import ConfigError, EndpointError
+from services.runtime.address_book import NodeEntry, SiteBook, may_carry, runtime_directory, site_of
 from services.runtime.config import read_yaml, validate
-from services.runtime.errors import ConfigError, EndpointError
-from services.runtime.site import NodeEntry, SiteBook, may_carry, runtime_directory, site_of
 
 TWO_SITES = Path(__file__).resolve().parents[3] / "services" / "launcher" / "sites" / "two_sites.yaml"
 NODES = (

@@ -3,9 +3,9 @@ import json
 import numpy as np
 import pytest
 
+from proto.errors import ConfigError
 from proto.messages import AfmScanline, Array
-from services.launcher.observe import Observer, known_name, message_fields
-from services.runtime.errors import ConfigError
+from services.runtime.observer import Observer, known_name, message_fields
 
 
 @pytest.mark.parametrize(

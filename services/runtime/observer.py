@@ -11,15 +11,14 @@ import zmq
 from pydantic import BaseModel
 
 from proto import TOPICS
+from proto.errors import ConfigError, RigError
 from proto.messages import Array, Message
-from services.launcher.errors import RigError
+from services.runtime.address_book import SiteBook, site_of
 from services.runtime.bus import Notice, Received
 from services.runtime.clock import SystemClock
-from services.runtime.errors import ConfigError
-from services.runtime.network import Network
-from services.runtime.security import Keyring, this_machine
+from services.runtime.security.keyring import Keyring, this_machine
 from services.runtime.sequence import SequenceTracker
-from services.runtime.site import SiteBook, site_of
+from services.runtime.transport import Network
 
 _WAIT_MS = 100
 

@@ -9,15 +9,15 @@ from collections.abc import Mapping, Sequence
 
 import zmq
 
+from proto.errors import ConfigError, EndpointError
+from services.runtime.address_book import SiteBook
 from services.runtime.bus import Notice, Publisher, Subscriber
 from services.runtime.clock import Clock
-from services.runtime.doors import Doorman
-from services.runtime.errors import ConfigError, EndpointError
-from services.runtime.lines import Lines
-from services.runtime.monitor import Refusals
-from services.runtime.security import Keyring
-from services.runtime.site import SiteBook
-from services.runtime.trust import Trust
+from services.runtime.security.access_control import Trust
+from services.runtime.security.keyring import Keyring
+from services.runtime.security.peer_connections import Lines
+from services.runtime.security.socket_monitor import Refusals
+from services.runtime.security.zap_authenticator import Doorman
 
 # a loop gives up a connection on which nothing is heard for a second: a pulled cable says nothing, and what was sent
 # into it meanwhile must not come out of it later

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from services.runtime.clock import VirtualClock
-from services.runtime.schedule import Grid, LatenessWindow, SpinMargin
+from services.runtime.deadlines import Grid, LatenessWindow, SpinMargin
 
 MS = 1_000_000
 
