@@ -28,13 +28,13 @@ from mcap.writer import CompressionType, Writer
 from proto import TOPICS, encode
 from proto.contract import examples
 from proto.messages import Message
-from services.launcher.replay import ReplayRequest, run_replay
+from recording.reader import Recording
+from recording.writer import RecordingWriter
+from services.player.node import PLAYER, PlaySettings
+from services.player.run import ReplayRequest, run_replay
 from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake, Listener
-from services.recorder.player import PLAYER, PlaySettings
-from services.recorder.reader import Recording
-from services.recorder.start import begin_intake
-from services.recorder.writer import RecordingWriter
+from services.recorder.open_recording import begin_intake
 from services.runtime.bus import Subscriber
 from services.runtime.clock import SystemClock
 

@@ -21,8 +21,8 @@ import yaml
 from empty_loop import EmptyLoops
 
 from proto import TOPICS
+from recording.reader import Recording
 from services.launcher.plan import SCENARIO_DIRECTORY
-from services.recorder.reader import Recording
 
 # caches, free lists and the recorder's buffers find their size in the first part of a run
 SETTLED_S = 60.0

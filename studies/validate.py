@@ -20,9 +20,9 @@ import numpy.typing as npt
 import yaml
 
 from proto.errors import ConfigError, TelenanoError
+from recording.arrays import columns, last_session
+from recording.reader import Recording
 from services.afm_node.config import AfmConfig
-from services.recorder.columns import columns, last_session
-from services.recorder.reader import Recording
 from studies.cells import Cell, judged, scales_of, trajectory_of
 from studies.lockstep import Trajectory
 

@@ -11,10 +11,10 @@ import typer
 from pydantic import BaseModel
 
 from proto.errors import RecordingError
+from recording.channel_filter import Selection
+from recording.reader import Recording, open_recordings
+from recording.tolerance import Tolerances
 from services.launcher.telling import EXIT_FAILED, console, errors_told, print_json, tell
-from services.recorder.compare import Tolerances
-from services.recorder.reader import Recording, open_recordings
-from services.recorder.selection import Selection
 
 _CHANNEL_COLUMNS = ("channel_topic", "src", "messages", "rate_hz", "gaps", "lost", "restarts")
 _PLOT_SIZE = (100, 12)
@@ -102,7 +102,7 @@ def cat(
     count: Annotated[int | None, typer.Option("--count", min=1, metavar="N", help="End after N messages.")] = None,
 ) -> None:
     """Print messages with the facts of their records, one a line as JSON."""
-    from services.recorder.rows import line
+    from recording.tables import line
 
     with errors_told(as_json=False):
         recording = open_recordings(files)
@@ -119,7 +119,7 @@ def echo(
     count: Annotated[int | None, typer.Option("--count", min=1, metavar="N", help="End after N messages.")] = None,
 ) -> None:
     """Print the messages of a channel as `telenano topic echo` does with those of a running rig."""
-    from services.recorder.rows import plain
+    from recording.tables import plain
 
     with errors_told(as_json=False):
         recording = Recording(file)
@@ -142,7 +142,7 @@ def filter_file(
     as_json: JsonOption = False,
 ) -> None:
     """Copy chosen channels and times into a new recording."""
-    from services.recorder.edit import filter_recording
+    from recording.rewrite import filter_recording
 
     with errors_told(as_json):
         chosen = Selection.of(topics or (), exclude or (), nodes or ())
@@ -152,7 +152,7 @@ def filter_file(
 @app.command()
 def merge(files: FilesArgument, out: OutOption, as_json: JsonOption = False) -> None:
     """Put recordings together in the order of time."""
-    from services.recorder.edit import merge_recordings
+    from recording.rewrite import merge_recordings
 
     with errors_told(as_json):
         _tell_model(merge_recordings(files, out), as_json)
@@ -167,7 +167,7 @@ def split(
     as_json: JsonOption = False,
 ) -> None:
     """Cut a recording into parts."""
-    from services.recorder.edit import split_recording
+    from recording.rewrite import split_recording
 
     with errors_told(as_json):
         parts = [
@@ -185,7 +185,7 @@ def verify(files: FilesArgument, as_json: JsonOption = False) -> None:
 
     Several files are taken as the parts of one recording.
     """
-    from services.recorder.verify import verify as check
+    from recording.verify import verify as check
 
     with errors_told(as_json):
         verdict = check(files)
@@ -203,7 +203,7 @@ def verify(files: FilesArgument, as_json: JsonOption = False) -> None:
 @app.command()
 def recover(file: FileArgument, out: OutOption, as_json: JsonOption = False) -> None:
     """Copy everything readable in a killed, cut-off or damaged recording into a finished one."""
-    from services.recorder.edit import filter_recording
+    from recording.rewrite import filter_recording
 
     with errors_told(as_json):
         _tell_model(filter_recording(file, out), as_json)
@@ -219,7 +219,7 @@ def export(
     as_json: JsonOption = False,
 ) -> None:
     """Write a recording for other tools; mcap-json is what Foxglove and Lichtblick show."""
-    from services.recorder.export import export_recording
+    from recording.export import export_recording
 
     with errors_told(as_json):
         _tell_model(export_recording(file, out, to.value, Selection.of(topics or (), exclude or ())), as_json)
@@ -239,7 +239,7 @@ def diff(
     as_json: JsonOption = False,
 ) -> None:
     """Compare two recordings message by message, by channel and number; exit code 1 if they differ."""
-    from services.recorder.diff import diff_recordings
+    from recording.diff import diff_recordings
 
     with errors_told(as_json):
         allowed = Tolerances.parse(tolerance or ())

@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from proto.errors import ConfigError, RecordingError
-from services.recorder.columns import columns
-from services.recorder.reader import Recording
+from recording.arrays import columns
+from recording.reader import Recording
 
 Floats = npt.NDArray[np.float64]
 

@@ -12,9 +12,9 @@ import yaml
 
 from proto import TOPICS
 from proto.errors import RecordingError
+from recording.arrays import columns, last_session, replay_shifts
+from recording.reader import Recording, RecordingInfo
 from services.controller.config import ControllerConfig
-from services.recorder.columns import columns, last_session, replay_shifts
-from services.recorder.reader import Recording, RecordingInfo
 from services.runtime.config import validate
 from services.runtime.scenario import Scenario
 from services.viz_node.fig12 import SessionSeries, save_fig12

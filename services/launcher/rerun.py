@@ -30,9 +30,9 @@ from proto.messages import (
     TeleopBackward,
     TeleopForward,
 )
+from recording.reader import RecordedMessage, Recording
+from recording.tolerance import Tolerances, first_difference
 from services.launcher.plan import node_kind
-from services.recorder.compare import Tolerances, first_difference
-from services.recorder.reader import RecordedMessage, Recording
 from services.runtime.address_book import SiteBook
 from services.runtime.bus import Received, ZmqBus
 from services.runtime.config import flag_overrides, merge, validate

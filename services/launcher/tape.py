@@ -4,8 +4,8 @@ from pathlib import Path
 
 from proto.errors import RecordingError
 from proto.messages import NodeHealth, SessionControl, SessionEvent
+from recording.reader import Recording
 from services.launcher.dialogue import Step
-from services.recorder.reader import Recording
 from services.runtime.clock import Clock
 
 # what the recorder may take to be heard once everything else is: it reports twice a second

@@ -6,7 +6,7 @@ from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake, Listener
 from services.recorder.live import connect
 from services.recorder.node import RecorderBus, RecorderNode
-from services.recorder.start import begin_intake
+from services.recorder.open_recording import begin_intake
 from services.runtime.address_book import site_of
 from services.runtime.main import NodeKind, Wiring, run_node
 from services.runtime.node import AccountedBus, Node

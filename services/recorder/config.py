@@ -6,7 +6,7 @@ from typing import Annotated, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from proto.errors import ConfigError
-from services.recorder.selection import Selection
+from recording.channel_filter import Selection
 
 _Size = Annotated[int, Field(ge=65_536, le=1 << 50)]
 

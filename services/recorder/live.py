@@ -9,9 +9,9 @@ import zmq
 
 from proto import TOPICS, WireError
 from proto.errors import ConfigError
+from recording.reader import RecordedChannel, RecordedMessage
+from recording.writer import channel_topic
 from services.recorder.intake import Listener, read_header
-from services.recorder.reader import RecordedChannel, RecordedMessage
-from services.recorder.writer import channel_topic
 from services.runtime.address_book import SiteBook, site_of
 from services.runtime.bus import split_frames
 from services.runtime.clock import SystemClock

@@ -8,8 +8,8 @@ import zmq
 
 from proto import TOPICS
 from proto.errors import RecordingError
+from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
-from services.recorder.writer import RecordingWriter
 
 _PACKAGES = ("telenano", "mcap", "msgpack", "numpy", "pydantic", "pyzmq", "zstandard")
 

@@ -13,10 +13,10 @@ import sys
 import tempfile
 from pathlib import Path
 
+from recording.channel_filter import Selection
+from recording.reader import Recording
+from recording.rewrite import filter_recording
 from services.controller.config import LAWS
-from services.recorder.edit import filter_recording
-from services.recorder.reader import Recording
-from services.recorder.selection import Selection
 
 FOLDER = Path(__file__).resolve().parent
 DURATION_S = 1.2

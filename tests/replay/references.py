@@ -13,9 +13,9 @@ from pathlib import Path
 
 import studies  # noqa: F401 first: with it every step is compiled, unless NUMBA_DISABLE_JIT says otherwise
 from proto import Message, encode
+from recording.reader import Recording
+from recording.tolerance import Tolerances
 from services.launcher.rerun import RerunResult, rerun
-from services.recorder.compare import Tolerances
-from services.recorder.reader import Recording
 
 FOLDER = Path(__file__).resolve().parent
 REFERENCES = sorted(FOLDER.glob("*.mcap"))

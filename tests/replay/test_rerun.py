@@ -10,12 +10,12 @@ import pytest
 from references import OUTPUTS, REFERENCES, SHARE, digests, rerun_digest, tolerances
 
 from proto.errors import ConfigError, RecordingError
+from recording.channel_filter import Selection
+from recording.reader import Recording
+from recording.rewrite import filter_recording
+from recording.tolerance import Tolerances
 from services.controller.virtual_impedance import VirtualImpedanceConfig
 from services.launcher.rerun import rerun
-from services.recorder.compare import Tolerances
-from services.recorder.edit import filter_recording
-from services.recorder.reader import Recording
-from services.recorder.selection import Selection
 
 REFERENCE = Path(__file__).parent / "virtual_impedance.mcap"
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import machine
 from stack_rig import Rig
 
-from services.recorder.reader import Recording
+from recording.reader import Recording
 
 NS_PER_S = 1_000_000_000
 FLUSH_NS = NS_PER_S // 5

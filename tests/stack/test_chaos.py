@@ -8,7 +8,7 @@ import pytest
 from ledger import enter
 from stack_rig import CONSTANT_PUSH, Rig
 
-from services.recorder.reader import Recording
+from recording.reader import Recording
 
 RESTARTED = "was started again"
 # generous against the 50 ms and 250 ms of the design: this machine may be busy, the order of things may not change

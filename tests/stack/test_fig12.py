@@ -14,9 +14,9 @@ from mcap.reader import make_reader
 from stack_rig import Rig
 
 from proto import TOPICS
+from recording.reader import Recording
+from recording.rewrite import filter_recording
 from services.launcher.rerun import RerunResult, rerun
-from services.recorder.edit import filter_recording
-from services.recorder.reader import Recording
 
 LOSSLESS = [name for name, topic in TOPICS.items() if topic.delivery == "lossless"]
 FAST = [name for name, topic in TOPICS.items() if topic.rate_hz == 1000.0]

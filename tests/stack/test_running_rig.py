@@ -12,7 +12,7 @@ import zmq
 from killed import check_killed, kill_recorders
 from stack_rig import CONSTANT_PUSH, Rig
 
-from services.recorder.reader import Recording
+from recording.reader import Recording
 
 CONSOLE = "console@master"
 GOOD = {

@@ -10,6 +10,7 @@ from launcher_bench import Bench
 from proto import encode
 from proto.errors import RecordingError, RigError
 from proto.messages import SessionControl
+from recording.writer import RecordingWriter
 from services.launcher import up
 from services.launcher.keeper import Keeper
 from services.launcher.plan import Plan, UpRequest, make_plan
@@ -17,7 +18,6 @@ from services.launcher.session import SessionNode, SiteNode
 from services.launcher.tape import holds_command
 from services.launcher.up import Outcome, make_rig, outcome_of, report_of, run_rig
 from services.recorder.config import RecorderConfig
-from services.recorder.writer import RecordingWriter
 
 RECORDER = "recorder@master"
 

@@ -11,12 +11,12 @@ from recorder_samples import haptic_state
 from typer.testing import CliRunner
 
 from proto.errors import ConfigError
+from recording.reader import Recording
 from services.launcher.bag import app
 from services.launcher.plot import Trace, draw
-from services.launcher.record import record
-from services.launcher.replay import parse_remap, replay
 from services.launcher.telling import split_keys
-from services.recorder.reader import Recording
+from services.player.run import parse_remap, replay
+from services.recorder.attach import record
 
 MakeFile = Callable[..., Path]
 commands = typer.Typer()

@@ -11,11 +11,11 @@ import zmq
 from recorder_samples import EPOCH_NS, NODE, haptic_state, sample, session_control, teleop_forward
 
 from proto import MAX_MESSAGE_BYTES, TOPICS, Message, WireError, encode
+from recording.reader import Recording
+from recording.records import GAP_TOPIC, REJECTED_TOPIC, GapRecord, RejectedRecord
+from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake, Listener, read_header
-from services.recorder.reader import Recording
-from services.recorder.records import GAP_TOPIC, REJECTED_TOPIC, GapRecord, RejectedRecord
-from services.recorder.writer import RecordingWriter
 from services.runtime.bus import Subscriber
 from services.runtime.clock import VirtualClock
 from services.runtime.security.peer_connections import Rights

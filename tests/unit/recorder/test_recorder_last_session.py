@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from services.recorder.columns import last_session
+from recording.arrays import last_session
 
 
 @pytest.mark.parametrize(

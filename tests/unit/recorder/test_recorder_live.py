@@ -9,8 +9,8 @@ from recorder_samples import haptic_state, teleop_forward
 
 from proto import encode
 from proto.errors import ConfigError
+from recording.reader import RecordedMessage
 from services.recorder.live import LiveRecording
-from services.recorder.reader import RecordedMessage
 from services.runtime.address_book import SiteBook
 from services.runtime.bus import Publisher
 from services.runtime.clock import SystemClock

@@ -15,12 +15,12 @@ from recorder_samples import EPOCH_NS, NODE, haptic_state, sample, session_contr
 
 from proto import TOPICS, Message, encode
 from proto.messages import InputHealth, SessionEvent
+from recording.reader import Recording
+from recording.writer import RecordingWriter
 from services.recorder.__main__ import begin, listeners
 from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake
 from services.recorder.node import RecorderBus, RecorderNode
-from services.recorder.reader import Recording
-from services.recorder.writer import RecordingWriter
 from services.runtime.address_book import SiteBook
 from services.runtime.bus import Notice, Publisher, Received
 from services.runtime.clock import SystemClock, VirtualClock

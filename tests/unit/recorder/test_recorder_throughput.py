@@ -7,11 +7,11 @@ from mcap.writer import Writer
 from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state
 
 from proto import encode
-from services.recorder.columns import columns
+from recording.arrays import columns
+from recording.reader import Recording
+from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake, Listener
-from services.recorder.reader import Recording
-from services.recorder.writer import RecordingWriter
 from services.runtime.bus import Subscriber
 from services.runtime.clock import VirtualClock
 

@@ -7,11 +7,11 @@ import typer
 from typer.main import get_command
 
 from services.launcher.bag import app
-from services.launcher.record import record
-from services.launcher.replay import replay
+from services.player.node import _SETTERS
+from services.player.run import replay
+from services.recorder.attach import record
 from services.recorder.config import RecorderConfig
 from services.recorder.node import _ORDERS
-from services.recorder.player import _SETTERS
 
 ROOT = Path(__file__).resolve().parents[3]
 GUIDE = (ROOT / "docs" / "recording.md").read_text(encoding="utf-8")

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from proto.errors import RecordingError
-from services.recorder.reader import RecordedMessage, Recording
+from recording.reader import RecordedMessage, Recording
 
 Column = npt.NDArray[Any]
 

@@ -1,8 +1,8 @@
 import pytest
 
 from proto.errors import ConfigError
-from services.recorder.reader import RecordedChannel
-from services.recorder.selection import Selection, matcher, node_matcher
+from recording.channel_filter import Selection, matcher, node_matcher
+from recording.reader import RecordedChannel
 
 
 def channel(name: str, src: str = "afm_node@slave") -> RecordedChannel:

@@ -12,12 +12,12 @@ from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state, sampl
 from proto import decode, encode
 from proto.errors import ConfigError, RefusedError
 from proto.messages import HapticState, Message, NodeHealth, SessionControl, SessionEvent
+from recording.channel_filter import Selection
+from recording.reader import Recording
+from recording.writer import RecordingWriter
+from services.player.node import PLAYER, Cast, Outlet, PlayerNode, PlaySettings
+from services.player.playback import Span, Tape
 from services.recorder.config import RecorderConfig
-from services.recorder.player import PLAYER, Cast, Outlet, PlayerNode, PlaySettings
-from services.recorder.reader import Recording
-from services.recorder.selection import Selection
-from services.recorder.tape import Span, Tape
-from services.recorder.writer import RecordingWriter
 from services.runtime.address_book import SiteBook
 from services.runtime.bus import Publisher, ZmqBus
 from services.runtime.clock import VirtualClock

@@ -8,11 +8,11 @@ from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state, sampl
 
 from proto import encode
 from proto.errors import RecordingError
+from recording.channel_filter import ALL, Selection
+from recording.reader import Recording
+from recording.writer import RecordingWriter
+from services.player.playback import Span, Tape, Transport
 from services.recorder.config import RecorderConfig
-from services.recorder.reader import Recording
-from services.recorder.selection import ALL, Selection
-from services.recorder.tape import Span, Tape, Transport
-from services.recorder.writer import RecordingWriter
 
 MakeFile = Callable[..., Path]
 

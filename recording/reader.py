@@ -17,8 +17,8 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from proto import WireError, decode
 from proto.errors import RecordingError
 from proto.messages import Record
-from services.recorder.layout import MAGIC, RECORD_HEAD, UNREADABLE, Block, Damage, DamagedBlockError, scan, unpack
-from services.recorder.records import RECORDS
+from recording.mcap_scan import MAGIC, RECORD_HEAD, UNREADABLE, Block, Damage, DamagedBlockError, scan, unpack
+from recording.records import RECORDS
 from services.runtime.sequence import SequenceTracker
 
 _MESSAGE_HEAD = Struct("<HIQQ")

@@ -10,7 +10,7 @@ from pydantic import BaseModel
 
 from proto.errors import RecordingError
 from proto.messages import Array
-from services.recorder.reader import RecordedMessage
+from recording.reader import RecordedMessage
 
 _SCALARS = (bool, int, float, str)
 

@@ -5,9 +5,9 @@ from pathlib import Path
 
 from pydantic import BaseModel
 
-from services.recorder.compare import Tolerances, first_difference
-from services.recorder.reader import RecordedChannel, RecordedMessage, Recording
-from services.recorder.selection import ALL, Selection
+from recording.channel_filter import ALL, Selection
+from recording.reader import RecordedChannel, RecordedMessage, Recording
+from recording.tolerance import Tolerances, first_difference
 
 
 class ChannelDifference(BaseModel):

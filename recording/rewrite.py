@@ -10,9 +10,9 @@ from mcap.writer import CompressionType, Writer
 from pydantic import BaseModel
 
 from proto.errors import ConfigError, RecordingError
-from services.recorder.layout import Damage
-from services.recorder.reader import RawChannel, RawMessage, Recording
-from services.recorder.selection import ALL, Selection
+from recording.channel_filter import ALL, Selection
+from recording.mcap_scan import Damage
+from recording.reader import RawChannel, RawMessage, Recording
 
 _CHUNK_BYTES = 1 << 20
 

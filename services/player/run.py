@@ -9,12 +9,12 @@ import typer
 import zmq
 
 from proto.errors import ConfigError, EndpointError, TelenanoError
+from recording.channel_filter import Selection
+from recording.reader import open_recordings
 from services.launcher.plan import DEFAULT_SITE_FILE
 from services.launcher.telling import Keys, errors_told, print_json, site_file_named
-from services.recorder.player import PLAYER, Cast, Outlet, PlayerNode, PlaySettings
-from services.recorder.reader import open_recordings
-from services.recorder.selection import Selection
-from services.recorder.tape import Span, Tape
+from services.player.node import PLAYER, Cast, Outlet, PlayerNode, PlaySettings
+from services.player.playback import Span, Tape
 from services.runtime.bus import ZmqBus
 from services.runtime.clock import SystemClock
 from services.runtime.log import StructuredLog

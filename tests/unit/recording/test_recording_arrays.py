@@ -8,10 +8,10 @@ from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, teleop_forward
 
 from proto import encode
 from proto.errors import RecordingError
-from services.recorder.columns import columns
+from recording.arrays import columns
+from recording.reader import Recording
+from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
-from services.recorder.reader import Recording
-from services.recorder.writer import RecordingWriter
 
 MakeFile = Callable[..., Path]
 

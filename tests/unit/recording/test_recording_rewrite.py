@@ -11,16 +11,16 @@ from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state
 
 from proto import encode
 from proto.errors import ConfigError, RecordingError
-from services.recorder.compare import Tolerances
+from recording.channel_filter import Selection
+from recording.diff import diff_recordings
+from recording.mcap_scan import MAGIC
+from recording.reader import RecordedMessage, Recording
+from recording.records import GapRecord
+from recording.rewrite import filter_recording, merge_recordings, split_recording
+from recording.tolerance import Tolerances
+from recording.verify import verify
+from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
-from services.recorder.diff import diff_recordings
-from services.recorder.edit import filter_recording, merge_recordings, split_recording
-from services.recorder.layout import MAGIC
-from services.recorder.reader import RecordedMessage, Recording
-from services.recorder.records import GapRecord
-from services.recorder.selection import Selection
-from services.recorder.verify import verify
-from services.recorder.writer import RecordingWriter
 
 MakeFile = Callable[..., Path]
 

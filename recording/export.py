@@ -11,12 +11,12 @@ import numpy as np
 
 from proto import TOPICS
 from proto.errors import ConfigError, RecordingError
-from services.recorder.edit import Copied, CopyWriter, describe
-from services.recorder.layout import Damage
-from services.recorder.reader import RawChannel, RawMessage, RecordedMessage, Recording
-from services.recorder.records import RECORDS
-from services.recorder.rows import plain, table
-from services.recorder.selection import ALL, Selection
+from recording.channel_filter import ALL, Selection
+from recording.mcap_scan import Damage
+from recording.reader import RawChannel, RawMessage, RecordedMessage, Recording
+from recording.records import RECORDS
+from recording.rewrite import Copied, CopyWriter, describe
+from recording.tables import plain, table
 
 Format = Literal["parquet", "csv", "hdf5", "mcap-json"]
 Columns = dict[str, list[Any]]

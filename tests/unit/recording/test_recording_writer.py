@@ -15,10 +15,10 @@ from recorder_samples import EPOCH_NS, NODE, haptic_state, teleop_forward
 from proto import encode
 from proto.errors import RecordingError
 from proto.messages import HapticState
+from recording.reader import Recording
+from recording.records import GAP_TOPIC, GapRecord
+from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
-from services.recorder.reader import Recording
-from services.recorder.records import GAP_TOPIC, GapRecord
-from services.recorder.writer import RecordingWriter
 
 
 class TinyDisk(io.BytesIO):
@@ -155,7 +155,7 @@ import resource, sys
 from pathlib import Path
 resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
 from services.recorder.config import RecorderConfig
-from services.recorder.writer import RecordingWriter
+from recording.writer import RecordingWriter
 from proto.errors import RecordingError
 writer = RecordingWriter.create("recorder@master", RecorderConfig(directory=Path(sys.argv[1]), compression="none"))
 channel = writer.channel("haptic/state", "haptic_node@master", "master")

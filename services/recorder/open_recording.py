@@ -3,12 +3,12 @@
 from pathlib import Path
 
 from proto.errors import RecordingError
+from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake
-from services.recorder.parts import Parts
 from services.recorder.provenance import write_provenance
-from services.recorder.ring import Ring, trigger
-from services.recorder.writer import RecordingWriter
+from services.recorder.rotation import Parts
+from services.recorder.snapshot_buffer import Ring, trigger
 from services.runtime.clock import Clock
 
 

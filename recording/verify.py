@@ -9,10 +9,10 @@ from pydantic import BaseModel
 
 from proto import TOPICS
 from proto.errors import RecordingError
-from services.recorder.edit import describe
-from services.recorder.layout import Damage
-from services.recorder.reader import RecordedChannel, RecordedMessage, Recording
-from services.recorder.records import GAP_TOPIC, RECORDS
+from recording.mcap_scan import Damage
+from recording.reader import RecordedChannel, RecordedMessage, Recording
+from recording.records import GAP_TOPIC, RECORDS
+from recording.rewrite import describe
 
 Check = Literal["crc", "order", "gap", "schema", "end"]
 Level = Literal["error", "warning", "info"]

@@ -15,9 +15,9 @@ import zmq
 
 from proto.errors import ConfigError, RefusedError
 from proto.messages import Scalar, SessionControl
-from services.recorder.reader import RecordedChannel, RecordedMessage, Source
-from services.recorder.selection import Selection
-from services.recorder.tape import Span, Tape, Transport, is_state
+from recording.channel_filter import Selection
+from recording.reader import RecordedChannel, RecordedMessage, Source
+from services.player.playback import Span, Tape, Transport, is_state
 from services.runtime.address_book import LINK_NODE, SiteBook
 from services.runtime.bus import Publisher
 from services.runtime.clock import Clock

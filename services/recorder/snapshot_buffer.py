@@ -4,7 +4,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
-from services.recorder.records import GapRecord, RejectedRecord
+from recording.records import GapRecord, RejectedRecord
 
 
 class Entry(NamedTuple):

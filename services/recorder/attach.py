@@ -14,8 +14,8 @@ from services.launcher.telling import Keys, errors_told, fail, print_json, site_
 from services.recorder.config import RecorderConfig
 from services.recorder.live import connect
 from services.recorder.node import RecorderBus, RecorderNode
-from services.recorder.silent import OBSERVER, SilentPublisher
-from services.recorder.start import begin_intake
+from services.recorder.null_publisher import OBSERVER, SilentPublisher
+from services.recorder.open_recording import begin_intake
 from services.runtime.clock import SystemClock
 from services.runtime.config import validate
 from services.runtime.log import StructuredLog

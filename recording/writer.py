@@ -13,8 +13,8 @@ from mcap.writer import CompressionType, Writer
 from proto import TOPICS
 from proto.errors import RecordingError
 from proto.messages import Record
+from recording.records import GAP_TOPIC, RECORDS, REJECTED_TOPIC, GapRecord, RejectedRecord
 from services.recorder.config import RecorderConfig
-from services.recorder.records import GAP_TOPIC, RECORDS, REJECTED_TOPIC, GapRecord, RejectedRecord
 from services.runtime.address_book import site_of
 
 _COMPRESSION = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4, "none": CompressionType.NONE}

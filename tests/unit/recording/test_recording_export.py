@@ -15,13 +15,13 @@ from recorder_samples import EPOCH_NS, NODE, haptic_state, sample
 from proto import TOPICS, encode
 from proto.errors import ConfigError, RecordingError
 from proto.messages import AfmScanline, Array
+from recording.channel_filter import Selection
+from recording.export import export_recording, plain_schema
+from recording.reader import Recording
+from recording.records import REJECTED_TOPIC, RejectedRecord
+from recording.tables import line, plain
+from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
-from services.recorder.export import export_recording, plain_schema
-from services.recorder.reader import Recording
-from services.recorder.records import REJECTED_TOPIC, RejectedRecord
-from services.recorder.rows import line, plain
-from services.recorder.selection import Selection
-from services.recorder.writer import RecordingWriter
 
 HEIGHTS = np.array([1e-9, -2.5e-10, 3e-12])
 

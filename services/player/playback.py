@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from proto import TOPICS
 from proto.errors import RecordingError
-from services.recorder.reader import RecordedChannel, RecordedMessage, Source, Wanted
+from recording.reader import RecordedChannel, RecordedMessage, Source, Wanted
 
 _NS = 1e9
 

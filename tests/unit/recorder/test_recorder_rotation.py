@@ -11,13 +11,13 @@ from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state, sampl
 from proto import Message, encode
 from proto.errors import ConfigError, RecordingError, RefusedError
 from proto.messages import SessionControl, SessionEvent
+from recording.reader import Recording, open_recordings
 from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake, Listener
 from services.recorder.node import RecorderNode
-from services.recorder.reader import Recording, open_recordings
-from services.recorder.ring import Entry, Ring
-from services.recorder.silent import OBSERVER, SilentPublisher
-from services.recorder.start import begin_intake
+from services.recorder.null_publisher import OBSERVER, SilentPublisher
+from services.recorder.open_recording import begin_intake
+from services.recorder.snapshot_buffer import Entry, Ring
 from services.runtime.bus import Subscriber, ZmqBus
 from services.runtime.clock import VirtualClock
 from services.runtime.config import validate

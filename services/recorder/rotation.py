@@ -5,8 +5,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from proto.errors import RecordingError
+from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
-from services.recorder.writer import RecordingWriter
 
 Begin = Callable[[int], RecordingWriter]
 

@@ -12,11 +12,11 @@ from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state, teleo
 
 from proto import encode
 from proto.errors import RecordingError
+from recording.mcap_scan import MAGIC, scan
+from recording.reader import RecordedMessage, Recording
+from recording.records import GAP_TOPIC, REJECTED_TOPIC, GapRecord, RejectedRecord
+from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
-from services.recorder.layout import MAGIC, scan
-from services.recorder.reader import RecordedMessage, Recording
-from services.recorder.records import GAP_TOPIC, REJECTED_TOPIC, GapRecord, RejectedRecord
-from services.recorder.writer import RecordingWriter
 
 MakeFile = Callable[..., Path]
 

@@ -1,7 +1,7 @@
 import pytest
 
 from proto.errors import ConfigError
-from services.recorder.compare import Tolerances, first_difference
+from recording.tolerance import Tolerances, first_difference
 
 LEFT = {"seq": 1, "position_m": (0.0, 0.0, -1e-9), "mode": "follow", "data": {"a": 1}}
 

@@ -1,0 +1,1 @@
+"""Recordings as a library: MCAP files written, read, checked, cut and exported; no socket and no process."""
