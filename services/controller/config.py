@@ -6,12 +6,12 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from services.controller.deadband import DeadbandConfig
 from services.controller.law import Law
-from services.controller.model_mediated import MODEL_MEDIATED, ModelMediatedConfig
-from services.controller.passivity import PASSIVITY, PassivityConfig
-from services.controller.position_force import POSITION_FORCE, PositionForceConfig
-from services.controller.smith import SMITH, SmithConfig
-from services.controller.virtual_impedance import VIRTUAL_IMPEDANCE, VirtualImpedanceConfig
-from services.controller.wave import WAVE, WaveConfig
+from services.controller.laws.model_mediated import MODEL_MEDIATED, ModelMediatedConfig
+from services.controller.laws.passivity import PASSIVITY, PassivityConfig
+from services.controller.laws.position_force import POSITION_FORCE, PositionForceConfig
+from services.controller.laws.smith import SMITH, SmithConfig
+from services.controller.laws.virtual_impedance import VIRTUAL_IMPEDANCE, VirtualImpedanceConfig
+from services.controller.laws.wave import WAVE, WaveConfig
 
 LAWS: dict[str, Law] = {
     law.name: law for law in (VIRTUAL_IMPEDANCE, POSITION_FORCE, WAVE, PASSIVITY, MODEL_MEDIATED, SMITH)

@@ -9,10 +9,10 @@ from collections.abc import Callable, Iterable, Sequence
 from heapq import heappop, heappush
 from pathlib import Path as FilePath
 
-from services.delay_node.assembly import Assembly, Files, Message, Path, read_files
 from services.delay_node.config import DirectionSettings, LinkSettings
 from services.delay_node.fate import Direction, DirectionStats, Fate, Figures, Release
-from services.delay_node.pipe import ServedQueue, Waiting
+from services.delay_node.models.queueing import ServedQueue, Waiting
+from services.delay_node.pipeline import Assembly, Files, Message, Path, read_files
 
 
 class DirectionEngine:

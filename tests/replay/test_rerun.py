@@ -14,7 +14,7 @@ from recording.channel_filter import Selection
 from recording.reader import Recording
 from recording.rewrite import filter_recording
 from recording.tolerance import Tolerances
-from services.controller.virtual_impedance import VirtualImpedanceConfig
+from services.controller.laws.virtual_impedance import VirtualImpedanceConfig
 from services.launcher.rerun import rerun
 
 REFERENCE = Path(__file__).parent / "virtual_impedance.mcap"

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from services.controller.law import NO_SIGNAL, HandSample, TipSample
-from services.controller.model_mediated import (
+from services.controller.laws.model_mediated import (
     ModelMediatedConfig,
     master_books,
     master_receive,
@@ -20,8 +20,8 @@ from services.controller.model_mediated import (
     slave_start,
     updated,
 )
-from services.controller.surface import Surface, force_nn, potential
-from services.controller.virtual_mass import tip_reference
+from services.controller.laws.surface import Surface, force_nn, potential
+from services.controller.laws.virtual_mass import tip_reference
 
 T = 1e-3
 PARAMS = ModelMediatedConfig().to_params(T)

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from services.controller.law import NO_SIGNAL, HandSample, TipSample
-from services.controller.passivity import (
+from services.controller.laws.passivity import (
     Account,
     PassivityConfig,
     charged,

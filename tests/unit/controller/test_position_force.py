@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from services.controller.law import NO_SIGNAL, HandSample, TipSample
-from services.controller.position_force import (
+from services.controller.laws.position_force import (
     PositionForceConfig,
     master_receive,
     master_resume,
@@ -18,7 +18,7 @@ from services.controller.position_force import (
     slave_send,
     slave_start,
 )
-from services.controller.virtual_mass import tip_reference
+from services.controller.laws.virtual_mass import tip_reference
 
 PARAMS = PositionForceConfig().to_params(1e-3)
 

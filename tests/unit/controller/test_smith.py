@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from services.controller.law import NO_SIGNAL, HandSample
-from services.controller.smith import (
+from services.controller.laws.smith import (
     HISTORY,
     Estimate,
     SmithConfig,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from services.controller.law import NO_SIGNAL, HandSample, PortSignal, TipSample
-from services.controller.virtual_impedance import (
+from services.controller.laws.virtual_impedance import (
     MasterState,
     VirtualImpedanceConfig,
     master_receive,

@@ -5,8 +5,8 @@ import pytest
 from scipy import stats
 
 from services.delay_node.config import Jitter
-from services.delay_node.draws import stream
-from services.delay_node.jitter import JitterSource, table_quantile
+from services.delay_node.models.jitter import JitterSource, table_quantile
+from services.delay_node.random_streams import stream
 
 MANY = 200_000
 SCALE_S = 0.004

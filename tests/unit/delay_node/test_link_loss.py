@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from services.delay_node.config import GilbertElliott, MarkovLoss
-from services.delay_node.draws import stream
-from services.delay_node.loss import GilbertElliottChain, MarkovLossChain
+from services.delay_node.models.loss import GilbertElliottChain, MarkovLossChain
+from services.delay_node.random_streams import stream
 
 MANY = 300_000
 

@@ -3,8 +3,8 @@ import math
 import numpy as np
 
 from services.delay_node.config import Outage
-from services.delay_node.draws import stream
-from services.delay_node.outages import Outages
+from services.delay_node.models.outages import Outages
+from services.delay_node.random_streams import stream
 
 MS = 1_000_000
 ORIGIN = 5_000 * MS

@@ -2,9 +2,9 @@ from pathlib import Path
 
 import pytest
 
-from services.delay_node import traces
 from services.delay_node.config import SettingsError
-from services.delay_node.traces import (
+from services.delay_node.models import traces
+from services.delay_node.models.traces import (
     DelayCourse,
     delay_at,
     parse_delay_trace,

@@ -10,7 +10,7 @@ from services.afm_node.config import AfmConfig
 from services.afm_node.safety import MODE_FOLLOW
 from services.controller.config import LAWS
 from services.controller.law import NO_SIGNAL, HandSample
-from services.controller.virtual_impedance import MasterState, VirtualImpedanceConfig, master_receive
+from services.controller.laws.virtual_impedance import MasterState, VirtualImpedanceConfig, master_receive
 from studies import lockstep
 from studies.cells import Cell, course_of, rig_of, trajectory_of
 from studies.link import schedule_of, symmetric_link

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from services.controller.position_force import PositionForceConfig
-from services.controller.virtual_impedance import VirtualImpedanceConfig
-from services.controller.wave import WaveConfig
+from services.controller.laws.position_force import PositionForceConfig
+from services.controller.laws.virtual_impedance import VirtualImpedanceConfig
+from services.controller.laws.wave import WaveConfig
 from studies.theory import (
     LoopModel,
     characteristic_radius,

@@ -47,7 +47,7 @@ from pydantic import Field
 
 from services.controller.discretisation import approach, decay
 from services.controller.law import Books, HandSample, Law, MasterReference, PortSignal, SlaveReference, TipSample
-from services.controller.virtual_mass import (
+from services.controller.laws.virtual_mass import (
     Mass,
     MassParams,
     NotNegative,

@@ -10,14 +10,13 @@ from pathlib import Path as FilePath
 from typing import Any, NamedTuple, TypeVar
 
 from services.delay_node.config import DirectionSettings, Impairment, LinkSettings, Outage, SettingsError, Slots
-from services.delay_node.draws import Draw, Occurrence, stream
-from services.delay_node.events import Corruptor, Overtaking
 from services.delay_node.fate import Direction
-from services.delay_node.jitter import JitterSource
-from services.delay_node.loss import GilbertElliottChain, MarkovLossChain
-from services.delay_node.outages import Outages
-from services.delay_node.pipe import DeliveryServer, RateServer, ServedQueue, Server, SlotGate
-from services.delay_node.traces import (
+from services.delay_node.models.events import Corruptor, Overtaking
+from services.delay_node.models.jitter import JitterSource
+from services.delay_node.models.loss import GilbertElliottChain, MarkovLossChain
+from services.delay_node.models.outages import Outages
+from services.delay_node.models.queueing import DeliveryServer, RateServer, ServedQueue, Server, SlotGate
+from services.delay_node.models.traces import (
     DelayCourse,
     delay_at,
     parse_delay_trace,
@@ -25,6 +24,7 @@ from services.delay_node.traces import (
     parse_jitter_table,
     read_text,
 )
+from services.delay_node.random_streams import Draw, Occurrence, stream
 
 Model = TypeVar("Model")
 NS_PER_S = 1_000_000_000

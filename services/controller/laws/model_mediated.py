@@ -32,8 +32,8 @@ from typing import NamedTuple
 from pydantic import Field
 
 from services.controller.law import Books, HandSample, Law, MasterReference, PortSignal, SlaveReference, TipSample
-from services.controller.pass_through import measured
-from services.controller.surface import (
+from services.controller.laws.pass_through import measured
+from services.controller.laws.surface import (
     KAPPA_UNIT,
     NANO,
     Fit,
@@ -45,7 +45,7 @@ from services.controller.surface import (
     potential,
     unknown,
 )
-from services.controller.virtual_mass import (
+from services.controller.laws.virtual_mass import (
     Mass,
     MassParams,
     NotNegative,

@@ -1,6 +1,6 @@
 """Things that happen to single messages: flipped bits, and being sent past the delay."""
 
-from services.delay_node.draws import Draw, Occurrence
+from services.delay_node.random_streams import Draw, Occurrence
 
 
 class Corruptor:

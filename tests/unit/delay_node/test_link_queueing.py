@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from services.delay_node.config import Queue
-from services.delay_node.draws import stream
-from services.delay_node.pipe import DeliveryServer, RateServer, ServedQueue, SlotGate, Waiting
+from services.delay_node.models.queueing import DeliveryServer, RateServer, ServedQueue, SlotGate, Waiting
+from services.delay_node.random_streams import stream
 
 MS = 1_000_000
 

@@ -13,8 +13,8 @@ from pydantic import Field
 
 from services.controller.discretisation import Discretisation, exact_discretisation
 from services.controller.law import HandSample, Law, MasterReference, PortSignal
-from services.controller.pass_through import slave_receive, slave_send, slave_start
-from services.controller.virtual_mass import NotNegative, Positive, ScaledConfig
+from services.controller.laws.pass_through import slave_receive, slave_send, slave_start
+from services.controller.laws.virtual_mass import NotNegative, Positive, ScaledConfig
 from services.runtime.compiled import compiled
 
 

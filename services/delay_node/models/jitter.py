@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from statistics import NormalDist
 
 from services.delay_node.config import Jitter
-from services.delay_node.draws import CorrelatedUniform, Draw
+from services.delay_node.random_streams import CorrelatedUniform, Draw
 
 # Weights of the normal and the Pareto part, the proportion that is customary for this mixture.
 NORMAL_WEIGHT = 0.25

@@ -5,7 +5,7 @@ from bisect import bisect_right
 from collections import deque
 
 from services.delay_node.config import Outage
-from services.delay_node.draws import SMALLEST, Draw
+from services.delay_node.random_streams import SMALLEST, Draw
 
 
 class Outages:

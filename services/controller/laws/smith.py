@@ -29,12 +29,12 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
-from services.controller import virtual_impedance as impedance
 from services.controller.discretisation import decay
 from services.controller.law import HandSample, Law, MasterReference, PortSignal
-from services.controller.pass_through import slave_receive, slave_send, slave_start
-from services.controller.virtual_impedance import ImpedanceConfig, VirtualImpedanceParams
-from services.controller.virtual_mass import NotNegative, Positive, periods_in
+from services.controller.laws import virtual_impedance as impedance
+from services.controller.laws.pass_through import slave_receive, slave_send, slave_start
+from services.controller.laws.virtual_impedance import ImpedanceConfig, VirtualImpedanceParams
+from services.controller.laws.virtual_mass import NotNegative, Positive, periods_in
 from services.runtime.compiled import compiled
 
 # references kept, one a period: older ones are taken for the oldest, so longer delays are bridged in part

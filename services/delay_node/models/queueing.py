@@ -5,7 +5,7 @@ from collections import Counter, deque
 from typing import Generic, NamedTuple, Protocol, TypeVar
 
 from services.delay_node.config import Queue
-from services.delay_node.draws import Draw
+from services.delay_node.random_streams import Draw
 
 Item = TypeVar("Item")
 

@@ -1,0 +1,1 @@
+"""What the link may do to a message: one model each."""
