@@ -275,7 +275,7 @@ def rerun(
     as_json: JsonOption = False,
 ) -> None:
     """Feed a recording to a node's code and compare what it says with what it said; exit code 1 if it differs."""
-    from services.launcher.rerun import rerun as run_again
+    from analysis.process_replay import rerun as run_again
 
     with errors_told(as_json):
         recording, allowed = Recording(file), Tolerances.parse(tolerance or ())
@@ -300,7 +300,7 @@ def plot(
     ] = None,
 ) -> None:
     """Draw fields over time, on the terminal or into a PNG."""
-    from services.launcher.plot import draw, read_traces, save_png
+    from analysis.plot import draw, read_traces, save_png
 
     with errors_told(as_json=False):
         traces = read_traces(file, fields)

@@ -195,6 +195,6 @@ def report_of(outcome: Outcome, plan: Plan, say: Callable[[str], None]) -> dict[
 def make_report(recording: Path, out: Path) -> dict[str, Any]:
     """Make figure and summary from a recording; what the recording lacks ends in a TelenanoError."""
     # matplotlib takes a second to import, which a running rig should not pay
-    from services.launcher.report import write_report
+    from analysis.report import write_report
 
     return write_report(recording, out)

@@ -12,10 +12,10 @@ import sys
 from pathlib import Path
 
 import studies  # noqa: F401 first: with it every step is compiled, unless NUMBA_DISABLE_JIT says otherwise
+from analysis.process_replay import RerunResult, rerun
 from proto import Message, encode
 from recording.reader import Recording
 from recording.tolerance import Tolerances
-from services.launcher.rerun import RerunResult, rerun
 
 FOLDER = Path(__file__).resolve().parent
 REFERENCES = sorted(FOLDER.glob("*.mcap"))

@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 from references import OUTPUTS, REFERENCES, SHARE, digests, rerun_digest, tolerances
 
+from analysis.process_replay import rerun
 from proto.errors import ConfigError, RecordingError
 from recording.channel_filter import Selection
 from recording.reader import Recording
 from recording.rewrite import filter_recording
 from recording.tolerance import Tolerances
 from services.controller.laws.virtual_impedance import VirtualImpedanceConfig
-from services.launcher.rerun import rerun
 
 REFERENCE = Path(__file__).parent / "virtual_impedance.mcap"
 

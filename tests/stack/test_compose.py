@@ -13,8 +13,8 @@ import machine
 import pytest
 from ledger import enter
 
+from analysis.report import write_report
 from recording.reader import RecordedMessage, Recording
-from services.launcher.report import write_report
 
 DEPLOY = Path(__file__).resolve().parents[2] / "deploy"
 NODES = ("haptic_node", "controller_master", "delay_node", "controller_slave", "afm_node", "recorder")

@@ -13,10 +13,10 @@ from empty_loop import EmptyLoops
 from mcap.reader import make_reader
 from stack_rig import Rig
 
+from analysis.process_replay import RerunResult, rerun
 from proto import TOPICS
 from recording.reader import Recording
 from recording.rewrite import filter_recording
-from services.launcher.rerun import RerunResult, rerun
 
 LOSSLESS = [name for name, topic in TOPICS.items() if topic.delivery == "lossless"]
 FAST = [name for name, topic in TOPICS.items() if topic.rate_hz == 1000.0]

@@ -10,10 +10,10 @@ import typer
 from recorder_samples import haptic_state
 from typer.testing import CliRunner
 
+from analysis.plot import Trace, draw
 from proto.errors import ConfigError
 from recording.reader import Recording
 from services.launcher.bag import app
-from services.launcher.plot import Trace, draw
 from services.launcher.telling import split_keys
 from services.player.run import parse_remap, replay
 from services.recorder.attach import record

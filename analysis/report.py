@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
+from analysis.stability import judge_holds
 from proto import TOPICS
 from proto.errors import RecordingError
 from recording.arrays import columns, last_session, replay_shifts
@@ -18,7 +19,6 @@ from services.controller.config import ControllerConfig
 from services.runtime.config import validate
 from services.runtime.scenario import Scenario
 from services.viz_node.fig12 import SessionSeries, save_fig12
-from services.viz_node.stability import judge_holds
 
 Series = npt.NDArray[Any]
 
