@@ -35,7 +35,7 @@ def compose_command() -> list[str]:
 def bare(*options: str) -> dict[str, Any]:
     """Give the summary of a session on the bare machine."""
     with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "-m", "services.launcher", "up", *SESSION, "--out", folder, "--overwrite", *options]
+        command = [sys.executable, "-m", "telenano", "up", *SESSION, "--out", folder, "--overwrite", *options]
         done = subprocess.run(command, check=True, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
     return dict(json.loads(done.stdout))
 

@@ -168,7 +168,7 @@ def measure_rig(duration_s: float) -> dict[str, float]:
     """Give p50, p99 and max [ms] of the age of the loop of one run of the rig."""
     with tempfile.TemporaryDirectory() as folder:
         environment = {**os.environ, "TELENANO_RUNTIME_DIR": folder}
-        command = [sys.executable, "-m", "services.launcher", "up", "--scenario", "fig12", "--json"]
+        command = [sys.executable, "-m", "telenano", "up", "--scenario", "fig12", "--json"]
         command += ["--duration", str(duration_s), "--out", str(Path(folder) / "out")]
         done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
     age: dict[str, float] = json.loads(done.stdout)["loop_age_ms"]

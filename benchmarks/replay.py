@@ -31,12 +31,12 @@ from proto.messages import Message
 from recording.reader import Recording
 from recording.writer import RecordingWriter
 from services.player.node import PLAYER, PlaySettings
-from services.player.run import ReplayRequest, run_replay
 from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake, Listener
 from services.recorder.open_recording import begin_intake
 from services.runtime.bus import Subscriber
 from services.runtime.clock import SystemClock
+from telenano.commands.replay import ReplayRequest, run_replay
 
 PERIOD_NS = 1_000_000
 EPOCH_NS = 1_750_000_000_000_000_000

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import yaml
 
+import presets
 from proto.errors import ConfigError
-from services import launcher
 from services.launcher.plan import anchored
 from services.runtime.address_book import runtime_directory
 from services.runtime.clock import EPOCH_OFFSET_VARIABLE
@@ -19,7 +19,6 @@ from services.runtime.main import EXIT_BAD_START
 # where the build leaves what it looked up; the image is read-only, and a study compiles more
 PREPARED = Path("/opt/cache")
 IN_FORCE = Path("/tmp/scenario.yaml")
-FILES = Path(launcher.__file__).parent
 NODE, SITE_FILE, SCENARIO = "TELENANO_NODE", "TELENANO_SITE_FILE", "TELENANO_SCENARIO"
 
 
@@ -44,8 +43,8 @@ def node_command(node: str) -> list[str]:
     name, _, site = node.partition("@")
     if not site:
         raise ConfigError(f"{NODE} is {node!r}: give a command, or the node to run as node@site")
-    site_file = os.environ.get(SITE_FILE) or str(FILES / "sites" / "local.yaml")
-    scenario = Path(os.environ.get(SCENARIO) or FILES / "scenarios" / "fig12.yaml")
+    site_file = os.environ.get(SITE_FILE) or str(presets.DEFAULT_SITE_FILE)
+    scenario = Path(os.environ.get(SCENARIO) or presets.SCENARIO_DIRECTORY / "fig12.yaml")
     write_in_force(scenario)
     files = ["--site-file", site_file, "--scenario", str(IN_FORCE)]
     return [sys.executable, "-m", f"services.{name}", *files, "--site", site]

@@ -114,7 +114,7 @@ def run_on_bus(cell: Cell, bus: Bus) -> Trajectory:
     scenario = folder / "cell.yaml"
     document = scenario_of(cell)
     scenario.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
-    command = [sys.executable, "-m", "services.launcher", "up", "--scenario", str(scenario), "--out", str(folder)]
+    command = [sys.executable, "-m", "telenano", "up", "--scenario", str(scenario), "--out", str(folder)]
     command += ["--overwrite", "--headless", "--json"]
     command += ["--site-file", str(bus.site_file)] if bus.site_file is not None else []
     try:

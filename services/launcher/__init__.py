@@ -1,1 +1,1 @@
-"""The telenano command and the supervisor of a local rig."""
+"""The supervisor of a rig, or of one site of it."""

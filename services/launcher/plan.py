@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 import yaml
 
+from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE, find_scenario
 from proto.errors import ConfigError, RigError
 from services.runtime.address_book import LINK_NODE, SiteBook, site_of
 from services.runtime.config import layered, merge, validate
@@ -36,10 +37,6 @@ STOP_ORDER = (
     "delay_node@master",
     "recorder@master",
 )
-_PACKAGE = Path(__file__).resolve().parent
-SCENARIO_DIRECTORY = _PACKAGE / "scenarios"
-DEFAULT_SITE_FILE = _PACKAGE / "sites" / "local.yaml"
-TWO_SITES_FILE = _PACKAGE / "sites" / "two_sites.yaml"
 # a site that has machines of its own may have a recorder of its own, which nobody else waits for
 _OPTIONAL_NODES = ("recorder@slave",)
 ALLOW_REPLAY = ("afm_node.allow_replay=true", "haptic_node.allow_replay=true")
@@ -210,21 +207,6 @@ def left_out(names: Sequence[str], known: Sequence[str] = START_ORDER) -> frozen
         if not any(name in (node, node.partition("@")[0]) for node in known):
             raise ConfigError(f"--without {name}: there are {', '.join(known)}")
     return frozenset(node for node in known if node in names or node.partition("@")[0] in names)
-
-
-def known_scenarios() -> list[str]:
-    """Give the names of the scenarios that come with the project."""
-    return sorted(path.stem for path in SCENARIO_DIRECTORY.glob("*.yaml"))
-
-
-def find_scenario(name: str) -> Path:
-    """Give the file of a scenario named or given as a path; ConfigError lists the names known."""
-    if name in known_scenarios():
-        return SCENARIO_DIRECTORY / f"{name}.yaml"
-    path = Path(name)
-    if path.suffix in (".yaml", ".yml") or path.exists():
-        return path
-    raise ConfigError(f"unknown scenario {name!r}: known are {', '.join(known_scenarios())}, or give a .yaml file")
 
 
 def effective_scenario(path: Path, request: UpRequest, out: Path) -> LoadedScenario:

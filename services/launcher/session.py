@@ -7,11 +7,11 @@ from datetime import datetime
 from typing import ClassVar, Literal
 
 from proto.messages import ClockPing, NodeHealth, Scalar, SessionEvent
-from services.launcher.dialogue import Dialogue, Step
-from services.launcher.keeper import Keeper
+from services.launcher.command_sequence import Dialogue, Step
+from services.launcher.external_recording import Tape
+from services.launcher.liveness import Change, Watch
 from services.launcher.readiness import READY_DEADLINE_S, Muster, unmet
-from services.launcher.tape import Tape
-from services.launcher.watch import Change, Watch
+from services.launcher.supervisor import Keeper
 from services.runtime.bus import Received
 from services.runtime.deadlines import Grid
 from services.runtime.node import Node, NodeContext

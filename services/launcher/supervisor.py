@@ -1,111 +1,78 @@
-"""When a node that died is started again, and when the rig is given up: decisions only, no process is touched here."""
+"""Looks after the processes of this machine: starts them, tells when one dies, and starts it again."""
 
-import signal
-from collections import deque
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 
+from services.launcher.processes import Children
+from services.launcher.restart_policy import Death, Supervisor, ending
 from services.runtime.clock import Clock
-from services.runtime.main import EXIT_BAD_START
 
-_REMEMBERED_DEATHS = 8
-
-
-@dataclass(frozen=True)
-class RestartPolicy:
-    """How patient the supervisor is."""
-
-    first_delay_s: float = 0.1
-    longest_delay_s: float = 5.0
-    healthy_life_s: float = 10.0
-    crash_loop_deaths: int = 5
-    crash_loop_window_s: float = 30.0
+# level, sentence, and the facts of a session/event
+Say = Callable[..., None]
 
 
-@dataclass(frozen=True)
-class Death:
-    """What the supervisor makes of the end of a node."""
+class Keeper:
+    """The nodes that are children of this process; `failure` says why the rig cannot go on, empty while it can."""
 
-    node: str
-    exit_code: int
-    life_s: float
-    restart_in_s: float | None
-    verdict: str
+    def __init__(self, clock: Clock, nodes: Sequence[str], children: Children) -> None:
+        """Take the nodes in the order of their start; none where all are somebody else's."""
+        self.nodes = tuple(nodes)
+        self.supervisor = Supervisor(clock, nodes)
+        self.failure = ""
+        self._children = children
 
-    @property
-    def given_up(self) -> bool:
-        """Say whether the node is not started again, which ends the rig."""
-        return self.restart_in_s is None
+    def launch(self) -> None:
+        """Start every node for the first time."""
+        for node in self.nodes:
+            self._start(node)
 
+    def look(self, say: Say) -> list[str]:
+        """Take note of deaths, and say of each what becomes of it; gives the nodes that died."""
+        ended = self._children.reap()
+        for node, exit_code in ended.items():
+            self._bury(self.supervisor.died(node, exit_code), say)
+        return list(ended)
 
-class _Account:
-    def __init__(self) -> None:
-        self.started_ns = 0
-        self.delay_s = 0.0
-        self.restart_ns: int | None = None
-        self.deaths_ns: deque[int] = deque()
-        self.deaths: deque[Death] = deque(maxlen=_REMEMBERED_DEATHS)
-        self.restarts = 0
+    def restart_due(self, say: Say) -> None:
+        """Start again what is due; a device comes back in its safe state."""
+        for node in self.supervisor.due():
+            process_id = self._start(node)
+            say("warning", f"{node} was started again", about_node=node, pid=process_id)
 
+    def restarts(self) -> dict[str, int]:
+        """Give how often each node was started again."""
+        return {node: self.supervisor.restarts(node) for node in self.nodes}
 
-class Supervisor:
-    """The account of every node: its starts, its deaths, and when it is due again."""
+    def last_words(self, node: str) -> str:
+        """Give what a node wrote last, and where the rest of it is."""
+        tail = self._children.log_tail(node) or "(it wrote nothing)"
+        return f"last lines of {node}, from {self._children.log_path(node)}:\n{tail}"
 
-    def __init__(self, clock: Clock, nodes: Iterable[str], policy: RestartPolicy | None = None) -> None:
-        self._clock = clock
-        self._policy = policy or RestartPolicy()
-        self._accounts = {node: _Account() for node in nodes}
+    def stop(self) -> None:
+        """End every process, in order."""
+        self._children.stop()
 
-    def started(self, node: str) -> None:
-        """Enter a start."""
-        account = self._accounts[node]
-        account.started_ns = self._clock.monotonic_ns()
-        if account.restart_ns is not None:
-            account.restarts += 1
-        account.restart_ns = None
+    def _start(self, node: str) -> int:
+        process_id = self._children.start(node)
+        self.supervisor.started(node)
+        return process_id
 
-    def died(self, node: str, exit_code: int) -> Death:
-        """Enter a death (exit code as of subprocess: negative is a signal) and decide what follows."""
-        death = self._judge(node, self._accounts[node], exit_code)
-        self._accounts[node].deaths.append(death)
-        return death
+    def _bury(self, death: Death, say: Say) -> None:
+        text = f"{death.node} {ending(death.exit_code)} after {death.life_s:.1f} s: {death.verdict}"
+        level = "error" if death.given_up else "warning"
+        say(level, text, about_node=death.node, exit_code=death.exit_code, life_s=death.life_s)
+        if death.given_up and not self.failure:
+            # the first failure is the cause, what follows are its consequences
+            self.failure = "\n".join([text, *self._history(death), self.last_words(death.node)])
 
-    def _judge(self, node: str, account: _Account, exit_code: int) -> Death:
-        policy, now = self._policy, self._clock.monotonic_ns()
-        life_s = (now - account.started_ns) * 1e-9
-        account.deaths_ns.append(now)
-        while now - account.deaths_ns[0] > policy.crash_loop_window_s * 1e9:
-            account.deaths_ns.popleft()
-        if exit_code == EXIT_BAD_START:
-            return Death(node, exit_code, life_s, None, "it cannot start as it is configured and is not retried")
-        if len(account.deaths_ns) >= policy.crash_loop_deaths:
-            verdict = f"it died {len(account.deaths_ns)} times within {policy.crash_loop_window_s:g} s"
-            return Death(node, exit_code, life_s, None, verdict)
-        lived_well = life_s >= policy.healthy_life_s or account.delay_s == 0.0
-        doubled = min(2.0 * account.delay_s, policy.longest_delay_s)
-        account.delay_s = policy.first_delay_s if lived_well else doubled
-        account.restart_ns = now + round(account.delay_s * 1e9)
-        return Death(node, exit_code, life_s, account.delay_s, f"it is started again in {account.delay_s:g} s")
-
-    def due(self) -> list[str]:
-        """Give the nodes whose time to be started again has come."""
-        now = self._clock.monotonic_ns()
-        return [node for node, account in self._accounts.items() if account.restart_ns and account.restart_ns <= now]
-
-    def deaths(self, node: str) -> list[Death]:
-        """Give the last deaths of a node, in order."""
-        return list(self._accounts[node].deaths)
-
-    def restarts(self, node: str) -> int:
-        """Give how often a node was started again."""
-        return self._accounts[node].restarts
+    def _history(self, death: Death) -> list[str]:
+        """Say how the node died before, and which others did: a common cause shows in several."""
+        deaths = self.supervisor.deaths(death.node)
+        lines = [f"its {len(deaths)} deaths: " + ", ".join(_short(past) for past in deaths)] if len(deaths) > 1 else []
+        others = [f"{node} ({count})" for node, count in self.restarts().items() if count and node != death.node]
+        if others:
+            lines.append(f"others that were started again: {', '.join(others)}")
+        return lines
 
 
-def ending(exit_code: int) -> str:
-    """Say in words how a process ended; a negative code is the signal that killed it, as of subprocess."""
-    if exit_code >= 0:
-        return f"ended with exit code {exit_code}"
-    try:
-        return f"was killed by {signal.Signals(-exit_code).name}"
-    except ValueError:
-        return f"was killed by signal {-exit_code}"
+def _short(death: Death) -> str:
+    return f"{ending(death.exit_code)} after {death.life_s:.1f} s"

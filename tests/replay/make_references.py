@@ -32,7 +32,7 @@ def make(law: str) -> Path:
     with tempfile.TemporaryDirectory() as folder:
         environment = {**os.environ, "TELENANO_RUNTIME_DIR": str(Path(folder) / "run")}
         setting = f"controller.law={law}"
-        command = [sys.executable, "-m", "services.launcher", "up", "--scenario", "fig12", "--set", setting]
+        command = [sys.executable, "-m", "telenano", "up", "--scenario", "fig12", "--set", setting]
         options = ["--delay-ms", DELAY_MS, "--duration", str(DURATION_S), "--out", str(Path(folder) / "out"), "--json"]
         subprocess.run([*command, *options], env=environment, check=True, stdout=subprocess.DEVNULL)
         target.unlink(missing_ok=True)

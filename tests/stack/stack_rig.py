@@ -66,7 +66,7 @@ class Rig:
         return summary
 
     def command(self, *arguments: str) -> list[str]:
-        return [sys.executable, "-m", "services.launcher", *arguments]
+        return [sys.executable, "-m", "telenano", *arguments]
 
     def tell(self, *arguments: str, patience_s: float = 60.0) -> subprocess.CompletedProcess[str]:
         """Run another telenano command beside the rig."""

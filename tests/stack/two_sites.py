@@ -22,7 +22,7 @@ from following import Following, Recorded
 from services.runtime.security.keyring import Keyring
 
 ROOT = Path(__file__).resolve().parents[2]
-TWO_SITES = ROOT / "services" / "launcher" / "sites" / "two_sites.yaml"
+TWO_SITES = ROOT / "presets" / "sites" / "two_sites.yaml"
 MASTER, SLAVE, GUEST = "10.77.0.1", "10.77.0.2", "10.77.0.3"
 HOSTS = {"master": MASTER, "slave": SLAVE}
 # far beyond what is expected: it only keeps a broken rig from holding the suite
@@ -123,7 +123,7 @@ class Site:
 
     def command(self, *arguments: str) -> list[str]:
         """Give a telenano command on this machine."""
-        return self.cable.inside(self.name, [sys.executable, "-m", "services.launcher", *arguments])
+        return self.cable.inside(self.name, [sys.executable, "-m", "telenano", *arguments])
 
     def start(self, *arguments: str) -> None:
         """Start this site of the rig; each start has an output folder of its own."""

@@ -11,8 +11,9 @@ from typing import Any
 import pytest
 import yaml
 
+from presets import TWO_SITES_FILE
 from proto.errors import ConfigError
-from services.launcher.plan import START_ORDER, TWO_SITES_FILE, node_kind
+from services.launcher.plan import START_ORDER, node_kind
 from services.runtime.address_book import site_of
 from services.runtime.config import environment_overrides, validate
 from services.runtime.main import load_site

@@ -7,9 +7,9 @@ from typing import Any
 
 from proto import TOPICS
 from proto.messages import InputHealth, Message, NodeHealth, SessionControl, SessionEvent
-from services.launcher.keeper import Keeper
+from services.launcher.external_recording import Tape
 from services.launcher.session import RigNode, SessionNode
-from services.launcher.tape import Tape
+from services.launcher.supervisor import Keeper
 from services.runtime.bus import Received
 from services.runtime.clock import VirtualClock
 from services.runtime.log import StructuredLog

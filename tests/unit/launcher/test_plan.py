@@ -4,18 +4,16 @@ from typing import Any
 import pytest
 import yaml
 
+from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE, known_scenarios
 from proto.errors import ConfigError
 from services.launcher.plan import (
     ALLOW_REPLAY,
-    DEFAULT_SITE_FILE,
     LAUNCHER,
     RECORDER,
     START_ORDER,
     STOP_ORDER,
-    TWO_SITES_FILE,
     UpRequest,
     anchored,
-    known_scenarios,
     make_plan,
 )
 from services.runtime.config import read_yaml

@@ -3,7 +3,7 @@ from launcher_bench import NODES, SECOND_NS, TICK_NS, Rig, health, row
 
 from proto.messages import NodeHealth
 from services.launcher.readiness import READY_DEADLINE_S, oldest_input_s, silent_inputs, unmet
-from services.launcher.view import rig_picture
+from telenano.live_view import rig_picture
 
 
 def test_a_whole_session() -> None:

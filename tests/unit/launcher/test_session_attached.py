@@ -6,9 +6,9 @@ from typing import Any
 import pytest
 from launcher_bench import SECOND_NS, TICK_NS, Rig, health, row
 
+from services.launcher.external_recording import Tape, readable_here
 from services.launcher.processes import NodeProcesses
 from services.launcher.readiness import READY_DEADLINE_S
-from services.launcher.tape import Tape, readable_here
 from services.runtime.clock import SystemClock
 
 RECORDER = "recorder@master"

@@ -6,10 +6,10 @@ from launcher_bench import SECOND_NS, TICK_NS, Bench, Rig, health, row
 from rich.console import Console
 
 from proto.messages import ClockPing
-from services.launcher.keeper import Keeper
 from services.launcher.readiness import READY_DEADLINE_S
 from services.launcher.session import SiteNode
-from services.launcher.view import LineView, rig_picture
+from services.launcher.supervisor import Keeper
+from telenano.live_view import LineView, rig_picture
 
 MASTER = ("recorder@master", "delay_node@master", "controller@master", "haptic_node@master")
 SLAVE = ("afm_node@slave", "controller@slave")

@@ -4,8 +4,9 @@ from pathlib import Path
 
 import pytest
 
+from presets import DEFAULT_SITE_FILE
 from proto.errors import ConfigError
-from services.launcher.plan import DEFAULT_SITE_FILE, START_ORDER, UpRequest, left_out, make_plan
+from services.launcher.plan import START_ORDER, UpRequest, left_out, make_plan
 
 
 def test_nodes_are_left_out_by_name_or_key() -> None:

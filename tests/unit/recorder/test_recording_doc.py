@@ -6,12 +6,12 @@ from pathlib import Path
 import typer
 from typer.main import get_command
 
-from services.launcher.bag import app
 from services.player.node import _SETTERS
-from services.player.run import replay
-from services.recorder.attach import record
 from services.recorder.config import RecorderConfig
 from services.recorder.node import _ORDERS
+from telenano.commands.bag import app
+from telenano.commands.record import record
+from telenano.commands.replay import replay
 
 ROOT = Path(__file__).resolve().parents[3]
 GUIDE = (ROOT / "docs" / "recording.md").read_text(encoding="utf-8")

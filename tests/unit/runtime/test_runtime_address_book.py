@@ -11,7 +11,7 @@ from proto.errors import ConfigError, EndpointError
 from services.runtime.address_book import NodeEntry, SiteBook, may_carry, runtime_directory, site_of
 from services.runtime.config import read_yaml, validate
 
-TWO_SITES = Path(__file__).resolve().parents[3] / "services" / "launcher" / "sites" / "two_sites.yaml"
+TWO_SITES = Path(__file__).resolve().parents[3] / "presets" / "sites" / "two_sites.yaml"
 NODES = (
     "haptic_node@master",
     "controller@master",

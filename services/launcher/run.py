@@ -12,11 +12,11 @@ from typing import IO, Any
 import zmq
 
 from proto.errors import RecordingError, RigError
-from services.launcher.keeper import Keeper
+from services.launcher.external_recording import Tape, readable_here
 from services.launcher.plan import RECORDER, STOP_ORDER, Plan
 from services.launcher.processes import NodeProcesses, node_command
 from services.launcher.session import RigNode, SessionNode, SiteNode
-from services.launcher.tape import Tape, readable_here
+from services.launcher.supervisor import Keeper
 from services.runtime.address_book import LINK_NODE
 from services.runtime.bus import ZmqBus
 from services.runtime.clock import Clock, SystemClock

@@ -8,8 +8,8 @@ import typer
 import zmq.auth
 
 from proto.errors import ConfigError
-from services.launcher.telling import console, errors_told, print_json
 from services.runtime.security.keyring import AllowedKey, Keyring, Role, keys_directory
+from telenano.output import console, errors_told, print_json
 
 app = typer.Typer(
     help="Make, show and list the keys with which machines prove who they are.",
@@ -134,6 +134,6 @@ def _tell(entry: AllowedKey, text: str, *, as_json: bool) -> None:
 
 
 def _print(rows: list[dict[str, Any]]) -> None:
-    from services.launcher.view import rows_table
+    from telenano.live_view import rows_table
 
     console().print(rows_table(rows))

@@ -11,8 +11,8 @@ from typer.testing import CliRunner
 from proto.errors import ConfigError
 from services.controller.config import LAWS
 from studies import values
-from studies.cli import app
 from studies.stability import Jitter
+from telenano.commands.study import app
 
 RUN = CliRunner()
 STABILITY = ["stability", "--law", "virtual_impedance", "--environment", "spring"]
@@ -129,7 +129,8 @@ def test_compare_puts_laws_on_one_page(tmp_path: Path) -> None:
 
 
 def test_help_is_there_at_once() -> None:
-    code = "import sys; import studies.cli; bad = {'numpy', 'numba', 'matplotlib', 'control', 'pyarrow', 'dask'}; "
+    code = "import sys; import telenano.commands.study; "
+    code += "bad = {'numpy', 'numba', 'matplotlib', 'control', 'pyarrow', 'dask'}; "
     code += "print(sorted(bad & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

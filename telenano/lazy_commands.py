@@ -16,16 +16,16 @@ class Late(NamedTuple):
 
 
 LATE = {
-    "bag": Late("services.launcher.bag", "app", "Look into a recording, and make others from it."),
-    "keys": Late("services.launcher.keys", "app", "Make, show and list the keys with which machines prove themselves."),
-    "record": Late("services.recorder.attach", "record", "Attach to a running rig and record it."),
-    "doctor": Late(
-        "services.launcher.doctor", "doctor", "Look whether this machine can run a rig, and say what to do."
-    ),
-    "replay": Late("services.player.run", "replay", "Play a recording in the place of nodes that do not run."),
-    "status": Late("services.launcher.status", "status", "Say how a running rig is doing."),
+    "bag": Late("telenano.commands.bag", "app", "Look into a recording, and make others from it."),
+    "keys": Late("telenano.commands.keys", "app", "Make, show and list the keys with which machines prove themselves."),
+    "record": Late("telenano.commands.record", "record", "Attach to a running rig and record it."),
+    "doctor": Late("telenano.doctor.report", "doctor", "Look whether this machine can run a rig, and say what to do."),
+    "replay": Late("telenano.commands.replay", "replay", "Play a recording in the place of nodes that do not run."),
+    "status": Late("telenano.commands.status", "status", "Say how a running rig is doing."),
     "study": Late(
-        "studies.cli", "app", "Studies in lockstep: which delay each law bears, and what the hand feels of it."
+        "telenano.commands.study",
+        "app",
+        "Studies in lockstep: which delay each law bears, and what the hand feels of it.",
     ),
 }
 

@@ -14,7 +14,7 @@ from proto.errors import RecordingError
 from recording.channel_filter import Selection
 from recording.reader import Recording, open_recordings
 from recording.tolerance import Tolerances
-from services.launcher.telling import EXIT_FAILED, console, errors_told, print_json, tell
+from telenano.output import EXIT_FAILED, console, errors_told, print_json, tell
 
 _CHANNEL_COLUMNS = ("channel_topic", "src", "messages", "rate_hz", "gaps", "lost", "restarts")
 _PLOT_SIZE = (100, 12)
@@ -347,6 +347,6 @@ def _tell_model(model: BaseModel, as_json: bool) -> None:
 
 
 def _print_rows(rows: list[dict[str, Any]]) -> None:
-    from services.launcher.view import rows_table
+    from telenano.live_view import rows_table
 
     console().print(rows_table(rows))

@@ -8,8 +8,8 @@ import zmq
 from typer.testing import CliRunner
 from zmq.utils import z85
 
-from services.launcher.keys import app
 from services.runtime.security.keyring import Keyring
+from telenano.commands.keys import app
 
 RUNNER = CliRunner()
 # the same at each collection: they stand in the names of tests, which two workers must agree on

@@ -10,10 +10,9 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from services.launcher.cli import app
-from services.launcher.lazy import LATE, load
-from services.launcher.plan import TWO_SITES_FILE
-from services.launcher.telling import site_file_named
+from presets import TWO_SITES_FILE, site_file_named
+from telenano.app import app
+from telenano.lazy_commands import LATE, load
 
 DOCUMENTATION = Path(__file__).parents[3] / "docs" / "cli.md"
 RUNNER = CliRunner()
@@ -201,7 +200,7 @@ def test_up_refuses_what_could_not_act(arguments: tuple[str, ...], words: str) -
 def test_attaching_to_nobody_ends_at_its_limit(tmp_path: Path) -> None:
     arguments = ("--attach", "--scenario", "fig12", "--wait", "0.1", "--out", str(tmp_path / "out"), "--json")
     result = subprocess.run(
-        [sys.executable, "-m", "services.launcher", "up", *arguments], capture_output=True, text=True, check=False
+        [sys.executable, "-m", "telenano", "up", *arguments], capture_output=True, text=True, check=False
     )
     assert result.returncode == 1
     assert json.loads(result.stdout)["error"].startswith(
@@ -217,7 +216,7 @@ def test_an_unknown_node_lists_the_known() -> None:
 
 def test_a_node_gets_the_arguments_that_follow_its_name() -> None:
     result = subprocess.run(
-        [sys.executable, "-c", "from services.launcher.cli import main; main()", "node", "recorder", "--help"],
+        [sys.executable, "-c", "from telenano.app import main; main()", "node", "recorder", "--help"],
         capture_output=True,
         text=True,
         check=True,
@@ -227,7 +226,7 @@ def test_a_node_gets_the_arguments_that_follow_its_name() -> None:
 
 
 def test_help_does_not_import_what_it_does_not_need() -> None:
-    code = "import sys, services.launcher.cli; print({'zmq', 'numpy', 'numba', 'matplotlib'} & set(sys.modules))"
+    code = "import sys, telenano.app; print({'zmq', 'numpy', 'numba', 'matplotlib'} & set(sys.modules))"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert result.stdout == "set()\n"
 

@@ -1,7 +1,7 @@
 from typing import Literal
 
 from proto.messages import SessionEvent
-from services.launcher.control import PendingControl
+from services.launcher.pending_command import PendingControl
 from services.runtime.clock import VirtualClock
 
 MS = 1_000_000

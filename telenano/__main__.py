@@ -1,6 +1,6 @@
 """Run the `telenano` command without its script."""
 
-from services.launcher.cli import main
+from telenano.app import main
 
 if __name__ == "__main__":
     main()

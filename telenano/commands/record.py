@@ -8,9 +8,8 @@ import typer
 import zmq
 from pydantic import BaseModel
 
+from presets import DEFAULT_SITE_FILE, site_file_named
 from proto.errors import TelenanoError
-from services.launcher.plan import DEFAULT_SITE_FILE
-from services.launcher.telling import Keys, errors_told, fail, print_json, site_file_named
 from services.recorder.config import RecorderConfig
 from services.recorder.live import connect
 from services.recorder.node import RecorderBus, RecorderNode
@@ -24,6 +23,7 @@ from services.runtime.node import NodeContext, NodeLoop, install_stop_signals
 from services.runtime.realtime import RealtimeStatus, freeze_garbage
 from services.runtime.security.keyring import Keyring, this_machine
 from services.runtime.transport import Network
+from telenano.output import Keys, errors_told, fail, print_json
 
 _KEYS_TEXT = "s new file · t snapshot · q end"
 

@@ -8,11 +8,10 @@ from typing import Annotated, Any
 import typer
 import zmq
 
+from presets import DEFAULT_SITE_FILE, site_file_named
 from proto.errors import ConfigError, EndpointError, TelenanoError
 from recording.channel_filter import Selection
 from recording.reader import open_recordings
-from services.launcher.plan import DEFAULT_SITE_FILE
-from services.launcher.telling import Keys, errors_told, print_json, site_file_named
 from services.player.node import PLAYER, Cast, Outlet, PlayerNode, PlaySettings
 from services.player.playback import Span, Tape
 from services.runtime.bus import ZmqBus
@@ -22,6 +21,7 @@ from services.runtime.main import load_site
 from services.runtime.node import NodeContext, NodeLoop, install_stop_signals
 from services.runtime.realtime import RealtimeStatus, freeze_garbage, shallow_idle
 from services.runtime.transport import Network
+from telenano.output import Keys, errors_told, print_json
 
 _RATE_STEP = 1.25
 _KEYS_TEXT = (

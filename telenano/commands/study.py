@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from proto.errors import ConfigError
-from services.launcher.telling import EXIT_FAILED, errors_told, print_json
+from telenano.output import EXIT_FAILED, errors_told, print_json
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -13,7 +13,7 @@ import zmq
 
 from proto.errors import ConfigError, EndpointError, RigError
 from proto.messages import NodeHealth, Scalar, SessionEvent
-from services.launcher.control import Command, PendingControl
+from services.launcher.pending_command import Command, PendingControl
 from services.launcher.plan import Site
 from services.runtime.address_book import LINK_NODE, SiteBook, is_console, site_of
 from services.runtime.bus import Publisher, Subscriber

@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from presets import DEFAULT_SITE_FILE, site_file_named
 from proto.errors import ConfigError, EndpointError
-from services.launcher import checks
-from services.launcher.checks import Finding
-from services.launcher.telling import console, errors_told, fail, print_json, site_file_named
+from telenano.doctor import checks
+from telenano.doctor.checks import Finding
+from telenano.output import console, errors_told, fail, print_json
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from services.runtime.address_book import SiteBook
 
 # not from the plan of a rig: that imports what may be missing here
-SITE_FILE = Path(__file__).resolve().parent / "sites" / "local.yaml"
+SITE_FILE = DEFAULT_SITE_FILE
 _SYSTEM = Path("/sys/devices/system")
 _STYLES = {"ok": "green", "warning": "yellow", "problem": "red"}
 _TIMER_SAMPLES = 200

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from proto.messages import Scalar, SessionEvent
-from services.launcher.control import DEADLINE_NS, Command, PendingControl
+from services.launcher.pending_command import DEADLINE_NS, Command, PendingControl
 from services.runtime.clock import Clock
 
 # a refusal is asked about again for so long, so often

@@ -1,6 +1,6 @@
 import pytest
 
-from services.launcher.supervisor import RestartPolicy, Supervisor, ending
+from services.launcher.restart_policy import RestartPolicy, Supervisor, ending
 from services.runtime.clock import VirtualClock
 
 NODE = "afm_node@slave"

@@ -5,7 +5,7 @@ from pathlib import Path
 from proto.errors import RecordingError
 from proto.messages import NodeHealth, SessionControl, SessionEvent
 from recording.reader import Recording
-from services.launcher.dialogue import Step
+from services.launcher.command_sequence import Step
 from services.runtime.clock import Clock
 
 # what the recorder may take to be heard once everything else is: it reports twice a second

@@ -1,6 +1,6 @@
 import pytest
 
-from services.launcher.watch import NODE_SILENT_S, SITE_SILENT_S, Change, Watch
+from services.launcher.liveness import NODE_SILENT_S, SITE_SILENT_S, Change, Watch
 from services.runtime.clock import VirtualClock
 
 SECOND_NS = 1_000_000_000

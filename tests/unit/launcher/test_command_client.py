@@ -4,10 +4,17 @@ from typing import Any
 
 import pytest
 
+from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE
 from proto.errors import ConfigError, RigError
 from proto.messages import NodeHealth, SessionEvent
-from services.launcher.console import ControlRequest, Exchange, addressed, console_of, parse_parameters, send_control
-from services.launcher.plan import DEFAULT_SITE_FILE, TWO_SITES_FILE
+from services.launcher.command_client import (
+    ControlRequest,
+    Exchange,
+    addressed,
+    console_of,
+    parse_parameters,
+    send_control,
+)
 from services.runtime.address_book import SiteBook
 from services.runtime.clock import VirtualClock
 from services.runtime.config import validate

@@ -11,12 +11,12 @@ from proto import encode
 from proto.errors import RecordingError, RigError
 from proto.messages import SessionControl
 from recording.writer import RecordingWriter
-from services.launcher import up
-from services.launcher.keeper import Keeper
+from services.launcher import run as up
+from services.launcher.external_recording import holds_command
 from services.launcher.plan import Plan, UpRequest, make_plan
+from services.launcher.run import Outcome, make_rig, outcome_of, report_of, run_rig
 from services.launcher.session import SessionNode, SiteNode
-from services.launcher.tape import holds_command
-from services.launcher.up import Outcome, make_rig, outcome_of, report_of, run_rig
+from services.launcher.supervisor import Keeper
 from services.recorder.config import RecorderConfig
 
 RECORDER = "recorder@master"

@@ -14,20 +14,20 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from presets import DEFAULT_SITE_FILE, site_file_named
 from proto.errors import ConfigError
-from services.launcher.lazy import LazyRoot
-from services.launcher.telling import EXIT_FAILED, console, errors_told, fail, print_json, site_file_named, tell
+from telenano.lazy_commands import LazyRoot
+from telenano.output import EXIT_FAILED, console, errors_told, fail, print_json, tell
 
 if TYPE_CHECKING:
     from proto.messages import SessionEvent
     from services.launcher.plan import Plan
-    from services.launcher.up import Outcome
-    from services.launcher.view import LineView, LiveView
+    from services.launcher.run import Outcome
     from services.runtime.observer import Observer
+    from telenano.live_view import LineView, LiveView
 
 _LIST_S = 1.5
 _NODES = ("haptic_node", "controller", "delay_node", "afm_node", "recorder")
-_SITE_FILE = Path(__file__).resolve().parent / "sites" / "local.yaml"
 
 app = typer.Typer(
     cls=LazyRoot,
@@ -169,7 +169,7 @@ def up(
 ) -> None:
     """Start every node of a rig, run a scenario, record it, and make figure and summary."""
     from services.launcher.plan import UpRequest, make_plan
-    from services.launcher.up import default_folder, report_of, run_rig
+    from services.launcher.run import default_folder, report_of, run_rig
 
     with errors_told(as_json):
         request = UpRequest(
@@ -217,7 +217,7 @@ def session(
 
 @topic_app.command("list")
 def topic_list(
-    site_file: SiteFileOption = _SITE_FILE,
+    site_file: SiteFileOption = DEFAULT_SITE_FILE,
     duration: Annotated[
         float, typer.Option("--duration", min=0.0, metavar="S", help="How long to listen [s].")
     ] = _LIST_S,
@@ -237,7 +237,7 @@ def topic_list(
 @topic_app.command("echo")
 def topic_echo(
     topic: TopicArgument,
-    site_file: SiteFileOption = _SITE_FILE,
+    site_file: SiteFileOption = DEFAULT_SITE_FILE,
     count: CountOption = None,
     duration: DurationOption = None,
     as_json: JsonOption = False,
@@ -260,7 +260,7 @@ def topic_echo(
 @topic_app.command("hz")
 def topic_hz(
     topic: TopicArgument,
-    site_file: SiteFileOption = _SITE_FILE,
+    site_file: SiteFileOption = DEFAULT_SITE_FILE,
     count: CountOption = None,
     duration: DurationOption = None,
     as_json: JsonOption = False,
@@ -276,7 +276,7 @@ def topic_hz(
 @topic_app.command("delay")
 def topic_delay(
     topic: TopicArgument,
-    site_file: SiteFileOption = _SITE_FILE,
+    site_file: SiteFileOption = DEFAULT_SITE_FILE,
     count: CountOption = None,
     duration: DurationOption = None,
     as_json: JsonOption = False,
@@ -291,11 +291,11 @@ def topic_delay(
 
 @link_app.command("show")
 def link_show(
-    site_file: SiteFileOption = _SITE_FILE,
+    site_file: SiteFileOption = DEFAULT_SITE_FILE,
     as_json: JsonOption = False,
 ) -> None:
     """Say what the link does now: settings in force, traffic, delay applied, offset of the other site's clock."""
-    from services.launcher.link import current_status, status_rows
+    from telenano.commands.link import current_status, status_rows
 
     with errors_told(as_json), _observer(site_file, "link/status") as observer:
         status = current_status(observer)
@@ -311,7 +311,7 @@ def link_set(
         list[str],
         typer.Argument(metavar="KEY=VALUE...", help="Settings by dotted key, such as forward.delay_s=0.02 (SI units)."),
     ],
-    site_file: SiteFileOption = _SITE_FILE,
+    site_file: SiteFileOption = DEFAULT_SITE_FILE,
     as_json: JsonOption = False,
 ) -> None:
     """Change settings of the link for the messages that reach it from now on."""
@@ -323,11 +323,11 @@ def link_profile(
     name: Annotated[
         str | None, typer.Argument(metavar="[NAME]", help="Profile to put into force; none: list those that there are.")
     ] = None,
-    site_file: SiteFileOption = _SITE_FILE,
+    site_file: SiteFileOption = DEFAULT_SITE_FILE,
     as_json: JsonOption = False,
 ) -> None:
     """Put a named profile into force, in place of all settings but the seed; or list the profiles."""
-    from services.launcher.link import profile_rows
+    from telenano.commands.link import profile_rows
 
     if name is not None:
         _change_link([f"profile={name}"], site_file, as_json=as_json)
@@ -338,7 +338,7 @@ def link_profile(
 
 
 @link_app.command("clear")
-def link_clear(site_file: SiteFileOption = _SITE_FILE, as_json: JsonOption = False) -> None:
+def link_clear(site_file: SiteFileOption = DEFAULT_SITE_FILE, as_json: JsonOption = False) -> None:
     """Take every impairment off the link."""
     _change_link(["profile=clean"], site_file, as_json=as_json)
 
@@ -366,7 +366,7 @@ def report(
     as_json: JsonOption = False,
 ) -> None:
     """Make figure and summary from a recording once more."""
-    from services.launcher.up import make_report
+    from services.launcher.run import make_report
 
     with errors_told(as_json):
         summary = make_report(file, out)
@@ -405,8 +405,8 @@ def _send(
     *,
     as_json: bool,
 ) -> None:
-    from services.launcher.console import ControlRequest, parse_parameters, send_control
-    from services.launcher.plan import DEFAULT_SITE_FILE, TWO_SITES_FILE
+    from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE
+    from services.launcher.command_client import ControlRequest, parse_parameters, send_control
 
     with errors_told(as_json):
         book_file = site_file or (DEFAULT_SITE_FILE if site is None else TWO_SITES_FILE)
@@ -436,13 +436,13 @@ def _tell_rows(topic: str, rows: list[dict[str, Any]], *, as_json: bool) -> None
 
 
 def _print_rows(rows: list[dict[str, Any]]) -> None:
-    from services.launcher.view import rows_table
+    from telenano.live_view import rows_table
 
     console().print(rows_table(rows))
 
 
 def _view(*, live: bool, quiet: bool) -> "LiveView | LineView":
-    from services.launcher.view import LineView, LiveView
+    from telenano.live_view import LineView, LiveView
 
     out = console()
     return LiveView(out) if live and out.is_terminal else LineView(out, quiet=quiet)

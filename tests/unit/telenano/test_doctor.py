@@ -11,11 +11,12 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from services.launcher import checks, doctor
-from services.launcher.checks import Endpoint, Finding, KernelClock
-from services.launcher.cli import app
 from services.runtime.address_book import NodeEntry, SiteBook
 from services.runtime.security.keyring import Keyring
+from telenano.app import app
+from telenano.doctor import checks
+from telenano.doctor import report as doctor
+from telenano.doctor.checks import Endpoint, Finding, KernelClock
 
 REQUIRES = [
     "msgpack>=1.1",

@@ -10,6 +10,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from presets import DEFAULT_SITE_FILE, site_file_named
 from proto import TOPICS
 from proto.errors import RigError
 from proto.messages import (
@@ -22,12 +23,11 @@ from proto.messages import (
     NodeHealth,
     SessionEvent,
 )
-from services.launcher.plan import DEFAULT_SITE_FILE
 from services.launcher.readiness import oldest_input_s, unmet
-from services.launcher.telling import console, errors_told, fail, print_json, site_file_named
 from services.runtime.address_book import is_visitor, site_of
 from services.runtime.main import load_site
 from services.runtime.observer import Observer
+from telenano.output import console, errors_told, fail, print_json
 
 M = TypeVar("M", bound=Message)
 

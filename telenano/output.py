@@ -8,7 +8,6 @@ import sys
 import termios
 import tty
 from collections.abc import Iterator
-from pathlib import Path
 from types import TracebackType
 from typing import Any, NoReturn, Self
 
@@ -20,18 +19,9 @@ from proto.errors import ConfigError, TelenanoError
 EXIT_FAILED = 1
 EXIT_BAD_CONFIGURATION = 2
 _PIPE_COLUMNS = 140
-_SITES = Path(__file__).resolve().parent / "sites"
 _CLEAR_LINE = "\r\x1b[2K"
 # what a terminal sends for keys that are no character
 _NAMED_KEYS = {b"\x1b[C": "right", b"\x1b[D": "left", b"\x1b[A": "up", b"\x1b[B": "down", b" ": "space"}
-
-
-def site_file_named(given: Path | None) -> Path | None:
-    """Give the file of a site that comes with the project by its name, such as two_sites; a path stays as it is."""
-    if given is None or given.suffix or given.exists():
-        return given
-    packaged = _SITES / f"{given}.yaml"
-    return packaged if packaged.is_file() else given
 
 
 @contextlib.contextmanager
@@ -73,7 +63,7 @@ def tell(document: dict[str, Any], title: str, *, as_json: bool) -> None:
     if as_json:
         print_json(document)
         return
-    from services.launcher.view import summary_tables
+    from telenano.live_view import summary_tables
 
     console().print(summary_tables(document, title))
 

@@ -13,10 +13,10 @@ from typer.testing import CliRunner
 from analysis.plot import Trace, draw
 from proto.errors import ConfigError
 from recording.reader import Recording
-from services.launcher.bag import app
-from services.launcher.telling import split_keys
-from services.player.run import parse_remap, replay
-from services.recorder.attach import record
+from telenano.commands.bag import app
+from telenano.commands.record import record
+from telenano.commands.replay import parse_remap, replay
+from telenano.output import split_keys
 
 MakeFile = Callable[..., Path]
 commands = typer.Typer()

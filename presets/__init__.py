@@ -1,0 +1,34 @@
+"""The sites and scenarios that come with the project, and the way from a name to their files."""
+
+from pathlib import Path
+
+from proto.errors import ConfigError
+
+_FOLDER = Path(__file__).resolve().parent
+SITE_DIRECTORY = _FOLDER / "sites"
+SCENARIO_DIRECTORY = _FOLDER / "scenarios"
+DEFAULT_SITE_FILE = SITE_DIRECTORY / "local.yaml"
+TWO_SITES_FILE = SITE_DIRECTORY / "two_sites.yaml"
+
+
+def known_scenarios() -> list[str]:
+    """Give the names of the scenarios that come with the project."""
+    return sorted(path.stem for path in SCENARIO_DIRECTORY.glob("*.yaml"))
+
+
+def find_scenario(name: str) -> Path:
+    """Give the file of a scenario named or given as a path; ConfigError lists the names known."""
+    if name in known_scenarios():
+        return SCENARIO_DIRECTORY / f"{name}.yaml"
+    path = Path(name)
+    if path.suffix in (".yaml", ".yml") or path.exists():
+        return path
+    raise ConfigError(f"unknown scenario {name!r}: known are {', '.join(known_scenarios())}, or give a .yaml file")
+
+
+def site_file_named(given: Path | None) -> Path | None:
+    """Give the file of a site that comes with the project by its name, such as two_sites; a path stays as it is."""
+    if given is None or given.suffix or given.exists():
+        return given
+    packaged = SITE_DIRECTORY / f"{given}.yaml"
+    return packaged if packaged.is_file() else given
