@@ -30,17 +30,16 @@ from proto.messages import (
     TeleopBackward,
     TeleopForward,
 )
+from proto.sequence import Arrival
 from recording.reader import RecordedMessage, Recording
 from recording.tolerance import Tolerances, first_difference
-from services.launcher.plan import node_kind
 from services.runtime.address_book import SiteBook
 from services.runtime.bus import Received, ZmqBus
 from services.runtime.config import flag_overrides, merge, validate
 from services.runtime.log import StructuredLog
-from services.runtime.main import Wiring
+from services.runtime.main import Wiring, node_kind
 from services.runtime.node import Node
 from services.runtime.scenario import LoadedScenario, Scenario
-from services.runtime.sequence import Arrival
 
 # a message is acted on this long after it was published, as a rule; the alternatives cover what was otherwise
 _TRANSIT_NS = 100_000

@@ -28,9 +28,10 @@ from mcap.writer import CompressionType, Writer
 from proto import TOPICS, encode
 from proto.contract import examples
 from proto.messages import Message
+from proto.nodes import PLAYER
 from recording.reader import Recording
 from recording.writer import RecordingWriter
-from services.player.node import PLAYER, PlaySettings
+from services.player.node import PlaySettings
 from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake, Listener
 from services.recorder.open_recording import begin_intake

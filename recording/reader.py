@@ -17,9 +17,9 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from proto import WireError, decode
 from proto.errors import RecordingError
 from proto.messages import Record
+from proto.sequence import SequenceTracker
 from recording.mcap_scan import MAGIC, RECORD_HEAD, UNREADABLE, Block, Damage, DamagedBlockError, scan, unpack
 from recording.records import RECORDS
-from services.runtime.sequence import SequenceTracker
 
 _MESSAGE_HEAD = Struct("<HIQQ")
 _END_OF_TIME = 2**64

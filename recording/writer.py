@@ -5,17 +5,17 @@ import json
 import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import IO, Protocol
+from typing import IO, Annotated, Literal, Protocol
 
 import msgpack
 from mcap.writer import CompressionType, Writer
+from pydantic import BaseModel, ConfigDict, Field
 
 from proto import TOPICS
 from proto.errors import RecordingError
 from proto.messages import Record
+from proto.nodes import site_of
 from recording.records import GAP_TOPIC, RECORDS, REJECTED_TOPIC, GapRecord, RejectedRecord
-from services.recorder.config import RecorderConfig
-from services.runtime.address_book import site_of
 
 _COMPRESSION = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4, "none": CompressionType.NONE}
 # the sequence of an MCAP message has 32 bits, the payload keeps the whole number
@@ -40,6 +40,27 @@ def channel_topic(topic: str, src: str, site: str) -> str:
     return topic if site_of(src) == site else f"{topic}@{site}"
 
 
+class FileSettings(BaseModel):
+    """Where a recording goes and how its file is written."""
+
+    model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
+
+    directory: Path = Field(default=Path(), description="Folder of the recording; it is made if it does not exist")
+    file_name: str = Field(
+        default="session.mcap",
+        pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,120}\.mcap$",
+        description="Name of the file; one that exists is kept and the new one is called NAME_1.mcap, NAME_2.mcap, ...",
+    )
+    compression: Literal["zstd", "lz4", "none"] = Field(default="zstd", description="Compression of each chunk")
+    chunk_size_bytes: Annotated[int, Field(ge=4096, le=64 << 20)] = Field(
+        default=1 << 20, description="Size at which a chunk is closed before its flush [bytes], 4096 to 67108864"
+    )
+    sync_to_disk: bool = Field(
+        default=False,
+        description="Wait at each flush until the disk has the data: then a power cut loses no more either",
+    )
+
+
 class RecordingWriter:
     """A recording in the making.
 
@@ -47,19 +68,19 @@ class RecordingWriter:
     the path and the reason when the file cannot be written; what was flushed before stays readable.
     """
 
-    def __init__(self, stream: IO[bytes], path: Path, node: str, config: RecorderConfig) -> None:
+    def __init__(self, stream: IO[bytes], path: Path, node: str, settings: FileSettings) -> None:
         """Start writing to a binary stream; `path` names it in errors, `node` is the recorder (node@site)."""
         self.path = path
         self.node = node
         self.messages = 0
         self.size_bytes = 0
         self._stream = stream
-        self._sync = config.sync_to_disk
+        self._sync = settings.sync_to_disk
         self._schemas: dict[str, int] = {}
         self._own_channels: dict[str, int] = {}
         self._own_counts = dict.fromkeys(RECORDS, 0)
         self._mcap: _McapWriter = Writer(
-            stream, chunk_size=config.chunk_size_bytes, compression=_COMPRESSION[config.compression]
+            stream, chunk_size=settings.chunk_size_bytes, compression=_COMPRESSION[settings.compression]
         )
         with self._guarded():
             self._mcap.start("telenano")
@@ -67,17 +88,17 @@ class RecordingWriter:
             self._stream.flush()
 
     @classmethod
-    def create(cls, node: str, config: RecorderConfig, number: int = 0) -> "RecordingWriter":
+    def create(cls, node: str, settings: FileSettings, number: int = 0) -> "RecordingWriter":
         """Make the file, under the first free name from a number on; nothing is ever overwritten."""
-        stem, suffix = Path(config.file_name).stem, Path(config.file_name).suffix
+        stem, suffix = Path(settings.file_name).stem, Path(settings.file_name).suffix
         while True:
-            path = config.directory / (f"{stem}_{number}{suffix}" if number else config.file_name)
+            path = settings.directory / (f"{stem}_{number}{suffix}" if number else settings.file_name)
             try:
-                config.directory.mkdir(parents=True, exist_ok=True)
-                return cls(path.open("xb"), path.absolute(), node, config)
+                settings.directory.mkdir(parents=True, exist_ok=True)
+                return cls(path.open("xb"), path.absolute(), node, settings)
             except FileExistsError as error:
-                if not config.directory.is_dir():
-                    raise RecordingError(f"{config.directory}: is not a folder") from error
+                if not settings.directory.is_dir():
+                    raise RecordingError(f"{settings.directory}: is not a folder") from error
                 number += 1
             except OSError as error:
                 raise RecordingError(f"{path}: cannot be made: {error.strerror}") from error

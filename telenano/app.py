@@ -16,6 +16,7 @@ import typer
 
 from presets import DEFAULT_SITE_FILE, site_file_named
 from proto.errors import ConfigError
+from proto.nodes import SERVICES
 from telenano.lazy_commands import LazyRoot
 from telenano.output import EXIT_FAILED, console, errors_told, fail, print_json, tell
 
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
     from telenano.live_view import LineView, LiveView
 
 _LIST_S = 1.5
-_NODES = ("haptic_node", "controller", "delay_node", "afm_node", "recorder")
 
 app = typer.Typer(
     cls=LazyRoot,
@@ -346,15 +346,15 @@ def link_clear(site_file: SiteFileOption = DEFAULT_SITE_FILE, as_json: JsonOptio
 @app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []})
 def node(
     context: typer.Context,
-    name: Annotated[str, typer.Argument(metavar="NAME", help=f"One of {', '.join(_NODES)}.")],
+    name: Annotated[str, typer.Argument(metavar="NAME", help=f"One of {', '.join(SERVICES)}.")],
 ) -> None:
     """Run one node alone; what follows NAME goes to the node, whose --help lists it."""
     if name == "--help":
         typer.echo(context.get_help())
         return
     with errors_told(as_json=False):
-        if name not in _NODES:
-            raise ConfigError(f"unknown node {name!r}: known are {', '.join(_NODES)}")
+        if name not in SERVICES:
+            raise ConfigError(f"unknown node {name!r}: known are {', '.join(SERVICES)}")
     # the node takes the place of this process, so that signals reach it
     os.execv(sys.executable, [sys.executable, "-m", f"services.{name}", *context.args])
 

@@ -16,7 +16,7 @@ def build(context: NodeContext, config: AfmConfig) -> AfmNode:
     return AfmNode(context, config, SimulatedAfm(config.to_params()))
 
 
-AFM_NODE = NodeKind("afm_node", ("slave",), AfmConfig, ordinary(build, INPUTS))
+AFM_NODE = NodeKind("afm_node", AfmConfig, ordinary(build, INPUTS))
 
 if __name__ == "__main__":
     sys.exit(run_node(AFM_NODE))

@@ -14,7 +14,7 @@ def build(wiring: Wiring, config: ControllerConfig) -> tuple[Node, AccountedBus]
     return half_of_site(wiring.context(bus), config), bus
 
 
-CONTROLLER = NodeKind("controller", ("master", "slave"), ControllerConfig, build)
+CONTROLLER = NodeKind("controller", ControllerConfig, build)
 
 if __name__ == "__main__":
     sys.exit(run_node(CONTROLLER))

@@ -33,7 +33,7 @@ def build(wiring: Wiring, settings: LinkSettings) -> tuple[Node, AccountedBus]:
     return node, bus
 
 
-DELAY_NODE = NodeKind("delay_node", ("master",), LinkSettings, build)
+DELAY_NODE = NodeKind("delay_node", LinkSettings, build)
 
 if __name__ == "__main__":
     sys.exit(run_node(DELAY_NODE))

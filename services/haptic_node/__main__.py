@@ -14,7 +14,7 @@ def build(context: NodeContext, config: HapticConfig) -> HapticNode:
     return HapticNode(context, config, SimulatedHaptic(config.to_plant_params(), config.device.start_position_m))
 
 
-HAPTIC_NODE = NodeKind("haptic_node", ("master",), HapticConfig, ordinary(build, INPUTS))
+HAPTIC_NODE = NodeKind("haptic_node", HapticConfig, ordinary(build, INPUTS))
 
 if __name__ == "__main__":
     sys.exit(run_node(HAPTIC_NODE))

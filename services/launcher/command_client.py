@@ -13,9 +13,10 @@ import zmq
 
 from proto.errors import ConfigError, EndpointError, RigError
 from proto.messages import NodeHealth, Scalar, SessionEvent
+from proto.nodes import LINK, is_console, site_of
 from services.launcher.pending_command import Command, PendingControl
 from services.launcher.plan import Site
-from services.runtime.address_book import LINK_NODE, SiteBook, is_console, site_of
+from services.runtime.address_book import SiteBook
 from services.runtime.bus import Publisher, Subscriber
 from services.runtime.clock import Clock, SystemClock
 from services.runtime.main import load_site
@@ -85,7 +86,7 @@ def addressed(book: SiteBook, target: str, site: Site = "master") -> list[str]:
 
 def _answers_nothing(node: str) -> bool:
     # the link's second socket belongs to the same process, which answers under the name of the first
-    return is_console(node) or node.partition("@")[0] == "launcher" or node == f"{LINK_NODE}@slave"
+    return is_console(node) or node.partition("@")[0] == "launcher" or node == f"{LINK}@slave"
 
 
 def console_of(book: SiteBook, site: Site) -> str:

@@ -1,6 +1,5 @@
 """What `telenano up` is to run, checked as a whole before anything is started."""
 
-import importlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,35 +9,15 @@ import yaml
 
 from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE, find_scenario
 from proto.errors import ConfigError, RigError
-from services.runtime.address_book import LINK_NODE, SiteBook, site_of
+from proto.nodes import LAUNCHER, LINK, OPTIONAL_NODES, RECORDER, SERVICES, START_ORDER, site_of
+from services.runtime.address_book import SiteBook
 from services.runtime.config import layered, merge, validate
-from services.runtime.main import NodeKind, load_site
+from services.runtime.main import load_site, node_kind
 from services.runtime.scenario import LoadedScenario, Scenario
 
 Site = Literal["master", "slave"]
 
-LAUNCHER = "launcher@master"
-RECORDER = "recorder@master"
 RECORDING_NAME = "session.mcap"
-# started and stopped in this order: the recorder hears the others come and go, the devices are made safe first
-START_ORDER = (
-    "recorder@master",
-    "delay_node@master",
-    "afm_node@slave",
-    "controller@slave",
-    "controller@master",
-    "haptic_node@master",
-)
-STOP_ORDER = (
-    "haptic_node@master",
-    "controller@master",
-    "controller@slave",
-    "afm_node@slave",
-    "delay_node@master",
-    "recorder@master",
-)
-# a site that has machines of its own may have a recorder of its own, which nobody else waits for
-_OPTIONAL_NODES = ("recorder@slave",)
 ALLOW_REPLAY = ("afm_node.allow_replay=true", "haptic_node.allow_replay=true")
 
 
@@ -175,7 +154,7 @@ def own_nodes(book: SiteBook, request: UpRequest) -> tuple[str, ...]:
         return ()
     known: tuple[str, ...] = START_ORDER
     if request.site is not None:
-        optional = [node for node in _OPTIONAL_NODES if node in book.nodes]
+        optional = [node for node in OPTIONAL_NODES if node in book.nodes]
         known = tuple(node for node in (*optional, *START_ORDER) if site_of(node) == request.site)
     absent = left_out(request.without, known)
     return tuple(node for node in known if node not in absent)
@@ -195,7 +174,7 @@ def check_book(book: SiteBook, site_file: Path, request: UpRequest) -> None:
     needed = [LAUNCHER, *(node for node in START_ORDER if not (request.attach and node == RECORDER))]
     if request.site is not None:
         # the link's face at the slave is what the nodes there hear of the master
-        needed += [f"launcher@{request.site}", f"{LINK_NODE}@slave"]
+        needed += [f"launcher@{request.site}", f"{LINK}@slave"]
     absent = [node for node in dict.fromkeys(needed) if node not in book.nodes]
     if absent:
         raise ConfigError(f"{site_file}: nodes: {', '.join(absent)} is missing, the rig needs an endpoint for each")
@@ -242,11 +221,5 @@ def _anchored_value(key: str, value: Any, folder: Path) -> Any:
 
 def check_sections(loaded: LoadedScenario) -> None:
     """Check every node's section with the node's own model; ConfigError names file and key."""
-    for name in sorted({node.partition("@")[0] for node in START_ORDER}):
+    for name in SERVICES:
         loaded.section(name, node_kind(name).config)
-
-
-def node_kind(name: str) -> NodeKind[Any]:
-    """Give the kind that a service declares for itself, so that this check and the node's own cannot differ."""
-    module = importlib.import_module(f"services.{name}.__main__")
-    return next(value for value in vars(module).values() if isinstance(value, NodeKind))

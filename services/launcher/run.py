@@ -12,12 +12,12 @@ from typing import IO, Any
 import zmq
 
 from proto.errors import RecordingError, RigError
+from proto.nodes import LINK, RECORDER, STOP_ORDER
 from services.launcher.external_recording import Tape, readable_here
-from services.launcher.plan import RECORDER, STOP_ORDER, Plan
+from services.launcher.plan import Plan
 from services.launcher.processes import NodeProcesses, node_command
 from services.launcher.session import RigNode, SessionNode, SiteNode
 from services.launcher.supervisor import Keeper
-from services.runtime.address_book import LINK_NODE
 from services.runtime.bus import ZmqBus
 from services.runtime.clock import Clock, SystemClock
 from services.runtime.log import StructuredLog, configure_logging
@@ -90,7 +90,7 @@ def open_bus(
 def make_rig(plan: Plan, context: NodeContext, keeper: Keeper) -> RigNode:
     """Make the node that looks after what the plan says, and conducts its session unless another site does."""
     if plan.site == "slave":
-        return SiteNode(context, keeper, link=f"{LINK_NODE}@slave", site="slave", other_site="master")
+        return SiteNode(context, keeper, link=f"{LINK}@slave", site="slave", other_site="master")
     return SessionNode(
         context,
         keeper,

@@ -7,6 +7,7 @@ from datetime import datetime
 from typing import ClassVar, Literal
 
 from proto.messages import ClockPing, NodeHealth, Scalar, SessionEvent
+from proto.nodes import HAND, TIP
 from services.launcher.command_sequence import Dialogue, Step
 from services.launcher.external_recording import Tape
 from services.launcher.liveness import Change, Watch
@@ -23,20 +24,19 @@ TICK_S = 0.05
 _STOP_ANSWER_NS = 2_000_000_000
 _REMEMBERED_EVENTS = 8
 
-_HAND, _TIP = "haptic_node@master", "afm_node@slave"
 # the instrument before the hand, so that the hand never moves a reference that nothing follows
 BEGIN = (
-    Step("arm", "afm_node", (_TIP,)),
-    Step("arm", "haptic_node", (_HAND,)),
-    Step("start", "*", (_HAND,)),
+    Step("arm", "afm_node", (TIP,)),
+    Step("arm", "haptic_node", (HAND,)),
+    Step("start", "*", (HAND,)),
 )
-END = Step("stop", "*", (_HAND,), required=False, deadline_ns=_STOP_ANSWER_NS)
+END = Step("stop", "*", (HAND,), required=False, deadline_ns=_STOP_ANSWER_NS)
 # where the nodes go on without a session the tip must not stay on the sample with nobody at the controls
-LEAVE = Step("estop", "afm_node", (_TIP,), required=False, deadline_ns=_STOP_ANSWER_NS)
+LEAVE = Step("estop", "afm_node", (TIP,), required=False, deadline_ns=_STOP_ANSWER_NS)
 # what the operator has to do when a device was lost and is back; {at} says at which site, where there are two
 _AGAIN = {
-    _TIP: "a tip that has retracted stays so until `telenano session arm --target afm_node{at}`",
-    _HAND: "a hand that was restarted stays free until `telenano session arm --target haptic_node{at}`, "
+    TIP: "a tip that has retracted stays so until `telenano session arm --target afm_node{at}`",
+    HAND: "a hand that was restarted stays free until `telenano session arm --target haptic_node{at}`, "
     "its programme until `telenano session start{at}`",
 }
 
@@ -344,7 +344,7 @@ class SessionNode(RigNode):
         if self.ran and not self.failure:
             steps += [END] if set(END.expected) <= set(self._needed) else []
             steps += self.tape.ending() if self.tape is not None else []
-            steps += [LEAVE] if self.attached and _TIP in self._needed else []
+            steps += [LEAVE] if self.attached and TIP in self._needed else []
         self._dialogue = Dialogue(self.clock, self.publish, steps)
         self._advance_end()
 
@@ -391,7 +391,7 @@ class SiteNode(RigNode):
 
     def _hints(self, *nodes: str) -> str:
         # whichever side was away, the tip is here
-        return super()._hints(_TIP)
+        return super()._hints(TIP)
 
     def advance(self) -> None:
         """End when told so or when a node cannot be kept running; see when all are ready."""

@@ -15,15 +15,15 @@ import zmq
 
 from proto.errors import ConfigError, RefusedError
 from proto.messages import Scalar, SessionControl
+from proto.nodes import LINK
 from recording.channel_filter import Selection
 from recording.reader import RecordedChannel, RecordedMessage, Source
 from services.player.playback import Span, Tape, Transport, is_state
-from services.runtime.address_book import LINK_NODE, SiteBook
+from services.runtime.address_book import SiteBook
 from services.runtime.bus import Publisher
 from services.runtime.clock import Clock
 from services.runtime.node import HEALTH_PERIOD_NS, Node, NodeContext, resident_bytes
 
-PLAYER = "player@master"
 # an observer of the rig and the player itself are no part of what is played
 _NEVER_PLAYED = ("recorder", "player", "record")
 _OWN_TOPICS = ("node/health",)
@@ -46,7 +46,7 @@ class PlaySettings:
 
 def node_of(channel: RecordedChannel) -> str:
     """Give the node at whose endpoint a channel was heard; a recording that is not ours has none."""
-    return f"{LINK_NODE}@{channel.site}" if channel.via == "link" else channel.src
+    return f"{LINK}@{channel.site}" if channel.via == "link" else channel.src
 
 
 class Cast:

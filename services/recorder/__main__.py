@@ -2,12 +2,12 @@
 
 import sys
 
+from proto.nodes import site_of
 from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake, Listener
 from services.recorder.live import connect
 from services.recorder.node import RecorderBus, RecorderNode
 from services.recorder.open_recording import begin_intake
-from services.runtime.address_book import site_of
 from services.runtime.main import NodeKind, Wiring, run_node
 from services.runtime.node import AccountedBus, Node
 
@@ -38,7 +38,7 @@ def begin(wiring: Wiring, config: RecorderConfig) -> Intake:
     return begin_intake(wiring.key, wiring.clock, config, wiring.site_file, wiring.scenario_file)
 
 
-RECORDER = NodeKind("recorder", ("master", "slave"), RecorderConfig, build, realtime=False)
+RECORDER = NodeKind("recorder", RecorderConfig, build, realtime=False)
 
 if __name__ == "__main__":
     sys.exit(run_node(RECORDER))

@@ -11,14 +11,14 @@ import msgpack
 from proto import MAX_MESSAGE_BYTES, TOPICS, Topic, WireError, decode
 from proto.errors import RecordingError
 from proto.messages import SOURCE_PATTERN
+from proto.nodes import site_of
+from proto.sequence import Arrival, SequenceTracker
 from recording.channel_filter import ALL, Selection
 from recording.records import GapRecord, RejectedRecord
 from recording.writer import RecordingWriter, channel_topic
 from services.recorder.rotation import Parts, QuotaError
 from services.recorder.snapshot_buffer import Entry, Happened, Ring, trigger
-from services.runtime.address_book import site_of
 from services.runtime.bus import Received, Subscriber, split_frames
-from services.runtime.sequence import Arrival, SequenceTracker
 
 _SOURCE = re.compile(SOURCE_PATTERN)
 _LONGEST_SOURCE = 64

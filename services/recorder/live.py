@@ -9,10 +9,11 @@ import zmq
 
 from proto import TOPICS, WireError
 from proto.errors import ConfigError
+from proto.nodes import site_of
 from recording.reader import RecordedChannel, RecordedMessage
 from recording.writer import channel_topic
 from services.recorder.intake import Listener, read_header
-from services.runtime.address_book import SiteBook, site_of
+from services.runtime.address_book import SiteBook
 from services.runtime.bus import split_frames
 from services.runtime.clock import SystemClock
 from services.runtime.security.keyring import Keyring, this_machine

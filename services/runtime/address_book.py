@@ -15,9 +15,9 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_valida
 
 from proto.errors import EndpointError
 from proto.messages import SOURCE_PATTERN
+from proto.nodes import LINK, name_of, site_of
 from proto.topics import TOPICS, Topic
 
-LINK_NODE = "delay_node"
 # the machine that the link runs on, with its faces at both sites
 LINK_MACHINE = "master"
 RUNTIME_DIRECTORY_VARIABLE = "TELENANO_RUNTIME_DIR"
@@ -32,22 +32,6 @@ _LONGEST_IPC_PATH = 107
 
 NodeKey = Annotated[str, Field(pattern=SOURCE_PATTERN)]
 MachineName = Annotated[str, Field(pattern=MACHINE_PATTERN)]
-
-
-def site_of(node: str) -> str:
-    """Give the site of `node@site`."""
-    return node.partition("@")[2]
-
-
-def is_console(node: str) -> bool:
-    """Say whether a node is one that commands are typed at: console@site, or console_NAME@site on a further machine."""
-    name = node.partition("@")[0]
-    return name == "console" or name.startswith("console_")
-
-
-def is_visitor(node: str) -> bool:
-    """Say whether a node comes and goes with a command: that it is not there is no news."""
-    return is_console(node) or node.partition("@")[0] == "player"
 
 
 def runtime_directory() -> Path:
@@ -147,7 +131,7 @@ class SiteBook(BaseModel):
         named = self._entry(node).machine
         if named is not None:
             return named
-        return LINK_MACHINE if node.partition("@")[0] == LINK_NODE else site_of(node)
+        return LINK_MACHINE if name_of(node) == LINK else site_of(node)
 
     def local_endpoint(self, node: str) -> str | None:
         """Give the ipc endpoint of a node, None if it has none."""
@@ -225,19 +209,19 @@ class SiteBook(BaseModel):
     def bridged_from(self, site: str) -> dict[str, list[str]]:
         """Say what the link connects to at a site: each node there, the topics that cross to the other site."""
         away = "slave" if site == "master" else "master"
-        link = f"{LINK_NODE}@{site}"
+        link = f"{LINK}@{site}"
         reader = self.machine_of(link) if link in self.nodes else None
         plan = {
             node: [name for name, topic in TOPICS.items() if _publishes(topic, node) and _crosses(topic, to_site=away)]
             for node in self.nodes
-            if site_of(node) == site and node.partition("@")[0] != LINK_NODE and self.reaches(reader, node)
+            if site_of(node) == site and name_of(node) != LINK and self.reaches(reader, node)
         }
         return {node: topics for node, topics in plan.items() if topics}
 
     def published_by(self, node: str) -> list[str]:
         """Give the topics that can be heard at a node's endpoint, the bridged ones included."""
         own = [name for name, topic in TOPICS.items() if _publishes(topic, node)]
-        if node.partition("@")[0] == LINK_NODE:
+        if name_of(node) == LINK:
             own += [name for name, topic in TOPICS.items() if _crosses(topic, to_site=site_of(node))]
         return list(dict.fromkeys(own))
 
@@ -255,7 +239,7 @@ class SiteBook(BaseModel):
             if _publishes(topic, node) and site_of(node) == here and self.reaches(machine, node)
         ]
         far = any(_publishes(topic, node) and site_of(node) != here for node in self.nodes)
-        link = f"{LINK_NODE}@{here}"
+        link = f"{LINK}@{here}"
         if far and link in self.nodes and _crosses(topic, to_site=here) and link not in found:
             found.append(link)
         return found
@@ -264,13 +248,13 @@ class SiteBook(BaseModel):
 def may_carry(node: str, src: str) -> bool:
     """Say whether a message of `src` may come out of the socket of `node`: its own, or what the link bridges there."""
     name, _, site = node.partition("@")
-    if name != LINK_NODE:
+    if name != LINK:
         return src == node
-    return src.partition("@")[0] == LINK_NODE or site_of(src) != site
+    return name_of(src) == LINK or site_of(src) != site
 
 
 def _publishes(topic: Topic, node: str) -> bool:
-    name = node.partition("@")[0]
+    name = name_of(node)
     return any(fnmatchcase(node, pattern) or name == pattern for pattern in topic.publishers)
 
 

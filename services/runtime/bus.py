@@ -13,8 +13,8 @@ from proto import TOPICS, WireError, decode, encode
 from proto.codec import MAX_MESSAGE_BYTES
 from proto.errors import EndpointError
 from proto.messages import InputHealth, Message
+from proto.sequence import Arrival, SequenceTracker
 from services.runtime.clock import Clock
-from services.runtime.sequence import Arrival, SequenceTracker
 
 # ten seconds of a 1 kHz topic: a reader that stops for longer loses messages, which it then counts
 HIGH_WATER_MARK = 10_000

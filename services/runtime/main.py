@@ -1,17 +1,19 @@
 """The way from a command line to a running node: configuration, clock, bus, loop."""
 
 import argparse
+import importlib
 import signal
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import zmq
 from pydantic import BaseModel
 
 from proto.errors import EndpointError, TelenanoError
+from proto.nodes import sites_of
 from services.runtime.address_book import SiteBook
 from services.runtime.bus import Publisher, Subscriber, ZmqBus
 from services.runtime.clock import Clock, SystemClock
@@ -69,13 +71,23 @@ class Wiring:
 
 @dataclass(frozen=True)
 class NodeKind(Generic[C]):
-    """A kind of node: its name, where it may live, its section of the scenario and how it is built."""
+    """A kind of node: its name in the table of nodes, its section of the scenario and how it is built."""
 
     name: str
-    sites: tuple[str, ...]
     config: type[C]
     build: Callable[[Wiring, C], tuple[Node, AccountedBus]]
     realtime: bool = True
+
+    @property
+    def sites(self) -> tuple[str, ...]:
+        """Where a process of this kind may run."""
+        return sites_of(self.name)
+
+
+def node_kind(name: str) -> NodeKind[Any]:
+    """Give the kind that a service declares for itself, so that a check and the node's own cannot differ."""
+    module = importlib.import_module(f"services.{name}.__main__")
+    return next(value for value in vars(module).values() if isinstance(value, NodeKind))
 
 
 def ordinary(node: Callable[[NodeContext, C], Node], inputs: Sequence[str]) -> Callable[..., tuple[Node, AccountedBus]]:

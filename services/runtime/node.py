@@ -16,12 +16,12 @@ from typing import ClassVar, Literal, Protocol
 from proto import TOPICS
 from proto.errors import RefusedError, TelenanoError
 from proto.messages import MAX_TEXT, InputHealth, Scalar, SessionControl
+from proto.sequence import Arrival
 from services.runtime.bus import Bus, Notice, Received
 from services.runtime.clock import Clock
 from services.runtime.deadlines import LatenessWindow, SpinMargin
 from services.runtime.log import RateLimitedLog, StructuredLog
 from services.runtime.realtime import RealtimeStatus
-from services.runtime.sequence import Arrival
 
 NodeState = Literal["starting", "ready", "running", "safe", "stopping"]
 HEALTH_PERIOD_NS = 500_000_000

@@ -13,11 +13,12 @@ from pydantic import BaseModel
 from proto import TOPICS
 from proto.errors import ConfigError, RigError
 from proto.messages import Array, Message
-from services.runtime.address_book import SiteBook, site_of
+from proto.nodes import site_of
+from proto.sequence import SequenceTracker
+from services.runtime.address_book import SiteBook
 from services.runtime.bus import Notice, Received
 from services.runtime.clock import SystemClock
 from services.runtime.security.keyring import Keyring, this_machine
-from services.runtime.sequence import SequenceTracker
 from services.runtime.transport import Network
 
 _WAIT_MS = 100

@@ -10,9 +10,10 @@ import zmq
 
 from presets import DEFAULT_SITE_FILE, site_file_named
 from proto.errors import ConfigError, EndpointError, TelenanoError
+from proto.nodes import PLAYER
 from recording.channel_filter import Selection
 from recording.reader import open_recordings
-from services.player.node import PLAYER, Cast, Outlet, PlayerNode, PlaySettings
+from services.player.node import Cast, Outlet, PlayerNode, PlaySettings
 from services.player.playback import Span, Tape
 from services.runtime.bus import ZmqBus
 from services.runtime.clock import SystemClock

@@ -23,8 +23,8 @@ from proto.messages import (
     NodeHealth,
     SessionEvent,
 )
+from proto.nodes import START_ORDER, is_visitor, site_of
 from services.launcher.readiness import oldest_input_s, unmet
-from services.runtime.address_book import is_visitor, site_of
 from services.runtime.main import load_site
 from services.runtime.observer import Observer
 from telenano.output import console, errors_told, fail, print_json
@@ -34,8 +34,6 @@ M = TypeVar("M", bound=Message)
 _DEFAULT_S = 1.5
 # what the law sends at 1 kHz says nothing here, and reading it would cost the rig processor time
 NEEDED = ("node/health", "link/status", "law/status", "haptic/state", "afm/state", "session/event")
-# the first face of the link speaks for both; a recorder at the instrument is there if somebody wants one
-_OPTIONAL = ("delay_node@slave", "recorder@slave")
 _LINK = "delay_node@master"
 _STATE_STYLES = {"ready": "green", "running": "green", "safe": "yellow", "starting": "yellow"}
 _LEVEL_STYLES = {"info": "", "warning": "yellow", "error": "red"}
@@ -103,7 +101,7 @@ def expected_nodes(nodes: Iterable[str], reachable: Collection[str]) -> list[str
 
     Parameters: reachable, nodes whose sockets this machine can hear; the link brings the health of the slave's site.
     """
-    reporting = [node for node in nodes if node not in _OPTIONAL and not _is_unexpected(node)]
+    reporting = [node for node in nodes if node in START_ORDER]
     return [node for node in reporting if node in reachable or (_LINK in reachable and site_of(node) == "slave")]
 
 

@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 from proto import TOPICS, decode, encode
 from proto.contract import examples
 from proto.messages import AfmScanline, Array, Record, SessionControl
+from proto.sequence import Arrival, SequenceTracker
 from services.runtime.bus import Publisher, Subscriber
 from services.runtime.clock import SystemClock
-from services.runtime.sequence import Arrival, SequenceTracker
 
 ROW_OF = {
     Arrival.NEXT: "next",

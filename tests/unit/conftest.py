@@ -9,13 +9,13 @@ from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state, teleo
 
 from proto import TOPICS, encode
 from proto.messages import Message
+from proto.sequence import Arrival
 from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
 from services.runtime.bus import Received
 from services.runtime.clock import VirtualClock
 from services.runtime.log import StructuredLog
 from services.runtime.node import NodeContext
-from services.runtime.sequence import Arrival
 
 
 class Bench:

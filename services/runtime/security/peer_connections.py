@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import zmq
 
 from proto import WireError
-from services.runtime.address_book import is_visitor, may_carry
+from proto.nodes import is_visitor
+from services.runtime.address_book import may_carry
 from services.runtime.bus import Notice, Subscriber
 from services.runtime.clock import Clock
 from services.runtime.security.access_control import Trust

@@ -5,10 +5,10 @@ from typing import Any
 
 import pytest
 
+from proto.sequence import Arrival
 from services.controller.config import LAWS, ControllerConfig
 from services.controller.node import MasterController, SlaveController
 from services.runtime.bus import Received
-from services.runtime.sequence import Arrival
 
 PERIOD_NS = 1_000_000
 ZERO = (0.0, 0.0, 0.0)

@@ -13,10 +13,9 @@ import yaml
 
 from presets import TWO_SITES_FILE
 from proto.errors import ConfigError
-from services.launcher.plan import START_ORDER, node_kind
-from services.runtime.address_book import site_of
+from proto.nodes import START_ORDER, site_of
 from services.runtime.config import environment_overrides, validate
-from services.runtime.main import load_site
+from services.runtime.main import load_site, node_kind
 from services.runtime.realtime import RealtimeConfig
 from services.runtime.scenario import Scenario, load_scenario
 

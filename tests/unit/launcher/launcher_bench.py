@@ -7,6 +7,7 @@ from typing import Any
 
 from proto import TOPICS
 from proto.messages import InputHealth, Message, NodeHealth, SessionControl, SessionEvent
+from proto.sequence import Arrival
 from services.launcher.external_recording import Tape
 from services.launcher.session import RigNode, SessionNode
 from services.launcher.supervisor import Keeper
@@ -14,7 +15,6 @@ from services.runtime.bus import Received
 from services.runtime.clock import VirtualClock
 from services.runtime.log import StructuredLog
 from services.runtime.node import NodeContext
-from services.runtime.sequence import Arrival
 
 NODES = ["recorder@master", "afm_node@slave", "haptic_node@master"]
 TICK_NS = 50_000_000

@@ -6,16 +6,8 @@ import yaml
 
 from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE, known_scenarios
 from proto.errors import ConfigError
-from services.launcher.plan import (
-    ALLOW_REPLAY,
-    LAUNCHER,
-    RECORDER,
-    START_ORDER,
-    STOP_ORDER,
-    UpRequest,
-    anchored,
-    make_plan,
-)
+from proto.nodes import LAUNCHER, RECORDER, START_ORDER, STOP_ORDER
+from services.launcher.plan import ALLOW_REPLAY, UpRequest, anchored, make_plan
 from services.runtime.config import read_yaml
 from services.runtime.main import load_site
 

@@ -6,7 +6,8 @@ import pytest
 
 from presets import DEFAULT_SITE_FILE
 from proto.errors import ConfigError
-from services.launcher.plan import START_ORDER, UpRequest, left_out, make_plan
+from proto.nodes import START_ORDER
+from services.launcher.plan import UpRequest, left_out, make_plan
 
 
 def test_nodes_are_left_out_by_name_or_key() -> None:

@@ -12,10 +12,11 @@ from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state, sampl
 from proto import decode, encode
 from proto.errors import ConfigError, RefusedError
 from proto.messages import HapticState, Message, NodeHealth, SessionControl, SessionEvent
+from proto.nodes import PLAYER
 from recording.channel_filter import Selection
 from recording.reader import Recording
 from recording.writer import RecordingWriter
-from services.player.node import PLAYER, Cast, Outlet, PlayerNode, PlaySettings
+from services.player.node import Cast, Outlet, PlayerNode, PlaySettings
 from services.player.playback import Span, Tape
 from services.recorder.config import RecorderConfig
 from services.runtime.address_book import SiteBook

@@ -15,6 +15,7 @@ from recorder_samples import EPOCH_NS, NODE, haptic_state, sample, session_contr
 
 from proto import TOPICS, Message, encode
 from proto.messages import InputHealth, SessionEvent
+from proto.sequence import Arrival
 from recording.reader import Recording
 from recording.writer import RecordingWriter
 from services.recorder.__main__ import begin, listeners
@@ -28,7 +29,6 @@ from services.runtime.log import StructuredLog
 from services.runtime.main import Wiring
 from services.runtime.node import NodeContext, NodeLoop
 from services.runtime.realtime import RealtimeStatus
-from services.runtime.sequence import Arrival
 from services.runtime.transport import Network
 
 PATIENCE_S = 30.0

@@ -8,7 +8,8 @@ import pytest
 
 from proto import TOPICS
 from proto.errors import ConfigError, EndpointError
-from services.runtime.address_book import NodeEntry, SiteBook, may_carry, runtime_directory, site_of
+from proto.nodes import site_of
+from services.runtime.address_book import NodeEntry, SiteBook, may_carry, runtime_directory
 from services.runtime.config import read_yaml, validate
 
 TWO_SITES = Path(__file__).resolve().parents[3] / "presets" / "sites" / "two_sites.yaml"

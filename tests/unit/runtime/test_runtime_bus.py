@@ -16,9 +16,9 @@ from proto import MAX_MESSAGE_BYTES, TOPICS, decode, encode
 from proto.contract import examples
 from proto.errors import EndpointError
 from proto.messages import HapticState, SessionControl
+from proto.sequence import Arrival
 from services.runtime.bus import Publisher, Received, Subscriber, ZmqBus, split_frames
 from services.runtime.clock import SystemClock, VirtualClock
-from services.runtime.sequence import Arrival
 
 Context = zmq.Context[zmq.Socket[bytes]]
 MOST_TRACKERS = 1024

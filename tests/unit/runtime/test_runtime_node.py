@@ -16,6 +16,7 @@ from proto import TOPICS, Message, encode
 from proto.contract import examples
 from proto.errors import ConfigError, RefusedError
 from proto.messages import MAX_TEXT, InputHealth, NodeHealth, SessionControl, SessionEvent
+from proto.sequence import Arrival
 from services.runtime.bus import Notice, Received
 from services.runtime.clock import VirtualClock
 from services.runtime.deadlines import Grid
@@ -30,7 +31,6 @@ from services.runtime.node import (
     resident_bytes,
 )
 from services.runtime.realtime import RealtimeStatus
-from services.runtime.sequence import Arrival
 
 MS = 1_000_000
 GRANTED = RealtimeStatus(fifo=True, memory_locked=False)

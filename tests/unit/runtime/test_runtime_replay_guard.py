@@ -5,8 +5,8 @@ from typing import Any
 import pytest
 
 from proto.messages import SessionEvent
+from proto.sequence import Arrival, SequenceTracker
 from services.runtime.replay_guard import ReplayGuard
-from services.runtime.sequence import Arrival, SequenceTracker
 
 SECOND_NS = 1_000_000_000
 HEALTH = {

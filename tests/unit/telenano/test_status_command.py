@@ -12,12 +12,12 @@ from presets import DEFAULT_SITE_FILE
 from proto import TOPICS
 from proto.errors import RigError
 from proto.messages import InputHealth, Message, NodeHealth
+from proto.sequence import Arrival
 from services.runtime.address_book import SiteBook
 from services.runtime.bus import Notice, Publisher, Received
 from services.runtime.clock import SystemClock
 from services.runtime.main import load_site
 from services.runtime.observer import Heard, Observer
-from services.runtime.sequence import Arrival
 from telenano.app import app
 from telenano.commands import status
 from telenano.commands.status import NEEDED, Picture, document_of, expected_nodes, listen, problems_of, stalled_inputs

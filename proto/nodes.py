@@ -1,0 +1,78 @@
+"""The one table of nodes: which processes take part in the bus, where, and what part each has in a rig."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+
+@dataclass(frozen=True)
+class NodeRow:
+    """One row of the table: a node, as `name@site`.
+
+    `part`: `rig`, a process of its own that the launcher starts and stops; `endpoint`, a further endpoint of such a
+    process; `launcher`, which supervises the others; `visitor`, which comes and goes with a command. The rows stand in
+    the order in which a rig is started; `stop` is the place in the order in which it is stopped. A session waits for
+    the nodes that are `required`; a site may have the others.
+    """
+
+    key: str
+    part: Literal["rig", "endpoint", "launcher", "visitor"]
+    stop: int = 0
+    required: bool = True
+
+
+# the recorders first and last, to hear the others come and go; the devices are made safe first
+NODES = (
+    NodeRow("recorder@slave", "rig", stop=7, required=False),
+    NodeRow("recorder@master", "rig", stop=6),
+    NodeRow("delay_node@master", "rig", stop=5),
+    NodeRow("delay_node@slave", "endpoint"),
+    NodeRow("afm_node@slave", "rig", stop=4),
+    NodeRow("controller@slave", "rig", stop=3),
+    NodeRow("controller@master", "rig", stop=2),
+    NodeRow("haptic_node@master", "rig", stop=1),
+    NodeRow("launcher@master", "launcher", required=False),
+    NodeRow("launcher@slave", "launcher", required=False),
+    NodeRow("console@master", "visitor", required=False),
+    NodeRow("player@master", "visitor", required=False),
+)
+
+HAND, TIP = "haptic_node@master", "afm_node@slave"
+LAUNCHER = "launcher@master"
+PLAYER = "player@master"
+RECORDER = "recorder@master"
+# the name of the process between the sites, and its endpoint at either one
+LINK = "delay_node"
+
+_RIG = tuple(row for row in NODES if row.part == "rig")
+START_ORDER = tuple(row.key for row in _RIG if row.required)
+OPTIONAL_NODES = tuple(row.key for row in _RIG if not row.required)
+STOP_ORDER = tuple(row.key for row in sorted(_RIG, key=lambda row: row.stop))
+
+
+def name_of(node: str) -> str:
+    """Give the name of `name@site`."""
+    return node.partition("@")[0]
+
+
+def site_of(node: str) -> str:
+    """Give the site of `name@site`."""
+    return node.partition("@")[2]
+
+
+SERVICES = tuple(dict.fromkeys(name_of(node) for node in STOP_ORDER))
+
+
+def sites_of(name: str) -> tuple[str, ...]:
+    """Give the sites at which processes of a name may run, the master's first."""
+    return tuple(sorted(site_of(row.key) for row in _RIG if name_of(row.key) == name))
+
+
+def is_console(node: str) -> bool:
+    """Say whether a node is one that commands are typed at: console@site, or console_NAME@site on a further machine."""
+    name = name_of(node)
+    return name == "console" or name.startswith("console_")
+
+
+def is_visitor(node: str) -> bool:
+    """Say whether a node comes and goes with a command: that it is not there is no news."""
+    return is_console(node) or any(name_of(row.key) == name_of(node) and row.part == "visitor" for row in NODES)
