@@ -33,7 +33,7 @@ from proto.messages import (
 from proto.sequence import Arrival
 from recording.reader import RecordedMessage, Recording
 from recording.tolerance import Tolerances, first_difference
-from services.runtime.address_book import SiteBook
+from services.runtime.address_book import AddressBook
 from services.runtime.bus import Received, ZmqBus
 from services.runtime.config import flag_overrides, merge, validate
 from services.runtime.log import StructuredLog
@@ -189,7 +189,7 @@ class Place(NamedTuple):
     pending: "Output | None" = None
 
 
-class Try(NamedTuple):
+class Candidate(NamedTuple):
     """One possible order of inputs, the recorded outputs that it has to give, and the place where it leads."""
 
     acts: Sequence[Act]
@@ -198,11 +198,11 @@ class Try(NamedTuple):
 
 
 # the possible orders of one turn, the likely ones first; none at the end of the recording
-Turns = Callable[[Place], Sequence[Try]]
+Turns = Callable[[Place], Sequence[Candidate]]
 
 
 @dataclass
-class Heard:
+class RecordedInputs:
     """What a recording says about one node: its outputs by time, its inputs by topic, the commands it answered."""
 
     key: str
@@ -256,7 +256,13 @@ class _Comparison:
     """One re-run on its way."""
 
     def __init__(
-        self, recording: Recording, heard: Heard, node: Node, clock: ReplayClock, bus: RerunBus, tolerances: Tolerances
+        self,
+        recording: Recording,
+        heard: RecordedInputs,
+        node: Node,
+        clock: ReplayClock,
+        bus: RerunBus,
+        tolerances: Tolerances,
     ) -> None:
         self._start_ns = recording.span_ns[0]
         self._heard = heard
@@ -294,8 +300,8 @@ class _Comparison:
         return self._result()
 
     def _first_that_holds(
-        self, orders: Sequence[Try], number: int, before: "_Snapshot"
-    ) -> tuple[Try | None, dict[str, Any]]:
+        self, orders: Sequence[Candidate], number: int, before: "_Snapshot"
+    ) -> tuple[Candidate | None, dict[str, Any]]:
         """Try orders; those left are a choice to return to. If none holds, the likeliest tells what differs."""
         first: dict[str, Any] = {}
         for position, attempt in enumerate(orders):
@@ -314,7 +320,7 @@ class _Comparison:
             self._furthest = (number, self._bus.mark(), fault)
             self._returns = 0
 
-    def _earlier_choice(self, number: int) -> tuple[Try | None, int]:
+    def _earlier_choice(self, number: int) -> tuple[Candidate | None, int]:
         """Return to the last choices and take another order there."""
         while self._choices and self._returns < _MOST_RETURNS:
             choice = self._choices.pop()
@@ -328,7 +334,7 @@ class _Comparison:
                 return found, choice.number
         return None, number
 
-    def _attempt(self, attempt: Try) -> dict[str, Any]:
+    def _attempt(self, attempt: Candidate) -> dict[str, Any]:
         self._bus.produced.clear()
         if attempt.expected:
             self._clock.now = attempt.expected[0].t_ns
@@ -401,14 +407,14 @@ class _Choice(NamedTuple):
 
     number: int
     before: _Snapshot
-    orders: Sequence[Try]
+    orders: Sequence[Candidate]
 
 
 class _MissingInputError(Exception):
     """The recording lacks a message that the node heard; the text says which."""
 
 
-def _read(recording: Recording, key: str, kind: "_Kind") -> Heard:
+def _read(recording: Recording, key: str, kind: "_Kind") -> RecordedInputs:
     names = {channel.channel_topic for channel in recording.channels}
     absent = [topic for topic in (*kind.outputs, *kind.inputs) if topic not in names]
     if absent:
@@ -439,7 +445,7 @@ def _read(recording: Recording, key: str, kind: "_Kind") -> Heard:
     known = sorted(
         ((t_ns, controls[name]) for name, t_ns in answers.items() if name in controls), key=lambda pair: pair[0]
     )
-    return Heard(key, outputs, inputs, known)
+    return RecordedInputs(key, outputs, inputs, known)
 
 
 def _from_first_known(
@@ -484,7 +490,7 @@ def _build(recording: Recording, key: str, clock: ReplayClock, bus: RerunBus, se
     config = loaded.section(kind.name, kind.config)
     wiring = _RerunWiring(
         key=key,
-        book=SiteBook(nodes={}),
+        book=AddressBook(nodes={}),
         site_file=Path(),
         scenario_file=Path(),
         clock=clock,
@@ -559,7 +565,7 @@ def _named(found: Mapping[object, Any], key: object, topic: str, output: Output)
     return cast(tuple[Any, RecordedMessage], found[key])
 
 
-def _master_turns(heard: Heard) -> Turns:
+def _master_turns(heard: RecordedInputs) -> Turns:
     """Rebuild what the master half heard: each forward names its hand sample, each command the answer it used.
 
     One command follows each forward: when a new answer comes, or else at the next sample of the hand. An answer that
@@ -568,7 +574,7 @@ def _master_turns(heard: Heard) -> Turns:
     hands = heard.index("haptic/state", _own_key)
     answers = heard.index("teleop/backward@master", _sample_key)
 
-    def orders(place: Place) -> Sequence[Try]:
+    def orders(place: Place) -> Sequence[Candidate]:
         if place.output >= len(heard.outputs):
             return ()
         forward = heard.outputs[place.output]
@@ -577,23 +583,23 @@ def _master_turns(heard: Heard) -> Turns:
         hand = _hear(*_named(hands, _sample_key(forward.message), "haptic/state", forward))
         after = place._replace(output=place.output + 1, controls=place.controls + len(before), pending=None)
         if not heard.next_is(after.output, HapticCommand):
-            return [Try([*before, hand], sent, after)]
+            return [Candidate([*before, hand], sent, after)]
         command = heard.outputs[after.output]
         between = heard.commands_before(command.t_ns, after.controls)
         key = _sample_key(command.message)
         done = after._replace(output=after.output + 1, controls=after.controls + len(between), used=key[1])
         overdue = done._replace(pending=command)
         if key[1] == place.used:
-            return [Try([*before, hand, *between], sent, overdue)]
+            return [Candidate([*before, hand, *between], sent, overdue)]
         answer, recorded = _named(answers, key, "teleop/backward@master", command)
         prompt = [*before, hand, _at(command.t_ns), *between, _hear(answer, recorded)]
         early = [*before, _hear(answer, recorded, sent[0].t_ns), hand, *between]
-        return [Try(prompt, [*sent, command], done), Try(early, sent, overdue)]
+        return [Candidate(prompt, [*sent, command], done), Candidate(early, sent, overdue)]
 
     return orders
 
 
-def _slave_turns(heard: Heard) -> Turns:
+def _slave_turns(heard: RecordedInputs) -> Turns:
     """Rebuild what the slave half heard: each command names its forward, and the instrument's states are in order.
 
     The signal back goes out when the instrument has answered the command, or else at the next forward. States that the
@@ -602,7 +608,7 @@ def _slave_turns(heard: Heard) -> Turns:
     forwards = heard.index("teleop/forward@slave", _sample_key)
     states = [(cast(AfmState, recorded.decode()), recorded) for recorded in heard.inputs["afm/state"]]
 
-    def orders(place: Place) -> Sequence[Try]:
+    def orders(place: Place) -> Sequence[Candidate]:
         if place.output >= len(heard.outputs):
             return ()
         command = heard.outputs[place.output]
@@ -619,15 +625,15 @@ def _slave_turns(heard: Heard) -> Turns:
         likely = sum(state.t_ns + _TRANSIT_NS <= sent[0].t_ns for state, _ in waiting)
         # the last one: at the start the node may hear nothing of the instrument for longer than the recorder
         splits = [*sorted(range(1, len(waiting) + 1), key=lambda n: abs(n - likely))[:_MOST_ORDERS], 0]
-        prompt: list[Try] = []
-        late: list[Try] = []
+        prompt: list[Candidate] = []
+        late: list[Candidate] = []
         for split in splits:
             acts = [*before, *_all(waiting[:split]), forward]
-            late.append(Try([*acts, *between], sent, after._replace(taken=place.taken + split, pending=backward)))
+            late.append(Candidate([*acts, *between], sent, after._replace(taken=place.taken + split, pending=backward)))
             if backward is not None and answer is not None:
                 rest = [*_all(waiting[split:]), _at(backward.t_ns), *between, _hear(*answer)]
                 done = after._replace(taken=place.taken + len(waiting) + 1)
-                prompt.append(Try([*acts, *rest], [*sent, backward], done))
+                prompt.append(Candidate([*acts, *rest], [*sent, backward], done))
         return [*prompt, *late]
 
     return orders
@@ -656,14 +662,14 @@ def _all(states: Sequence[State]) -> list[Act]:
     return [_hear(*state) for state in states]
 
 
-def _instrument_turns(heard: Heard) -> Turns:
+def _instrument_turns(heard: RecordedInputs) -> Turns:
     """Rebuild what the AFM did: one state a step, for a new command, for a command of the session, or by itself.
 
     `step_s` gives the time of each step exactly.
     """
     commands = heard.index("afm/command", lambda message: (message.seq, message.hand_t_ns))
 
-    def orders(place: Place) -> Sequence[Try]:
+    def orders(place: Place) -> Sequence[Candidate]:
         if place.output >= len(heard.outputs):
             return ()
         output = heard.outputs[place.output]
@@ -678,13 +684,13 @@ def _instrument_turns(heard: Heard) -> Turns:
         if state.hand_t_ns not in (0, place.used):
             key = (state.command_seq, state.hand_t_ns)
             message, recorded = _named(commands, key, "afm/command", output)
-            return [Try([step, _hear(message, recorded, output.t_ns)], [output], done)]
-        return [Try([step, *(asked or [_step_by_itself])], [output], done)]
+            return [Candidate([step, _hear(message, recorded, output.t_ns)], [output], done)]
+        return [Candidate([step, *(asked or [_step_by_itself])], [output], done)]
 
     return orders
 
 
-def _hand_turns(heard: Heard) -> Turns:
+def _hand_turns(heard: RecordedInputs) -> Turns:
     """Rebuild what the haptic node did: one state a tick of its grid, with the command that had arrived before it.
 
     `answered_at_ns` gives the arrival exactly, `step_s` the periods that a step covers.
@@ -695,7 +701,7 @@ def _hand_turns(heard: Heard) -> Turns:
     )
     times = [command.t_ns for command, _ in commands]
 
-    def orders(place: Place) -> Sequence[Try]:
+    def orders(place: Place) -> Sequence[Candidate]:
         if place.output >= len(heard.outputs):
             return ()
         output = heard.outputs[place.output]
@@ -712,7 +718,7 @@ def _hand_turns(heard: Heard) -> Turns:
                 text = f"{output.topic}, seq {output.seq} acts on a message of haptic/command that the recording lacks"
                 raise _MissingInputError(text)
             acts.append(_hear(*found, received_ns=state.answered_at_ns))
-        return [Try([*acts, _at(output.t_ns), _tick(state.step_s)], [output], done)]
+        return [Candidate([*acts, _at(output.t_ns), _tick(state.step_s)], [output], done)]
 
     return orders
 
@@ -750,7 +756,7 @@ class _Kind(NamedTuple):
 
     outputs: tuple[str, ...]
     inputs: tuple[str, ...]
-    turns: Callable[[Heard], Turns]
+    turns: Callable[[RecordedInputs], Turns]
     input_of: Callable[[Any], tuple[str, int]]
 
 

@@ -22,12 +22,12 @@ import numpy as np
 import zmq
 from link import ANSWER, SIGNAL
 
-from services.runtime.address_book import SiteBook
+from services.runtime.address_book import AddressBook
 from services.runtime.clock import SystemClock
 from services.runtime.log import StructuredLog
 from services.runtime.realtime import RealtimeConfig, apply_realtime, freeze_garbage, shallow_idle
 from services.runtime.security.keyring import KEYS_DIRECTORY_VARIABLE, Keyring
-from services.runtime.transport import Network
+from services.runtime.transport import Transport
 
 PERIOD_NS = 1_000_000
 MASTER, SLAVE = "controller@master", "controller@slave"
@@ -37,21 +37,21 @@ WARM_UP = 200
 LOST_S = 1.0
 
 
-def book_of(way: str, folder: Path, ports: tuple[int, int]) -> SiteBook:
+def book_of(way: str, folder: Path, ports: tuple[int, int]) -> AddressBook:
     """Give the address book of the two processes for a way of transport."""
     if way == "ipc":
-        return SiteBook(nodes={node: f"ipc://{folder}/{node}" for node in (MASTER, SLAVE)})
+        return AddressBook(nodes={node: f"ipc://{folder}/{node}" for node in (MASTER, SLAVE)})
     nodes = {node: f"tcp://127.0.0.1:{port}" for node, port in zip((MASTER, SLAVE), ports, strict=True)}
-    return SiteBook(nodes=nodes, insecure=way == "plain")
+    return AddressBook(nodes=nodes, insecure=way == "plain")
 
 
-def talk(node: str, peer: str, book: SiteBook, messages: int, pipe: Connection) -> None:
+def talk(node: str, peer: str, book: AddressBook, messages: int, pipe: Connection) -> None:
     """Be one of the two machines; gives the round trips [ns], none where it answers, and the processor time [s]."""
     own_cpu = RealtimeConfig(cpus={node: 0 if node == MASTER else os.cpu_count() - 1})
     apply_realtime(own_cpu, StructuredLog(node), node)
     with zmq.Context[zmq.Socket[bytes]]() as context:
         clock = SystemClock()
-        network = Network(context, clock, book, book.machine_of(node))
+        network = Transport(context, clock, book, book.machine_of(node))
         publisher = network.publisher(node)
         heard = "teleop/backward" if node == MASTER else "teleop/forward"
         readers = [reader for reader in network.subscribers({peer: [heard]}) if reader.topics]

@@ -34,7 +34,7 @@ from recording.writer import RecordingWriter
 from services.player.node import PlaySettings
 from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake, Listener
-from services.recorder.open_recording import begin_intake
+from services.recorder.open_recording import open_recording
 from services.runtime.bus import Subscriber
 from services.runtime.clock import SystemClock
 from telenano.commands.replay import ReplayRequest, run_replay
@@ -191,7 +191,7 @@ def _our_intake(rows: list[tuple[Any, ...]], folder: Path) -> float:
             for site in ("master", "slave")
         }
         config = RecorderConfig(directory=folder)
-        intake: Intake = begin_intake("recorder@master", clock, config, site_file, None)
+        intake: Intake = open_recording("recorder@master", clock, config, site_file, None)
         begun = time.perf_counter()
         for number, (topic, payload, log_ns, _, _, site) in enumerate(rows):
             intake.take(listeners[site], [topic, payload], log_ns)

@@ -31,7 +31,7 @@ from services.controller.law import NO_SIGNAL, HandSample, PortSignal, TipSample
 from services.haptic_node import safety as haptic_safety
 from services.haptic_node.config import HapticConfig
 from services.haptic_node.step import HapticInputs, HapticParams
-from services.haptic_node.step import HapticState as HapticChainState
+from services.haptic_node.step import HapticStepState as HapticChainState
 from services.haptic_node.step import step as haptic_step
 from services.runtime.compiled import compiled
 from studies.dispatch import (

@@ -18,7 +18,7 @@ from presets import DEFAULT_SITE_FILE, site_file_named
 from proto.errors import ConfigError
 from proto.nodes import SERVICES
 from telenano.lazy_commands import LazyRoot
-from telenano.output import EXIT_FAILED, console, errors_told, fail, print_json, tell
+from telenano.output import EXIT_FAILED, console, fail, print_json, report_errors, tell
 
 if TYPE_CHECKING:
     from proto.messages import SessionEvent
@@ -171,7 +171,7 @@ def up(
     from services.launcher.plan import UpRequest, make_plan
     from services.launcher.run import default_folder, report_of, run_rig
 
-    with errors_told(as_json):
+    with report_errors(as_json):
         request = UpRequest(
             scenario=scenario,
             site_file=site_file,
@@ -226,7 +226,7 @@ def topic_list(
     """List every topic: who publishes it, its declared rate, and whether it was heard."""
     from services.runtime.observer import list_topics
 
-    with errors_told(as_json), _observer(site_file, None) as observer:
+    with report_errors(as_json), _observer(site_file, None) as observer:
         rows = list_topics(observer, duration)
     if as_json:
         print_json({"duration_s": duration, "topics": rows})
@@ -246,7 +246,7 @@ def topic_echo(
     from services.runtime.observer import message_fields, messages_of
 
     collected: list[dict[str, Any]] = []
-    with errors_told(as_json), _observer(site_file, topic) as observer, contextlib.suppress(KeyboardInterrupt):
+    with report_errors(as_json), _observer(site_file, topic) as observer, contextlib.suppress(KeyboardInterrupt):
         for received in messages_of(observer, topic, duration, count):
             fields = message_fields(received.message)
             if as_json:
@@ -268,7 +268,7 @@ def topic_hz(
     """Measure the rate of a topic: mean, standard deviation of the interval, gaps in the sequence."""
     from services.runtime.observer import measure_rate
 
-    with errors_told(as_json), _observer(site_file, topic) as observer:
+    with report_errors(as_json), _observer(site_file, topic) as observer:
         rows = measure_rate(observer, topic, duration, count)
     _tell_rows(topic, rows, as_json=as_json)
 
@@ -284,7 +284,7 @@ def topic_delay(
     """Measure how old the messages of a topic are when they arrive here: median, 99 %, greatest [ms]."""
     from services.runtime.observer import measure_delay
 
-    with errors_told(as_json), _observer(site_file, topic) as observer:
+    with report_errors(as_json), _observer(site_file, topic) as observer:
         rows = measure_delay(observer, topic, duration, count)
     _tell_rows(topic, rows, as_json=as_json)
 
@@ -297,7 +297,7 @@ def link_show(
     """Say what the link does now: settings in force, traffic, delay applied, offset of the other site's clock."""
     from telenano.commands.link import current_status, status_rows
 
-    with errors_told(as_json), _observer(site_file, "link/status") as observer:
+    with report_errors(as_json), _observer(site_file, "link/status") as observer:
         status = current_status(observer)
     if as_json:
         print_json(status)
@@ -352,7 +352,7 @@ def node(
     if name == "--help":
         typer.echo(context.get_help())
         return
-    with errors_told(as_json=False):
+    with report_errors(as_json=False):
         if name not in SERVICES:
             raise ConfigError(f"unknown node {name!r}: known are {', '.join(SERVICES)}")
     # the node takes the place of this process, so that signals reach it
@@ -368,7 +368,7 @@ def report(
     """Make figure and summary from a recording once more."""
     from services.launcher.run import make_report
 
-    with errors_told(as_json):
+    with report_errors(as_json):
         summary = make_report(file, out)
     tell(summary, str(out), as_json=as_json)
 
@@ -408,7 +408,7 @@ def _send(
     from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE
     from services.launcher.command_client import ControlRequest, parse_parameters, send_control
 
-    with errors_told(as_json):
+    with report_errors(as_json):
         book_file = site_file or (DEFAULT_SITE_FILE if site is None else TWO_SITES_FILE)
         at: Literal["master", "slave"] = "master" if site is None else site.value
         request = ControlRequest(command.value, target, parse_parameters(parameters), book_file, at)

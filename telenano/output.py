@@ -25,7 +25,7 @@ _NAMED_KEYS = {b"\x1b[C": "right", b"\x1b[D": "left", b"\x1b[A": "up", b"\x1b[B"
 
 
 @contextlib.contextmanager
-def errors_told(as_json: bool, interrupted: str = "interrupted") -> Iterator[None]:
+def report_errors(as_json: bool, interrupted: str = "interrupted") -> Iterator[None]:
     """Turn what a person can cause into a sentence on stderr and an exit code; `interrupted` is what Ctrl-C says."""
     try:
         yield
@@ -68,7 +68,7 @@ def tell(document: dict[str, Any], title: str, *, as_json: bool) -> None:
     console().print(summary_tables(document, title))
 
 
-class Keys:
+class RawKeyboard:
     """Single keys and a status line, where a person sits in front of a terminal; nothing of both elsewhere."""
 
     def __init__(self) -> None:

@@ -40,7 +40,7 @@ class AfmParams(NamedTuple):
     plant: Plant
 
 
-class AfmState(NamedTuple):
+class AfmStepState(NamedTuple):
     """Safety chain, tip, and the force last measured [N]."""
 
     safety: SafetyState
@@ -87,7 +87,7 @@ def measure(plant: Plant, state: PlantState, base_m: float) -> tuple[PlantState,
 
 
 @compiled
-def step(params: AfmParams, state: AfmState, inputs: AfmInputs, dt: float) -> tuple[AfmState, AfmOutputs]:
+def step(params: AfmParams, state: AfmStepState, inputs: AfmInputs, dt: float) -> tuple[AfmStepState, AfmOutputs]:
     """Advance the AFM by dt [s].
 
     Raises: ValueError, if dt is not positive and finite.
@@ -110,11 +110,11 @@ def step(params: AfmParams, state: AfmState, inputs: AfmInputs, dt: float) -> tu
         allowed.reason,
         allowed.arm_refusal,
     )
-    return AfmState(safety, tip, sample.force_n), outputs
+    return AfmStepState(safety, tip, sample.force_n), outputs
 
 
-def initial_afm_state(params: AfmParams) -> AfmState:
+def initial_afm_state(params: AfmParams) -> AfmStepState:
     """Give the state in which an AFM starts: retracted, the tip in equilibrium there."""
     safety = initial_safety_state(params.safety)
     tip, sample = measure(params.plant, initial_state(params.plant, safety.base_m), safety.base_m)
-    return AfmState(safety, tip, sample.force_n)
+    return AfmStepState(safety, tip, sample.force_n)

@@ -12,7 +12,7 @@ and sample do; one that goes below has made energy.
 
 from typing import NamedTuple
 
-from services.controller.law import Books
+from services.controller.law import EnergyAccount
 from services.runtime.compiled import compiled
 
 # rounding of sums of millions of terms, and no more
@@ -53,7 +53,7 @@ def left(port: Port, position_m: float, force_n: float) -> Port:
 
 
 @compiled
-def is_passive(net_j: float, net_valid: bool, books: Books) -> bool:
+def is_passive(net_j: float, net_valid: bool, books: EnergyAccount) -> bool:
     """Say whether nothing observed shows that energy was made: E_net + granted >= 0 and nothing overdrawn."""
     enough = not net_valid or net_j + books.granted_j >= -TOLERANCE_J
     return enough and books.left_j >= -TOLERANCE_J

@@ -79,7 +79,7 @@ class SlaveReference(NamedTuple):
     active: bool
 
 
-class Books(NamedTuple):
+class EnergyAccount(NamedTuple):
     """What a half of a law knows about energy, at the hand's scale [J].
 
     left_j: received and not yet given out or sent on; dissipated_j: taken out on purpose by the controller; granted_j:
@@ -98,9 +98,9 @@ Steps = Callable[..., Any]
 
 
 @compiled
-def no_books(params: Any, state: Any) -> Books:
+def no_books(params: Any, state: Any) -> EnergyAccount:
     """Give the books of a law that keeps none."""
-    return Books(0.0, 0.0, 0.0)
+    return EnergyAccount(0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from services.controller.config import LAWS, ControllerConfig
 from services.controller.deadband import deadband, fresh
 from services.controller.law import (
     NO_SIGNAL,
-    Books,
+    EnergyAccount,
     HandSample,
     Law,
     MasterReference,
@@ -64,7 +64,7 @@ def warm_up(law: Law, params: Any, config: ControllerConfig) -> None:
     energy.left(port, 0.0, 0.0)
 
 
-class HalfLaw(Node):
+class ControllerHalf(Node):
     """What both halves share: the law, its parameters, and how both change at run time.
 
     A change of law. Both halves get the command, at different times, and each stands still from then on: the master
@@ -134,7 +134,7 @@ class HalfLaw(Node):
         return self.law_state
 
     @abstractmethod
-    def books(self) -> Books:
+    def books(self) -> EnergyAccount:
         """Give what this half of the law knows of energy."""
 
     def hear(self, message: TeleopForward | TeleopBackward, received_ns: int) -> bool:
@@ -193,7 +193,7 @@ class HalfLaw(Node):
             "hand_t_ns": self._hand[1],
         }
 
-    def would_be_felt(self, signal: PortSignal, dt: float) -> bool:
+    def passes_deadband(self, signal: PortSignal, dt: float) -> bool:
         """Ask the dead band whether a signal is to be sent, dt [s] after the last; while the law changes, all are."""
         self._band_state, send = deadband(self._band, self._band_state, signal, dt)
         return send or self.switching
@@ -202,7 +202,7 @@ class HalfLaw(Node):
         """Publish law/status every so many ticks; other_energy_j [J]: what has entered at the other port, if known."""
         if self.steps % self._status_ticks or self.law_state is None:
             return
-        books: Books = self.books()
+        books: EnergyAccount = self.books()
         known = other_energy_j is not None
         net_j = self.port.energy_j + (other_energy_j or 0.0)
         round_trip_s, measured = self.round_trip_s()
@@ -241,7 +241,7 @@ class HalfLaw(Node):
             raise RefusedError(str(error)) from error
 
 
-class MasterController(HalfLaw):
+class MasterController(ControllerHalf):
     """The half at the operator's site: haptic/state in, teleop/forward out; teleop/backward in, haptic/command out.
 
     One command a tick of the hand: when the answer to the tick comes, or else at the next tick.
@@ -278,9 +278,9 @@ class MasterController(HalfLaw):
         """Carry the state over without a jump at the tip."""
         return self.law.retune(old, new, self.law_state)
 
-    def books(self) -> Books:
+    def books(self) -> EnergyAccount:
         """Give what this half of the law knows of energy."""
-        return cast(Books, self.law.master_books(self.params, self.law_state))
+        return cast(EnergyAccount, self.law.master_books(self.params, self.law_state))
 
     def round_trip_s(self) -> tuple[float, bool]:
         """Give the age of the hand's sample that the newest answer descends from [s], and whether it is known."""
@@ -325,7 +325,7 @@ class MasterController(HalfLaw):
         hand = self.hand._replace(following=False) if self.switching else self.hand
         self.law_state, signal = self.law.master_send(self.params, self.law_state, hand, self._dt_s)
         self._tip_reference_m = signal.position_m
-        if self.would_be_felt(signal, self._dt_s):
+        if self.passes_deadband(signal, self._dt_s):
             self.publish("teleop/forward", **self.wire(signal), force_n=across(signal.force_n))
         self.steps += 1
         self._command_due = True
@@ -367,7 +367,7 @@ class MasterController(HalfLaw):
         return MasterReference(position_m, velocity_m_per_s, last.force_n, active)
 
 
-class SlaveController(HalfLaw):
+class SlaveController(ControllerHalf):
     """The half at the instrument's site: teleop/forward in, afm/command out; afm/state in, teleop/backward out."""
 
     inputs = SLAVE_INPUTS
@@ -388,9 +388,9 @@ class SlaveController(HalfLaw):
         elif isinstance(message, AfmState):
             self._on_instrument(message)
 
-    def books(self) -> Books:
+    def books(self) -> EnergyAccount:
         """Give what this half of the law knows of energy."""
-        return cast(Books, self.law.slave_books(self.params, self.law_state))
+        return cast(EnergyAccount, self.law.slave_books(self.params, self.law_state))
 
     def _switch(self) -> None:
         super()._switch()
@@ -465,7 +465,7 @@ class SlaveController(HalfLaw):
         if self.switching:
             self.law_state = self._standing()
         self.law_state, signal = self.law.slave_send(self.params, self.law_state, self.tip, self._dt_s)
-        if not self.would_be_felt(signal, self._dt_s):
+        if not self.passes_deadband(signal, self._dt_s):
             return
         self.publish(
             "teleop/backward",
@@ -477,7 +477,7 @@ class SlaveController(HalfLaw):
         )
 
 
-def half_of_site(context: NodeContext, config: ControllerConfig) -> HalfLaw:
+def half_of_site(context: NodeContext, config: ControllerConfig) -> ControllerHalf:
     """Give the half of the law that belongs to the node's site."""
     half = MasterController if context.key.endswith("@master") else SlaveController
-    return cast(HalfLaw, half(context, config))
+    return cast(ControllerHalf, half(context, config))

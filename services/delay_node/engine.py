@@ -7,12 +7,12 @@ for what is due. The order of the stages: outage, loss, corruption, duplication,
 
 from collections.abc import Callable, Iterable, Sequence
 from heapq import heappop, heappush
-from pathlib import Path as FilePath
+from pathlib import Path
 
 from services.delay_node.config import DirectionSettings, LinkSettings
 from services.delay_node.fate import Direction, DirectionStats, Fate, Figures, Release
 from services.delay_node.models.queueing import ServedQueue, Waiting
-from services.delay_node.pipeline import Assembly, Files, Message, Path, read_files
+from services.delay_node.pipeline import Files, InFlight, Pipeline, TopicPipeline, read_files
 
 
 class DirectionEngine:
@@ -28,7 +28,7 @@ class DirectionEngine:
         settings: LinkSettings,
         start_ns: int,
         *,
-        folder: FilePath = FilePath(),
+        folder: Path = Path(),
         keep_fates: bool = True,
     ) -> None:
         """Start with the settings; files they name are sought in `folder`, start_ns is the origin of their times.
@@ -45,8 +45,8 @@ class DirectionEngine:
         self._arrivals = 0
         self._pushed = 0
         self._figures = Figures()
-        self._assembly = Assembly(direction, settings, self.files_of(settings), start_ns)
-        self._paths: dict[str, Path] = {}
+        self._assembly = Pipeline(direction, settings, self.files_of(settings), start_ns)
+        self._paths: dict[str, TopicPipeline] = {}
         self._queues = self._all_queues()
 
     def submit(self, now_ns: int, topic: str, payload: bytes, seq: int) -> Sequence[Release]:
@@ -124,20 +124,20 @@ class DirectionEngine:
                 if follower is not None:
                     follower.wait_until(block.queue.free_ns)
 
-    def _empty(self, queue: ServedQueue[Message], now_ns: int) -> None:
+    def _empty(self, queue: ServedQueue[InFlight], now_ns: int) -> None:
         """Decide the fate of all that waits in a queue which new settings have replaced."""
         while queue.leave_ns is not None:
             message, sent_ns = queue.pop()
             self._schedule(message, sent_ns, now_ns)
 
-    def _all_queues(self) -> list[ServedQueue[Message]]:
+    def _all_queues(self) -> list[ServedQueue[InFlight]]:
         return [block.queue for block in self._assembly.blocks.values() if block.queue is not None]
 
-    def _open(self, topic: str) -> Path:
+    def _open(self, topic: str) -> TopicPipeline:
         path = self._paths[topic] = self._assembly.path(topic)
         return path
 
-    def _delay(self, path: Path, now_ns: int, payload: bytes, seq: int) -> Release | None:
+    def _delay(self, path: TopicPipeline, now_ns: int, payload: bytes, seq: int) -> Release | None:
         """Pass a message through a constant delay; return it if that is zero and nothing is due before it.
 
         The path of a plain bridge, kept short: it has to carry 6000 messages a second.
@@ -168,7 +168,7 @@ class DirectionEngine:
         heappush(heap, (release_ns, self._pushed, release))
         return None
 
-    def _impair(self, path: Path, now_ns: int, payload: bytes, seq: int) -> None:
+    def _impair(self, path: TopicPipeline, now_ns: int, payload: bytes, seq: int) -> None:
         # All draws come first: whether one model draws may not depend on what another has decided.
         applies = path.applies is None or path.applies()
         lost_by = path.lost_by()
@@ -180,7 +180,7 @@ class DirectionEngine:
         copy_ns = _random_delay_ns(fixed_ns, path.copy_jitter)
 
         block = path.block
-        message = Message(path, self._arrivals, seq, 0, payload, now_ns, now_ns, 0, False, False, False)
+        message = InFlight(path, self._arrivals, seq, 0, payload, now_ns, now_ns, 0, False, False, False)
         if not applies:
             self._enter(message, bypass=True)
             return
@@ -206,7 +206,7 @@ class DirectionEngine:
         if duplicated:
             self._enter(message._replace(copy=1, delay_ns=copy_ns, duplicated=False), bypass=False)
 
-    def _enter(self, message: Message, *, bypass: bool) -> None:
+    def _enter(self, message: InFlight, *, bypass: bool) -> None:
         """Hand a message to the queue, or past it."""
         path = message.path
         queue = path.block.queue
@@ -234,7 +234,7 @@ class DirectionEngine:
             message, sent_ns = foremost.pop()
             self._schedule(message, sent_ns, reached_ns)
 
-    def _schedule(self, message: Message, sent_ns: int, reached_ns: int, *, past_queue: bool = False) -> None:
+    def _schedule(self, message: InFlight, sent_ns: int, reached_ns: int, *, past_queue: bool = False) -> None:
         """Fix the release of a message sent at sent_ns; none that comes later can be sent before reached_ns.
 
         `past_queue` says that it has left messages of its topic behind in the queue.
@@ -263,7 +263,7 @@ class DirectionEngine:
         self._pushed += 1
         heappush(self._heap, (release_ns, self._pushed, Release(path.topic, message.payload, fate)))
 
-    def _drop(self, message: Message, cause: str) -> None:
+    def _drop(self, message: InFlight, cause: str) -> None:
         self._figures.dropped[cause] += 1
         if self._fates is not None:
             self._fates.append(_fate(self._direction, message)._replace(dropped=cause))
@@ -273,7 +273,7 @@ class LinkEngine:
     """Both directions of the link under one set of settings."""
 
     def __init__(
-        self, settings: LinkSettings, start_ns: int, *, folder: FilePath = FilePath(), keep_fates: bool = True
+        self, settings: LinkSettings, start_ns: int, *, folder: Path = Path(), keep_fates: bool = True
     ) -> None:
         """Start with the settings at start_ns [ns], the origin of outage schedules, traces and slots.
 
@@ -310,7 +310,7 @@ def fates_of(
     arrivals_ns: Iterable[int],
     size_bytes: int,
     *,
-    folder: FilePath = FilePath(),
+    folder: Path = Path(),
 ) -> list[Fate]:
     """Return the fate of each message of a stream (and of each copy), sorted by seq, without running anything.
 
@@ -335,7 +335,7 @@ def _random_delay_ns(fixed_ns: int, jitter: Callable[[], float] | None) -> int:
     return fixed_ns if jitter is None else max(0, round(fixed_ns + jitter()))
 
 
-def _fate(direction: Direction, message: Message) -> Fate:
+def _fate(direction: Direction, message: InFlight) -> Fate:
     """Return what is known of a message before its release is decided."""
     return Fate(
         direction=direction,

@@ -12,7 +12,7 @@ from services.delay_node.config import LinkSettings, SettingsError, changed, fla
 from services.delay_node.engine import DirectionEngine, LinkEngine
 from services.delay_node.fate import DirectionStats, Fate, Release
 from services.runtime.bus import Received
-from services.runtime.deadlines import Grid
+from services.runtime.deadlines import PeriodicDeadline
 from services.runtime.node import Node, NodeContext
 
 STATUS_PERIOD_NS = 100_000_000
@@ -54,8 +54,8 @@ class DelayNode(Node):
         self._sides: dict[str, DirectionEngine] = {"forward": self.engine.forward, "backward": self.engine.backward}
         self._to_slave = to_slave
         self._offset = OffsetFilter(_CLOCK_WINDOW)
-        self._untold = 0
-        self._status = Grid(self.clock.monotonic_ns(), STATUS_PERIOD_NS)
+        self._unreported = 0
+        self._status = PeriodicDeadline(self.clock.monotonic_ns(), STATUS_PERIOD_NS)
         self.state = "running"
 
     def deadline_ns(self) -> int:
@@ -76,10 +76,10 @@ class DelayNode(Node):
             due = self._sides[way].submit(received.received_ns, received.topic, received.payload, received.message.seq)
             self._send(way, due)
         self.steps += 1
-        self._untold += 1
+        self._unreported += 1
         # after a backward message, when a tick has passed through and the next is some time away
-        if self._untold >= _FATES_AT_ONCE and direction == "backward":
-            self._tell_fates()
+        if self._unreported >= _FATES_AT_ONCE and direction == "backward":
+            self._publish_fates()
 
     def on_deadline(self, now_ns: int) -> None:
         """Release what is due; report when it is time."""
@@ -88,7 +88,7 @@ class DelayNode(Node):
             self._send(way, side.due(epoch_ns))
         if now_ns >= self._status.deadline_ns:
             self._status.advance(now_ns)
-            self._tell_fates()
+            self._publish_fates()
             self._report()
             self._to_slave.publish("clock/ping")
 
@@ -117,8 +117,8 @@ class DelayNode(Node):
     def _on_pong(self, pong: ClockPong, received_ns: int) -> None:
         self._offset.enter(Exchange(pong.ping_t_ns, pong.received_ns, pong.t_ns, received_ns))
 
-    def _tell_fates(self) -> None:
-        self._untold = 0
+    def _publish_fates(self) -> None:
+        self._unreported = 0
         for way, side in self._sides.items():
             fates = tuple(_told(fate) for fate in side.take_fates())
             for first in range(0, len(fates), _MOST_FATES):

@@ -6,7 +6,7 @@ the same, so that a change of one key does not restart the others.
 """
 
 from collections.abc import Callable
-from pathlib import Path as FilePath
+from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 from services.delay_node.config import DirectionSettings, Impairment, LinkSettings, Outage, SettingsError, Slots
@@ -55,12 +55,12 @@ class Block(NamedTuple):
     files: Files
     progress: Progress
     course_origin_ns: int
-    queue: "ServedQueue[Message] | None"
+    queue: "ServedQueue[InFlight] | None"
     gate: SlotGate | None
     outages: Outages | None
 
 
-class Path(NamedTuple):
+class TopicPipeline(NamedTuple):
     """The models that a topic goes through; None stands for a model that does nothing."""
 
     topic: str
@@ -92,10 +92,10 @@ class Path(NamedTuple):
         return lost[0] if lost else ""
 
 
-class Message(NamedTuple):
+class InFlight(NamedTuple):
     """A message, or a copy, whose release is still to be decided."""
 
-    path: Path
+    path: TopicPipeline
     order: int  # of arrival
     seq: int
     copy: int
@@ -108,7 +108,7 @@ class Message(NamedTuple):
     corrupted: bool
 
 
-def read_files(settings: DirectionSettings, folder: FilePath, prefix: str) -> dict[str, Files]:
+def read_files(settings: DirectionSettings, folder: Path, prefix: str) -> dict[str, Files]:
     """Read the files that the settings of a direction name, by topic pattern (empty: its own).
 
     Raises: SettingsError naming the key, which begins with `prefix`, the file and the line.
@@ -119,7 +119,7 @@ def read_files(settings: DirectionSettings, folder: FilePath, prefix: str) -> di
     }
 
 
-def _read(block: Impairment, folder: FilePath, prefix: str) -> Files:
+def _read(block: Impairment, folder: Path, prefix: str) -> Files:
     trace, delivery, jitter = block.delay_trace, block.delivery_trace, block.jitter
     course = delivery_ns = None
     samples: tuple[float, ...] = ()
@@ -139,7 +139,7 @@ def _read(block: Impairment, folder: FilePath, prefix: str) -> Files:
     return Files(course, delivery_ns, samples)
 
 
-class Assembly:
+class Pipeline:
     """Builds and keeps the models of one direction."""
 
     def __init__(self, direction: Direction, settings: LinkSettings, files: dict[str, Files], now_ns: int) -> None:
@@ -165,7 +165,7 @@ class Assembly:
         self._settings: DirectionSettings = getattr(settings, self._direction)
         self.blocks = {pattern: self._block(pattern, held, now_ns) for pattern, held in files.items()}
 
-    def path(self, topic: str) -> Path:
+    def path(self, topic: str) -> TopicPipeline:
         """Build the path of a topic under the settings in force."""
         block = self.blocks[self._settings.pattern_of(topic)]
         s, reliable = block.settings, self._settings.is_reliable(topic)
@@ -173,7 +173,7 @@ class Assembly:
         order = "topic" if reliable and s.order == "any" else s.order
         lossy = Impairment() if reliable else s
         duplicates = self._event(topic, "duplication", lossy.duplication.probability, lossy.duplication.correlation)
-        path = Path(
+        path = TopicPipeline(
             topic,
             block,
             reliable,
@@ -218,7 +218,7 @@ class Assembly:
 
     def _queue(
         self, pattern: str, s: Impairment, delivery_ns: tuple[int, ...] | None, now_ns: int
-    ) -> ServedQueue[Message] | None:
+    ) -> ServedQueue[InFlight] | None:
         rate_bytes_per_s = s.rate.rate_bytes_per_s
         server: Server
         if delivery_ns is not None:
@@ -305,7 +305,7 @@ class Assembly:
         )
 
 
-def _is_constant(path: Path) -> bool:
+def _is_constant(path: TopicPipeline) -> bool:
     models = (path.applies, path.corruptor, path.duplicates, path.overtakes, path.jitter)
     shared = (path.block.files.course, path.block.queue, path.block.gate, path.block.outages)
     return not path.losses and not path.ordered and all(model is None for model in (*models, *shared))

@@ -277,6 +277,6 @@ class HapticConfig(_Section):
         guard = self.limits.to_params(has_position_mode=True, has_force_mode=False)
         return step.HapticParams(guard, self.to_plant_params())
 
-    def initial_state(self) -> step.HapticState:
+    def initial_state(self) -> step.HapticStepState:
         """Give the state at start: at rest, off, not latched."""
         return step.initial_state(self.device.start_position_m)

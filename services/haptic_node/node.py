@@ -8,7 +8,7 @@ from services.haptic_node import safety
 from services.haptic_node.config import HapticConfig
 from services.haptic_node.driver import DeviceReading, DriveCommand, HapticDevice
 from services.runtime.bus import Received
-from services.runtime.deadlines import Grid
+from services.runtime.deadlines import PeriodicDeadline
 from services.runtime.frames import across, along
 from services.runtime.node import Node, NodeContext
 from services.runtime.replay_guard import ReplayGuard
@@ -51,7 +51,7 @@ class HapticNode(Node):
         device.open()
         # compile before the grid starts, not in its first tick
         self._guarded()
-        self._grid = Grid(self.clock.monotonic_ns(), round(PERIOD_S * 1e9))
+        self._grid = PeriodicDeadline(self.clock.monotonic_ns(), round(PERIOD_S * 1e9))
 
     def admits(self, received: Received) -> bool:
         """Keep commands of a recording away from the device, unless they are allowed."""

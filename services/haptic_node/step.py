@@ -32,7 +32,7 @@ class HapticParams(NamedTuple):
     plant: PlantParams
 
 
-class HapticState(NamedTuple):
+class HapticStepState(NamedTuple):
     """State of the whole chain."""
 
     safety: safety.SafetyState
@@ -69,9 +69,9 @@ def initial_plant(position_m: float) -> PlantState:
 
 
 @compiled
-def initial_state(position_m: float) -> HapticState:
+def initial_state(position_m: float) -> HapticStepState:
     """Give the chain at rest at position_m [m], off, not latched."""
-    return HapticState(safety.SafetyState(False, safety.MODE_OFF, position_m), initial_plant(position_m))
+    return HapticStepState(safety.SafetyState(False, safety.MODE_OFF, position_m), initial_plant(position_m))
 
 
 @compiled
@@ -99,8 +99,8 @@ def plant_step(
 
 @compiled
 def step(
-    params: HapticParams, state: HapticState, inputs: HapticInputs, dt: float
-) -> tuple[HapticState, HapticOutputs]:
+    params: HapticParams, state: HapticStepState, inputs: HapticInputs, dt: float
+) -> tuple[HapticStepState, HapticOutputs]:
     """Advance the haptic site by dt [s]. Raises ValueError if dt is not a positive time."""
     if not dt > 0.0:
         raise ValueError("dt of the haptic step must be a positive time in s")
@@ -116,4 +116,4 @@ def step(
     guard, applied = safety.step(params.safety, state.safety, guarded, dt)
     command = DriveCommand(applied.mode, applied.position_reference_m, applied.force_reference_n)
     plant, reading = plant_step(params.plant, state.plant, command, inputs.session_time_s, dt)
-    return HapticState(guard, plant), HapticOutputs(applied, reading)
+    return HapticStepState(guard, plant), HapticOutputs(applied, reading)

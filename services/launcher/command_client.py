@@ -14,14 +14,14 @@ import zmq
 from proto.errors import ConfigError, EndpointError, RigError
 from proto.messages import NodeHealth, Scalar, SessionEvent
 from proto.nodes import LINK, is_console, site_of
-from services.launcher.pending_command import Command, PendingControl
+from services.launcher.pending_command import Command, PendingCommand
 from services.launcher.plan import Site
-from services.runtime.address_book import SiteBook
+from services.runtime.address_book import AddressBook
 from services.runtime.bus import Publisher, Subscriber
 from services.runtime.clock import Clock, SystemClock
 from services.runtime.main import load_site
 from services.runtime.security.keyring import MACHINE_VARIABLE, Keyring, this_machine
-from services.runtime.transport import Network
+from services.runtime.transport import Transport
 
 _BIND_PATIENCE_NS = 2_000_000_000
 _RETRY_S = 0.1
@@ -69,7 +69,7 @@ def _scalar(pair: str, text: str) -> Scalar:
     return text
 
 
-def addressed(book: SiteBook, target: str, site: Site = "master") -> list[str]:
+def addressed(book: AddressBook, target: str, site: Site = "master") -> list[str]:
     """Give the nodes of the site file that a target means at a console; ConfigError names those that there are.
 
     Commands cross the link forward only: a console at the slave reaches the nodes there.
@@ -89,7 +89,7 @@ def _answers_nothing(node: str) -> bool:
     return is_console(node) or node.partition("@")[0] == "launcher" or node == f"{LINK}@slave"
 
 
-def console_of(book: SiteBook, site: Site) -> str:
+def console_of(book: AddressBook, site: Site) -> str:
     """Give the console of a site whose machine this is; ConfigError when there is none."""
     known = sorted(node for node in book.nodes if is_console(node) and site_of(node) == site)
     machines = _machines_here(book)
@@ -100,7 +100,7 @@ def console_of(book: SiteBook, site: Site) -> str:
     return here[0]
 
 
-def _machines_here(book: SiteBook) -> list[str] | None:
+def _machines_here(book: AddressBook) -> list[str] | None:
     """Give the machines in whose name this process may speak; None for all, where there are no keys."""
     if not book.locked:
         return None
@@ -136,7 +136,7 @@ def send_control(request: ControlRequest, heard: Callable[[SessionEvent], None])
 class _Sockets:
     """What a console speaks and hears with."""
 
-    network: Network
+    network: Transport
     publisher: Publisher
     subscribers: list[Subscriber]
 
@@ -147,10 +147,14 @@ class _Sockets:
 
 
 def _open(
-    context: "zmq.Context[zmq.Socket[bytes]]", clock: Clock, book: SiteBook, console: str, stack: contextlib.ExitStack
+    context: "zmq.Context[zmq.Socket[bytes]]",
+    clock: Clock,
+    book: AddressBook,
+    console: str,
+    stack: contextlib.ExitStack,
 ) -> _Sockets:
     """Bind the console's endpoint and connect to the nodes; what is opened is closed with the stack."""
-    network = Network(context, clock, book, book.machine_of(console))
+    network = Transport(context, clock, book, book.machine_of(console))
     stack.callback(network.close)
     publisher = _bind(network, clock, console)
     stack.callback(publisher.close)
@@ -173,7 +177,7 @@ class Exchange:
         self._wildcard = any(sign in request.target for sign in "*?[")
         # a wildcard is complete by the rule above; until then somebody who never answers keeps it open
         expected = ("nobody",) if self._wildcard else meant
-        self.pending = PendingControl(clock, request.command, request.target, expected, request.parameters)
+        self.pending = PendingCommand(clock, request.command, request.target, expected, request.parameters)
         self.alive: set[str] = set()
 
     def enter_health(self, health: NodeHealth) -> None:
@@ -233,7 +237,7 @@ def _newcomers(publisher: Publisher) -> int:
     return count
 
 
-def _bind(network: Network, clock: Clock, console: str) -> Publisher:
+def _bind(network: Transport, clock: Clock, console: str) -> Publisher:
     deadline = clock.monotonic_ns() + _BIND_PATIENCE_NS
     while True:
         try:

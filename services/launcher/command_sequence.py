@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from proto.messages import Scalar, SessionEvent
-from services.launcher.pending_command import DEADLINE_NS, Command, PendingControl
+from services.launcher.pending_command import DEADLINE_NS, Command, PendingCommand
 from services.runtime.clock import Clock
 
 # a refusal is asked about again for so long, so often
@@ -26,7 +26,7 @@ class Step:
     deadline_ns: int = DEADLINE_NS
 
 
-class Dialogue:
+class CommandSequence:
     """Takes steps in order.
 
     `failure` says which required one failed, `complaints` by target which of the others did.
@@ -41,7 +41,7 @@ class Dialogue:
         self._publish = publish
         self._steps = deque(steps)
         self._step: Step | None = None
-        self._pending: PendingControl | None = None
+        self._pending: PendingCommand | None = None
         self._patient_until_ns = self._ask_again_ns = 0
 
     def enter(self, event: SessionEvent) -> None:
@@ -66,7 +66,7 @@ class Dialogue:
         self._ask(step)
 
     def _ask(self, step: Step) -> None:
-        self._pending = PendingControl(
+        self._pending = PendingCommand(
             self._clock, step.command, step.target, step.expected, step.parameters, step.deadline_ns
         )
 
@@ -84,7 +84,7 @@ class Dialogue:
             self._publish("session/control", **pending.fields())
         return False
 
-    def _failed(self, step: Step, pending: PendingControl, failure: str) -> bool:
+    def _failed(self, step: Step, pending: PendingCommand, failure: str) -> bool:
         """Give a device some time to become able: its first fresh command may still be on the way."""
         now = self._clock.monotonic_ns()
         if step.required and pending.refusals and now < self._patient_until_ns:

@@ -13,7 +13,7 @@ _PATIENCE_NS = 3_000_000_000
 _ANSWER_NS = 5_000_000_000
 
 
-class Tape:
+class ExternalRecording:
     """Which file a session goes to: learned from what the recorder says around the order to begin a new one."""
 
     def __init__(self, clock: Clock, recorder: str) -> None:

@@ -12,7 +12,7 @@ RESEND_NS = 200_000_000
 DEADLINE_NS = 5_000_000_000
 
 
-class PendingControl:
+class PendingCommand:
     """One command and the answers so far. Nodes carry it out once and answer each time that they hear it."""
 
     def __init__(

@@ -10,7 +10,7 @@ import yaml
 from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE, find_scenario
 from proto.errors import ConfigError, RigError
 from proto.nodes import LAUNCHER, LINK, OPTIONAL_NODES, RECORDER, SERVICES, START_ORDER, site_of
-from services.runtime.address_book import SiteBook
+from services.runtime.address_book import AddressBook
 from services.runtime.config import layered, merge, validate
 from services.runtime.main import load_site, node_kind
 from services.runtime.scenario import LoadedScenario, Scenario
@@ -70,7 +70,7 @@ class Plan:
     `nodes` are those to start, in order; `others` those that somebody else runs and the session needs.
     """
 
-    book: SiteBook
+    book: AddressBook
     site_file: Path
     loaded: LoadedScenario
     out: Path
@@ -148,7 +148,7 @@ def make_plan(request: UpRequest, default_out: Path) -> Plan:
     return plan
 
 
-def own_nodes(book: SiteBook, request: UpRequest) -> tuple[str, ...]:
+def own_nodes(book: AddressBook, request: UpRequest) -> tuple[str, ...]:
     """Give the nodes to start, in order: all but those that somebody else runs or a recording stands in for."""
     if request.attach:
         return ()
@@ -169,7 +169,7 @@ def other_nodes(request: UpRequest) -> tuple[str, ...]:
     return ()
 
 
-def check_book(book: SiteBook, site_file: Path, request: UpRequest) -> None:
+def check_book(book: AddressBook, site_file: Path, request: UpRequest) -> None:
     """Raise ConfigError naming the nodes that a site file lacks."""
     needed = [LAUNCHER, *(node for node in START_ORDER if not (request.attach and node == RECORDER))]
     if request.site is not None:

@@ -33,7 +33,7 @@ def unmet(nodes: Iterable[str], health: Mapping[str, NodeHealth], *, inputs: boo
     return waiting
 
 
-class Muster:
+class ReadinessGate:
     """Who is waited for, and for how long.
 
     Each own node has a limit. Nodes of somebody else are waited for as long as it takes, unless a limit is given; as

@@ -23,7 +23,7 @@ class RestartPolicy:
 
 
 @dataclass(frozen=True)
-class Death:
+class ProcessExit:
     """What the supervisor makes of the end of a node."""
 
     node: str
@@ -44,11 +44,11 @@ class _Account:
         self.delay_s = 0.0
         self.restart_ns: int | None = None
         self.deaths_ns: deque[int] = deque()
-        self.deaths: deque[Death] = deque(maxlen=_REMEMBERED_DEATHS)
+        self.deaths: deque[ProcessExit] = deque(maxlen=_REMEMBERED_DEATHS)
         self.restarts = 0
 
 
-class Supervisor:
+class RestartTracker:
     """The account of every node: its starts, its deaths, and when it is due again."""
 
     def __init__(self, clock: Clock, nodes: Iterable[str], policy: RestartPolicy | None = None) -> None:
@@ -64,35 +64,35 @@ class Supervisor:
             account.restarts += 1
         account.restart_ns = None
 
-    def died(self, node: str, exit_code: int) -> Death:
+    def died(self, node: str, exit_code: int) -> ProcessExit:
         """Enter a death (exit code as of subprocess: negative is a signal) and decide what follows."""
         death = self._judge(node, self._accounts[node], exit_code)
         self._accounts[node].deaths.append(death)
         return death
 
-    def _judge(self, node: str, account: _Account, exit_code: int) -> Death:
+    def _judge(self, node: str, account: _Account, exit_code: int) -> ProcessExit:
         policy, now = self._policy, self._clock.monotonic_ns()
         life_s = (now - account.started_ns) * 1e-9
         account.deaths_ns.append(now)
         while now - account.deaths_ns[0] > policy.crash_loop_window_s * 1e9:
             account.deaths_ns.popleft()
         if exit_code == EXIT_BAD_START:
-            return Death(node, exit_code, life_s, None, "it cannot start as it is configured and is not retried")
+            return ProcessExit(node, exit_code, life_s, None, "it cannot start as it is configured and is not retried")
         if len(account.deaths_ns) >= policy.crash_loop_deaths:
             verdict = f"it died {len(account.deaths_ns)} times within {policy.crash_loop_window_s:g} s"
-            return Death(node, exit_code, life_s, None, verdict)
+            return ProcessExit(node, exit_code, life_s, None, verdict)
         lived_well = life_s >= policy.healthy_life_s or account.delay_s == 0.0
         doubled = min(2.0 * account.delay_s, policy.longest_delay_s)
         account.delay_s = policy.first_delay_s if lived_well else doubled
         account.restart_ns = now + round(account.delay_s * 1e9)
-        return Death(node, exit_code, life_s, account.delay_s, f"it is started again in {account.delay_s:g} s")
+        return ProcessExit(node, exit_code, life_s, account.delay_s, f"it is started again in {account.delay_s:g} s")
 
     def due(self) -> list[str]:
         """Give the nodes whose time to be started again has come."""
         now = self._clock.monotonic_ns()
         return [node for node, account in self._accounts.items() if account.restart_ns and account.restart_ns <= now]
 
-    def deaths(self, node: str) -> list[Death]:
+    def deaths(self, node: str) -> list[ProcessExit]:
         """Give the last deaths of a node, in order."""
         return list(self._accounts[node].deaths)
 

@@ -13,17 +13,17 @@ import zmq
 
 from proto.errors import RecordingError, RigError
 from proto.nodes import LINK, RECORDER, STOP_ORDER
-from services.launcher.external_recording import Tape, readable_here
+from services.launcher.external_recording import ExternalRecording, readable_here
 from services.launcher.plan import Plan
 from services.launcher.processes import NodeProcesses, node_command
 from services.launcher.session import RigNode, SessionNode, SiteNode
-from services.launcher.supervisor import Keeper
+from services.launcher.supervisor import Supervisor
 from services.runtime.bus import ZmqBus
 from services.runtime.clock import Clock, SystemClock
 from services.runtime.log import StructuredLog, configure_logging
 from services.runtime.node import NodeContext, NodeLoop, install_stop_signals
 from services.runtime.realtime import RealtimeStatus, shallow_idle
-from services.runtime.transport import Network
+from services.runtime.transport import Transport
 
 Observer = Callable[[RigNode], None]
 
@@ -66,7 +66,7 @@ def run_rig(plan: Plan, observe: Observer, say: Callable[[str], None]) -> Outcom
         )
         stack.enter_context(own_log(log_directory / f"{plan.launcher}.log"))
         node_context = NodeContext(plan.launcher, clock, bus, StructuredLog(plan.launcher))
-        rig = make_rig(plan, node_context, Keeper(clock, plan.nodes, children))
+        rig = make_rig(plan, node_context, Supervisor(clock, plan.nodes, children))
         rig.observe = observe
         _run(rig, bus, stopper)
     return outcome_of(rig, plan)
@@ -77,7 +77,7 @@ def open_bus(
 ) -> ZmqBus:
     """Bind the launcher's endpoint and connect to what it hears; EndpointError names who has the endpoint."""
     book = plan.book
-    network = Network(context, clock, book, book.machine_of(plan.launcher))
+    network = Transport(context, clock, book, book.machine_of(plan.launcher))
     try:
         publisher = network.publisher(plan.launcher)
     except BaseException:
@@ -87,7 +87,7 @@ def open_bus(
     return ZmqBus(publisher, subscribers, clock, wake, network)
 
 
-def make_rig(plan: Plan, context: NodeContext, keeper: Keeper) -> RigNode:
+def make_rig(plan: Plan, context: NodeContext, keeper: Supervisor) -> RigNode:
     """Make the node that looks after what the plan says, and conducts its session unless another site does."""
     if plan.site == "slave":
         return SiteNode(context, keeper, link=f"{LINK}@slave", site="slave", other_site="master")
@@ -99,7 +99,7 @@ def make_rig(plan: Plan, context: NodeContext, keeper: Keeper) -> RigNode:
         site=plan.site or "",
         other_site="slave" if plan.site == "master" and not plan.attach else "",
         wait_s=plan.wait_s,
-        tape=Tape(context.clock, RECORDER) if plan.attach else None,
+        tape=ExternalRecording(context.clock, RECORDER) if plan.attach else None,
     )
 
 
@@ -149,7 +149,7 @@ def outcome_of(rig: RigNode, plan: Plan) -> Outcome:
     return Outcome(rig.failure, rig.interrupted, ran, recording, note, rig.keeper.restarts())
 
 
-def _found(session: SessionNode, tape: Tape, plan: Plan) -> tuple[Path | None, str]:
+def _found(session: SessionNode, tape: ExternalRecording, plan: Plan) -> tuple[Path | None, str]:
     if not tape.path:
         return None, f"nothing was recorded: {tape.fault}"
     if readable_here(tape.path, session.start_id):

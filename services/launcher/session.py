@@ -8,13 +8,13 @@ from typing import ClassVar, Literal
 
 from proto.messages import ClockPing, NodeHealth, Scalar, SessionEvent
 from proto.nodes import HAND, TIP
-from services.launcher.command_sequence import Dialogue, Step
-from services.launcher.external_recording import Tape
+from services.launcher.command_sequence import CommandSequence, Step
+from services.launcher.external_recording import ExternalRecording
 from services.launcher.liveness import Change, Watch
-from services.launcher.readiness import READY_DEADLINE_S, Muster, unmet
-from services.launcher.supervisor import Keeper
+from services.launcher.readiness import READY_DEADLINE_S, ReadinessGate, unmet
+from services.launcher.supervisor import Supervisor
 from services.runtime.bus import Received
-from services.runtime.deadlines import Grid
+from services.runtime.deadlines import PeriodicDeadline
 from services.runtime.node import Node, NodeContext
 
 Phase = Literal["starting", "arming", "running", "ending", "over"]
@@ -48,7 +48,7 @@ class RigNode(Node):
     period_s = TICK_S
 
     def __init__(
-        self, context: NodeContext, keeper: Keeper, watch: Watch, others: Sequence[str], site: str = ""
+        self, context: NodeContext, keeper: Supervisor, watch: Watch, others: Sequence[str], site: str = ""
     ) -> None:
         """Prepare to look after a rig.
 
@@ -70,7 +70,7 @@ class RigNode(Node):
         self.observe: Callable[[RigNode], None] = lambda node: None
         self.state = "starting"
         self._failure = ""
-        self._grid = Grid(self.clock.monotonic_ns(), round(TICK_S * 1e9))
+        self._grid = PeriodicDeadline(self.clock.monotonic_ns(), round(TICK_S * 1e9))
 
     def launch(self) -> None:
         """Start every own node for the first time."""
@@ -183,14 +183,14 @@ class SessionNode(RigNode):
     def __init__(
         self,
         context: NodeContext,
-        keeper: Keeper,
+        keeper: Supervisor,
         duration_s: float,
         *,
         others: Sequence[str] = (),
         site: str = "",
         other_site: str = "",
         wait_s: float | None = None,
-        tape: Tape | None = None,
+        tape: ExternalRecording | None = None,
     ) -> None:
         """Prepare a session of `duration_s` [s].
 
@@ -208,8 +208,8 @@ class SessionNode(RigNode):
         self._needed = [node for node in self.nodes if node not in optional]
         self._others = tuple(others)
         self._wait_s = wait_s
-        self._muster = Muster(context.clock, keeper.nodes, others, wait_s)
-        self._dialogue: Dialogue | None = None
+        self._muster = ReadinessGate(context.clock, keeper.nodes, others, wait_s)
+        self._dialogue: CommandSequence | None = None
         self._running_ns: int | None = None
 
     @property
@@ -302,7 +302,7 @@ class SessionNode(RigNode):
         limit_s, late = self._muster.overdue(self.health)
         if late:
             reasons = "; ".join(f"{node} {reason}" for node, reason in late.items())
-            own = [self.keeper.last_words(node) for node in late if node in self.keeper.nodes]
+            own = [self.keeper.log_tail_of(node) for node in late if node in self.keeper.nodes]
             self._fail("\n".join([f"the rig was not ready within {limit_s:g} s: {reasons}", *own]))
 
     def _arm(self) -> None:
@@ -311,7 +311,7 @@ class SessionNode(RigNode):
         steps = [step for step in BEGIN if set(step.expected) <= set(self._needed)]
         if self.tape is not None:
             steps = [*self.tape.steps(), *steps]
-        self._dialogue = Dialogue(self.clock, self.publish, steps)
+        self._dialogue = CommandSequence(self.clock, self.publish, steps)
         self._advance_begin()
 
     def _advance_begin(self) -> None:
@@ -326,7 +326,7 @@ class SessionNode(RigNode):
             else:
                 self._run(dialogue)
 
-    def _run(self, dialogue: Dialogue) -> None:
+    def _run(self, dialogue: CommandSequence) -> None:
         self._running_ns = self.clock.monotonic_ns()
         self.phase = "running"
         self.state = "running"
@@ -345,7 +345,7 @@ class SessionNode(RigNode):
             steps += [END] if set(END.expected) <= set(self._needed) else []
             steps += self.tape.ending() if self.tape is not None else []
             steps += [LEAVE] if self.attached and TIP in self._needed else []
-        self._dialogue = Dialogue(self.clock, self.publish, steps)
+        self._dialogue = CommandSequence(self.clock, self.publish, steps)
         self._advance_end()
 
     def _advance_end(self) -> None:
@@ -362,7 +362,7 @@ class SiteNode(RigNode):
     # clock/ping comes from the link itself, past its impairments: it says whether the master's machine is there
     inputs: ClassVar[tuple[str, ...]] = (*RigNode.inputs, "clock/ping")
 
-    def __init__(self, context: NodeContext, keeper: Keeper, *, link: str, site: str, other_site: str) -> None:
+    def __init__(self, context: NodeContext, keeper: Supervisor, *, link: str, site: str, other_site: str) -> None:
         """Take the face of the link at this site (node@site) and the names of the sites on its sides."""
         super().__init__(context, keeper, Watch(context.clock, (link,), other_site), (), site)
         self._deadline_ns = context.clock.monotonic_ns() + round(READY_DEADLINE_S * 1e9)
@@ -409,5 +409,5 @@ class SiteNode(RigNode):
             return
         if self.clock.monotonic_ns() >= self._deadline_ns:
             reasons = "; ".join(f"{node} {reason}" for node, reason in waiting.items())
-            last = [self.keeper.last_words(node) for node in waiting]
+            last = [self.keeper.log_tail_of(node) for node in waiting]
             self._failure = "\n".join([f"the site was not ready within {READY_DEADLINE_S:g} s: {reasons}", *last])

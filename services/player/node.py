@@ -18,8 +18,8 @@ from proto.messages import Scalar, SessionControl
 from proto.nodes import LINK
 from recording.channel_filter import Selection
 from recording.reader import RecordedChannel, RecordedMessage, Source
-from services.player.playback import Span, Tape, Transport, is_state
-from services.runtime.address_book import SiteBook
+from services.player.playback import Playback, PlaybackClock, Span, is_state
+from services.runtime.address_book import AddressBook
 from services.runtime.bus import Publisher
 from services.runtime.clock import Clock
 from services.runtime.node import HEALTH_PERIOD_NS, Node, NodeContext, resident_bytes
@@ -49,13 +49,13 @@ def node_of(channel: RecordedChannel) -> str:
     return f"{LINK}@{channel.site}" if channel.via == "link" else channel.src
 
 
-class Cast:
+class ReplayPlan:
     """Which nodes of the address book are played, and on which topic each channel goes out."""
 
     def __init__(
         self,
         recording: Source,
-        book: SiteBook,
+        book: AddressBook,
         selection: Selection,
         remap: Mapping[str, str] | None = None,
     ) -> None:
@@ -91,7 +91,7 @@ class Cast:
         return self._remap.get(channel.channel_topic, channel.topic)
 
 
-class Outlet:
+class ReplayPublisher:
     """The endpoint of a node that is played: waits for slow readers instead of dropping, and knows its readers."""
 
     def __init__(self, publisher: Publisher) -> None:
@@ -174,9 +174,9 @@ class PlayerNode(Node):
     def __init__(
         self,
         context: NodeContext,
-        tape: Tape,
-        parts: Cast,
-        outlets: Mapping[str, Outlet],
+        tape: Playback,
+        parts: ReplayPlan,
+        outlets: Mapping[str, ReplayPublisher],
         settings: PlaySettings,
         *,
         observe: Callable[["PlayerNode"], None] = lambda player: None,
@@ -190,7 +190,7 @@ class PlayerNode(Node):
         self.blocked = False
         self.sent = 0
         now = self.clock.monotonic_ns()
-        self.transport = Transport(now, tape.position_ns, settings.rate, paused=settings.paused)
+        self.transport = PlaybackClock(now, tape.position_ns, settings.rate, paused=settings.paused)
         self._cast = parts
         self._outlets = outlets
         self._observe = observe
@@ -423,7 +423,7 @@ class PlayerNode(Node):
             self._reported[key] = outlet.sent
             self._publish_health(outlet, rate, "running")
 
-    def _publish_health(self, outlet: Outlet, rate_hz: float, state: str) -> None:
+    def _publish_health(self, outlet: ReplayPublisher, rate_hz: float, state: str) -> None:
         try:
             outlet.publisher.publish("node/health", **_health(state, rate_hz, self.clock, self._wait_until_ns))
         except zmq.Again:
@@ -468,6 +468,6 @@ _SETTERS: dict[str, tuple[tuple[type, ...], Callable[[PlayerNode, Any], None]]] 
 }
 
 
-def open_tape(recording: Source, parts: Cast, span: Span) -> Tape:
+def open_tape(recording: Source, parts: ReplayPlan, span: Span) -> Playback:
     """Give the tape of what the cast plays."""
-    return Tape(recording, parts.plays, span)
+    return Playback(recording, parts.plays, span)

@@ -22,7 +22,7 @@ class Span:
     loop: bool = False
 
 
-class Tape:
+class Playback:
     """The chosen messages of a recording in the order of their reception.
 
     Positions are in ns on the recorder's clock. Only `peek` and what comes after it read from the file.
@@ -128,7 +128,7 @@ def is_state(channel: RecordedChannel) -> bool:
     return row is not None and row.delivery == "latest"
 
 
-class Transport:
+class PlaybackClock:
     """When what stands at a position of the recording is due, in ns of a monotonic clock.
 
     `rate` 1 is as recorded, 2 twice as fast, 0 as fast as possible: everything is due at once.

@@ -7,7 +7,7 @@ from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake, Listener
 from services.recorder.live import connect
 from services.recorder.node import RecorderBus, RecorderNode
-from services.recorder.open_recording import begin_intake
+from services.recorder.open_recording import open_recording
 from services.runtime.main import NodeKind, Wiring, run_node
 from services.runtime.node import AccountedBus, Node
 
@@ -35,7 +35,7 @@ def listeners(wiring: Wiring, config: RecorderConfig) -> list[Listener]:
 
 def begin(wiring: Wiring, config: RecorderConfig) -> Intake:
     """Begin the recording; a file that cannot be written is a fault to report, not a reason to stop the rig."""
-    return begin_intake(wiring.key, wiring.clock, config, wiring.site_file, wiring.scenario_file)
+    return open_recording(wiring.key, wiring.clock, config, wiring.site_file, wiring.scenario_file)
 
 
 RECORDER = NodeKind("recorder", RecorderConfig, build, realtime=False)

@@ -16,8 +16,8 @@ from proto.sequence import Arrival, SequenceTracker
 from recording.channel_filter import ALL, Selection
 from recording.records import GapRecord, RejectedRecord
 from recording.writer import RecordingWriter, channel_topic
-from services.recorder.rotation import Parts, QuotaError
-from services.recorder.snapshot_buffer import Entry, Happened, Ring, trigger
+from services.recorder.rotation import FileRotation, QuotaError
+from services.recorder.snapshot_buffer import Entry, Happened, SnapshotBuffer, trigger
 from services.runtime.bus import Received, Subscriber, split_frames
 
 _SOURCE = re.compile(SOURCE_PATTERN)
@@ -64,8 +64,8 @@ class Intake:
         fault: str = "",
         *,
         selection: Selection = ALL,
-        parts: Parts | None = None,
-        ring: Ring | None = None,
+        parts: FileRotation | None = None,
+        ring: SnapshotBuffer | None = None,
         happened: Happened = _NEVER,
         after_s: float = 0.0,
     ) -> None:
@@ -136,7 +136,7 @@ class Intake:
             except RecordingError as error:
                 self._stop(error)
 
-    def _turn_over(self, parts: Parts, now_ns: int) -> None:
+    def _turn_over(self, parts: FileRotation, now_ns: int) -> None:
         if self._triggered and self.ring is not None:
             self._triggered = False
             self._until_ns = now_ns + self._after_ns
@@ -149,7 +149,7 @@ class Intake:
             self._next_part(parts, self.writer, now_ns)
         parts.keep_quota(self.writer)
 
-    def _next_part(self, parts: Parts, writer: RecordingWriter, now_ns: int) -> None:
+    def _next_part(self, parts: FileRotation, writer: RecordingWriter, now_ns: int) -> None:
         parts.finish(writer)
         self.writer = None
         self._use(parts.begin(now_ns))
@@ -160,7 +160,7 @@ class Intake:
         for stream in self._streams:
             stream.channel = None
 
-    def _write_ring(self, parts: Parts, ring: Ring, now_ns: int) -> None:
+    def _write_ring(self, parts: FileRotation, ring: SnapshotBuffer, now_ns: int) -> None:
         self._use(parts.begin(now_ns))
         for entry in ring.take():
             self._store(entry)

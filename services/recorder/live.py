@@ -13,11 +13,11 @@ from proto.nodes import site_of
 from recording.reader import RecordedChannel, RecordedMessage
 from recording.writer import channel_topic
 from services.recorder.intake import Listener, read_header
-from services.runtime.address_book import SiteBook
+from services.runtime.address_book import AddressBook
 from services.runtime.bus import split_frames
 from services.runtime.clock import SystemClock
 from services.runtime.security.keyring import Keyring, this_machine
-from services.runtime.transport import Network
+from services.runtime.transport import Transport
 
 _WAIT_MS = 100
 
@@ -27,8 +27,8 @@ def _everything(topic: str, site: str) -> bool:
 
 
 def connect(
-    network: Network,
-    book: SiteBook,
+    network: Transport,
+    book: AddressBook,
     sites: Sequence[str] = ("master", "slave"),
     hears: Callable[[str, str], bool] = _everything,
 ) -> list[Listener]:
@@ -50,11 +50,11 @@ class LiveRecording:
     A context manager: `with LiveRecording(book) as live: for message in live.messages(["afm/state"]): ...`
     """
 
-    def __init__(self, book: SiteBook) -> None:
+    def __init__(self, book: AddressBook) -> None:
         """Listen as the machine that this process runs on; ConfigError when it lacks a key that the rig demands."""
         self._context = zmq.Context[zmq.Socket[bytes]]()
         try:
-            self._network = Network(self._context, SystemClock(), book, this_machine(Keyring()))
+            self._network = Transport(self._context, SystemClock(), book, this_machine(Keyring()))
         except ConfigError:
             self._context.term()
             raise

@@ -12,7 +12,7 @@ from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake, Listener
 from services.runtime.bus import Attendant, Publisher, Received, ZmqBus
 from services.runtime.clock import Clock
-from services.runtime.deadlines import Grid
+from services.runtime.deadlines import PeriodicDeadline
 from services.runtime.node import Node, NodeContext
 
 # how long the end may take to fetch what still waits in the sockets, seconds of it on a machine that was too busy;
@@ -87,7 +87,7 @@ class RecorderNode(Node):
         self._intake = intake
         super().__init__(context)
         self.state = "running"
-        self._grid = Grid(self.clock.monotonic_ns(), round(config.flush_interval_s * 1e9))
+        self._grid = PeriodicDeadline(self.clock.monotonic_ns(), round(config.flush_interval_s * 1e9))
         self._path = "" if intake.writer is None else str(intake.writer.path)
         self._announced_path = ""
         self._announced_fault = ""
@@ -184,13 +184,13 @@ class RecorderNode(Node):
 
     def make_safe(self) -> None:
         """Take what still waits in the sockets and complete the file."""
-        self._take_last_words()
+        self._drain_sockets()
         self._intake.finish()
         self._report()
         if self._path and not self._intake.fault:
             self._report_end()
 
-    def _take_last_words(self) -> None:
+    def _drain_sockets(self) -> None:
         end_ns = self.clock.monotonic_ns() + _LAST_WORDS_NS
         heard = -1
         while heard != self._intake.heard and self.clock.monotonic_ns() < end_ns:

@@ -6,7 +6,7 @@ from services.runtime.clock import Clock
 OBSERVER = "record@master"
 
 
-class SilentPublisher(Publisher):
+class NullPublisher(Publisher):
     """A publisher that numbers and checks as any other, and keeps the newest messages instead of sending them.
 
     An observer that comes and goes has no endpoint in the site file, and nobody is to wait for it.

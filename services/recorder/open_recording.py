@@ -7,12 +7,14 @@ from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake
 from services.recorder.provenance import write_provenance
-from services.recorder.rotation import Parts
-from services.recorder.snapshot_buffer import Ring, trigger
+from services.recorder.rotation import FileRotation
+from services.recorder.snapshot_buffer import SnapshotBuffer, trigger
 from services.runtime.clock import Clock
 
 
-def begin_intake(key: str, clock: Clock, config: RecorderConfig, site_file: Path, scenario_file: Path | None) -> Intake:
+def open_recording(
+    key: str, clock: Clock, config: RecorderConfig, site_file: Path, scenario_file: Path | None
+) -> Intake:
     """Begin a recording of the node `key`, or with a snapshot the wait for its trigger.
 
     A file that cannot be written is a fault that the intake tells, not an error: the rig goes on.
@@ -23,8 +25,8 @@ def begin_intake(key: str, clock: Clock, config: RecorderConfig, site_file: Path
         write_provenance(writer, config, site_file, scenario_file, clock.now_ns())
         return writer
 
-    parts = Parts(config, begin_file)
-    ring = None if config.snapshot_s is None else Ring(config.snapshot_s, config.snapshot_size_bytes)
+    parts = FileRotation(config, begin_file)
+    ring = None if config.snapshot_s is None else SnapshotBuffer(config.snapshot_s, config.snapshot_size_bytes)
     writer, fault = None, ""
     if ring is None:
         try:

@@ -15,7 +15,7 @@ class QuotaError(RecordingError):
     """The quota is used up and the policy is to stop; the text says so."""
 
 
-class Parts:
+class FileRotation:
     """Begins and ends the files of a recording.
 
     Sizes are what has been flushed, so limits are kept to within one flush interval.

@@ -18,7 +18,7 @@ class Entry(NamedTuple):
     record: GapRecord | RejectedRecord | None
 
 
-class Ring:
+class SnapshotBuffer:
     """Entries of the last `length_s` seconds, and no more than `size_bytes` of payload, whichever is less."""
 
     def __init__(self, length_s: float, size_bytes: int) -> None:

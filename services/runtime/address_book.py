@@ -77,7 +77,7 @@ def _as_entry(value: object) -> object:
     return value
 
 
-class SiteBook(BaseModel):
+class AddressBook(BaseModel):
     """The address book of a rig.
 
     `{runtime}` in an ipc endpoint stands for the private folder of `runtime_directory`, `{NAME}` in a tcp endpoint

@@ -57,7 +57,7 @@ class Bus(Protocol):
         """Wait until something has arrived or the monotonic clock has reached `deadline_ns`."""
 
 
-class Notice(NamedTuple):
+class ConnectionEvent(NamedTuple):
     """What happened to a connection of a node; it becomes a session/event."""
 
     level: str
@@ -68,7 +68,7 @@ class Notice(NamedTuple):
 class Attendant(Protocol):
     """What looks after the network connections of a bus."""
 
-    restless: bool
+    has_pending: bool
 
     @property
     def rejected(self) -> dict[str, int]:
@@ -82,8 +82,8 @@ class Attendant(Protocol):
     def descriptors(self) -> Sequence[int]:
         """What becomes readable when there is something to attend to."""
 
-    def attend(self) -> list[Notice]:
-        """Deal with what has come up; `restless` afterwards when more is left to do."""
+    def attend(self) -> list[ConnectionEvent]:
+        """Deal with what has come up; `has_pending` afterwards when more is left to do."""
 
     def close(self) -> None:
         """Close what is not closed with the sockets of the bus."""
@@ -172,7 +172,7 @@ class Subscriber:
         self.rejected: dict[str, int] = {}
         self.last_error = ""
         # everything has been taken; until it has, ZeroMQ's descriptor may be silent although messages wait
-        self.dry = True
+        self.drained = True
         self.socket = context.socket(zmq.SUB)
         self.socket.set(zmq.RCVHWM, HIGH_WATER_MARK)
         self.socket.set(zmq.LINGER, 0)
@@ -191,14 +191,14 @@ class Subscriber:
         for taken in range(_BATCH):
             # asked first, because learning it from an exception costs as much as taking a message; not where many come
             if taken < _FEW and not pending():
-                self.dry = True
+                self.drained = True
                 return
-            self.dry = False
+            self.drained = False
             try:
                 # as an object that knows whether more follow: to ask the socket costs more than to take a frame
                 frame = receive(_DONTWAIT, False)
             except zmq.Again:
-                self.dry = True
+                self.drained = True
                 return
             frames = [frame.bytes]
             while frame.more:
@@ -302,17 +302,17 @@ class ZmqBus:
         it told of has been taken.
         """
         remaining = deadline_ns - self._clock.monotonic_ns()
-        if remaining > 0 and not self._attend and all([subscriber.dry for subscriber in self.subscribers]):
+        if remaining > 0 and not self._attend and all([subscriber.drained for subscriber in self.subscribers]):
             ready, _, _ = select.select(self._descriptors, (), (), remaining * 1e-9)
             if self._network_descriptors:
                 self._attend = not self._network_descriptors.isdisjoint(ready)
 
-    def attend(self, *, now: bool = False) -> Sequence[Notice]:
+    def attend(self, *, now: bool = False) -> Sequence[ConnectionEvent]:
         """Look after network connections if there is cause, or if asked to do so `now`; gives what happened to them."""
         if self._network is None or not (self._attend or now):
             return ()
         notices = self._network.attend()
-        self._attend = self._network.restless
+        self._attend = self._network.has_pending
         return notices
 
     def input_health(self) -> tuple[InputHealth, ...]:

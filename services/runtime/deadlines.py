@@ -50,7 +50,7 @@ class SpinMargin:
             self.ns = max(self.ns - self._STEP_NS // self._SHARE, 0)
 
 
-class Grid:
+class PeriodicDeadline:
     """A grid of absolute deadlines: a late step moves no later one, and what was missed is skipped and counted."""
 
     def __init__(self, start_ns: int, period_ns: int) -> None:

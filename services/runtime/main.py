@@ -14,7 +14,7 @@ from pydantic import BaseModel
 
 from proto.errors import EndpointError, TelenanoError
 from proto.nodes import sites_of
-from services.runtime.address_book import SiteBook
+from services.runtime.address_book import AddressBook
 from services.runtime.bus import Publisher, Subscriber, ZmqBus
 from services.runtime.clock import Clock, SystemClock
 from services.runtime.config import read_yaml, validate
@@ -29,7 +29,7 @@ from services.runtime.realtime import (
     raise_file_limit,
 )
 from services.runtime.scenario import load_scenario
-from services.runtime.transport import Network
+from services.runtime.transport import Transport
 
 C = TypeVar("C", bound=BaseModel)
 
@@ -41,12 +41,12 @@ class Wiring:
     """What a node's builder makes its sockets from."""
 
     key: str
-    book: SiteBook
+    book: AddressBook
     site_file: Path
     scenario_file: Path
     clock: Clock
     log: StructuredLog
-    network: Network
+    network: Transport
     wake_descriptor: int
 
     def publisher(self, key: str) -> Publisher:
@@ -121,9 +121,9 @@ def parse_arguments(name: str, sites: Sequence[str], arguments: Sequence[str] | 
     return parser.parse_args(arguments, namespace=NodeArguments())
 
 
-def load_site(path: Path) -> SiteBook:
+def load_site(path: Path) -> AddressBook:
     """Read a site file; ConfigError names file and key."""
-    return validate(SiteBook, read_yaml(path), str(path))
+    return validate(AddressBook, read_yaml(path), str(path))
 
 
 def run_node(kind: NodeKind[C], arguments: Sequence[str] | None = None) -> int:
@@ -158,7 +158,7 @@ def _run(kind: NodeKind[C], given: NodeArguments, log: StructuredLog) -> None:
     machine = _machine_of(book, key)
     with (
         zmq.Context[zmq.Socket[bytes]]() as context,
-        closing(Network(context, clock, book, machine)) as network,
+        closing(Transport(context, clock, book, machine)) as network,
     ):
         wiring = Wiring(
             key=key,
@@ -182,7 +182,7 @@ def _run(kind: NodeKind[C], given: NodeArguments, log: StructuredLog) -> None:
     log.info("stopped")
 
 
-def _machine_of(book: SiteBook, key: str) -> str:
+def _machine_of(book: AddressBook, key: str) -> str:
     try:
         return book.machine_of(key)
     except KeyError as error:

@@ -17,7 +17,7 @@ from proto import TOPICS
 from proto.errors import RefusedError, TelenanoError
 from proto.messages import MAX_TEXT, InputHealth, Scalar, SessionControl
 from proto.sequence import Arrival
-from services.runtime.bus import Bus, Notice, Received
+from services.runtime.bus import Bus, ConnectionEvent, Received
 from services.runtime.clock import Clock
 from services.runtime.deadlines import LatenessWindow, SpinMargin
 from services.runtime.log import RateLimitedLog, StructuredLog
@@ -105,14 +105,14 @@ class AccountedBus(Bus, Protocol):
     def rejections(self) -> tuple[dict[str, int], str]:
         """Give the frames refused so far by reason, and the text of the last refusal."""
 
-    def attend(self, *, now: bool = False) -> Sequence[Notice]:
+    def attend(self, *, now: bool = False) -> Sequence[ConnectionEvent]:
         """Look after network connections if there is cause, or `now`; gives what happened to them."""
 
     def close(self) -> None:
         """Close every socket."""
 
 
-class ControlDesk:
+class CommandHandler:
     """Takes session/control for a node: once per id, with the answer repeated to a command that is sent again."""
 
     def __init__(self, node: Node) -> None:
@@ -152,7 +152,7 @@ class NodeLoop:
         self._clock = node.clock
         self._realtime = realtime
         self._spin = SpinMargin(round(spin_s * 1e9))
-        self._desk = ControlDesk(node)
+        self._desk = CommandHandler(node)
         self._lateness = LatenessWindow()
         self._limited_log = RateLimitedLog(node.context.log, node.clock)
         self._started_ns = self._health_due_ns = self._last_health_ns = node.clock.monotonic_ns()
@@ -236,7 +236,7 @@ class NodeLoop:
         if isinstance(received.message, SessionControl):
             self._desk.handle(received.message)
 
-    def _tell(self, notices: Sequence[Notice]) -> None:
+    def _tell(self, notices: Sequence[ConnectionEvent]) -> None:
         for notice in notices:
             self.node.context.tell("network", notice.level, notice.text, notice.data)
 

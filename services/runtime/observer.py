@@ -15,11 +15,11 @@ from proto.errors import ConfigError, RigError
 from proto.messages import Array, Message
 from proto.nodes import site_of
 from proto.sequence import SequenceTracker
-from services.runtime.address_book import SiteBook
-from services.runtime.bus import Notice, Received
+from services.runtime.address_book import AddressBook
+from services.runtime.bus import ConnectionEvent, Received
 from services.runtime.clock import SystemClock
 from services.runtime.security.keyring import Keyring, this_machine
-from services.runtime.transport import Network
+from services.runtime.transport import Transport
 
 _WAIT_MS = 100
 
@@ -45,15 +45,15 @@ def known_name(name: str) -> tuple[str, str | None]:
 class Observer:
     """One connection to every socket of the rig, so that original and copy are accounted for apart."""
 
-    def __init__(self, book: SiteBook, wanted: Collection[str] = TOPICS) -> None:
+    def __init__(self, book: AddressBook, wanted: Collection[str] = TOPICS) -> None:
         """Connect for some topics, or for all, as the machine that this process runs on.
 
         Raises ConfigError when this machine lacks a key that the rig demands.
         """
-        self.notices: list[Notice] = []
+        self.notices: list[ConnectionEvent] = []
         self._context = zmq.Context[zmq.Socket[bytes]]()
         self._poller = zmq.Poller()
-        self._network = Network(self._context, SystemClock(), book, this_machine(Keyring()))
+        self._network = Transport(self._context, SystemClock(), book, this_machine(Keyring()))
         plan = {
             node: [name for name in topics if name in wanted]
             for node, topics in book.observed(self._network.machine).items()

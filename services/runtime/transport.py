@@ -10,14 +10,14 @@ from collections.abc import Mapping, Sequence
 import zmq
 
 from proto.errors import ConfigError, EndpointError
-from services.runtime.address_book import SiteBook
-from services.runtime.bus import Notice, Publisher, Subscriber
+from services.runtime.address_book import AddressBook
+from services.runtime.bus import ConnectionEvent, Publisher, Subscriber
 from services.runtime.clock import Clock
-from services.runtime.security.access_control import Trust
+from services.runtime.security.access_control import AccessControl
 from services.runtime.security.keyring import Keyring
-from services.runtime.security.peer_connections import Lines
-from services.runtime.security.socket_monitor import Refusals
-from services.runtime.security.zap_authenticator import Doorman
+from services.runtime.security.peer_connections import PeerConnections
+from services.runtime.security.socket_monitor import RejectionCounter
+from services.runtime.security.zap_authenticator import ZapAuthenticator
 
 # a loop gives up a connection on which nothing is heard for a second: a pulled cable says nothing, and what was sent
 # into it meanwhile must not come out of it later
@@ -34,14 +34,14 @@ _RECONNECT_MS, _RECONNECT_MOST_MS = 100, 1000
 _LOOK_NS = 400_000_000
 
 
-class Network:
+class Transport:
     """Makes the sockets of a process and looks after those of them that leave its machine."""
 
     def __init__(
         self,
         context: "zmq.Context[zmq.Socket[bytes]]",
         clock: Clock,
-        book: SiteBook,
+        book: AddressBook,
         machine: str,
         keyring: Keyring | None = None,
     ) -> None:
@@ -50,15 +50,15 @@ class Network:
         Raises ConfigError when the machine has no key, or one that others can read.
         """
         self.machine = machine
-        self.trust = Trust(machine, keyring or Keyring(), locked=book.locked)
-        self.restless = False
+        self.trust = AccessControl(machine, keyring or Keyring(), locked=book.locked)
+        self.has_pending = False
         self._context = context
         self._clock = clock
         self._book = book
-        self._refusals = Refusals()
-        self._doorman = Doorman(context, self.trust, self._refusals)
-        self._lines: list[Lines] = []
-        self._sides: list[Doorman | Lines] = [self._doorman]
+        self._refusals = RejectionCounter()
+        self._authenticator = ZapAuthenticator(context, self.trust, self._refusals)
+        self._lines: list[PeerConnections] = []
+        self._sides: list[ZapAuthenticator | PeerConnections] = [self._authenticator]
         self._look_ns = clock.monotonic_ns() + _LOOK_NS
 
     @property
@@ -87,7 +87,7 @@ class Network:
 
         def prepare(socket: "zmq.Socket[bytes]") -> None:
             _set_network_options(socket, _READER_SILENCE_MS, network)
-            self._doorman.lock(socket, key)
+            self._authenticator.lock(socket, key)
 
         if local is None:
             publisher = Publisher(self._context, self._clock, key, network, kind=kind, prepare=prepare)
@@ -96,7 +96,7 @@ class Network:
             publisher = Publisher(self._context, self._clock, key, local, kind=kind)
             prepare(publisher.socket)
             publisher.also_bind(network)
-        self._doorman.watch(publisher)
+        self._authenticator.watch(publisher)
         return publisher
 
     def subscribers(self, sources: Mapping[str, Sequence[str]], *, apart: bool = False) -> list[Subscriber]:
@@ -112,10 +112,10 @@ class Network:
             groups.setdefault("" if near else self._book.machine_of(node), {})[node] = topics
         return [self._reader(plan, _LOOP_SILENCE_MS) for plan in groups.values()]
 
-    def attend(self) -> list[Notice]:
+    def attend(self) -> list[ConnectionEvent]:
         """Answer who knocks, note what became of connections, and look whether the list of keys has changed."""
         # each side in its turn, and none left out because another one has more to do
-        self.restless = any([side.attend() for side in self._sides])
+        self.has_pending = any([side.attend() for side in self._sides])
         notices = self._look()
         for side in self._sides:
             notices += side.take_notices()
@@ -134,12 +134,12 @@ class Network:
         subscriber = Subscriber(self._context, self._clock, by_endpoint, connect=False)
         _set_network_options(subscriber.socket, silence_ms, *by_endpoint)
         machine = self._book.machine_of(next(iter(plan)))
-        lines = Lines(machine, endpoints, subscriber, self._clock, self.trust, self._refusals)
+        lines = PeerConnections(machine, endpoints, subscriber, self._clock, self.trust, self._refusals)
         self._lines.append(lines)
         self._sides.append(lines)
         return subscriber
 
-    def _look(self) -> list[Notice]:
+    def _look(self) -> list[ConnectionEvent]:
         now = self._clock.monotonic_ns()
         if now < self._look_ns:
             return []
@@ -150,7 +150,7 @@ class Network:
                 for side in self._sides:
                     side.review()
         except ConfigError as error:
-            notices.append(Notice("error", f"the list of keys stays as it was: {error}", {}))
+            notices.append(ConnectionEvent("error", f"the list of keys stays as it was: {error}", {}))
         for line in self._lines:
             line.look(now)
         return notices

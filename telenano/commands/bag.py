@@ -14,7 +14,7 @@ from proto.errors import RecordingError
 from recording.channel_filter import Selection
 from recording.reader import Recording, open_recordings
 from recording.tolerance import Tolerances
-from telenano.output import EXIT_FAILED, console, errors_told, print_json, tell
+from telenano.output import EXIT_FAILED, console, print_json, report_errors, tell
 
 _CHANNEL_COLUMNS = ("channel_topic", "src", "messages", "rate_hz", "gaps", "lost", "restarts")
 _PLOT_SIZE = (100, 12)
@@ -64,7 +64,7 @@ class ExportFormat(StrEnum):
 @app.command()
 def info(file: FileArgument, as_json: JsonOption = False) -> None:
     """Say what a recording holds."""
-    with errors_told(as_json):
+    with report_errors(as_json):
         found = Recording(file).info().model_dump(mode="json")
     if not as_json:
         # the whole of it is wider and longer than a screen
@@ -79,7 +79,7 @@ def list_files(
     as_json: JsonOption = False,
 ) -> None:
     """List the recordings in a folder: length, messages, size, and whether they were closed in order."""
-    with errors_told(as_json):
+    with report_errors(as_json):
         if not folder.is_dir():
             raise RecordingError(f"{folder}: is not a folder")
         rows = [_row(path) for path in sorted(folder.rglob("*.mcap"))]
@@ -104,7 +104,7 @@ def cat(
     """Print messages with the facts of their records, one a line as JSON."""
     from recording.tables import line
 
-    with errors_told(as_json=False):
+    with report_errors(as_json=False):
         recording = open_recordings(files)
         chosen = Selection.of(topics or (), exclude or (), nodes or ())
         _print_lines(map(line, islice(recording.select(chosen, *_bounds(recording.span_ns[0], start, end)), count)))
@@ -121,7 +121,7 @@ def echo(
     """Print the messages of a channel as `telenano topic echo` does with those of a running rig."""
     from recording.tables import plain
 
-    with errors_told(as_json=False):
+    with report_errors(as_json=False):
         recording = Recording(file)
         known = [channel.channel_topic for channel in recording.channels]
         if topic not in known:
@@ -144,7 +144,7 @@ def filter_file(
     """Copy chosen channels and times into a new recording."""
     from recording.rewrite import filter_recording
 
-    with errors_told(as_json):
+    with report_errors(as_json):
         chosen = Selection.of(topics or (), exclude or (), nodes or ())
         _tell_model(filter_recording(file, out, chosen, start, end), as_json)
 
@@ -154,7 +154,7 @@ def merge(files: FilesArgument, out: OutOption, as_json: JsonOption = False) -> 
     """Put recordings together in the order of time."""
     from recording.rewrite import merge_recordings
 
-    with errors_told(as_json):
+    with report_errors(as_json):
         _tell_model(merge_recordings(files, out), as_json)
 
 
@@ -169,7 +169,7 @@ def split(
     """Cut a recording into parts."""
     from recording.rewrite import split_recording
 
-    with errors_told(as_json):
+    with report_errors(as_json):
         parts = [
             part.model_dump(mode="json") for part in split_recording(file, out, interval_s=interval, size_bytes=size)
         ]
@@ -187,7 +187,7 @@ def verify(files: FilesArgument, as_json: JsonOption = False) -> None:
     """
     from recording.verify import verify as check
 
-    with errors_told(as_json):
+    with report_errors(as_json):
         verdict = check(files)
     if as_json:
         print_json(verdict.model_dump(mode="json"))
@@ -205,7 +205,7 @@ def recover(file: FileArgument, out: OutOption, as_json: JsonOption = False) -> 
     """Copy everything readable in a killed, cut-off or damaged recording into a finished one."""
     from recording.rewrite import filter_recording
 
-    with errors_told(as_json):
+    with report_errors(as_json):
         _tell_model(filter_recording(file, out), as_json)
 
 
@@ -221,7 +221,7 @@ def export(
     """Write a recording for other tools; mcap-json is what Foxglove and Lichtblick show."""
     from recording.export import export_recording
 
-    with errors_told(as_json):
+    with report_errors(as_json):
         _tell_model(export_recording(file, out, to.value, Selection.of(topics or (), exclude or ())), as_json)
 
 
@@ -241,7 +241,7 @@ def diff(
     """Compare two recordings message by message, by channel and number; exit code 1 if they differ."""
     from recording.diff import diff_recordings
 
-    with errors_told(as_json):
+    with report_errors(as_json):
         allowed = Tolerances.parse(tolerance or ())
         chosen = Selection.of(topics or (), exclude or ())
         found = diff_recordings(left, right, allowed, ignore or (), chosen)
@@ -277,7 +277,7 @@ def rerun(
     """Feed a recording to a node's code and compare what it says with what it said; exit code 1 if it differs."""
     from analysis.process_replay import rerun as run_again
 
-    with errors_told(as_json):
+    with report_errors(as_json):
         recording, allowed = Recording(file), Tolerances.parse(tolerance or ())
         results = [run_again(recording, key, allowed, settings or ()) for key in node]
     if as_json:
@@ -302,7 +302,7 @@ def plot(
     """Draw fields over time, on the terminal or into a PNG."""
     from analysis.plot import draw, read_traces, save_png
 
-    with errors_told(as_json=False):
+    with report_errors(as_json=False):
         traces = read_traces(file, fields)
         if out is not None:
             save_png(traces, out, file.name)

@@ -9,7 +9,7 @@ import zmq.auth
 
 from proto.errors import ConfigError
 from services.runtime.security.keyring import AllowedKey, Keyring, Role, keys_directory
-from telenano.output import console, errors_told, print_json
+from telenano.output import console, print_json, report_errors
 
 app = typer.Typer(
     help="Make, show and list the keys with which machines prove who they are.",
@@ -48,7 +48,7 @@ def new(
     as_json: JsonOption = False,
 ) -> None:
     """Make a key pair for a machine; its secret half stays in a file that only you can read."""
-    with errors_told(as_json):
+    with report_errors(as_json):
         ring = _ring(folder)
         public = ring.create(name, replace=replace).public.decode()
     if as_json:
@@ -61,7 +61,7 @@ def new(
 @app.command()
 def show(folder: DirOption = None, as_json: JsonOption = False) -> None:
     """Show the public keys of this machine and the list of keys that it knows; secret keys are never shown."""
-    with errors_told(as_json):
+    with report_errors(as_json):
         ring = _ring(folder)
         own = {name: ring.own(name).public.decode() for name in ring.names()}
         allowed = ring.allowed().keys
@@ -89,7 +89,7 @@ def allow(
     as_json: JsonOption = False,
 ) -> None:
     """Let a machine in, or change what it may do; running nodes notice within a second."""
-    with errors_told(as_json):
+    with report_errors(as_json):
         roles: list[Role] = [entry.value for entry in role]
         entry = _ring(folder).allow(name, _public_key(key), roles)
     _tell(entry, f"{name} is allowed: {_standing(entry)}", as_json=as_json)
@@ -102,7 +102,7 @@ def revoke(
     as_json: JsonOption = False,
 ) -> None:
     """Shut a key out for ever; running nodes close its connections within a second."""
-    with errors_told(as_json):
+    with report_errors(as_json):
         entry = _ring(folder).revoke(name)
     _tell(entry, f"the key {entry.public_key} of {entry.name} is revoked", as_json=as_json)
 

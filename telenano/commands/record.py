@@ -13,8 +13,8 @@ from proto.errors import TelenanoError
 from services.recorder.config import RecorderConfig
 from services.recorder.live import connect
 from services.recorder.node import RecorderBus, RecorderNode
-from services.recorder.null_publisher import OBSERVER, SilentPublisher
-from services.recorder.open_recording import begin_intake
+from services.recorder.null_publisher import OBSERVER, NullPublisher
+from services.recorder.open_recording import open_recording
 from services.runtime.clock import SystemClock
 from services.runtime.config import validate
 from services.runtime.log import StructuredLog
@@ -22,8 +22,8 @@ from services.runtime.main import load_site
 from services.runtime.node import NodeContext, NodeLoop, install_stop_signals
 from services.runtime.realtime import RealtimeStatus, freeze_garbage
 from services.runtime.security.keyring import Keyring, this_machine
-from services.runtime.transport import Network
-from telenano.output import Keys, errors_told, fail, print_json
+from services.runtime.transport import Transport
+from telenano.output import RawKeyboard, fail, print_json, report_errors
 
 _KEYS_TEXT = "s new file · t snapshot · q end"
 
@@ -80,10 +80,10 @@ def run_record(
 
     wake = install_stop_signals(stop)
     with zmq.Context[zmq.Socket[bytes]]() as context:
-        network = Network(context, clock, book, this_machine(Keyring()))
+        network = Transport(context, clock, book, this_machine(Keyring()))
         listeners = connect(network, book, hears=config.hears)
-        intake = begin_intake(OBSERVER, clock, config, site_file, scenario_file)
-        bus = RecorderBus(SilentPublisher(clock, OBSERVER), listeners, intake, clock, wake, network)
+        intake = open_recording(OBSERVER, clock, config, site_file, scenario_file)
+        bus = RecorderBus(NullPublisher(clock, OBSERVER), listeners, intake, clock, wake, network)
         node = _Observer(NodeContext(OBSERVER, clock, bus, StructuredLog(OBSERVER)), config, intake)
         loop = NodeLoop(node, bus, RealtimeStatus(fifo=False, memory_locked=False))
         node.end = loop.stop
@@ -106,10 +106,10 @@ def run_record(
     )
 
 
-class Hands:
+class RecordKeyBindings:
     """What the keys do to a recorder."""
 
-    def __init__(self, keys: Keys) -> None:
+    def __init__(self, keys: RawKeyboard) -> None:
         self._keys = keys
         self._said = _KEYS_TEXT
 
@@ -173,7 +173,7 @@ def record(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object at the end.")] = False,
 ) -> None:
     """Attach to a running rig and record it; Ctrl-C or q completes the file. Keys: s new file, t snapshot, q end."""
-    with errors_told(as_json):
+    with report_errors(as_json):
         given: dict[str, Any] = {
             "directory": str(out.absolute().parent),
             "file_name": out.name,
@@ -191,8 +191,8 @@ def record(
             "sync_to_disk": sync,
         }
         config = validate(RecorderConfig, given, "telenano record")
-        with Keys() as keys:
-            done = run_record(site_file, config, scenario, duration, Hands(keys))
+        with RawKeyboard() as keys:
+            done = run_record(site_file, config, scenario, duration, RecordKeyBindings(keys))
         if done.fault:
             fail(done.fault, as_json=as_json, **done.model_dump())
         if as_json:

@@ -13,16 +13,16 @@ from proto.errors import ConfigError, EndpointError, TelenanoError
 from proto.nodes import PLAYER
 from recording.channel_filter import Selection
 from recording.reader import open_recordings
-from services.player.node import Cast, Outlet, PlayerNode, PlaySettings
-from services.player.playback import Span, Tape
+from services.player.node import PlayerNode, PlaySettings, ReplayPlan, ReplayPublisher
+from services.player.playback import Playback, Span
 from services.runtime.bus import ZmqBus
 from services.runtime.clock import SystemClock
 from services.runtime.log import StructuredLog
 from services.runtime.main import load_site
 from services.runtime.node import NodeContext, NodeLoop, install_stop_signals
 from services.runtime.realtime import RealtimeStatus, freeze_garbage, shallow_idle
-from services.runtime.transport import Network
-from telenano.output import Keys, errors_told, print_json
+from services.runtime.transport import Transport
+from telenano.output import RawKeyboard, print_json, report_errors
 
 _RATE_STEP = 1.25
 _KEYS_TEXT = (
@@ -64,8 +64,8 @@ def run_replay(request: ReplayRequest, observe: Callable[[PlayerNode], None] = l
     book, clock = load_site(request.site_file), SystemClock()
     if PLAYER not in book.nodes:
         raise ConfigError(f"{request.site_file}: nodes: {PLAYER} is missing, the player needs an endpoint")
-    parts = Cast(recording, book, Selection.of(request.topics, request.exclude, request.nodes), request.remap)
-    tape = Tape(recording, parts.plays, request.span)
+    parts = ReplayPlan(recording, book, Selection.of(request.topics, request.exclude, request.nodes), request.remap)
+    tape = Playback(recording, parts.plays, request.span)
     stopping: list[NodeLoop] = []
 
     def stop() -> None:
@@ -74,7 +74,7 @@ def run_replay(request: ReplayRequest, observe: Callable[[PlayerNode], None] = l
 
     wake = install_stop_signals(stop)
     with zmq.Context[zmq.Socket[bytes]]() as context, shallow_idle():
-        network = Network(context, clock, book, book.machine_of(PLAYER))
+        network = Transport(context, clock, book, book.machine_of(PLAYER))
         publishers = [network.publisher(PLAYER)]
         try:
             publishers.extend(network.publisher(node, zmq.XPUB) for node in parts.nodes)
@@ -82,7 +82,7 @@ def run_replay(request: ReplayRequest, observe: Callable[[PlayerNode], None] = l
             for publisher in publishers:
                 publisher.close()
             raise
-        outlets = {publisher.node: Outlet(publisher) for publisher in publishers[1:]}
+        outlets = {publisher.node: ReplayPublisher(publisher) for publisher in publishers[1:]}
         sources = book.sources(PLAYER, list(PlayerNode.inputs))
         live = {node: topics for node, topics in sources.items() if node not in outlets}
         bus = ZmqBus(publishers[0], network.subscribers(live), clock, wake, network)
@@ -101,10 +101,10 @@ def run_replay(request: ReplayRequest, observe: Callable[[PlayerNode], None] = l
     return Replayed(parts.nodes, player.sent, tape.time_s)
 
 
-class Hands:
+class PlayerKeyBindings:
     """What the keys do to a player."""
 
-    def __init__(self, keys: Keys, step_topic: str) -> None:
+    def __init__(self, keys: RawKeyboard, step_topic: str) -> None:
         """Take the terminal, and the topic to which the key n steps."""
         self._keys = keys
         self._step_topic = step_topic
@@ -199,7 +199,7 @@ def replay(
     + and - rate, a and b the ends of a loop, l loop on and off, q end. The same by
     `telenano session set player.KEY=VALUE --target player`.
     """
-    with errors_told(as_json):
+    with report_errors(as_json):
         if end is not None and duration is not None:
             raise ConfigError("--end and --duration: give one of them")
         until = end if duration is None else start + duration
@@ -213,8 +213,8 @@ def replay(
             Span(start, until, loop),
             PlaySettings(rate, paused, wait),
         )
-        with Keys() as keys:
-            done = run_replay(request, Hands(keys, step_topic))
+        with RawKeyboard() as keys:
+            done = run_replay(request, PlayerKeyBindings(keys, step_topic))
         if as_json:
             print_json({"nodes": done.nodes, "messages": done.sent, "time_s": done.time_s})
         else:

@@ -27,7 +27,7 @@ from proto.nodes import START_ORDER, is_visitor, site_of
 from services.launcher.readiness import oldest_input_s, unmet
 from services.runtime.main import load_site
 from services.runtime.observer import Observer
-from telenano.output import console, errors_told, fail, print_json
+from telenano.output import console, fail, print_json, report_errors
 
 M = TypeVar("M", bound=Message)
 
@@ -89,7 +89,7 @@ def status(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout, nothing else.")] = False,
 ) -> None:
     """Say how a running rig is doing; exit code 1 if a node is not heard or waits for something."""
-    with errors_told(as_json):
+    with report_errors(as_json):
         book = load_site(site_file)
         with contextlib.closing(Observer(book, NEEDED)) as observer:
             picture = listen(observer, duration)

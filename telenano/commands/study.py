@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from proto.errors import ConfigError
-from telenano.output import EXIT_FAILED, errors_told, print_json
+from telenano.output import EXIT_FAILED, print_json, report_errors
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -109,7 +109,7 @@ def stability(
     as_json: JsonOption = False,
 ) -> None:
     """Map delay against stiffness, gain, jitter or loss: stable, limit cycle or diverged, and the critical delay."""
-    with errors_told(as_json, _INTERRUPTED):
+    with report_errors(as_json, _INTERRUPTED):
         from studies.stability import run_stability
         from studies.stability_page import write_stability
 
@@ -141,7 +141,7 @@ def transparency(
     as_json: JsonOption = False,
 ) -> None:
     """Measure tracking error, rendered stiffness, Z-width and perceived delay of each law on a spring."""
-    with errors_told(as_json, _INTERRUPTED):
+    with report_errors(as_json, _INTERRUPTED):
         from studies.compare import measure_all, write_transparency
         from studies.page import Page, write_parquet
 
@@ -184,7 +184,7 @@ def compare(
     as_json: JsonOption = False,
 ) -> None:
     """Put all laws on one page: critical delays, contact over a good and a bad link, transparency."""
-    with errors_told(as_json, _INTERRUPTED):
+    with report_errors(as_json, _INTERRUPTED):
         from studies import values
         from studies.cells import DEFAULT_STIFFNESS
         from studies.compare import Request, run_comparison, write_comparison
@@ -231,7 +231,7 @@ def validate(
     as_json: JsonOption = False,
 ) -> None:
     """Run cells on real processes over the link and compare with lockstep; exit code 1 where they disagree."""
-    with errors_told(as_json, _INTERRUPTED):
+    with report_errors(as_json, _INTERRUPTED):
         from studies.page import Page, write_parquet
         from studies.validate import Bus, bus_edges, validate_cells
 

@@ -16,12 +16,12 @@ from presets import DEFAULT_SITE_FILE, site_file_named
 from proto.errors import ConfigError, EndpointError
 from telenano.doctor import checks
 from telenano.doctor.checks import Finding
-from telenano.output import console, errors_told, fail, print_json
+from telenano.output import console, fail, print_json, report_errors
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from services.runtime.address_book import SiteBook
+    from services.runtime.address_book import AddressBook
 
 # not from the plan of a rig: that imports what may be missing here
 SITE_FILE = DEFAULT_SITE_FILE
@@ -39,7 +39,7 @@ def doctor(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout, nothing else.")] = False,
 ) -> None:
     """Look whether this machine can run a rig, and say what to do; exit code 1 if there is a problem."""
-    with errors_told(as_json):
+    with report_errors(as_json):
         tell_findings(examine(site_file), as_json=as_json)
 
 
@@ -138,7 +138,7 @@ def rig(site_file: Path) -> list[Finding]:
         return [*findings, Finding("site file", "problem", str(error), "put it right, or name another by --site-file")]
 
 
-def _addresses(book: "SiteBook") -> list[Finding]:
+def _addresses(book: "AddressBook") -> list[Finding]:
     from services.runtime.security.keyring import Keyring, this_machine
 
     keyring = Keyring()
@@ -153,7 +153,7 @@ def _addresses(book: "SiteBook") -> list[Finding]:
     return found
 
 
-def endpoints_of(book: "SiteBook", machine: str) -> dict[str, str]:
+def endpoints_of(book: "AddressBook", machine: str) -> dict[str, str]:
     """Give the endpoints that the nodes of a machine bind, each with its node; EndpointError for an unknown name."""
     endpoints = {}
     for node in book.nodes:

@@ -31,7 +31,15 @@ from typing import NamedTuple
 
 from pydantic import Field
 
-from services.controller.law import Books, HandSample, Law, MasterReference, PortSignal, SlaveReference, TipSample
+from services.controller.law import (
+    EnergyAccount,
+    HandSample,
+    Law,
+    MasterReference,
+    PortSignal,
+    SlaveReference,
+    TipSample,
+)
 from services.controller.laws.pass_through import measured
 from services.controller.laws.surface import (
     KAPPA_UNIT,
@@ -307,9 +315,9 @@ def retune(old: ModelMediatedParams, new: ModelMediatedParams, state: MasterStat
 
 
 @compiled
-def master_books(params: ModelMediatedParams, state: MasterState) -> Books:
+def master_books(params: ModelMediatedParams, state: MasterState) -> EnergyAccount:
     """Give the energy kept for updates, and what the damper took less what updates have used."""
-    return Books(state.store_j, state.dissipated_j - state.injected_j, 0.0)
+    return EnergyAccount(state.store_j, state.dissipated_j - state.injected_j, 0.0)
 
 
 MODEL_MEDIATED = Law(

@@ -45,7 +45,15 @@ from typing import NamedTuple
 from pydantic import Field
 
 from services.controller.discretisation import approach
-from services.controller.law import Books, HandSample, Law, MasterReference, PortSignal, SlaveReference, TipSample
+from services.controller.law import (
+    EnergyAccount,
+    HandSample,
+    Law,
+    MasterReference,
+    PortSignal,
+    SlaveReference,
+    TipSample,
+)
 from services.controller.laws.virtual_mass import (
     Mass,
     MassParams,
@@ -312,15 +320,15 @@ def retune(old: PassivityParams, new: PassivityParams, state: MasterState) -> Ma
 
 
 @compiled
-def master_books(params: PassivityParams, state: MasterState) -> Books:
+def master_books(params: PassivityParams, state: MasterState) -> EnergyAccount:
     """Give what this port may still give out, what its controller dissipated, and what both ports began with."""
-    return Books(state.account.left_j, state.account.lost_j, 2.0 * params.start_j)
+    return EnergyAccount(state.account.left_j, state.account.lost_j, 2.0 * params.start_j)
 
 
 @compiled
-def slave_books(params: PassivityParams, state: SlaveState) -> Books:
+def slave_books(params: PassivityParams, state: SlaveState) -> EnergyAccount:
     """Give what this port may still give out, what its controller dissipated, and what both ports began with."""
-    return Books(state.account.left_j, state.account.lost_j, 2.0 * params.start_j)
+    return EnergyAccount(state.account.left_j, state.account.lost_j, 2.0 * params.start_j)
 
 
 PASSIVITY = Law(

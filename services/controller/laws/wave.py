@@ -46,7 +46,15 @@ from typing import NamedTuple
 from pydantic import Field
 
 from services.controller.discretisation import approach, decay
-from services.controller.law import Books, HandSample, Law, MasterReference, PortSignal, SlaveReference, TipSample
+from services.controller.law import (
+    EnergyAccount,
+    HandSample,
+    Law,
+    MasterReference,
+    PortSignal,
+    SlaveReference,
+    TipSample,
+)
 from services.controller.laws.virtual_mass import (
     Mass,
     MassParams,
@@ -346,15 +354,15 @@ def retune(old: WaveParams, new: WaveParams, state: MasterState) -> MasterState:
 
 
 @compiled
-def master_books(params: WaveParams, state: MasterState) -> Books:
+def master_books(params: WaveParams, state: MasterState) -> EnergyAccount:
     """Give the wave energy that has arrived and is not yet taken, and the most that F_0 may have put in."""
-    return Books(state.inbox.heard_j - state.inbox.taken_j, 0.0, 2.0 * state.granted_j)
+    return EnergyAccount(state.inbox.heard_j - state.inbox.taken_j, 0.0, 2.0 * state.granted_j)
 
 
 @compiled
-def slave_books(params: WaveParams, state: SlaveState) -> Books:
+def slave_books(params: WaveParams, state: SlaveState) -> EnergyAccount:
     """Give the energy that has arrived and was neither given to the environment nor sent back."""
-    return Books(state.inbox.heard_j - state.inbox.taken_j + state.reserve_j, 0.0, state.granted_j)
+    return EnergyAccount(state.inbox.heard_j - state.inbox.taken_j + state.reserve_j, 0.0, state.granted_j)
 
 
 WAVE = Law(

@@ -1,11 +1,11 @@
 """What a process believes of the machines around it: its own key, the list as last read, and verdicts on both."""
 
 from proto.errors import ConfigError
-from services.runtime.address_book import SiteBook
+from services.runtime.address_book import AddressBook
 from services.runtime.security.keyring import ROLES, AllowList, Keyring, Role
 
 
-class Trust:
+class AccessControl:
     """The keys of one machine in use; without them, in a rig that has none, everybody may do everything."""
 
     def __init__(self, machine: str, keyring: Keyring, *, locked: bool) -> None:
@@ -60,7 +60,7 @@ class Trust:
         return () if entry is None else entry.roles
 
 
-def check_keys(book: SiteBook, machine: str, keyring: Keyring) -> None:
+def check_keys(book: AddressBook, machine: str, keyring: Keyring) -> None:
     """Raise ConfigError naming the command that helps, when a machine could not take part in a rig for want of keys."""
     if not book.locked:
         return
@@ -76,7 +76,7 @@ def check_keys(book: SiteBook, machine: str, keyring: Keyring) -> None:
         )
 
 
-def _roles_needed(book: SiteBook, machine: str) -> str:
+def _roles_needed(book: AddressBook, machine: str) -> str:
     heard = [node for node in book.nodes if book.machine_of(node) == machine and book.network_endpoint(node)]
     commands = any("session/control" in book.published_by(node) for node in heard)
     return "--role data" + " --role control" * commands

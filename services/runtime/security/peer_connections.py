@@ -8,9 +8,9 @@ import zmq
 from proto import WireError
 from proto.nodes import is_visitor
 from services.runtime.address_book import may_carry
-from services.runtime.bus import Notice, Subscriber
+from services.runtime.bus import ConnectionEvent, Subscriber
 from services.runtime.clock import Clock
-from services.runtime.security.access_control import Trust
+from services.runtime.security.access_control import AccessControl
 from services.runtime.security.keyring import Role
 from services.runtime.security.socket_monitor import (
     CLOSED_IN_HANDSHAKE,
@@ -20,7 +20,7 @@ from services.runtime.security.socket_monitor import (
     KEY_REFUSED,
     PROTOCOL_FAILED,
     Monitor,
-    Refusals,
+    RejectionCounter,
 )
 
 # libzmq does not try again where a key was refused or something else than its protocol was spoken, without saying so:
@@ -35,7 +35,7 @@ _EVENTS = CONNECTED | CLOSED_IN_HANDSHAKE | PROTOCOL_FAILED | KEY_REFUSED | DISC
 _MOST_REMEMBERED = 4096
 
 
-class Rights:
+class MessagePermissions:
     """What may be said on the lines to one machine: topics by its roles, sources by its nodes."""
 
     def __init__(self, machine: str, nodes: Sequence[str], roles: Sequence[Role]) -> None:
@@ -65,7 +65,7 @@ class Rights:
 
 
 @dataclass
-class Line:
+class PeerConnection:
     """A connection to a node of another machine as it is now; times on the monotonic clock [ns]."""
 
     node: str
@@ -82,7 +82,7 @@ class Line:
     again_ns: int | None = None
 
 
-class Lines:
+class PeerConnections:
     """The connections to the nodes of one machine, which share a socket."""
 
     def __init__(
@@ -91,22 +91,22 @@ class Lines:
         endpoints: Mapping[str, str],
         subscriber: Subscriber,
         clock: Clock,
-        trust: Trust,
-        refusals: Refusals,
+        trust: AccessControl,
+        refusals: RejectionCounter,
     ) -> None:
         """Take the endpoint of each node and the subscriber that is to be connected to them."""
         now = clock.monotonic_ns()
         self.machine = machine
         self.subscriber = subscriber
         self.monitor = Monitor(subscriber.socket, _EVENTS)
-        self.rights = Rights(machine, list(endpoints), trust.roles(machine))
+        self.rights = MessagePermissions(machine, list(endpoints), trust.roles(machine))
         self._clock = clock
         self._trust = trust
         self._refusals = refusals
         self._connected = False
         self._server_key: bytes | None = None
-        self._notices: list[Notice] = []
-        self.lines = [Line(node, endpoint, now, now + _UNREACHED_NS) for node, endpoint in endpoints.items()]
+        self._notices: list[ConnectionEvent] = []
+        self.lines = [PeerConnection(node, endpoint, now, now + _UNREACHED_NS) for node, endpoint in endpoints.items()]
         if trust.locked:
             subscriber.permit = self.rights
         self.review()
@@ -122,9 +122,9 @@ class Lines:
             line = self._line(endpoint)
             if line is not None:
                 self._enter(line, event)
-        return self.monitor.restless
+        return self.monitor.has_pending
 
-    def take_notices(self) -> list[Notice]:
+    def take_notices(self) -> list[ConnectionEvent]:
         """Give what was noted since the last call."""
         notices, self._notices = self._notices, []
         return notices
@@ -141,7 +141,7 @@ class Lines:
     def look(self, now_ns: int) -> None:
         """Try again where libzmq does not, and remind of what has not been reached."""
         # to disconnect drops what was not read yet, such as the last words of a node
-        if self.subscriber.dry:
+        if self.subscriber.drained:
             self._dial(now_ns)
         for line in self.lines:
             if not line.up and not is_visitor(line.node) and now_ns >= line.remind_ns:
@@ -159,7 +159,7 @@ class Lines:
             line.again_ns = None
             self.subscriber.socket.connect(line.endpoint)
 
-    def _give_up(self, line: Line) -> None:
+    def _give_up(self, line: PeerConnection) -> None:
         if line.again_ns is None or line.lost:
             self.subscriber.socket.disconnect(line.endpoint)
         line.lost, line.again_ns = False, self._clock.monotonic_ns() + _ASK_AGAIN_NS
@@ -183,13 +183,13 @@ class Lines:
             line.lost, line.again_ns = False, None
             self._enter_down(line, f"was closed: the key of {self.machine} that it had is no longer allowed")
 
-    def _line(self, endpoint: str) -> Line | None:
+    def _line(self, endpoint: str) -> PeerConnection | None:
         """Give the line of an endpoint as libzmq names it: of a host name it may have made an address."""
         exact = [line for line in self.lines if line.endpoint == endpoint]
         port = endpoint.rpartition(":")[2]
         return next(iter(exact or [line for line in self.lines if line.endpoint.rpartition(":")[2] == port]), None)
 
-    def _enter(self, line: Line, event: int) -> None:
+    def _enter(self, line: PeerConnection, event: int) -> None:
         # of a connection that was closed here something may come late
         if not self._connected:
             return
@@ -204,7 +204,7 @@ class Lines:
         else:
             self._enter_failure(line, event)
 
-    def _enter_up(self, line: Line) -> None:
+    def _enter_up(self, line: PeerConnection) -> None:
         # two in a row: libzmq came first with a connection that was given up meanwhile
         if line.up:
             return
@@ -215,14 +215,14 @@ class Lines:
         line.lost, line.again_ns = False, None
         line.failures, line.trouble = 0, ""
 
-    def _enter_down(self, line: Line, what: str) -> None:
+    def _enter_down(self, line: PeerConnection, what: str) -> None:
         if line.up:
             now = self._clock.monotonic_ns()
             line.up, line.waiting_ns, line.remind_ns = False, now, now + _UNREACHED_NS
             level = "info" if is_visitor(line.node) else "warning"
             self._tell(level, f"the connection to {line.node} ({line.endpoint}) {what}", line, "down")
 
-    def _enter_failure(self, line: Line, event: int) -> None:
+    def _enter_failure(self, line: PeerConnection, event: int) -> None:
         line.failures += 1
         known, line.trouble = line.trouble, FAILURES[event]
         self._refusals.enter("handshake", f"{line.node} at {line.endpoint}: {line.trouble}")
@@ -237,13 +237,13 @@ class Lines:
             )
             self._tell("error", text, line, "refused")
 
-    def _refused_text(self, line: Line) -> str:
+    def _refused_text(self, line: PeerConnection) -> str:
         return (
             f"{self.machine} refuses the key of {self._trust.machine} at {line.node} ({line.endpoint}): there, "
             f"`telenano keys allow {self._trust.machine} '{self._trust.public_key}' --role ...`"
         )
 
-    def _remind(self, line: Line, waited_s: float) -> None:
+    def _remind(self, line: PeerConnection, waited_s: float) -> None:
         unreached = f"{line.node} has not been reached at {line.endpoint} for {waited_s:.0f} s"
         if not self._connected:
             text = (
@@ -256,6 +256,6 @@ class Lines:
             text = f"{unreached}: is {self.machine} running, is the address right, does a firewall close the port?"
         self._tell("warning", text, line, "unreached", waited_s=waited_s)
 
-    def _tell(self, level: str, text: str, line: Line, connection: str, **data: float) -> None:
+    def _tell(self, level: str, text: str, line: PeerConnection, connection: str, **data: float) -> None:
         facts: dict[str, bool | float | str] = {"peer": line.node, "endpoint": line.endpoint, "connection": connection}
-        self._notices.append(Notice(level, text, {**facts, **data}))
+        self._notices.append(ConnectionEvent(level, text, {**facts, **data}))

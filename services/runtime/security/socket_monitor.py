@@ -22,24 +22,24 @@ class Monitor:
 
     def __init__(self, socket: "zmq.Socket[bytes]", wanted: int) -> None:
         """Watch a socket for the events that are added up in `wanted`."""
-        self.restless = False
+        self.has_pending = False
         self.socket: zmq.Socket[bytes] = socket.get_monitor_socket(wanted)
 
     def events(self) -> list[tuple[int, str]]:
-        """Give event and endpoint of what has happened; `restless` afterwards when there may be more."""
+        """Give event and endpoint of what has happened; `has_pending` afterwards when there may be more."""
         found: list[tuple[int, str]] = []
         for _ in range(_AT_ONCE):
             try:
                 event = recv_monitor_message(self.socket, zmq.NOBLOCK)
             except zmq.Again:
-                self.restless = False
+                self.has_pending = False
                 return found
             found.append((int(event["event"]), event["endpoint"].decode(errors="replace")))
-        self.restless = True
+        self.has_pending = True
         return found
 
 
-class Refusals:
+class RejectionCounter:
     """How often connections were refused, by reason, and the newest of them in words."""
 
     def __init__(self) -> None:

@@ -5,10 +5,16 @@ from dataclasses import dataclass, field
 
 import zmq
 
-from services.runtime.bus import Notice, Publisher
-from services.runtime.security.access_control import Trust
+from services.runtime.bus import ConnectionEvent, Publisher
+from services.runtime.security.access_control import AccessControl
 from services.runtime.security.keyring import key_text
-from services.runtime.security.socket_monitor import CLOSED_IN_HANDSHAKE, FAILURES, PROTOCOL_FAILED, Monitor, Refusals
+from services.runtime.security.socket_monitor import (
+    CLOSED_IN_HANDSHAKE,
+    FAILURES,
+    PROTOCOL_FAILED,
+    Monitor,
+    RejectionCounter,
+)
 
 # of ZeroMQ's authentication protocol (ZAP)
 _ZAP_ENDPOINT = "inproc://zeromq.zap.01"
@@ -22,7 +28,7 @@ _WHY = {"unlisted": "is not in the list", "revoked": "was revoked"}
 
 
 @dataclass
-class Door:
+class BoundEndpoint:
     """A publisher that other machines may connect to."""
 
     publisher: Publisher
@@ -38,13 +44,15 @@ class Door:
         return self.publisher.node
 
 
-class Doorman:
+class ZapAuthenticator:
     """Answers libzmq's question, for each key that knocks, whether it may come in; and shuts out who may no longer."""
 
-    def __init__(self, context: "zmq.Context[zmq.Socket[bytes]]", trust: Trust, refusals: Refusals) -> None:
+    def __init__(
+        self, context: "zmq.Context[zmq.Socket[bytes]]", trust: AccessControl, refusals: RejectionCounter
+    ) -> None:
         """Take the post; before any socket can be knocked at."""
-        self.doors: list[Door] = []
-        self._notices: list[Notice] = []
+        self.doors: list[BoundEndpoint] = []
+        self._notices: list[ConnectionEvent] = []
         self._trust = trust
         self._refusals = refusals
         self.socket: zmq.Socket[bytes] | None = None
@@ -66,7 +74,9 @@ class Doorman:
     def watch(self, publisher: Publisher) -> None:
         """Look after a publisher whose last endpoint is one for other machines."""
         bound = publisher.socket.getsockopt_string(zmq.LAST_ENDPOINT).rstrip("\0")
-        self.doors.append(Door(publisher, Monitor(publisher.socket, CLOSED_IN_HANDSHAKE | PROTOCOL_FAILED), bound))
+        self.doors.append(
+            BoundEndpoint(publisher, Monitor(publisher.socket, CLOSED_IN_HANDSHAKE | PROTOCOL_FAILED), bound)
+        )
 
     @property
     def sockets(self) -> list["zmq.Socket[bytes]"]:
@@ -79,12 +89,12 @@ class Doorman:
         for door in self.doors:
             for event, _ in door.monitor.events():
                 self._refusals.enter("handshake", f"somebody at {door.node}: {FAILURES[event]}")
-            left |= door.monitor.restless
+            left |= door.monitor.has_pending
             if door.unbound:
                 left |= self._bind_again(door)
         return left
 
-    def take_notices(self) -> list[Notice]:
+    def take_notices(self) -> list[ConnectionEvent]:
         """Give what was noted since the last call."""
         notices, self._notices = self._notices, []
         return notices
@@ -121,7 +131,7 @@ class Doorman:
                 door.accepted.add(key)
         return [back, b"", version, request, _ACCEPTED, b"", name.encode(), b""]
 
-    def _shut(self, door: Door, names: Iterable[str]) -> None:
+    def _shut(self, door: BoundEndpoint, names: Iterable[str]) -> None:
         door.accepted.clear()
         if not door.unbound:
             # libzmq cannot close one connection; unbinding closes all that came through this endpoint
@@ -129,11 +139,11 @@ class Doorman:
             door.unbound, door.attempts = True, 0
         text = f"the key of {', '.join(sorted(names))} is no longer allowed: all network connections at {door.node} "
         self._notices.append(
-            Notice("warning", f"{text}were closed", {"endpoint": door.endpoint, "connection": "revoked"})
+            ConnectionEvent("warning", f"{text}were closed", {"endpoint": door.endpoint, "connection": "revoked"})
         )
         self._bind_again(door)
 
-    def _bind_again(self, door: Door) -> bool:
+    def _bind_again(self, door: BoundEndpoint) -> bool:
         """Open a door that was shut; True when the next turn is to try again."""
         try:
             door.publisher.socket.bind(door.endpoint)
@@ -142,7 +152,9 @@ class Doorman:
             door.attempts += 1
             if door.attempts == _HURRIED:
                 text = f"{door.node} cannot bind {door.endpoint} again: {error.strerror}; it is tried twice a second"
-                self._notices.append(Notice("error", text, {"endpoint": door.endpoint, "connection": "unbound"}))
+                self._notices.append(
+                    ConnectionEvent("error", text, {"endpoint": door.endpoint, "connection": "unbound"})
+                )
             return door.attempts < _HURRIED
         door.unbound = False
         return False

@@ -3,9 +3,9 @@
 import pytest
 
 from services.controller.energy import TOLERANCE_J, entered, is_passive, left, moved_to, opened
-from services.controller.law import Books
+from services.controller.law import EnergyAccount
 
-NONE = Books(0.0, 0.0, 0.0)
+NONE = EnergyAccount(0.0, 0.0, 0.0)
 
 
 def test_held_force_times_way() -> None:
@@ -37,10 +37,10 @@ def test_motion_out_of_force_is_no_work() -> None:
         (-TOLERANCE_J, True, NONE, True),
         (-TOLERANCE_J * (1.0 + 1e-6), True, NONE, False),
         (-1.0, False, NONE, True),
-        (-2e-3, True, Books(0.0, 0.0, 2e-3), True),
-        (-2e-3 - 2.0 * TOLERANCE_J, True, Books(0.0, 0.0, 2e-3), False),
-        (1.0, True, Books(-1e-6, 0.0, 0.0), False),
+        (-2e-3, True, EnergyAccount(0.0, 0.0, 2e-3), True),
+        (-2e-3 - 2.0 * TOLERANCE_J, True, EnergyAccount(0.0, 0.0, 2e-3), False),
+        (1.0, True, EnergyAccount(-1e-6, 0.0, 0.0), False),
     ],
 )
-def test_passive_at_the_bound_and_not_past_it(net_j: float, known: bool, books: Books, passive: bool) -> None:
+def test_passive_at_the_bound_and_not_past_it(net_j: float, known: bool, books: EnergyAccount, passive: bool) -> None:
     assert is_passive(net_j, known, books) is passive

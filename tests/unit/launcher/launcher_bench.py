@@ -8,9 +8,9 @@ from typing import Any
 from proto import TOPICS
 from proto.messages import InputHealth, Message, NodeHealth, SessionControl, SessionEvent
 from proto.sequence import Arrival
-from services.launcher.external_recording import Tape
+from services.launcher.external_recording import ExternalRecording
 from services.launcher.session import RigNode, SessionNode
-from services.launcher.supervisor import Keeper
+from services.launcher.supervisor import Supervisor
 from services.runtime.bus import Received
 from services.runtime.clock import VirtualClock
 from services.runtime.log import StructuredLog
@@ -145,13 +145,13 @@ class Rig(Bench):
         **options: Any,
     ) -> None:
         super().__init__()
-        tape = Tape(self.clock, recorder) if recorder else None
+        tape = ExternalRecording(self.clock, recorder) if recorder else None
         self.silent: set[str] = set()
         self.refusing: set[str] = set()
         self.answered = 0
         self.rig_nodes = [*own, *others]
         self.session = SessionNode(
-            self.context, Keeper(self.clock, own, self.children), duration_s, others=others, tape=tape, **options
+            self.context, Supervisor(self.clock, own, self.children), duration_s, others=others, tape=tape, **options
         )
         self.begin(self.session)
 

@@ -15,7 +15,7 @@ from services.launcher.command_client import (
     parse_parameters,
     send_control,
 )
-from services.runtime.address_book import SiteBook
+from services.runtime.address_book import AddressBook
 from services.runtime.clock import VirtualClock
 from services.runtime.config import validate
 from services.runtime.main import load_site
@@ -157,7 +157,7 @@ def test_commands_are_typed_at_the_console_of_ones_own_machine(monkeypatch: pyte
         "controller@slave": "tcp://{slave}:5711",
     }
     machines = {"slave": "10.0.0.2", "desk": "10.0.0.3"}
-    book = validate(SiteBook, {"nodes": nodes, "machines": machines}, "site.yaml")
+    book = validate(AddressBook, {"nodes": nodes, "machines": machines}, "site.yaml")
     Keyring(tmp_path / "keys").create("desk")
     assert console_of(book, "master") == "console_desk@master"
     # with the keys of two machines here, as where one tries both, the site's own console comes first

@@ -1,14 +1,14 @@
 from typing import Literal
 
 from proto.messages import SessionEvent
-from services.launcher.pending_command import PendingControl
+from services.launcher.pending_command import PendingCommand
 from services.runtime.clock import VirtualClock
 
 MS = 1_000_000
 BOTH = ("afm_node@slave", "haptic_node@master")
 
 
-def answer(pending: PendingControl, node: str, kind: Literal["ack", "refused", "mode"] = "ack") -> SessionEvent:
+def answer(pending: PendingCommand, node: str, kind: Literal["ack", "refused", "mode"] = "ack") -> SessionEvent:
     return SessionEvent(
         seq=0, t_ns=0, src=node, v=1, id=pending.id, kind=kind, level="info", text=f"{node} says {kind}", data={}
     )
@@ -16,7 +16,7 @@ def answer(pending: PendingControl, node: str, kind: Literal["ack", "refused", "
 
 def test_it_is_sent_at_once_and_then_every_200_ms_with_one_id() -> None:
     clock = VirtualClock(start_ns=MS)
-    pending = PendingControl(clock, "arm", "*", BOTH)
+    pending = PendingCommand(clock, "arm", "*", BOTH)
     sent: list[int] = []
     ids = set()
     for _ in range(1000):
@@ -30,12 +30,12 @@ def test_it_is_sent_at_once_and_then_every_200_ms_with_one_id() -> None:
 
 def test_two_commands_have_two_ids() -> None:
     clock = VirtualClock()
-    assert PendingControl(clock, "arm", "*", BOTH).id != PendingControl(clock, "arm", "*", BOTH).id
+    assert PendingCommand(clock, "arm", "*", BOTH).id != PendingCommand(clock, "arm", "*", BOTH).id
 
 
 def test_it_ends_when_all_have_answered() -> None:
     clock = VirtualClock()
-    pending = PendingControl(clock, "arm", "*", BOTH)
+    pending = PendingCommand(clock, "arm", "*", BOTH)
     assert pending.enter(answer(pending, BOTH[0]))
     assert not pending.enter(answer(pending, BOTH[0])), "a repeated answer is no news"
     assert pending.missing == [BOTH[1]]
@@ -49,7 +49,7 @@ def test_it_ends_when_all_have_answered() -> None:
 
 def test_other_events_are_no_answers() -> None:
     clock = VirtualClock()
-    pending, other = (PendingControl(clock, "arm", "*", BOTH) for _ in range(2))
+    pending, other = (PendingCommand(clock, "arm", "*", BOTH) for _ in range(2))
     assert not pending.enter(answer(other, BOTH[0]))
     assert not pending.enter(answer(pending, BOTH[0], "mode"))
     assert pending.missing == sorted(BOTH)
@@ -57,7 +57,7 @@ def test_other_events_are_no_answers() -> None:
 
 def test_silence_fails_at_the_deadline_and_names_the_silent() -> None:
     clock = VirtualClock()
-    pending = PendingControl(clock, "start", "*", BOTH)
+    pending = PendingCommand(clock, "start", "*", BOTH)
     pending.enter(answer(pending, BOTH[0]))
     clock.advance_ns(5000 * MS - 1)
     assert pending.failure() == ""
@@ -67,14 +67,14 @@ def test_silence_fails_at_the_deadline_and_names_the_silent() -> None:
 
 
 def test_a_refusal_fails_with_its_reason() -> None:
-    pending = PendingControl(VirtualClock(), "arm", "*", BOTH)
+    pending = PendingCommand(VirtualClock(), "arm", "*", BOTH)
     pending.enter(answer(pending, BOTH[0], "refused"))
     assert pending.failure() == "afm_node@slave refused arm: afm_node@slave says refused"
 
 
 def test_a_newcomer_has_it_sent_at_once() -> None:
     clock = VirtualClock()
-    pending = PendingControl(clock, "mark", "*", BOTH)
+    pending = PendingCommand(clock, "mark", "*", BOTH)
     assert pending.take_due()
     clock.advance_ns(MS)
     assert not pending.take_due()

@@ -1,20 +1,20 @@
 import pytest
 
-from services.launcher.restart_policy import RestartPolicy, Supervisor, ending
+from services.launcher.restart_policy import RestartPolicy, RestartTracker, ending
 from services.runtime.clock import VirtualClock
 
 NODE = "afm_node@slave"
 SECOND_NS = 1_000_000_000
 
 
-def supervised(policy: RestartPolicy | None = None) -> tuple[VirtualClock, Supervisor]:
+def supervised(policy: RestartPolicy | None = None) -> tuple[VirtualClock, RestartTracker]:
     clock = VirtualClock(start_ns=SECOND_NS)
-    supervisor = Supervisor(clock, [NODE, "recorder@master"], policy)
+    supervisor = RestartTracker(clock, [NODE, "recorder@master"], policy)
     supervisor.started(NODE)
     return clock, supervisor
 
 
-def die_and_come_back(clock: VirtualClock, supervisor: Supervisor, life_s: float) -> float:
+def die_and_come_back(clock: VirtualClock, supervisor: RestartTracker, life_s: float) -> float:
     clock.advance_ns(round(life_s * SECOND_NS))
     death = supervisor.died(NODE, -9)
     assert death.restart_in_s is not None

@@ -16,7 +16,7 @@ from services.launcher.external_recording import holds_command
 from services.launcher.plan import Plan, UpRequest, make_plan
 from services.launcher.run import Outcome, make_rig, outcome_of, report_of, run_rig
 from services.launcher.session import SessionNode, SiteNode
-from services.launcher.supervisor import Keeper
+from services.launcher.supervisor import Supervisor
 from services.recorder.config import RecorderConfig
 
 RECORDER = "recorder@master"
@@ -45,7 +45,7 @@ def plan_of(tmp_path: Path, **options: Any) -> Plan:
 
 def attached(tmp_path: Path) -> tuple[Plan, SessionNode]:
     plan, bench = plan_of(tmp_path, attach=True), Bench()
-    session = make_rig(plan, bench.context, Keeper(bench.clock, (), bench.children))
+    session = make_rig(plan, bench.context, Supervisor(bench.clock, (), bench.children))
     assert isinstance(session, SessionNode)
     session._running_ns = 0
     session.start_id = "the-start"
@@ -67,7 +67,7 @@ def recorded(folder: Path, command_id: str) -> Path:
 def test_the_plan_says_which_rig_is_made(tmp_path: Path) -> None:
     bench = Bench()
     made = {
-        name: make_rig(plan_of(tmp_path, **options), bench.context, Keeper(bench.clock, (), bench.children))
+        name: make_rig(plan_of(tmp_path, **options), bench.context, Supervisor(bench.clock, (), bench.children))
         for name, options in {
             "plain": {},
             "attach": {"attach": True, "wait_s": 3.0},

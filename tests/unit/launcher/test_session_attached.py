@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 from launcher_bench import SECOND_NS, TICK_NS, Rig, health, row
 
-from services.launcher.external_recording import Tape, readable_here
+from services.launcher.external_recording import ExternalRecording, readable_here
 from services.launcher.processes import NodeProcesses
 from services.launcher.readiness import READY_DEADLINE_S
 from services.runtime.clock import SystemClock
@@ -25,7 +25,7 @@ class Attached(Rig):
         super().__init__(own=(), others=OTHERS, recorder=RECORDER, **options)
 
     @property
-    def tape(self) -> Tape:
+    def tape(self) -> ExternalRecording:
         assert self.session.tape is not None
         return self.session.tape
 

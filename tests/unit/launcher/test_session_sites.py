@@ -8,7 +8,7 @@ from rich.console import Console
 from proto.messages import ClockPing
 from services.launcher.readiness import READY_DEADLINE_S
 from services.launcher.session import SiteNode
-from services.launcher.supervisor import Keeper
+from services.launcher.supervisor import Supervisor
 from telenano.live_view import LineView, rig_picture
 
 MASTER = ("recorder@master", "delay_node@master", "controller@master", "haptic_node@master")
@@ -28,7 +28,7 @@ class Slave(Bench):
 
     def __init__(self) -> None:
         super().__init__("launcher@slave")
-        keeper = Keeper(self.clock, SLAVE, self.children)
+        keeper = Supervisor(self.clock, SLAVE, self.children)
         self.site = SiteNode(self.context, keeper, link=LINK, site="slave", other_site="master")
         self.begin(self.site)
 

@@ -16,10 +16,10 @@ from proto.nodes import PLAYER
 from recording.channel_filter import Selection
 from recording.reader import Recording
 from recording.writer import RecordingWriter
-from services.player.node import Cast, Outlet, PlayerNode, PlaySettings
-from services.player.playback import Span, Tape
+from services.player.node import PlayerNode, PlaySettings, ReplayPlan, ReplayPublisher
+from services.player.playback import Playback, Span
 from services.recorder.config import RecorderConfig
-from services.runtime.address_book import SiteBook
+from services.runtime.address_book import AddressBook
 from services.runtime.bus import Publisher, ZmqBus
 from services.runtime.clock import VirtualClock
 from services.runtime.log import StructuredLog
@@ -30,23 +30,23 @@ MakeFile = Callable[..., Path]
 
 
 @pytest.fixture
-def book(tmp_path: Path) -> SiteBook:
+def book(tmp_path: Path) -> AddressBook:
     nodes = (HAND, FAR, PLAYER, "controller@master", "controller@slave")
-    return SiteBook(nodes={node: f"ipc://{tmp_path}/{node}" for node in nodes})
+    return AddressBook(nodes={node: f"ipc://{tmp_path}/{node}" for node in nodes})
 
 
 class Stage:
     """A player and one reader of each endpoint."""
 
     def __init__(
-        self, context: "zmq.Context[Any]", book: SiteBook, path: Path, selection: Selection, **given: Any
+        self, context: "zmq.Context[Any]", book: AddressBook, path: Path, selection: Selection, **given: Any
     ) -> None:
         self.clock = VirtualClock(0, EPOCH_NS + 10**12)
         recording = Recording(path)
-        self.parts = Cast(recording, book, selection, given.pop("remap", None))
-        self.tape = Tape(recording, self.parts.plays, given.pop("span", Span()))
+        self.parts = ReplayPlan(recording, book, selection, given.pop("remap", None))
+        self.tape = Playback(recording, self.parts.plays, given.pop("span", Span()))
         outlets = {
-            node: Outlet(Publisher(context, self.clock, node, book.endpoint(node), kind=zmq.XPUB))
+            node: ReplayPublisher(Publisher(context, self.clock, node, book.endpoint(node), kind=zmq.XPUB))
             for node in self.parts.nodes
         }
         self.outlets = outlets
@@ -116,7 +116,7 @@ class Stage:
 
 
 @pytest.fixture
-def stage(book: SiteBook) -> Iterator[Callable[..., Stage]]:
+def stage(book: AddressBook) -> Iterator[Callable[..., Stage]]:
     made: list[Stage] = []
     with zmq.Context() as context:
 
@@ -305,24 +305,24 @@ def test_topics_and_nodes_can_be_renamed(stage: Callable[..., Stage], make_file:
     assert theatre.heard(1)[0] == ("haptic/ghost", encode(haptic_state(0)))
 
 
-def test_the_recorders_own_words_and_recorded_health_are_not_played(tmp_path: Path, book: SiteBook) -> None:
+def test_the_recorders_own_words_and_recorded_health_are_not_played(tmp_path: Path, book: AddressBook) -> None:
     writer = RecordingWriter.create(NODE, RecorderConfig(directory=tmp_path))
     for topic, src in (("session/event", NODE), ("node/health", HAND), ("haptic/state", HAND)):
         channel = writer.channel(topic, src, "master")
         writer.write(channel, EPOCH_NS, EPOCH_NS, 0, encode(sample(topic, 0, src=src)))
     writer.finish()
-    parts = Cast(Recording(writer.path), book, Selection())
+    parts = ReplayPlan(Recording(writer.path), book, Selection())
     assert [channel.topic for channel in parts.topics] == ["haptic/state"]
 
 
 def test_a_node_that_is_not_in_the_site_file_is_named(make_file: MakeFile, tmp_path: Path) -> None:
-    small = SiteBook(nodes={HAND: f"ipc://{tmp_path}/hand"})
+    small = AddressBook(nodes={HAND: f"ipc://{tmp_path}/hand"})
     with pytest.raises(ConfigError, match=r"delay_node@slave is not in the site file"):
-        Cast(Recording(make_file()), small, Selection())
+        ReplayPlan(Recording(make_file()), small, Selection())
 
 
-def test_forwarded_copies_belong_to_the_link(make_file: MakeFile, book: SiteBook) -> None:
-    parts = Cast(Recording(make_file()), book, Selection.of(nodes=["delay_node"]))
+def test_forwarded_copies_belong_to_the_link(make_file: MakeFile, book: AddressBook) -> None:
+    parts = ReplayPlan(Recording(make_file()), book, Selection.of(nodes=["delay_node"]))
     assert parts.nodes == [FAR]
     assert {channel.channel_topic for channel in parts.topics} == {"teleop/forward@slave"}
     assert teleop_forward(0).src == "controller@master"

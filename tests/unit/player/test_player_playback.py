@@ -11,7 +11,7 @@ from proto.errors import RecordingError
 from recording.channel_filter import ALL, Selection
 from recording.reader import Recording
 from recording.writer import RecordingWriter
-from services.player.playback import Span, Tape, Transport
+from services.player.playback import Playback, PlaybackClock, Span
 from services.recorder.config import RecorderConfig
 
 MakeFile = Callable[..., Path]
@@ -37,20 +37,20 @@ def events(tmp_path: Path) -> Path:
     return writer.path
 
 
-def played(tape: Tape) -> list[int]:
+def played(tape: Playback) -> list[int]:
     found = []
     while tape.peek() is not None:
         found.append(tape.take().seq)
     return found
 
 
-def hands(path: Path, start_s: float = 0.0, end_s: float | None = None) -> Tape:
-    return Tape(Recording(path), Selection.of(["haptic/state"]), Span(start_s, end_s))
+def hands(path: Path, start_s: float = 0.0, end_s: float | None = None) -> Playback:
+    return Playback(Recording(path), Selection.of(["haptic/state"]), Span(start_s, end_s))
 
 
 def test_everything_is_played_once_in_order(make_file: MakeFile) -> None:
     path = make_file()
-    tape = Tape(Recording(path), ALL, Span())
+    tape = Playback(Recording(path), ALL, Span())
     heard = [(message.channel_topic, message.seq) for message in iter(lambda: tape.peek() and tape.take(), None)]
     assert heard == [(message.channel_topic, message.seq) for message in Recording(path).messages()]
     with pytest.raises(RecordingError, match="there is nothing after"):
@@ -83,7 +83,7 @@ def test_a_seek_beyond_the_recording_stays_within(events: Path) -> None:
 
 
 def test_the_state_at_a_position_reaches_back_to_slow_topics_and_leaves_events_out(events: Path) -> None:
-    tape = Tape(Recording(events), ALL, Span())
+    tape = Playback(Recording(events), ALL, Span())
     state = tape.seek(tape.at(0.0955))
     assert [(message.topic, message.seq) for message in state] == [("link/status", 0), ("haptic/state", 95)]
     assert tape.seek(tape.at(0.0035))[0].topic == "haptic/state"
@@ -123,11 +123,11 @@ def test_loop_points_can_be_moved_while_playing(events: Path) -> None:
 
 def test_nothing_chosen_is_an_error(events: Path) -> None:
     with pytest.raises(RecordingError, match="none of the messages"):
-        Tape(Recording(events), Selection.of(["afm/*"]), Span())
+        Playback(Recording(events), Selection.of(["afm/*"]), Span())
 
 
 def test_time_is_mapped_by_the_rate_and_goes_on_from_where_it_was() -> None:
-    transport = Transport(1000, 50_000, 1.0, paused=False)
+    transport = PlaybackClock(1000, 50_000, 1.0, paused=False)
     assert transport.due_ns(50_100) == 1100
     transport.change(1100, 50_100, rate=2.0)
     assert transport.due_ns(50_300) == 1200

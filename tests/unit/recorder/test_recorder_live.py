@@ -11,7 +11,7 @@ from proto import encode
 from proto.errors import ConfigError
 from recording.reader import RecordedMessage
 from services.recorder.live import LiveRecording
-from services.runtime.address_book import SiteBook
+from services.runtime.address_book import AddressBook
 from services.runtime.bus import Publisher
 from services.runtime.clock import SystemClock
 
@@ -19,7 +19,7 @@ HAND, FAR = "haptic_node@master", "delay_node@slave"
 
 
 def test_a_live_rig_is_read_like_a_recording(tmp_path: Path) -> None:
-    book = SiteBook(nodes={node: f"ipc://{tmp_path}/{node}" for node in (HAND, FAR)})
+    book = AddressBook(nodes={node: f"ipc://{tmp_path}/{node}" for node in (HAND, FAR)})
     done = threading.Event()
     with zmq.Context() as context:
         publishers = [Publisher(context, SystemClock(), node, book.endpoint(node)) for node in (HAND, FAR)]
@@ -58,4 +58,4 @@ def test_a_rig_with_keys_is_not_heard_without_one(tmp_path: Path, monkeypatch: p
     monkeypatch.setenv("TELENANO_KEYS_DIR", str(tmp_path))
     monkeypatch.setenv("TELENANO_MACHINE", "laptop")
     with pytest.raises(ConfigError, match="`telenano keys new laptop` makes one"):
-        LiveRecording(SiteBook.model_validate({"nodes": {HAND: "tcp://127.0.0.1:5701"}}))
+        LiveRecording(AddressBook.model_validate({"nodes": {HAND: "tcp://127.0.0.1:5701"}}))

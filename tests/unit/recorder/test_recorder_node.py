@@ -22,14 +22,14 @@ from services.recorder.__main__ import begin, listeners
 from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake
 from services.recorder.node import RecorderBus, RecorderNode
-from services.runtime.address_book import SiteBook
-from services.runtime.bus import Notice, Publisher, Received
+from services.runtime.address_book import AddressBook
+from services.runtime.bus import ConnectionEvent, Publisher, Received
 from services.runtime.clock import SystemClock, VirtualClock
 from services.runtime.log import StructuredLog
 from services.runtime.main import Wiring
 from services.runtime.node import NodeContext, NodeLoop
 from services.runtime.realtime import RealtimeStatus
-from services.runtime.transport import Network
+from services.runtime.transport import Transport
 
 PATIENCE_S = 30.0
 
@@ -61,7 +61,7 @@ class QuietBus:
     def rejections(self) -> tuple[dict[str, int], str]:
         return {}, ""
 
-    def attend(self, *, now: bool = False) -> Sequence[Notice]:
+    def attend(self, *, now: bool = False) -> Sequence[ConnectionEvent]:
         return ()
 
     def close(self) -> None:
@@ -226,7 +226,7 @@ class Stage:
     """Every other node of the rig, as far as the recorder can tell."""
 
     def __init__(self, context: zmq.Context, site_file: Path, nodes: Sequence[str]) -> None:
-        book = SiteBook.model_validate(yaml.safe_load(site_file.read_text()))
+        book = AddressBook.model_validate(yaml.safe_load(site_file.read_text()))
         self.publishers = {node: Publisher(context, SystemClock(), node, book.endpoint(node)) for node in nodes}
         self.sent = 0
 
@@ -261,7 +261,7 @@ def test_everything_on_real_sockets_is_heard_at_its_place(
     site_file: Path, scenario_file: Path, config: RecorderConfig, stage: Callable[..., Stage]
 ) -> None:
     clock = SystemClock()
-    book = SiteBook.model_validate(yaml.safe_load(site_file.read_text()))
+    book = AddressBook.model_validate(yaml.safe_load(site_file.read_text()))
     reader, writer = os.pipe()
     with zmq.Context() as context:
         wiring = Wiring(
@@ -271,7 +271,7 @@ def test_everything_on_real_sockets_is_heard_at_its_place(
             scenario_file=scenario_file,
             clock=clock,
             log=StructuredLog(NODE),
-            network=Network(context, clock, book, "master"),
+            network=Transport(context, clock, book, "master"),
             wake_descriptor=reader,
         )
         intake = begin(wiring, config)

@@ -15,9 +15,9 @@ from recording.reader import Recording, open_recordings
 from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake, Listener
 from services.recorder.node import RecorderNode
-from services.recorder.null_publisher import OBSERVER, SilentPublisher
-from services.recorder.open_recording import begin_intake
-from services.recorder.snapshot_buffer import Entry, Ring
+from services.recorder.null_publisher import OBSERVER, NullPublisher
+from services.recorder.open_recording import open_recording
+from services.recorder.snapshot_buffer import Entry, SnapshotBuffer
 from services.runtime.bus import Subscriber, ZmqBus
 from services.runtime.clock import VirtualClock
 from services.runtime.config import validate
@@ -36,10 +36,10 @@ class Desk:
         self.config = RecorderConfig(directory=folder, **settings)
         site_file = folder.parent / "site.yaml"
         site_file.write_text("nodes: {}\n")
-        self.intake = begin_intake(NODE, self.clock, self.config, site_file, None)
+        self.intake = open_recording(NODE, self.clock, self.config, site_file, None)
         subscriber = Subscriber(context, self.clock, {"inproc://nowhere": ["haptic/state"]})
         self.listener = Listener("haptic_node@master", subscriber)
-        self.publisher = SilentPublisher(self.clock, OBSERVER)
+        self.publisher = NullPublisher(self.clock, OBSERVER)
         self.events: list[SessionEvent] = []
         bus = ZmqBus(self.publisher, [], self.clock, -1)
         bus.publish = self._publish
@@ -221,7 +221,7 @@ def test_contact_from_the_start_is_no_snap(desk: Callable[..., Desk]) -> None:
 
 
 def test_the_ring_forgets_by_time_and_by_size() -> None:
-    ring = Ring(1.0, 1000)
+    ring = SnapshotBuffer(1.0, 1000)
     for second in range(5):
         ring.add(Entry(second * SECOND_NS // 2, 0, second, b"x" * 10, None, None))
     assert [entry.seq for entry in ring.take()] == [2, 3, 4]

@@ -12,11 +12,11 @@ import zmq
 
 from proto import TOPICS, Message, encode
 from proto.contract import examples
-from services.runtime.address_book import SiteBook
-from services.runtime.bus import Notice, Publisher, Received, Subscriber
+from services.runtime.address_book import AddressBook
+from services.runtime.bus import ConnectionEvent, Publisher, Received, Subscriber
 from services.runtime.clock import VirtualClock
 from services.runtime.security.keyring import Keyring, Role
-from services.runtime.transport import Network
+from services.runtime.transport import Transport
 
 PATIENCE_S = 30.0
 TURN_NS = 20_000_000
@@ -38,7 +38,7 @@ def free_ports(count: int) -> list[int]:
     return ports
 
 
-def two_machine_book(folder: Path, **more: Any) -> SiteBook:
+def two_machine_book(folder: Path, **more: Any) -> AddressBook:
     """Three nodes that are heard over a network: the link at the master, two at the slave."""
     hosts = {AFM: "slave", CONTROLLER: "slave", LINK: "master"}
     nodes = {
@@ -46,10 +46,10 @@ def two_machine_book(folder: Path, **more: Any) -> SiteBook:
         for (node, host), port in zip(hosts.items(), free_ports(len(hosts)), strict=True)
     }
     document = {"machines": {"master": "127.0.0.1", "slave": "127.0.0.1"}, "nodes": nodes, **more}
-    return SiteBook.model_validate(document)
+    return AddressBook.model_validate(document)
 
 
-def port_of(book: SiteBook, node: str) -> int:
+def port_of(book: AddressBook, node: str) -> int:
     """Give the port of a node."""
     return int((book.network_endpoint(node) or "").rpartition(":")[2])
 
@@ -67,12 +67,12 @@ def _example(topic: str) -> Message:
 class Machine:
     """One machine, whose clock advances by 20 ms a turn."""
 
-    def __init__(self, name: str, book: SiteBook, folder: Path) -> None:
+    def __init__(self, name: str, book: AddressBook, folder: Path) -> None:
         self.name = name
         self.book = book
         self.ring = Keyring(folder / name)
         self.clock = VirtualClock(start_ns=10**9, epoch_offset_ns=10**18)
-        self.notices: list[Notice] = []
+        self.notices: list[ConnectionEvent] = []
         self.received: list[Received] = []
         self.publishers: dict[str, Publisher] = {}
         self.subscribers: list[Subscriber] = []
@@ -90,7 +90,7 @@ class Machine:
 
     def open(self) -> "Machine":
         self.context = zmq.Context[zmq.Socket[bytes]]()
-        self.network = Network(self.context, self.clock, self.book, self.name, self.ring)
+        self.network = Transport(self.context, self.clock, self.book, self.name, self.ring)
         return self
 
     def speaks(self, *nodes: str) -> "Machine":

@@ -9,7 +9,7 @@ import pytest
 from proto import TOPICS
 from proto.errors import ConfigError, EndpointError
 from proto.nodes import site_of
-from services.runtime.address_book import NodeEntry, SiteBook, may_carry, runtime_directory
+from services.runtime.address_book import AddressBook, NodeEntry, may_carry, runtime_directory
 from services.runtime.config import read_yaml, validate
 
 TWO_SITES = Path(__file__).resolve().parents[3] / "presets" / "sites" / "two_sites.yaml"
@@ -25,8 +25,8 @@ NODES = (
 )
 
 
-def book(*nodes: str, **more: Any) -> SiteBook:
-    return SiteBook(nodes={node: f"ipc://{{runtime}}/{node}" for node in nodes or NODES}, **more)
+def book(*nodes: str, **more: Any) -> AddressBook:
+    return AddressBook(nodes={node: f"ipc://{{runtime}}/{node}" for node in nodes or NODES}, **more)
 
 
 @pytest.fixture(autouse=True)
@@ -37,7 +37,7 @@ def _no_address_of_this_machine(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def error_of(nodes: dict[str, Any], **more: object) -> str:
     with pytest.raises(ConfigError) as caught:
-        validate(SiteBook, {"nodes": nodes, **more}, "site.yaml")
+        validate(AddressBook, {"nodes": nodes, **more}, "site.yaml")
     return str(caught.value)
 
 
@@ -124,7 +124,7 @@ def test_an_unknown_node_is_named_with_those_there_are() -> None:
     "endpoint", ["tcp://127.0.0.1:5501", "tcp://127.9.8.7:1", "tcp://localhost:65535", "tcp://[::1]:80", "ipc:///a/b"]
 )
 def test_endpoints_on_this_machine_pass(endpoint: str) -> None:
-    assert SiteBook(nodes={"afm_node@slave": endpoint}).endpoint("afm_node@slave") == endpoint
+    assert AddressBook(nodes={"afm_node@slave": endpoint}).endpoint("afm_node@slave") == endpoint
 
 
 @pytest.mark.parametrize(
@@ -132,11 +132,11 @@ def test_endpoints_on_this_machine_pass(endpoint: str) -> None:
     ["tcp://127.0.0.1:5501", "tcp://192.168.1.7:5501", "tcp://afm.example.org:5501", "tcp://[fe80::1]:5501"],
 )
 def test_tcp_is_locked_unless_that_is_waived_even_on_this_machine(endpoint: str) -> None:
-    rig = SiteBook(nodes={"afm_node@slave": endpoint})
+    rig = AddressBook(nodes={"afm_node@slave": endpoint})
     assert (rig.spans_machines, rig.locked) == (True, True)
     assert rig.endpoint("afm_node@slave") == rig.network_endpoint("afm_node@slave") == endpoint
     assert rig.local_endpoint("afm_node@slave") is None
-    rig = SiteBook(nodes={"afm_node@slave": endpoint}, insecure=True)
+    rig = AddressBook(nodes={"afm_node@slave": endpoint}, insecure=True)
     assert (rig.spans_machines, rig.locked) == (True, False)
 
 
@@ -173,7 +173,7 @@ def test_what_is_no_endpoint_is_named(endpoint: str, insecure: bool) -> None:
 def test_an_ipc_path_is_absolute_and_fits_a_socket(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "needs an absolute path" in error_of({"afm_node@slave": "ipc://afm"})
     exact = "/" + "a" * 106
-    assert SiteBook(nodes={"afm_node@slave": f"ipc://{exact}"})
+    assert AddressBook(nodes={"afm_node@slave": f"ipc://{exact}"})
     assert "longer than the 107 bytes" in error_of({"afm_node@slave": f"ipc://{exact}a"})
     # bytes count, not letters
     assert "longer than the 107 bytes" in error_of({"afm_node@slave": "ipc:///" + "Å" * 54})
@@ -198,14 +198,14 @@ def test_a_wrong_node_name_is_refused(node: str) -> None:
 def test_an_unknown_key_lists_the_known_ones() -> None:
     assert error_of({}, secure=True) == "site.yaml: secure: unknown key, known are machines, bind, nodes, insecure"
     with pytest.raises(ConfigError, match=r"site\.yaml: nodes: is missing"):
-        validate(SiteBook, {}, "site.yaml")
+        validate(AddressBook, {}, "site.yaml")
 
 
 # --- two machines ---
 
 
-def two_sites() -> SiteBook:
-    return validate(SiteBook, read_yaml(TWO_SITES), str(TWO_SITES))
+def two_sites() -> AddressBook:
+    return validate(AddressBook, read_yaml(TWO_SITES), str(TWO_SITES))
 
 
 def test_two_sites_are_locked_and_the_link_runs_at_the_operators() -> None:
@@ -281,7 +281,7 @@ def test_two_sites_are_observed_as_far_as_a_machine_reaches() -> None:
 
 def test_an_address_comes_from_the_file_the_environment_or_both(monkeypatch: pytest.MonkeyPatch) -> None:
     hosts = {"slave": "afm.lab"}
-    rig = SiteBook(machines=hosts, nodes={"afm_node@slave": "tcp://{slave}:5712"})
+    rig = AddressBook(machines=hosts, nodes={"afm_node@slave": "tcp://{slave}:5712"})
     assert rig.network_endpoint("afm_node@slave") == "tcp://afm.lab:5712"
     monkeypatch.setenv("TELENANO_HOST_SLAVE", "")
     assert rig.network_endpoint("afm_node@slave") == "tcp://afm.lab:5712"
@@ -304,9 +304,9 @@ def test_a_wrong_address_of_the_environment_is_seen_at_the_start(monkeypatch: py
 def test_what_a_node_binds_is_its_address_or_the_one_named_for_that(monkeypatch: pytest.MonkeyPatch) -> None:
     nodes = {"afm_node@slave": "tcp://{slave}:5712", "delay_node@slave": "tcp://{master}:5704"}
     hosts = {"master": "10.0.0.1", "slave": "[fe80::2]"}
-    rig = SiteBook(machines=hosts, nodes=nodes)
+    rig = AddressBook(machines=hosts, nodes=nodes)
     assert [rig.bind_endpoint(node) for node in nodes] == ["tcp://[fe80::2]:5712", "tcp://10.0.0.1:5704"]
-    rig = SiteBook(machines=hosts, nodes=nodes, bind={"slave": "[::]"})
+    rig = AddressBook(machines=hosts, nodes=nodes, bind={"slave": "[::]"})
     assert [rig.bind_endpoint(node) for node in nodes] == ["tcp://[::]:5712", "tcp://10.0.0.1:5704"]
     monkeypatch.setenv("TELENANO_BIND_ADDRESS", "0.0.0.0")
     assert [rig.bind_endpoint(node) for node in nodes] == ["tcp://0.0.0.0:5712", "tcp://0.0.0.0:5704"]
@@ -335,7 +335,7 @@ def _names(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("_names")
 def test_a_name_is_looked_up_where_it_is_bound_and_where_it_is_connected_to() -> None:
-    rig = SiteBook(nodes={"afm_node@slave": "tcp://afm.lab:5712", "controller@slave": "tcp://[::1]:5711"})
+    rig = AddressBook(nodes={"afm_node@slave": "tcp://afm.lab:5712", "controller@slave": "tcp://[::1]:5711"})
     assert rig.bind_endpoint("afm_node@slave") == "tcp://10.1.2.3:5712"
     assert rig.connect_endpoint("afm_node@slave", "master") == "tcp://10.1.2.3:5712"
     assert rig.connect_endpoint("controller@slave", "master") == "tcp://[::1]:5711"
@@ -343,7 +343,7 @@ def test_a_name_is_looked_up_where_it_is_bound_and_where_it_is_connected_to() ->
 
 @pytest.mark.usefixtures("_names")
 def test_a_name_that_is_not_known_here_cannot_be_bound_but_may_be_known_later_to_a_reader() -> None:
-    rig = SiteBook(nodes={"afm_node@slave": "tcp://afm.elsewhere:5712"})
+    rig = AddressBook(nodes={"afm_node@slave": "tcp://afm.elsewhere:5712"})
     with pytest.raises(EndpointError) as caught:
         rig.bind_endpoint("afm_node@slave")
     assert str(caught.value) == (
@@ -356,16 +356,16 @@ def test_a_name_that_is_not_known_here_cannot_be_bound_but_may_be_known_later_to
 
 
 def test_an_entry_has_two_forms() -> None:
-    short = validate(SiteBook, {"nodes": {"afm_node@slave": "tcp://10.0.0.2:5712"}}, "site.yaml")
-    full = validate(SiteBook, {"nodes": {"afm_node@slave": {"network": "tcp://10.0.0.2:5712"}}}, "site.yaml")
-    made = SiteBook(nodes={"afm_node@slave": NodeEntry(network="tcp://10.0.0.2:5712")})
+    short = validate(AddressBook, {"nodes": {"afm_node@slave": "tcp://10.0.0.2:5712"}}, "site.yaml")
+    full = validate(AddressBook, {"nodes": {"afm_node@slave": {"network": "tcp://10.0.0.2:5712"}}}, "site.yaml")
+    made = AddressBook(nodes={"afm_node@slave": NodeEntry(network="tcp://10.0.0.2:5712")})
     assert short == full == made
-    assert SiteBook.model_validate_json(full.model_dump_json()) == full
+    assert AddressBook.model_validate_json(full.model_dump_json()) == full
 
 
 def test_a_node_may_run_on_a_third_machine() -> None:
     nodes = {"recorder@master": {"network": "tcp://{archive}:5705", "machine": "archive"}, "afm_node@slave": "ipc:///a"}
-    rig = validate(SiteBook, {"machines": {"archive": "10.0.0.9"}, "nodes": nodes}, "site.yaml")
+    rig = validate(AddressBook, {"machines": {"archive": "10.0.0.9"}, "nodes": nodes}, "site.yaml")
     assert rig.machine_of("recorder@master") == "archive"
     # nobody on that machine hears a node that has no port
     assert rig.sources("recorder@master", ["afm/state"]) == {}

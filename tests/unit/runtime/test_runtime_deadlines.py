@@ -6,14 +6,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from services.runtime.clock import VirtualClock
-from services.runtime.deadlines import Grid, LatenessWindow, SpinMargin
+from services.runtime.deadlines import LatenessWindow, PeriodicDeadline, SpinMargin
 
 MS = 1_000_000
 
 
 def test_a_loop_on_time_keeps_exactly_to_the_grid() -> None:
     clock = VirtualClock(start_ns=123)
-    grid = Grid(clock.monotonic_ns(), MS)
+    grid = PeriodicDeadline(clock.monotonic_ns(), MS)
     for step in range(1, 1001):
         clock.advance_ns(grid.deadline_ns - clock.monotonic_ns())
         assert clock.monotonic_ns() == 123 + step * MS
@@ -26,7 +26,7 @@ def test_late_steps_move_no_deadline_and_every_missed_one_is_counted(
     start: int, period: int, durations: list[int]
 ) -> None:
     clock = VirtualClock(start)
-    grid = Grid(start, period)
+    grid = PeriodicDeadline(start, period)
     passed = 0
     for duration in durations:
         # a step that takes its time, then the wait for the deadline, which is over at once when it is late
@@ -40,21 +40,21 @@ def test_late_steps_move_no_deadline_and_every_missed_one_is_counted(
 
 
 def test_a_deadline_missed_by_less_than_a_period_is_no_overrun() -> None:
-    grid = Grid(0, MS)
+    grid = PeriodicDeadline(0, MS)
     assert (grid.advance(2 * MS - 1), grid.overruns, grid.deadline_ns) == (1, 0, 2 * MS)
     # the second by exactly one period: one was missed
     assert (grid.advance(3 * MS), grid.overruns, grid.deadline_ns) == (2, 1, 4 * MS)
 
 
 def test_an_early_step_counts_as_one() -> None:
-    grid = Grid(0, MS)
+    grid = PeriodicDeadline(0, MS)
     assert (grid.advance(5), grid.deadline_ns, grid.overruns) == (1, 2 * MS, 0)
 
 
 @pytest.mark.parametrize("period", [0, -1])
 def test_a_period_is_positive(period: int) -> None:
     with pytest.raises(ValueError, match=f"period_ns is {period}"):
-        Grid(0, period)
+        PeriodicDeadline(0, period)
 
 
 def test_quantiles_of_an_interval_and_a_new_start() -> None:

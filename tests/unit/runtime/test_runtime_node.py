@@ -17,13 +17,13 @@ from proto.contract import examples
 from proto.errors import ConfigError, RefusedError
 from proto.messages import MAX_TEXT, InputHealth, NodeHealth, SessionControl, SessionEvent
 from proto.sequence import Arrival
-from services.runtime.bus import Notice, Received
+from services.runtime.bus import ConnectionEvent, Received
 from services.runtime.clock import VirtualClock
-from services.runtime.deadlines import Grid
+from services.runtime.deadlines import PeriodicDeadline
 from services.runtime.log import StructuredLog
 from services.runtime.node import (
     HEALTH_PERIOD_NS,
-    ControlDesk,
+    CommandHandler,
     Node,
     NodeContext,
     NodeLoop,
@@ -46,7 +46,7 @@ class FakeBus:
         self.refused: dict[str, int] = {}
         self.waits: list[int] = []
         self.oversleep_ns = 0
-        self.notices: list[Notice] = []
+        self.notices: list[ConnectionEvent] = []
         self.attended: list[bool] = []
 
     def publish(self, topic: str, **fields: Any) -> Message:
@@ -80,7 +80,7 @@ class FakeBus:
     def rejections(self) -> tuple[dict[str, int], str]:
         return dict(self.refused), "haptic/state: not msgpack" if self.refused else ""
 
-    def attend(self, *, now: bool = False) -> list[Notice]:
+    def attend(self, *, now: bool = False) -> list[ConnectionEvent]:
         self.attended.append(now)
         told, self.notices = self.notices, []
         return told
@@ -100,7 +100,7 @@ class Probe(Node):
 
     def __init__(self, context: NodeContext, period_ns: int = 0) -> None:
         super().__init__(context)
-        self.grid = Grid(context.clock.monotonic_ns(), period_ns) if period_ns else None
+        self.grid = PeriodicDeadline(context.clock.monotonic_ns(), period_ns) if period_ns else None
         self.period_s = period_ns * 1e-9
         self.messages: list[Received] = []
         self.ticks: list[int] = []
@@ -143,7 +143,7 @@ class Rig:
         self.bus = FakeBus(self.clock)
         self.node = Probe(NodeContext(key, self.clock, self.bus, StructuredLog(key)), period_ns)
         self.loop = NodeLoop(self.node, self.bus, GRANTED, spin_s=spin_s)
-        self.desk = ControlDesk(self.node)
+        self.desk = CommandHandler(self.node)
 
     def run_until(self, t_ns: int) -> None:
         while self.clock.monotonic_ns() < t_ns:
@@ -213,7 +213,7 @@ def test_a_message_that_moves_the_deadline_is_obeyed_in_the_same_turn() -> None:
     rig.bus.arrives(20 * MS, "haptic/state")
 
     def hurry(received: Received) -> None:
-        rig.node.grid = Grid(received.received_ns - MS, MS)
+        rig.node.grid = PeriodicDeadline(received.received_ns - MS, MS)
 
     rig.node.on_message = hurry
     rig.loop.turn()
@@ -306,7 +306,10 @@ def test_what_happens_to_network_connections_is_an_event_and_in_the_log(caplog: 
     facts = {"peer": "afm_node@slave", "endpoint": "tcp://10.0.0.2:5712", "connection": "down"}
     rig.loop.turn()
     with caplog.at_level(logging.INFO):
-        rig.bus.notices = [Notice("warning", "the connection is lost", facts), Notice("info", "it is back", {})]
+        rig.bus.notices = [
+            ConnectionEvent("warning", "the connection is lost", facts),
+            ConnectionEvent("info", "it is back", {}),
+        ]
         rig.loop.turn()
     assert [(e.kind, e.level, e.text, e.data, e.id) for e in rig.events] == [
         ("network", "warning", "the connection is lost", facts, ""),
@@ -328,7 +331,7 @@ def test_connections_are_looked_after_in_every_turn_and_in_any_case_with_every_r
 def test_what_is_said_of_connections_at_the_very_end_is_told_too() -> None:
     rig = Rig(period_ns=MS)
     rig.loop.stop()
-    rig.bus.notices = [Notice("info", "it is back", {})]
+    rig.bus.notices = [ConnectionEvent("info", "it is back", {})]
     rig.loop.run()
     assert [e.text for e in rig.events] == ["it is back"]
 

@@ -9,8 +9,8 @@ import zmq
 from zmq.utils import z85
 
 from proto.errors import ConfigError
-from services.runtime.address_book import SiteBook
-from services.runtime.security.access_control import Trust, check_keys
+from services.runtime.address_book import AddressBook
+from services.runtime.security.access_control import AccessControl, check_keys
 from services.runtime.security.keyring import AllowedKey, KeyPair, Keyring, key_text, keys_directory, this_machine
 
 
@@ -348,13 +348,13 @@ def test_a_key_as_text() -> None:
 
 
 @pytest.fixture
-def trust(ring: Keyring) -> Trust:
+def trust(ring: Keyring) -> AccessControl:
     ring.create("master")
     ring.allow("slave", KEY, ["data", "control"])
-    return Trust("master", ring, locked=True)
+    return AccessControl("master", ring, locked=True)
 
 
-def test_verdicts_on_keys(trust: Trust, ring: Keyring) -> None:
+def test_verdicts_on_keys(trust: AccessControl, ring: Keyring) -> None:
     own = ring.own("master").public.decode()
     assert trust.public_key == own
     assert trust.judge(own) == ("master", "")
@@ -372,7 +372,7 @@ def test_verdicts_on_keys(trust: Trust, ring: Keyring) -> None:
     ]
 
 
-def test_the_list_is_read_again_when_it_has_changed(trust: Trust, ring: Keyring) -> None:
+def test_the_list_is_read_again_when_it_has_changed(trust: AccessControl, ring: Keyring) -> None:
     assert not trust.reload()
     ring.revoke("slave")
     # nothing changes behind the back of a process
@@ -389,7 +389,7 @@ def test_the_list_is_read_again_when_it_has_changed(trust: Trust, ring: Keyring)
 
 @pytest.mark.parametrize("harm", ["gone", "broken", "folder gone"])
 def test_a_list_that_breaks_leaves_the_old_one_in_force_and_is_told_once(
-    trust: Trust, ring: Keyring, harm: str
+    trust: AccessControl, ring: Keyring, harm: str
 ) -> None:
     good = ring.allowed_path.read_bytes()
     if harm == "broken":
@@ -410,7 +410,7 @@ def test_a_list_that_breaks_leaves_the_old_one_in_force_and_is_told_once(
 
 def test_a_list_that_comes_later_is_read(ring: Keyring) -> None:
     ring.create("master")
-    trust = Trust("master", ring, locked=True)
+    trust = AccessControl("master", ring, locked=True)
     assert not trust.reload()
     assert trust.judge(KEY) == ("", "unlisted")
     ring.allow("slave", KEY, ["data"])
@@ -419,17 +419,17 @@ def test_a_list_that_comes_later_is_read(ring: Keyring) -> None:
 
 
 def test_without_locks_nothing_is_read_and_everybody_may_everything(tmp_path: Path) -> None:
-    trust = Trust("master", Keyring(tmp_path / "none"), locked=False)
+    trust = AccessControl("master", Keyring(tmp_path / "none"), locked=False)
     assert not trust.reload()
     assert (trust.public_key, trust.own, trust.server_key("slave")) == ("", None, None)
     assert trust.roles("slave") == ("data", "control", "observe")
 
 
 def test_a_locked_rig_needs_the_own_key_and_a_list_in_order(ring: Keyring) -> None:
-    assert "`telenano keys new master` makes one" in refusal_of(Trust, "master", ring, locked=True)
+    assert "`telenano keys new master` makes one" in refusal_of(AccessControl, "master", ring, locked=True)
     ring.create("master")
     ring.allowed_path.write_text("keys: 1")
-    assert refusal_of(Trust, "master", ring, locked=True).startswith(f"{ring.allowed_path}: keys: ")
+    assert refusal_of(AccessControl, "master", ring, locked=True).startswith(f"{ring.allowed_path}: keys: ")
 
 
 NODES = {
@@ -440,7 +440,7 @@ NODES = {
 
 
 def test_what_a_machine_lacks_is_said_with_the_commands_that_help(ring: Keyring) -> None:
-    book = SiteBook.model_validate({"nodes": NODES})
+    book = AddressBook.model_validate({"nodes": NODES})
     assert "`telenano keys new slave` makes one" in refusal_of(check_keys, book, "slave", ring)
     ring.create("slave")
     # commands of the operator come out of the link, which runs at the master
@@ -457,6 +457,6 @@ def test_what_a_machine_lacks_is_said_with_the_commands_that_help(ring: Keyring)
 
 
 def test_a_rig_without_keys_lacks_none(ring: Keyring) -> None:
-    check_keys(SiteBook.model_validate({"nodes": NODES, "insecure": True}), "slave", ring)
-    check_keys(SiteBook.model_validate({"nodes": {"afm_node@slave": "ipc:///a"}}), "slave", ring)
+    check_keys(AddressBook.model_validate({"nodes": NODES, "insecure": True}), "slave", ring)
+    check_keys(AddressBook.model_validate({"nodes": {"afm_node@slave": "ipc:///a"}}), "slave", ring)
     assert not ring.folder.exists()

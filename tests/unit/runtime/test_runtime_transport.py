@@ -33,15 +33,15 @@ from network_bench import (
 from proto import WireError
 from proto.errors import ConfigError, EndpointError
 from services.runtime import transport
-from services.runtime.address_book import SiteBook
+from services.runtime.address_book import AddressBook
 from services.runtime.bus import Publisher, Subscriber, ZmqBus
 from services.runtime.clock import SystemClock, VirtualClock
 from services.runtime.security import peer_connections, socket_monitor, zap_authenticator
 from services.runtime.security.keyring import Keyring
-from services.runtime.security.peer_connections import Rights
+from services.runtime.security.peer_connections import MessagePermissions
 from services.runtime.security.socket_monitor import FAILURES, PROTOCOL_FAILED, Monitor
-from services.runtime.security.zap_authenticator import Door
-from services.runtime.transport import Network
+from services.runtime.security.zap_authenticator import BoundEndpoint
+from services.runtime.transport import Transport
 
 OPERATOR = "controller@master"
 
@@ -57,7 +57,7 @@ def world(tmp_path: Path) -> Iterator[Callable[..., list[Machine]]]:
     """Make machines, master and slave and more by name, that know one another unless told otherwise."""
     made: list[Machine] = []
 
-    def make(*names: str, book: SiteBook | None = None, strangers: bool = False) -> list[Machine]:
+    def make(*names: str, book: AddressBook | None = None, strangers: bool = False) -> list[Machine]:
         book = book or two_machine_book(tmp_path)
         machines = [Machine(name, book, tmp_path) for name in names or ("master", "slave")]
         for one in machines:
@@ -74,7 +74,7 @@ def world(tmp_path: Path) -> Iterator[Callable[..., list[Machine]]]:
 
 
 @contextlib.contextmanager
-def raw_connection(book: SiteBook, node: str = AFM) -> Iterator[socket.socket]:
+def raw_connection(book: AddressBook, node: str = AFM) -> Iterator[socket.socket]:
     with socket.create_connection(("127.0.0.1", port_of(book, node)), timeout=PATIENCE_S) as raw:
         yield raw
 
@@ -127,7 +127,7 @@ def test_one_socket_is_plain_nearby_and_locked_afar(world: Callable[..., list[Ma
 
 def test_nodes_with_a_port_alone_are_locked_on_their_own_machine_too(world: Callable[..., list[Machine]]) -> None:
     (port,) = free_ports(1)
-    (slave,) = world("slave", book=SiteBook.model_validate({"nodes": {AFM: f"tcp://127.0.0.1:{port}"}}))
+    (slave,) = world("slave", book=AddressBook.model_validate({"nodes": {AFM: f"tcp://127.0.0.1:{port}"}}))
     slave.open().speaks(AFM).hears({AFM: ["afm/state"]})
     until(lambda: slave.heard_from(AFM), slave)
     assert slave.publishers[AFM].socket.get(zmq.MECHANISM) == zmq.CURVE
@@ -166,7 +166,7 @@ def test_an_address_may_be_a_name_or_of_ipv6(world: Callable[..., list[Machine]]
 def test_a_name_that_is_known_to_the_library_alone_is_followed_too(
     world: Callable[..., list[Machine]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(SiteBook, "connect_endpoint", SiteBook.endpoint)
+    monkeypatch.setattr(AddressBook, "connect_endpoint", AddressBook.endpoint)
     master, slave = world(book=two_machine_book(tmp_path, machines={"master": "localhost", "slave": "localhost"}))
     slave.open().speaks(AFM, CONTROLLER)
     master.open().hears()
@@ -190,10 +190,10 @@ def _has_ipv6() -> bool:
 
 
 def test_without_a_network_there_is_nothing_to_look_after(tmp_path: Path) -> None:
-    book = SiteBook(nodes={node: f"ipc://{tmp_path}/{node}" for node in (AFM, CONTROLLER)})
+    book = AddressBook(nodes={node: f"ipc://{tmp_path}/{node}" for node in (AFM, CONTROLLER)})
     with zmq.Context() as context:
         # no key is needed, and the folder of keys not even looked for
-        quiet = Network(context, VirtualClock(), book, "slave", Keyring(tmp_path / "none"))
+        quiet = Transport(context, VirtualClock(), book, "slave", Keyring(tmp_path / "none"))
         publisher = quiet.publisher(AFM)
         subscribers = quiet.subscribers({AFM: ["afm/state"], CONTROLLER: ["teleop/backward"]})
         assert (list(quiet.descriptors), len(subscribers)) == ([], 1)
@@ -223,7 +223,7 @@ def test_a_machine_without_a_key_cannot_take_part(world: Callable[..., list[Mach
     master, _ = world()
     (master.ring.folder / "master.key_secret").unlink()
     with zmq.Context() as context, pytest.raises(ConfigError, match="`telenano keys new master` makes one"):
-        Network(context, master.clock, master.book, "master", master.ring)
+        Transport(context, master.clock, master.book, "master", master.ring)
 
 
 def test_what_cannot_be_bound_is_named(world: Callable[..., list[Machine]], tmp_path: Path) -> None:
@@ -621,9 +621,9 @@ def test_a_door_that_cannot_be_opened_again_is_told_and_tried_again_without_hold
     monkeypatch.setattr(zap_authenticator, "_HURRIED", 3)
     _, slave = world()
     slave.open()
-    doorman, stubborn = slave.network._doorman, StubbornSocket()
-    quiet = SimpleNamespace(events=list, restless=False, socket=None)
-    door = Door(SimpleNamespace(socket=stubborn, node=AFM), quiet, "tcp://127.0.0.1:1")
+    doorman, stubborn = slave.network._authenticator, StubbornSocket()
+    quiet = SimpleNamespace(events=list, has_pending=False, socket=None)
+    door = BoundEndpoint(SimpleNamespace(socket=stubborn, node=AFM), quiet, "tcp://127.0.0.1:1")
     doorman.doors.append(door)
     try:
         door.accepted.add(zmq.curve_keypair()[0].decode())
@@ -737,7 +737,7 @@ def test_the_link_carries_what_comes_from_the_other_site(world: Callable[..., li
 
 def test_rights_are_remembered_to_a_bound(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(peer_connections, "_MOST_REMEMBERED", 2)
-    rights = Rights("master", [LINK], ["data"])
+    rights = MessagePermissions("master", [LINK], ["data"])
     for number in range(10):
         rights("teleop/forward", f"node{number}@master")
     assert len(rights._fine) == 2
@@ -802,7 +802,7 @@ def test_who_comes_and_goes_with_a_command_is_not_missed(world: Callable[..., li
     console = "console@slave"
     book = two_machine_book(tmp_path)
     nodes = {console: book.nodes[AFM]}
-    master, slave = world(book=SiteBook.model_validate({"machines": book.machines, "nodes": nodes}))
+    master, slave = world(book=AddressBook.model_validate({"machines": book.machines, "nodes": nodes}))
     master.open().hears({console: ["session/event"]})
     for _ in range(200):
         master.clock.advance_ns(transport._LOOK_NS)
@@ -909,7 +909,7 @@ def test_a_pulled_cable_is_noticed_and_what_was_sent_into_it_does_not_come_out_l
     cable = Cable(away, port_of(book, AFM))
     nodes = {AFM: {**book.nodes[AFM].model_dump(), "network": f"tcp://127.0.0.1:{away}"}}
     master, slave = world(book=book)
-    master.book = SiteBook.model_validate({"nodes": nodes})
+    master.book = AddressBook.model_validate({"nodes": nodes})
     try:
         slave.open().speaks(AFM)
         master.open().hears({AFM: ["afm/state"]})
@@ -944,18 +944,18 @@ def test_strangers_are_answered_a_few_at_a_time(world: Callable[..., list[Machin
         for number in range(knocks):
             request = [b"", b"1.0", b"%d" % number, AFM.encode(), b"10.0.0.7", b"", b"CURVE", key]
             flood.send_multipart(request)
-        counted, restless = [], []
+        counted, has_pending = [], []
         for _ in range(4):
             slave.network.attend()
             counted.append(slave.network.rejected["unlisted"])
-            restless.append(slave.network.restless)
+            has_pending.append(slave.network.has_pending)
         assert counted == [
             zap_authenticator._AT_ONCE,
             2 * zap_authenticator._AT_ONCE,
             3 * zap_authenticator._AT_ONCE,
             knocks,
         ]
-        assert restless == [True, True, True, False]
+        assert has_pending == [True, True, True, False]
         answers = [flood.recv_multipart(zmq.NOBLOCK) for _ in range(knocks)]
         assert answers[-1] == [b"", b"1.0", b"%d" % (knocks - 1), b"400", b"unlisted", b"", b""]
         # a question of a kind that no door here asks
@@ -994,7 +994,7 @@ def test_events_of_connections_are_taken_a_few_at_a_time() -> None:
         while total < 100 and time.monotonic() < end:
             taken = watch.events()
             assert len(taken) <= socket_monitor._AT_ONCE
-            assert watch.restless == (len(taken) == socket_monitor._AT_ONCE)
+            assert watch.has_pending == (len(taken) == socket_monitor._AT_ONCE)
             total += len(taken)
         assert total == 100
         assert {event for event, _ in taken} == {PROTOCOL_FAILED}
@@ -1036,7 +1036,7 @@ def test_every_knock_ends_a_wait_however_often(world: Callable[..., list[Machine
 
 def test_a_bus_that_has_more_to_attend_to_does_not_wait(tmp_path: Path) -> None:
     class Restless:
-        restless = True
+        has_pending = True
         rejected: ClassVar[dict[str, int]] = {}
         last_error = ""
         calls = 0
@@ -1046,7 +1046,7 @@ def test_a_bus_that_has_more_to_attend_to_does_not_wait(tmp_path: Path) -> None:
 
         def attend(self) -> list[Any]:
             self.calls += 1
-            self.restless = self.calls < 5
+            self.has_pending = self.calls < 5
             return []
 
         def close(self) -> None:
@@ -1105,7 +1105,7 @@ def test_an_end_in_the_middle_of_a_handshake_is_no_hang(world: Callable[..., lis
         machine.open().hears()
     with raw_connection(slave.book), raw_connection(slave.book, CONTROLLER):
         # they knock, and nobody answers
-        assert select.select([slave.network._doorman.socket.fileno()], (), (), PATIENCE_S)[0]
+        assert select.select([slave.network._authenticator.socket.fileno()], (), (), PATIENCE_S)[0]
         slave.close()
         for machine in (master, laptop):
             machine.close()

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from services.runtime.address_book import NodeEntry, SiteBook
+from services.runtime.address_book import AddressBook, NodeEntry
 from services.runtime.security.keyring import Keyring
 from telenano.app import app
 from telenano.doctor import checks
@@ -302,7 +302,7 @@ def test_endpoints_in_one_finding_and_one_for_each_that_is_wrong() -> None:
     assert used.name == "endpoint of b@master"
 
 
-TWO_SITES = SiteBook(
+TWO_SITES = AddressBook(
     machines={"master": "127.0.0.1", "slave": "127.0.0.2"},
     nodes={
         "haptic_node@master": "ipc:///h",
@@ -319,7 +319,7 @@ def test_a_machine_binds_what_is_its_own() -> None:
         "tcp://127.0.0.1:5704": "delay_node@slave",
     }
     assert list(doctor.endpoints_of(TWO_SITES, "slave")) == ["ipc:///a", "tcp://127.0.0.2:5712"]
-    alone = SiteBook(nodes={"haptic_node@master": "ipc:///h", "afm_node@slave": "ipc:///a"})
+    alone = AddressBook(nodes={"haptic_node@master": "ipc:///h", "afm_node@slave": "ipc:///a"})
     assert list(doctor.endpoints_of(alone, "slave")) == ["ipc:///h", "ipc:///a"]
 
 

@@ -13,8 +13,8 @@ from proto import TOPICS
 from proto.errors import RigError
 from proto.messages import InputHealth, Message, NodeHealth
 from proto.sequence import Arrival
-from services.runtime.address_book import SiteBook
-from services.runtime.bus import Notice, Publisher, Received
+from services.runtime.address_book import AddressBook
+from services.runtime.bus import ConnectionEvent, Publisher, Received
 from services.runtime.clock import SystemClock
 from services.runtime.main import load_site
 from services.runtime.observer import Heard, Observer
@@ -94,10 +94,10 @@ class FakeObserver:
 
     heard: tuple[Message, ...] = ()
 
-    def __init__(self, book: SiteBook, wanted: Collection[str] = TOPICS) -> None:
+    def __init__(self, book: AddressBook, wanted: Collection[str] = TOPICS) -> None:
         self.book = book
         self.subscribers = dict.fromkeys(book.nodes)
-        self.notices = [Notice("warning", "slave is not reached", {})]
+        self.notices = [ConnectionEvent("warning", "slave is not reached", {})]
 
     def listen(self, duration_s: float) -> Iterator[Heard]:
         for each in self.heard:
@@ -315,7 +315,7 @@ def test_a_silent_rig_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
 def test_it_listens_on_the_bus_and_only_to_what_it_needs(tmp_path: Path) -> None:
     node = "controller@master"
-    book = SiteBook(nodes={node: f"ipc://{tmp_path}/node"})
+    book = AddressBook(nodes={node: f"ipc://{tmp_path}/node"})
     over = threading.Event()
 
     def speak() -> None:
@@ -345,7 +345,7 @@ def test_it_listens_on_the_bus_and_only_to_what_it_needs(tmp_path: Path) -> None
 
 
 def test_nobody_speaks(tmp_path: Path) -> None:
-    observer = Observer(SiteBook(nodes={"controller@master": f"ipc://{tmp_path}/node"}))
+    observer = Observer(AddressBook(nodes={"controller@master": f"ipc://{tmp_path}/node"}))
     with pytest.raises(RigError, match="no rig is heard"):
         listen(observer, 0.0)
     observer.close()
