@@ -28,7 +28,7 @@ class Trace(NamedTuple):
 
 
 def read_traces(path: Path, names: Sequence[str]) -> list[Trace]:
-    """Read TOPIC.FIELD names; ConfigError or RecordingError says what is wrong with one."""
+    """Read the fields named TOPIC.FIELD; ConfigError or RecordingError names what is wrong with one."""
     recording = Recording(path)
     origin_ns = recording.span_ns[0]
     traces = []
@@ -89,7 +89,7 @@ def draw(trace: Trace, width: int, height: int) -> str:
 
 
 def _cells(values: Floats, count: int) -> npt.NDArray[np.int64]:
-    """Give for each value which of `count` equal cells between the least and the greatest it falls into."""
+    """Return for each value which of `count` equal cells between the least and the greatest it falls into."""
     low, span = values.min(), np.ptp(values)
     if span == 0.0:
         return np.full(values.shape, count // 2, dtype=np.int64)

@@ -31,7 +31,8 @@ from proto.messages import (
     TeleopForward,
 )
 from proto.sequence import Arrival
-from recording.reader import RecordedMessage, Recording
+from recording.messages import RecordedMessage
+from recording.reader import Recording
 from recording.tolerance import Tolerances, first_difference
 from services.runtime.address_book import AddressBook
 from services.runtime.bus import Received, ZmqBus

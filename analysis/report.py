@@ -14,7 +14,8 @@ from analysis.stability import judge_holds
 from proto import TOPICS
 from proto.errors import RecordingError
 from recording.arrays import columns, last_session, replay_shifts
-from recording.reader import Recording, RecordingInfo
+from recording.info import RecordingInfo
+from recording.reader import Recording
 from services.controller.config import ControllerConfig
 from services.runtime.config import validate
 from services.runtime.scenario import Scenario
@@ -40,11 +41,11 @@ class Session:
 
     @property
     def duration_s(self) -> float:
-        """Give the length of the session [s]."""
+        """Length of the session [s]."""
         return (self.end_ns - self.start_ns) * 1e-9
 
     def series(self) -> SessionSeries:
-        """Give the series of Fig. 12 in the paper's symbols."""
+        """Return the series of Fig. 12 in the paper's symbols."""
         return SessionSeries(
             hand_time_s=self._time_s(self.hand),
             hand_force_n=-self.hand["operator_force_n.2"],
@@ -63,17 +64,17 @@ class Session:
 
 @dataclass(frozen=True)
 class Traffic:
-    """What crossed the bus while the session ran: messages by channel, and deadlines missed."""
+    """Traffic on the bus while the session ran: messages by channel, and deadlines missed."""
 
     messages: dict[str, int]
     overruns: int
 
     def rates_hz(self, duration_s: float) -> dict[str, float]:
-        """Give messages a second of each channel."""
+        """Return messages a second of each channel."""
         return {name: round(count / duration_s, 3) for name, count in sorted(self.messages.items())}
 
     def completeness(self, duration_s: float) -> dict[str, float]:
-        """Give the share of the declared number of messages that is there, for channels of one source and a rate."""
+        """Return the recorded share of the declared number of messages, for channels of one source and a rate."""
         shares = {}
         for name, count in sorted(self.messages.items()):
             topic = TOPICS.get(name.partition("@")[0])
@@ -84,7 +85,7 @@ class Traffic:
 
 
 def write_report(path: Path, out: Path) -> dict[str, Any]:
-    """Make `fig12.png` and `summary.json` in a folder from a recording.
+    """Write `fig12.png` and `summary.json` of a recording to a folder.
 
     Returns: the summary. Raises RecordingError naming the file and what it lacks.
     """
@@ -124,7 +125,7 @@ def read_session(recording: Recording) -> Session:
 
 
 def summarise(session: Session, info: RecordingInfo, traffic: Traffic) -> dict[str, Any]:
-    """Give the summary of a session; what the session does not show is null."""
+    """Return the summary of a session; what the session does not show is null."""
     series = session.series()
     scaled = session.force_scale * series.tip_force_n
     holds = judge_holds(series.hand_time_s, series.hand_force_n, series.tip_time_s, scaled)
@@ -148,7 +149,7 @@ def summarise(session: Session, info: RecordingInfo, traffic: Traffic) -> dict[s
 
 
 def read_traffic(recording: Recording, session: Session) -> Traffic:
-    """Count what was sent while the session ran, by the time of sending."""
+    """Count the messages sent while the session ran, by the time of sending."""
     messages: dict[str, int] = {}
     overruns: dict[str, tuple[int, int]] = {}
     shifts = replay_shifts(recording)
@@ -177,7 +178,7 @@ def _hold_ratio(series: SessionSeries) -> float | None:
 
 
 def _loop_age_ms(session: Session) -> dict[str, float] | None:
-    """Give the age of the first answer to each sample of the hand, on the hand's own clock."""
+    """Return the age of the first answer to each sample of the hand, on the hand's own clock."""
     hand = session.hand
     seqs, first = np.unique(hand["answered_seq"], return_index=True)
     ages = (hand["answered_at_ns"] - hand["answered_t_ns"])[first] * 1e-6
@@ -202,7 +203,7 @@ def _mean(values: Series) -> float | None:
 def _series(
     recording: Recording, channel_topic: str, fields: Sequence[str], shifts: Mapping[str, int]
 ) -> dict[str, Series]:
-    """Give fields and `t_ns`, which for a replayed source is moved to when it was heard again."""
+    """Return fields and `t_ns`, which for a replayed source is shifted to the time of its replay."""
     series = columns(recording, channel_topic, ("t_ns", *fields))
     src = next(channel.src for channel in recording.channels if channel.channel_topic == channel_topic)
     series["t_ns"] = series["t_ns"] + shifts.get(src, 0)

@@ -74,7 +74,7 @@ def talk(node: str, peer: str, book: AddressBook, messages: int, pipe: Connectio
             until = time.monotonic() + (0.02 if asking else 0.1)
             while not answered and time.monotonic() < until:
                 poller.poll(20)
-                network.attend()
+                network.process_events()
                 for reader in readers:
                     for _ in reader.receive():
                         answered = True

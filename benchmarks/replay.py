@@ -194,7 +194,7 @@ def _our_intake(rows: list[tuple[Any, ...]], folder: Path) -> float:
         intake: Intake = open_recording("recorder@master", clock, config, site_file, None)
         begun = time.perf_counter()
         for number, (topic, payload, log_ns, _, _, site) in enumerate(rows):
-            intake.take(listeners[site], [topic, payload], log_ns)
+            intake.record(listeners[site], [topic, payload], log_ns)
             # as often as the node does at 10 000 messages a second
             if number % 2000 == 1999:
                 intake.flush(clock.monotonic_ns())

@@ -1,4 +1,4 @@
-"""What a container does before its program: its cache, the clock of the rig, the scenario in force."""
+"""Prepare a container before its program: the cache, the clock of the rig, the scenario in force."""
 
 import os
 import shutil
@@ -16,14 +16,14 @@ from services.runtime.clock import EPOCH_OFFSET_VARIABLE
 from services.runtime.config import ENVIRONMENT_PREFIX, layered
 from services.runtime.main import EXIT_BAD_START
 
-# where the build leaves what it looked up; the image is read-only, and a study compiles more
+# the cache that the build filled; the image is read-only, and a study compiles more
 PREPARED = Path("/opt/cache")
 IN_FORCE = Path("/tmp/scenario.yaml")
 NODE, SITE_FILE, SCENARIO = "TELENANO_NODE", "TELENANO_SITE_FILE", "TELENANO_SCENARIO"
 
 
 def main(command: list[str]) -> None:
-    """Become the program: the command if one is given, else the node that the environment names."""
+    """Replace this process by the command if one is given, else by the node that the environment names."""
     cache = Path(os.environ["XDG_CACHE_HOME"])
     if PREPARED.is_dir() and not cache.exists():
         shutil.copytree(PREPARED, cache)
@@ -39,7 +39,7 @@ def main(command: list[str]) -> None:
 
 
 def node_command(node: str) -> list[str]:
-    """Give the command line of a node, whose scenario is made now; ConfigError when there is none, or no node."""
+    """Return the command line of a node and write its scenario; ConfigError when there is none, or no node."""
     name, _, site = node.partition("@")
     if not site:
         raise ConfigError(f"{NODE} is {node!r}: give a command, or the node to run as node@site")
@@ -51,7 +51,7 @@ def node_command(node: str) -> list[str]:
 
 
 def write_in_force(scenario: Path) -> None:
-    """Write a scenario with the environment laid over it, as `telenano up` does: the recorder keeps this very file."""
+    """Write a scenario merged with the environment, as `telenano up` does: the recorder keeps this very file."""
     document, _ = layered(scenario)
     text = yaml.safe_dump(anchored(document, scenario.absolute().parent), sort_keys=False)
     IN_FORCE.write_text(text, encoding="utf-8")
@@ -60,7 +60,7 @@ def write_in_force(scenario: Path) -> None:
 
 
 def shared_epoch_offset_ns(folder: Path) -> int:
-    """Give the one offset between monotonic clock and epoch [ns] of all containers that share a folder of sockets.
+    """Return the offset between monotonic clock and epoch [ns] that all containers with one folder of sockets share.
 
     The wall clock may be set between the start of a rig and the restart of a node, whose stamps would then be wrong.
     """
@@ -68,7 +68,7 @@ def shared_epoch_offset_ns(folder: Path) -> int:
     own = folder / f"{shared.name}.{os.uname().nodename}"
     own.write_text(str(time.time_ns() - time.monotonic_ns()), encoding="ascii")
     try:
-        # of those that start together one makes it
+        # of containers that start together exactly one creates it
         shared.hardlink_to(own)
     except FileExistsError:
         pass

@@ -1,4 +1,4 @@
-"""Fill the cache of an image: matplotlib looks for fonts now, because it would take the first figure seconds."""
+"""Fill the cache of an image: matplotlib searches for fonts now, which would delay the first figure by seconds."""
 
 import sys
 

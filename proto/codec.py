@@ -1,4 +1,4 @@
-"""Between a message and its bytes.
+"""Encoding and decoding of messages.
 
 A message is one msgpack map with a string key a field. Any bytes decode to a message or raise one `WireError`.
 """
@@ -25,10 +25,10 @@ class WireError(ValueError):
 
 
 def encode(message: Message) -> bytes:
-    """Give the msgpack bytes of a message.
+    """Return the msgpack bytes of a message.
 
-    Raises WireError (`oversized`) above MAX_MESSAGE_BYTES, so that a publisher hears of it and not every reader, and
-    (`malformed`) for text that is not Unicode or an integer beyond 64 bits.
+    Raises WireError (`oversized`) above MAX_MESSAGE_BYTES, so that the publisher gets the error and not every reader,
+    and (`malformed`) for text that is not Unicode or an integer beyond 64 bits.
     """
     try:
         payload: bytes = msgpack.packb(message.__dict__, default=_fields_of)
@@ -40,17 +40,17 @@ def encode(message: Message) -> bytes:
 
 
 def decode(topic: str, payload: bytes) -> Message:
-    """Give the message that `payload` holds on `topic`.
+    """Return the message that `payload` holds on `topic`.
 
     Raises WireError naming the topic, the key at fault and what would be right.
     """
     row = TOPICS.get(topic)
     if row is None:
-        raise WireError("topic", f"unknown topic {topic[:80]!r}, known are {', '.join(TOPICS)}")
+        raise WireError("topic", f"unknown topic {topic[:80]!r}, known topics are {', '.join(TOPICS)}")
     if len(payload) > MAX_MESSAGE_BYTES:
         raise WireError("oversized", _size_text(topic, len(payload)))
     fields = _unpack(topic, payload)
-    _refuse_newer(topic, fields, row.model.version)
+    _reject_newer(topic, fields, row.model.version)
     try:
         return row.model.model_validate(fields)
     except ValidationError as error:
@@ -58,10 +58,10 @@ def decode(topic: str, payload: bytes) -> Message:
 
 
 def _fields_of(part: object) -> dict[str, Any]:
-    """Let msgpack descend into the records inside a message."""
+    """Return the fields of a record inside a message, for msgpack."""
     if hasattr(part, "model_fields_set"):
         return part.__dict__
-    # msgpack asks here about integers that are too large for it as well
+    # msgpack calls this for integers that are too large for it as well
     raise TypeError(f"msgpack has no form for this {type(part).__name__}")
 
 
@@ -83,11 +83,11 @@ def _unpack(topic: str, payload: bytes) -> dict[str, Any]:
         # msgpack's own exceptions are not all ValueErrors; StackError and FormatError carry no text
         raise WireError("malformed", f"{topic}: not msgpack: {str(error) or type(error).__name__}") from error
     if not isinstance(fields, dict):
-        raise WireError("malformed", f"{topic}: a msgpack {type(fields).__name__}, a map is needed")
+        raise WireError("malformed", f"{topic}: a msgpack {type(fields).__name__}, must be a map")
     return fields
 
 
-def _refuse_newer(topic: str, fields: dict[str, Any], known: int) -> None:
+def _reject_newer(topic: str, fields: dict[str, Any], known: int) -> None:
     version = fields.get("v")
     if isinstance(version, int) and not isinstance(version, bool) and version > known:
         src = fields.get("src")

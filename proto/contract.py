@@ -1,7 +1,7 @@
 """The committed form of the contract: a JSON Schema a message, golden bytes, and the topic table of SPEC.md.
 
-`python -m proto.contract` rewrites them from the models; with `--check` it changes nothing and exits 1 naming what
-drifted. The examples behind the golden bytes are made from the schemas, so that a new field gets its own at once.
+`python -m proto.contract` rewrites them from the models; with `--check` it changes nothing and exits 1 naming the
+files that differ. The examples behind the golden bytes are made from the schemas, so that a new field gets its own.
 """
 
 import argparse
@@ -66,7 +66,7 @@ CASES = (
 
 
 def schema_of(topic: Topic) -> dict[str, Any]:
-    """Give the JSON Schema of a topic's message; `x-topic` and `x-version` say where and since when it holds."""
+    """Return the JSON Schema of a topic's message; `x-topic` and `x-version` are its topic and version."""
     schema = topic.model.model_json_schema(schema_generator=_PlainSchema)
     schema["properties"]["v"]["maximum"] = topic.model.version
     return {
@@ -78,7 +78,7 @@ def schema_of(topic: Topic) -> dict[str, Any]:
 
 
 def examples(topic: Topic) -> dict[str, Message]:
-    """Give one valid message a case, by the name of the case; the same ones every time."""
+    """Return one valid message a case, by the name of the case; the same ones every time."""
     schema = topic.model.model_json_schema()
     made = {}
     for case in CASES:
@@ -88,7 +88,7 @@ def examples(topic: Topic) -> dict[str, Message]:
 
 
 def vectors() -> list[dict[str, Any]]:
-    """Give the golden vectors: message, topic, case, fields as JSON (bytes in hexadecimal) and the encoded bytes."""
+    """Return the golden vectors: message, topic, case, fields as JSON (bytes in hexadecimal) and the encoded bytes."""
     return [
         {
             "message": topic.model.__name__,
@@ -103,7 +103,7 @@ def vectors() -> list[dict[str, Any]]:
 
 
 def topic_table() -> str:
-    """Give the topic table in Markdown."""
+    """Return the topic table in Markdown."""
     rows = ["| topic | message | published by | read | rate | stale after | over the link | what it is |"]
     rows.append("|---" * 8 + "|")
     for topic in TOPICS.values():
@@ -123,7 +123,7 @@ def topic_table() -> str:
 
 
 def artefacts(folder: Path = FOLDER) -> dict[Path, str]:
-    """Give every committed file of the contract and the text that it should hold."""
+    """Return every committed file of the contract and the text that it should hold."""
     files = {folder / "schemas" / f"{t.model.__name__}.json": _json_text(schema_of(t)) for t in TOPICS.values()}
     files[folder / "golden" / "vectors.json"] = _json_text(vectors())
     files[folder / "SPEC.md"] = _with_table((folder / "SPEC.md").read_text(encoding="utf-8"))
@@ -131,7 +131,7 @@ def artefacts(folder: Path = FOLDER) -> dict[Path, str]:
 
 
 def drifted(folder: Path = FOLDER) -> list[str]:
-    """Name the files that differ from the models, are missing, or describe a message that is no more."""
+    """Return the files that differ from the models, are missing, or describe a message that no longer exists."""
     files = artefacts(folder)
     wrong = [path for path, text in files.items() if not path.exists() or path.read_text(encoding="utf-8") != text]
     left_over = sorted(set((folder / "schemas").glob("*")) - set(files))
@@ -139,7 +139,7 @@ def drifted(folder: Path = FOLDER) -> list[str]:
 
 
 def rewrite(folder: Path = FOLDER) -> list[str]:
-    """Bring every file up to date and name those that changed."""
+    """Rewrite every file that differs and return the names of those that changed."""
     changed = drifted(folder)
     files = artefacts(folder)
     for name in changed:
@@ -153,7 +153,7 @@ def rewrite(folder: Path = FOLDER) -> list[str]:
 
 
 def main(arguments: Sequence[str] | None = None, folder: Path = FOLDER) -> int:
-    """Rewrite or check the files; gives the exit code."""
+    """Rewrite or check the files; return the exit code."""
     parser = argparse.ArgumentParser(prog="python -m proto.contract", description="Write or check the wire contract.")
     parser.add_argument("--check", action="store_true", help="change nothing, exit 1 if a file has drifted")
     if parser.parse_args(arguments).check:
@@ -242,7 +242,7 @@ def _a_source(topic: Topic) -> str:
 
 
 def _json_form(value: Any) -> Any:
-    """Give a value as JSON has it: tuples as arrays, bytes in hexadecimal."""
+    """Return a value as JSON has it: tuples as arrays, bytes in hexadecimal."""
     if isinstance(value, dict):
         return {key: _json_form(part) for key, part in value.items()}
     if isinstance(value, tuple):

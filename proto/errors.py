@@ -1,4 +1,4 @@
-"""The exception tree: whatever a person can cause ends in one of these, with a sentence that says what is right."""
+"""The exceptions: whatever a user can cause raises one of these, with a sentence that says what is right."""
 
 
 class TelenanoError(Exception):
@@ -14,7 +14,7 @@ class EndpointError(TelenanoError):
 
 
 class RefusedError(TelenanoError):
-    """A session/control command that a node does not carry out; the text goes into the session/event."""
+    """A session/control command was refused by a node; the text goes into the session/event."""
 
 
 class RecordingError(TelenanoError):
@@ -22,4 +22,4 @@ class RecordingError(TelenanoError):
 
 
 class RigError(TelenanoError):
-    """The rig could not be started, kept running or reached; the text names the node and what it said."""
+    """The rig could not be started, kept running or reached; the text names the node and its last message."""

@@ -1,4 +1,4 @@
-"""The one table of nodes: which processes take part in the bus, where, and what part each has in a rig."""
+"""The table of nodes: which processes take part in the bus, at which site, and what part each has in a rig."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -20,7 +20,7 @@ class NodeRow:
     required: bool = True
 
 
-# the recorders first and last, to hear the others come and go; the devices are made safe first
+# the recorders start first and stop last, to record the others start and stop; the devices are made safe first
 NODES = (
     NodeRow("recorder@slave", "rig", stop=7, required=False),
     NodeRow("recorder@master", "rig", stop=6),
@@ -50,12 +50,12 @@ STOP_ORDER = tuple(row.key for row in sorted(_RIG, key=lambda row: row.stop))
 
 
 def name_of(node: str) -> str:
-    """Give the name of `name@site`."""
+    """Return the name of `name@site`."""
     return node.partition("@")[0]
 
 
 def site_of(node: str) -> str:
-    """Give the site of `name@site`."""
+    """Return the site of `name@site`."""
     return node.partition("@")[2]
 
 
@@ -63,16 +63,16 @@ SERVICES = tuple(dict.fromkeys(name_of(node) for node in STOP_ORDER))
 
 
 def sites_of(name: str) -> tuple[str, ...]:
-    """Give the sites at which processes of a name may run, the master's first."""
+    """Return the sites at which processes of a name may run, the master's first."""
     return tuple(sorted(site_of(row.key) for row in _RIG if name_of(row.key) == name))
 
 
 def is_console(node: str) -> bool:
-    """Say whether a node is one that commands are typed at: console@site, or console_NAME@site on a further machine."""
+    """Return whether commands are typed at a node: console@site, or console_NAME@site on a further machine."""
     name = name_of(node)
     return name == "console" or name.startswith("console_")
 
 
 def is_visitor(node: str) -> bool:
-    """Say whether a node comes and goes with a command: that it is not there is no news."""
+    """Return whether a node comes and goes with a command: its absence is not reported."""
     return is_console(node) or any(name_of(row.key) == name_of(node) and row.part == "visitor" for row in NODES)

@@ -1,17 +1,17 @@
-"""What a reader knows of a sequence of messages: gaps, repetitions, late arrivals, restarts of the publisher."""
+"""Tracking of sequence numbers: gaps, duplicates, late arrivals, restarts of the publisher."""
 
 from enum import Enum, auto
 
 # a longer gap is counted whole, but only its newest part can still be recognised when it arrives late
 _REMEMBERED_GAP = 4096
-# repeated messages in a row, in order and this old, are no repetition: the publisher's clock was set back, or a
-# recording is played where its publisher, or an earlier replay, was heard before
+# so many repeated messages in a row, in order and this old, are not duplicates: the publisher's clock was set back, or
+# a recording is played where its publisher, or an earlier replay, was received before
 _REWIND_RUN = 8
 _REWIND_NS = 1_000_000_000
 
 
 class Arrival(Enum):
-    """How a message stands to those before it."""
+    """How a message relates to those before it."""
 
     NEXT = auto()
     AFTER_GAP = auto()
@@ -21,7 +21,7 @@ class Arrival(Enum):
 
 
 class SequenceTracker:
-    """Account of one topic from one source.
+    """Counts of one topic from one source.
 
     A lower `seq` with a later time stamp means that the publisher was restarted; with an earlier or equal one, that
     the message was overtaken (it fills a gap, and is no longer lost) or came twice. A whole run of old ones in order
@@ -43,7 +43,7 @@ class SequenceTracker:
         self._missing: set[int] = set()
 
     def accept(self, seq: int, t_ns: int) -> Arrival:
-        """Enter a message and say how it stands to those before it."""
+        """Record a message and return how it relates to those before it."""
         arrival = Arrival.NEXT
         if seq != self.last_seq + 1 and self.received:
             arrival = self._classify(seq, t_ns)

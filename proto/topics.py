@@ -1,4 +1,4 @@
-"""The one table of topics: who says what, how often, and how it is to be read."""
+"""The table of topics: message, publishers, rate and delivery of each."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -13,7 +13,7 @@ class Topic:
     """One row of the table.
 
     `rate_hz` is the declared rate, None for topics sent on change. `deadline_s` is how old the newest message may be
-    before it counts as stale, None where silence means nothing. `latest`: a reader acts on the newest message only;
+    before it counts as stale, None where no deadline applies. `latest`: a reader acts on the newest message only;
     `lossless`: a reader handles every one, and a gap is counted and reported. `bridged` is the direction in which the
     link carries it: `forward` to the slave, `backward` to the master, `both`, or None.
     """

@@ -7,7 +7,8 @@ import numpy as np
 import numpy.typing as npt
 
 from proto.errors import RecordingError
-from recording.reader import RecordedMessage, Recording
+from recording.messages import RecordedMessage
+from recording.reader import Recording
 
 Column = npt.NDArray[Any]
 
@@ -24,17 +25,17 @@ def columns(
     start_ns: int | None = None,
     end_ns: int | None = None,
 ) -> dict[str, Column]:
-    """Give fields of every message of a channel, in the order heard.
+    """Return fields of every message of a channel, in the order received.
 
     Parameters: fields, keys of the message, dotted into its parts (`position_m.2`, `forward.delay_mean_s`), and
     `log_ns` and `publish_ns` of the record; start_ns, end_ns, bounds of the time of reception [ns].
     Returns: field -> array of one dimension: int64, float64 (NaN where a message has nil), bool, or objects for text.
-    Raises RecordingError naming file, channel and field when there is no such thing.
+    Raises RecordingError naming file, channel and field when there is no such channel or field.
     """
     names = {channel.channel_topic for channel in recording.channels}
     if channel_topic not in names:
         known = ", ".join(sorted(names)) or "none"
-        raise RecordingError(f"{recording.path}: has no channel {channel_topic}, it has {known}")
+        raise RecordingError(f"{recording.path}: has no channel {channel_topic}; its channels are {known}")
     paths = {field: _path_of(field) for field in fields if field not in _RECORD_FIELDS}
     values: dict[str, list[Any]] = {field: [] for field in fields}
     for message in recording.messages((channel_topic,), start_ns, end_ns):
@@ -42,12 +43,12 @@ def columns(
             if field in values:
                 values[field].append(getattr(message, field))
         if paths:
-            _take_fields(recording, message, paths, values)
+            _append_fields(recording, message, paths, values)
     return {field: _array(recording, channel_topic, field, values[field]) for field in fields}
 
 
 def replay_shifts(recording: Recording) -> dict[str, int]:
-    """Give by how much [ns] the stamps of each source lie behind those of live nodes, because it was replayed.
+    """Return by how much [ns] the time stamps of each replayed source lie behind those of live nodes.
 
     A rig in which a player stood in for some nodes has old stamps beside new ones; the time of reception puts them on
     one axis. Empty where none was replayed, or all were: then the stamps agree with one another as they are.
@@ -64,7 +65,7 @@ def replay_shifts(recording: Recording) -> dict[str, int]:
     return shifts
 
 
-def _take_fields(
+def _append_fields(
     recording: Recording,
     message: RecordedMessage,
     paths: dict[str, tuple[str | int, ...]],
@@ -104,7 +105,7 @@ def _array(recording: Recording, channel_topic: str, field: str, values: list[An
 
 
 def last_session(session_s: Column) -> npt.NDArray[np.intp]:
-    """Give the indices at which the operator's programme ran for the last time.
+    """Return the indices of the last run of the operator's programme.
 
     Parameters: session_s of `haptic/state` [s], negative while no programme runs.
     Returns: indices, fewer than two when there is no session to speak of.

@@ -1,4 +1,4 @@
-"""Which channels of a recording, or of the bus, are meant: patterns of names."""
+"""Selection of channels of a recording, or of the bus, by patterns of names."""
 
 import re
 from collections.abc import Callable, Iterable
@@ -19,9 +19,9 @@ class _Named(Protocol):
 
 
 def matcher(pattern: str) -> Matcher:
-    """Give the test of a pattern: a glob such as `teleop/*`, or a regular expression between slashes, `/^afm/`.
+    """Return the predicate of a pattern: a glob such as `teleop/*`, or a regular expression between slashes, `/^afm/`.
 
-    Raises ConfigError naming a pattern that is no regular expression.
+    Raises ConfigError naming a pattern that is not a regular expression.
     """
     if len(pattern) > 1 and pattern.startswith("/") and pattern.endswith("/"):
         try:
@@ -33,16 +33,17 @@ def matcher(pattern: str) -> Matcher:
 
 
 def node_matcher(pattern: str) -> Matcher:
-    """Give the test of a pattern of nodes: `node@site`, or `node` for all of that name."""
+    """Return the predicate of a pattern of nodes: `node@site`, or `node` for all of that name."""
     test = matcher(pattern)
     return lambda key: test(key) or test(key.partition("@")[0])
 
 
 @dataclass(frozen=True)
 class Selection:
-    """Channels by the name of the channel and of the publisher; nothing given means all.
+    """Channels by the name of the channel and of the publisher; no pattern selects all.
 
-    A channel is named as in the recording: `teleop/forward` where it was sent, `teleop/forward@slave` out of the link.
+    A channel is named as in the recording: `teleop/forward` where it was sent, `teleop/forward@slave` where it came out
+    of the link.
     """
 
     topics: tuple[Matcher, ...] = ()
@@ -57,13 +58,13 @@ class Selection:
         )
 
     def __call__(self, channel: _Named) -> bool:
-        """Say whether a channel is meant."""
+        """Return whether a channel is selected."""
         if self.nodes and not any(test(channel.src) for test in self.nodes):
             return False
         return self.names(channel.channel_topic)
 
     def names(self, channel_topic: str) -> bool:
-        """Say whether a channel of this name is meant, whoever speaks on it."""
+        """Return whether a channel of this name is selected, whoever publishes on it."""
         if any(test(channel_topic) for test in self.exclude):
             return False
         return not self.topics or any(test(channel_topic) for test in self.topics)

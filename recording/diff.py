@@ -1,4 +1,4 @@
-"""What two recordings have that differs, channel by channel and message by message."""
+"""Differences between two recordings, channel by channel and message by message."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -6,12 +6,13 @@ from pathlib import Path
 from pydantic import BaseModel
 
 from recording.channel_filter import ALL, Selection
-from recording.reader import RecordedChannel, RecordedMessage, Recording
+from recording.messages import RecordedChannel, RecordedMessage
+from recording.reader import Recording
 from recording.tolerance import Tolerances, first_difference
 
 
 class ChannelDifference(BaseModel):
-    """Account of one channel: messages on both sides, how many of the same number differ, and the first of them."""
+    """Differences in one channel: messages in both files, how many of the same `seq` differ, and the first of them."""
 
     channel: str
     src: str
@@ -24,7 +25,7 @@ class ChannelDifference(BaseModel):
 
 
 class RecordingDifference(BaseModel):
-    """Account of two recordings; `same` when every message of one is in the other."""
+    """Differences of two recordings; `same` when every message of one is in the other."""
 
     same: bool
     left: str
@@ -43,10 +44,10 @@ def diff_recordings(
     ignore: Iterable[str] = (),
     selection: Selection = ALL,
 ) -> RecordingDifference:
-    """Compare two recordings by channel, publisher and number of the message, whatever the times of reception.
+    """Compare two recordings by channel, publisher and `seq` of the message, whatever the times of reception.
 
     Parameters: tolerances by field, zero when None; ignore, top-level fields left out, such as t_ns.
-    Raises RecordingError when a file is no recording.
+    Raises RecordingError when a file is not a recording.
     """
     allowed, skipped = tolerances or Tolerances(), tuple(ignore)
     sides = [_side(Recording(path), selection) for path in (left, right)]
@@ -63,10 +64,10 @@ def _side(recording: Recording, selection: Selection) -> Side:
     for message in recording.select(selection):
         channel = found.setdefault(message.channel, {})
         # a restarted publisher uses its numbers again
-        turn = 0
-        while (message.seq, turn) in channel:
-            turn += 1
-        channel[message.seq, turn] = message
+        repetition = 0
+        while (message.seq, repetition) in channel:
+            repetition += 1
+        channel[message.seq, repetition] = message
     return found
 
 

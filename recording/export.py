@@ -12,26 +12,27 @@ import numpy as np
 from proto import TOPICS
 from proto.errors import ConfigError, RecordingError
 from recording.channel_filter import ALL, Selection
-from recording.mcap_scan import Damage
-from recording.reader import RawChannel, RawMessage, RecordedMessage, Recording
+from recording.mcap_scan import Damage, describe_damage
+from recording.messages import RawChannel, RawMessage, RecordedMessage
+from recording.reader import Recording
 from recording.records import RECORDS
-from recording.rewrite import Copied, CopyWriter, describe
+from recording.rewrite import CopyResult, CopyWriter
 from recording.tables import plain, table
 
 Format = Literal["parquet", "csv", "hdf5", "mcap-json"]
 Columns = dict[str, list[Any]]
 
 
-def export_recording(source: Path, target: Path, kind: Format, selection: Selection = ALL) -> Copied:
+def export_recording(source: Path, target: Path, kind: Format, selection: Selection = ALL) -> CopyResult:
     """Write the chosen channels of a recording in another format.
 
     `parquet` and `csv` make a folder with a file for each channel, `hdf5` a file with a group for each, `mcap-json`
-    an MCAP file. Raises RecordingError when the source is no recording or the target exists, ConfigError when a package
-    that the format needs is not installed.
+    an MCAP file. Raises RecordingError when the source is not a recording or the target exists, ConfigError when
+    a package that the format needs is not installed.
     """
     recording = Recording(source)
     if target.exists():
-        raise RecordingError(f"{target}: exists already, and nothing is overwritten")
+        raise RecordingError(f"{target}: already exists and is not overwritten")
     if kind == "mcap-json":
         return _export_json(recording, target, selection)
     if kind == "hdf5":
@@ -42,16 +43,16 @@ def export_recording(source: Path, target: Path, kind: Format, selection: Select
     for name, columns in _tables(recording, selection):
         write(target / f"{file_stem(name)}.{kind}", columns)
         total += len(columns["log_ns"])
-    return Copied(path=str(target), messages=total, skipped=describe(recording.structural_damage))
+    return CopyResult(path=str(target), messages=total, skipped=describe_damage(recording.structural_damage))
 
 
 def file_stem(channel_topic: str) -> str:
-    """Give a channel's name as it can stand in a file name."""
+    """Return a channel name in a form that is valid in a file name."""
     return channel_topic.replace("/", "_")
 
 
 def plain_schema(schema: Mapping[str, Any]) -> dict[str, Any]:
-    """Give a JSON Schema without references, tuples and alternatives, as viewers read it.
+    """Return a JSON Schema without references, tuples and alternatives, as viewers need it.
 
     Vectors become lists of numbers, optional parts are described by what they are when present, arrays as lists.
     """
@@ -107,7 +108,7 @@ def _parquet_writer() -> Callable[[Path, Columns], None]:
     return write
 
 
-def _export_hdf5(recording: Recording, target: Path, selection: Selection) -> Copied:
+def _export_hdf5(recording: Recording, target: Path, selection: Selection) -> CopyResult:
     h5py = _package("h5py", "hdf5")
     total = 0
     with h5py.File(target, "x") as file:
@@ -120,7 +121,7 @@ def _export_hdf5(recording: Recording, target: Path, selection: Selection) -> Co
             total += len(columns["log_ns"])
             for column, values in columns.items():
                 _write_dataset(h5py, group, column, values)
-    return Copied(path=str(target), messages=total, skipped=describe(recording.structural_damage))
+    return CopyResult(path=str(target), messages=total, skipped=describe_damage(recording.structural_damage))
 
 
 def _write_dataset(h5py: Any, group: Any, name: str, values: list[Any]) -> None:
@@ -138,18 +139,18 @@ def _write_dataset(h5py: Any, group: Any, name: str, values: list[Any]) -> None:
         group.create_dataset(name, data=np.array(values), compression="gzip", shuffle=True)
 
 
-def _export_json(recording: Recording, target: Path, selection: Selection) -> Copied:
+def _export_json(recording: Recording, target: Path, selection: Selection) -> CopyResult:
     skipped: list[Damage] = list(recording.structural_damage)
     channels: dict[str, RawChannel] = {}
     with CopyWriter(target, profile="") as writer:
-        writer.take_over([recording])
+        writer.copy_attachments_and_metadata([recording])
         for message in recording.select(selection, report=skipped.append):
             key = f"{message.channel_topic} {message.src}"
             if key not in channels:
                 channels[key] = _json_channel(message)
             payload = json.dumps(plain(message), separators=(",", ":")).encode()
             writer.add(RawMessage(channels[key], message.log_ns, message.publish_ns, message.seq, payload))
-    return Copied(path=str(target), messages=writer.messages, skipped=describe(skipped))
+    return CopyResult(path=str(target), messages=writer.messages, skipped=describe_damage(skipped))
 
 
 def _json_channel(message: RecordedMessage) -> RawChannel:

@@ -4,7 +4,7 @@ import importlib
 import mmap
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
 
@@ -23,7 +23,7 @@ _CHUNK_HEAD = struct.Struct("<QQQII")
 _LENGTH = struct.Struct("<Q")
 _CRC = struct.Struct("<I")
 _LONGEST_COMPRESSION_NAME = 8
-# a damaged size must not ask for the whole memory; ours are at most 64 MiB and one message
+# a damaged size must not claim the whole memory; ours are at most 64 MiB and one message
 _LARGEST_CHUNK = 1 << 30
 _CONTENT = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
 _FIRST_PRIVATE_OPCODE = 0x80
@@ -45,7 +45,7 @@ class Damage:
 class Block:
     """Schemas, channels and messages in a row: a chunk, or such records outside of any chunk.
 
-    `first_ns` and `last_ns` bound the log times of its messages, so that a search can pass it over unread.
+    `first_ns` and `last_ns` bound the log times of its messages, so that a search can skip it.
     """
 
     offset: int
@@ -61,7 +61,7 @@ class Block:
 
 @dataclass
 class Layout:
-    """What a file consists of; `finished` means that it was closed in order, with index and end mark."""
+    """Structure of a file; `finished` means that it was closed properly, with index and end mark."""
 
     blocks: list[Block] = field(default_factory=list)
     attachments: dict[str, Attachment] = field(default_factory=dict)
@@ -72,14 +72,19 @@ class Layout:
     finished: bool = False
 
 
+def describe_damage(damage: Iterable[Damage]) -> tuple[str, ...]:
+    """Return one line of text for each part that could not be used."""
+    return tuple(f"byte {part.offset}, {part.size_bytes} bytes: {part.reason}" for part in damage)
+
+
 class DamagedBlockError(Exception):
-    """A chunk whose content cannot be had; the text says why."""
+    """A chunk whose content cannot be read; the text says why."""
 
 
 def scan(data: Bytes) -> Layout:
-    """Go through the outer records of a file that starts with the magic bytes; never raises on its content.
+    """Scan the outer records of a file that starts with the magic bytes; never raises on its content.
 
-    After bytes that are no record it goes on with the next intact chunk.
+    After bytes that are not a record it continues with the next intact chunk.
     """
     layout, size = Layout(), len(data)
     position = trusted = len(MAGIC)
@@ -95,9 +100,9 @@ def scan(data: Bytes) -> Layout:
         elif opcode == Opcode.DATA_END:
             in_summary = True
         elif opcode == Opcode.CHUNK or (opcode in _CONTENT and not in_summary):
-            trusted = _enter_block(data, position, end, opcode, layout)
+            trusted = _add_block(data, position, end, opcode, layout)
         else:
-            _enter_other(data, position, end, opcode, layout)
+            _add_other(data, position, end, opcode, layout)
         position = end
     if position < size:
         layout.damage.append(Damage(position, size - position, "bytes after the end of the recording"))
@@ -105,7 +110,7 @@ def scan(data: Bytes) -> Layout:
 
 
 def unpack(data: Bytes, block: Block) -> bytes:
-    """Give the records in a block; of one that is cut off, those bytes that can be had.
+    """Return the records in a block; of one that is cut off, the bytes that can be decompressed.
 
     Raises DamagedBlockError saying what is wrong.
     """
@@ -114,14 +119,14 @@ def unpack(data: Bytes, block: Block) -> bytes:
         content = _decompress(stored, block) if block.whole else _decompress_beginning(stored, block.compression)
     except (zstandard.ZstdError, RuntimeError, EOFError, MemoryError) as error:
         raise DamagedBlockError(f"the chunk cannot be decompressed: {error}") from error
-    # a file may leave the check sum out, which is then 0
+    # a file without checksums has 0 there
     if block.whole and block.crc and zlib.crc32(content) != block.crc:
-        raise DamagedBlockError("the check sum of the chunk is wrong")
+        raise DamagedBlockError("the checksum of the chunk is wrong")
     return content
 
 
 def _record_at(data: Bytes, position: int) -> tuple[int, int | None]:
-    """Give the opcode and the end of the record at `position`; None for the end if it cannot be a whole record."""
+    """Return the opcode and the end of the record at `position`; None for the end if it cannot be a whole record."""
     opcode = data[position]
     if position + RECORD_HEAD.size > len(data):
         return opcode, None
@@ -133,7 +138,7 @@ def _record_at(data: Bytes, position: int) -> tuple[int, int | None]:
 
 
 def _chunk_at(data: Bytes, position: int, end: int | None) -> Block | None:
-    """Give the chunk at `position` if its lengths agree; `end` None means that the file ends within it."""
+    """Return the chunk at `position` if its lengths agree; `end` None means that the file ends within it."""
     body = position + RECORD_HEAD.size
     if body + _CHUNK_HEAD.size > len(data):
         return None
@@ -150,8 +155,8 @@ def _chunk_at(data: Bytes, position: int, end: int | None) -> Block | None:
     return Block(position, data_start, stored_end, name, size, crc, first_ns=first_ns, last_ns=last_ns)
 
 
-def _enter_block(data: Bytes, position: int, end: int, opcode: int, layout: Layout) -> int:
-    """Enter a chunk, or a record outside of any chunk as a block of its own; gives the end of what is sure."""
+def _add_block(data: Bytes, position: int, end: int, opcode: int, layout: Layout) -> int:
+    """Add a chunk, or a record outside of any chunk as a block of its own; return the end of what is intact."""
     if opcode == Opcode.CHUNK:
         block = _chunk_at(data, position, end)
         if block is not None:
@@ -161,14 +166,14 @@ def _enter_block(data: Bytes, position: int, end: int, opcode: int, layout: Layo
     return end
 
 
-def _enter_other(data: Bytes, position: int, end: int, opcode: int, layout: Layout) -> None:
+def _add_other(data: Bytes, position: int, end: int, opcode: int, layout: Layout) -> None:
     stream = ReadDataStream(BytesIO(data[position + RECORD_HEAD.size : end]))
     try:
         if opcode == Opcode.ATTACHMENT:
             attachment = Attachment.read(stream)
-            if not _attachment_sound(data[position + RECORD_HEAD.size : end]):
+            if not _attachment_intact(data[position + RECORD_HEAD.size : end]):
                 layout.damage.append(
-                    Damage(position, end - position, f"the check sum of the attachment {attachment.name} is wrong")
+                    Damage(position, end - position, f"the checksum of the attachment {attachment.name} is wrong")
                 )
             layout.attachments[attachment.name] = attachment
         elif opcode == Opcode.METADATA:
@@ -184,19 +189,19 @@ def _enter_other(data: Bytes, position: int, end: int, opcode: int, layout: Layo
         layout.damage.append(Damage(position, end - position, f"a damaged record: {type(error).__name__}"))
 
 
-def _attachment_sound(body: bytes) -> bool:
-    """Compare an attachment with its check sum, which ends it; 0 stands for none."""
+def _attachment_intact(body: bytes) -> bool:
+    """Compare an attachment with the checksum at its end; 0 stands for none."""
     (crc,) = _CRC.unpack_from(body, len(body) - _CRC.size)
     return crc in (0, zlib.crc32(body[: -_CRC.size]))
 
 
 def _skip_damage(data: Bytes, position: int, trusted: int, opcode: int, layout: Layout) -> int:
-    """Enter what is damaged at `position` and give the place where reading goes on."""
-    # a wrong length may have led past good chunks, so the search begins after the last one that was sure
+    """Record the damage at `position` and return the position where reading continues."""
+    # a wrong length may have led past good chunks, so the search begins after the last one that was intact
     found = _next_chunk(data, trusted, position)
     if found is not None:
         start = position if found > position else trusted
-        layout.damage.append(Damage(start, found - start, "bytes that are no record"))
+        layout.damage.append(Damage(start, found - start, "bytes that are not a record"))
         return found
     block = _chunk_at(data, position, None) if opcode == Opcode.CHUNK else None
     if block is not None:
@@ -230,7 +235,7 @@ def _chunk_candidates(data: Bytes, start: int) -> Iterator[int]:
 def _decompress(stored: bytes, block: Block) -> bytes:
     if block.compression == "zstd":
         if zstandard.frame_content_size(stored) not in (-1, block.size_bytes):
-            raise DamagedBlockError("the sizes in the chunk disagree")
+            raise DamagedBlockError("the sizes in the chunk are inconsistent")
         return zstandard.ZstdDecompressor().decompress(stored, max_output_size=block.size_bytes)
     return _decompress_beginning(stored, block.compression)
 
@@ -245,4 +250,4 @@ def _decompress_beginning(stored: bytes, compression: str) -> bytes:
         lz4 = importlib.import_module("lz4.frame")
         content: bytes = lz4.LZ4FrameDecompressor().decompress(stored, max_length=_LARGEST_CHUNK)
         return content
-    raise DamagedBlockError(f"the compression {compression!r} is not known, known are zstd and lz4")
+    raise DamagedBlockError(f"unknown compression {compression!r}; supported are zstd and lz4")

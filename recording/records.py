@@ -1,4 +1,4 @@
-"""What the recorder itself says in a recording, on channels of its own."""
+"""Records that the recorder itself writes into a recording, on channels of its own."""
 
 from typing import Annotated
 
@@ -11,7 +11,7 @@ REJECTED_TOPIC = "recorder/rejected"
 
 
 class GapRecord(Record):
-    """Messages that the recorder should have heard at this point and did not.
+    """Messages that the recorder should have received at this point and did not.
 
     One that arrives later, overtaken on its way, is recorded where it arrives; its gap record stays.
     """

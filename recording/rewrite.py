@@ -2,7 +2,7 @@
 
 import contextlib
 import heapq
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any
 
@@ -11,14 +11,15 @@ from pydantic import BaseModel
 
 from proto.errors import ConfigError, RecordingError
 from recording.channel_filter import ALL, Selection
-from recording.mcap_scan import Damage
-from recording.reader import RawChannel, RawMessage, Recording
+from recording.mcap_scan import describe_damage
+from recording.messages import RawChannel, RawMessage
+from recording.reader import Recording
 
 _CHUNK_BYTES = 1 << 20
 
 
-class Copied(BaseModel):
-    """What a copy holds and what could not be taken over, in words."""
+class CopyResult(BaseModel):
+    """Result of a copy, and what could not be copied, as text."""
 
     path: str
     messages: int
@@ -26,19 +27,19 @@ class Copied(BaseModel):
 
 
 class CopyWriter:
-    """Writes a finished MCAP file; what cannot be finished is removed again."""
+    """Writer of a finished MCAP file; a file that cannot be finished is removed."""
 
     def __init__(self, path: Path, profile: str = "telenano") -> None:
-        """Make the file; RecordingError when it exists or cannot be made."""
+        """Create the file; RecordingError when it exists or cannot be created."""
         self.path = path
         self.messages = 0
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._stream: IO[bytes] = path.open("xb")
         except FileExistsError as error:
-            raise RecordingError(f"{path}: exists already, and nothing is overwritten") from error
+            raise RecordingError(f"{path}: already exists and is not overwritten") from error
         except OSError as error:
-            raise RecordingError(f"{path}: cannot be made: {error.strerror}") from error
+            raise RecordingError(f"{path}: cannot be created: {error.strerror}") from error
         # Any: the package carries no types
         self._mcap: Any = Writer(self._stream, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD)
         self._schemas: dict[tuple[str, str, bytes], int] = {}
@@ -47,7 +48,7 @@ class CopyWriter:
         self._mcap.start(profile)
 
     def __enter__(self) -> "CopyWriter":
-        """Write."""
+        """Return the writer."""
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
@@ -67,7 +68,6 @@ class CopyWriter:
             raise RecordingError(f"{self.path}: cannot be written: {error.strerror}") from error
 
     def add(self, message: RawMessage) -> None:
-        """Copy a message."""
         # by identity first: to hash a channel with its schema costs more than to write the message
         known = self._by_identity.get(id(message.channel))
         if known is None or known[0] is not message.channel:
@@ -82,31 +82,29 @@ class CopyWriter:
         self.messages += 1
 
     def attach(self, name: str, media_type: str, data: bytes, log_ns: int) -> None:
-        """Add a file."""
         self._mcap.add_attachment(0, log_ns, name, media_type, data)
 
-    def describe(self, name: str, facts: Mapping[str, str]) -> None:
-        """Add named facts."""
-        self._mcap.add_metadata(name, dict(facts))
+    def add_metadata(self, name: str, entries: Mapping[str, str]) -> None:
+        self._mcap.add_metadata(name, dict(entries))
 
-    def take_over(self, recordings: Sequence[Recording]) -> None:
-        """Copy attachments and facts; what two recordings have under one name with other content is kept apart."""
+    def copy_attachments_and_metadata(self, recordings: Sequence[Recording]) -> None:
+        """Copy attachments and metadata; entries of one name with different content are renamed to `STEM/NAME`."""
         files: dict[str, bytes] = {}
-        facts: dict[str, dict[str, str]] = {}
+        metadata: dict[str, dict[str, str]] = {}
         for recording in recordings:
-            for name, found in recording.attached.items():
+            for name, found in recording.attachment_records.items():
                 if files.setdefault(name, found.data) != found.data:
                     name = f"{recording.path.stem}/{name}"
                     files[name] = found.data
-                elif any(name in earlier.attached for earlier in recordings[: recordings.index(recording)]):
+                elif any(name in earlier.attachment_records for earlier in recordings[: recordings.index(recording)]):
                     continue
                 self.attach(name, found.media_type, found.data, found.log_time)
             for name, entries in recording.metadata.items():
-                if name in facts and facts[name] == entries:
+                if name in metadata and metadata[name] == entries:
                     continue
-                name = f"{recording.path.stem}/{name}" if name in facts else name
-                facts[name] = entries
-                self.describe(name, entries)
+                name = f"{recording.path.stem}/{name}" if name in metadata else name
+                metadata[name] = entries
+                self.add_metadata(name, entries)
 
     def _register(self, channel: RawChannel) -> int:
         if channel not in self._channels:
@@ -123,84 +121,79 @@ class CopyWriter:
 
 def filter_recording(
     source: Path, target: Path, selection: Selection = ALL, start_s: float = 0.0, end_s: float | None = None
-) -> Copied:
-    """Copy the chosen channels between two times [s] from the start of the recording.
+) -> CopyResult:
+    """Copy the selected channels between two times [s] from the start of the recording.
 
-    A damaged file is read as far as possible, so that this with everything chosen is what recovers one.
-    Raises RecordingError when the source is no recording or the target exists.
+    A damaged file is read as far as possible, so that this recovers one when everything is selected.
+    Raises RecordingError when the source is not a recording or the target exists.
     """
     recording = Recording(source)
     skipped = list(recording.structural_damage)
     first_ns = recording.span_ns[0] + round(start_s * 1e9)
     after_ns = None if end_s is None else recording.span_ns[0] + round(end_s * 1e9)
-    wanted = _remembered(selection)
+    wanted = _cached(selection)
     with CopyWriter(target) as writer:
-        writer.take_over([recording])
+        writer.copy_attachments_and_metadata([recording])
         for message in recording.raw(skipped.append):
             inside = message.log_ns >= first_ns and (after_ns is None or message.log_ns < after_ns)
             if inside and wanted(message.channel):
                 writer.add(message)
-    return Copied(path=str(target), messages=writer.messages, skipped=describe(skipped))
+    return CopyResult(path=str(target), messages=writer.messages, skipped=describe_damage(skipped))
 
 
-def merge_recordings(sources: Sequence[Path], target: Path) -> Copied:
-    """Put recordings together in the order of the times of reception.
+def merge_recordings(sources: Sequence[Path], target: Path) -> CopyResult:
+    """Merge recordings in the order of the times of reception.
 
-    Raises RecordingError when a source is no recording or the target exists.
+    Raises RecordingError when a source is not a recording or the target exists.
     """
     recordings = [Recording(source) for source in sources]
     skipped = [part for recording in recordings for part in recording.structural_damage]
     with CopyWriter(target) as writer:
-        writer.take_over(recordings)
+        writer.copy_attachments_and_metadata(recordings)
         streams = (recording.raw(skipped.append) for recording in recordings)
         for message in heapq.merge(*streams, key=lambda message: message.log_ns):
             writer.add(message)
-    return Copied(path=str(target), messages=writer.messages, skipped=describe(skipped))
+    return CopyResult(path=str(target), messages=writer.messages, skipped=describe_damage(skipped))
 
 
 def split_recording(
     source: Path, folder: Path, *, interval_s: float | None = None, size_bytes: int | None = None
-) -> list[Copied]:
-    """Cut a recording into files NAME_000.mcap, NAME_001.mcap, ... each with all attachments.
+) -> list[CopyResult]:
+    """Split a recording into files NAME_000.mcap, NAME_001.mcap, ... each with all attachments.
 
     Parameters: interval_s, time in each file [s]; size_bytes, payload in each file [bytes]. One of them is needed.
-    Raises ConfigError without, RecordingError when the source is no recording or a target exists.
+    Raises ConfigError otherwise, RecordingError when the source is not a recording or a target exists.
     """
     if (interval_s is None) == (size_bytes is None):
-        raise ConfigError("a split needs either a time or a size")
+        raise ConfigError("a split needs either an interval or a size")
     if (interval_s is not None and not interval_s > 0.0) or (size_bytes is not None and size_bytes < 1):
-        raise ConfigError("the time or size of a part must be above 0")
+        raise ConfigError("the interval or size of a split must be above 0")
     recording = Recording(source)
     origin_ns = recording.span_ns[0]
-    parts = []
+    copies = []
     filled = 0
 
-    def part_of(message: RawMessage) -> int:
+    def file_of(message: RawMessage) -> int:
         nonlocal filled
         if interval_s is not None:
             return max(0, int((message.log_ns - origin_ns) // (interval_s * 1e9)))
         filled += len(message.payload)
         return filled // (size_bytes or 1)
 
-    for number, messages in _runs(recording.raw(), part_of):
+    for number, messages in _runs(recording.raw(), file_of):
         target = folder / f"{source.stem}_{number:03d}{source.suffix}"
         with CopyWriter(target) as writer:
-            writer.take_over([recording])
+            writer.copy_attachments_and_metadata([recording])
             for message in messages:
                 writer.add(message)
-        parts.append(Copied(path=str(target), messages=writer.messages))
-    return parts
-
-
-def describe(damage: Iterable[Damage]) -> tuple[str, ...]:
-    """Give parts that could not be used, in words."""
-    return tuple(f"byte {part.offset}, {part.size_bytes} bytes: {part.reason}" for part in damage)
+        copies.append(CopyResult(path=str(target), messages=writer.messages))
+    return copies
 
 
 def _runs(
-    messages: Iterator[RawMessage], part_of: Callable[[RawMessage], int]
+    messages: Iterator[RawMessage], file_of: Callable[[RawMessage], int]
 ) -> Iterator[tuple[int, Iterator[RawMessage]]]:
-    """Give runs of messages of the same part; each run is read before the next."""
+    """Yield runs of messages of the same file; each run must be read before the next."""
     pending = next(messages, None)
     number = -1
 
@@ -210,23 +203,22 @@ def _runs(
         while pending is not None and number == here:
             yield pending
             pending = next(messages, None)
-            # what was heard a little out of order stays where it is
-            number = here if pending is None else max(here, part_of(pending))
+            # what was received a little out of order stays where it is
+            number = here if pending is None else max(here, file_of(pending))
 
     if pending is not None:
-        number = part_of(pending)
+        number = file_of(pending)
     while pending is not None:
         yield number, run()
 
 
-def _remembered(selection: Selection) -> Callable[[RawChannel], bool]:
-    answers: dict[int, bool] = {}
-    kept: list[RawChannel] = []
+def _cached(selection: Selection) -> Callable[[RawChannel], bool]:
+    # by identity, with the channels kept alive, because to hash one with its schema is slow
+    answers: dict[int, tuple[RawChannel, bool]] = {}
 
     def wanted(channel: RawChannel) -> bool:
         if id(channel) not in answers:
-            kept.append(channel)
-            answers[id(channel)] = selection(channel)
-        return answers[id(channel)]
+            answers[id(channel)] = (channel, selection(channel))
+        return answers[id(channel)][1]
 
     return wanted

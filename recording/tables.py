@@ -1,4 +1,4 @@
-"""Messages as what other tools hold: JSON values, and flat rows of named columns."""
+"""Messages in the form that other tools read: JSON values, and flat rows of named columns."""
 
 import base64
 import json
@@ -10,16 +10,16 @@ from pydantic import BaseModel
 
 from proto.errors import RecordingError
 from proto.messages import Array
-from recording.reader import RecordedMessage
+from recording.messages import RecordedMessage
 
 _SCALARS = (bool, int, float, str)
 
 
 def plain(message: RecordedMessage) -> dict[str, Any]:
-    """Give a message as JSON can hold it: arrays as lists of numbers, bytes as base64.
+    """Return a message as JSON values: arrays as lists of numbers, bytes as base64.
 
-    A message that this version does not understand is given by its fields as they are. Raises RecordingError when it
-    is no msgpack map either.
+    Of a message that this version cannot decode, the fields are returned as they are. Raises RecordingError when it
+    is not a msgpack map either.
     """
     try:
         return {key: _plain(value) for key, value in message.decode().__dict__.items()}
@@ -28,7 +28,7 @@ def plain(message: RecordedMessage) -> dict[str, Any]:
 
 
 def line(message: RecordedMessage) -> dict[str, Any]:
-    """Give a message with the facts of its record, for JSON lines."""
+    """Return a message with the times and names of its record, for JSON lines."""
     return {
         "channel": message.channel_topic,
         "src": message.src,
@@ -40,7 +40,7 @@ def line(message: RecordedMessage) -> dict[str, Any]:
 
 
 def row(message: RecordedMessage) -> dict[str, Any]:
-    """Give a message as a flat row: `position_m.0` for parts, arrays as lists, free maps and lists of maps as JSON."""
+    """Return a message as a flat row: `position_m.0` for parts, arrays as lists, maps and lists of maps as JSON."""
     found: dict[str, Any] = {"log_ns": message.log_ns, "publish_ns": message.publish_ns}
     try:
         fields = message.decode().__dict__
@@ -52,7 +52,7 @@ def row(message: RecordedMessage) -> dict[str, Any]:
 
 
 def table(messages: Iterable[RecordedMessage]) -> dict[str, list[Any]]:
-    """Give columns of equal length with values of one type each; None where a message has no such value."""
+    """Return columns of equal length with values of one type each; None where a message has no such value."""
     rows = [row(message) for message in messages]
     names = list(dict.fromkeys(name for found in rows for name in found))
     return {name: _uniform([found.get(name) for found in rows]) for name in names}

@@ -33,7 +33,7 @@ class Tolerances:
         return cls(limits)
 
     def on(self, topic: str) -> "Tolerances":
-        """Give those that hold for the fields of a topic."""
+        """Return the tolerances of the fields of a topic."""
         limits: dict[str, float] = {}
         for name, limit in self._limits.items():
             limited, _, field = name.rpartition(":")
@@ -42,7 +42,7 @@ class Tolerances:
         return Tolerances(limits)
 
     def of(self, field: str) -> float:
-        """Give the tolerance of a field: that of the whole vector holds for its parts."""
+        """Return the tolerance of a field; that of a vector applies to its components."""
         stem = field.partition(".")[0]
         found = [limit for name, limit in self._limits.items() if fnmatchcase(field, name) or name == stem]
         return max(found, default=0.0)
@@ -57,16 +57,16 @@ class FieldDifference(NamedTuple):
 
     @property
     def text(self) -> str:
-        """The difference in words."""
+        """The difference as text."""
         return f"{self.field}: {self.left!r} against {self.right!r}"
 
 
 def first_difference(
     left: Mapping[str, Any], right: Mapping[str, Any], tolerances: Tolerances, ignore: Iterable[str] = ()
 ) -> FieldDifference | None:
-    """Give the first field in which two messages differ by more than its tolerance; None when they agree.
+    """Return the first field in which two messages differ by more than its tolerance; None when they agree.
 
-    Fields are plain values as `RecordedMessage.fields` gives them. `ignore` names top-level keys left out.
+    Fields are plain values as `RecordedMessage.fields` returns them. `ignore` names top-level keys to skip.
     """
     skipped = frozenset(ignore)
     for key in (*left, *(key for key in right if key not in left)):

@@ -1,4 +1,4 @@
-"""Whether a recording is whole, and precisely what is missing where it is not."""
+"""Check of a recording: whether it is complete, and what precisely is missing where it is not."""
 
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
@@ -9,20 +9,20 @@ from pydantic import BaseModel
 
 from proto import TOPICS
 from proto.errors import RecordingError
-from recording.mcap_scan import Damage
-from recording.reader import RecordedChannel, RecordedMessage, Recording
+from recording.mcap_scan import Damage, describe_damage
+from recording.messages import RecordedChannel, RecordedMessage
+from recording.reader import Recording
 from recording.records import GAP_TOPIC, RECORDS
-from recording.rewrite import describe
 
 Check = Literal["crc", "order", "gap", "schema", "end"]
 Level = Literal["error", "warning", "info"]
 _SEQUENCE_MASK = 0xFFFF_FFFF
 # of each kind and channel; a file that is wrong throughout does not need a line for every message
-_MOST_TOLD = 5
+_MAX_REPORTED = 5
 
 
 class Finding(BaseModel):
-    """One thing that is not as it should be; `info` is no fault, such as what an impaired link dropped."""
+    """A finding; `info` is not a fault, such as what an impaired link dropped."""
 
     check: Check
     level: Level
@@ -32,7 +32,7 @@ class Finding(BaseModel):
 
 
 class Verdict(BaseModel):
-    """What came of a check: `sound` when there is nothing above info."""
+    """Result of a check: `sound` when there is nothing above info."""
 
     sound: bool
     messages: int
@@ -40,9 +40,9 @@ class Verdict(BaseModel):
 
 
 def verify(paths: Sequence[Path]) -> Verdict:
-    """Check recordings; several are taken as the parts of one, so that what lies between them is told.
+    """Check recordings; several are taken as the files of one, so that what is missing between them is reported.
 
-    Raises RecordingError when a file is no recording at all.
+    Raises RecordingError when a file is not a recording at all.
     """
     recordings = sorted((Recording(path) for path in paths), key=lambda recording: recording.span_ns)
     findings: list[Finding] = []
@@ -58,13 +58,12 @@ def verify(paths: Sequence[Path]) -> Verdict:
     return Verdict(sound=all(finding.level == "info" for finding in findings), messages=total, findings=tuple(findings))
 
 
-class _Channel:
-    """Running account of one channel."""
+class _LastMessage:
+    """Newest message of a channel so far."""
 
     def __init__(self, first: RecordedMessage) -> None:
-        self.last_seq = first.seq
-        self.last_t_ns = first.publish_ns
-        self.told = 0
+        self.seq = first.seq
+        self.t_ns = first.publish_ns
 
 
 class _Check:
@@ -75,35 +74,37 @@ class _Check:
         self.messages = 0
         self._recording = recording
         self._findings: list[Finding] = []
-        self._channels: dict[RecordedChannel, _Channel] = {}
+        self._last: dict[RecordedChannel, _LastMessage] = {}
         self._missing: dict[RecordedChannel, dict[tuple[int, int], int]] = {}
-        self._explained: set[tuple[str, str, int, int]] = set()
-        self._told: dict[tuple[str, str], int] = {}
+        self._recorded_gaps: set[tuple[str, str, int, int]] = set()
+        self._reported: dict[tuple[str, str], int] = {}
         self._last_ns = 0
 
     def run(self) -> list[Finding]:
-        """Read the file and give what was found."""
+        """Read the file and return the findings."""
         damage: list[Damage] = list(self._recording.structural_damage)
         for message in self._recording.select(report=damage.append):
             self.messages += 1
-            self._enter(message)
-        for text in describe(damage):
-            self._tell("crc", "error", "", text)
-        self._tell_gaps()
+            self._check_message(message)
+        for text in describe_damage(damage):
+            self._report("crc", "error", "", text)
+        self._report_gaps()
         if not self._recording.complete:
-            self._tell("end", "error", "", self._end_text())
+            self._report("end", "error", "", self._end_text())
         return self._findings
 
-    def _enter(self, message: RecordedMessage) -> None:
+    def _check_message(self, message: RecordedMessage) -> None:
         if message.log_ns < self._last_ns:
             back_s = (self._last_ns - message.log_ns) * 1e-9
-            self._tell("order", "warning", message.channel_topic, f"seq {message.seq} stands {back_s:.6f} s too late")
+            self._report(
+                "order", "warning", message.channel_topic, f"seq {message.seq} is out of order by {back_s:.6f} s"
+            )
         self._last_ns = max(self._last_ns, message.log_ns)
         if message.topic in TOPICS or message.topic in RECORDS:
             self._check_schema(message)
         if message.topic in RECORDS:
             if message.topic == GAP_TOPIC:
-                self._note_gap(message)
+                self._add_gap_record(message)
             return
         self._check_sequence(message)
 
@@ -111,7 +112,7 @@ class _Check:
         try:
             decoded = message.decode()
         except RecordingError as error:
-            self._tell("schema", "error", message.channel_topic, str(error))
+            self._report("schema", "error", message.channel_topic, str(error))
             return
         if message.topic in RECORDS:
             return
@@ -120,37 +121,37 @@ class _Check:
         record = {"seq": message.seq, "t_ns": message.publish_ns, "src": message.src}
         wrong = [name for name in facts if facts[name] != record[name]]
         if wrong:
-            text = f"seq {message.seq}: {', '.join(wrong)} of the record and of the message disagree"
-            self._tell("schema", "error", message.channel_topic, text)
+            text = f"seq {message.seq}: {', '.join(wrong)} in the record and in the message differ"
+            self._report("schema", "error", message.channel_topic, text)
 
-    def _note_gap(self, message: RecordedMessage) -> None:
+    def _add_gap_record(self, message: RecordedMessage) -> None:
         fields = message.fields()
         found = [str(fields.get(name)) for name in ("channel_topic", "src")]
         numbers = [int(fields.get(name, 0)) for name in ("first_missing", "last_missing")]
-        self._explained.add((found[0], found[1], numbers[0], numbers[1]))
+        self._recorded_gaps.add((found[0], found[1], numbers[0], numbers[1]))
 
     def _check_sequence(self, message: RecordedMessage) -> None:
         channel = message.channel
         first, last = self.bounds.get(channel, (message.seq, message.seq))
         self.bounds[channel] = (first, max(last, message.seq))
-        account = self._channels.get(channel)
-        if account is None:
-            self._channels[channel] = _Channel(message)
+        newest = self._last.get(channel)
+        if newest is None:
+            self._last[channel] = _LastMessage(message)
             self._missing[channel] = {}
             return
-        if message.seq > account.last_seq:
-            if message.seq > account.last_seq + 1:
-                self._missing[channel][account.last_seq + 1, message.seq - 1] = message.log_ns
-            account.last_seq, account.last_t_ns = message.seq, message.publish_ns
-        elif message.publish_ns > account.last_t_ns:
+        if message.seq > newest.seq:
+            if message.seq > newest.seq + 1:
+                self._missing[channel][newest.seq + 1, message.seq - 1] = message.log_ns
+            newest.seq, newest.t_ns = message.seq, message.publish_ns
+        elif message.publish_ns > newest.t_ns:
             # the publisher was restarted and counts anew
-            account.last_seq, account.last_t_ns = message.seq, message.publish_ns
-            self._tell("gap", "info", message.channel_topic, f"{message.src} was restarted before seq {message.seq}")
+            newest.seq, newest.t_ns = message.seq, message.publish_ns
+            self._report("gap", "info", message.channel_topic, f"{message.src} was restarted before seq {message.seq}")
         else:
-            self._fill(channel, message.seq)
+            self._remove_from_missing(channel, message.seq)
 
-    def _fill(self, channel: RecordedChannel, seq: int) -> None:
-        """Take a message that was overtaken out of what is missing."""
+    def _remove_from_missing(self, channel: RecordedChannel, seq: int) -> None:
+        """Remove a message that was overtaken from what is missing."""
         for (first, last), log_ns in list(self._missing[channel].items()):
             if first <= seq <= last:
                 del self._missing[channel][first, last]
@@ -159,31 +160,31 @@ class _Check:
                         self._missing[channel][part] = log_ns
                 return
 
-    def _tell_gaps(self) -> None:
+    def _report_gaps(self) -> None:
         origin_ns = self._recording.span_ns[0]
-        for channel, holes in self._missing.items():
-            for (first, last), log_ns in holes.items():
-                noted = (channel.channel_topic, channel.src, first, last) in self._explained
-                how = "the recorder noted it" if noted else "nothing in the file says why"
+        for channel, gaps in self._missing.items():
+            for (first, last), log_ns in gaps.items():
+                recorded = (channel.channel_topic, channel.src, first, last) in self._recorded_gaps
+                how = "the recorder recorded the gap" if recorded else "there is no gap record"
                 place = f"{(log_ns - origin_ns) * 1e-9:.6f} s after the start"
                 text = f"seq {first} to {last} of {channel.src} ({last - first + 1}) missing, {place}: {how}"
                 # what an impaired link drops is the experiment
                 level: Level = "info" if channel.via == "link" else "warning"
-                self._tell("gap", level, channel.channel_topic, text)
+                self._report("gap", level, channel.channel_topic, text)
 
     def _end_text(self) -> str:
         facts = self._recording.metadata.get("recording", {})
         interval = facts.get("recorder flush_interval_s")
         limit = f", at most the last {interval} s" if interval else ""
         end_s = (self._recording.span_ns[1] - self._recording.span_ns[0]) * 1e-9
-        return f"the file was not closed: it ends {end_s:.6f} s after its start, what was heard then is lost{limit}"
+        return f"the file was not closed: it ends {end_s:.6f} s after its start, later messages are lost{limit}"
 
-    def _tell(self, check: Check, level: Level, channel: str, text: str) -> None:
-        told = self._told.get((check, channel), 0)
-        self._told[check, channel] = told + 1
-        if told == _MOST_TOLD:
-            text = f"and more of this kind, the first {_MOST_TOLD} are told"
-        if told <= _MOST_TOLD:
+    def _report(self, check: Check, level: Level, channel: str, text: str) -> None:
+        reported = self._reported.get((check, channel), 0)
+        self._reported[check, channel] = reported + 1
+        if reported == _MAX_REPORTED:
+            text = f"more of this kind: only the first {_MAX_REPORTED} are reported"
+        if reported <= _MAX_REPORTED:
             path = str(self._recording.path)
             self._findings.append(Finding(check=check, level=level, file=path, channel=channel, text=text))
 
@@ -194,7 +195,7 @@ def _between(
     before: dict[RecordedChannel, tuple[int, int]],
     after: dict[RecordedChannel, tuple[int, int]],
 ) -> Iterator[Finding]:
-    """Say what is missing between two parts, by the numbers of the messages."""
+    """Yield what is missing between two files, by the `seq` of the messages."""
     pause_s = (later.span_ns[0] - earlier.span_ns[1]) * 1e-9
     for channel, (first, _) in after.items():
         last = before.get(channel, (0, first - 1))[1]

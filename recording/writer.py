@@ -36,7 +36,7 @@ class _McapWriter(Protocol):
 
 
 def channel_topic(topic: str, src: str, site: str) -> str:
-    """Give the name under which what `src` said on `topic` is recorded when it is heard at `site`."""
+    """Return the channel name of what `src` publishes on `topic` and is received at `site`."""
     return topic if site_of(src) == site else f"{topic}@{site}"
 
 
@@ -45,7 +45,7 @@ class FileSettings(BaseModel):
 
     model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
 
-    directory: Path = Field(default=Path(), description="Folder of the recording; it is made if it does not exist")
+    directory: Path = Field(default=Path(), description="Folder of the recording; it is created if it does not exist")
     file_name: str = Field(
         default="session.mcap",
         pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,120}\.mcap$",
@@ -62,10 +62,10 @@ class FileSettings(BaseModel):
 
 
 class RecordingWriter:
-    """A recording in the making.
+    """Writer of one recording file.
 
-    A channel is what one publisher says on one bus topic, heard at one site. Every method raises RecordingError with
-    the path and the reason when the file cannot be written; what was flushed before stays readable.
+    A channel is what one publisher sends on one bus topic, received at one site. Every method raises RecordingError
+    with the path and the reason when the file cannot be written; what was flushed before stays readable.
     """
 
     def __init__(self, stream: IO[bytes], path: Path, node: str, settings: FileSettings) -> None:
@@ -89,7 +89,7 @@ class RecordingWriter:
 
     @classmethod
     def create(cls, node: str, settings: FileSettings, number: int = 0) -> "RecordingWriter":
-        """Make the file, under the first free name from a number on; nothing is ever overwritten."""
+        """Create the file, under the first free name from a number on; nothing is ever overwritten."""
         stem, suffix = Path(settings.file_name).stem, Path(settings.file_name).suffix
         while True:
             path = settings.directory / (f"{stem}_{number}{suffix}" if number else settings.file_name)
@@ -101,10 +101,10 @@ class RecordingWriter:
                     raise RecordingError(f"{settings.directory}: is not a folder") from error
                 number += 1
             except OSError as error:
-                raise RecordingError(f"{path}: cannot be made: {error.strerror}") from error
+                raise RecordingError(f"{path}: cannot be created: {error.strerror}") from error
 
     def channel(self, topic: str, src: str, site: str) -> int:
-        """Begin a channel: what `src` (node@site) says on the bus topic, as it is heard at `site`."""
+        """Return the new channel of what `src` (node@site) sends on a topic, as received at `site`."""
         row = TOPICS[topic]
         metadata = {
             "topic": topic,
@@ -117,7 +117,7 @@ class RecordingWriter:
         return self._register(channel_topic(topic, src, site), row.model, metadata)
 
     def write(self, channel: int, log_ns: int, publish_ns: int, seq: int, payload: bytes) -> None:
-        """Add a message, byte by byte as it was received."""
+        """Write a message, byte by byte as it was received."""
         try:
             self._mcap.add_message(channel, log_ns, payload, publish_ns, seq & _SEQUENCE_MASK)
         except OSError as error:
@@ -125,31 +125,30 @@ class RecordingWriter:
         self.messages += 1
 
     def write_gap(self, log_ns: int, gap: GapRecord) -> None:
-        """Write down where messages are missing."""
         self._write_own(GAP_TOPIC, log_ns, gap.model_dump())
 
     def write_rejected(self, log_ns: int, rejected: RejectedRecord) -> None:
-        """Keep frames that are not a message."""
+        """Write frames that are not a message."""
         self._write_own(REJECTED_TOPIC, log_ns, rejected.model_dump())
 
     def attach(self, name: str, media_type: str, data: bytes, log_ns: int) -> None:
-        """Add a file, for instance the site file."""
+        """Write an attachment, for instance the site file."""
         with self._guarded():
             self._mcap.add_attachment(0, log_ns, name, media_type, data)
 
     def add_metadata(self, name: str, entries: Mapping[str, str]) -> None:
-        """Add named facts, for instance versions."""
+        """Write named metadata, for instance versions."""
         with self._guarded():
             self._mcap.add_metadata(name, dict(entries))
 
     def flush(self) -> None:
-        """Close the chunk in hand and give everything to the operating system, with `sync_to_disk` to the disk.
+        """Close the current chunk and hand everything to the operating system, with `sync_to_disk` to the disk.
 
         A process that is killed afterwards loses none of it.
         """
         with self._guarded():
             self._mcap.flush()
-            self._settle()
+            self._sync_and_measure()
 
     def finish(self) -> None:
         """Write index and statistics and close the file; a second call does nothing."""
@@ -158,7 +157,7 @@ class RecordingWriter:
         with self._guarded():
             self._mcap.finish()
             self._stream.flush()
-            self._settle()
+            self._sync_and_measure()
             self._stream.close()
 
     def _write_own(self, topic: str, log_ns: int, fields: dict[str, object]) -> None:
@@ -177,7 +176,7 @@ class RecordingWriter:
                 self._schemas[name] = self._mcap.register_schema(name, "jsonschema", data)
             return self._mcap.register_channel(topic, "msgpack", self._schemas[name], metadata)
 
-    def _settle(self) -> None:
+    def _sync_and_measure(self) -> None:
         if self._sync:
             os.fdatasync(self._stream.fileno())
         self.size_bytes = self._stream.tell()

@@ -75,7 +75,7 @@ class Cell(BaseModel):
         return (self.round_trip_ms + 2.0 * self.jitter_ms) * 1e-3
 
     def controller(self) -> ControllerConfig:
-        """Give the configuration of both halves; ConfigError names the law or key at fault."""
+        """Return the configuration of both halves; ConfigError names the law or key at fault."""
         if self.law not in LAWS:
             raise ConfigError(f"--law: unknown law {self.law!r}, known are {', '.join(LAWS)}")
         settings: dict[str, Any] = nested(dict(self.settings), "--set")
@@ -86,7 +86,7 @@ class Cell(BaseModel):
         return validate(ControllerConfig, merge(settings, {"law": self.law}), "--set", "controller")
 
     def hold_s(self) -> tuple[float, float]:
-        """Give start and end of the hold that is judged, in session time [s]; ConfigError if it would be too short."""
+        """Return start and end of the hold that is judged, in session time [s]; ConfigError if it is too short."""
         start = _QUIET_S + _RAMP_S * len(_LEVELS_N[self.environment])
         start += (_APPROACH_S + _APPROACH_ROUND_TRIPS * self.round_trip_s) * (len(_LEVELS_N[self.environment]) - 1)
         if self.session_s is None:
@@ -99,7 +99,7 @@ class Cell(BaseModel):
         return start, self.session_s
 
     def hand_points(self) -> tuple[tuple[float, float], ...]:
-        """Give the corners (time [s], force [N]) of what the hand does."""
+        """Return the corners (time [s], force [N]) of what the hand does."""
         levels = _LEVELS_N[self.environment]
         points, time, before = [], _QUIET_S, 0.0
         for level in levels:
@@ -130,7 +130,7 @@ class CellResult:
     guarded: bool
 
     def as_dict(self) -> dict[str, Any]:
-        """Give the result as plain data; `from_dict` is the inverse."""
+        """Return the result as plain data; `from_dict` is the inverse."""
         return {**asdict(self), "cell": self.cell.model_dump(mode="json")}
 
     @classmethod
@@ -171,7 +171,7 @@ def course_of(cell: Cell, hand_points: Sequence[tuple[float, float]], end_s: flo
 
 
 def judged(cell: Cell, course: Trajectory) -> CellResult:
-    """Judge the course of a session of this cell."""
+    """Return the verdict on a session of this cell, with its figures."""
     scales = scales_of(cell.controller())
     start_s, end_s = cell.hold_s()
     # a pause in the commands makes the instrument hold for a moment; what ends the session is the retraction
@@ -211,13 +211,13 @@ class Scales(NamedTuple):
 
 
 def scales_of(controller: ControllerConfig) -> Scales:
-    """Give the scales of the law in force."""
+    """Return the scales of the law in force."""
     section = controller.section()
     return Scales(section.force_scale, section.position_scale)
 
 
 def energies_of(course: Trajectory, scales: Scales) -> Energies:
-    """Give the energy that crossed the two ports of the law since the session began, by the trapezoidal rule.
+    """Return the energy that crossed the two ports of the law since the session began, by the trapezoidal rule.
 
     The hand's port is F_m with the reference x_mr that the law gives the device; the tip's is F_s with the base x_s.
     """

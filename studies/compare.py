@@ -83,7 +83,7 @@ def write_comparison(result: Comparison, out: Path, command: str) -> dict[str, A
 
 
 def summarise(result: Comparison) -> dict[str, Any]:
-    """Give law -> critical delays, verdicts over the good and the bad link, transparency."""
+    """Return law -> critical delays, verdicts over the good and the bad link, transparency."""
     laws: dict[str, dict[str, Any]] = {}
     for law in result.request.laws:
         springs = {f"{r.line.stiffness_n_per_m:g}": r for r in result.spring if r.line.law == law}

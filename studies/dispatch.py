@@ -21,7 +21,7 @@ Step = Callable[..., Any]
 
 
 def _laws_by_parameters() -> dict[type, Law]:
-    """Give the law of each class of parameters; two laws that share one class could not be told apart."""
+    """Return the law of each class of parameters; two laws that share one class could not be told apart."""
     table: dict[type, Law] = {}
     for name, law in LAWS.items():
         kind = type(ControllerConfig.model_validate({"law": name}).params())
@@ -43,7 +43,7 @@ def _chosen(name: str) -> Callable[[type], Step]:
 
 
 def _with_sample(choose: Callable[[type], Step]) -> Step:
-    """Give a function of (params, sample) that calls the step chosen by the type of params."""
+    """Return a function of (params, sample) that calls the step chosen by the type of params."""
 
     def plain(params: Any, sample: Any) -> Any:
         return choose(type(params))(params, sample)
@@ -57,7 +57,7 @@ def _with_sample(choose: Callable[[type], Step]) -> Step:
 
 
 def _with_state(choose: Callable[[type], Step]) -> Step:
-    """Give a function of (params, state, inputs, dt) that calls the step chosen by the type of params."""
+    """Return a function of (params, state, inputs, dt) that calls the step chosen by the type of params."""
 
     def plain(params: Any, state: Any, inputs: Any, dt: float) -> Any:
         return choose(type(params))(params, state, inputs, dt)
@@ -71,7 +71,7 @@ def _with_state(choose: Callable[[type], Step]) -> Step:
 
 
 def _with_two_inputs(choose: Callable[[type], Step]) -> Step:
-    """Give a function of (params, state, first, second, dt) that calls the step chosen by the type of params."""
+    """Return a function of (params, state, first, second, dt) that calls the step chosen by the type of params."""
 
     def plain(params: Any, state: Any, first: Any, second: Any, dt: float) -> Any:
         return choose(type(params))(params, state, first, second, dt)

@@ -1,6 +1,6 @@
 """The link of the lockstep loop: when each signal reaches the other side, known before the loop runs.
 
-What happens to a message depends on its number and the time it is sent, not on what it says. The hand sends at every
+What happens to a message depends on its number and the time it is sent, not on its content. The hand sends at every
 tick and the slave answers at once whatever reaches it, so both directions can be computed beforehand by the link's own
 engine (`fates_of`), and the loop merely merges arrivals. Readers take the newest message only: what was overtaken or
 came twice is dropped here as the bus drops it.
@@ -40,11 +40,11 @@ class Schedule(NamedTuple):
 
 
 def symmetric_link(round_trip_s: float, jitter_s: float, loss: float, seed: int) -> LinkSettings:
-    """Give a link whose two directions are alike.
+    """Return a link whose two directions are alike.
 
     Parameters: round_trip_s, half of it each way [s]; jitter_s, half-width of a uniform random part of each delay [s];
     loss, share of the messages lost each way, 0..1; seed of the random streams.
-    Raises: SettingsError (a ValueError) naming the key, for a value out of range.
+    Raises: ConfigError naming the key, for a value out of range.
     """
     direction: dict[str, object] = {"delay_s": 0.5 * round_trip_s}
     if jitter_s != 0.0:
@@ -69,7 +69,7 @@ def schedule_of(settings: LinkSettings, ticks: int, period_s: float) -> Schedule
 
 
 def _arrivals(settings: LinkSettings, way: Direction, topic: str, sent_ns: Times) -> tuple[Times, Times]:
-    """Give the times at which messages of one direction arrive, and which message each one is, as a reader takes them.
+    """Return when messages of one direction arrive, and which message each one is, as a reader takes them.
 
     A constant delay is the common case of a map and needs no engine: the result is the same (tested).
     """

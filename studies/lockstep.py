@@ -9,7 +9,7 @@ The steps are those that the nodes call, and the order is that of the bus. At th
 4. what reaches its end of the link before the next tick acts in the order of arrival. A forward signal goes through the
    slave half, the instrument and the slave half again, and its answer enters the link. The first backward signal of the
    tick is received by the master half, which integrates one period; a later one is kept for the next.
-   An instrument that hears nothing for a period and a half steps by itself, and its guard judges the silence.
+   An instrument that receives nothing for a period and a half steps by itself, and its guard judges the silence.
 
 So a signal released between two ticks acts in the tick in which it arrives, as on the bus: a constant round trip of T
 delays the loop by floor(T/Ts) Ts, and the hold of the law's integration adds half a period to that (`theory`).
@@ -24,10 +24,10 @@ import numpy.typing as npt
 from services.afm_node import safety as afm_safety
 from services.afm_node.spring import SpringParams
 from services.afm_node.spring import initial_state as initial_spring_state
-from services.afm_node.step import AfmInputs, AfmOutputs, AfmParams, initial_afm_state
+from services.afm_node.step import LONGEST_STEP_NS, AfmInputs, AfmOutputs, AfmParams, initial_afm_state, patience_ns
 from services.controller.config import ControllerConfig
 from services.controller.deadband import DeadbandParams, deadband, fresh
-from services.controller.law import NO_SIGNAL, HandSample, PortSignal, TipSample
+from services.controller.law import LONGEST_BRIDGED_PERIODS, NO_SIGNAL, HandSample, PortSignal, TipSample
 from services.haptic_node import safety as haptic_safety
 from services.haptic_node.config import HapticConfig
 from services.haptic_node.step import HapticInputs, HapticParams
@@ -47,9 +47,6 @@ from studies.link import Schedule
 
 Series = npt.NDArray[np.float64]
 
-# the numbers of the nodes: the longest silence that is bridged, and the AFM's own clock
-_LONGEST_BRIDGED_PERIODS = 50
-_LONGEST_STEP_NS = 10_000_000
 _NEVER_NS = 2**62
 COLUMNS = (
     "time_s",
@@ -101,8 +98,8 @@ class Trajectory:
     """What happened, one value a tick of the hand, each of shape (n,), from the start of the session on.
 
     hand_force_n, hand_position_m: F_m [N] on the device and x_m [m] at the tick. The rest is as it stands at the end of
-    the tick: reference_m, x_mr [m]; rendered_force_n, what the law says the environment does, at the hand's scale
-    [N]; base_position_m, x_s [m]; tip_force_n, F_s [N]; separation_m, h [m];
+    the tick: reference_m, x_mr [m]; rendered_force_n, the force that the law ascribes to the environment, at the hand's
+    scale [N]; base_position_m, x_s [m]; tip_force_n, F_s [N]; separation_m, h [m];
     hand_energy_j, what the hand has put into its device [J], the integral of F_m dx_m; tip_energy_j, what the base has
     put into cantilever and sample [J], the integral of F_s dx_s; in_contact, instrument_mode (MODE_* of the AFM's
     safety chain), hand_following.
@@ -161,14 +158,14 @@ def simulate(rig: Rig, schedule: Schedule, session_tick: int) -> Trajectory:
 
 @compiled
 def _tip_of(answer: AfmOutputs) -> TipSample:
-    """Give what the slave half sees of the instrument's answer."""
+    """Return the part of the instrument's answer that the slave half uses."""
     following = answer.mode == afm_safety.MODE_FOLLOW or answer.mode == afm_safety.MODE_HOLD
     return TipSample(answer.base_m, answer.force_n, answer.distance_m, True, answer.in_contact, following)
 
 
 @compiled
-def _heard(signal: PortSignal, silence_s: float, round_trip_s: float) -> PortSignal:
-    """Give a signal as its receiver hears it."""
+def _as_received(signal: PortSignal, silence_s: float, round_trip_s: float) -> PortSignal:
+    """Return a signal with the two figures that its receiver fills in."""
     return PortSignal(
         signal.position_m,
         signal.velocity_m_per_s,
@@ -202,7 +199,7 @@ def _run(
     rows: Series,
 ) -> None:
     """Fill `rows` (ticks, columns) with the closed loop; the module's text gives the order."""
-    # taken out of the tuple once: every look into it costs a count of references to its arrays
+    # taken out of the tuple once: every access costs a count of references to its arrays
     forward_ns, forward_of = schedule.forward_ns, schedule.forward_of
     backward_ns, backward_of = schedule.backward_ns, schedule.backward_of
     dt, period_ns = times.period_s, times.period_ns
@@ -242,7 +239,7 @@ def _run(
         if due:
             if answer_ns >= 0:
                 # the sample of the tick before is the one that went unanswered
-                answer = _heard(answer, (now_ns - answer_ns) * 1e-9, (n - 1 - answered) * dt)
+                answer = _as_received(answer, (now_ns - answer_ns) * 1e-9, (n - 1 - answered) * dt)
             master, reference = master_receive(law, master, hand, answer, dt)
             command_mode = haptic_safety.MODE_POSITION if reference.active else haptic_safety.MODE_OFF
             command_m, command_ns, rendered_n = reference.position_m, now_ns, reference.force_n
@@ -276,7 +273,7 @@ def _run(
                     b += 1
                     continue
                 answered = forward_of[backward_of[b]]
-                answer, answer_ns = _heard(backward[backward_of[b] & mask], 0.0, (n - answered) * dt), event_ns
+                answer, answer_ns = _as_received(backward[backward_of[b] & mask], 0.0, (n - answered) * dt), event_ns
                 b += 1
                 if due:
                     master, reference = master_receive(law, master, hand, answer, dt)
@@ -288,16 +285,18 @@ def _run(
             if commanded:
                 tick = forward_of[f]
                 elapsed = tick - slave_tick
-                if slave_tick < 0 or elapsed > _LONGEST_BRIDGED_PERIODS:
+                if slave_tick < 0 or elapsed > LONGEST_BRIDGED_PERIODS:
                     slave, elapsed = slave_start(law, tip), 1
                 slave_tick = tick
-                slave, wanted = slave_receive(law, slave, _heard(forward[tick & mask], 0.0, 0.0), tip, elapsed * dt)
+                slave, wanted = slave_receive(
+                    law, slave, _as_received(forward[tick & mask], 0.0, 0.0), tip, elapsed * dt
+                )
                 action = afm_safety.ACTION_POSITION if wanted.active else afm_safety.ACTION_HOLD
                 base_reference_m, base_command_ns = wanted.position_m, event_ns
             # the operator arms the instrument once, when commands are there; a guard that trips later stays tripped
             arm = commanded and not armed and action == afm_safety.ACTION_POSITION
             command_age_s = np.inf if base_command_ns < 0 else (event_ns - base_command_ns) * 1e-9
-            step_s = min(max(event_ns - instrument_ns, 1), _LONGEST_STEP_NS) * 1e-9
+            step_s = min(max(event_ns - instrument_ns, 1), LONGEST_STEP_NS) * 1e-9
             instrument_state, felt_tip = instrument_step(
                 instrument, instrument_state, AfmInputs(base_reference_m, command_age_s, action, arm, False), step_s
             )
@@ -308,7 +307,7 @@ def _run(
             mode = felt_tip.mode
             armed = armed or mode == afm_safety.MODE_FOLLOW
             if commanded:
-                own_ns = event_ns + 3 * period_ns // 2
+                own_ns = event_ns + patience_ns(period_ns)
                 slave, signal = slave_send(law, slave, tip, elapsed * dt)
                 backward[f & mask] = signal
                 slave_band, sent_backward[f & mask] = deadband(band, slave_band, signal, elapsed * dt)

@@ -7,6 +7,8 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from services.runtime.config import flatten
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -92,12 +94,8 @@ def write_parquet(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    pq.write_table(pa.Table.from_pylist([dict(_flat("", row)) for row in rows]), path)
-
-
-def _flat(prefix: str, row: Mapping[str, Any]) -> Iterable[tuple[str, Any]]:
-    for key, value in row.items():
-        if isinstance(value, Mapping):
-            yield from _flat(f"{prefix}{key}.", value)
-        else:
-            yield f"{prefix}{key}", str(value) if isinstance(value, list | tuple) else value
+    table = [
+        {key: str(value) if isinstance(value, list | tuple) else value for key, value in flatten(row).items()}
+        for row in rows
+    ]
+    pq.write_table(pa.Table.from_pylist(table), path)

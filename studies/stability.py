@@ -1,4 +1,4 @@
-"""Stability maps: which delay each law bears, on a grid and to a fraction of a sample, beside what theory says."""
+"""Stability maps: which delay each law bears, on a grid and to a fraction of a sample, beside what theory predicts."""
 
 import itertools
 from collections.abc import Sequence
@@ -26,7 +26,7 @@ class Axes:
     settings: tuple[tuple[str, float | int | str | bool], ...] = ()
 
     def lines(self) -> list["Line"]:
-        """Give every combination of what is not the delay."""
+        """Return every combination of what is not the delay."""
         combinations = itertools.product(
             self.laws, self.stiffnesses_n_per_m, self.gains, self.jitters or (Jitter(),), self.losses
         )
@@ -41,7 +41,7 @@ class Jitter:
     relative: bool = False
 
     def at_ms(self, round_trip_ms: float) -> float:
-        """Give it in ms at a round trip."""
+        """Return the half-width in ms at a round trip."""
         return 0.5 * round_trip_ms * self.value if self.relative else self.value
 
     def __str__(self) -> str:
@@ -60,7 +60,7 @@ class Line:
     loss: float
 
     def cell(self, round_trip_ms: float) -> Cell:
-        """Give the cell at a round trip [ms]."""
+        """Return the cell at a round trip [ms]."""
         return Cell(
             law=self.law,
             environment=self.axes.environment,
@@ -76,7 +76,7 @@ class Line:
 
     @property
     def label(self) -> str:
-        """Name the conditions."""
+        """Return the name of the conditions."""
         parts = [f"{'K' if self.axes.environment == 'spring' else 'k'} = {self.stiffness_n_per_m:g} N/m"]
         parts += [f"K_f = {self.gain:g}"] if self.gain is not None else []
         parts += [f"jitter {self.jitter}"] if self.jitter.value else []
@@ -101,7 +101,7 @@ class LineResult:
     theory_link_ms: float | None
 
     def as_dict(self) -> dict[str, Any]:
-        """Give it as plain data."""
+        """Return the fields as plain data."""
         line = self.line
         return {
             "law": line.law,
@@ -139,12 +139,12 @@ class Edge:
 
     @property
     def middle(self) -> int | None:
-        """Where to look next; None when nothing lies between."""
+        """Return the next delay to compute; None when nothing lies between."""
         return (self.low + self.high) // 2 if self.high - self.low > 1 else None
 
 
 def find_edges(lines: Sequence[Line], rows: Sequence[tuple[CellResult, ...]], sweep: Sweep) -> list[float | None]:
-    """Give for each line the round trip of the link [ms] at which the loop is neutral; None if no cell is unstable.
+    """Return for each line the round trip of the link [ms] at which the loop is neutral; None if no cell is unstable.
 
     A constant delay acts in whole samples, so the search goes over those; between the last stable and the first
     unstable number the growth rate is taken as linear in the delay, and its zero is the edge.
@@ -162,7 +162,7 @@ def find_edges(lines: Sequence[Line], rows: Sequence[tuple[CellResult, ...]], sw
 
 
 def neutral(edge: Edge, low_growth_per_s: float | None, high_growth_per_s: float | None) -> float:
-    """Give the number of samples, with its fraction, at which the growth rate passes zero.
+    """Return the number of samples, with its fraction, at which the growth rate passes zero.
 
     Beyond either end by a sample at most: near neutral a small motion counts as stable while it still grows a little,
     and an end that counts as a limit cycle may still die out very slowly.
@@ -207,7 +207,7 @@ def _line_result(line: Line, cells: tuple[CellResult, ...], link_ms: float | Non
 
 
 def theory_of(line: Line) -> tuple[float | None, float | None]:
-    """Give T_c and T_d [s] of a line, where its law and environment make a linear loop with a constant delay."""
+    """Return T_c and T_d [s] of a line, where its law and environment make a linear loop with a constant delay."""
     controller = line.cell(0.0).controller()
     model = loop_model(line.law, controller.section(), line.stiffness_n_per_m)
     if model is None or line.axes.environment != "spring" or line.jitter.value or line.loss:

@@ -60,7 +60,7 @@ def write_stability(results: Sequence[LineResult], out: Path, command: str) -> d
 
 
 def summarise(results: Sequence[LineResult]) -> dict[str, Any]:
-    """Give the object that --json prints.
+    """Return the object that --json prints.
 
     critical_delay_ms: stiffness -> round trip [ms] of the first conditions given, half a period included, null when
     nothing up to the longest delay was unstable; by law, where there are several.
@@ -153,7 +153,7 @@ def _mark(axis: "PlotAxes", y: int, row: LineResult) -> None:
 
 
 def _edges(delays_ms: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Give the borders of the cells of a map, shape (n + 1,)."""
+    """Return the borders of the cells of a map, shape (n + 1,)."""
     middles = 0.5 * (delays_ms[1:] + delays_ms[:-1])
     lone = 0.5 if len(delays_ms) == 1 else 0.0
     return np.concatenate([[delays_ms[0] - lone], middles, [delays_ms[-1] + lone]])
@@ -231,7 +231,7 @@ def energy_figure(results: Sequence[LineResult]) -> "Figure":
 
 
 def telling_cells(result: LineResult) -> list[CellResult]:
-    """Give the last cell before the first unstable one, and that one; the longest delay where all are stable."""
+    """Return the last cell before the first unstable one, and that one; the longest delay where all are stable."""
     unstable = [i for i, cell in enumerate(result.cells) if cell.verdict != "stable"]
     if not unstable:
         return [result.cells[-1]]
@@ -240,7 +240,7 @@ def telling_cells(result: LineResult) -> list[CellResult]:
 
 
 def broken_assumption(cell: Cell, result: CellResult) -> str:
-    """Say which assumption of passivity fails in a cell that is not stable."""
+    """Return which assumption of passivity fails in a cell that is not stable."""
     if result.lowest_energy_j < 0.0:
         made = f"the two-port has given out {-1e3 * result.lowest_energy_j:.3g} mJ more than it was given"
         if cell.law in ("virtual_impedance", "position_force"):

@@ -37,7 +37,7 @@ class Journal:
     """The results on disk, by key."""
 
     def __init__(self, path: Path) -> None:
-        """Read what is there. Raises ConfigError naming the file and line, if it is not a journal of ours."""
+        """Read the journal if it exists. Raises ConfigError naming file and line, if it is not a journal of a study."""
         self.path = path
         self.results: dict[str, CellResult] = {}
         for number, line in enumerate(self._whole_lines(), start=1):
@@ -47,8 +47,8 @@ class Journal:
             except (ValueError, KeyError, TypeError) as error:
                 raise ConfigError(f"{path}:{number}: is not a line of a study's journal: {error}") from error
 
-    def enter(self, results: Iterable[CellResult]) -> None:
-        """Keep results, on disk first."""
+    def record(self, results: Iterable[CellResult]) -> None:
+        """Write results to the file, then keep them in memory."""
         entries = [(result.cell.key, result) for result in results]
         self.path.parent.mkdir(parents=True, exist_ok=True)
         lines = [json.dumps({"key": key, "result": result.as_dict()}, allow_nan=False) for key, result in entries]
@@ -57,7 +57,7 @@ class Journal:
         self.results.update(entries)
 
     def _whole_lines(self) -> list[bytes]:
-        """Give the lines that were written to their end; one that was cut off is taken out of the file."""
+        """Return the lines that were written to their end; one that was cut off is taken out of the file."""
         data = self.path.read_bytes() if self.path.exists() else b""
         end = data.rfind(b"\n") + 1
         if end < len(data):
@@ -76,13 +76,13 @@ class Sweep:
     computed: int = field(default=0, init=False)
 
     def run(self, cells: Sequence[Cell]) -> list[CellResult]:
-        """Give the result of each cell, in order; those in the journal are not computed again."""
+        """Return the result of each cell, in order; those in the journal are not computed again."""
         keys = {cell: cell.key for cell in dict.fromkeys(cells)}
         missing = [cell for cell, key in keys.items() if key not in self.journal.results]
         done = len(keys) - len(missing)
         self.progress(done, len(keys))
         for results in self._computed(missing):
-            self.journal.enter(results)
+            self.journal.record(results)
             self.computed += len(results)
             done += len(results)
             self.progress(done, len(keys))

@@ -1,4 +1,4 @@
-"""What linear theory says about delay: margins of the loop, absolute stability and passivity of two-ports.
+"""Linear theory of delay: margins of the loop, absolute stability and passivity of two-ports.
 
 **The paper's loop.** Against a linear environment F_s = K (x_s - L), with the round trip T in the loop,
 
@@ -47,7 +47,7 @@ class LoopModel(NamedTuple):
 
 
 def loop_model(law: str, parameters: BaseModel, stiffness_n_per_m: float) -> LoopModel | None:
-    """Give the loop of a law against a linear environment K [N/m]; None for a law whose loop is not of this form.
+    """Return the loop of a law against a linear environment K [N/m]; None for a law whose loop is not of this form.
 
     virtual_impedance: (K_f + 1) alpha_f alpha_p K over its impedance. position_force: alpha_f alpha_p K over its mass.
     """
@@ -64,21 +64,21 @@ def loop_model(law: str, parameters: BaseModel, stiffness_n_per_m: float) -> Loo
 
 
 def transfer_function(loop: LoopModel) -> Any:
-    """Give L(s) at T = 0 as a `control.TransferFunction`."""
+    """Return L(s) at T = 0 as a `control.TransferFunction`."""
     import control
 
     return control.tf([loop.gain_n_per_m], [loop.mass_kg, loop.damping_n_s_per_m, loop.stiffness_n_per_m])
 
 
 def sampled_loop(loop: Any, period_s: float) -> Any:
-    """Give the exact discretisation of a loop whose input is held over period_s [s]."""
+    """Return the exact discretisation of a loop whose input is held over period_s [s]."""
     import control
 
     return control.sample_system(loop, period_s, method="zoh")
 
 
 def delay_margin(loop: Any) -> Margin:
-    """Give the smallest delay that makes a stable loop neutral, over all frequencies at which its gain is 1."""
+    """Return the smallest delay that makes a stable loop neutral, over all frequencies at which its gain is 1."""
     import control
 
     # of a sampled loop the crossover is found on its frequency response: its polynomials cancel near z = 1
@@ -93,17 +93,17 @@ def delay_margin(loop: Any) -> Margin:
 
 
 def critical_delay_s(loop: LoopModel) -> float:
-    """Give T_c [s], the delay margin of the continuous loop."""
+    """Return T_c [s], the delay margin of the continuous loop."""
     return delay_margin(transfer_function(loop)).delay_s
 
 
 def critical_link_delay_s(loop: LoopModel, period_s: float) -> float:
-    """Give T_d [s]: what the link may add to the loop that is sampled every period_s [s]."""
+    """Return T_d [s]: what the link may add to the loop that is sampled every period_s [s]."""
     return delay_margin(sampled_loop(transfer_function(loop), period_s)).delay_s
 
 
 def characteristic_radius(loop: LoopModel, period_s: float, samples: int) -> float:
-    """Give the largest modulus of the poles of the sampled loop closed through so many samples of delay.
+    """Return the largest modulus of the poles of the sampled loop closed through so many samples of delay.
 
     An independent check of T_d: it passes 1 between the numbers of samples on either side of T_d / Ts. The growth rate
     of the slowest mode is log(radius) / Ts.
@@ -116,7 +116,7 @@ def characteristic_radius(loop: LoopModel, period_s: float, samples: int) -> flo
 
 
 def hybrid_of(law: str, parameters: BaseModel, round_trip_s: float, omega_rad_per_s: Series) -> Complex | None:
-    """Give H of a law at its parameters over a constant round trip [s], half of it each way, at angular frequencies.
+    """Return H of a law at its parameters over a constant round trip [s], half of it each way, at angular frequencies.
 
     Returns: shape (n, 2, 2); None for a law that is not linear, or has no such form here.
     """
@@ -136,16 +136,17 @@ def hybrid_of(law: str, parameters: BaseModel, round_trip_s: float, omega_rad_pe
 def direct_hybrid(
     impedance: Complex, force_gain: float | None, forward_s: float, backward_s: float, omega_rad_per_s: Series
 ) -> Complex:
-    """Give H of a law that sends position forward and force back as they are, over one-way delays [s].
+    """Return H of a law that sends position forward and force back as they are, over one-way delays [s].
 
     Z v = K_f (F_m - F_s e^(-s T2)) - F_s e^(-s T2), v_s = v e^(-s T1): h11 = Z / K_f, h12 = (1 + 1/K_f) e^(-s T2),
     h21 = -e^(-s T1), h22 = 0. force_gain None is direct reflection: Z v = F_m - F_s e^(-s T2), h11 = Z and
     h12 = e^(-s T2).
 
-    Parameters: impedance, Z(j omega), shape (n,) [N s/m]. Raises: ValueError for K_f = 0, where the hand has no say.
+    Parameters: impedance, Z(j omega), shape (n,) [N s/m].
+    Raises: ValueError for K_f = 0, where the hand's force has no effect.
     """
     if force_gain == 0.0:
-        raise ValueError("force_gain K_f = 0: the hand has no say, so there is no two-port in hybrid form")
+        raise ValueError("force_gain K_f = 0: the hand's force has no effect, so there is no two-port in hybrid form")
     s = 1j * omega_rad_per_s
     gain, excess = (1.0, 1.0) if force_gain is None else (force_gain, 1.0 + 1.0 / force_gain)
     return _matrices(impedance / gain, excess * np.exp(-s * backward_s), -np.exp(-s * forward_s), np.zeros_like(s))
@@ -154,7 +155,7 @@ def direct_hybrid(
 def wave_hybrid(
     impedance_n_s_per_m: float, forward_s: float, backward_s: float, filter_s: float, omega_rad_per_s: Series
 ) -> Complex:
-    """Give H of two wave transformations joined by constant delays [s] and wave filters of time constant filter_s [s].
+    """Return H of two wave transformations joined by constant delays [s] and filters of time constant filter_s [s].
 
     With u = (b v + F) / sqrt(2 b), w = (b v - F) / sqrt(2 b), a = e^(-s T1) / (1 + tau s), c = e^(-s T2) / (1 + tau s):
     h11 = b (1 - ac)/(1 + ac), h12 = 2c/(1 + ac), h21 = -2a/(1 + ac), h22 = (1 - ac)/(b (1 + ac))
@@ -172,7 +173,7 @@ def _matrices(h11: Complex, h12: Complex, h21: Complex, h22: Complex) -> Complex
 
 
 def llewellyn(hybrid: Complex) -> Series:
-    """Give the least of Llewellyn's three conditions at each frequency: absolutely stable where it is >= 0.
+    """Return the least of Llewellyn's three conditions at each frequency: absolutely stable where it is >= 0.
 
     Parameters: hybrid, shape (n, 2, 2). The conditions are scaled to be pure numbers: Re h11 / |h11|, Re h22 / |h22|,
     (2 Re h11 Re h22 - Re h12 h21) / |h12 h21| - 1; one without anything to divide by is 0, at its bound.
@@ -189,7 +190,7 @@ def _ratio(part: Series, size: Series) -> Series:
 
 
 def scattering_norm(hybrid: Complex, impedance_n_s_per_m: float) -> Series:
-    """Give the norm of the scattering matrix at each frequency; the two-port is passive if it never exceeds 1.
+    """Return the norm of the scattering matrix at each frequency; the two-port is passive if it never exceeds 1.
 
     S = diag(1, -1) (H' - 1)(H' + 1)^-1 with H' normalised by an impedance b [N s/m], > 0, which does not change whether
     the norm exceeds 1 (Anderson and Spong 1989).
@@ -203,7 +204,7 @@ def scattering_norm(hybrid: Complex, impedance_n_s_per_m: float) -> Series:
 
 
 def varying_delay_gain(delay_rate: float) -> float:
-    """Give the largest gain on a received wave that keeps a varying delay passive: sqrt(1 - dT/dt).
+    """Return the largest gain on a received wave that keeps a varying delay passive: sqrt(1 - dT/dt).
 
     A delay that grows stretches a wave in time, so that its energy arrives more than once (Lozano, Chopra and Spong
     2002). Raises ValueError for dT/dt >= 1, where messages would arrive in reverse order, or not a number.

@@ -48,7 +48,7 @@ class Transparency:
     z_width_db: float | None
 
     def as_dict(self) -> dict[str, Any]:
-        """Give it as plain data."""
+        """Return the fields as plain data."""
         return asdict(self)
 
 
@@ -93,7 +93,7 @@ def measure(cell: Cell) -> Transparency:
 
 
 def hand_programme(mean_n: float, settle_s: float) -> tuple[list[tuple[float, float]], float]:
-    """Give the corners (time [s], force [N]) of a ramp and a sine on top, and when the measurement begins [s]."""
+    """Return the corners (time [s], force [N]) of a ramp and a sine on top, and when the measurement begins [s]."""
     begin = _RAMP_S + settle_s
     periods = _SETTLE_PERIODS + _MEASURED_PERIODS
     points = [(0.0, 0.0), (_RAMP_S, mean_n)]

@@ -36,7 +36,7 @@ _OVERHEAD_S = 120.0
 
 
 class StudyError(TelenanoError):
-    """A rig that a study started did not run; the text says what it said."""
+    """A rig that a study started did not run; the text quotes its error."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Agreement:
     agree: bool
 
     def as_dict(self) -> dict[str, Any]:
-        """Give it as plain data."""
+        """Return the fields as plain data."""
         return asdict(self)
 
 
@@ -68,7 +68,7 @@ class Bus(NamedTuple):
 
 
 def scenario_of(cell: Cell) -> dict[str, Any]:
-    """Give the scenario that runs a cell on the bus.
+    """Return the scenario that runs a cell on the bus.
 
     Raises ConfigError for an environment that the AFM node cannot simulate.
     """
@@ -231,7 +231,7 @@ def bus_edges(agreements: Sequence[Agreement], period_s: float) -> list[BusEdge]
 
 
 def course_difference(cell: Cell, lockstep: Trajectory, bus: Trajectory) -> float:
-    """Give the RMS of the difference in alpha_f F_s over the session, as a share of the hand's greatest force."""
+    """Return the RMS of the difference in alpha_f F_s over the session, as a share of the hand's greatest force."""
     times = lockstep.time_s[lockstep.time_s <= bus.time_s[-1]]
     difference = lockstep.tip_force_n[: len(times)] - np.interp(times, bus.time_s, bus.tip_force_n)
     scale = scales_of(cell.controller()).force_scale / float(np.abs(lockstep.hand_force_n).max())

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 from proto.errors import ConfigError
 from services.controller.config import LAWS
-from services.runtime.config import flag_overrides
+from services.runtime.config import flag_overrides, flatten
 from studies.stability import Jitter
 
 _MOST_VALUES = 10_000
@@ -14,7 +14,7 @@ _MOST_VALUES = 10_000
 def numbers(option: str, text: str, least: float, most: float, unit: str) -> tuple[float, ...]:
     """Read `a,b,c` and `start:stop:step` (stop included), also mixed, into increasing different numbers.
 
-    Raises ConfigError for what is no number, outside [least, most], or no range.
+    Raises ConfigError for what is not a number, outside [least, most], or no range.
     """
     values: list[float] = []
     for part in text.split(","):
@@ -31,7 +31,7 @@ def number(option: str, text: str, unit: str) -> float:
         value = float(text)
     except ValueError as error:
         raise ConfigError(
-            f"{option}: {text!r} is no number{f' [{unit}]' if unit else ''}: give a value, a list a,b,c or a range"
+            f"{option}: {text!r} is not a number{f' [{unit}]' if unit else ''}: give a value, a list a,b,c or a range"
             " start:stop:step"
         ) from error
     if not math.isfinite(value):
@@ -90,16 +90,8 @@ def losses(text: str) -> tuple[float, ...]:
 
 def settings(given: Sequence[str]) -> tuple[tuple[str, float | int | str | bool], ...]:
     """Read KEY=VALUE of the section `controller` into dotted keys."""
-    return tuple(sorted(_flat("", flag_overrides(given))))
-
-
-def _flat(prefix: str, tree: dict[str, object]) -> list[tuple[str, float | int | str | bool]]:
-    found: list[tuple[str, float | int | str | bool]] = []
-    for key, value in tree.items():
-        if isinstance(value, dict):
-            found += _flat(f"{prefix}{key}.", value)
-        elif isinstance(value, float | int | str | bool):
-            found.append((f"{prefix}{key}", value))
-        else:
-            raise ConfigError(f"--set {prefix}{key}: {value!r} is no single value")
-    return found
+    flat = flatten(flag_overrides(given))
+    for key, value in flat.items():
+        if not isinstance(value, float | int | str | bool):
+            raise ConfigError(f"--set {key}: {value!r} is not a single value")
+    return tuple(sorted(flat.items()))

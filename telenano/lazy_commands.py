@@ -1,4 +1,4 @@
-"""Commands that are imported when they run: the help of `telenano` is there at once, without what they need."""
+"""The table of commands, each imported when it runs: `telenano --help` answers at once, without what they need."""
 
 import importlib
 from typing import Any, NamedTuple
@@ -8,7 +8,7 @@ from typer.core import TyperCommand, TyperGroup
 
 
 class LazyCommand(NamedTuple):
-    """Where a command is, and what the list of commands says of it."""
+    """Where a command or a group of them is defined, and its line in the list of commands."""
 
     module: str
     attribute: str
@@ -16,69 +16,55 @@ class LazyCommand(NamedTuple):
 
 
 LAZY_COMMANDS = {
-    "bag": LazyCommand(
-        "telenano.commands.bag",
-        "app",
-        "Look into a recording, and make others from it.",
-    ),
-    "keys": LazyCommand(
-        "telenano.commands.keys",
-        "app",
-        "Make, show and list the keys with which machines prove themselves.",
-    ),
-    "record": LazyCommand(
-        "telenano.commands.record",
-        "record",
-        "Attach to a running rig and record it.",
-    ),
-    "doctor": LazyCommand(
-        "telenano.doctor.report",
-        "doctor",
-        "Look whether this machine can run a rig, and say what to do.",
-    ),
+    "up": LazyCommand("telenano.commands.up", "up", "Run a scenario on a rig, record it, write figure and summary."),
+    "session": LazyCommand("telenano.commands.session", "session", "Send a command to a running rig."),
+    "status": LazyCommand("telenano.commands.status", "status", "Show the state of a running rig."),
+    "topic": LazyCommand("telenano.commands.topic", "app", "Inspect the messages of a running rig."),
+    "link": LazyCommand("telenano.commands.link", "app", "Show and change the link of a running rig."),
+    "node": LazyCommand("telenano.commands.node", "app", "Run one node alone."),
+    "record": LazyCommand("telenano.commands.record", "record", "Attach to a running rig and record it."),
     "replay": LazyCommand(
-        "telenano.commands.replay",
-        "replay",
-        "Play a recording in the place of nodes that do not run.",
+        "telenano.commands.replay", "replay", "Play a recording in the place of nodes that do not run."
     ),
-    "status": LazyCommand(
-        "telenano.commands.status",
-        "status",
-        "Say how a running rig is doing.",
-    ),
+    "report": LazyCommand("telenano.commands.report", "report", "Write figure and summary of a recording again."),
+    "bag": LazyCommand("telenano.commands.bag", "app", "Inspect a recording, and make others from it."),
     "study": LazyCommand(
         "telenano.commands.study",
         "app",
-        "Studies in lockstep: which delay each law bears, and what the hand feels of it.",
+        "Study each law in lockstep: stability, transparency.",
     ),
+    "keys": LazyCommand("telenano.commands.keys", "app", "Make, show and list the keys that identify machines."),
+    "doctor": LazyCommand("telenano.doctor.report", "doctor", "Check whether this machine can run a rig."),
 }
 
 
 def load(name: str) -> Any:
-    """Import one of the late commands."""
-    found = getattr(importlib.import_module(LAZY_COMMANDS[name].module), LAZY_COMMANDS[name].attribute)
+    """Import a command of the table."""
+    row = LAZY_COMMANDS[name]
+    found = getattr(importlib.import_module(row.module), row.attribute)
     if isinstance(found, typer.Typer):
-        return typer.main.get_command(found)
+        command = typer.main.get_command(found)
+        command.help = command.help or row.about
+        return command
     alone = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
     alone.command(name)(found)
     return typer.main.get_command(alone)
 
 
 class LazyRoot(TyperGroup):
-    """The group of all commands, which lists the late ones without importing them."""
+    """The group of all commands, which lists them without importing them."""
 
     def list_commands(self, ctx: Any) -> list[str]:
-        """Give the names of all commands."""
-        return [*super().list_commands(ctx), *LAZY_COMMANDS]
+        """Return the names of all commands."""
+        return list(LAZY_COMMANDS)
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """Give a command; of a late one what the list needs."""
-        if cmd_name in LAZY_COMMANDS:
-            return TyperCommand(name=cmd_name, help=LAZY_COMMANDS[cmd_name].about)
-        return super().get_command(ctx, cmd_name)
+        """Return what the list of commands needs of one; None if it is unknown."""
+        row = LAZY_COMMANDS.get(cmd_name)
+        return None if row is None else TyperCommand(name=cmd_name, help=row.about)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Give the command to run, imported now if it is a late one."""
+        """Return the command to run, imported now; an unknown name is a usage error."""
         if args and args[0] in LAZY_COMMANDS:
             return args[0], load(args[0]), args[1:]
         return super().resolve_command(ctx, args)

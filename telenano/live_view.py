@@ -1,9 +1,8 @@
-"""What a person sees of a running rig: a live table on a terminal, a few lines elsewhere, the summary at the end."""
+"""The view of a running rig: a live table on a terminal, a few lines elsewhere."""
 
-from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
@@ -16,7 +15,7 @@ from services.launcher.readiness import oldest_input_s
 from services.launcher.session import Phase, RigNode, SessionNode
 
 _REFRESH_TICKS = 5
-# how often a line says what is still waited for
+# how often a line repeats what is still waited for
 _REMIND_NS = 5_000_000_000
 _NEWS_SHOWN = 6
 _STATE_STYLES = {"ready": "green", "running": "green", "safe": "yellow", "starting": "yellow", "stopping": "red"}
@@ -37,10 +36,10 @@ class LineView(AbstractContextManager["LineView"]):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Leave nothing behind."""
+        """Do nothing: each line was printed as it came."""
 
     def observe(self, rig: RigNode) -> None:
-        """Write what is new: news, a phase, who is waited for."""
+        """Print what is new: news, a phase, the nodes that are waited for."""
         while rig.news:
             self.say(rig.news.popleft())
         if rig.phase != self._phase:
@@ -57,7 +56,6 @@ class LineView(AbstractContextManager["LineView"]):
             self.say("still waiting: " + "; ".join(f"{node} {reason}" for node, reason in reasons.items()))
 
     def say(self, text: str) -> None:
-        """Write a line."""
         if not self._quiet:
             self._console.print(text, markup=False, highlight=False, soft_wrap=True)
 
@@ -66,20 +64,20 @@ class LiveView(AbstractContextManager["LiveView"]):
     """The table of nodes, the progress of the session and the last events, in place."""
 
     def __init__(self, console: Console) -> None:
-        # without a thread of its own: the launcher's loop says when there is something new
+        # without a thread of its own: the launcher's loop refreshes it
         self._live = Live(console=console, auto_refresh=False, transient=True)
         self._ticks = 0
         self._last: Group | None = None
 
     def __enter__(self) -> Self:
-        """Take the terminal."""
+        """Start the live display."""
         self._live.start()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Give the terminal back."""
+        """Clear the live display."""
         self._live.stop()
 
     def observe(self, rig: RigNode) -> None:
@@ -95,7 +93,7 @@ class LiveView(AbstractContextManager["LiveView"]):
 
 
 def rig_picture(rig: RigNode) -> Group:
-    """Draw a rig: nodes, what it is at, last news and events."""
+    """Draw a rig: nodes, phase, last news and events."""
     parts: list[RenderableType] = [nodes_table(rig), Text(rig.status_line())]
     if rig.phase == "starting":
         parts += [Text(f"  {node} {reason}", "yellow") for node, reason in rig.causes().items()]
@@ -110,11 +108,11 @@ def rig_picture(rig: RigNode) -> Group:
 
 
 def nodes_table(rig: RigNode) -> Table:
-    """Draw the table of nodes from what they last said; how often one was restarted is known of own nodes only."""
+    """Draw the table of nodes from their last health; restarts are known of own nodes only."""
     table = Table("node", *_COLUMNS)
     for column in table.columns[2:]:
         column.justify = "right"
-    restarts = rig.keeper.restarts()
+    restarts = rig.supervisor.restarts()
     for node in rig.nodes:
         health = rig.health.get(node)
         cells = _cells(health) if health else [Text("-", "dim")] + [Text("")] * (len(_COLUMNS) - 2)
@@ -142,63 +140,3 @@ def _alarming(count: int) -> Text:
 
 def _event_line(event: SessionEvent) -> Text:
     return Text(f"{event.src}: {event.text}", _LEVEL_STYLES[event.level], overflow="ellipsis", no_wrap=True)
-
-
-def summary_tables(summary: Mapping[str, Any], title: str) -> Group:
-    """Draw a summary: single values, then what is known of each topic side by side, then every list as a table."""
-    by_topic = {key: value for key, value in summary.items() if _keyed_by_topic(value)}
-    lists = {key: value for key, value in summary.items() if _is_list_of_rows(value)}
-    rest = {key: value for key, value in summary.items() if key not in by_topic and key not in lists}
-    parts: list[RenderableType] = [_values_table(rest, title)]
-    if by_topic:
-        topics = sorted({topic for values in by_topic.values() for topic in values})
-        rows = [{"topic": topic} | {key: values.get(topic) for key, values in by_topic.items()} for topic in topics]
-        parts.append(rows_table(rows))
-    parts += [rows_table(rows, title=key) for key, rows in lists.items()]
-    return Group(*parts)
-
-
-def rows_table(rows: Sequence[Mapping[str, Any]], title: str | None = None) -> Table:
-    """Draw rows that have the same keys."""
-    table = Table(*rows[0], title=title)
-    for column, value in zip(table.columns, rows[0].values(), strict=True):
-        column.justify = "left" if isinstance(value, str) else "right"
-        column.overflow = "fold"
-    for row in rows:
-        table.add_row(*(_value_text(value) for value in row.values()))
-    return table
-
-
-def _values_table(values: Mapping[str, Any], title: str) -> Table:
-    table = Table("quantity", "value", title=title)
-    for column in table.columns:
-        column.overflow = "fold"
-    for key, value in _leaves("", values):
-        table.add_row(key, _value_text(value))
-    return table
-
-
-def _keyed_by_topic(value: Any) -> bool:
-    return isinstance(value, Mapping) and bool(value) and all("/" in key for key in value)
-
-
-def _is_list_of_rows(value: Any) -> bool:
-    return isinstance(value, list | tuple) and bool(value) and all(isinstance(row, Mapping) for row in value)
-
-
-def _leaves(prefix: str, tree: Mapping[str, Any]) -> list[tuple[str, Any]]:
-    rows: list[tuple[str, Any]] = []
-    for key, value in tree.items():
-        name = f"{prefix}{key}"
-        rows += _leaves(f"{name}.", value) if isinstance(value, Mapping) and value else [(name, value)]
-    return rows
-
-
-def _value_text(value: Any) -> Text:
-    if value is None:
-        return Text("-", "dim")
-    if isinstance(value, bool):
-        return Text("yes" if value else "no", "green" if value else "red")
-    if isinstance(value, list | tuple):
-        return Text(", ".join(str(item) for item in value) or "-")
-    return Text(f"{value:.6g}" if isinstance(value, float) else str(value))

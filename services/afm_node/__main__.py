@@ -10,7 +10,7 @@ from services.runtime.node import NodeContext
 
 
 def build(context: NodeContext, config: AfmConfig) -> AfmNode:
-    """Give the node its simulated instrument."""
+    """Build the node with its simulated instrument."""
     if config.environment == "spring":
         return AfmNode(context, config, SimulatedSpring(config.to_spring_params()))
     return AfmNode(context, config, SimulatedAfm(config.to_params()))

@@ -110,7 +110,7 @@ class SafetyConfig(_Model):
 
 
 class SpringConfig(_Model):
-    """A linear environment in place of cantilever and sample: the one that the theory of delay speaks of."""
+    """A linear environment in place of cantilever and sample: the one of the theory of delay."""
 
     stiffness_n_per_m: float = Field(20.0, gt=0.0, le=1e9, description="Stiffness K [N/m], up to 1e9.")
     rest_position_m: BasePosition = Field(0.0, description="Base at which it is at rest [m]: F = K (x_s - L).")
@@ -143,7 +143,7 @@ class AfmConfig(_Model):
         return self
 
     def to_spring_params(self) -> SpringParams:
-        """Give the parameters of the linear environment behind the same guard."""
+        """Return the parameters of the linear environment behind the same guard."""
         guard, spring = self.to_params().safety, self.spring
         return spring_params(guard, spring.stiffness_n_per_m, spring.rest_position_m, spring.bilateral)
 

@@ -1,4 +1,4 @@
-"""What an AFM device must offer. The simulated one is `sim.SimulatedAfm`; a real one is another class of this shape.
+"""The interface of an AFM device. The simulated one is `sim.SimulatedAfm`; a real one is another class of this shape.
 
 A driver moves and measures, no more: what may be sent to it is decided before, by `safety.safety_step`.
 """
@@ -22,7 +22,7 @@ class AfmDriver(Protocol):
         """
 
     def exchange(self, base_m: float) -> AfmSample:
-        """Apply a base position [m] and give what the device measured; blocks for one device cycle at most.
+        """Apply a base position [m] and return what the device measured; blocks for one device cycle at most.
 
         Raises: ValueError, if the position is not finite; OSError, if the device is lost; RuntimeError, if not open.
         """

@@ -105,7 +105,7 @@ def maugis_dugdale(
 
 @compiled
 def _f1(s: float) -> float:
-    """Give sin(2s)/2 - s cos(2s), by its series where the two terms cancel."""
+    """Return sin(2s)/2 - s cos(2s), by its series where the two terms cancel."""
     z = 2.0 * s
     if z > _SERIES_BELOW:
         return 0.5 * (math.sin(z) - z * math.cos(z))

@@ -8,7 +8,7 @@ from proto.messages import AfmCommand, ClockPing, SessionControl
 from services.afm_node import safety
 from services.afm_node.config import AfmConfig
 from services.afm_node.driver import AfmDriver
-from services.afm_node.step import AfmSample
+from services.afm_node.step import LONGEST_STEP_NS, AfmSample, patience_ns
 from services.runtime.bus import Received
 from services.runtime.frames import across, along
 from services.runtime.node import Node, NodeContext
@@ -17,10 +17,8 @@ from services.runtime.replay_guard import ReplayGuard
 INPUTS = ("afm/command", "clock/ping", "session/control", "node/health")
 PERIOD_S = 1e-3
 _PERIOD_NS = round(PERIOD_S * 1e9)
-# a command that is late by less than half a period still makes the step, so that there is one step a command
-_PATIENCE_NS = _PERIOD_NS * 3 // 2
-# the guard's speed limit allows no more than this much motion at once, however long the process was held up
-_LONGEST_STEP_S = 0.010
+_PATIENCE_NS = patience_ns(_PERIOD_NS)
+_LONGEST_STEP_S = LONGEST_STEP_NS * 1e-9
 _ACTION_CODES = {name: code for code, name in safety.ACTION_NAMES.items()}
 _ALARMING = (
     safety.REASON_ESTOP,

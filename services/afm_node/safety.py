@@ -1,4 +1,4 @@
-"""Safety chain of the AFM: what may be sent to the base, whatever the controller says. Guards any driver.
+"""Safety chain of the AFM: what may be sent to the base, whatever the controller commands. Guards any driver.
 
 Modes: RETRACTED (safe state, where a node starts), FOLLOW, HOLD, RETRACTING, ESTOP. One tick is decided in this order:
 
@@ -127,7 +127,7 @@ class SafetyOutputs(NamedTuple):
 
 
 def initial_safety_state(params: SafetyParams) -> SafetyState:
-    """Give the state in which every node starts: retracted."""
+    """Return the state in which every node starts: retracted."""
     return SafetyState(MODE_RETRACTED, params.retract_position_m, REASON_START)
 
 
@@ -197,7 +197,7 @@ def _arm_refusal(params: SafetyParams, state: SafetyState, inputs: SafetyInputs)
 
 @compiled
 def _next_base(params: SafetyParams, base_m: float, mode: int, reference_m: float, dt: float) -> tuple[float, int]:
-    """Give the base position after this tick and the bits of the limits that changed it."""
+    """Return the base position after this tick and the bits of the limits that changed it."""
     if mode == MODE_HOLD:
         return base_m, 0
     if mode != MODE_FOLLOW:

@@ -33,7 +33,7 @@ class SimulatedAfm:
         self._tip = initial_state(self._plant, self._safe_position_m)
 
     def exchange(self, base_m: float) -> AfmSample:
-        """Apply a base position [m] and give what the device measured.
+        """Apply a base position [m] and return what the device measured.
 
         Raises: ValueError, if the position is not finite; RuntimeError, if not open.
         """
@@ -43,7 +43,7 @@ class SimulatedAfm:
         return sample
 
     def retract(self) -> None:
-        """Go to the safe position at once."""
+        """Retract to the safe position at once."""
         if self._tip is not None:
             self.exchange(self._safe_position_m)
 
@@ -75,7 +75,7 @@ class SimulatedSpring:
         self._opened = True
 
     def exchange(self, base_m: float) -> AfmSample:
-        """Apply a base position [m] and give force and distance.
+        """Apply a base position [m] and return force and distance.
 
         Raises: ValueError, if the position is not finite; RuntimeError, if not open.
         """
@@ -87,7 +87,7 @@ class SimulatedSpring:
         return AfmSample(base_m, 0.0, force, 0.0, self._params.rest_distance_m - base_m, True, force != 0.0, False)
 
     def retract(self) -> None:
-        """Go to the safe position at once: there is nothing to move."""
+        """Retract to the safe position at once: there is nothing to move."""
 
     def close(self) -> None:
         """Stop; harmless when already closed."""

@@ -1,4 +1,4 @@
-"""The linear environment that the theory speaks of, F = K (x_s - L), behind the safety chain of the AFM.
+"""The linear environment of the theory of delay, F = K (x_s - L), behind the safety chain of the AFM.
 
 It has the interface of `services.afm_node.step`: the same inputs and outputs, the same guard, and in place of
 cantilever and sample a spring on the base itself. The distance reported is L - x_s.
@@ -31,7 +31,7 @@ class SpringState(NamedTuple):
 def spring_params(
     safety: SafetyParams, stiffness_n_per_m: float, rest_distance_m: float, bilateral: bool
 ) -> SpringParams:
-    """Give the constants of the environment.
+    """Return the constants of the environment.
 
     Parameters: safety; stiffness_n_per_m, K [N/m], > 0; rest_distance_m, L [m]; bilateral.
     Raises: ValueError naming value and unit.
@@ -45,13 +45,13 @@ def spring_params(
 
 @compiled
 def spring_force(params: SpringParams, base_m: float) -> float:
-    """Give the force [N] on the tip at base position x_s [m]: K (x_s - L), without the pull where it is one-sided."""
+    """Return the force [N] on the tip at base position x_s [m]: K (x_s - L), without the pull where it is one-sided."""
     force = params.stiffness_n_per_m * (base_m - params.rest_distance_m)
     return force if params.bilateral or force > 0.0 else 0.0
 
 
 def initial_state(params: SpringParams) -> SpringState:
-    """Give the state at the start: retracted, at the force there."""
+    """Return the state at the start: retracted, at the force there."""
     safety = initial_safety_state(params.safety)
     return SpringState(safety, spring_force(params, safety.base_m))
 

@@ -14,6 +14,9 @@ from services.afm_node.cantilever import Plant, PlantState, deflection_m, equili
 from services.afm_node.safety import SafetyInputs, SafetyParams, SafetyState, initial_safety_state, safety_step
 from services.runtime.compiled import compiled
 
+# the guard's speed limit allows no more than this much motion at once, however long the process was held up
+LONGEST_STEP_NS = 10_000_000
+
 
 class AfmSample(NamedTuple):
     """What the device reports for one base position.
@@ -75,6 +78,15 @@ class AfmOutputs(NamedTuple):
 
 
 @compiled
+def patience_ns(period_ns: int) -> int:
+    """Return how long after a commanded step the instrument steps by itself [ns].
+
+    A command that is late by less than half a period still makes the step, so that there is one step a command.
+    """
+    return 3 * period_ns // 2
+
+
+@compiled
 def measure(plant: Plant, state: PlantState, base_m: float) -> tuple[PlantState, AfmSample]:
     """Move the base to base_m [m], find the equilibrium and read it out.
 
@@ -114,7 +126,7 @@ def step(params: AfmParams, state: AfmStepState, inputs: AfmInputs, dt: float) -
 
 
 def initial_afm_state(params: AfmParams) -> AfmStepState:
-    """Give the state in which an AFM starts: retracted, the tip in equilibrium there."""
+    """Return the state in which an AFM starts: retracted, the tip in equilibrium there."""
     safety = initial_safety_state(params.safety)
     tip, sample = measure(params.plant, initial_state(params.plant, safety.base_m), safety.base_m)
     return AfmStepState(safety, tip, sample.force_n)

@@ -141,7 +141,7 @@ def _difference(p: TipSampleProperties, table: ContactTable, a0: float, h: float
 
 
 def _hand_over(p: TipSampleProperties, table: ContactTable, a0: float) -> tuple[float, float]:
-    """Give the distances h* at which contact begins and h_release >= h* at which it ends (E7)."""
+    """Return the distances h* at which contact begins and h_release >= h* at which it ends (E7)."""
     contact_end = a0 - table.start_m
     hand_over = _outermost_crossing(p, table, a0, a0, contact_end)
     if hand_over is None:

@@ -46,9 +46,9 @@ class ControllerConfig(BaseModel):
     smith: SmithConfig = Field(default=SmithConfig(), description="Parameters of the Smith predictor")
 
     def section(self) -> Any:
-        """Give the parameters of the law in force; every law's have position_scale, force_scale, silence_limit_s."""
+        """Return the parameters of the law in force; every law's have position_scale, force_scale, silence_limit_s."""
         return getattr(self, self.law)
 
     def params(self) -> Any:
-        """Give the compiled constants of the law in force."""
+        """Return the compiled constants of the law in force."""
         return self.section().to_params(self.period_s)

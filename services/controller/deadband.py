@@ -53,7 +53,7 @@ class DeadbandConfig(BaseModel):
     )
 
     def to_params(self) -> DeadbandParams:
-        """Give the constants of the compiled step."""
+        """Return the constants of the compiled step."""
         return DeadbandParams(
             enabled=self.enabled,
             weber_fraction=self.weber_fraction,
@@ -76,7 +76,7 @@ class DeadbandState(NamedTuple):
 
 @compiled
 def fresh(signal: PortSignal) -> DeadbandState:
-    """Give the state in which the next signal is sent whatever it says; `signal` gives the type."""
+    """Return the state in which the next signal is always sent; `signal` gives the type."""
     return DeadbandState(signal, -1.0, 0, 0)
 
 
@@ -87,7 +87,7 @@ def _differs(value: float, last: float, weber_fraction: float, floor: float) -> 
 
 @compiled
 def deadband(params: DeadbandParams, state: DeadbandState, signal: PortSignal, dt: float) -> tuple[DeadbandState, bool]:
-    """Say whether a signal is to be sent, dt [s] after the one before."""
+    """Return whether a signal is to be sent, dt [s] after the one before."""
     last, w = state.last, params.weber_fraction
     since_s = state.since_s + dt
     send = (

@@ -29,13 +29,13 @@ class Port(NamedTuple):
 
 @compiled
 def opened(position_m: float, force_n: float) -> Port:
-    """Begin to count at a position [m] and force [N], at the hand's scale."""
+    """Start counting at a position [m] and force [N], at the hand's scale."""
     return Port(position_m, force_n, 0.0)
 
 
 @compiled
 def moved_to(port: Port, position_m: float, force_n: float) -> Port:
-    """Take the port elsewhere without work: the law was not in force in between."""
+    """Move the port without counting work: the law was not in force in between."""
     return Port(position_m, force_n, port.energy_j)
 
 
@@ -53,7 +53,7 @@ def left(port: Port, position_m: float, force_n: float) -> Port:
 
 
 @compiled
-def is_passive(net_j: float, net_valid: bool, books: EnergyAccount) -> bool:
-    """Say whether nothing observed shows that energy was made: E_net + granted >= 0 and nothing overdrawn."""
-    enough = not net_valid or net_j + books.granted_j >= -TOLERANCE_J
-    return enough and books.left_j >= -TOLERANCE_J
+def is_passive(net_j: float, net_valid: bool, account: EnergyAccount) -> bool:
+    """Return whether the energies observed agree with passivity: E_net + granted >= 0 and nothing overdrawn."""
+    enough = not net_valid or net_j + account.granted_j >= -TOLERANCE_J
+    return enough and account.left_j >= -TOLERANCE_J

@@ -1,9 +1,9 @@
 """What a teleoperation law is: a two-port with a master half and a slave half, each a pair of pure steps.
 
-At each tick of the hand the master half first *sends* (what its state and the hand's sample say to the slave), and
-then, when the answer comes or the tick is over, *receives* (integrates, and says what the device is to do). The slave
-half receives first and sends when the instrument has answered. So nothing waits for a timer: with no delay the force
-that answers a sample acts within the same tick, which is what the equations of the paper assume.
+At each tick of the hand the master half first *sends* (the signal that follows from its state and the hand's sample),
+and then, when the answer comes or the tick is over, *receives* (integrates, and sets the reference of the device). The
+slave half receives first and sends when the instrument has answered. So nothing waits for a timer: with no delay the
+force that answers a sample acts within the same tick, which is what the equations of the paper assume.
 
 All quantities are scalars along the paper's axis, towards the sample: x_m, F_m (force of the operator), x_s, F_s (force
 on the tip, repulsive positive, that is, along -x).
@@ -39,7 +39,7 @@ class TipSample(NamedTuple):
 
 
 class PortSignal(NamedTuple):
-    """What one half of a law says to the other, at the slave's scale.
+    """The signal from one half of a law to the other, at the slave's scale.
 
     The receiver fills in the last two. `silence_s` is the time since the newest signal arrived (large when none ever
     did); a law decides for itself what is too long. `round_trip_s`, at the master only, is the age of the hand's sample
@@ -91,6 +91,8 @@ class EnergyAccount(NamedTuple):
     granted_j: float
 
 
+# time without a message after which a half starts anew, instead of bridging it by many steps [periods]
+LONGEST_BRIDGED_PERIODS = 50
 NO_SIGNAL = PortSignal(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, False, False, False, 1e9, 0.0)
 
 # Params and states are NamedTuples of the law's own, so the table of laws cannot name them: each law's module does.
@@ -98,8 +100,8 @@ Steps = Callable[..., Any]
 
 
 @compiled
-def no_books(params: Any, state: Any) -> EnergyAccount:
-    """Give the books of a law that keeps none."""
+def no_energy_account(params: Any, state: Any) -> EnergyAccount:
+    """Return the account of a law that keeps none."""
     return EnergyAccount(0.0, 0.0, 0.0)
 
 
@@ -116,9 +118,9 @@ class Law:
     - `slave_send(params, state, tip, dt) -> (state, PortSignal)`
     - `retune(old, new, state) -> state`: carries a master state over a change of parameters without a jump
 
-    - `master_books(params, state) -> Books`, `slave_books(params, state) -> Books`: what the half knows of energy
+    - `master_energy_account(params, state) -> EnergyAccount` and `slave_energy_account`: what the half knows of energy
 
-    `uses_waves` and `uses_energy` say which optional parts of the wire message the law fills.
+    `uses_waves` and `uses_energy` tell which optional parts of the wire message the law fills.
     """
 
     name: str
@@ -131,7 +133,7 @@ class Law:
     slave_receive: Steps
     slave_send: Steps
     retune: Steps
-    master_books: Steps = no_books
-    slave_books: Steps = no_books
+    master_energy_account: Steps = no_energy_account
+    slave_energy_account: Steps = no_energy_account
     uses_waves: bool = False
     uses_energy: bool = False

@@ -20,6 +20,7 @@ from services.controller import energy
 from services.controller.config import LAWS, ControllerConfig
 from services.controller.deadband import deadband, fresh
 from services.controller.law import (
+    LONGEST_BRIDGED_PERIODS,
     NO_SIGNAL,
     EnergyAccount,
     HandSample,
@@ -38,8 +39,6 @@ from services.runtime.node import Node, NodeContext
 INSTRUMENT_DEADLINE_S = TOPICS["afm/state"].deadline_s or 0.0
 MASTER_INPUTS = ("haptic/state", "teleop/backward", "law/status", "session/control")
 SLAVE_INPUTS = ("teleop/forward", "afm/state", "session/control")
-# time without a message after which a first or resumed one starts anew instead of being bridged by many steps
-_LONGEST_BRIDGED_PERIODS = 50
 STATUS_PERIOD_S = 0.01
 # while the other half is waited for, the hand comes to rest like a virtual mass that is left alone
 _COASTING_S = 0.005
@@ -53,10 +52,10 @@ def warm_up(law: Law, params: Any, config: ControllerConfig) -> None:
     state = law.master_resume(params, hand, 0.0)
     state, signal = law.master_send(params, law.master_start(params, hand), hand, period_s)
     state, _ = law.master_receive(params, state, hand, signal, period_s)
-    law.master_books(params, state)
+    law.master_energy_account(params, state)
     slave, _ = law.slave_receive(params, law.slave_start(params, tip), signal, tip, period_s)
     slave, _ = law.slave_send(params, slave, tip, period_s)
-    energy.is_passive(0.0, False, law.slave_books(params, slave))
+    energy.is_passive(0.0, False, law.slave_energy_account(params, slave))
     law.retune(params, params, state)
     deadband(config.deadband.to_params(), fresh(signal), signal, period_s)
     port = energy.moved_to(energy.opened(0.0, 0.0), 0.0, 0.0)
@@ -134,7 +133,7 @@ class ControllerHalf(Node):
         return self.law_state
 
     @abstractmethod
-    def books(self) -> EnergyAccount:
+    def energy_account(self) -> EnergyAccount:
         """Give what this half of the law knows of energy."""
 
     def hear(self, message: TeleopForward | TeleopBackward, received_ns: int) -> bool:
@@ -176,7 +175,7 @@ class ControllerHalf(Node):
         law on that grid and makes a re-run from a recording exact.
         """
         periods = round((hand_t_ns - previous_ns) / self._period_ns)
-        if previous_ns == 0 or not 0 < periods <= _LONGEST_BRIDGED_PERIODS:
+        if previous_ns == 0 or not 0 < periods <= LONGEST_BRIDGED_PERIODS:
             return None
         return periods * self.config.period_s
 
@@ -202,7 +201,7 @@ class ControllerHalf(Node):
         """Publish law/status every so many ticks; other_energy_j [J]: what has entered at the other port, if known."""
         if self.steps % self._status_ticks or self.law_state is None:
             return
-        books: EnergyAccount = self.books()
+        account: EnergyAccount = self.energy_account()
         known = other_energy_j is not None
         net_j = self.port.energy_j + (other_energy_j or 0.0)
         round_trip_s, measured = self.round_trip_s()
@@ -216,9 +215,9 @@ class ControllerHalf(Node):
             port_power_w=entered_j / (self._status_ticks * self.config.period_s),
             net_valid=known,
             net_energy_j=net_j if known else 0.0,
-            left_j=books.left_j,
-            dissipated_j=books.dissipated_j,
-            passive=bool(energy.is_passive(net_j, known, books)),
+            left_j=account.left_j,
+            dissipated_j=account.dissipated_j,
+            passive=bool(energy.is_passive(net_j, known, account)),
             saved_percent=100.0 * (offered - self._band_state.sent) / offered if offered else 0.0,
             heard=self._signal_ns is not None,
             silence_s=self._silence_s() if self._signal_ns is not None else 0.0,
@@ -278,9 +277,9 @@ class MasterController(ControllerHalf):
         """Carry the state over without a jump at the tip."""
         return self.law.retune(old, new, self.law_state)
 
-    def books(self) -> EnergyAccount:
+    def energy_account(self) -> EnergyAccount:
         """Give what this half of the law knows of energy."""
-        return cast(EnergyAccount, self.law.master_books(self.params, self.law_state))
+        return cast(EnergyAccount, self.law.master_energy_account(self.params, self.law_state))
 
     def round_trip_s(self) -> tuple[float, bool]:
         """Give the age of the hand's sample that the newest answer descends from [s], and whether it is known."""
@@ -388,9 +387,9 @@ class SlaveController(ControllerHalf):
         elif isinstance(message, AfmState):
             self._on_instrument(message)
 
-    def books(self) -> EnergyAccount:
+    def energy_account(self) -> EnergyAccount:
         """Give what this half of the law knows of energy."""
-        return cast(EnergyAccount, self.law.slave_books(self.params, self.law_state))
+        return cast(EnergyAccount, self.law.slave_energy_account(self.params, self.law_state))
 
     def _switch(self) -> None:
         super()._switch()

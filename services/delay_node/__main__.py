@@ -1,9 +1,9 @@
-"""Run the link: one process with a face at each site."""
+"""Run the link: one process with a publisher at each site."""
 
 import sys
 
 from proto.errors import ConfigError, EndpointError
-from services.delay_node.config import LinkSettings, SettingsError
+from services.delay_node.config import LinkSettings
 from services.delay_node.node import DelayNode
 from services.runtime.bus import ZmqBus
 from services.runtime.main import NodeKind, Wiring, run_node
@@ -11,7 +11,7 @@ from services.runtime.node import AccountedBus, Node
 
 
 def build(wiring: Wiring, settings: LinkSettings) -> tuple[Node, AccountedBus]:
-    """Bind a face at each site and listen to the nodes behind both."""
+    """Bind a publisher at each site and subscribe to the nodes of both."""
     # the publishers first: they are what may fail
     to_master = wiring.publisher("delay_node@master")
     try:
@@ -27,7 +27,7 @@ def build(wiring: Wiring, settings: LinkSettings) -> tuple[Node, AccountedBus]:
     bus.also_closes(to_slave)
     try:
         node = DelayNode(wiring.context(bus), settings, to_slave, to_master, wiring.scenario_file.parent)
-    except SettingsError as error:
+    except ConfigError as error:
         bus.close()
         raise ConfigError(f"{wiring.scenario_file}: delay_node: {error}") from error
     return node, bus

@@ -37,7 +37,7 @@ class Exchange(NamedTuple):
 
 
 class Offset(NamedTuple):
-    """Estimate of the offset [s] with the bound of its error [s], the round trip [s] it rests on, exchanges in view."""
+    """Estimate of the offset [s], the bound of its error [s], the round trip [s] it rests on, exchanges in view."""
 
     offset_s: float
     uncertainty_s: float
@@ -49,18 +49,18 @@ class OffsetFilter:
     """Minimum filter over the last exchanges."""
 
     def __init__(self, window: int) -> None:
-        """Keep so many exchanges in view; ValueError if fewer than one."""
+        """Keep the last `window` exchanges; ValueError if fewer than one."""
         if window < 1:
-            raise ValueError(f"window is {window}, at least 1 exchange has to be in view")
+            raise ValueError(f"window is {window}, must be at least 1 exchange")
         self._exchanges: deque[Exchange] = deque(maxlen=window)
 
-    def enter(self, exchange: Exchange) -> None:
-        """Enter an exchange; one whose round trip is negative is no exchange of ours, and is left out."""
+    def record(self, exchange: Exchange) -> None:
+        """Record an exchange; one whose round trip is negative cannot be one of ours and is ignored."""
         if exchange.round_trip_ns >= 0:
             self._exchanges.append(exchange)
 
     def estimate(self) -> Offset | None:
-        """Give the estimate, None before the first exchange."""
+        """Return the estimate, None before the first exchange."""
         if not self._exchanges:
             return None
         best = min(self._exchanges, key=lambda exchange: exchange.round_trip_ns)

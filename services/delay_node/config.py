@@ -10,10 +10,14 @@ from fnmatch import fnmatchcase
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from services.delay_node.profiles import PROFILES, known_profiles
+from services.runtime.config import flatten, merge, nested, validate
 
 Setting = float | int | str | bool
+# a dotted key, and what is wrong with its value
+Problem = tuple[str, str]
 Probability = Annotated[float, Field(ge=0.0, le=1.0)]
 # A correlation of 1 would freeze the first draw for ever.
 Correlation = Annotated[float, Field(ge=0.0, lt=1.0)]
@@ -21,10 +25,6 @@ LONGEST_S = 3600.0
 Seconds = Annotated[float, Field(ge=0.0, le=LONGEST_S)]
 # Below a microsecond a time-driven model would have to be walked through thousands of steps per message.
 Interval = Annotated[float, Field(ge=1e-6, le=LONGEST_S)]
-
-
-class SettingsError(ValueError):
-    """Settings that the link refuses; the text names the key, the value and what would be right."""
 
 
 class Frozen(BaseModel):
@@ -197,47 +197,47 @@ class Impairment(Frozen):
         default=1.0, description="share of the messages that these settings apply to; the others pass untouched"
     )
 
-    def problems(self) -> Iterator[str]:
-        """Yield what contradicts itself between keys, each text beginning with the key."""
+    def problems(self) -> Iterator[Problem]:
+        """Yield what contradicts itself between keys."""
         yield from self._shape_problems()
         yield from self._chain_problems()
         yield from _outage_problems(self.outage)
 
-    def _shape_problems(self) -> Iterator[str]:
+    def _shape_problems(self) -> Iterator[Problem]:
         if self.jitter.distribution == "table" and self.jitter.table_file is None:
-            yield "jitter.table_file: distribution 'table' needs a file of samples"
+            yield "jitter.table_file", "distribution 'table' needs a file of samples"
         if self.order != "any" and self.reordering.probability > 0.0:
-            yield f"order: {self.order!r} forbids overtaking, but reordering.probability asks for it; set one of them"
+            yield "order", f"{self.order!r} forbids overtaking, but reordering.probability asks for it; set one of them"
         if self.rate.rate_bytes_per_s is not None and self.delivery_trace.file is not None:
-            yield "rate.rate_bytes_per_s: delivery_trace.file limits the throughput as well; set one of them"
+            yield "rate.rate_bytes_per_s", "delivery_trace.file limits the throughput as well; set one of them"
         shortest, longest = self.slots.min_interval_s, self.slots.max_interval_s
         if longest is not None and (shortest is None or longest < shortest):
-            yield f"slots.max_interval_s: {longest} s needs a slots.min_interval_s that is not longer, got {shortest}"
+            yield "slots.max_interval_s", f"{longest} s needs a slots.min_interval_s that is not longer, got {shortest}"
 
-    def _chain_problems(self) -> Iterator[str]:
+    def _chain_problems(self) -> Iterator[Problem]:
         m, g = self.markov_loss, self.gilbert_elliott
         if m.p13 + m.p14 > 1.0:
-            yield f"markov_loss.p13: p13 + p14 is {m.p13 + m.p14}, more than 1"
+            yield "markov_loss.p13", f"p13 + p14 is {m.p13 + m.p14}, more than 1"
         if m.p31 + m.p32 > 1.0:
             # The default leaves a burst at once, so a chain that uses p32 has to say p31 too.
-            yield f"markov_loss.p31: p31 + p32 is {m.p31 + m.p32}, more than 1 (p31 is 1 unless set)"
+            yield "markov_loss.p31", f"p31 + p32 is {m.p31 + m.p32}, more than 1 (p31 is 1 unless set)"
         if m.p13 > 0.0 and m.p31 + m.p32 == 0.0:
-            yield "markov_loss.p31: p31 + p32 is 0, a burst would never end; use loss.probability = 1 for that"
+            yield "markov_loss.p31", "p31 + p32 is 0, a burst would never end; use loss.probability = 1 for that"
         if g.p > 0.0 and g.r == 0.0:
-            yield "gilbert_elliott.r: 0 never leaves the bad state; use loss.probability for a lasting loss"
+            yield "gilbert_elliott.r", "0 never leaves the bad state; use loss.probability for a lasting loss"
 
 
-def _outage_problems(outage: Outage) -> Iterator[str]:
+def _outage_problems(outage: Outage) -> Iterator[Problem]:
     end_s = 0.0
     for start_s, duration_s in outage.schedule:
         if start_s < end_s:
-            yield f"outage.schedule: the outage at {start_s} s begins before the one in front of it ends at {end_s} s"
+            yield "outage.schedule", f"the outage at {start_s} s begins before the one in front of it ends at {end_s} s"
         end_s = start_s + duration_s
     # A schedule that fills its period would never let anything through.
     if outage.period_s is not None and outage.period_s <= end_s:
-        yield f"outage.period_s: {outage.period_s} s must be longer than the schedule, which ends at {end_s} s"
+        yield "outage.period_s", f"{outage.period_s} s must be longer than the schedule, which ends at {end_s} s"
     if (outage.mean_up_s is None) != (outage.mean_down_s is None):
-        yield "outage.mean_up_s: random outages need both mean_up_s and mean_down_s"
+        yield "outage.mean_up_s", "random outages need both mean_up_s and mean_down_s"
 
 
 class DirectionSettings(Impairment):
@@ -256,16 +256,29 @@ class DirectionSettings(Impairment):
 
     @model_validator(mode="after")
     def _consistent(self) -> "DirectionSettings":
-        for pattern in ("", *self.topics):
-            if pattern.count(".") or pattern != pattern.strip():
-                raise ValueError(f"topics: {pattern!r} is no topic pattern: no dots, no spaces around it")
-            if pattern and not self.topics[pattern].model_dump(exclude_unset=True):
-                raise ValueError(
-                    f"topics.{pattern}: changes nothing; name a key that differs, or repeat one, as delay_s"
-                )
-            for problem in self.block(pattern).problems():
-                raise ValueError(f"topics.{pattern}.{problem}" if pattern else problem)
+        section = self.model_dump()
+        faults = [
+            # each at the key at fault, not at the section, which is what a plain ValueError would name
+            InitErrorDetails(type=PydanticCustomError("value_error", "{text}", {"text": text}), loc=path, input=section)
+            for path, text in self._problems()
+        ]
+        if faults:
+            raise ValidationError.from_exception_data(type(self).__name__, faults)
         return self
+
+    def _problems(self) -> Iterator[tuple[tuple[str, ...], str]]:
+        """Yield the path to each wrong key, and what is wrong, for the direction's own settings and each override."""
+        inherited = list(self.problems())
+        for key, text in inherited:
+            yield tuple(key.split(".")), text
+        for pattern, override in self.topics.items():
+            if pattern.count(".") or pattern != pattern.strip():
+                yield ("topics",), f"{pattern!r} is not a topic pattern: no dots, no spaces around it"
+            if not override.model_dump(exclude_unset=True):
+                yield ("topics", pattern), "changes nothing; name a key that differs, or repeat one, such as delay_s"
+            for problem in self.block(pattern).problems():
+                if problem not in inherited:
+                    yield ("topics", pattern, *problem[0].split(".")), problem[1]
 
     def pattern_of(self, topic: str) -> str:
         """Return the key in `topics` that rules this topic, or the empty string for the direction's own settings."""
@@ -274,14 +287,14 @@ class DirectionSettings(Impairment):
         return next((pattern for pattern in self.topics if fnmatchcase(topic, pattern)), "")
 
     def is_reliable(self, topic: str) -> bool:
-        """Tell whether the topic is carried reliably."""
+        """Return whether the topic is carried reliably."""
         return any(fnmatchcase(topic, pattern) for pattern in self.reliable)
 
     def block(self, pattern: str) -> Impairment:
         """Return the complete settings of one key in `topics` (empty: of the direction)."""
         own = self.model_dump(exclude={"topics", "reliable"}, exclude_unset=True)
         if pattern:
-            own = _merged(own, self.topics[pattern].model_dump(exclude_unset=True))
+            own = merge(own, self.topics[pattern].model_dump(exclude_unset=True))
         return Impairment.model_validate(own)
 
 
@@ -303,58 +316,25 @@ class LinkSettings(Frozen):
     @model_validator(mode="before")
     @classmethod
     def _on_profile(cls, data: object) -> object:
-        """Lay the given keys over those of the profile; giving them again changes nothing."""
+        """Merge the given keys over those of the profile; doing so again changes nothing."""
         if not isinstance(data, Mapping) or not isinstance(name := data.get("profile"), str):
             return data
         known = PROFILES.get(name.lower())
-        return data if known is None else _merged(known.settings, {**data, "profile": name.lower()})
+        if known is None:
+            return data
+        given = {
+            key: value.model_dump(exclude_unset=True) if isinstance(value, BaseModel) else value
+            for key, value in data.items()
+        }
+        return merge(known.settings, given, {"profile": name.lower()})
 
 
-def _merged(base: Mapping[str, Any], change: Mapping[str, Any]) -> dict[str, Any]:
-    result = dict(base)
-    for key, value in change.items():
-        plain = value.model_dump(exclude_unset=True) if isinstance(value, BaseModel) else value
-        below = result.get(key)
-        result[key] = _merged(below, plain) if isinstance(below, Mapping) and isinstance(plain, Mapping) else plain
-    return result
+def parse_settings(tree: Mapping[str, Any], origin: str = "link settings") -> LinkSettings:
+    """Validate a nested mapping, such as the section `delay_node` of a scenario.
 
-
-def parse_settings(tree: Mapping[str, Any]) -> LinkSettings:
-    """Validate a nested mapping, such as the `link` part of a site file.
-
-    Raises: SettingsError with one line for each wrong key: dotted key, what is wrong, the value given.
+    Raises: ConfigError with one line for each wrong key: origin, dotted key, what is wrong, the value given.
     """
-    try:
-        return LinkSettings.model_validate(tree)
-    except ValidationError as error:
-        raise SettingsError("\n".join(_explained(error))) from error
-
-
-def _explained(error: ValidationError) -> Iterator[str]:
-    for item in error.errors():
-        key = ".".join(str(part) for part in item["loc"]) or "link settings"
-        message = item["msg"].removeprefix("Value error, ")
-        if item["type"] == "extra_forbidden":
-            message = f"unknown key; known are {_known_keys(item['loc'])}"
-        elif item["type"] == "value_error":
-            # The text of our own checks begins with the key below the one pydantic names.
-            yield f"{key}.{message}" if key in ("forward", "backward") else f"{key}: {message}"
-            continue
-        yield f"{key}: {message}, got {item['input']!r}"
-
-
-def _known_keys(location: tuple[int | str, ...]) -> str:
-    model: type[BaseModel] = LinkSettings
-    inside_topics = False
-    for part in location[:-1]:
-        if inside_topics:
-            model, inside_topics = Impairment, False
-        elif part == "topics":
-            inside_topics = True
-        else:
-            inner = model.model_fields[str(part)].annotation
-            model = inner if isinstance(inner, type) and issubclass(inner, BaseModel) else model
-    return ", ".join(model.model_fields)
+    return validate(LinkSettings, tree, origin)
 
 
 def changed(settings: LinkSettings, flat: Mapping[str, Setting]) -> LinkSettings:
@@ -363,15 +343,11 @@ def changed(settings: LinkSettings, flat: Mapping[str, Setting]) -> LinkSettings
     `profile` drops everything but the seed and starts from the named profile; the other keys of the same request are
     laid over it. The text `none` stands for a missing value. `forward.topics.afm/state.delay_s` addresses a topic.
 
-    Raises: SettingsError naming the key; the settings given stay as they were.
+    Raises: ConfigError naming the key; the settings given stay as they were.
     """
-    tree: dict[str, Any] = {"seed": settings.seed} if "profile" in flat else settings.model_dump(exclude_unset=True)
-    for key, value in flat.items():
-        nested: Any = None if value == "none" else value
-        for part in reversed(key.split(".")):
-            nested = {part: nested}
-        tree = _merged(tree, nested)
-    return parse_settings(tree)
+    kept: dict[str, Any] = {"seed": settings.seed} if "profile" in flat else settings.model_dump(exclude_unset=True)
+    change = nested({key: None if value == "none" else value for key, value in flat.items()}, "session/control")
+    return parse_settings(merge(kept, change), "session/control")
 
 
 def flattened(settings: LinkSettings, *, only_set: bool = False) -> dict[str, Setting]:
@@ -383,15 +359,12 @@ def flattened(settings: LinkSettings, *, only_set: bool = False) -> dict[str, Se
         overrides = {pattern: block.model_dump(exclude_unset=True) for pattern, block in direction.topics.items()}
         if name in tree and overrides:
             tree[name]["topics"] = overrides
-    return dict(_leaves("", tree))
+    return {key: _as_setting(value) for key, value in flatten(tree).items()}
 
 
-def _leaves(prefix: str, tree: Mapping[str, Any]) -> Iterator[tuple[str, Setting]]:
-    for key, value in tree.items():
-        name = f"{prefix}{key}"
-        if isinstance(value, Mapping):
-            yield from _leaves(f"{name}.", value)
-        elif isinstance(value, tuple):
-            yield name, ",".join(item if isinstance(item, str) else f"{item[0]}:{item[1]}" for item in value)
-        else:
-            yield name, "none" if value is None else value
+def _as_setting(value: Any) -> Setting:
+    """Return a value as a message carries it: lists as text, a missing value as `none`."""
+    if isinstance(value, tuple):
+        return ",".join(item if isinstance(item, str) else f"{item[0]}:{item[1]}" for item in value)
+    setting: Setting = "none" if value is None else value
+    return setting

@@ -33,9 +33,9 @@ class DirectionEngine:
     ) -> None:
         """Start with the settings; files they name are sought in `folder`, start_ns is the origin of their times.
 
-        With `keep_fates` somebody has to call `take_fates` now and then.
+        With `keep_fates` the caller has to call `take_fates` regularly.
 
-        Raises: SettingsError naming file and line, for a file that cannot be used.
+        Raises: ConfigError naming file and line, for a file that cannot be used.
         """
         self._direction: Direction = direction
         self._folder = folder
@@ -45,24 +45,24 @@ class DirectionEngine:
         self._arrivals = 0
         self._pushed = 0
         self._figures = Figures()
-        self._assembly = Pipeline(direction, settings, self.files_of(settings), start_ns)
-        self._paths: dict[str, TopicPipeline] = {}
+        self._pipeline = Pipeline(direction, settings, self.files_of(settings), start_ns)
+        self._topic_pipelines: dict[str, TopicPipeline] = {}
         self._queues = self._all_queues()
 
     def submit(self, now_ns: int, topic: str, payload: bytes, seq: int) -> Sequence[Release]:
-        """Take in a message that arrived at now_ns [ns] and return all that is due now, in order."""
+        """Accept a message that arrived at now_ns [ns] and return all that is due now, in order."""
         if now_ns < self._now_ns:
             now_ns = self._now_ns
         self._now_ns = now_ns
-        path = self._paths.get(topic) or self._open(topic)
+        pipeline = self._topic_pipelines.get(topic) or self._open(topic)
         self._figures.messages_in += 1
         self._figures.bytes_in += len(payload)
         self._arrivals += 1
         if self._queues:
             self._advance(now_ns)
-        if path.constant_ns is None:
-            self._impair(path, now_ns, payload, seq)
-        elif (release := self._delay(path, now_ns, payload, seq)) is not None:
+        if pipeline.constant_ns is None:
+            self._impair(pipeline, now_ns, payload, seq)
+        elif (release := self._delay(pipeline, now_ns, payload, seq)) is not None:
             return (release,)
         heap = self._heap
         return self.due(now_ns) if heap and heap[0][0] <= now_ns else ()
@@ -95,32 +95,32 @@ class DirectionEngine:
 
     def stats(self) -> DirectionStats:
         """Return the live figures; the delays begin anew with each call."""
-        return self._figures.taken(sum(len(queue) for queue in self._queues), len(self._heap))
+        return self._figures.take(sum(len(queue) for queue in self._queues), len(self._heap))
 
     def files_of(self, settings: LinkSettings) -> dict[str, Files]:
         """Read the files that the settings name: the first half of a change, the one that may fail.
 
-        Raises: SettingsError naming file and line.
+        Raises: ConfigError naming file and line.
         """
         direction: DirectionSettings = getattr(settings, self._direction)
         return read_files(direction, self._folder, self._direction)
 
     def adopt(self, settings: LinkSettings, files: dict[str, Files], now_ns: int) -> None:
-        """Put settings into force for the messages that arrive from now on; the second half, which cannot fail.
+        """Apply settings to the messages that arrive from now on; the second half, which cannot fail.
 
         Messages in flight keep their fate. A model whose own settings stay the same goes on as if nothing had
         happened; one that is new or changed begins its course (outage schedule, trace, slots) now.
         """
         now_ns = self._now_ns = max(self._now_ns, now_ns)
         self._advance(now_ns)
-        old = self._assembly.blocks
-        self._assembly.adopt(settings, files, now_ns)
-        self._paths = {}
+        old = self._pipeline.blocks
+        self._pipeline.adopt(settings, files, now_ns)
+        self._topic_pipelines = {}
         self._queues = self._all_queues()
         for pattern, block in old.items():
             if block.queue is not None and all(block.queue is not queue for queue in self._queues):
                 self._empty(block.queue, now_ns)
-                follower = self._assembly.blocks[pattern].queue if pattern in self._assembly.blocks else None
+                follower = self._pipeline.blocks[pattern].queue if pattern in self._pipeline.blocks else None
                 if follower is not None:
                     follower.wait_until(block.queue.free_ns)
 
@@ -131,20 +131,20 @@ class DirectionEngine:
             self._schedule(message, sent_ns, now_ns)
 
     def _all_queues(self) -> list[ServedQueue[InFlight]]:
-        return [block.queue for block in self._assembly.blocks.values() if block.queue is not None]
+        return [block.queue for block in self._pipeline.blocks.values() if block.queue is not None]
 
     def _open(self, topic: str) -> TopicPipeline:
-        path = self._paths[topic] = self._assembly.path(topic)
-        return path
+        pipeline = self._topic_pipelines[topic] = self._pipeline.of_topic(topic)
+        return pipeline
 
-    def _delay(self, path: TopicPipeline, now_ns: int, payload: bytes, seq: int) -> Release | None:
+    def _delay(self, pipeline: TopicPipeline, now_ns: int, payload: bytes, seq: int) -> Release | None:
         """Pass a message through a constant delay; return it if that is zero and nothing is due before it.
 
-        The path of a plain bridge, kept short: it has to carry 6000 messages a second.
+        The case of a plain bridge, kept short: it has to carry 6000 messages a second.
         """
-        delay_ns = path.constant_ns or 0
+        delay_ns = pipeline.constant_ns or 0
         release_ns = now_ns + delay_ns
-        progress = path.progress
+        progress = pipeline.progress
         # The delay may have become shorter with messages in flight.
         reordered = release_ns < progress.latest_ns
         if reordered:
@@ -154,12 +154,12 @@ class DirectionEngine:
             progress.order = self._arrivals
         size_bytes = len(payload)
         fate = Fate(
-            self._direction, path.topic, seq, 0, size_bytes, now_ns, release_ns, delay_ns, 0, 0, "", False, reordered,
-            False,
+            self._direction, pipeline.topic, seq, 0, size_bytes, now_ns, release_ns, delay_ns, 0, 0, "", False,
+            reordered, False,
         )  # fmt: skip
         if self._fates is not None:
             self._fates.append(fate)
-        release = Release(path.topic, payload, fate)
+        release = Release(pipeline.topic, payload, fate)
         heap = self._heap
         if delay_ns == 0 and not (heap and heap[0][0] <= now_ns):
             self._figures.count_release(0, size_bytes)
@@ -168,30 +168,30 @@ class DirectionEngine:
         heappush(heap, (release_ns, self._pushed, release))
         return None
 
-    def _impair(self, path: TopicPipeline, now_ns: int, payload: bytes, seq: int) -> None:
+    def _impair(self, pipeline: TopicPipeline, now_ns: int, payload: bytes, seq: int) -> None:
         # All draws come first: whether one model draws may not depend on what another has decided.
-        applies = path.applies is None or path.applies()
-        lost_by = path.lost_by()
-        corrupted = path.corruptor is not None and path.corruptor.happens() and len(payload) > 0
-        duplicated = path.duplicates is not None and path.duplicates()
-        overtakes = path.overtakes is not None and path.overtakes()
-        fixed_ns = path.course_ns(now_ns)
-        delay_ns = _random_delay_ns(fixed_ns, path.jitter)
-        copy_ns = _random_delay_ns(fixed_ns, path.copy_jitter)
+        applies = pipeline.applies is None or pipeline.applies()
+        lost_by = pipeline.lost_by()
+        corrupted = pipeline.corruptor is not None and pipeline.corruptor.happens() and len(payload) > 0
+        duplicated = pipeline.duplicates is not None and pipeline.duplicates()
+        overtakes = pipeline.overtakes is not None and pipeline.overtakes()
+        fixed_ns = pipeline.course_ns(now_ns)
+        delay_ns = _random_delay_ns(fixed_ns, pipeline.jitter)
+        copy_ns = _random_delay_ns(fixed_ns, pipeline.copy_jitter)
 
-        block = path.block
-        message = InFlight(path, self._arrivals, seq, 0, payload, now_ns, now_ns, 0, False, False, False)
+        block = pipeline.block
+        message = InFlight(pipeline, self._arrivals, seq, 0, payload, now_ns, now_ns, 0, False, False, False)
         if not applies:
-            self._enter(message, bypass=True)
+            self._enqueue(message, bypass=True)
             return
         end_ns = None if block.outages is None else block.outages.end_ns(now_ns)
-        if end_ns is not None and block.settings.outage.mode == "drop" and not path.reliable:
+        if end_ns is not None and block.settings.outage.mode == "drop" and not pipeline.reliable:
             lost_by = "outage"
         if lost_by:
             self._drop(message, lost_by)
             return
-        if corrupted and path.corruptor is not None:
-            payload = path.corruptor.damaged(payload)
+        if corrupted and pipeline.corruptor is not None:
+            payload = pipeline.corruptor.corrupt(payload)
         message = message._replace(
             payload=payload,
             ready_ns=now_ns if end_ns is None else end_ns,
@@ -202,20 +202,21 @@ class DirectionEngine:
         )
         self._figures.corrupted += corrupted
         self._figures.duplicated += duplicated
-        self._enter(message, bypass=overtakes)
+        self._enqueue(message, bypass=overtakes)
         if duplicated:
-            self._enter(message._replace(copy=1, delay_ns=copy_ns, duplicated=False), bypass=False)
+            self._enqueue(message._replace(copy=1, delay_ns=copy_ns, duplicated=False), bypass=False)
 
-    def _enter(self, message: InFlight, *, bypass: bool) -> None:
-        """Hand a message to the queue, or past it."""
-        path = message.path
-        queue = path.block.queue
+    def _enqueue(self, message: InFlight, *, bypass: bool) -> None:
+        """Put a message into the queue, or schedule it at once where it bypasses the queue."""
+        pipeline = message.pipeline
+        queue = pipeline.block.queue
         # Where order is asked for nobody leaves the line, not even a message that passes untouched.
-        if queue is None or (bypass and not path.ordered):
-            past_queue = queue is not None and queue.holds_before(path.topic, message.order)
+        if queue is None or (bypass and not pipeline.ordered):
+            past_queue = queue is not None and queue.holds_before(pipeline.topic, message.order)
             self._schedule(message, message.ready_ns, message.arrived_ns, past_queue=past_queue)
             return
-        entry = Waiting(message.ready_ns, len(message.payload), path.topic, path.reliable, message.order, message)
+        topic, reliable = pipeline.topic, pipeline.reliable
+        entry = Waiting(message.ready_ns, len(message.payload), topic, reliable, message.order, message)
         for dropped in queue.push(entry):
             self._drop(dropped, "queue")
         self._advance(message.arrived_ns)
@@ -239,17 +240,17 @@ class DirectionEngine:
 
         `past_queue` says that it has left messages of its topic behind in the queue.
         """
-        path = message.path
+        pipeline = message.pipeline
         release_ns = sent_ns + message.delay_ns
-        for before in path.ordered:
+        for before in pipeline.ordered:
             release_ns = max(release_ns, before.latest_ns)
-        if path.block.gate is not None and message.gated:
-            release_ns = path.block.gate.slot_ns(reached_ns, release_ns, len(message.payload))
-        reordered = past_queue or (release_ns < path.progress.latest_ns and path.progress.order < message.order)
+        if pipeline.block.gate is not None and message.gated:
+            release_ns = pipeline.block.gate.slot_ns(reached_ns, release_ns, len(message.payload))
+        reordered = past_queue or (release_ns < pipeline.progress.latest_ns and pipeline.progress.order < message.order)
         self._figures.reordered += reordered
-        if release_ns > path.progress.latest_ns:
-            path.progress.latest_ns, path.progress.order = release_ns, message.order
-        for before in path.ordered:
+        if release_ns > pipeline.progress.latest_ns:
+            pipeline.progress.latest_ns, pipeline.progress.order = release_ns, message.order
+        for before in pipeline.ordered:
             before.latest_ns = release_ns
         fate = _fate(self._direction, message)._replace(
             release_ns=release_ns,
@@ -261,7 +262,7 @@ class DirectionEngine:
         if self._fates is not None:
             self._fates.append(fate)
         self._pushed += 1
-        heappush(self._heap, (release_ns, self._pushed, Release(path.topic, message.payload, fate)))
+        heappush(self._heap, (release_ns, self._pushed, Release(pipeline.topic, message.payload, fate)))
 
     def _drop(self, message: InFlight, cause: str) -> None:
         self._figures.dropped[cause] += 1
@@ -277,16 +278,16 @@ class LinkEngine:
     ) -> None:
         """Start with the settings at start_ns [ns], the origin of outage schedules, traces and slots.
 
-        Raises: SettingsError naming file and line, for a file that cannot be used.
+        Raises: ConfigError naming file and line, for a file that cannot be used.
         """
         self.settings = settings
         self.forward = DirectionEngine("forward", settings, start_ns, folder=folder, keep_fates=keep_fates)
         self.backward = DirectionEngine("backward", settings, start_ns, folder=folder, keep_fates=keep_fates)
 
     def reconfigure(self, settings: LinkSettings, now_ns: int) -> None:
-        """Put new settings into force for the messages that arrive from now on; those in flight keep their fate.
+        """Apply new settings to the messages that arrive from now on; those in flight keep their fate.
 
-        Raises: SettingsError naming file and line, for a file that cannot be used; the old settings stay.
+        Raises: ConfigError naming file and line, for a file that cannot be used; the old settings stay.
         """
         files = [(engine, engine.files_of(settings)) for engine in (self.forward, self.backward)]
         for engine, read in files:
@@ -317,7 +318,7 @@ def fates_of(
     For simulations that need the delays of the link beforehand: seq counts from 0, the origin of traces and
     schedules is the first arrival, arrivals_ns must not decrease.
 
-    Raises: SettingsError for a file that cannot be used.
+    Raises: ConfigError for a file that cannot be used.
     """
     arrivals = list(arrivals_ns)
     if not arrivals:
@@ -339,7 +340,7 @@ def _fate(direction: Direction, message: InFlight) -> Fate:
     """Return what is known of a message before its release is decided."""
     return Fate(
         direction=direction,
-        topic=message.path.topic,
+        topic=message.pipeline.topic,
         seq=message.seq,
         copy=message.copy,
         size_bytes=len(message.payload),

@@ -1,4 +1,4 @@
-"""What the engine tells about messages: ground truth of each, live figures of all."""
+"""What the engine reports about messages: ground truth of each, live figures of all."""
 
 from typing import Literal, NamedTuple
 
@@ -78,8 +78,8 @@ class Figures:
         self._count += 1
         self._sum_ns += delay_ns
 
-    def taken(self, queued: int, scheduled: int) -> DirectionStats:
-        """Return the figures and begin the delays anew."""
+    def take(self, queued: int, scheduled: int) -> DirectionStats:
+        """Return the figures and reset those of the delays."""
         count = self._count
         stats = DirectionStats(
             messages_in=self.messages_in,

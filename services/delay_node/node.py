@@ -5,10 +5,10 @@ from pathlib import Path
 from typing import ClassVar, Protocol
 
 from proto import TOPICS
-from proto.errors import RefusedError
+from proto.errors import ConfigError, RefusedError
 from proto.messages import ClockPong, LinkClock, LinkDirection, LinkFate, Message, SessionControl
 from services.delay_node.clock_offset import Exchange, Offset, OffsetFilter
-from services.delay_node.config import LinkSettings, SettingsError, changed, flattened
+from services.delay_node.config import LinkSettings, changed, flattened
 from services.delay_node.engine import DirectionEngine, LinkEngine
 from services.delay_node.fate import DirectionStats, Fate, Release
 from services.runtime.bus import Received
@@ -46,7 +46,7 @@ class DelayNode(Node):
     ) -> None:
         """Start with the settings; the files that they name are sought in `folder`.
 
-        Raises SettingsError naming file and line, for a trace that cannot be used.
+        Raises ConfigError naming file and line, for a trace that cannot be used.
         """
         super().__init__(context)
         self._outlets = {"forward": to_slave, "backward": to_master}
@@ -100,7 +100,7 @@ class DelayNode(Node):
             raise RefusedError("set needs link settings, such as forward.delay_s=0.02 or profile=satellite")
         try:
             self.engine.reconfigure(changed(self.engine.settings, control.parameters), self.clock.now_ns())
-        except SettingsError as error:
+        except ConfigError as error:
             raise RefusedError(f"the link keeps its settings: {error}") from error
         text = "set " + ", ".join(f"{key} = {value}" for key, value in control.parameters.items())
         self.event("link", "info", f"link settings changed: {text}")
@@ -115,7 +115,7 @@ class DelayNode(Node):
             outlet.send(release.topic, release.payload)
 
     def _on_pong(self, pong: ClockPong, received_ns: int) -> None:
-        self._offset.enter(Exchange(pong.ping_t_ns, pong.received_ns, pong.t_ns, received_ns))
+        self._offset.record(Exchange(pong.ping_t_ns, pong.received_ns, pong.t_ns, received_ns))
 
     def _publish_fates(self) -> None:
         self._unreported = 0

@@ -9,7 +9,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-from services.delay_node.config import DirectionSettings, Impairment, LinkSettings, Outage, SettingsError, Slots
+from proto.errors import ConfigError
+from services.delay_node.config import DirectionSettings, Impairment, LinkSettings, Outage, Slots
 from services.delay_node.fate import Direction
 from services.delay_node.models.events import Corruptor, Overtaking
 from services.delay_node.models.jitter import JitterSource
@@ -87,7 +88,7 @@ class TopicPipeline(NamedTuple):
         return self.fixed_ns + delay_at(course, elapsed_ns, interpolation=trace.interpolation, repeat=trace.repeat)
 
     def lost_by(self) -> str:
-        """Return the first model that loses the next message; every model draws, whatever the others say."""
+        """Return the first model that loses the next message; every model draws, whatever the others decide."""
         lost = [cause for cause, loses in self.losses if loses()]
         return lost[0] if lost else ""
 
@@ -95,7 +96,7 @@ class TopicPipeline(NamedTuple):
 class InFlight(NamedTuple):
     """A message, or a copy, whose release is still to be decided."""
 
-    path: TopicPipeline
+    pipeline: TopicPipeline
     order: int  # of arrival
     seq: int
     copy: int
@@ -111,7 +112,7 @@ class InFlight(NamedTuple):
 def read_files(settings: DirectionSettings, folder: Path, prefix: str) -> dict[str, Files]:
     """Read the files that the settings of a direction name, by topic pattern (empty: its own).
 
-    Raises: SettingsError naming the key, which begins with `prefix`, the file and the line.
+    Raises: ConfigError naming the key, which begins with `prefix`, the file and the line.
     """
     return {
         pattern: _read(settings.block(pattern), folder, f"{prefix}.topics.{pattern}." if pattern else f"{prefix}.")
@@ -134,8 +135,8 @@ def _read(block: Impairment, folder: Path, prefix: str) -> Files:
         if jitter.distribution == "table" and jitter.table_file is not None:
             key = "jitter.table_file"
             samples = parse_jitter_table(read_text(folder / jitter.table_file), jitter.table_file)
-    except SettingsError as error:
-        raise SettingsError(f"{prefix}{key}: {error}") from error
+    except ConfigError as error:
+        raise ConfigError(f"{prefix}{key}: {error}") from error
     return Files(course, delivery_ns, samples)
 
 
@@ -165,15 +166,15 @@ class Pipeline:
         self._settings: DirectionSettings = getattr(settings, self._direction)
         self.blocks = {pattern: self._block(pattern, held, now_ns) for pattern, held in files.items()}
 
-    def path(self, topic: str) -> TopicPipeline:
-        """Build the path of a topic under the settings in force."""
+    def of_topic(self, topic: str) -> TopicPipeline:
+        """Return the pipeline of a topic under the settings in force."""
         block = self.blocks[self._settings.pattern_of(topic)]
         s, reliable = block.settings, self._settings.is_reliable(topic)
         progress = self._progress.setdefault(("topic", topic), Progress())
         order = "topic" if reliable and s.order == "any" else s.order
         lossy = Impairment() if reliable else s
         duplicates = self._event(topic, "duplication", lossy.duplication.probability, lossy.duplication.correlation)
-        path = TopicPipeline(
+        pipeline = TopicPipeline(
             topic,
             block,
             reliable,
@@ -189,7 +190,7 @@ class Pipeline:
             jitter=self._jitter(topic, "original", block),
             copy_jitter=None if duplicates is None else self._jitter(topic, "copy", block),
         )
-        return path._replace(constant_ns=path.fixed_ns) if _is_constant(path) else path
+        return pipeline._replace(constant_ns=pipeline.fixed_ns) if _is_constant(pipeline) else pipeline
 
     def _stream(self, *names: str) -> Draw:
         if names not in self._streams:
@@ -305,7 +306,7 @@ class Pipeline:
         )
 
 
-def _is_constant(path: TopicPipeline) -> bool:
-    models = (path.applies, path.corruptor, path.duplicates, path.overtakes, path.jitter)
-    shared = (path.block.files.course, path.block.queue, path.block.gate, path.block.outages)
-    return not path.losses and not path.ordered and all(model is None for model in (*models, *shared))
+def _is_constant(pipeline: TopicPipeline) -> bool:
+    models = (pipeline.applies, pipeline.corruptor, pipeline.duplicates, pipeline.overtakes, pipeline.jitter)
+    shared = (pipeline.block.files.course, pipeline.block.queue, pipeline.block.gate, pipeline.block.outages)
+    return not pipeline.losses and not pipeline.ordered and all(model is None for model in (*models, *shared))

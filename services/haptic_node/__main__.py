@@ -10,7 +10,7 @@ from services.runtime.node import NodeContext
 
 
 def build(context: NodeContext, config: HapticConfig) -> HapticNode:
-    """Give the node its simulated device."""
+    """Build the node with its simulated device."""
     return HapticNode(context, config, SimulatedHaptic(config.to_plant_params(), config.device.start_position_m))
 
 

@@ -83,7 +83,7 @@ class DeviceConfig(_Section):
         return self
 
     def to_params(self) -> MotorParams:
-        """Give the constants of the compiled device."""
+        """Return the constants of the compiled device."""
         own_gain = self.servo_gain_v_per_m
         return MotorParams(
             speed_gain_rad_per_s_v=self.speed_gain_rad_per_s_v,
@@ -130,7 +130,7 @@ class LimitsConfig(_Section):
         return self
 
     def to_params(self, *, has_position_mode: bool, has_force_mode: bool) -> SafetyParams:
-        """Give the constants of the guard for a device with the modes named."""
+        """Return the constants of the guard for a device with the modes named."""
         return SafetyParams(
             command_deadline_s=self.command_deadline_s,
             position_min_m=self.position_min_m,
@@ -192,7 +192,7 @@ class ForceProfileConfig(_Section):
         return self
 
     def to_params(self) -> OperatorParams:
-        """Give the constants of the compiled hand."""
+        """Return the constants of the compiled hand."""
         times = np.array([point.time_s for point in self.points])
         forces = np.array([point.force_n for point in self.points])
         return OperatorParams(FORCE_PROFILE, times, forces, 0.0, 0.0, 0.0, 0.0, 0.0, self.max_force_n)
@@ -224,7 +224,7 @@ class ImpedanceConfig(_Section):
         return self
 
     def to_params(self) -> OperatorParams:
-        """Give the constants of the compiled hand."""
+        """Return the constants of the compiled hand."""
         return OperatorParams(
             kind=IMPEDANCE,
             times_s=np.array([point.time_s for point in self.path]),
@@ -269,14 +269,14 @@ class HapticConfig(_Section):
         return self
 
     def to_plant_params(self) -> step.PlantParams:
-        """Give the constants of the simulated device and hand, for `SimulatedHaptic`."""
+        """Return the constants of the simulated device and hand, for `SimulatedHaptic`."""
         return step.PlantParams(self.device.to_params(), self.operator.to_params())
 
     def to_params(self) -> step.HapticParams:
-        """Give the constants of the whole compiled chain; the simulated device has no force mode."""
+        """Return the constants of the whole compiled chain; the simulated device has no force mode."""
         guard = self.limits.to_params(has_position_mode=True, has_force_mode=False)
         return step.HapticParams(guard, self.to_plant_params())
 
     def initial_state(self) -> step.HapticStepState:
-        """Give the state at start: at rest, off, not latched."""
+        """Return the state at start: at rest, off, not latched."""
         return step.initial_state(self.device.start_position_m)

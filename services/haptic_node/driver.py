@@ -54,16 +54,16 @@ class HapticDevice(Protocol):
 
     @property
     def capabilities(self) -> Capabilities:
-        """Give what the device can do; constant, and known before it is open."""
+        """Return what the device can do; constant, and known before it is open."""
 
     def open(self) -> None:
         """Connect and come up in the safe state. Raises DeviceError saying what is missing."""
 
     def close(self) -> None:
-        """Make safe and let go; harmless when already closed."""
+        """Switch the drive off and disconnect; harmless when already closed."""
 
     def write(self, command: DriveCommand) -> None:
-        """Hand over the command of this period. Raises DeviceError if not open or the mode is not one of its own."""
+        """Write the command of this period. Raises DeviceError if not open or the mode is not one of its own."""
 
     def read(self, session_time_s: float, dt_s: float) -> DeviceReading:
         """Sample the device. Raises DeviceError if not open.

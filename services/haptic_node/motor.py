@@ -53,7 +53,7 @@ class MotorState(NamedTuple):
 
 
 class MotorInputs(NamedTuple):
-    """What the drive is told: a mode code and, for position mode, where to go."""
+    """Command of the drive: a mode code and, for position mode, where to go."""
 
     mode: int
     position_reference_m: float
@@ -87,13 +87,13 @@ class _Servo(NamedTuple):
 
 
 def closed_loop_coefficients(params: MotorParams) -> tuple[float, float]:
-    """Give (a2_per_s2, b_per_s) of M(s) = a^2 / (s^2 + b s + a^2), Eq. 2."""
+    """Return (a2_per_s2, b_per_s) of M(s) = a^2 / (s^2 + b s + a^2), Eq. 2."""
     b = 1.0 / params.time_constant_s
     return params.servo_gain_v_per_m * params.speed_gain_rad_per_s_v * params.screw_m_per_rad * b, b
 
 
 def closed_loop_poles(params: MotorParams) -> tuple[complex, complex]:
-    """Give the two poles [rad/s] of M(s), Eq. 2, the slower one first (E1: -8.281 and -900.8 for the printed gain)."""
+    """Return the poles [rad/s] of M(s), Eq. 2, the slower one first (E1: -8.281 and -900.8 for the printed gain)."""
     a2, b = closed_loop_coefficients(params)
     discriminant = 0.25 * b * b - a2
     if discriminant < 0.0:
@@ -105,7 +105,7 @@ def closed_loop_poles(params: MotorParams) -> tuple[complex, complex]:
 
 
 def bandwidth_hz(params: MotorParams) -> float:
-    """Give the -3 dB bandwidth [Hz] of M(s), Eq. 2: |M(i w)|^2 = 1/2 (E1: 1.318 Hz for the printed gain)."""
+    """Return the -3 dB bandwidth [Hz] of M(s), Eq. 2: |M(i w)|^2 = 1/2 (E1: 1.318 Hz for the printed gain)."""
     a2, b = closed_loop_coefficients(params)
     p = 2.0 * a2 - b * b
     root = math.hypot(p, 2.0 * a2)
@@ -136,7 +136,7 @@ def _coefficients(params: MotorParams, inputs: MotorInputs) -> _Servo:
 
 @compiled
 def _command(servo: _Servo, x: float) -> float:
-    """Give the voltage [V] of the servo before limits; zero when off."""
+    """Return the voltage [V] of the servo before limits; zero when off."""
     return servo.gain * (servo.target - x) if servo.mode == MODE_POSITION else 0.0
 
 
@@ -152,7 +152,7 @@ def _reverses(before: float, after: float) -> bool:
 
 @compiled
 def _transition(a2: float, b: float, t: float) -> tuple[float, float]:
-    """Give C = e^(-bt/2) cosh(wt) and S = e^(-bt/2) sinh(wt) / w, which solve y'' + b y' + a2 y = 0 over t."""
+    """Return C = e^(-bt/2) cosh(wt) and S = e^(-bt/2) sinh(wt) / w, which solve y'' + b y' + a2 y = 0 over t."""
     half = 0.5 * b
     discriminant = half * half - a2
     if discriminant > 0.0:
@@ -170,7 +170,7 @@ def _transition(a2: float, b: float, t: float) -> tuple[float, float]:
 
 @compiled
 def _stop_time(a2: float, b: float, e: float, v: float) -> float:
-    """Give the first time [s] at which y'' + b y' + a2 y = 0 from (e, v) stands still; v must reverse later."""
+    """Return the first time [s] at which y'' + b y' + a2 y = 0 from (e, v) stands still; v must reverse later."""
     half = 0.5 * b
     discriminant = half * half - a2
     slope = a2 * e + half * v

@@ -60,7 +60,7 @@ class OperatorOutputs(NamedTuple):
 
 @compiled
 def interpolate(times_s: NDArray[np.float64], values: NDArray[np.float64], time_s: float, before: float) -> float:
-    """Give the piecewise-linear value at time_s: `before` ahead of the first point, the last value after the last.
+    """Return the piecewise-linear value at time_s: `before` ahead of the first point, the last value after the last.
 
     Parameters: times_s, values: shape (n,), n >= 1, times strictly increasing (checked where they are configured).
     """
@@ -103,7 +103,7 @@ def _impedance_step(
 def step(
     params: OperatorParams, state: OperatorState, inputs: OperatorInputs, dt: float
 ) -> tuple[OperatorState, OperatorOutputs]:
-    """Give the force of the hand over a period dt [s], > 0 (mean over it for an impedance, at its end for a profile).
+    """Return the force of the hand over a period dt [s], > 0 (mean over it for an impedance, at its end for a profile).
 
     Before the session starts there is no force, and the hand goes along with the arm. A force beyond max_force_n
     is held there and flagged; passivity of the impedance holds as long as it is not.

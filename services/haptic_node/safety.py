@@ -73,7 +73,7 @@ class SafetyInputs(NamedTuple):
 
 
 class SafetyOutputs(NamedTuple):
-    """What the driver is told. A reference that the mode does not use is the present position, or zero force."""
+    """Command to the driver. A reference that the mode does not use is the present position, or zero force."""
 
     mode: int
     position_reference_m: float
@@ -84,7 +84,7 @@ class SafetyOutputs(NamedTuple):
 
 @compiled
 def _refusal(params: SafetyParams, inputs: SafetyInputs, latched: bool) -> int:
-    """Give the reason to be off whatever the command says, or REASON_NONE."""
+    """Return the reason to be off whatever the command is, or REASON_NONE."""
     if latched:
         return REASON_ESTOP
     # Written so that an age that is not a number counts as stale.

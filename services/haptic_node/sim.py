@@ -9,7 +9,7 @@ _OFF = DriveCommand(MODE_OFF, 0.0, 0.0)
 
 
 def capabilities(params: PlantParams) -> Capabilities:
-    """Give what the simulated device declares, from its own constants.
+    """Return what the simulated device declares, from its own constants.
 
     The largest force is what the hand's sensor measures, or what the motor can hold beyond its friction if that is
     less. The physical damping at the arm is the motor's own, K_t K_e / (R Kp^2) with K_t = K_e = 1/Km.
@@ -40,23 +40,23 @@ class SimulatedHaptic:
 
     @property
     def capabilities(self) -> Capabilities:
-        """Give what the device can do."""
+        """Return what the device can do."""
         return self._capabilities
 
     def open(self) -> None:
-        """Come up in the safe state, where the arm was left."""
+        """Start in the safe state, where the arm was left."""
         self._command = _OFF
         # Compile (or load) the models now and drop the result: the first reading of a loop is not to wait for it.
         plant_step(self._params, self._state, self._command, -SAMPLE_TIME_S, SAMPLE_TIME_S)
         self._opened = True
 
     def close(self) -> None:
-        """Make safe and refuse further use."""
+        """Switch the drive off and refuse further use."""
         self.make_safe()
         self._opened = False
 
     def write(self, command: DriveCommand) -> None:
-        """Take the command of this period. Raises DeviceError if closed or the mode is not one of the device's."""
+        """Apply the command of this period. Raises DeviceError if closed or the mode is not one of the device's."""
         self._require_open()
         if command.mode not in self._capabilities.modes:
             raise DeviceError(

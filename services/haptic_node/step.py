@@ -64,13 +64,13 @@ class HapticOutputs(NamedTuple):
 
 @compiled
 def initial_plant(position_m: float) -> PlantState:
-    """Give the device and the hand at rest at position_m [m]."""
+    """Return the device and the hand at rest at position_m [m]."""
     return PlantState(motor.MotorState(position_m, 0.0), operator.OperatorState(position_m, 0.0))
 
 
 @compiled
 def initial_state(position_m: float) -> HapticStepState:
-    """Give the chain at rest at position_m [m], off, not latched."""
+    """Return the chain at rest at position_m [m], off, not latched."""
     return HapticStepState(safety.SafetyState(False, safety.MODE_OFF, position_m), initial_plant(position_m))
 
 

@@ -102,7 +102,7 @@ def console_of(book: AddressBook, site: Site) -> str:
 
 def _machines_here(book: AddressBook) -> list[str] | None:
     """Give the machines in whose name this process may speak; None for all, where there are no keys."""
-    if not book.locked:
+    if not book.requires_keys:
         return None
     keyring = Keyring()
     return [this_machine(keyring)] if MACHINE_VARIABLE in os.environ else keyring.names()
@@ -143,7 +143,7 @@ class _Sockets:
     def wait(self) -> None:
         """Wait a moment for what arrives, and look after the connections."""
         zmq.select([subscriber.socket for subscriber in self.subscribers], [], [], _POLL_MS * 1e-3)
-        self.network.attend()
+        self.network.process_events()
 
 
 def _open(
@@ -186,7 +186,7 @@ class Exchange:
 
     def enter_event(self, event: SessionEvent) -> bool:
         """Take an event; True when it is a first answer."""
-        new = self.pending.enter(event)
+        new = self.pending.record(event)
         if new:
             self._last_answer_ns = self._clock.monotonic_ns()
         return new
@@ -216,7 +216,7 @@ class Exchange:
 def _converse(exchange: Exchange, sockets: _Sockets, heard: Callable[[SessionEvent], None]) -> None:
     while not exchange.done:
         if _newcomers(sockets.publisher):
-            exchange.pending.hurry()
+            exchange.pending.make_due()
         if exchange.pending.take_due():
             sockets.publisher.publish("session/control", **exchange.pending.fields())
         sockets.wait()

@@ -1,4 +1,4 @@
-"""Commands of a session one after the other, each repeated until those that it concerns have answered."""
+"""Commands of a session sent one after the other, each repeated until the nodes that it concerns have answered."""
 
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
@@ -9,9 +9,9 @@ from proto.messages import Scalar, SessionEvent
 from services.launcher.pending_command import DEADLINE_NS, Command, PendingCommand
 from services.runtime.clock import Clock
 
-# a refusal is asked about again for so long, so often
-_REFUSAL_PATIENCE_NS = 5_000_000_000
-_ASK_AGAIN_NS = 300_000_000
+# a refused command is retried for so long, with this period
+_REFUSAL_RETRY_NS = 5_000_000_000
+_RETRY_PERIOD_NS = 300_000_000
 
 
 @dataclass(frozen=True)
@@ -27,14 +27,14 @@ class Step:
 
 
 class CommandSequence:
-    """Takes steps in order.
+    """Sends the commands of its steps in order.
 
-    `failure` says which required one failed, `complaints` by target which of the others did.
+    `failure` is the reason for which a required step failed, `tolerated_failures` holds by target those of the others.
     """
 
     def __init__(self, clock: Clock, publish: Callable[..., Any], steps: Iterable[Step]) -> None:
         self.failure = ""
-        self.complaints: dict[str, str] = {}
+        self.tolerated_failures: dict[str, str] = {}
         # id of each command that was answered by all
         self.ids: dict[str, str] = {}
         self._clock = clock
@@ -42,40 +42,40 @@ class CommandSequence:
         self._steps = deque(steps)
         self._step: Step | None = None
         self._pending: PendingCommand | None = None
-        self._patient_until_ns = self._ask_again_ns = 0
+        self._retry_until_ns = self._next_retry_ns = 0
 
-    def enter(self, event: SessionEvent) -> None:
-        """Take what a node said."""
+    def on_event(self, event: SessionEvent) -> None:
+        """Match an event with the command that waits for answers."""
         if self._pending is not None:
-            self._pending.enter(event)
+            self._pending.record(event)
 
     def advance(self) -> bool:
-        """Send what is due; True once every step is through or a required one has failed."""
+        """Send what is due; True once every step is complete or a required one has failed."""
         while not self.failure:
             if self._step is None:
                 if not self._steps:
                     return True
                 self._begin(self._steps.popleft())
-            if not self._settled():
+            if not self._step_over():
                 return False
         return True
 
     def _begin(self, step: Step) -> None:
         self._step = step
-        self._patient_until_ns = self._clock.monotonic_ns() + _REFUSAL_PATIENCE_NS
-        self._ask(step)
+        self._retry_until_ns = self._clock.monotonic_ns() + _REFUSAL_RETRY_NS
+        self._issue(step)
 
-    def _ask(self, step: Step) -> None:
+    def _issue(self, step: Step) -> None:
         self._pending = PendingCommand(
             self._clock, step.command, step.target, step.expected, step.parameters, step.deadline_ns
         )
 
-    def _settled(self) -> bool:
+    def _step_over(self) -> bool:
         step, pending = self._step, self._pending
         if step is None or pending is None:
             return True
         if failure := pending.failure():
-            return self._failed(step, pending, failure)
+            return self._handle_failure(step, pending, failure)
         if pending.complete:
             self.ids[step.command] = pending.id
             self._step = self._pending = None
@@ -84,17 +84,20 @@ class CommandSequence:
             self._publish("session/control", **pending.fields())
         return False
 
-    def _failed(self, step: Step, pending: PendingCommand, failure: str) -> bool:
-        """Give a device some time to become able: its first fresh command may still be on the way."""
+    def _handle_failure(self, step: Step, pending: PendingCommand, failure: str) -> bool:
+        """Return whether the step is over.
+
+        A refused required command is retried for a while: the first fresh command of a device may still be on the way.
+        """
         now = self._clock.monotonic_ns()
-        if step.required and pending.refusals and now < self._patient_until_ns:
-            if now >= self._ask_again_ns:
-                self._ask(step)
-                self._ask_again_ns = now + _ASK_AGAIN_NS
+        if step.required and pending.refusals and now < self._retry_until_ns:
+            if now >= self._next_retry_ns:
+                self._issue(step)
+                self._next_retry_ns = now + _RETRY_PERIOD_NS
             return False
         if step.required:
             self.failure = failure
         else:
-            self.complaints[step.target] = failure
+            self.tolerated_failures[step.target] = failure
         self._step = self._pending = None
         return True

@@ -1,4 +1,4 @@
-"""A session/control on its way: sent again with the same id until every node addressed has answered."""
+"""A session/control that waits for answers: sent again with the same id until every node addressed has answered."""
 
 import uuid
 from collections.abc import Iterable, Mapping
@@ -13,7 +13,7 @@ DEADLINE_NS = 5_000_000_000
 
 
 class PendingCommand:
-    """One command and the answers so far. Nodes carry it out once and answer each time that they hear it."""
+    """One command and the answers so far. Nodes carry it out once and answer each time that they receive it."""
 
     def __init__(
         self,
@@ -36,23 +36,23 @@ class PendingCommand:
         self._deadline_ns = self._next_ns + deadline_ns
 
     def fields(self) -> dict[str, Any]:
-        """Give the fields of the message."""
+        """Return the fields of the session/control message."""
         return {"id": self.id, "command": self.command, "target": self.target, "parameters": self._parameters}
 
     def take_due(self) -> bool:
-        """Say whether it is to be sent now, and set the time of the next sending if so."""
+        """Return whether the command is to be sent now, and schedule the next sending if so."""
         now = self._clock.monotonic_ns()
         if self.complete or now < self._next_ns:
             return False
         self._next_ns = now + RESEND_NS
         return True
 
-    def hurry(self) -> None:
-        """Have it sent at once, because a reader has just come."""
+    def make_due(self) -> None:
+        """Schedule the next sending for now: a new reader has connected."""
         self._next_ns = self._clock.monotonic_ns()
 
-    def enter(self, event: SessionEvent) -> bool:
-        """Take an event; True when it is a node's first answer to this command."""
+    def record(self, event: SessionEvent) -> bool:
+        """Record an event; True when it is a node's first answer to this command."""
         answers_this = event.id == self.id and event.kind in ("ack", "refused")
         if not answers_this or event.src in self.answers:
             return False
@@ -61,26 +61,26 @@ class PendingCommand:
 
     @property
     def missing(self) -> list[str]:
-        """The nodes that have not answered yet."""
+        """Nodes that have not answered yet, sorted."""
         return sorted(self.expected - set(self.answers))
 
     @property
     def refusals(self) -> list[SessionEvent]:
-        """The answers of those that refused."""
+        """Answers of the nodes that refused the command."""
         return [event for event in self.answers.values() if event.kind == "refused"]
 
     @property
     def complete(self) -> bool:
-        """All that are expected have answered."""
+        """Whether every expected node has answered."""
         return not self.missing
 
     @property
     def expired(self) -> bool:
-        """The time for answers is over."""
+        """Whether the time for answers is over."""
         return self._clock.monotonic_ns() >= self._deadline_ns
 
     def failure(self) -> str:
-        """Give in a sentence why the command failed; empty while it may still succeed, and when it has."""
+        """Return why the command failed, as a sentence; empty while it may still succeed, and when it has."""
         if self.refusals:
             return "; ".join(f"{event.src} refused {self.command}: {event.text}" for event in self.refusals)
         if self.expired and not self.complete:

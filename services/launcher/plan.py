@@ -23,7 +23,7 @@ ALLOW_REPLAY = ("afm_node.allow_replay=true", "haptic_node.allow_replay=true")
 
 @dataclass(frozen=True)
 class UpRequest:
-    """What was asked for on the command line; without `site` and `attach` the whole rig is run here."""
+    """The options of `telenano up`; without `site` and `attach` the whole rig runs on this machine."""
 
     scenario: str
     site_file: Path | None
@@ -39,7 +39,7 @@ class UpRequest:
     wait_s: float | None = None
 
     def check(self) -> None:
-        """Refuse what could not act; ConfigError says which option and why."""
+        """Reject options that would have no effect; ConfigError names them with the reason."""
         changes = {
             "--set": bool(self.settings),
             "--delay-ms": self.delay_ms is not None,
@@ -47,17 +47,22 @@ class UpRequest:
             "--allow-replay": self.allow_replay,
         }
         if self.attach:
-            _refuse(changes, "--attach starts no node, the nodes have a scenario of their own: tell them")
-            _refuse({"--site slave": self.site == "slave"}, "the session is conducted at the master: --attach there")
+            _reject(changes, "--attach starts no node, it has to be given where the nodes are started")
+            _reject(
+                {"--site slave": self.site == "slave"}, "the session is conducted at the master: give --attach there"
+            )
         elif self.site == "slave":
-            _refuse({"--delay-ms": self.delay_ms is not None}, "the link runs at the master: say it there")
+            _reject({"--delay-ms": self.delay_ms is not None}, "the link runs at the master: give it there")
             conducts = {"--duration": self.duration_s is not None, "--wait": self.wait_s is not None}
-            _refuse(conducts, "the session is conducted at the master: say it there")
+            _reject(conducts, "the session is conducted at the master: give it there")
         elif self.site is None:
-            _refuse({"--wait": self.wait_s is not None}, "without --attach or --site nobody else is waited for")
+            _reject(
+                {"--wait": self.wait_s is not None},
+                "it acts only with --attach or --site, which wait for nodes that run elsewhere",
+            )
 
 
-def _refuse(given: Mapping[str, bool], reason: str) -> None:
+def _reject(given: Mapping[str, bool], reason: str) -> None:
     found = [option for option, is_given in given.items() if is_given]
     if found:
         raise ConfigError(f"{', '.join(found)}: {reason}")
@@ -65,9 +70,9 @@ def _refuse(given: Mapping[str, bool], reason: str) -> None:
 
 @dataclass(frozen=True)
 class Plan:
-    """A rig that is known to be sound: its address book, effective scenario and folder.
+    """A checked rig: its address book, effective scenario and folder.
 
-    `nodes` are those to start, in order; `others` those that somebody else runs and the session needs.
+    `nodes` are those to start, in order; `others` those that run elsewhere and that the session needs.
     """
 
     book: AddressBook
@@ -101,18 +106,21 @@ class Plan:
         """The file that gives the nodes the effective scenario."""
         return self.out / "scenario.yaml"
 
-    def leftovers(self) -> list[Path]:
-        """Give the files of an earlier session in the folder; a recorder that was restarted left several recordings."""
-        # a recorder of somebody else may be writing to this very folder
+    def existing_outputs(self) -> list[Path]:
+        """Return the files of an earlier session in the folder; a restarted recorder leaves several recordings."""
+        # a recorder that runs elsewhere may be writing to this very folder
         recordings = () if self.attach else ("session*.mcap",)
         patterns = (*recordings, "fig12.png", "summary.json")
         return sorted(path for pattern in patterns for path in self.out.glob(pattern))
 
     def prepare_folder(self) -> None:
-        """Make the folder, clear what an earlier session left there if that was asked for, write the scenario."""
+        """Create the folder, delete the files of an earlier session if `overwrite`, and write the scenario.
+
+        Raises: RigError when the folder cannot be written.
+        """
         try:
             self.out.mkdir(parents=True, exist_ok=True)
-            for old in self.leftovers() if self.overwrite else ():
+            for old in self.existing_outputs() if self.overwrite else ():
                 old.unlink()
             if not self.attach:
                 self.scenario_file.write_text(yaml.safe_dump(self.loaded.document, sort_keys=False), encoding="utf-8")
@@ -142,26 +150,26 @@ def make_plan(request: UpRequest, default_out: Path) -> Plan:
         attach=request.attach,
         wait_s=request.wait_s,
     )
-    kept = [path for path in plan.leftovers() if plan.attach or path.suffix == ".mcap"]
-    if kept and not request.overwrite:
-        raise ConfigError(f"{kept[0]} exists already: give another --out, or --overwrite to replace it")
+    existing = [path for path in plan.existing_outputs() if plan.attach or path.suffix == ".mcap"]
+    if existing and not request.overwrite:
+        raise ConfigError(f"{existing[0]} exists already: give another --out, or --overwrite to replace it")
     return plan
 
 
 def own_nodes(book: AddressBook, request: UpRequest) -> tuple[str, ...]:
-    """Give the nodes to start, in order: all but those that somebody else runs or a recording stands in for."""
+    """Return the nodes to start, in order: all but those that run elsewhere or that a replay stands in for."""
     if request.attach:
         return ()
     known: tuple[str, ...] = START_ORDER
     if request.site is not None:
         optional = [node for node in OPTIONAL_NODES if node in book.nodes]
         known = tuple(node for node in (*optional, *START_ORDER) if site_of(node) == request.site)
-    absent = left_out(request.without, known)
-    return tuple(node for node in known if node not in absent)
+    excluded = excluded_nodes(request.without, known)
+    return tuple(node for node in known if node not in excluded)
 
 
 def other_nodes(request: UpRequest) -> tuple[str, ...]:
-    """Give the nodes of somebody else that the session needs, in the order in which a rig is shown."""
+    """Return the nodes that run elsewhere and that the session needs, in the order in which a rig is shown."""
     if request.attach:
         return tuple(node for node in START_ORDER if node != RECORDER)
     if request.site == "master":
@@ -173,23 +181,23 @@ def check_book(book: AddressBook, site_file: Path, request: UpRequest) -> None:
     """Raise ConfigError naming the nodes that a site file lacks."""
     needed = [LAUNCHER, *(node for node in START_ORDER if not (request.attach and node == RECORDER))]
     if request.site is not None:
-        # the link's face at the slave is what the nodes there hear of the master
+        # the nodes at the slave connect to the link's endpoint there
         needed += [f"launcher@{request.site}", f"{LINK}@slave"]
     absent = [node for node in dict.fromkeys(needed) if node not in book.nodes]
     if absent:
         raise ConfigError(f"{site_file}: nodes: {', '.join(absent)} is missing, the rig needs an endpoint for each")
 
 
-def left_out(names: Sequence[str], known: Sequence[str] = START_ORDER) -> frozenset[str]:
-    """Give the nodes meant by `node@site` or `node`; ConfigError names those that there are."""
+def excluded_nodes(names: Sequence[str], known: Sequence[str] = START_ORDER) -> frozenset[str]:
+    """Return the nodes that `node@site` or `node` names; ConfigError lists the known ones."""
     for name in names:
         if not any(name in (node, node.partition("@")[0]) for node in known):
-            raise ConfigError(f"--without {name}: there are {', '.join(known)}")
+            raise ConfigError(f"--without {name}: no such node, known are {', '.join(known)}")
     return frozenset(node for node in known if node in names or node.partition("@")[0] in names)
 
 
 def effective_scenario(path: Path, request: UpRequest, out: Path) -> LoadedScenario:
-    """Lay environment, --set and the other flags over a scenario file; ConfigError names file and key."""
+    """Merge environment, --set and the other flags into a scenario; ConfigError names file and key."""
     settings = [*request.settings, *(ALLOW_REPLAY if request.allow_replay else ())]
     document, origin = layered(path, settings)
     document = anchored(document, path.absolute().parent)
@@ -208,7 +216,7 @@ def effective_scenario(path: Path, request: UpRequest, out: Path) -> LoadedScena
 
 
 def anchored(tree: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Make the file names in a scenario absolute: they are meant from its folder, the nodes read it from another."""
+    """Return a scenario with absolute file names: they are relative to its folder, the nodes read it from another."""
     return {key: _anchored_value(key, value, folder) for key, value in tree.items()}
 
 

@@ -1,4 +1,4 @@
-"""The processes of a rig: started each in a session of its own, with a log file, and ended in order."""
+"""The processes of a rig: each started in a session of its own, with a log file, and stopped in order."""
 
 import json
 import os
@@ -22,22 +22,22 @@ _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS
 
 
 class Children(Protocol):
-    """What the session may ask of its processes."""
+    """The child processes that a supervisor works with."""
 
     def start(self, node: str) -> int:
-        """Start a node; gives its process id."""
+        """Start a node and return its process id."""
 
     def reap(self) -> dict[str, int]:
-        """Give the exit codes of the nodes that ended since the last call; negative is a signal."""
+        """Return the exit codes of the nodes that ended since the last call; negative is a signal."""
 
     def log_tail(self, node: str) -> str:
-        """Give the last lines that a node wrote, as text for a person."""
+        """Return the last lines of a node's log, as readable text."""
 
     def log_path(self, node: str) -> Path:
-        """Give the file that a node's log goes to."""
+        """Return the path of a node's log file."""
 
     def stop(self) -> None:
-        """End every process and wait until it is gone."""
+        """Stop every process and wait until it has ended."""
 
 
 class NodeProcesses:
@@ -51,7 +51,10 @@ class NodeProcesses:
         epoch_offset_ns: int,
         on_stopping: Callable[[str], None] = lambda node: None,
     ) -> None:
-        """Take the command line of each node (key) and the order in which they are to be stopped."""
+        """Prepare empty logs for the nodes in `commands`, the command line of each by its key.
+
+        `stop_order` are keys; `on_stopping` is called with a key before its process is stopped.
+        """
         self._commands = commands
         self._stop_order = stop_order
         self._log_directory = log_directory
@@ -63,11 +66,9 @@ class NodeProcesses:
             self.log_path(node).write_bytes(b"")
 
     def log_path(self, node: str) -> Path:
-        """Give the file that a node's log goes to."""
         return self._log_directory / f"{node}.log"
 
     def start(self, node: str) -> int:
-        """Start a node; gives its process id."""
         with self.log_path(node).open("ab") as log:
             process = subprocess.Popen(
                 self._commands[node],
@@ -77,56 +78,54 @@ class NodeProcesses:
                 env=self._environment,
                 # the terminal's Ctrl-C is for the supervisor alone, which then stops the nodes in order
                 start_new_session=True,
-                preexec_fn=partial(_tie_to, os.getpid()),
+                preexec_fn=partial(_die_with, os.getpid()),
             )
         self._running[node] = process
         return process.pid
 
     def reap(self) -> dict[str, int]:
-        """Give the exit codes of the nodes that ended since the last call; negative is a signal."""
         ended = {node: code for node, process in self._running.items() if (code := process.poll()) is not None}
         for node in ended:
             del self._running[node]
         return ended
 
     def log_tail(self, node: str) -> str:
-        """Give the last lines that a node wrote, as text for a person."""
         with self.log_path(node).open("rb") as log:
             log.seek(max(0, log.seek(0, os.SEEK_END) - _TAIL_BYTES))
             lines = log.read().decode(errors="replace").splitlines()
         return "\n".join(_readable(line) for line in lines[-_TAIL_LINES:])
 
     def stop(self) -> None:
-        """End every process, in order: SIGTERM, three seconds to leave safely, then SIGKILL."""
+        """Stop every process, in order: SIGTERM, three seconds to leave safely, then SIGKILL."""
         for node in [*self._stop_order, *self._running]:
             process = self._running.pop(node, None)
             if process is not None:
                 self._on_stopping(node)
-                _end(process)
+                _terminate(process)
 
 
 def child_environment(environment: Mapping[str, str], epoch_offset_ns: int) -> dict[str, str]:
-    """Give the environment of the nodes: one epoch for all stamps, and settings from the effective scenario only."""
+    """Return the environment of the nodes: one epoch for all stamps, and settings from the effective scenario only."""
     kept = {name: value for name, value in environment.items() if not name.startswith(ENVIRONMENT_PREFIX)}
     threads = {name: kept.get(name, "1") for name in _THREAD_VARIABLES}
     return {**kept, **threads, EPOCH_OFFSET_VARIABLE: str(epoch_offset_ns)}
 
 
 def node_command(node: str, site_file: Path, scenario_file: Path) -> list[str]:
-    """Give the command line that runs `node@site` below this process."""
+    """Return the command line that runs `node@site` as a child of this process."""
     name, _, site = node.partition("@")
     files = ["--site-file", str(site_file), "--scenario", str(scenario_file)]
     return [sys.executable, "-m", f"services.{name}", *files, "--site", site, "--with-parent"]
 
 
-def _tie_to(parent: int) -> None:
-    """Have the new process end with its parent from its first moment; its own --with-parent comes seconds later."""
+def _die_with(parent: int) -> None:
+    """Tie the new process to its parent from its first moment; its own --with-parent comes seconds later."""
     die_with_parent(signal.SIGTERM)
     if os.getppid() != parent:
         os.kill(os.getpid(), signal.SIGTERM)
 
 
-def _end(process: "subprocess.Popen[bytes]") -> None:
+def _terminate(process: "subprocess.Popen[bytes]") -> None:
     process.send_signal(signal.SIGTERM)
     try:
         process.wait(GRACE_S)
@@ -136,7 +135,7 @@ def _end(process: "subprocess.Popen[bytes]") -> None:
 
 
 def _readable(line: str) -> str:
-    """Shorten a line of the structured log; whatever else a dying process wrote stays as it is."""
+    """Return a line of the structured log as text; whatever else a dying process wrote stays as it is."""
     try:
         entry = json.loads(line)
         return f"{entry['level']}: {entry['text']}" + (f"\n{entry['exception']}" if "exception" in entry else "")

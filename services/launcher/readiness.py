@@ -1,4 +1,4 @@
-"""When a rig is ready: every node says so and hears what it needs."""
+"""When a rig is ready: every node reports it and receives its inputs."""
 
 from collections.abc import Iterable, Mapping, Sequence
 
@@ -11,15 +11,15 @@ _LOOP_RATE_HZ = 100.0
 
 
 def silent_inputs(health: NodeHealth) -> list[str]:
-    """Give the topics sent at a declared rate of which a node, at whichever of its sockets, has heard nothing."""
-    heard = {row.topic for row in health.inputs if row.age_valid}
-    return sorted({row.topic for row in health.inputs if row.topic not in heard and _rate_hz(row.topic) > 0.0})
+    """Return the topics sent at a declared rate of which a node has received nothing at any of its sockets, sorted."""
+    received = {row.topic for row in health.inputs if row.age_valid}
+    return sorted({row.topic for row in health.inputs if row.topic not in received and _rate_hz(row.topic) > 0.0})
 
 
 def unmet(nodes: Iterable[str], health: Mapping[str, NodeHealth], *, inputs: bool = True) -> dict[str, str]:
-    """Give for each node that is not ready what it waits for, in words; empty when the rig is ready.
+    """Return for each node that is not ready what it waits for, in words; empty when the rig is ready.
 
-    Without `inputs` a node is ready that hears nothing yet.
+    Without `inputs` a node is ready that receives nothing yet.
     """
     waiting: dict[str, str] = {}
     for node in nodes:
@@ -29,50 +29,52 @@ def unmet(nodes: Iterable[str], health: Mapping[str, NodeHealth], *, inputs: boo
         elif newest.state == "starting":
             waiting[node] = "is still starting"
         elif inputs and (silent := silent_inputs(newest)):
-            waiting[node] = f"does not hear {', '.join(silent)}"
+            waiting[node] = f"does not receive {', '.join(silent)}"
     return waiting
 
 
 class ReadinessGate:
-    """Who is waited for, and for how long.
+    """Which nodes have to become ready, and by when.
 
-    Each own node has a limit. Nodes of somebody else are waited for as long as it takes, unless a limit is given; as
-    long as one of them is missing, own nodes may lack inputs that only it could send.
+    Each own node has a limit. Nodes that run elsewhere are waited for without one, unless a limit is given; as long as
+    one of them is missing, own nodes may lack inputs that only it could send.
     """
 
     def __init__(
         self, clock: Clock, own: Sequence[str], others: Sequence[str] = (), wait_s: float | None = None
     ) -> None:
-        """Take the nodes of this process and those of somebody else, and a limit for these [s], None for no limit."""
+        """Begin to wait for own nodes and for others, for these up to `wait_s` [s], None for no limit."""
         self._clock = clock
         self._own = tuple(own)
         self._others = tuple(others)
         self._wait_s = wait_s
-        self.restart()
+        self.reset()
 
-    def restart(self) -> None:
-        """Begin to wait anew."""
+    def reset(self) -> None:
+        """Begin to wait again, with all limits from now."""
         self._begun_ns = self._clock.monotonic_ns()
-        # since when each own node has been to blame for not being ready
-        self._since_ns = dict.fromkeys(self._own, self._begun_ns)
+        # since when each own node has not been ready through no fault of another one
+        self._not_ready_since_ns = dict.fromkeys(self._own, self._begun_ns)
 
     def waiting(self, health: Mapping[str, NodeHealth]) -> dict[str, str]:
-        """Give for each node that is not ready what it waits for."""
+        """Return for each node that is not ready what it waits for."""
         return unmet((*self._own, *self._others), health)
 
     def causes(self, health: Mapping[str, NodeHealth]) -> dict[str, str]:
-        """Give what is really waited for: as `waiting`, without inputs that a node lacks for want of another one."""
-        return {**unmet(self._own, health, inputs=self._complete(health)), **unmet(self._others, health)}
+        """Return what `waiting` does, without inputs that a node lacks only because another one is missing."""
+        return {**unmet(self._own, health, inputs=self._others_present(health)), **unmet(self._others, health)}
 
-    def _complete(self, health: Mapping[str, NodeHealth]) -> bool:
+    def _others_present(self, health: Mapping[str, NodeHealth]) -> bool:
         return all(node in health for node in self._others)
 
     def overdue(self, health: Mapping[str, NodeHealth]) -> tuple[float, dict[str, str]]:
-        """Give the limit that is over [s] and those that are not ready for it; nobody while there is time."""
+        """Return the limit that was exceeded [s] and what the late nodes wait for; none while there is time."""
         now = self._clock.monotonic_ns()
-        blamed = unmet(self._own, health, inputs=self._complete(health))
-        self._since_ns = {node: self._since_ns[node] if node in blamed else now for node in self._own}
-        late = {node: why for node, why in blamed.items() if now - self._since_ns[node] >= READY_DEADLINE_S * 1e9}
+        not_ready = unmet(self._own, health, inputs=self._others_present(health))
+        since_ns = self._not_ready_since_ns
+        self._not_ready_since_ns = {node: since_ns[node] if node in not_ready else now for node in self._own}
+        limit_ns = READY_DEADLINE_S * 1e9
+        late = {node: why for node, why in not_ready.items() if now - self._not_ready_since_ns[node] >= limit_ns}
         if late:
             return READY_DEADLINE_S, late
         if self._wait_s is not None and now - self._begun_ns >= self._wait_s * 1e9:
@@ -81,7 +83,7 @@ class ReadinessGate:
 
 
 def oldest_input_s(health: NodeHealth) -> float | None:
-    """Give the age of the oldest input of the loop [s]; None when nothing was heard.
+    """Return the age of the oldest input of the loop [s]; None when nothing was received.
 
     Reports, at 2 Hz, are left out: their age would hide that of everything else.
     """
@@ -90,6 +92,6 @@ def oldest_input_s(health: NodeHealth) -> float | None:
 
 
 def _rate_hz(topic: str) -> float:
-    """Give the declared rate [Hz]; 0 for topics sent on change, and for those that this version does not know."""
+    """Return the declared rate [Hz]; 0 for topics sent on change, and for those that this version does not know."""
     row = TOPICS.get(topic)
     return row.rate_hz or 0.0 if row else 0.0

@@ -87,19 +87,19 @@ def open_bus(
     return ZmqBus(publisher, subscribers, clock, wake, network)
 
 
-def make_rig(plan: Plan, context: NodeContext, keeper: Supervisor) -> RigNode:
+def make_rig(plan: Plan, context: NodeContext, supervisor: Supervisor) -> RigNode:
     """Make the node that looks after what the plan says, and conducts its session unless another site does."""
     if plan.site == "slave":
-        return SiteNode(context, keeper, link=f"{LINK}@slave", site="slave", other_site="master")
+        return SiteNode(context, supervisor, link=f"{LINK}@slave", site="slave", other_site="master")
     return SessionNode(
         context,
-        keeper,
+        supervisor,
         plan.scenario.duration_s,
         others=plan.others,
         site=plan.site or "",
         other_site="slave" if plan.site == "master" and not plan.attach else "",
         wait_s=plan.wait_s,
-        tape=ExternalRecording(context.clock, RECORDER) if plan.attach else None,
+        recording=ExternalRecording(context.clock, RECORDER) if plan.attach else None,
     )
 
 
@@ -136,7 +136,7 @@ def _run(rig: RigNode, bus: ZmqBus, stopper: _Stopper) -> None:
         except OSError as error:
             raise RigError(f"the rig could not be run: {error}") from error
         finally:
-            rig.keeper.stop()
+            rig.supervisor.stop()
 
 
 def outcome_of(rig: RigNode, plan: Plan) -> Outcome:
@@ -144,18 +144,19 @@ def outcome_of(rig: RigNode, plan: Plan) -> Outcome:
     ran = isinstance(rig, SessionNode) and rig.ran
     recording: Path | None = plan.recording if plan.recording.exists() else None
     note = ""
-    if isinstance(rig, SessionNode) and rig.tape is not None:
-        recording, note = _found(rig, rig.tape, plan) if ran else (None, "")
-    return Outcome(rig.failure, rig.interrupted, ran, recording, note, rig.keeper.restarts())
+    if isinstance(rig, SessionNode) and rig.recording is not None:
+        recording, note = _found(rig, rig.recording, plan) if ran else (None, "")
+    return Outcome(rig.failure, rig.interrupted, ran, recording, note, rig.supervisor.restarts())
 
 
-def _found(session: SessionNode, tape: ExternalRecording, plan: Plan) -> tuple[Path | None, str]:
-    if not tape.path:
-        return None, f"nothing was recorded: {tape.fault}"
-    if readable_here(tape.path, session.start_id):
-        return Path(tape.path), ""
-    again = f"telenano report {tape.path} --out {plan.out}"
-    return None, f"{tape.recorder} recorded the session to {tape.path}, which cannot be read from here: `{again}` there"
+def _found(session: SessionNode, recording: ExternalRecording, plan: Plan) -> tuple[Path | None, str]:
+    if not recording.path:
+        return None, f"nothing was recorded: {recording.fault}"
+    if readable_here(recording.path, session.start_id):
+        return Path(recording.path), ""
+    again = f"telenano report {recording.path} --out {plan.out}"
+    where = f"{recording.recorder} recorded the session to {recording.path}"
+    return None, f"{where}, which cannot be read from here: `{again}` there"
 
 
 @contextlib.contextmanager

@@ -1,7 +1,7 @@
-"""The player: takes the place of nodes on their own endpoints and says once more what they said.
+"""The player: takes the place of nodes on their own endpoints and publishes their recorded messages again.
 
-The bytes go out as they were recorded, times and numbers included. Only after a jump (seek, loop) the `seq` of each
-message is moved, so that it goes on counting: readers would take an old number for a repetition and a gap for a loss.
+The bytes are sent as they were recorded, times and `seq` included. Only after a jump (seek, loop) the `seq` of each
+message is shifted so that it continues: readers would take an old number for a repetition and a gap for a loss.
 """
 
 import os
@@ -17,16 +17,17 @@ from proto.errors import ConfigError, RefusedError
 from proto.messages import Scalar, SessionControl
 from proto.nodes import LINK
 from recording.channel_filter import Selection
-from recording.reader import RecordedChannel, RecordedMessage, Source
-from services.player.playback import Playback, PlaybackClock, Span, is_state
+from recording.messages import RecordedChannel, RecordedMessage
+from recording.multi_file import RecordingSource
+from services.player.playback import Playback, PlaybackClock, is_state
 from services.runtime.address_book import AddressBook
 from services.runtime.bus import Publisher
 from services.runtime.clock import Clock
 from services.runtime.node import HEALTH_PERIOD_NS, Node, NodeContext, resident_bytes
 
-# an observer of the rig and the player itself are no part of what is played
-_NEVER_PLAYED = ("recorder", "player", "record")
-_OWN_TOPICS = ("node/health",)
+# the recorder, the observer `telenano record` and the player itself are not part of the rig that is played
+_EXCLUDED_NODES = ("recorder", "player", "record")
+_EXCLUDED_TOPICS = ("node/health",)
 _TICK_NS = 50_000_000
 _PROGRESS_NS = 1_000_000_000
 _RETRY_NS = 500_000
@@ -37,7 +38,7 @@ _SUBSCRIBE = b"\x01"
 
 @dataclass(frozen=True)
 class PlaySettings:
-    """How it is played; `wait_s` is how long to wait until every topic has a reader [s]."""
+    """Settings of the start; `wait_s` is the longest wait until every topic has a reader [s]."""
 
     rate: float = 1.0
     paused: bool = False
@@ -45,45 +46,45 @@ class PlaySettings:
 
 
 def node_of(channel: RecordedChannel) -> str:
-    """Give the node at whose endpoint a channel was heard; a recording that is not ours has none."""
+    """Return the node at whose endpoint a channel was received; empty in a recording that is not ours."""
     return f"{LINK}@{channel.site}" if channel.via == "link" else channel.src
 
 
 class ReplayPlan:
-    """Which nodes of the address book are played, and on which topic each channel goes out."""
+    """Nodes of the address book that are played, and the topic on which each channel is published."""
 
     def __init__(
         self,
-        recording: Source,
+        recording: RecordingSource,
         book: AddressBook,
         selection: Selection,
         remap: Mapping[str, str] | None = None,
     ) -> None:
-        """Choose; ConfigError names nodes that are not in the book, RecordingError follows from an empty choice.
+        """Select channels and nodes; ConfigError names nodes that are not in the address book.
 
         `remap` renames topics (channel name to topic) and moves nodes (node@site to node@site).
         """
         self._selection = selection
         self._remap = dict(remap or {})
-        chosen = [channel for channel in recording.channels if self.plays(channel)]
-        self.nodes = sorted({self.node(channel) for channel in chosen})
+        selected = [channel for channel in recording.channels if self.plays(channel)]
+        self.nodes = sorted({self.node(channel) for channel in selected})
         absent = [node for node in self.nodes if node not in book.nodes]
         if absent:
             known = ", ".join(sorted(book.nodes))
             raise ConfigError(f"{recording.path}: {', '.join(absent)} is not in the site file, which has {known}")
-        self.topics = {channel: self._topic(channel) for channel in chosen}
+        self.topics = {channel: self._topic(channel) for channel in selected}
 
     def plays(self, channel: RecordedChannel) -> bool:
-        """Say whether a channel is played; health is not, because the player has its own to tell."""
+        """Return whether a channel is played; health is not, because the player publishes its own."""
         node = node_of(channel)
         name = node.partition("@")[0]
-        if not node or name in _NEVER_PLAYED or channel.topic in _OWN_TOPICS:
+        if not node or name in _EXCLUDED_NODES or channel.topic in _EXCLUDED_TOPICS:
             return False
         by_node = not self._selection.nodes or any(test(node) for test in self._selection.nodes)
         return by_node and self._selection.names(channel.channel_topic)
 
     def node(self, channel: RecordedChannel) -> str:
-        """Give the node whose endpoint a channel goes out on."""
+        """Return the node at whose endpoint a channel is published."""
         found = node_of(channel)
         return self._remap.get(found, found)
 
@@ -92,13 +93,13 @@ class ReplayPlan:
 
 
 class ReplayPublisher:
-    """The endpoint of a node that is played: waits for slow readers instead of dropping, and knows its readers."""
+    """Publisher at the endpoint of a played node: does not drop for slow readers, and knows its subscriptions."""
 
     def __init__(self, publisher: Publisher) -> None:
-        """Take a publisher made with `kind=zmq.XPUB`."""
+        """Configure the socket of a publisher, which must be made with `kind=zmq.XPUB`."""
         self.publisher = publisher
         self.sent = 0
-        self.subscribed: set[bytes] = set()
+        self.subscriptions: set[bytes] = set()
         socket = publisher.socket
         # a full queue of a reader is then an error at once, and not a message that is silently dropped
         socket.set(zmq.XPUB_NODROP, 1)
@@ -107,7 +108,7 @@ class ReplayPublisher:
         socket.set(zmq.LINGER, _LINGER_MS)
 
     def send(self, topic: str, payload: bytes) -> bool:
-        """Send bytes; False when a reader has no room for them, and nothing is sent to anybody."""
+        """Send bytes; return False when the queue of a reader is full, and then nothing is sent to any reader."""
         try:
             self.publisher.send(topic, payload)
         except zmq.Again:
@@ -115,26 +116,26 @@ class ReplayPublisher:
         self.sent += 1
         return True
 
-    def newcomers(self) -> bool:
-        """Take note of who listens to what; True when somebody has come since the last call."""
-        came = False
+    def read_subscriptions(self) -> bool:
+        """Read subscription messages; return whether there was a new subscription since the last call."""
+        subscribed = False
         while self.publisher.socket.poll(0):
             message: bytes = self.publisher.socket.recv()
             if message.startswith(_SUBSCRIBE):
-                self.subscribed.add(message[1:])
-                came = True
+                self.subscriptions.add(message[1:])
+                subscribed = True
             else:
-                self.subscribed.discard(message[1:])
-        return came
+                self.subscriptions.discard(message[1:])
+        return subscribed
 
-    def hears(self, topic: str) -> bool:
-        """Say whether somebody listens to a topic."""
+    def has_subscriber(self, topic: str) -> bool:
+        """Return whether a reader has subscribed to a topic."""
         name = topic.encode()
-        return any(name.startswith(prefix) for prefix in self.subscribed)
+        return any(name.startswith(prefix) for prefix in self.subscriptions)
 
 
-class Numbering:
-    """Keeps the numbers of each channel growing by one over the jumps of a replay."""
+class SequenceShift:
+    """Shift of `seq` that keeps each channel counting by one over the jumps of a replay."""
 
     def __init__(self) -> None:
         self._offsets: dict[RecordedChannel, int] = {}
@@ -142,11 +143,11 @@ class Numbering:
         self._jumped: set[RecordedChannel] = set()
 
     def jump(self) -> None:
-        """Take note that what comes next does not follow what came last."""
+        """Record that the next message of each channel does not follow its last one."""
         self._jumped = set(self._last)
 
     def payload(self, message: RecordedMessage) -> bytes:
-        """Give the bytes to send: the recorded ones, unless there was a jump."""
+        """Return the bytes to send: the recorded ones, unless there was a jump."""
         channel = message.channel
         if channel in self._jumped:
             self._offsets[channel] = self._last[channel] + 1 - message.seq
@@ -159,14 +160,14 @@ class Numbering:
         return packed
 
     def sent(self, message: RecordedMessage) -> None:
-        """Take note that a message went out."""
+        """Record that a message was sent."""
         channel = message.channel
         self._jumped.discard(channel)
         self._last[channel] = message.seq + self._offsets.get(channel, 0)
 
 
 class PlayerNode(Node):
-    """Plays a tape through the outlets, at the command of session/control and of whoever holds it."""
+    """Plays a recording through the publishers of its nodes, controlled by session/control and by its methods."""
 
     inputs: ClassVar[tuple[str, ...]] = ("session/control",)
     replay = True
@@ -174,28 +175,28 @@ class PlayerNode(Node):
     def __init__(
         self,
         context: NodeContext,
-        tape: Playback,
-        parts: ReplayPlan,
-        outlets: Mapping[str, ReplayPublisher],
+        playback: Playback,
+        plan: ReplayPlan,
+        publishers: Mapping[str, ReplayPublisher],
         settings: PlaySettings,
         *,
         observe: Callable[["PlayerNode"], None] = lambda player: None,
     ) -> None:
         """Prepare to play; `observe` is called twenty times a second, for a status line and keys."""
         super().__init__(context)
-        self.tape = tape
+        self.playback = playback
         self.finish: Callable[[], None] = lambda: None
         self.finished = False
         self.started = False
         self.blocked = False
         self.sent = 0
         now = self.clock.monotonic_ns()
-        self.transport = PlaybackClock(now, tape.position_ns, settings.rate, paused=settings.paused)
-        self._cast = parts
-        self._outlets = outlets
+        self.playback_clock = PlaybackClock(now, playback.position_ns, settings.rate, paused=settings.paused)
+        self._plan = plan
+        self._publishers = publishers
         self._observe = observe
-        self._numbering = Numbering()
-        self._first: deque[RecordedMessage] = deque()
+        self._sequence_shift = SequenceShift()
+        self._pending_state: deque[RecordedMessage] = deque()
         self._steps = 0
         self._step_topic = ""
         self._wait_until_ns = now + round(settings.wait_s * 1e9)
@@ -203,13 +204,13 @@ class PlayerNode(Node):
         self._retry_ns = 0
         self._health_ns = now
         self._progress_ns = now
-        self._reported = dict.fromkeys(outlets, 0)
+        self._reported = dict.fromkeys(publishers, 0)
 
     def on_message(self, received: object) -> None:
-        """Nothing is left to do: commands come through `on_control`."""
+        """Ignore it: commands come through `on_control`."""
 
     def deadline_ns(self) -> int:
-        """Give the time of the next message or of the next look at keys and readers [ns]."""
+        """Return the time of the next message or of the next look at keys and readers [ns]."""
         if not self.started or self.finished:
             return self._tick_ns
         if self.blocked:
@@ -218,19 +219,19 @@ class PlayerNode(Node):
         return self._tick_ns if due is None else min(self._tick_ns, due)
 
     def on_deadline(self, now_ns: int) -> None:
-        """Send what is due."""
+        """Send the messages that are due."""
         if now_ns >= self._tick_ns:
             self._tick(now_ns)
         if self.started and not self.finished:
             self._play(now_ns)
 
     def make_safe(self) -> None:
-        """Tell those who listened that the replay is over."""
-        for outlet in self._outlets.values():
-            self._publish_health(outlet, 0.0, "stopping")
+        """Publish to the readers that the replay is over."""
+        for publisher in self._publishers.values():
+            self._publish_health(publisher, 0.0, "stopping")
 
     def on_control(self, control: SessionControl) -> str:
-        """Play on, end, or change what `set` names: player.rate, .pause, .step, .seek_s and so on."""
+        """Continue, end, or change what `set` names: player.rate, .pause, .step, .seek_s and so on."""
         if control.command == "start":
             self.pause(False)
         elif control.command == "stop":
@@ -242,56 +243,55 @@ class PlayerNode(Node):
         return self.status()
 
     def status(self) -> str:
-        """Say in a line where the replay stands."""
-        span = f"replay at {self.tape.time_s:.3f} of {self.tape.length_s:.3f} s"
-        rate = "as fast as possible" if self.transport.rate == 0.0 else f"rate {self.transport.rate:g}"
-        words = [span, rate, f"{self.sent} messages"]
-        words += ["loop"] * self.tape.loop + ["paused"] * self.transport.paused
-        words += ["waiting for readers"] * (not self.started) + ["waiting for a slow reader"] * self.blocked
-        return ", ".join(words)
+        """Return the state of the replay in one line."""
+        span = f"replay at {self.playback.time_s:.3f} of {self.playback.length_s:.3f} s"
+        rate = "as fast as possible" if self.playback_clock.rate == 0.0 else f"rate {self.playback_clock.rate:g}"
+        parts = [span, rate, f"{self.sent} messages"]
+        parts += ["loop"] * self.playback.loop + ["paused"] * self.playback_clock.paused
+        parts += ["waiting for readers"] * (not self.started) + ["waiting for a slow reader"] * self.blocked
+        return ", ".join(parts)
 
     def pause(self, paused: bool) -> None:
-        """Stop or go on."""
-        self.transport.change(self.clock.monotonic_ns(), self.tape.position_ns, paused=paused)
+        """Pause or continue."""
+        self.playback_clock.change(self.clock.monotonic_ns(), self.playback.position_ns, paused=paused)
 
     def set_rate(self, rate: float) -> None:
-        """Play at a rate from now on: 1 as recorded, 0 as fast as readers keep up; RefusedError when negative."""
+        """Set the rate: 1 as recorded, 0 as fast as readers keep up; RefusedError when negative."""
         if not rate >= 0.0:
             raise RefusedError(f"player.rate is {rate}, it must be 0 (as fast as possible) or more")
-        self.transport.change(self.clock.monotonic_ns(), self.tape.position_ns, rate=rate)
+        self.playback_clock.change(self.clock.monotonic_ns(), self.playback.position_ns, rate=rate)
 
     def step(self, count: int = 1, topic: str = "") -> None:
-        """Send the next messages at once and be paused: so many, or up to the next one on a topic."""
+        """Send the next `count` messages at once, or all up to the next one on a topic, and pause."""
         if count < 1:
             raise RefusedError(f"player.step is {count}, it must be 1 or more")
-        if topic and topic not in {channel.channel_topic for channel in self._cast.topics}:
+        if topic and topic not in {channel.channel_topic for channel in self._plan.topics}:
             raise RefusedError(f"player.step_topic: {topic} is not played")
         self.pause(True)
         self._steps, self._step_topic = count, topic
 
     def seek(self, time_s: float) -> None:
-        """Go to a time [s] from the start of the recording, and tell readers the state there."""
-        self._jump(self.tape.seek(self.tape.at(time_s)))
+        """Move to a time [s] from the start of the recording, and publish the state there."""
+        self._jump(self.playback.seek(self.playback.at(time_s)))
 
     def seek_event(self) -> None:
-        """Go to the next session/event; RefusedError when there is none."""
-        found = self.tape.next_event_ns()
+        """Move to the next session/event; RefusedError when there is none."""
+        found = self.playback.next_event_ns()
         if found is None:
-            raise RefusedError(f"there is no event after {self.tape.time_s:.3f} s")
-        self._jump(self.tape.seek(found))
+            raise RefusedError(f"there is no event after {self.playback.time_s:.3f} s")
+        self._jump(self.playback.seek(found))
 
     def end(self) -> None:
-        """End the replay."""
         if not self.finished:
             self.finished = True
-            self._tell("finished")
+            self._publish_status("finished")
             self.finish()
 
     def _set(self, parameters: Mapping[str, Scalar]) -> None:
         unknown = sorted(set(parameters) - set(_SETTERS))
         if unknown or not parameters:
-            named = f"{', '.join(unknown)} is unknown" if unknown else "set needs parameters"
-            raise RefusedError(f"{named}: known are {', '.join(_SETTERS)}")
+            problem = f"{', '.join(unknown)} is unknown" if unknown else "set needs parameters"
+            raise RefusedError(f"{problem}: known are {', '.join(_SETTERS)}")
         for name, setter in _SETTERS.items():
             if name in parameters:
                 kinds, change = setter
@@ -301,33 +301,33 @@ class PlayerNode(Node):
                 change(self, value)
 
     def _set_bounds(self, start_s: float | None = None, end_s: float | None = None) -> None:
-        start, end = (None if value is None else self.tape.at(value) for value in (start_s, end_s))
-        self.tape.limit(start, end)
+        start, end = (None if value is None else self.playback.at(value) for value in (start_s, end_s))
+        self.playback.limit(start, end)
 
     def _set_loop(self, loop: bool) -> None:
-        self.tape.loop = loop
+        self.playback.loop = loop
 
     def _due_ns(self) -> int | None:
-        if self._first or self._steps:
+        if self._pending_state or self._steps:
             return self.clock.monotonic_ns()
-        message = self.tape.peek()
-        return self.transport.due_ns(self.tape.end_ns if message is None else message.log_ns)
+        message = self.playback.peek()
+        return self.playback_clock.due_ns(self.playback.end_ns if message is None else message.log_ns)
 
     def _play(self, now_ns: int) -> None:
         for _ in range(_BATCH):
-            if self._first:
-                if not self._send(self._first[0]):
+            if self._pending_state:
+                if not self._send(self._pending_state[0]):
                     return
-                self._first.popleft()
+                self._pending_state.popleft()
                 continue
-            message = self.tape.peek()
+            message = self.playback.peek()
             if message is None:
-                self._at_the_end()
+                self._handle_end()
                 return
-            due = now_ns if self._steps else self.transport.due_ns(message.log_ns)
+            due = now_ns if self._steps else self.playback_clock.due_ns(message.log_ns)
             if due is None or due > now_ns or not self._send(message):
                 return
-            self.tape.take()
+            self.playback.pop()
             self._count_step(message)
 
     def _count_step(self, message: RecordedMessage) -> None:
@@ -336,71 +336,73 @@ class PlayerNode(Node):
 
     def _send(self, message: RecordedMessage) -> bool:
         channel = message.channel
-        outlet = self._outlets[self._cast.node(channel)]
-        payload = self._numbering.payload(message)
-        self.blocked = not outlet.send(self._cast.topics[channel], payload)
+        publisher = self._publishers[self._plan.node(channel)]
+        payload = self._sequence_shift.payload(message)
+        self.blocked = not publisher.send(self._plan.topics[channel], payload)
         if self.blocked:
             self._retry_ns = self.clock.monotonic_ns() + _RETRY_NS
             return False
-        self._numbering.sent(message)
+        self._sequence_shift.sent(message)
         self.sent += 1
         self.steps += 1
         return True
 
-    def _at_the_end(self) -> None:
+    def _handle_end(self) -> None:
         self._steps = 0
-        if self.tape.loop:
-            self._jump(self.tape.rewind())
-        elif not self.transport.paused:
+        if self.playback.loop:
+            self._jump(self.playback.rewind())
+        elif not self.playback_clock.paused:
             self.end()
 
     def _jump(self, state: Sequence[RecordedMessage]) -> None:
-        self._numbering.jump()
-        self._first = deque(state)
-        self.transport.change(self.clock.monotonic_ns(), self.tape.position_ns)
-        self._tell("moved")
+        self._sequence_shift.jump()
+        self._pending_state = deque(state)
+        self.playback_clock.change(self.clock.monotonic_ns(), self.playback.position_ns)
+        self._publish_status("moved")
 
     def _tick(self, now_ns: int) -> None:
         self._tick_ns = now_ns + _TICK_NS
         # an empty list first: `any` would leave the others unread
-        came = [key for key, outlet in self._outlets.items() if outlet.newcomers()]
+        subscribed = [key for key, publisher in self._publishers.items() if publisher.read_subscriptions()]
         if not self.started:
-            self._start_when_heard(now_ns)
+            self._start_when_subscribed(now_ns)
         elapsed_s = (now_ns - self._health_ns) * 1e-9
         if now_ns - self._health_ns >= HEALTH_PERIOD_NS:
             self._health_ns = now_ns
-            self._health_of_all(elapsed_s)
-        for key in came:
-            # whoever comes learns what it is before it hears anything else
-            self._publish_health(self._outlets[key], 0.0, "running")
+            self._publish_all_health(elapsed_s)
+        for key in subscribed:
+            # a new reader learns that this is a replay before it receives anything else
+            self._publish_health(self._publishers[key], 0.0, "running")
         if now_ns - self._progress_ns >= _PROGRESS_NS:
             self._progress_ns = now_ns
-            self._tell("playing")
+            self._publish_status("playing")
         self._observe(self)
 
-    def _start_when_heard(self, now_ns: int) -> None:
-        unheard = sorted(
+    def _start_when_subscribed(self, now_ns: int) -> None:
+        unsubscribed = sorted(
             {
                 channel.channel_topic
-                for channel, topic in self._cast.topics.items()
-                if is_state(channel) and not self._outlets[self._cast.node(channel)].hears(topic)
+                for channel, topic in self._plan.topics.items()
+                if is_state(channel) and not self._publishers[self._plan.node(channel)].has_subscriber(topic)
             }
         )
-        if unheard and now_ns < self._wait_until_ns:
+        if unsubscribed and now_ns < self._wait_until_ns:
             return
         self.started = True
         self.state = "running"
-        for outlet in self._outlets.values():
-            self._publish_health(outlet, 0.0, "running")
-        self._first.extend(self.tape.state_at(self.tape.start_ns))
-        self._numbering.jump()
-        self.transport.change(self.clock.monotonic_ns(), self.tape.position_ns)
-        if unheard:
-            self.event("recording", "warning", f"nobody listens to {', '.join(unheard)}", state="unheard")
-        self._tell("started")
+        for publisher in self._publishers.values():
+            self._publish_health(publisher, 0.0, "running")
+        self._pending_state.extend(self.playback.state_at(self.playback.start_ns))
+        self._sequence_shift.jump()
+        self.playback_clock.change(self.clock.monotonic_ns(), self.playback.position_ns)
+        if unsubscribed:
+            self.event(
+                "recording", "warning", f"no reader has subscribed to {', '.join(unsubscribed)}", state="unsubscribed"
+            )
+        self._publish_status("started")
 
-    def _tell(self, what: str) -> None:
-        """Publish where the replay stands: the clock of the recording, for whoever follows it."""
+    def _publish_status(self, state: str) -> None:
+        """Publish the position of the replay: the clock of the recording, for those who follow it."""
         self.publish(
             "session/event",
             id="",
@@ -408,26 +410,26 @@ class PlayerNode(Node):
             level="info",
             text=self.status(),
             data={
-                "state": what,
-                "path": str(self.tape.recording.path),
-                "time_s": self.tape.time_s,
-                "time_ns": self.tape.position_ns,
-                "rate": self.transport.rate,
-                "paused": self.transport.paused,
+                "state": state,
+                "path": str(self.playback.recording.path),
+                "time_s": self.playback.time_s,
+                "time_ns": self.playback.position_ns,
+                "rate": self.playback_clock.rate,
+                "paused": self.playback_clock.paused,
             },
         )
 
-    def _health_of_all(self, elapsed_s: float) -> None:
-        for key, outlet in self._outlets.items():
-            rate = (outlet.sent - self._reported[key]) / elapsed_s
-            self._reported[key] = outlet.sent
-            self._publish_health(outlet, rate, "running")
+    def _publish_all_health(self, elapsed_s: float) -> None:
+        for key, publisher in self._publishers.items():
+            rate = (publisher.sent - self._reported[key]) / elapsed_s
+            self._reported[key] = publisher.sent
+            self._publish_health(publisher, rate, "running")
 
-    def _publish_health(self, outlet: ReplayPublisher, rate_hz: float, state: str) -> None:
+    def _publish_health(self, publisher: ReplayPublisher, rate_hz: float, state: str) -> None:
         try:
-            outlet.publisher.publish("node/health", **_health(state, rate_hz, self.clock, self._wait_until_ns))
+            publisher.publisher.publish("node/health", **_health(state, rate_hz, self.clock, self._wait_until_ns))
         except zmq.Again:
-            # a reader is behind: it gets the next one
+            # a reader is behind and gets the next one
             return
 
 
@@ -453,21 +455,16 @@ def _health(state: str, rate_hz: float, clock: Clock, begun_ns: int) -> dict[str
 
 
 _NUMBER = (float, int)
-# in the order in which they are carried out when one command names several
+# in the order in which they are applied when one command names several
 _SETTERS: dict[str, tuple[tuple[type, ...], Callable[[PlayerNode, Any], None]]] = {
     "player.rate": (_NUMBER, lambda player, value: player.set_rate(float(value))),
     "player.loop": ((bool,), lambda player, value: player._set_loop(value)),
     "player.a_s": (_NUMBER, lambda player, value: player._set_bounds(start_s=value)),
     "player.b_s": (_NUMBER, lambda player, value: player._set_bounds(end_s=value)),
     "player.seek_s": (_NUMBER, lambda player, value: player.seek(value)),
-    "player.skip_s": (_NUMBER, lambda player, value: player.seek(player.tape.time_s + value)),
+    "player.skip_s": (_NUMBER, lambda player, value: player.seek(player.playback.time_s + value)),
     "player.next_event": ((bool,), lambda player, value: player.seek_event() if value else None),
     "player.step": ((int,), lambda player, value: player.step(value)),
     "player.step_topic": ((str,), lambda player, value: player.step(topic=value)),
     "player.pause": ((bool,), lambda player, value: player.pause(value)),
 }
-
-
-def open_tape(recording: Source, parts: ReplayPlan, span: Span) -> Playback:
-    """Give the tape of what the cast plays."""
-    return Playback(recording, parts.plays, span)

@@ -1,6 +1,7 @@
-"""A recording as something to play: where it stands, what comes next, what was last said before.
+"""Playback of a recording: position, next message, state at a position; and the clock of the playback.
 
-No socket and no clock: `Tape` knows times of the recording only, `Transport` maps them to the time of playing.
+No socket and no clock of the machine: `Playback` knows times of the recording only, `PlaybackClock` maps them to
+the time of playing.
 """
 
 from collections.abc import Iterator
@@ -8,7 +9,8 @@ from dataclasses import dataclass
 
 from proto import TOPICS
 from proto.errors import RecordingError
-from recording.reader import RecordedChannel, RecordedMessage, Source, Wanted
+from recording.messages import ChannelFilter, RecordedChannel, RecordedMessage
+from recording.multi_file import RecordingSource
 
 _NS = 1e9
 
@@ -23,21 +25,21 @@ class Span:
 
 
 class Playback:
-    """The chosen messages of a recording in the order of their reception.
+    """The selected messages of a recording in the order of their reception.
 
-    Positions are in ns on the recorder's clock. Only `peek` and what comes after it read from the file.
+    Positions are in ns on the recorder's clock.
     """
 
-    def __init__(self, recording: Source, wanted: Wanted, span: Span) -> None:
-        """Stand at the start of the span; RecordingError says when there is nothing to play."""
+    def __init__(self, recording: RecordingSource, channel_filter: ChannelFilter, span: Span) -> None:
+        """Start at the beginning of the span; RecordingError when there is nothing to play."""
         self.recording = recording
         self.origin_ns, last_ns = recording.span_ns
-        self.wanted = wanted
+        self.channel_filter = channel_filter
         self.loop = span.loop
         self.length_s = (last_ns - self.origin_ns) / _NS
-        self.channels = tuple(channel for channel in recording.channels if wanted(channel))
+        self.channels = tuple(channel for channel in recording.channels if channel_filter(channel))
         if not self.channels:
-            raise RecordingError(f"{recording.path}: has none of the messages that were chosen")
+            raise RecordingError(f"{recording.path}: has none of the messages that were selected")
         self._last_ns = last_ns
         self.start_ns = self.at(span.start_s)
         self.end_ns = last_ns + 1 if span.end_s is None else self.at(span.end_s)
@@ -49,10 +51,10 @@ class Playback:
         self.position_ns = self.start_ns
         self._messages: Iterator[RecordedMessage] = iter(())
         self._next: RecordedMessage | None = None
-        self._go(self.start_ns)
+        self._move_to(self.start_ns)
 
     def at(self, time_s: float) -> int:
-        """Give the position [ns] of a time [s] from the start of the recording."""
+        """Return the position [ns] of a time [s] from the start of the recording."""
         return self.origin_ns + round(time_s * _NS)
 
     @property
@@ -61,42 +63,44 @@ class Playback:
         return (self.position_ns - self.origin_ns) / _NS
 
     def peek(self) -> RecordedMessage | None:
-        """Give the message that comes next; None at the end of the span."""
+        """Return the next message without moving on; None at the end of the span."""
         return self._next
 
-    def take(self) -> RecordedMessage:
-        """Give the message that comes next and pass it; RecordingError at the end."""
+    def pop(self) -> RecordedMessage:
+        """Return the next message and move past it; RecordingError at the end."""
         message = self._next
         if message is None:
-            raise RecordingError(f"{self.recording.path}: there is nothing after {self.time_s:.3f} s")
+            raise RecordingError(f"{self.recording.path}: there is no message after {self.time_s:.3f} s")
         self.position_ns = max(self.position_ns, message.log_ns)
         self._next = next(self._messages, None)
         return message
 
     def seek(self, position_ns: int) -> list[RecordedMessage]:
-        """Go to a position [ns], kept within the recording; gives the state there: `state_at`."""
-        kept = min(max(position_ns, self.origin_ns), self._last_ns)
-        if kept >= self.end_ns:
-            # beyond what was to be played: somebody wants to see it
+        """Move to a position [ns], clamped to the recording; return the state there, as `state_at`."""
+        target = min(max(position_ns, self.origin_ns), self._last_ns)
+        if target >= self.end_ns:
+            # beyond the end of the span: the user wants to see it
             self.end_ns = self._last_ns + 1
-        self._go(kept)
-        return self.state_at(kept)
+        self._move_to(target)
+        return self.state_at(target)
 
     def rewind(self) -> list[RecordedMessage]:
-        """Go to the start of the span; gives the state there."""
-        self._go(self.start_ns)
+        """Move to the start of the span; return the state there."""
+        self._move_to(self.start_ns)
         return self.state_at(self.start_ns)
 
     def state_at(self, position_ns: int) -> list[RecordedMessage]:
-        """Give the last value before a position [ns] of each state topic, by time: what a reader must know there.
+        """Return the last value before a position [ns] of each state topic, by time: what a reader must know there.
 
         Topics of which every message counts, such as commands and events, are not repeated.
         """
-        newest = self.recording.newest_before(position_ns, lambda channel: self.wanted(channel) and is_state(channel))
+        newest = self.recording.newest_before(
+            position_ns, lambda channel: self.channel_filter(channel) and is_state(channel)
+        )
         return sorted(newest.values(), key=lambda message: message.log_ns)
 
     def next_event_ns(self) -> int | None:
-        """Give the time [ns] of the next session/event in the whole recording after the position; None without one."""
+        """Return the time [ns] of the next session/event of the recording after the position; None without one."""
         events = self.recording.select(lambda channel: channel.topic == "session/event", self.position_ns + 1)
         return next((event.log_ns for event in events), None)
 
@@ -113,23 +117,23 @@ class Playback:
         self.start_ns, self.end_ns = start, end
         self._open(self.position_ns + 1 if self._next is None else self._next.log_ns)
 
-    def _go(self, position_ns: int) -> None:
+    def _move_to(self, position_ns: int) -> None:
         self.position_ns = position_ns
         self._open(position_ns)
 
     def _open(self, first_ns: int) -> None:
-        self._messages = self.recording.select(self.wanted, first_ns, self.end_ns)
+        self._messages = self.recording.select(self.channel_filter, first_ns, self.end_ns)
         self._next = next(self._messages, None)
 
 
 def is_state(channel: RecordedChannel) -> bool:
-    """Say whether the newest message of a channel replaces the ones before it."""
+    """Return whether the newest message of a channel replaces the ones before it."""
     row = TOPICS.get(channel.topic)
     return row is not None and row.delivery == "latest"
 
 
 class PlaybackClock:
-    """When what stands at a position of the recording is due, in ns of a monotonic clock.
+    """Time at which a position of the recording is due, in ns of a monotonic clock.
 
     `rate` 1 is as recorded, 2 twice as fast, 0 as fast as possible: everything is due at once.
     """
@@ -141,7 +145,7 @@ class PlaybackClock:
         self._position_ns = position_ns
 
     def due_ns(self, position_ns: int) -> int | None:
-        """Give the time at which a position is due; None while paused."""
+        """Return the time at which a position is due; None while paused."""
         if self.paused:
             return None
         if self.rate == 0.0:
@@ -149,7 +153,7 @@ class PlaybackClock:
         return self._now_ns + round((position_ns - self._position_ns) / self.rate)
 
     def change(self, now_ns: int, position_ns: int, *, rate: float | None = None, paused: bool | None = None) -> None:
-        """Go on from a position with another rate, or be paused; what is not given stays."""
+        """Continue from a position at another rate, or pause; what is not given stays."""
         self._now_ns, self._position_ns = now_ns, position_ns
         self.rate = self.rate if rate is None else rate
         self.paused = self.paused if paused is None else paused

@@ -1,1 +1,1 @@
-"""The recording of a session and its readers."""
+"""The recorder: the process that writes everything on the bus into MCAP files."""

@@ -1,4 +1,4 @@
-"""What the recorder can be told."""
+"""Settings of the recorder."""
 
 from typing import Annotated, Literal, Self
 
@@ -12,7 +12,7 @@ _Size = Annotated[int, Field(ge=65_536, le=1 << 50)]
 
 
 class RecorderConfig(FileSettings):
-    """What is recorded, into how many files, and how much of it is safe against a kill."""
+    """Settings: what is recorded, into how many files, and how much of it a kill may lose."""
 
     flush_interval_s: Annotated[float, Field(ge=0.01, le=0.25)] = Field(
         default=0.2, description="Most that a kill of the recorder may lose [s], 0.01 to 0.25"
@@ -63,11 +63,11 @@ class RecorderConfig(FileSettings):
         return self
 
     def selection(self) -> Selection:
-        """Give the channels to record."""
+        """Return the channels to record."""
         return Selection.of(self.topics, self.exclude)
 
     def hears(self, topic: str, site: str) -> bool:
-        """Say whether a bus topic has to be heard at a site: to be recorded, for its commands, or for a trigger."""
+        """Return whether a bus topic is needed at a site: to be recorded, for its commands, or for a trigger."""
         needed = ("session/control",) if self.snapshot_s is None else ("session/control", "session/event", "afm/state")
         selection = self.selection()
         return topic in needed or selection.names(topic) or selection.names(f"{topic}@{site}")

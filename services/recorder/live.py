@@ -10,7 +10,7 @@ import zmq
 from proto import TOPICS, WireError
 from proto.errors import ConfigError
 from proto.nodes import site_of
-from recording.reader import RecordedChannel, RecordedMessage
+from recording.messages import RecordedChannel, RecordedMessage
 from recording.writer import channel_topic
 from services.recorder.intake import Listener, read_header
 from services.runtime.address_book import AddressBook
@@ -90,7 +90,7 @@ class LiveRecording:
             poller.register(listener.subscriber.socket, zmq.POLLIN)
         while end is None or time.monotonic() < end:
             poller.poll(_WAIT_MS)
-            self._network.attend()
+            self._network.process_events()
             for listener in self._listeners:
                 for frames, received_ns in listener.subscriber.receive_raw():
                     message = self._message(listener, frames, received_ns)

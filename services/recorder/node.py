@@ -1,4 +1,4 @@
-"""The recorder as a node: it hears every node at its own endpoint and writes everything down."""
+"""The recorder as a node: it subscribes to every node at its own endpoint and records all messages."""
 
 import time
 from collections.abc import Iterator, Sequence
@@ -17,15 +17,15 @@ from services.runtime.node import Node, NodeContext
 
 # how long the end may take to fetch what still waits in the sockets, seconds of it on a machine that was too busy;
 # within the grace that a supervisor gives
-_LAST_WORDS_NS = 2_000_000_000
-_MEASURED_NS = 1_000_000_000
+_DRAIN_TIMEOUT_NS = 2_000_000_000
+_RATE_PERIOD_NS = 1_000_000_000
 # to wake up for every message costs more than to write it, and takes its turn from the loop
-_GATHERED_NS = 1_000_000
-_ORDERS = ("record.split", "record.snapshot", "record.status")
+_BATCH_NS = 1_000_000
+_ACTIONS = ("record.split", "record.snapshot", "record.status")
 
 
 class RecorderBus(ZmqBus):
-    """A bus with a connection of its own to each publisher, so that the place where a message was heard is known."""
+    """A bus with a connection of its own to each publisher, so that the place where a message was received is known."""
 
     def __init__(
         self,
@@ -46,30 +46,30 @@ class RecorderBus(ZmqBus):
         for descriptor in (wake_descriptor, *self._network_descriptors):
             self._poller.register(descriptor, zmq.POLLIN)
         self._ready: list[tuple[object, int]] = []
-        self._taken_ns = 0
+        self._batch_start_ns = 0
 
     def receive(self) -> Iterator[Received]:
-        """Record what has arrived; gives only commands, for the node to answer."""
+        """Record what has arrived; yield only commands, for the node to answer."""
         ready, self._ready = self._ready or self._poller.poll(0), []
         for socket, _ in ready:
             listener = self._listeners.get(socket)
             if listener is None:
                 continue
             for frames, received_ns in listener.subscriber.receive_raw():
-                received = self._intake.take(listener, frames, received_ns)
+                received = self._intake.record(listener, frames, received_ns)
                 if received is not None:
                     yield received
 
     def wait(self, deadline_ns: int) -> None:
         """Wait until something has arrived or the monotonic clock has reached `deadline_ns`.
 
-        What comes within a millisecond is taken together: the time of reception is late by no more than that.
+        What comes within a millisecond is received together: the time of reception is late by no more than that.
         """
         now_ns = self._clock.monotonic_ns()
-        if self._taken_ns <= now_ns < self._taken_ns + _GATHERED_NS:
-            time.sleep((self._taken_ns + _GATHERED_NS - now_ns) * 1e-9)
+        if self._batch_start_ns <= now_ns < self._batch_start_ns + _BATCH_NS:
+            time.sleep((self._batch_start_ns + _BATCH_NS - now_ns) * 1e-9)
             now_ns = self._clock.monotonic_ns()
-        self._taken_ns = now_ns
+        self._batch_start_ns = now_ns
         remaining_ns = max(0, deadline_ns - now_ns)
         # rounded up, because waking a little early would only mean to wait once more
         self._ready = self._poller.poll(0 if self._attend else -(-remaining_ns // 1_000_000))
@@ -78,7 +78,7 @@ class RecorderBus(ZmqBus):
 
 
 class RecorderNode(Node):
-    """Flushes on a grid of deadlines, and says what becomes of the recording."""
+    """Flushes at periodic deadlines and reports the state of the recording."""
 
     inputs: ClassVar[tuple[str, ...]] = ("session/control",)
     commands: ClassVar[tuple[str, ...]] = ("mark",)
@@ -87,53 +87,53 @@ class RecorderNode(Node):
         self._intake = intake
         super().__init__(context)
         self.state = "running"
-        self._grid = PeriodicDeadline(self.clock.monotonic_ns(), round(config.flush_interval_s * 1e9))
+        self._flush_deadline = PeriodicDeadline(self.clock.monotonic_ns(), round(config.flush_interval_s * 1e9))
         self._path = "" if intake.writer is None else str(intake.writer.path)
-        self._announced_path = ""
-        self._announced_fault = ""
-        self._announced_lost = 0
-        self._announced_dropped = 0
-        self._measured = (self.clock.monotonic_ns(), 0)
+        self._reported_path = ""
+        self._reported_fault = ""
+        self._reported_lost = 0
+        self._reported_dropped = 0
+        self._rate_start = (self.clock.monotonic_ns(), 0)
         self.rate_hz = 0.0
 
     @property
     def steps(self) -> int:
-        """Messages heard: theirs is the rate in node/health."""
-        return self._intake.heard
+        """Messages received: their rate is the one in node/health."""
+        return self._intake.received
 
     @steps.setter
     def steps(self, value: int) -> None:
-        self._intake.heard = value
+        self._intake.received = value
 
     def on_message(self, received: Received) -> None:
-        """Nothing is left to do: the bus has recorded it."""
+        """Ignore it: the bus has recorded it."""
 
     def deadline_ns(self) -> int:
-        """Give the time of the next flush."""
-        return self._grid.deadline_ns
+        """Return the time of the next flush [ns]."""
+        return self._flush_deadline.deadline_ns
 
     def on_deadline(self, now_ns: int) -> None:
         """Flush, and report what has changed since the last time."""
-        # the file that the flush may end is told of before
-        self._announce()
+        # report the file before the flush, which may end it
+        self._report_path()
         self._intake.flush(now_ns)
-        self._grid.advance(now_ns)
-        self.overruns = self._grid.overruns
+        self._flush_deadline.advance(now_ns)
+        self.overruns = self._flush_deadline.overruns
         self._measure(now_ns)
         self._report()
 
     def on_control(self, control: SessionControl) -> str:
-        """Take note of a mark; `set` begins a new file, writes a snapshot, or asks how the recording does."""
+        """Record a mark; `set` begins a new file, writes a snapshot, or only returns the status."""
         if control.command == "mark":
             return self._mark(control)
         if control.command != "set":
-            raise RefusedError(f"{self.context.key} knows mark and set, not {control.command}")
-        unknown = sorted(set(control.parameters) - set(_ORDERS))
+            raise RefusedError(f"{self.context.key} accepts mark and set, not {control.command}")
+        unknown = sorted(set(control.parameters) - set(_ACTIONS))
         if unknown or not control.parameters:
-            raise RefusedError(f"{', '.join(unknown) or 'nothing'} cannot be set: known are {', '.join(_ORDERS)}")
+            raise RefusedError(f"{', '.join(unknown) or 'nothing'} cannot be set: settable are {', '.join(_ACTIONS)}")
         wrong = [name for name, value in control.parameters.items() if value is not True]
         if wrong:
-            raise RefusedError(f"{', '.join(wrong)} is an order and takes true only")
+            raise RefusedError(f"{', '.join(wrong)} must be true")
         if "record.split" in control.parameters:
             self.split()
         if "record.snapshot" in control.parameters:
@@ -142,30 +142,32 @@ class RecorderNode(Node):
 
     @property
     def path(self) -> str:
-        """File in hand, or the last one."""
+        """Current file, or the last one."""
         return self._path
 
     def split(self) -> None:
-        """Go on in a new file; RecordingError says why that cannot be."""
+        """Continue in a new file; RecordingError says why that is not possible."""
         self._intake.split(self.clock.monotonic_ns())
         self._report()
 
     def snapshot(self) -> None:
-        """Write what is kept in memory; RecordingError when nothing is."""
+        """Write the snapshot buffer; RecordingError when there is none."""
         self._intake.snapshot()
 
     def status(self) -> str:
-        """Say in a line how the recording does: where, how much, how fast, what was lost."""
+        """Return the state of the recording in one line: file, size, rate, losses."""
         intake = self._intake
         if intake.fault:
             return f"not recording: {intake.fault}"
-        words = [f"recording to {self._path}" if intake.writer is not None else "waiting for a trigger"]
-        words += [f"{intake.size_bytes / 1e6:.1f} MB"] * (intake.writer is not None)
-        if intake.ring is not None:
-            words.append(f"{len(intake.ring)} messages, {intake.ring.size_bytes / 1e6:.1f} MB in memory")
-        words += [f"{intake.written} written", f"{self.rate_hz:.0f} messages/s", f"{intake.lost} lost"]
-        words += [f"{intake.rejected} rejected"] * (intake.rejected > 0)
-        return ", ".join(words)
+        parts = [f"recording to {self._path}" if intake.writer is not None else "waiting for a trigger"]
+        parts += [f"{intake.size_bytes / 1e6:.1f} MB"] * (intake.writer is not None)
+        if intake.snapshot_buffer is not None:
+            parts.append(
+                f"{len(intake.snapshot_buffer)} messages, {intake.snapshot_buffer.size_bytes / 1e6:.1f} MB in memory"
+            )
+        parts += [f"{intake.written} written", f"{self.rate_hz:.0f} messages/s", f"{intake.lost} lost"]
+        parts += [f"{intake.rejected} rejected"] * (intake.rejected > 0)
+        return ", ".join(parts)
 
     def _mark(self, control: SessionControl) -> str:
         if self._intake.fault:
@@ -177,13 +179,13 @@ class RecorderNode(Node):
         return f"marked in {self._path or 'memory'}"
 
     def _measure(self, now_ns: int) -> None:
-        since_ns, heard = self._measured
-        if now_ns - since_ns >= _MEASURED_NS:
-            self.rate_hz = (self._intake.heard - heard) * 1e9 / (now_ns - since_ns)
-            self._measured = (now_ns, self._intake.heard)
+        since_ns, received = self._rate_start
+        if now_ns - since_ns >= _RATE_PERIOD_NS:
+            self.rate_hz = (self._intake.received - received) * 1e9 / (now_ns - since_ns)
+            self._rate_start = (now_ns, self._intake.received)
 
     def make_safe(self) -> None:
-        """Take what still waits in the sockets and complete the file."""
+        """Record what still waits in the sockets and finish the file."""
         self._drain_sockets()
         self._intake.finish()
         self._report()
@@ -191,36 +193,36 @@ class RecorderNode(Node):
             self._report_end()
 
     def _drain_sockets(self) -> None:
-        end_ns = self.clock.monotonic_ns() + _LAST_WORDS_NS
-        heard = -1
-        while heard != self._intake.heard and self.clock.monotonic_ns() < end_ns:
-            heard = self._intake.heard
+        end_ns = self.clock.monotonic_ns() + _DRAIN_TIMEOUT_NS
+        received = -1
+        while received != self._intake.received and self.clock.monotonic_ns() < end_ns:
+            received = self._intake.received
             for _ in self.context.bus.receive():
                 pass
 
-    def _announce(self) -> None:
+    def _report_path(self) -> None:
         intake = self._intake
-        # said after the first flush, when whoever listens has had the time to connect
+        # reported after the first flush, when subscribers have had the time to connect
         self._path = self._path if intake.writer is None else str(intake.writer.path)
-        if self._path != self._announced_path:
-            self._announced_path = self._path
+        if self._path != self._reported_path:
+            self._reported_path = self._path
             self.event("recording", "info", f"recording to {self._path}", state="started", path=self._path)
 
     def _report(self) -> None:
         intake = self._intake
-        self._announce()
-        dropped = 0 if intake.parts is None else intake.parts.dropped
-        if dropped > self._announced_dropped:
-            self._announced_dropped = dropped
-            self.event("recording", "warning", f"{dropped} old files were removed for the quota", dropped=dropped)
-        if intake.fault != self._announced_fault:
-            self._announced_fault = intake.fault
+        self._report_path()
+        dropped = 0 if intake.rotation is None else intake.rotation.dropped
+        if dropped > self._reported_dropped:
+            self._reported_dropped = dropped
+            self.event("recording", "warning", f"{dropped} old files were removed to keep the quota", dropped=dropped)
+        if intake.fault != self._reported_fault:
+            self._reported_fault = intake.fault
             self.state = "safe"
-            text = f"nothing is recorded any more, the rig goes on: {intake.fault}"
-            self.event("recording", "error", text, state="failed", path=self._path, heard=intake.heard)
-        if intake.lossless_lost > self._announced_lost:
-            missing = intake.lossless_lost - self._announced_lost
-            self._announced_lost = intake.lossless_lost
+            text = f"recording stopped, the rig continues: {intake.fault}"
+            self.event("recording", "error", text, state="failed", path=self._path, heard=intake.received)
+        if intake.lossless_lost > self._reported_lost:
+            missing = intake.lossless_lost - self._reported_lost
+            self._reported_lost = intake.lossless_lost
             text = f"{missing} control, event or scan messages did not reach the recorder"
             self.event("fault", "warning", text, missing=missing)
 

@@ -1,4 +1,4 @@
-"""From a configuration to an intake that records."""
+"""Setup of a recording from its configuration."""
 
 from pathlib import Path
 
@@ -8,37 +8,39 @@ from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake
 from services.recorder.provenance import write_provenance
 from services.recorder.rotation import FileRotation
-from services.recorder.snapshot_buffer import SnapshotBuffer, trigger
+from services.recorder.snapshot_buffer import SnapshotBuffer, event_trigger
 from services.runtime.clock import Clock
 
 
 def open_recording(
     key: str, clock: Clock, config: RecorderConfig, site_file: Path, scenario_file: Path | None
 ) -> Intake:
-    """Begin a recording of the node `key`, or with a snapshot the wait for its trigger.
+    """Start a recording by the node `key`; with a snapshot buffer, wait for its trigger.
 
-    A file that cannot be written is a fault that the intake tells, not an error: the rig goes on.
+    A file that cannot be written is a fault that the intake reports, not an error: the rig goes on.
     """
 
-    def begin_file(number: int) -> RecordingWriter:
+    def create_file(number: int) -> RecordingWriter:
         writer = RecordingWriter.create(key, config, number)
         write_provenance(writer, config, site_file, scenario_file, clock.now_ns())
         return writer
 
-    parts = FileRotation(config, begin_file)
-    ring = None if config.snapshot_s is None else SnapshotBuffer(config.snapshot_s, config.snapshot_size_bytes)
+    rotation = FileRotation(config, create_file)
+    snapshot_buffer = (
+        None if config.snapshot_s is None else SnapshotBuffer(config.snapshot_s, config.snapshot_size_bytes)
+    )
     writer, fault = None, ""
-    if ring is None:
+    if snapshot_buffer is None:
         try:
-            writer = parts.begin(clock.monotonic_ns())
+            writer = rotation.begin(clock.monotonic_ns())
         except RecordingError as error:
             fault = str(error)
     return Intake(
         writer,
         fault,
         selection=config.selection(),
-        parts=parts,
-        ring=ring,
-        happened=trigger(config.snapshot_on),
+        rotation=rotation,
+        snapshot_buffer=snapshot_buffer,
+        is_trigger=event_trigger(config.snapshot_on),
         after_s=config.snapshot_after_s,
     )

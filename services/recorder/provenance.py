@@ -1,4 +1,4 @@
-"""What a recording says about its origin: the files that describe the rig, and versions."""
+"""Origin of a recording: the files that describe the rig, and versions."""
 
 import platform
 from importlib.metadata import PackageNotFoundError, version
@@ -15,7 +15,7 @@ _PACKAGES = ("telenano", "mcap", "msgpack", "numpy", "pydantic", "pyzmq", "zstan
 
 
 def versions() -> dict[str, str]:
-    """Give the versions of packages, Python, platform and message schemas; `unknown` where a package has none."""
+    """Return the versions of packages, Python, platform and message schemas; `unknown` where a package has none."""
     found = {"python": platform.python_version(), "platform": platform.platform(), "libzmq": zmq.zmq_version()}
     found |= {f"package {name}": _package_version(name) for name in _PACKAGES}
     found |= {f"schema {name}": str(row.model.version) for name, row in TOPICS.items()}

@@ -1,4 +1,4 @@
-"""The files of one recording: when the next one is begun, and what is done when the disk quota is used up."""
+"""Rotation of the files of one recording: when the next one begins, and what happens at the disk quota."""
 
 from collections import deque
 from collections.abc import Callable
@@ -8,50 +8,50 @@ from proto.errors import RecordingError
 from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
 
-Begin = Callable[[int], RecordingWriter]
+CreateFile = Callable[[int], RecordingWriter]
 
 
 class QuotaError(RecordingError):
-    """The quota is used up and the policy is to stop; the text says so."""
+    """The quota is used up and the policy is to stop."""
 
 
 class FileRotation:
-    """Begins and ends the files of a recording.
+    """The current and the finished files of a recording.
 
-    Sizes are what has been flushed, so limits are kept to within one flush interval.
+    Sizes count what has been flushed, so limits hold to within one flush interval.
     """
 
-    def __init__(self, config: RecorderConfig, begin: Begin) -> None:
-        """Take the function that makes a file with everything at its beginning, named with a number or a later one."""
+    def __init__(self, config: RecorderConfig, create_file: CreateFile) -> None:
+        """Use `create_file` for each file: it writes provenance and takes a number, or a later one if that is taken."""
         self._config = config
-        self._begin = begin
-        self._begun_ns = 0
+        self._create_file = create_file
+        self._started_ns = 0
         self._finished: deque[tuple[Path, int]] = deque()
         self.count = 0
         self.dropped = 0
 
     def begin(self, now_ns: int) -> RecordingWriter:
-        """Make the next file; RecordingError says why that fails."""
+        """Create the next file; RecordingError says why that fails."""
         # numbers grow, also where the files of lower ones are gone
-        writer = self._begin(self.count)
-        self._begun_ns = now_ns
+        writer = self._create_file(self.count)
+        self._started_ns = now_ns
         self.count += 1
         return writer
 
     def finish(self, writer: RecordingWriter) -> None:
-        """Complete a file, which then counts against the quota as a whole."""
+        """Finish a file, which then counts against the quota as a whole."""
         writer.finish()
         self._finished.append((writer.path, writer.size_bytes))
 
     def due(self, writer: RecordingWriter, now_ns: int) -> bool:
-        """Say whether the file in hand is long or large enough."""
+        """Return whether the current file has reached its size or time."""
         config = self._config
         too_large = config.split_size_bytes is not None and writer.size_bytes >= config.split_size_bytes
-        too_long = config.split_interval_s is not None and now_ns - self._begun_ns >= config.split_interval_s * 1e9
+        too_long = config.split_interval_s is not None and now_ns - self._started_ns >= config.split_interval_s * 1e9
         return too_large or too_long
 
     def keep_quota(self, writer: RecordingWriter | None) -> None:
-        """Make room as the policy says.
+        """Remove the oldest files until the quota holds, if the policy says so.
 
         Raises QuotaError under the policy `stop`, RecordingError when an old file cannot be removed.
         """

@@ -1,4 +1,4 @@
-"""The last seconds in memory, for a recording that is to hold what came before its trigger."""
+"""Buffer of the last seconds, for a recording that has to contain what came before its trigger."""
 
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -23,7 +23,7 @@ class SnapshotBuffer:
 
     def __init__(self, length_s: float, size_bytes: int) -> None:
         self._length_ns = round(length_s * 1e9)
-        self._largest = size_bytes
+        self._max_bytes = size_bytes
         self._entries: deque[Entry] = deque()
         self.size_bytes = 0
 
@@ -31,15 +31,15 @@ class SnapshotBuffer:
         return len(self._entries)
 
     def add(self, entry: Entry) -> None:
-        """Keep an entry and forget what is too old or too much."""
+        """Append an entry and drop the oldest beyond the limits of time and size."""
         self._entries.append(entry)
         self.size_bytes += len(entry.payload)
         oldest_ns = entry.log_ns - self._length_ns
-        while self._entries and (self._entries[0].log_ns < oldest_ns or self.size_bytes > self._largest):
+        while self._entries and (self._entries[0].log_ns < oldest_ns or self.size_bytes > self._max_bytes):
             self.size_bytes -= len(self._entries.popleft().payload)
 
-    def take(self) -> list[Entry]:
-        """Give everything and keep nothing."""
+    def drain(self) -> list[Entry]:
+        """Return all entries and clear the buffer."""
         entries = list(self._entries)
         self._entries.clear()
         self.size_bytes = 0
@@ -47,25 +47,25 @@ class SnapshotBuffer:
 
 
 Fields = Mapping[str, Any]
-Happened = Callable[[str, Fields], bool]
+Trigger = Callable[[str, Fields], bool]
 
 
-def trigger(names: tuple[str, ...]) -> Happened:
-    """Give the test of whether a message is one of the events that a snapshot is taken on.
+def event_trigger(names: tuple[str, ...]) -> Trigger:
+    """Return the predicate that tells whether a message is one of the events that trigger a snapshot.
 
     `mode`: a device changed mode; `fault`: a node reported a fault; `contact`: the tip snaps into contact.
     """
-    touching: dict[str, bool] = {}
+    in_contact: dict[str, bool] = {}
 
-    def happened(topic: str, fields: Fields) -> bool:
+    def is_trigger(topic: str, fields: Fields) -> bool:
         if topic == "session/event":
             return fields.get("kind") in names
         if topic == "afm/state" and "contact" in names:
             source, now = str(fields.get("src")), fields.get("in_contact") is True
-            # the first state heard is where it starts, not a snap
-            before = touching.get(source, now)
-            touching[source] = now
+            # the first state received is where it starts, not a snap-in
+            before = in_contact.get(source, now)
+            in_contact[source] = now
             return now and not before
         return False
 
-    return happened
+    return is_trigger

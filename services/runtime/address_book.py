@@ -1,4 +1,4 @@
-"""The site file: where each node binds, and who publishes a topic for a reader at a given site."""
+"""The site file: the endpoint of each node, and which nodes publish a topic for a reader at a given site."""
 
 import contextlib
 import ipaddress
@@ -18,7 +18,7 @@ from proto.messages import SOURCE_PATTERN
 from proto.nodes import LINK, name_of, site_of
 from proto.topics import TOPICS, Topic
 
-# the machine that the link runs on, with its faces at both sites
+# the machine that the link runs on, with its endpoints for both sites
 LINK_MACHINE = "master"
 RUNTIME_DIRECTORY_VARIABLE = "TELENANO_RUNTIME_DIR"
 BIND_ADDRESS_VARIABLE = "TELENANO_BIND_ADDRESS"
@@ -35,7 +35,7 @@ MachineName = Annotated[str, Field(pattern=MACHINE_PATTERN)]
 
 
 def runtime_directory() -> Path:
-    """Give the private folder of ipc sockets: TELENANO_RUNTIME_DIR, or one of this user's own."""
+    """Return the private folder of ipc sockets: TELENANO_RUNTIME_DIR, or one of this user's own."""
     named = os.environ.get(RUNTIME_DIRECTORY_VARIABLE)
     if named:
         return Path(named)
@@ -46,7 +46,7 @@ def runtime_directory() -> Path:
 
 
 class NodeEntry(BaseModel):
-    """Where a node can be heard: `local` by readers on its machine, `network` by those on other machines."""
+    """The endpoints of a node: `local` for readers on its machine, `network` for those on other machines."""
 
     model_config = ConfigDict(frozen=True, strict=True, extra="forbid")
 
@@ -69,7 +69,7 @@ class NodeEntry(BaseModel):
 
 
 def _as_entry(value: object) -> object:
-    """Give the short form of an entry, its only endpoint, in full."""
+    """Return an entry in full, also where it is given as its only endpoint."""
     if isinstance(value, str):
         if not value.startswith(("ipc://", "tcp://")):
             raise ValueError(_NO_ENDPOINT)
@@ -98,7 +98,7 @@ class AddressBook(BaseModel):
     nodes: dict[NodeKey, Annotated[NodeEntry, BeforeValidator(_as_entry)]] = Field(
         description="Endpoint that each node binds: ipc://path or tcp://host:port, or both as local and network"
     )
-    insecure: bool = Field(default=False, description="Plain tcp:// without keys: whoever reaches a port hears it")
+    insecure: bool = Field(default=False, description="Plain tcp:// without keys: whoever reaches a port can read it")
 
     @model_validator(mode="after")
     def _check_endpoints(self) -> Self:
@@ -112,34 +112,34 @@ class AddressBook(BaseModel):
                     continue
                 _check_endpoint(node, endpoint)
                 if endpoint in seen:
-                    raise ValueError(f"nodes.{node}: {endpoint} is the endpoint of {seen[endpoint]} already")
+                    raise ValueError(f"nodes.{node}: {endpoint} is already the endpoint of {seen[endpoint]}")
                 seen[endpoint] = node
         return self
 
     @property
     def spans_machines(self) -> bool:
-        """Say whether some node is heard over a network."""
+        """Whether some node is reached over a network."""
         return any(self.network_endpoint(node) for node in self.nodes)
 
     @property
-    def locked(self) -> bool:
-        """Say whether machines prove to one another who they are: over a network, unless that was waived."""
+    def requires_keys(self) -> bool:
+        """Whether machines authenticate to one another: over a network, unless the file says `insecure`."""
         return self.spans_machines and not self.insecure
 
     def machine_of(self, node: str) -> str:
-        """Give the machine that a node runs on; both faces of the link are on one."""
+        """Return the machine that a node runs on; both endpoints of the link are on one."""
         named = self._entry(node).machine
         if named is not None:
             return named
         return LINK_MACHINE if name_of(node) == LINK else site_of(node)
 
     def local_endpoint(self, node: str) -> str | None:
-        """Give the ipc endpoint of a node, None if it has none."""
+        """Return the ipc endpoint of a node, None if it has none."""
         local = self._entry(node).local
         return None if local is None else local.replace("{runtime}", str(runtime_directory()))
 
     def network_endpoint(self, node: str) -> str | None:
-        """Give the tcp endpoint at which other machines reach a node, None if it has none."""
+        """Return the tcp endpoint at which other machines reach a node, None if it has none."""
         network = self._entry(node).network
         if network is None:
             return None
@@ -147,11 +147,11 @@ class AddressBook(BaseModel):
         for name in _PLACEHOLDER.findall(network):
             if name not in hosts:
                 known = ", ".join(hosts) or "none"
-                raise ValueError(f"nodes.{node}: {network}: {{{name}}} is no machine of `machines`, known are {known}")
+                raise ValueError(f"nodes.{node}: {network}: {{{name}}} is not in `machines`, which has {known}")
         return _PLACEHOLDER.sub(lambda found: hosts[found.group(1)], network)
 
     def bind_endpoint(self, node: str) -> str | None:
-        """Give the tcp endpoint that a node itself binds; EndpointError when a host name is not known here."""
+        """Return the tcp endpoint that a node itself binds; EndpointError when a host name cannot be resolved here."""
         endpoint = self.network_endpoint(node)
         match = _TCP.fullmatch(endpoint or "")
         if endpoint is None or match is None:
@@ -160,7 +160,7 @@ class AddressBook(BaseModel):
         return f"tcp://{named or _numeric(node, match.group(1))}:{match.group(2)}"
 
     def endpoint(self, node: str, reader: str | None = None) -> str:
-        """Give the endpoint at which a reader hears `node`; KeyError text names the nodes that the book has.
+        """Return the endpoint at which a reader reaches `node`; KeyError names the nodes that the book has.
 
         Parameters: reader, machine that the reader runs on; None for that of the node.
         """
@@ -170,9 +170,9 @@ class AddressBook(BaseModel):
         return network or ""
 
     def connect_endpoint(self, node: str, reader: str) -> str:
-        """Give the same with the address of a host name, where it is known now.
+        """Return the endpoint at which a reader reaches `node`, with a host name resolved where that is possible now.
 
-        libzmq would ask for it before each attempt, in the thread that moves all messages of a process, and that may
+        libzmq would resolve it before each attempt, in the thread that moves all messages of a process, and that may
         take many seconds while a network is down.
         """
         endpoint = self.endpoint(node, reader)
@@ -184,12 +184,12 @@ class AddressBook(BaseModel):
         return endpoint
 
     def reaches(self, reader: str | None, node: str) -> bool:
-        """Say whether a reader on a machine can hear a node at all: ipc ends at the machine's border."""
+        """Return whether a reader on a machine can connect to a node at all: ipc does not leave a machine."""
         near = reader in (None, self.machine_of(node)) or not self.spans_machines
         return near or self.network_endpoint(node) is not None
 
     def sources(self, reader: str, topics: Sequence[str]) -> dict[str, list[str]]:
-        """Say which nodes a reader connects to and which topics it asks each for.
+        """Return which nodes a reader connects to and which topics it subscribes to at each.
 
         Parameters: reader, node@site; topics, names from the topic table.
         Returns: publisher -> topics, only where the publisher is in the book.
@@ -202,12 +202,12 @@ class AddressBook(BaseModel):
         return plan
 
     def observed(self, reader: str | None = None, sites: Sequence[str] = ("master", "slave")) -> dict[str, list[str]]:
-        """Say what an observer connects to: each node at `sites` that its machine reaches, every topic it may send."""
-        heard = [node for node in self.nodes if site_of(node) in sites and self.reaches(reader, node)]
-        return {node: self.published_by(node) for node in heard}
+        """Return what an observer connects to: each node at `sites` that its machine reaches, with all its topics."""
+        reached = [node for node in self.nodes if site_of(node) in sites and self.reaches(reader, node)]
+        return {node: self.published_by(node) for node in reached}
 
     def bridged_from(self, site: str) -> dict[str, list[str]]:
-        """Say what the link connects to at a site: each node there, the topics that cross to the other site."""
+        """Return what the link connects to at a site: each node there, the topics that cross to the other site."""
         away = "slave" if site == "master" else "master"
         link = f"{LINK}@{site}"
         reader = self.machine_of(link) if link in self.nodes else None
@@ -219,7 +219,7 @@ class AddressBook(BaseModel):
         return {node: topics for node, topics in plan.items() if topics}
 
     def published_by(self, node: str) -> list[str]:
-        """Give the topics that can be heard at a node's endpoint, the bridged ones included."""
+        """Return the topics published at a node's endpoint, the bridged ones included."""
         own = [name for name, topic in TOPICS.items() if _publishes(topic, node)]
         if name_of(node) == LINK:
             own += [name for name, topic in TOPICS.items() if _crosses(topic, to_site=site_of(node))]
@@ -227,7 +227,7 @@ class AddressBook(BaseModel):
 
     def _entry(self, node: str) -> NodeEntry:
         if node not in self.nodes:
-            raise KeyError(f"{node} is not in the site file, it has {', '.join(sorted(self.nodes))}")
+            raise KeyError(f"{node} is not in the site file, which has {', '.join(sorted(self.nodes))}")
         return self.nodes[node]
 
     def _reachable_publishers(self, reader: str, topic: Topic) -> list[str]:
@@ -246,7 +246,7 @@ class AddressBook(BaseModel):
 
 
 def may_carry(node: str, src: str) -> bool:
-    """Say whether a message of `src` may come out of the socket of `node`: its own, or what the link bridges there."""
+    """Return whether the socket of `node` may send a message of `src`: its own, or what the link bridges there."""
     name, _, site = node.partition("@")
     if name != LINK:
         return src == node
@@ -268,7 +268,7 @@ def _hosts_of_environment(machines: Mapping[str, str]) -> dict[str, str]:
 
 
 def _numeric(node: str, host: str) -> str:
-    """Give the address of a host; libzmq binds no names."""
+    """Return the address of a host; libzmq binds no names."""
     try:
         ipaddress.ip_address(host.strip("[]"))
     except ValueError:
@@ -276,7 +276,7 @@ def _numeric(node: str, host: str) -> str:
             return str(socket.getaddrinfo(host, None, socket.AF_INET)[0][4][0])
         except OSError as error:
             raise EndpointError(
-                f"{node} cannot bind {host}: the name is not known here ({error.strerror}), give an address, or "
+                f"{node} cannot bind {host}: the name cannot be resolved ({error.strerror}): give an address, or "
                 f"{BIND_ADDRESS_VARIABLE}=0.0.0.0 to bind every interface"
             ) from error
     return host

@@ -82,7 +82,7 @@ class Attendant(Protocol):
     def descriptors(self) -> Sequence[int]:
         """What becomes readable when there is something to attend to."""
 
-    def attend(self) -> list[ConnectionEvent]:
+    def process_events(self) -> list[ConnectionEvent]:
         """Deal with what has come up; `has_pending` afterwards when more is left to do."""
 
     def close(self) -> None:
@@ -307,11 +307,11 @@ class ZmqBus:
             if self._network_descriptors:
                 self._attend = not self._network_descriptors.isdisjoint(ready)
 
-    def attend(self, *, now: bool = False) -> Sequence[ConnectionEvent]:
+    def process_events(self, *, now: bool = False) -> Sequence[ConnectionEvent]:
         """Look after network connections if there is cause, or if asked to do so `now`; gives what happened to them."""
         if self._network is None or not (self._attend or now):
             return ()
-        notices = self._network.attend()
+        notices = self._network.process_events()
         self._attend = self._network.has_pending
         return notices
 

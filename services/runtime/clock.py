@@ -10,25 +10,25 @@ EPOCH_OFFSET_VARIABLE = "TELENANO_EPOCH_OFFSET_NS"
 
 
 class Clock(Protocol):
-    """What a node may ask of time.
+    """The clock of a node.
 
-    `epoch_offset_ns` is what the time of a message header is ahead of the monotonic clock, constant for the process.
+    `epoch_offset_ns`: by how much the time of a message header is ahead of the monotonic clock, constant for a process.
     """
 
     epoch_offset_ns: int
 
     def monotonic_ns(self) -> int:
-        """Give the monotonic clock [ns]: deadlines and durations."""
+        """Return the monotonic clock [ns]: deadlines and durations."""
 
     def now_ns(self) -> int:
-        """Give the time for a message header [ns]: Unix epoch at the start, advanced by the monotonic clock."""
+        """Return the time for a message header [ns]: Unix epoch at the start, advanced by the monotonic clock."""
 
 
 class SystemClock:
     """The clock of this machine.
 
     The epoch is read once and then advanced by the monotonic clock, so that the time never jumps. Processes that
-    one supervisor starts inherit its offset through the environment: their stamps are then exactly comparable.
+    one supervisor starts inherit its offset through the environment: their time stamps are then exactly comparable.
     """
 
     monotonic_ns = staticmethod(time.monotonic_ns)
@@ -40,29 +40,26 @@ class SystemClock:
         self.epoch_offset_ns = epoch_offset_ns
 
     def now_ns(self) -> int:
-        """Give the time for a message header [ns]."""
         return time.monotonic_ns() + self.epoch_offset_ns
 
 
 class VirtualClock:
-    """A clock that stands still until it is told to advance."""
+    """A clock that only `advance_ns` moves."""
 
     def __init__(self, start_ns: int = 0, epoch_offset_ns: int = 0) -> None:
         self._monotonic_ns = start_ns
         self.epoch_offset_ns = epoch_offset_ns
 
     def monotonic_ns(self) -> int:
-        """Give the virtual time [ns]."""
         return self._monotonic_ns
 
     def now_ns(self) -> int:
-        """Give the virtual time for a message header [ns]."""
         return self._monotonic_ns + self.epoch_offset_ns
 
     def advance_ns(self, duration_ns: int) -> None:
-        """Let time pass; ValueError if it is to run backwards."""
+        """Advance the clock; ValueError for a negative duration."""
         if duration_ns < 0:
-            raise ValueError(f"duration_ns is {duration_ns}, a clock advances by 0 ns or more")
+            raise ValueError(f"duration_ns is {duration_ns}, must be 0 or more")
         self._monotonic_ns += duration_ns
 
 
@@ -71,5 +68,5 @@ def _inherited_ns(text: str) -> int:
         return int(text)
     except ValueError as error:
         raise ConfigError(
-            f"environment variable {EPOCH_OFFSET_VARIABLE} is {text!r}, an integer [ns] is needed"
+            f"environment variable {EPOCH_OFFSET_VARIABLE} is {text!r}, must be an integer [ns]"
         ) from error

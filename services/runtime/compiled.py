@@ -1,11 +1,11 @@
-"""The one place where pure steps meet the compiler.
+"""Compilation of pure steps.
 
 A step is plain Python until `compile_steps` is called, before the modules with steps are imported: a node makes a few
-calls a millisecond, and boxing their tuples for compiled code costs it more than the arithmetic. Who makes millions of
-calls in a row, as the studies do, compiles. Both give the same bits.
+calls a millisecond, and boxing their tuples for compiled code costs it more than the arithmetic. A process
+that makes millions of calls in a row, as a study, compiles. Both give the same bits.
 
 `@compiled` is then `numba.njit(cache=True)` with a type that mypy understands. Numba notices a change of the file a
-function stands in, but not of the functions it calls from other files, so a plain cache would go on running an
+function is in, but not of the functions it calls from other files, so a plain cache would go on running an
 old model after an edit. The cache folder here is named after a digest of every source that compiled code can
 depend on: any edit gives a new folder, and a run on unchanged sources loads in milliseconds.
 """
@@ -43,7 +43,7 @@ def compile_steps() -> None:
 
 
 def source_digest(root: Path = _ROOT) -> str:
-    """Give the digest (16 hex digits) of every Python file that may hold compiled steps or constants they use."""
+    """Return the digest (16 hex digits) of every Python file that may hold compiled steps or constants they use."""
     digest = hashlib.sha256(version("numba").encode())
     for package in _PACKAGES:
         for path in sorted((root / package).rglob("*.py")):
@@ -54,7 +54,7 @@ def source_digest(root: Path = _ROOT) -> str:
 
 
 def cache_directory(root: Path = _ROOT) -> Path:
-    """Give the folder of compiled code for the sources as they are now."""
+    """Return the folder of compiled code for the sources as they are now."""
     base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     return base / "telenano" / f"numba-{source_digest(root)}"
 
@@ -70,7 +70,7 @@ def compiled(function: F) -> F:
 
 @cache
 def _compiler() -> Callable[[Callable[..., object]], object]:
-    # here and not above: who compiles nothing need not have it, nor wait for it
+    # here and not above: a process that compiles nothing need not have numba, nor wait for its import
     import numba
     from numba.core import config
 

@@ -5,7 +5,7 @@ import os
 import re
 from collections.abc import Hashable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args, get_origin
 
 import yaml
 from pydantic import BaseModel, ValidationError
@@ -18,7 +18,7 @@ ENVIRONMENT_PREFIX = "TELENANO__"
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
-    """Give the mapping that a YAML file holds; ConfigError names the file, line and what is wrong."""
+    """Return the mapping in a YAML file; ConfigError names the file, line and what is wrong."""
     try:
         data = _load(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -26,14 +26,14 @@ def read_yaml(path: Path) -> dict[str, Any]:
     except UnicodeDecodeError as error:
         raise ConfigError(f"{path}: is not UTF-8 text (byte {error.start})") from error
     except yaml.YAMLError as error:
-        raise ConfigError(f"{path}: is not YAML: {' '.join(str(error).split())}") from error
+        raise ConfigError(f"{path}: is not valid YAML: {' '.join(str(error).split())}") from error
     if not isinstance(data, dict):
-        raise ConfigError(f"{path}: holds a {type(data).__name__}, a mapping of keys is needed")
+        raise ConfigError(f"{path}: contains a {type(data).__name__}, must contain a mapping of keys")
     return data
 
 
 def environment_overrides(environment: Mapping[str, str] = os.environ) -> dict[str, Any]:
-    """Give TELENANO__SECTION__KEY=value as nested keys in lower case, each value read as YAML."""
+    """Return TELENANO__SECTION__KEY=value as nested keys in lower case, each value read as YAML."""
     overrides: dict[str, Any] = {}
     for name, value in environment.items():
         if name.startswith(ENVIRONMENT_PREFIX):
@@ -43,7 +43,7 @@ def environment_overrides(environment: Mapping[str, str] = os.environ) -> dict[s
 
 
 def flag_overrides(flags: Sequence[str]) -> dict[str, Any]:
-    """Give `section.key=value` flags as nested keys, each value read as YAML."""
+    """Return `section.key=value` flags as nested keys, each value read as YAML."""
     overrides: dict[str, Any] = {}
     for flag in flags:
         key, sign, value = flag.partition("=")
@@ -54,15 +54,26 @@ def flag_overrides(flags: Sequence[str]) -> dict[str, Any]:
 
 
 def nested(flat: Mapping[str, Any], origin: str) -> dict[str, Any]:
-    """Give dotted keys as nested ones; ConfigError when a key is both a value and a section."""
+    """Return dotted keys as nested ones; ConfigError when a key is both a value and a section."""
     tree: dict[str, Any] = {}
     for key, value in flat.items():
         _put(tree, key.split("."), value, origin)
     return tree
 
 
+def flatten(tree: Mapping[str, Any]) -> dict[str, Any]:
+    """Return nested keys as dotted ones, the inverse of `nested`; an empty mapping leaves no key."""
+    flat: dict[str, Any] = {}
+    for key, value in tree.items():
+        if isinstance(value, Mapping):
+            flat |= {f"{key}.{below}": leaf for below, leaf in flatten(value).items()}
+        else:
+            flat[key] = value
+    return flat
+
+
 def merge(*layers: Mapping[str, Any]) -> dict[str, Any]:
-    """Lay mappings over one another, key by key; the last one wins."""
+    """Merge mappings key by key; the last one wins."""
     merged: dict[str, Any] = {}
     for layer in layers:
         for key, value in layer.items():
@@ -74,13 +85,13 @@ def merge(*layers: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def validate(model: type[M], data: Mapping[str, Any], origin: str, section: str = "") -> M:
-    """Check a mapping against a model.
+    """Validate a mapping against a model.
 
     Raises ConfigError naming `origin`, every key at fault (below `section`, if given) and what would be right.
     """
     try:
-        # through JSON, because a YAML list is to pass where a strict model has a tuple
-        # and dates, which YAML makes of some texts, as texts: the model then says at which key it wants what
+        # through JSON, so that a YAML list passes where a strict model has a tuple; and dates, which YAML makes of some
+        # texts, as texts: the error of the model then names the key
         return model.model_validate_json(json.dumps(data, allow_nan=True, default=str))
     except (TypeError, ValueError) as error:
         if isinstance(error, ValidationError):
@@ -89,7 +100,7 @@ def validate(model: type[M], data: Mapping[str, Any], origin: str, section: str 
 
 
 def layered(path: Path, flags: Sequence[str] = ()) -> tuple[dict[str, Any], str]:
-    """Read a file and lay environment and flags over it.
+    """Read a file and merge environment and flags over it.
 
     Returns: the merged mapping and its origin in words, for errors.
     Raises ConfigError naming the file, the variable or the flag.
@@ -137,14 +148,14 @@ def _scalar(text: str, origin: str) -> Any:
     try:
         return _load(text)
     except yaml.YAMLError as error:
-        raise ConfigError(f"{origin}: the value is not YAML: {' '.join(str(error).split())}") from error
+        raise ConfigError(f"{origin}: the value is not valid YAML: {' '.join(str(error).split())}") from error
 
 
 def _put(tree: dict[str, Any], path: Sequence[str], value: Any, origin: str) -> None:
     for part in path[:-1]:
         tree = tree.setdefault(part, {})
         if not isinstance(tree, dict):
-            raise ConfigError(f"{origin}: {part} has a value already and cannot have keys below it")
+            raise ConfigError(f"{origin}: {part} already has a value and cannot have keys below it")
     tree[path[-1]] = value
 
 
@@ -164,11 +175,15 @@ def _describe(error: ValidationError, origin: str, model: type[BaseModel], secti
 
 
 def _known_keys(model: type[BaseModel], path: tuple[int | str, ...]) -> str:
-    """Name the keys that would be right, where the path leads through plain nested models."""
+    """Name the keys that would be right, where the path leads through nested models and mappings of them."""
+    kind: Any = model
     for part in path:
-        field = model.model_fields.get(str(part))
-        inner = field.annotation if field else None
-        if not (isinstance(inner, type) and issubclass(inner, BaseModel)):
+        if get_origin(kind) is dict:
+            kind = get_args(kind)[1]
+        elif isinstance(kind, type) and issubclass(kind, BaseModel) and str(part) in kind.model_fields:
+            kind = kind.model_fields[str(part)].annotation
+        else:
             return ""
-        model = inner
-    return f", known are {', '.join(model.model_fields)}"
+    if not (isinstance(kind, type) and issubclass(kind, BaseModel)):
+        return ""
+    return f", known are {', '.join(kind.model_fields)}"

@@ -1,4 +1,4 @@
-"""Absolute deadlines, and what became of them."""
+"""Absolute periodic deadlines, and statistics of how late they were met."""
 
 import numpy as np
 import numpy.typing as npt
@@ -7,19 +7,18 @@ _WINDOW = 8192
 
 
 class LatenessWindow:
-    """Lateness of the last steps [s], of which a report gives quantiles; entering one costs an array store."""
+    """Lateness of the last steps [s], of which a report gives quantiles; recording one costs an array store."""
 
     def __init__(self) -> None:
         self._samples: npt.NDArray[np.float64] = np.zeros(_WINDOW)
         self._count = 0
 
-    def enter(self, lateness_s: float) -> None:
-        """Enter the lateness of one step."""
+    def record(self, lateness_s: float) -> None:
         self._samples[self._count % _WINDOW] = lateness_s
         self._count += 1
 
     def take(self) -> tuple[float, float, float]:
-        """Give p50, p99 and the greatest lateness [s] since the last call and start anew; zeros if there was none."""
+        """Return p50, p99 and the greatest lateness [s] since the last call, and reset; zeros if there was none."""
         used = self._samples[: min(self._count, _WINDOW)]
         self._count = 0
         if used.size == 0:
@@ -29,10 +28,10 @@ class LatenessWindow:
 
 
 class SpinMargin:
-    """How long before a deadline a loop wakes up to wait busily: what 99 of 100 wake-ups are late by, and no longer.
+    """How long before a deadline a loop wakes up for a busy wait: the 99 % quantile of the lateness of wake-ups.
 
-    A quantile followed step by step: up by a step where a wake-up was later than the margin, down by a 99th of one
-    where it was not. It begins at the most that is allowed.
+    The quantile is tracked step by step: up by a step where a wake-up was later than the margin, down by a 99th of one
+    where it was not. It begins at the greatest value allowed.
     """
 
     _STEP_NS = 2000
@@ -42,8 +41,8 @@ class SpinMargin:
         self.ns = most_ns
         self._most_ns = most_ns
 
-    def enter(self, late_ns: int) -> None:
-        """Enter by how much [ns] a wait that nothing else ended was longer than asked for."""
+    def record(self, late_ns: int) -> None:
+        """Record by how much [ns] a wait that nothing else ended was longer than requested."""
         if late_ns > self.ns:
             self.ns = min(self.ns + self._STEP_NS, self._most_ns)
         else:
@@ -51,19 +50,19 @@ class SpinMargin:
 
 
 class PeriodicDeadline:
-    """A grid of absolute deadlines: a late step moves no later one, and what was missed is skipped and counted."""
+    """A grid of absolute deadlines: a late step does not move later ones; missed deadlines are skipped and counted."""
 
     def __init__(self, start_ns: int, period_ns: int) -> None:
         if period_ns <= 0:
-            raise ValueError(f"period_ns is {period_ns}, a period is 1 ns or more")
+            raise ValueError(f"period_ns is {period_ns}, must be 1 or more")
         self.period_ns = period_ns
         self.deadline_ns = start_ns + period_ns
         self.overruns = 0
 
     def advance(self, now_ns: int) -> int:
-        """Pass the deadline that has come.
+        """Advance past the deadline that is due, and past those missed by a period or more.
 
-        Returns: periods that went by since the last step, 1 unless deadlines were missed.
+        Returns: periods since the last step, 1 unless deadlines were missed.
         """
         missed = max(0, now_ns - self.deadline_ns) // self.period_ns
         self.overruns += missed

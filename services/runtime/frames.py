@@ -1,13 +1,13 @@
-"""Between the paper's axis (x towards the sample) and a site's frame (z away from it): one sign, in one place."""
+"""Conversion between the paper's axis (x towards the sample) and a site's frame (z away from it): one sign."""
 
 from proto.messages import Vector3
 
 
 def along(vector: Vector3) -> float:
-    """Give the paper's coordinate (towards the sample) of a vector in a site's frame (z away from it)."""
+    """Return the paper's coordinate (towards the sample) of a vector in a site's frame (z away from it)."""
     return 0.0 - vector[2]
 
 
 def across(value: float) -> Vector3:
-    """Give the vector in a site's frame of a coordinate along the paper's axis; 0.0 stays +0.0."""
+    """Return the vector in a site's frame of a coordinate along the paper's axis; 0.0 stays +0.0."""
     return (0.0, 0.0, 0.0 - value)

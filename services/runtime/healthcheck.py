@@ -1,4 +1,4 @@
-"""The health check of a container: a node of this machine is alive if it says so in node/health.
+"""The health check of a container: reads the node/health of a node on this machine.
 
 It runs every few seconds beside a 1 kHz loop, so it imports next to nothing: without --site-file it takes ZeroMQ and
 msgpack only, and with Python itself 0.05 s of processor time.
@@ -15,8 +15,6 @@ from typing import Any
 import msgpack
 import zmq
 
-from proto.errors import ConfigError, TelenanoError
-
 NODE_VARIABLE = "TELENANO_NODE"
 RUNTIME_DIRECTORY_VARIABLE = "TELENANO_RUNTIME_DIR"
 TOPIC = b"node/health"
@@ -27,40 +25,44 @@ _LARGEST_FRAME = 1 << 20
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Say in a line how a node is; 0 when it is healthy, 1 when it is not, 2 when it cannot be asked."""
+    """Print the state of a node; return 0 when it is healthy, 1 when it is not, 2 when it cannot be checked."""
     given = _parser().parse_args(arguments)
     if not given.node:
-        return _tell(2, f"no node was named: give node@site, or set {NODE_VARIABLE}")
+        return _report(2, f"no node was named: give node@site, or set {NODE_VARIABLE}")
     try:
         endpoint = endpoint_of(given.node, given.site_file)
-    except (KeyError, TelenanoError) as error:
-        return _tell(2, str(error.args[0]))
-    health = hear(endpoint, given.node, given.within)
+    except LookupError as error:
+        return _report(2, str(error.args[0]))
+    health = receive_health(endpoint, given.node, given.within)
     if health is None:
-        return _tell(1, f"{given.node} was not heard at {endpoint} within {given.within:g} s")
+        return _report(1, f"{given.node} sent no node/health at {endpoint} within {given.within:g} s")
     text = f"{given.node} is {health['state']} at {health['rate_hz']:.0f} Hz, up for {health['uptime_s']:.0f} s"
-    return _tell(int(health["state"] in UNHEALTHY_STATES), text)
+    return _report(int(health["state"] in UNHEALTHY_STATES), text)
 
 
 def endpoint_of(node: str, site_file: Path | None) -> str:
-    """Give the endpoint at which a node is heard on this machine.
+    """Return the endpoint of a node for readers on this machine.
 
     Parameters: site_file, None where every node has a socket of its name in one folder, as in the files of the project.
-    Raises: ConfigError when the file is wrong or nothing says where to look, KeyError for a node that is not in it.
+    Raises: LookupError when the file is wrong or no folder is given, KeyError for a node that is not in it.
     """
     if site_file is not None:
-        # models of every message come with it: a third of a second of processor time
+        # models of every message come with these: a third of a second of processor time
+        from proto.errors import TelenanoError
         from services.runtime.main import load_site
 
-        return load_site(site_file).endpoint(node)
+        try:
+            return load_site(site_file).endpoint(node)
+        except TelenanoError as error:
+            raise LookupError(str(error)) from error
     folder = os.environ.get(RUNTIME_DIRECTORY_VARIABLE)
     if not folder:
-        raise ConfigError(f"where {node} is heard is not known: give --site-file, or set {RUNTIME_DIRECTORY_VARIABLE}")
+        raise LookupError(f"the endpoint of {node} is not known: give --site-file, or set {RUNTIME_DIRECTORY_VARIABLE}")
     return f"ipc://{folder}/{node}"
 
 
-def hear(endpoint: str, node: str, within_s: float) -> Mapping[str, Any] | None:
-    """Wait for one node/health of a node; None when none came in time."""
+def receive_health(endpoint: str, node: str, within_s: float) -> Mapping[str, Any] | None:
+    """Wait for one node/health of a node; None when none arrived in time."""
     end_s = time.monotonic() + within_s
     with zmq.Context() as context, context.socket(zmq.SUB) as socket:
         socket.set(zmq.LINGER, 0)
@@ -69,14 +71,14 @@ def hear(endpoint: str, node: str, within_s: float) -> Mapping[str, Any] | None:
         socket.connect(endpoint)
         while (left_s := end_s - time.monotonic()) > 0.0:
             if socket.poll(int(left_s * 1e3) + 1):
-                health = health_in(socket.recv_multipart(), node)
+                health = parse_health(socket.recv_multipart(), node)
                 if health is not None:
                     return health
     return None
 
 
-def health_in(frames: Sequence[bytes], node: str) -> Mapping[str, Any] | None:
-    """Give the report of a node; None for frames that are none, and for what the link carries of other nodes."""
+def parse_health(frames: Sequence[bytes], node: str) -> Mapping[str, Any] | None:
+    """Return the node/health of a node; None for other frames and for that of nodes that the link carries."""
     if len(frames) != 2 or frames[0] != TOPIC:
         return None
     try:
@@ -92,7 +94,7 @@ def health_in(frames: Sequence[bytes], node: str) -> Mapping[str, Any] | None:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="python -m services.runtime.healthcheck", description="Ask whether a node is alive."
+        prog="python -m services.runtime.healthcheck", description="Check whether a node is healthy."
     )
     named = os.environ.get(NODE_VARIABLE, "")
     parser.add_argument("node", nargs="?", default=named, metavar="NODE@SITE", help=f"default: {NODE_VARIABLE}")
@@ -102,7 +104,7 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _tell(code: int, text: str) -> int:
+def _report(code: int, text: str) -> int:
     sys.stdout.write(text + "\n")
     return code
 

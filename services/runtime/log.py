@@ -1,4 +1,4 @@
-"""Structured logs: one JSON object a line on standard error, or one readable line where a person looks on."""
+"""Structured logs on standard error: one JSON object a line, or one readable line on a terminal."""
 
 import json
 import logging
@@ -19,24 +19,21 @@ class StructuredLog:
         self._node = node
 
     def info(self, text: str, **facts: Any) -> None:
-        """Write what is worth knowing."""
         self.write("info", text, **facts)
 
     def warning(self, text: str, **facts: Any) -> None:
-        """Write what somebody should look at."""
         self.write("warning", text, **facts)
 
     def error(self, text: str, **facts: Any) -> None:
-        """Write what went wrong."""
         self.write("error", text, **facts)
 
     def write(self, level: str, text: str, **facts: Any) -> None:
-        """Write at a level given by name: info, warning or error."""
+        """Log at a level given by name: info, warning or error."""
         self._logger.log(_LEVELS[level], text, extra={"node": self._node, "facts": facts})
 
 
 class RateLimitedLog:
-    """Write a kind of message at most once an interval and say how many were held back."""
+    """Logs each kind of message at most once an interval, with the number of those suppressed."""
 
     def __init__(self, log: StructuredLog, clock: Clock, interval_s: float = 1.0) -> None:
         self._log = log
@@ -46,7 +43,7 @@ class RateLimitedLog:
         self._held_back: dict[str, int] = {}
 
     def warning(self, kind: str, text: str, **facts: Any) -> None:
-        """Write a warning, or count it when one of its kind was written less than an interval ago."""
+        """Log a warning, or count it when one of its kind was logged less than an interval ago."""
         now = self._clock.monotonic_ns()
         if now < self._next_ns.get(kind, now):
             self._held_back[kind] = self._held_back.get(kind, 0) + 1
@@ -79,7 +76,7 @@ class _PersonFormatter(logging.Formatter):
 
 
 def configure_logging(*, as_json: bool | None = None) -> None:
-    """Send the logs of this process to standard error; JSON unless a terminal is there to be read."""
+    """Send the logs of this process to standard error; JSON unless that is a terminal."""
     handler = logging.StreamHandler(sys.stderr)
     as_json = not sys.stderr.isatty() if as_json is None else as_json
     handler.setFormatter(_JsonFormatter() if as_json else _PersonFormatter())

@@ -105,7 +105,7 @@ class AccountedBus(Bus, Protocol):
     def rejections(self) -> tuple[dict[str, int], str]:
         """Give the frames refused so far by reason, and the text of the last refusal."""
 
-    def attend(self, *, now: bool = False) -> Sequence[ConnectionEvent]:
+    def process_events(self, *, now: bool = False) -> Sequence[ConnectionEvent]:
         """Look after network connections if there is cause, or `now`; gives what happened to them."""
 
     def close(self) -> None:
@@ -183,23 +183,23 @@ class NodeLoop:
         for received in self._bus.receive():
             self._dispatch(received)
             idle = False
-        self._tell(self._bus.attend())
+        self._tell(self._bus.process_events())
         # a message may have moved the deadline
         deadline = self.node.deadline_ns()
         now = self._clock.monotonic_ns()
         if deadline - self._spin.ns <= now:
             if idle and woken >= wanted:
-                self._spin.enter(woken - wanted)
+                self._spin.record(woken - wanted)
             while now < deadline:
                 now = self._clock.monotonic_ns()
-            self._lateness.enter((now - deadline) * 1e-9)
+            self._lateness.record((now - deadline) * 1e-9)
             self.node.on_deadline(now)
         if now >= self._health_due_ns:
             self.publish_health(now)
 
     def publish_health(self, now_ns: int) -> None:
         """Send node/health and start a new interval."""
-        self._tell(self._bus.attend(now=True))
+        self._tell(self._bus.process_events(now=True))
         self._report_rejections()
         elapsed_s = max(now_ns - self._last_health_ns, 1) * 1e-9
         cpu_s = time.process_time()

@@ -68,7 +68,7 @@ class Observer:
         deadline = math.inf if duration_s is None else time.monotonic() + duration_s
         while time.monotonic() < deadline:
             self._poller.poll(_WAIT_MS)
-            self.notices += self._network.attend()
+            self.notices += self._network.process_events()
             for node, subscriber in self.subscribers.items():
                 for received in subscriber.receive():
                     yield Heard(self.name(node, received.topic, received.message.src), received)

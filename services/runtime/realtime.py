@@ -1,4 +1,4 @@
-"""What a process can ask of the machine so that a 1 kHz loop keeps its deadlines."""
+"""Real-time settings of a process, so that a 1 kHz loop keeps its deadlines: scheduling, memory lock, processors."""
 
 import contextlib
 import ctypes
@@ -20,13 +20,13 @@ _PR_SET_PDEATHSIG = 1
 _MCL_CURRENT_FUTURE_ONFAULT = 7
 # far above what a rig needs; libzmq scans nothing by number, so the size costs nothing
 _MOST_FILES = 65_536
-# ahead of what people do beside a rig; the nodes of the loop stay ahead of everything
+# ahead of ordinary processes; the nodes of the loop stay ahead of everything
 _BESIDE_THE_LOOP_NICENESS = -5
 _CPU_DMA_LATENCY = Path("/dev/cpu_dma_latency")
 
 
 class RealtimeConfig(BaseModel):
-    """What to ask for; `auto` takes what is permitted and says once what is missing."""
+    """Real-time settings to request; `auto` uses what is permitted and logs once what is not."""
 
     model_config = ConfigDict(frozen=True, strict=True, extra="forbid")
 
@@ -47,16 +47,16 @@ class RealtimeConfig(BaseModel):
 
 
 class RealtimeStatus(BaseModel):
-    """What was granted."""
+    """The real-time settings that were granted."""
 
     fifo: bool
     memory_locked: bool
 
 
 def apply_realtime(config: RealtimeConfig, log: StructuredLog, node: str) -> RealtimeStatus:
-    """Ask for scheduling, memory lock and fine timers; before the ZeroMQ context exists, whose threads inherit them.
+    """Request scheduling, memory lock and fine timers; before the ZeroMQ context exists, whose threads inherit them.
 
-    Raises ConfigError where `fifo` or `on` was demanded and is not permitted, or the processor does not exist.
+    Raises ConfigError where `fifo` or `on` is configured and not permitted, or the processor does not exist.
     """
     libc = ctypes.CDLL(None, use_errno=True)
     libc.prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
@@ -70,10 +70,11 @@ def apply_realtime(config: RealtimeConfig, log: StructuredLog, node: str) -> Rea
 
 
 def processor_of(node: str, config: RealtimeConfig, permitted: Sequence[int]) -> int | None:
-    """Give the processor that `node@site` is to stay on, None for any.
+    """Return the processor that `node@site` is pinned to, None for any.
 
-    Left to itself the scheduler moves real-time threads between processors at almost every message; a loop that stays
-    put was measured a quarter younger. The two sides meet at the link, so only two of the eight hops change processor.
+    Left to itself the scheduler moves real-time threads between processors at almost every message; in a pinned loop
+    messages were measured a quarter younger. The two sides meet at the link, so only two of the eight hops change
+    processor.
     """
     if isinstance(config.cpus, dict):
         return config.cpus.get(node, config.cpus.get(node.partition("@")[0]))
@@ -85,20 +86,20 @@ def processor_of(node: str, config: RealtimeConfig, permitted: Sequence[int]) ->
 
 
 def ahead_of_others() -> None:
-    """Take precedence over ordinary processes where that is permitted, for a node that has to keep up with the loop."""
+    """Raise the priority above ordinary processes where permitted, for a node that has to keep up with the loop."""
     with contextlib.suppress(PermissionError):
         os.setpriority(os.PRIO_PROCESS, 0, _BESIDE_THE_LOOP_NICENESS)
 
 
 def freeze_garbage() -> None:
-    """Take what exists out of the collector's sight and switch it off: a full collection takes tens of ms."""
+    """Freeze the existing objects and disable the garbage collector: a full collection takes tens of ms."""
     gc.collect()
     gc.freeze()
     gc.disable()
 
 
 def raise_file_limit() -> None:
-    """Allow as many open files as are permitted: strangers that only connect must not use them up."""
+    """Raise the limit of open files as far as permitted: clients that only connect must not use them up."""
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (min(most, _MOST_FILES), most))
 
@@ -110,7 +111,7 @@ def die_with_parent(signal_number: int) -> None:
 
 @contextlib.contextmanager
 def shallow_idle() -> Iterator[bool]:
-    """Keep the processors out of deep sleep while the block runs; gives whether that was permitted."""
+    """Keep the processors out of deep idle states while the block runs; yield whether that was permitted."""
     try:
         descriptor = os.open(_CPU_DMA_LATENCY, os.O_WRONLY)
     except OSError:
@@ -128,7 +129,9 @@ def _stay_on(cpu: int) -> None:
         os.sched_setaffinity(0, {cpu})
     except OSError as error:
         known = ", ".join(map(str, sorted(os.sched_getaffinity(0))))
-        raise ConfigError(f"realtime.cpus: {cpu} cannot be used ({error.strerror}), permitted are {known}") from error
+        raise ConfigError(
+            f"realtime.cpus: {cpu} cannot be used ({error.strerror}), permitted processors are {known}"
+        ) from error
 
 
 def _set_fifo(config: RealtimeConfig, log: StructuredLog) -> bool:
@@ -137,7 +140,7 @@ def _set_fifo(config: RealtimeConfig, log: StructuredLog) -> bool:
     except PermissionError as error:
         if config.scheduler == "fifo":
             raise ConfigError(
-                "realtime.scheduler: fifo is not permitted: run as root, raise `ulimit -r`, or say auto"
+                "realtime.scheduler: fifo is not permitted: run as root, raise `ulimit -r`, or set it to auto"
             ) from error
         log.warning(
             "SCHED_FIFO is not permitted, the loop may run late under load: run as root, "
@@ -152,6 +155,8 @@ def _lock_memory(libc: ctypes.CDLL, config: RealtimeConfig, log: StructuredLog) 
         return True
     if config.memory_lock == "on":
         reason = os.strerror(ctypes.get_errno())
-        raise ConfigError(f"realtime.memory_lock: memory cannot be locked ({reason}): raise `ulimit -l`, or say auto")
+        raise ConfigError(
+            f"realtime.memory_lock: memory cannot be locked ({reason}): raise `ulimit -l`, or set it to auto"
+        )
     log.warning("memory cannot be locked, a page fault may delay the loop: raise `ulimit -l`")
     return False

@@ -1,4 +1,4 @@
-"""The scenario file: one section a node, read by the supervisor whole and by each node for its own section."""
+"""The scenario file: one section a node; the supervisor reads all of it, each node its own section."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -31,18 +31,18 @@ class Scenario(BaseModel):
 
 @dataclass(frozen=True)
 class LoadedScenario:
-    """A scenario and where it came from."""
+    """A scenario, where it was read from, and the merged document."""
 
     scenario: Scenario
     origin: str
     document: dict[str, Any]
 
     def section(self, name: str, model: type[M]) -> M:
-        """Give a node's section, checked; ConfigError names file and key."""
+        """Return a node's section, validated; ConfigError names file and key."""
         return validate(model, getattr(self.scenario, name), self.origin, name)
 
 
 def load_scenario(path: Path, flags: Sequence[str] = ()) -> LoadedScenario:
-    """Read a scenario with environment and flags laid over it; ConfigError names file and key."""
+    """Read a scenario with environment and flags merged over it; ConfigError names file and key."""
     document, origin = layered(path, flags)
     return LoadedScenario(validate(Scenario, document, origin), origin, document)

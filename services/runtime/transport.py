@@ -1,8 +1,8 @@
-"""The sockets of one process: plain ipc within its machine, CURVE between machines, and an eye on every connection.
+"""The sockets of one process: plain ipc within its machine, CURVE between machines, and the state of every connection.
 
-Nothing here runs in a thread of its own: the node's loop calls `attend` when a descriptor speaks or twice a second, and
-each call does a bounded piece of work, so that a flood of strangers cannot hold a loop. (A thread could: the
-interpreter makes a loop wait up to 5 ms for one that is busy.)
+Nothing here runs in a thread of its own: the node's loop calls `process_events` when a descriptor is readable or twice
+a second, and each call does a bounded amount of work, so that a flood of connections cannot delay a loop. (A thread
+could: the interpreter makes a loop wait up to 5 ms for one that is busy.)
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,10 +19,10 @@ from services.runtime.security.peer_connections import PeerConnections
 from services.runtime.security.socket_monitor import RejectionCounter
 from services.runtime.security.zap_authenticator import ZapAuthenticator
 
-# a loop gives up a connection on which nothing is heard for a second: a pulled cable says nothing, and what was sent
-# into it meanwhile must not come out of it later
+# a loop gives up a connection on which nothing is received for a second: a pulled cable gives no event, and what was
+# sent meanwhile must not arrive later
 _LOOP_SILENCE_MS = 1000
-# who reads everything may be late by seconds on a busy machine, and answers its heartbeats as late
+# an observer may be late by seconds on a busy machine, and answers heartbeats as late
 _READER_SILENCE_MS = 5000
 _HEARTBEATS = 4
 # four round trips of a satellite link
@@ -30,12 +30,12 @@ _HANDSHAKE_MS = 5000
 # left to the system, the next attempt to connect may come minutes after the cable is back
 _CONNECT_MS = 2000
 _RECONNECT_MS, _RECONNECT_MOST_MS = 100, 1000
-# below the half second in which a loop calls at the latest, so that each such call looks
-_LOOK_NS = 400_000_000
+# below the half second after which a loop calls at the latest, so that each such call checks
+_CHECK_NS = 400_000_000
 
 
 class Transport:
-    """Makes the sockets of a process and looks after those of them that leave its machine."""
+    """Opens the sockets of a process, authenticates connections from other machines, and keeps those to them up."""
 
     def __init__(
         self,
@@ -45,36 +45,36 @@ class Transport:
         machine: str,
         keyring: Keyring | None = None,
     ) -> None:
-        """Open the keys of a machine if the rig needs any.
+        """Read the keys of a machine if the rig requires any.
 
-        Raises ConfigError when the machine has no key, or one that others can read.
+        Raises ConfigError when the machine has no key, or one that other users can read.
         """
         self.machine = machine
-        self.trust = AccessControl(machine, keyring or Keyring(), locked=book.locked)
+        self.access_control = AccessControl(machine, keyring or Keyring(), requires_keys=book.requires_keys)
         self.has_pending = False
         self._context = context
         self._clock = clock
         self._book = book
-        self._refusals = RejectionCounter()
-        self._authenticator = ZapAuthenticator(context, self.trust, self._refusals)
-        self._lines: list[PeerConnections] = []
-        self._sides: list[ZapAuthenticator | PeerConnections] = [self._authenticator]
-        self._look_ns = clock.monotonic_ns() + _LOOK_NS
+        self._rejections = RejectionCounter()
+        self._authenticator = ZapAuthenticator(context, self.access_control, self._rejections)
+        self._peers: list[PeerConnections] = []
+        self._handlers: list[ZapAuthenticator | PeerConnections] = [self._authenticator]
+        self._next_check_ns = clock.monotonic_ns() + _CHECK_NS
 
     @property
     def descriptors(self) -> Sequence[int]:
-        """What becomes readable when there is something to attend to."""
-        return [socket.fileno() for side in self._sides for socket in side.sockets]
+        """What becomes readable when there are events to process."""
+        return [socket.fileno() for handler in self._handlers for socket in handler.sockets]
 
     @property
     def rejected(self) -> dict[str, int]:
-        """How often a connection was refused or failed for want of agreement, by reason."""
-        return self._refusals.counts
+        """How often a connection was rejected or its handshake failed, by reason."""
+        return self._rejections.counts
 
     @property
     def last_error(self) -> str:
-        """The newest refusal in words."""
-        return self._refusals.newest
+        """The newest rejection in words."""
+        return self._rejections.last_error
 
     def publisher(self, key: str, kind: int = zmq.PUB) -> Publisher:
         """Bind the endpoints of a node; EndpointError says why that fails."""
@@ -87,7 +87,7 @@ class Transport:
 
         def prepare(socket: "zmq.Socket[bytes]") -> None:
             _set_network_options(socket, _READER_SILENCE_MS, network)
-            self._authenticator.lock(socket, key)
+            self._authenticator.require_keys(socket, key)
 
         if local is None:
             publisher = Publisher(self._context, self._clock, key, network, kind=kind, prepare=prepare)
@@ -96,13 +96,13 @@ class Transport:
             publisher = Publisher(self._context, self._clock, key, local, kind=kind)
             prepare(publisher.socket)
             publisher.also_bind(network)
-        self._authenticator.watch(publisher)
+        self._authenticator.add(publisher)
         return publisher
 
     def subscribers(self, sources: Mapping[str, Sequence[str]], *, apart: bool = False) -> list[Subscriber]:
         """Connect to nodes (keys) for topics (values): one socket for this machine, one for each other machine.
 
-        Parameters: apart, one socket for each node, in order, so that the place where a message was heard is known.
+        Parameters: apart, one socket for each node, in order, so that the endpoint a message came from is known.
         """
         if apart:
             return [self._reader({node: topics}, _READER_SILENCE_MS) for node, topics in sources.items()]
@@ -112,18 +112,18 @@ class Transport:
             groups.setdefault("" if near else self._book.machine_of(node), {})[node] = topics
         return [self._reader(plan, _LOOP_SILENCE_MS) for plan in groups.values()]
 
-    def attend(self) -> list[ConnectionEvent]:
-        """Answer who knocks, note what became of connections, and look whether the list of keys has changed."""
-        # each side in its turn, and none left out because another one has more to do
-        self.has_pending = any([side.attend() for side in self._sides])
-        notices = self._look()
-        for side in self._sides:
-            notices += side.take_notices()
-        return notices
+    def process_events(self) -> list[ConnectionEvent]:
+        """Process authentication requests and connection events, and reload the list of keys if it has changed."""
+        # every handler, and none left out because another one has more to do
+        self.has_pending = any([handler.process_events() for handler in self._handlers])
+        events = self._check()
+        for handler in self._handlers:
+            events += handler.take_events()
+        return events
 
     def close(self) -> None:
-        """Close what is not closed with the publishers and subscribers."""
-        for socket in (socket for side in self._sides for socket in side.sockets):
+        """Close the sockets that are not closed with the publishers and subscribers."""
+        for socket in (socket for handler in self._handlers for socket in handler.sockets):
             socket.close()
 
     def _reader(self, plan: Mapping[str, Sequence[str]], silence_ms: int) -> Subscriber:
@@ -134,26 +134,26 @@ class Transport:
         subscriber = Subscriber(self._context, self._clock, by_endpoint, connect=False)
         _set_network_options(subscriber.socket, silence_ms, *by_endpoint)
         machine = self._book.machine_of(next(iter(plan)))
-        lines = PeerConnections(machine, endpoints, subscriber, self._clock, self.trust, self._refusals)
-        self._lines.append(lines)
-        self._sides.append(lines)
+        peers = PeerConnections(machine, endpoints, subscriber, self._clock, self.access_control, self._rejections)
+        self._peers.append(peers)
+        self._handlers.append(peers)
         return subscriber
 
-    def _look(self) -> list[ConnectionEvent]:
+    def _check(self) -> list[ConnectionEvent]:
         now = self._clock.monotonic_ns()
-        if now < self._look_ns:
+        if now < self._next_check_ns:
             return []
-        self._look_ns = now + _LOOK_NS
-        notices = []
+        self._next_check_ns = now + _CHECK_NS
+        events = []
         try:
-            if self.trust.reload():
-                for side in self._sides:
-                    side.review()
+            if self.access_control.reload():
+                for handler in self._handlers:
+                    handler.apply_permissions()
         except ConfigError as error:
-            notices.append(ConnectionEvent("error", f"the list of keys stays as it was: {error}", {}))
-        for line in self._lines:
-            line.look(now)
-        return notices
+            events.append(ConnectionEvent("error", f"the list of keys was not reloaded: {error}", {}))
+        for peers in self._peers:
+            peers.maintain(now)
+        return events
 
 
 def _set_network_options(socket: "zmq.Socket[bytes]", silence_ms: int, *endpoints: str) -> None:

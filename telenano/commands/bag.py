@@ -1,4 +1,4 @@
-"""`telenano bag`: everything that can be done with a recording on disk."""
+"""`telenano bag`: the commands on recordings."""
 
 import json
 from collections.abc import Iterable
@@ -10,28 +10,29 @@ from typing import Annotated, Any
 import typer
 from pydantic import BaseModel
 
+from analysis.plot import draw, read_traces, save_png
+from analysis.process_replay import rerun as run_again
 from proto.errors import RecordingError
 from recording.channel_filter import Selection
-from recording.reader import Recording, open_recordings
+from recording.diff import diff_recordings
+from recording.export import export_recording
+from recording.multi_file import open_recordings
+from recording.reader import Recording
+from recording.rewrite import filter_recording, merge_recordings, split_recording
+from recording.tables import line, plain
 from recording.tolerance import Tolerances
-from telenano.output import EXIT_FAILED, console, print_json, report_errors, tell
+from recording.verify import verify as check
+from telenano.options import CountOption, JsonOption, command_group
+from telenano.output import EXIT_FAILED, console, print_document, print_json, print_rows, report_errors
 
 _CHANNEL_COLUMNS = ("channel_topic", "src", "messages", "rate_hz", "gaps", "lost", "restarts")
 _PLOT_SIZE = (100, 12)
 
-app = typer.Typer(
-    help="Look into a recording, and make others from it.",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    # markup would swallow the units in brackets
-    rich_markup_mode=None,
-)
+app = command_group()
 
 FileArgument = Annotated[Path, typer.Argument(metavar="FILE", help="Recording (.mcap).")]
 FilesArgument = Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings (.mcap).")]
 OutOption = Annotated[Path, typer.Option("--out", metavar="PATH", help="File or folder to make, never overwritten.")]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print exactly one JSON object on stdout, nothing else.")]
 TopicsOption = Annotated[
     list[str] | None,
     typer.Option("--topics", metavar="PATTERN", help="Only these channels: glob or /regular expression/ (repeatable)."),
@@ -40,7 +41,7 @@ ExcludeOption = Annotated[
     list[str] | None, typer.Option("--exclude", metavar="PATTERN", help="Not these channels (repeatable).")
 ]
 NodesOption = Annotated[
-    list[str] | None, typer.Option("--nodes", metavar="NODE", help="Only what these nodes said (repeatable).")
+    list[str] | None, typer.Option("--nodes", metavar="NODE", help="Only messages of these nodes (repeatable).")
 ]
 StartOption = Annotated[float, typer.Option("--start", min=0.0, metavar="S", help="From this time on [s].")]
 EndOption = Annotated[float | None, typer.Option("--end", metavar="S", help="Up to this time [s].")]
@@ -63,14 +64,14 @@ class ExportFormat(StrEnum):
 
 @app.command()
 def info(file: FileArgument, as_json: JsonOption = False) -> None:
-    """Say what a recording holds."""
+    """Show what a recording contains."""
     with report_errors(as_json):
         found = Recording(file).info().model_dump(mode="json")
     if not as_json:
-        # the whole of it is wider and longer than a screen
+        # all columns are wider and longer than a screen
         found["channels"] = [{key: row[key] for key in _CHANNEL_COLUMNS} for row in found["channels"]]
         found["metadata"] = found["metadata"].get("recording", {})
-    tell(found, str(file), as_json=as_json)
+    print_document(found, str(file), as_json=as_json)
 
 
 @app.command("list")
@@ -78,7 +79,7 @@ def list_files(
     folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder to look through, with all below.")] = Path(),
     as_json: JsonOption = False,
 ) -> None:
-    """List the recordings in a folder: length, messages, size, and whether they were closed in order."""
+    """List the recordings in a folder: length, messages, size, and whether they were closed properly."""
     with report_errors(as_json):
         if not folder.is_dir():
             raise RecordingError(f"{folder}: is not a folder")
@@ -86,7 +87,7 @@ def list_files(
     if as_json:
         print_json({"folder": str(folder), "recordings": rows})
     elif rows:
-        _print_rows(rows)
+        print_rows(rows)
     else:
         typer.echo(f"{folder}: no recordings")
 
@@ -99,11 +100,9 @@ def cat(
     nodes: NodesOption = None,
     start: StartOption = 0.0,
     end: EndOption = None,
-    count: Annotated[int | None, typer.Option("--count", min=1, metavar="N", help="End after N messages.")] = None,
+    count: CountOption = None,
 ) -> None:
-    """Print messages with the facts of their records, one a line as JSON."""
-    from recording.tables import line
-
+    """Print messages with their record fields, one a line as JSON."""
     with report_errors(as_json=False):
         recording = open_recordings(files)
         chosen = Selection.of(topics or (), exclude or (), nodes or ())
@@ -116,11 +115,9 @@ def echo(
     topic: Annotated[str, typer.Argument(metavar="TOPIC", help="Channel, such as teleop/forward@slave.")],
     start: StartOption = 0.0,
     end: EndOption = None,
-    count: Annotated[int | None, typer.Option("--count", min=1, metavar="N", help="End after N messages.")] = None,
+    count: CountOption = None,
 ) -> None:
     """Print the messages of a channel as `telenano topic echo` does with those of a running rig."""
-    from recording.tables import plain
-
     with report_errors(as_json=False):
         recording = Recording(file)
         known = [channel.channel_topic for channel in recording.channels]
@@ -142,20 +139,16 @@ def filter_file(
     as_json: JsonOption = False,
 ) -> None:
     """Copy chosen channels and times into a new recording."""
-    from recording.rewrite import filter_recording
-
     with report_errors(as_json):
         chosen = Selection.of(topics or (), exclude or (), nodes or ())
-        _tell_model(filter_recording(file, out, chosen, start, end), as_json)
+        _print_model(filter_recording(file, out, chosen, start, end), as_json)
 
 
 @app.command()
 def merge(files: FilesArgument, out: OutOption, as_json: JsonOption = False) -> None:
-    """Put recordings together in the order of time."""
-    from recording.rewrite import merge_recordings
-
+    """Merge recordings in the order of time."""
     with report_errors(as_json):
-        _tell_model(merge_recordings(files, out), as_json)
+        _print_model(merge_recordings(files, out), as_json)
 
 
 @app.command()
@@ -166,9 +159,7 @@ def split(
     size: Annotated[int | None, typer.Option("--size", metavar="BYTES", help="Payload in each part [bytes].")] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Cut a recording into parts."""
-    from recording.rewrite import split_recording
-
+    """Split a recording into parts."""
     with report_errors(as_json):
         parts = [
             part.model_dump(mode="json") for part in split_recording(file, out, interval_s=interval, size_bytes=size)
@@ -176,17 +167,15 @@ def split(
     if as_json:
         print_json({"parts": parts})
     else:
-        _print_rows([{"path": part["path"], "messages": part["messages"]} for part in parts])
+        print_rows([{"path": part["path"], "messages": part["messages"]} for part in parts])
 
 
 @app.command()
 def verify(files: FilesArgument, as_json: JsonOption = False) -> None:
-    """Check check sums, order, numbers and contents, and say precisely what is missing; exit code 1 if anything is.
+    """Verify checksums, order, numbers and contents, and list what is missing; exit code 1 if anything is.
 
     Several files are taken as the parts of one recording.
     """
-    from recording.verify import verify as check
-
     with report_errors(as_json):
         verdict = check(files)
     if as_json:
@@ -202,11 +191,9 @@ def verify(files: FilesArgument, as_json: JsonOption = False) -> None:
 
 @app.command()
 def recover(file: FileArgument, out: OutOption, as_json: JsonOption = False) -> None:
-    """Copy everything readable in a killed, cut-off or damaged recording into a finished one."""
-    from recording.rewrite import filter_recording
-
+    """Copy everything readable in an unfinished, truncated or damaged recording into a complete one."""
     with report_errors(as_json):
-        _tell_model(filter_recording(file, out), as_json)
+        _print_model(filter_recording(file, out), as_json)
 
 
 @app.command()
@@ -218,11 +205,9 @@ def export(
     exclude: ExcludeOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Write a recording for other tools; mcap-json is what Foxglove and Lichtblick show."""
-    from recording.export import export_recording
-
+    """Convert a recording for other tools; Foxglove and Lichtblick read mcap-json."""
     with report_errors(as_json):
-        _tell_model(export_recording(file, out, to.value, Selection.of(topics or (), exclude or ())), as_json)
+        _print_model(export_recording(file, out, to.value, Selection.of(topics or (), exclude or ())), as_json)
 
 
 @app.command()
@@ -239,8 +224,6 @@ def diff(
     as_json: JsonOption = False,
 ) -> None:
     """Compare two recordings message by message, by channel and number; exit code 1 if they differ."""
-    from recording.diff import diff_recordings
-
     with report_errors(as_json):
         allowed = Tolerances.parse(tolerance or ())
         chosen = Selection.of(topics or (), exclude or ())
@@ -251,7 +234,7 @@ def diff(
         rows = [row.model_dump() for row in found.channels if row.only_left or row.only_right or row.different]
         typer.echo("the same" if found.same else f"{left} and {right} differ")
         if rows:
-            _print_rows(rows)
+            print_rows(rows)
     if not found.same:
         raise typer.Exit(EXIT_FAILED)
 
@@ -261,9 +244,7 @@ def rerun(
     file: FileArgument,
     node: Annotated[
         list[str],
-        typer.Option(
-            "--node", metavar="NODE@SITE", help="Node to run once more (repeatable), such as controller@master."
-        ),
+        typer.Option("--node", metavar="NODE@SITE", help="Node to run again (repeatable), such as controller@master."),
     ],
     tolerance: ToleranceOption = None,
     settings: Annotated[
@@ -274,9 +255,7 @@ def rerun(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Feed a recording to a node's code and compare what it says with what it said; exit code 1 if it differs."""
-    from analysis.process_replay import rerun as run_again
-
+    """Run a node's code on recorded inputs and compare its output with the recorded; exit code 1 if it differs."""
     with report_errors(as_json):
         recording, allowed = Recording(file), Tolerances.parse(tolerance or ())
         results = [run_again(recording, key, allowed, settings or ()) for key in node]
@@ -300,8 +279,6 @@ def plot(
     ] = None,
 ) -> None:
     """Draw fields over time, on the terminal or into a PNG."""
-    from analysis.plot import draw, read_traces, save_png
-
     with report_errors(as_json=False):
         traces = read_traces(file, fields)
         if out is not None:
@@ -325,7 +302,7 @@ def _row(path: Path) -> dict[str, Any]:
             "size_bytes": path.stat().st_size,
             "note": str(error),
         }
-    note = "" if found.complete else "not closed in order"
+    note = "" if found.complete else "not closed properly"
     note = f"{note}, {found.skipped_bytes} bytes damaged".strip(", ") if found.skipped_bytes else note
     facts = {"path": str(path), "duration_s": round(found.duration_s, 3), "messages": found.messages}
     return {**facts, "size_bytes": found.size_bytes, "note": note}
@@ -341,12 +318,6 @@ def _print_lines(lines: Iterable[dict[str, Any]]) -> None:
         typer.echo(json.dumps(found))
 
 
-def _tell_model(model: BaseModel, as_json: bool) -> None:
+def _print_model(model: BaseModel, as_json: bool) -> None:
     document = model.model_dump(mode="json")
-    tell(document, str(document.get("path", "")), as_json=as_json)
-
-
-def _print_rows(rows: list[dict[str, Any]]) -> None:
-    from telenano.live_view import rows_table
-
-    console().print(rows_table(rows))
+    print_document(document, str(document.get("path", "")), as_json=as_json)

@@ -1,25 +1,89 @@
-"""`telenano link`: what the link of a running rig does, in words and figures."""
+"""`telenano link`: show and change the link of a running rig."""
 
-from typing import Any
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any
 
+import typer
+
+from presets import DEFAULT_SITE_FILE
 from proto.errors import RigError
+from proto.nodes import LINK
 from services.delay_node.profiles import PROFILES
 from services.runtime.observer import Observer, message_fields, messages_of
+from telenano.commands.session import SessionCommand, send_command
+from telenano.commands.topic import open_observer
+from telenano.options import JsonOption, SiteFileOption, command_group
+from telenano.output import print_json, print_rows, report_errors
 
 _PATIENCE_S = 3.0
 _COUNTS = ("messages_in", "messages_out", "duplicated", "reordered", "corrupted", "queue_depth")
 _DELAYS = ("delay_mean_s", "delay_min_s", "delay_max_s")
 
+app = command_group()
+
+
+@app.command()
+def show(site_file: SiteFileOption = DEFAULT_SITE_FILE, as_json: JsonOption = False) -> None:
+    """Show the settings in force, the traffic, the delay applied, and the offset of the other site's clock."""
+    with report_errors(as_json), open_observer(site_file, "link/status") as observer:
+        status = current_status(observer)
+    if as_json:
+        print_json(status)
+    else:
+        print_rows(status_rows(status))
+
+
+@app.command("set")
+def set_keys(
+    settings: Annotated[
+        list[str],
+        typer.Argument(metavar="KEY=VALUE...", help="Settings by dotted key, such as forward.delay_s=0.02 (SI units)."),
+    ],
+    site_file: SiteFileOption = DEFAULT_SITE_FILE,
+    as_json: JsonOption = False,
+) -> None:
+    """Change settings of the link for the messages that reach it from now on."""
+    _change(settings, site_file, as_json=as_json)
+
+
+@app.command()
+def profile(
+    name: Annotated[
+        str | None, typer.Argument(metavar="[NAME]", help="Profile to apply; without it, list the profiles.")
+    ] = None,
+    site_file: SiteFileOption = DEFAULT_SITE_FILE,
+    as_json: JsonOption = False,
+) -> None:
+    """Apply a named profile, in place of all settings but the seed; or list the profiles."""
+    rows = [{"profile": known, "what": row.about} for known, row in PROFILES.items()]
+    if name is not None:
+        _change([f"profile={name}"], site_file, as_json=as_json)
+    elif as_json:
+        print_json({"profiles": rows})
+    else:
+        print_rows(rows)
+
+
+@app.command()
+def clear(site_file: SiteFileOption = DEFAULT_SITE_FILE, as_json: JsonOption = False) -> None:
+    """Remove every impairment from the link."""
+    _change(["profile=clean"], site_file, as_json=as_json)
+
+
+def _change(settings: Sequence[str], site_file: Path, *, as_json: bool) -> None:
+    send_command(SessionCommand.SET, settings, LINK, site_file, as_json=as_json)
+
 
 def current_status(observer: Observer) -> dict[str, Any]:
-    """Give the fields of the next link/status; RigError when no link is heard."""
+    """Return the fields of the next link/status; RigError when no link is heard."""
     for received in messages_of(observer, "link/status", _PATIENCE_S, 1):
         return message_fields(received.message)
     raise RigError("no link is heard, is `telenano up` running with this site file?")
 
 
 def status_rows(status: dict[str, Any]) -> list[dict[str, Any]]:
-    """Give a status as rows of a table: what, forward, backward."""
+    """Return a status as rows of a table: what, forward, backward."""
     ways = (status["forward"], status["backward"])
     rows: list[dict[str, Any]] = [_row("profile", *(way["profile"] for way in ways))]
     keys = sorted({key for way in ways for key in way["settings"]})
@@ -31,11 +95,6 @@ def status_rows(status: dict[str, Any]) -> list[dict[str, Any]]:
     if clock["valid"]:
         rows.append(_row("clock offset of the slave [s]", clock["offset_s"], f"± {clock['uncertainty_s']:.6f}"))
     return rows
-
-
-def profile_rows() -> list[dict[str, Any]]:
-    """Give the named profiles as rows of a table."""
-    return [{"profile": name, "what": profile.about} for name, profile in PROFILES.items()]
 
 
 def _row(what: str, forward: Any, backward: Any) -> dict[str, Any]:

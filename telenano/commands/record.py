@@ -98,7 +98,7 @@ def run_record(
             bus.close()
     return Recorded(
         path=node.path,
-        files=0 if intake.parts is None else intake.parts.count,
+        files=0 if intake.rotation is None else intake.rotation.count,
         messages=intake.written,
         lost=intake.lost,
         rejected=intake.rejected,

@@ -12,7 +12,7 @@ from presets import DEFAULT_SITE_FILE, site_file_named
 from proto.errors import ConfigError, EndpointError, TelenanoError
 from proto.nodes import PLAYER
 from recording.channel_filter import Selection
-from recording.reader import open_recordings
+from recording.multi_file import open_recordings
 from services.player.node import PlayerNode, PlaySettings, ReplayPlan, ReplayPublisher
 from services.player.playback import Playback, Span
 from services.runtime.bus import ZmqBus
@@ -120,9 +120,9 @@ class PlayerKeyBindings:
         self._keys.show(player.status() + (f" · {self._said}" if self._said else ""))
 
     def _press(self, player: PlayerNode, key: str) -> str:
-        tape, rate = player.tape, player.transport.rate
+        tape, rate = player.playback, player.playback_clock.rate
         actions: dict[str, Callable[[], Any]] = {
-            "space": lambda: player.pause(not player.transport.paused),
+            "space": lambda: player.pause(not player.playback_clock.paused),
             ".": player.step,
             "n": lambda: player.step(topic=self._step_topic or tape.channels[0].channel_topic),
             "e": player.seek_event,

@@ -1,6 +1,6 @@
-"""`telenano study`: stability maps, transparency, all laws compared, and the proof that the bus agrees.
+"""`telenano study`: stability maps, transparency, all laws compared, and the check that the bus agrees.
 
-What a command needs is imported when it runs, so that `--help` is there at once.
+What imports numba or matplotlib is imported when a command runs, so that `telenano study --help` answers at once.
 """
 
 import contextlib
@@ -14,32 +14,29 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
 
 from proto.errors import ConfigError
-from telenano.output import EXIT_FAILED, print_json, report_errors
+from studies.page import Page, text, write_parquet
+from telenano.options import JsonOption, command_group
+from telenano.output import EXIT_FAILED, console, print_json, report_errors
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from studies.stability import Axes
     from studies.sweep import Sweep
 
-_INTERRUPTED = "interrupted: the journal keeps what is done, the same command goes on"
+_INTERRUPTED = "interrupted: the journal keeps the finished cells, the same command continues"
 _LONGEST_MS = 10_000.0
 _STIFFEST_N_PER_M = 1e5
+_PIPE_COLUMNS = 160
 
-app = typer.Typer(
-    help="Study in lockstep which delay each law bears, and what the hand feels of it.",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    # markup would swallow the units in brackets
-    rich_markup_mode=None,
-)
+app = command_group()
 
 
 class EnvironmentName(StrEnum):
-    """What the tip meets."""
+    """The environment that the tip touches."""
 
     SPRING = "spring"
     CONTACT = "contact"
@@ -82,9 +79,9 @@ SchedulerOption = Annotated[
     typer.Option("--scheduler", metavar="ADDRESS", help="Dask scheduler to run on, such as tcp://host:8786."),
 ]
 OutOption = Annotated[
-    Path, typer.Option("--out", metavar="DIR", help="Folder for page, figures, table and journal; a journal goes on.")
+    Path,
+    typer.Option("--out", metavar="DIR", help="Folder for page, figures, table and journal; resumes a journal."),
 ]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print exactly one JSON object on stdout, nothing else.")]
 
 
 @app.command()
@@ -125,7 +122,9 @@ def stability(
             (r.line.law, r.line.label, _ms(r.theory_ms), _ms(r.critical_delay_ms), _ms(r.critical_link_ms))
             for r in results
         ]
-        _tell(("law", "conditions", "theory [ms]", "lockstep [ms]", "link alone [ms]"), rows, out / "stability.html")
+        _print_table(
+            ("law", "conditions", "theory [ms]", "lockstep [ms]", "link alone [ms]"), rows, out / "stability.html"
+        )
 
 
 @app.command()
@@ -143,12 +142,11 @@ def transparency(
     """Measure tracking error, rendered stiffness, Z-width and perceived delay of each law on a spring."""
     with report_errors(as_json, _INTERRUPTED):
         from studies.compare import measure_all, write_transparency
-        from studies.page import Page, write_parquet
 
         given = _Given(law, EnvironmentName.SPRING, stiffness or "10", None, "0", "0", seed, None, settings)
         axes = given.axes(delay)
         rows = measure_all(axes, axes.delays_ms)
-        _make(out)
+        _make_folder(out)
         page = Page("Transparency under delay")
         page.code(_command())
         write_transparency(page, rows)
@@ -161,7 +159,7 @@ def transparency(
             print_json(summary)
             return
         head = ("law", "delay [ms]", "verdict", "tracking [%]", "rendered [N/m]", "perceived [ms]", "Z-width [dB]")
-        _tell(head, [
+        _print_table(head, [
             (r.law, r.round_trip_ms, r.verdict, r.tracking_error_percent, r.rendered_stiffness_n_per_m,
              r.perceived_delay_ms, r.z_width_db) for r in rows
         ], out / "transparency.html")  # fmt: skip
@@ -172,7 +170,7 @@ def compare(
     out: OutOption,
     law: LawOption = "all",
     delay: Annotated[
-        str, typer.Option("--delay", metavar="LIST|RANGE", help="Round trips that are looked at closely [ms].")
+        str, typer.Option("--delay", metavar="LIST|RANGE", help="Round trips that are studied in detail [ms].")
     ] = "40,100,200",
     map_delay: Annotated[
         str, typer.Option("--map-delay", metavar="LIST|RANGE", help="Round trips of the maps [ms].")
@@ -183,7 +181,7 @@ def compare(
     scheduler: SchedulerOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Put all laws on one page: critical delays, contact over a good and a bad link, transparency."""
+    """Compare all laws on one page: critical delays, contact over a good and a bad link, transparency."""
     with report_errors(as_json, _INTERRUPTED):
         from studies import values
         from studies.cells import DEFAULT_STIFFNESS
@@ -205,7 +203,7 @@ def compare(
             print_json(summary)
             return
         head = ("law", *(f"spring {k:g} N/m" for k in springs), "contact")
-        _tell(head, [
+        _print_table(head, [
             (name, *(_ms(v) for v in found["critical_delay_ms"].values()), _ms(found["critical_delay_contact_ms"]))
             for name, found in summary["laws"].items()
         ], out / "compare.html")  # fmt: skip
@@ -232,13 +230,12 @@ def validate(
 ) -> None:
     """Run cells on real processes over the link and compare with lockstep; exit code 1 where they disagree."""
     with report_errors(as_json, _INTERRUPTED):
-        from studies.page import Page, write_parquet
         from studies.validate import Bus, bus_edges, validate_cells
 
         given = _Given(law, environment, stiffness, None, jitter, loss, seed, duration, settings)
         axes = given.axes(delay)
         cells = [line.cell(d) for line in axes.lines() for d in axes.delays_ms]
-        _make(out)
+        _make_folder(out)
         agreements = validate_cells(cells, Bus(site_file, out), lambda text: typer.echo(text, err=True))
         records = [agreement.as_dict() for agreement in agreements]
         write_parquet(out / "validate.parquet", records)
@@ -282,14 +279,14 @@ def validate(
         if as_json:
             print_json(summary)
         else:
-            _tell(head, rows, out / "validate.html")
+            _print_table(head, rows, out / "validate.html")
     if not summary["agree"]:
         raise typer.Exit(EXIT_FAILED)
 
 
 @dataclass(frozen=True)
 class _Given:
-    """Options as they were given."""
+    """The options as given."""
 
     law: str
     environment: EnvironmentName
@@ -302,7 +299,7 @@ class _Given:
     settings: list[str] | None
 
     def axes(self, delay: str) -> "Axes":
-        """Check everything; ConfigError names the option."""
+        """Validate all options; ConfigError names the option."""
         from studies import values
         from studies.cells import DEFAULT_STIFFNESS
         from studies.stability import Axes
@@ -333,12 +330,9 @@ class _Given:
 @contextlib.contextmanager
 def _sweep(out: Path, workers: int | None, scheduler: str | None, *, shown: bool) -> "Iterator[Sweep]":
     """Open the journal of a folder, with a progress bar on stderr while the sweep runs."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
     from studies.sweep import JOURNAL_NAME, Journal, Sweep
 
-    _make(out)
+    _make_folder(out)
     journal = Journal(out / JOURNAL_NAME)
     columns = (TextColumn("cells"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True), disable=not shown, transient=True) as bar:
@@ -351,15 +345,15 @@ def _sweep(out: Path, workers: int | None, scheduler: str | None, *, shown: bool
         )
 
 
-def _make(out: Path) -> None:
+def _make_folder(out: Path) -> None:
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise ConfigError(f"--out {out}: cannot be made a folder: {error.strerror}") from error
+        raise ConfigError(f"--out {out}: cannot be made: {error.strerror}") from error
 
 
 def _command() -> str:
-    """Give the command that the page was made by."""
+    """Return the command that makes the page."""
     arguments = sys.argv[1:] if sys.argv[1:2] == ["study"] else ["study", *sys.argv[1:]]
     return " ".join(["telenano", *arguments])
 
@@ -368,26 +362,10 @@ def _ms(value: float | None) -> str:
     return "none found" if value is None else f"{value:.2f}"
 
 
-def _console() -> "Console":
-    from rich.console import Console
-
-    console = Console()
-    # a pipe or a file has no width of its own, and a table cut to 80 columns loses names
-    return console if console.is_terminal else Console(width=160)
-
-
-def _tell(head: tuple[str, ...], rows: list[tuple[Any, ...]], page: Path) -> None:
-    from rich.table import Table
-
-    from studies.page import text
-
+def _print_table(head: tuple[str, ...], rows: list[tuple[Any, ...]], page: Path) -> None:
     table = Table(*head)
     for row in rows:
         table.add_row(*(text(value) for value in row))
-    console = _console()
-    console.print(table)
-    console.print(f"page: {page}", markup=False, highlight=False)
-
-
-if __name__ == "__main__":
-    app()
+    out = console(_PIPE_COLUMNS)
+    out.print(table)
+    out.print(f"page: {page}", markup=False, highlight=False)

@@ -1,4 +1,4 @@
-"""What `telenano doctor` looks at: every check takes its facts as arguments and gives what it found, and what to do."""
+"""The checks of `telenano doctor`: each takes its facts as arguments and returns its finding, with advice."""
 
 import ctypes
 import errno
@@ -35,19 +35,19 @@ _NOT_LISTED = ("dev", "rig")
 _ENDPOINT_ADVICE: dict[str, tuple[Level, str]] = {
     "in use": (
         "warning",
-        "leave it if a rig runs; else end what `ss -tlnp` names, or give another port in the site file",
+        "leave it if a rig runs; else end the process that `ss -tlnp` names, or set another port in the site file",
     ),
     "unusable": (
         "problem",
-        "give this machine's own address in the site file or by TELENANO_HOST_NAME, or one to bind by "
-        "TELENANO_BIND_ADDRESS; where this is another machine, say so by TELENANO_MACHINE",
+        "set this machine's own address in the site file or by TELENANO_HOST_NAME, or one to bind by "
+        "TELENANO_BIND_ADDRESS; where this is another machine, name it by TELENANO_MACHINE",
     ),
 }
 _TCP = re.compile(r"tcp://(?P<host>.+):(?P<port>[0-9]+)")
 
 
 class Finding(NamedTuple):
-    """What a check found; what to do about it, empty where all is well."""
+    """The result of a check; `advice` is empty where nothing has to be done."""
 
     name: str
     level: Level
@@ -56,32 +56,32 @@ class Finding(NamedTuple):
 
 
 class KernelClock(NamedTuple):
-    """What the kernel says of its clock: disciplined by a time service, and the bound of its error [s]."""
+    """State of the kernel clock: whether a time service disciplines it, and the bound of its error [s]."""
 
     synchronised: bool
     largest_error_s: float
 
 
 class Endpoint(NamedTuple):
-    """What became of the attempt to have an endpoint: it is free, a rig holds it, somebody else does, or nobody can."""
+    """Result of an attempt to bind an endpoint: free, held by a rig, held by another program, or not usable here."""
 
     state: Literal["free", "rig", "in use", "unusable"]
     detail: str = ""
 
 
 def check_python(version: Sequence[int]) -> Finding:
-    """Look at the version of the interpreter."""
+    """Check the version of the interpreter."""
     found = ".".join(map(str, version))
     if tuple(version[:2]) >= _OLDEST_PYTHON:
         return Finding("python", "ok", found)
     oldest = ".".join(map(str, _OLDEST_PYTHON))
-    return Finding("python", "problem", found, f"install Python {oldest} or later and make the environment anew")
+    return Finding("python", "problem", found, f"install Python {oldest} or later and make the environment again")
 
 
 def check_packages(requires: Iterable[str], installed: Callable[[str], str | None]) -> list[Finding]:
-    """Compare what is installed with what the metadata of the project demand; a missing extra is no problem.
+    """Compare the installed packages with the metadata of the project; a missing extra is no problem.
 
-    Parameters: requires, lines such as `numba>=0.61; extra == 'afm'`; installed, gives a version, None if missing.
+    Parameters: requires, lines such as `numba>=0.61; extra == 'afm'`; installed, returns a version, None if missing.
     """
     try:
         from packaging.requirements import Requirement
@@ -118,30 +118,28 @@ def _extra_of(marker: object) -> str:
 
 
 def check_zmq(libzmq: str, *, curve: bool) -> Finding:
-    """Look whether the message library can encrypt."""
+    """Check whether the message library can encrypt."""
     if curve:
         return Finding("libzmq", "ok", f"{libzmq} with CURVE")
     return Finding(
         "libzmq",
         "warning",
-        f"{libzmq} without CURVE: nothing but sockets on this machine can be secured",
+        f"{libzmq} without CURVE: connections to other machines cannot be secured",
         "run `pip install --force-reinstall --only-binary pyzmq pyzmq`",
     )
 
 
 def check_processors(permitted: int, quota: float | None) -> Finding:
-    """Look at the processors that this process may use, by affinity and by the quota of its control group."""
+    """Check the processors that this process may use, by affinity and by the quota of its control group."""
     found = f"{permitted} permitted" + ("" if quota is None else f", quota of {quota:g}")
     if min(permitted, permitted if quota is None else quota) >= _LEAST_PROCESSORS:
         return Finding("processors", "ok", found)
     advice = f"give the rig {_LEAST_PROCESSORS} or more: a larger machine, `taskset`, or `cpus:` of a container"
-    return Finding(
-        "processors", "warning", f"{found}; too few for the 1 kHz loops to keep out of each other's way", advice
-    )
+    return Finding("processors", "warning", f"{found}; too few for the 1 kHz loops not to disturb each other", advice)
 
 
 def cpu_quota(groups: Path, membership: Path) -> float | None:
-    """Give the least quota [processors] among the control groups of a process and those above, None for no limit.
+    """Return the least quota [processors] among the control groups of a process and those above, None for no limit.
 
     Parameters: groups, where control groups are mounted; membership, /proc/PID/cgroup.
     """
@@ -167,7 +165,7 @@ def _quota_of(folder: Path) -> float | None:
 
 
 def check_fifo(refused: str, limit: int, runtime_us: str | None, *, container: bool) -> Finding:
-    """Judge what came of the attempt to take SCHED_FIFO, `refused` being the reason or empty."""
+    """Judge an attempt to take SCHED_FIFO; `refused` is the reason of its failure, or empty."""
     kernel = f"RLIMIT_RTPRIO {_limit(limit)}, sched_rt_runtime_us {runtime_us or 'unknown'}"
     if not refused:
         return Finding("SCHED_FIFO", "ok", f"permitted; {kernel}")
@@ -181,7 +179,7 @@ def check_fifo(refused: str, limit: int, runtime_us: str | None, *, container: b
 
 
 def check_memory_lock(refused: str, limit_bytes: int, *, container: bool) -> Finding:
-    """Judge what came of the attempt to lock as much memory as a node reserves."""
+    """Judge an attempt to lock as much memory as a node reserves."""
     found = "RLIMIT_MEMLOCK " + ("unlimited" if limit_bytes < 0 else f"{limit_bytes / 1e6:.1f} MB")
     if not refused:
         return Finding("memory lock", "ok", f"permitted; {found}")
@@ -194,12 +192,12 @@ def check_memory_lock(refused: str, limit_bytes: int, *, container: bool) -> Fin
 
 
 def attempt_fifo() -> str:
-    """Try SCHED_FIFO in a process of its own; gives why it was refused, empty if it was not."""
+    """Try SCHED_FIFO in a process of its own; return why it was refused, empty if it was not."""
     return _attempt(f"import os\nos.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param({_PRIORITY}))")
 
 
 def attempt_memory_lock() -> str:
-    """Try to lock memory in a process of its own that reserves as much as a node; gives why it was refused."""
+    """Try to lock memory in a process of its own that reserves as much as a node; return why it was refused."""
     # without privilege the kernel compares all that is reserved, touched or not, with the limit
     return _attempt(
         "import ctypes, mmap, os\n"
@@ -218,49 +216,49 @@ def _attempt(code: str) -> str:
 
 
 def check_governor(processors: Path, permitted: Iterable[int]) -> Finding:
-    """Look at the frequency governor of the processors that may be used."""
+    """Check the frequency governor of the processors that may be used."""
     found = {_text(processors / f"cpu{number}/cpufreq/scaling_governor") for number in permitted} - {None}
     names = ", ".join(sorted(name for name in found if name))
     if not names:
-        return Finding("CPU governor", "ok", "none is seen here: the host or the hypervisor sets the frequency")
+        return Finding("CPU governor", "ok", "none is visible here: the host or the hypervisor sets the frequency")
     if names == "performance":
         return Finding("CPU governor", "ok", names)
     advice = "run `sudo cpupower frequency-set --governor performance`, in a container on its host"
-    return Finding("CPU governor", "warning", f"{names}: a processor that slept starts slowly", advice)
+    return Finding("CPU governor", "warning", f"{names}: a processor is slow after an idle time", advice)
 
 
 def check_idle(device: Path, driver: Path, *, container: bool) -> Finding:
-    """Look whether a rig can keep the processors out of deep sleep; `driver` names who puts them there."""
+    """Check whether a rig can keep the processors out of deep idle; the file `driver` names the idle driver."""
     name = _text(driver)
     if name in (None, "", "none"):
-        return Finding("deep idle", "ok", "there is no idle driver: nothing to keep the processors from")
+        return Finding("deep idle", "ok", "there is no idle driver, so no deep idle")
     try:
         os.close(os.open(device, os.O_WRONLY))
     except OSError as error:
         advice = (
             f"give the container `devices: [{device}]`" if container else f"run `sudo setfacl -m u:USER:w {device}`"
         )
-        reason = f"{device} cannot be written ({error.strerror}), {name} may put processors to sleep for long"
+        reason = f"{device} cannot be written ({error.strerror}), {name} may put processors into deep idle"
         return Finding("deep idle", "warning", reason, advice)
-    return Finding("deep idle", "ok", f"can be held off through {device}")
+    return Finding("deep idle", "ok", f"can be prevented through {device}")
 
 
 def check_clock_source(folder: Path) -> Finding:
-    """Look which counter the kernel reads the time from."""
+    """Check which counter the kernel reads the time from."""
     name = _text(folder / "current_clocksource")
     if name not in _SLOW_CLOCKS:
-        return Finding("clock source", "ok", name or "is not seen here")
+        return Finding("clock source", "ok", name or "is not visible here")
     if "tsc" in (_text(folder / "available_clocksource") or "").split():
         advice = f"run `echo tsc | sudo tee {folder / 'current_clocksource'}`"
     else:
-        advice = "boot with `tsc=reliable` where the processor's counter is steady, or use another machine"
-    return Finding("clock source", "warning", f"{name}: every look at the clock is slow", advice)
+        advice = "boot with `tsc=reliable` where the processor's counter is stable, or use another machine"
+    return Finding("clock source", "warning", f"{name}: reading the clock is slow", advice)
 
 
 def check_synchronised(clock: KernelClock | None) -> Finding:
-    """Look whether a time service keeps the clock right; None if the kernel does not say."""
+    """Check whether a time service disciplines the clock; None if the kernel does not report it."""
     if clock is None:
-        return Finding("clock", "ok", "the kernel does not say here whether it is synchronised")
+        return Finding("clock", "ok", "the kernel does not report here whether it is synchronised")
     if clock.synchronised:
         return Finding("clock", "ok", f"synchronised, within {clock.largest_error_s * 1e3:.3g} ms")
     advice = "start a time service on each machine (in a container: on its host): `sudo systemctl enable --now chrony`"
@@ -270,7 +268,7 @@ def check_synchronised(clock: KernelClock | None) -> Finding:
 
 
 class _Timex(ctypes.Structure):
-    """`struct timex` of adjtimex(2); what stands behind `status` is not read."""
+    """`struct timex` of adjtimex(2); the fields after `status` are not read."""
 
     _fields_ = (
         ("modes", ctypes.c_uint),
@@ -284,7 +282,7 @@ class _Timex(ctypes.Structure):
 
 
 def kernel_clock() -> KernelClock | None:
-    """Ask the kernel for the state of its clock; None where a process may not ask."""
+    """Read the state of the kernel clock; None where a process may not."""
     # modes is 0: nothing is changed
     state = _Timex()
     result = int(ctypes.CDLL(None, use_errno=True).adjtimex(ctypes.byref(state)))
@@ -292,7 +290,7 @@ def kernel_clock() -> KernelClock | None:
 
 
 def kernel_clock_of(result: int, status: int, largest_error_us: int) -> KernelClock:
-    """Read what adjtimex(2) gave: TIME_ERROR (5) or STA_UNSYNC (0x40) is a clock that nobody keeps right."""
+    """Interpret the result of adjtimex(2): TIME_ERROR (5) or STA_UNSYNC (0x40) is a clock that is not disciplined."""
     return KernelClock(result != 5 and not status & 0x40, largest_error_us * 1e-6)
 
 
@@ -302,7 +300,7 @@ def measure_lateness_s(
     now_s: Callable[[], float] = time.monotonic,
     sleep_s: Callable[[float], None] = time.sleep,
 ) -> list[float]:
-    """Sleep to absolute deadlines and give how late each came [s]."""
+    """Sleep to absolute deadlines and return how late each sleep ended [s]."""
     start_s = now_s()
     lateness = []
     for number in range(1, count + 1):
@@ -318,12 +316,12 @@ def check_timers(lateness_s: Sequence[float]) -> Finding:
     found = f"late by {statistics.median(lateness_s) * 1e3:.3f} ms (p50), {p99_s * 1e3:.3f} ms (p99)"
     if p99_s <= _GOOD_TIMER_S:
         return Finding("timers", "ok", found)
-    advice = "end what else keeps the processors busy, permit SCHED_FIFO, give a virtual machine cores of its own"
+    advice = "end other programs that load the processors, permit SCHED_FIFO, dedicate cores to a virtual machine"
     return Finding("timers", "warning", f"{found}: more than a period of the 1 kHz loops", advice)
 
 
 def check_open_files(limit: int) -> Finding:
-    """Look at the number of files that a process may have open."""
+    """Check the number of files that a process may have open."""
     found = f"RLIMIT_NOFILE {_limit(limit)}"
     if limit < 0 or limit >= _LEAST_OPEN_FILES:
         return Finding("open files", "ok", found)
@@ -331,18 +329,18 @@ def check_open_files(limit: int) -> Finding:
 
 
 def check_runtime_folder(folder: Path, user: int) -> Finding:
-    """Look at the private folder of the sockets: short, this user's own, closed to others, or to be made."""
+    """Check the private folder of the sockets: short path, owned by this user, closed to others, or not yet made."""
     name = "runtime folder"
-    elsewhere = "name another by TELENANO_RUNTIME_DIR"
+    elsewhere = "set another by TELENANO_RUNTIME_DIR"
     if len(os.fsencode(folder)) > _LONGEST_FOLDER:
         found = f"{folder} has {len(os.fsencode(folder))} bytes, a socket in it has room for {_LONGEST_FOLDER}"
         return Finding(name, "problem", found, elsewhere + " that is shorter")
     if not folder.exists():
         if _can_be_written(folder):
             return Finding(name, "ok", f"{folder} can be made")
-        return Finding(name, "problem", f"{folder} is not there and cannot be made", elsewhere)
+        return Finding(name, "problem", f"{folder} does not exist and cannot be made", elsewhere)
     if not _can_be_written(folder):
-        return Finding(name, "problem", f"{folder} is no folder that can be written", elsewhere)
+        return Finding(name, "problem", f"{folder} is not a writable folder", elsewhere)
     status = folder.stat()
     if status.st_uid != user:
         return Finding(name, "problem", f"{folder} belongs to user {status.st_uid}, this is user {user}", elsewhere)
@@ -353,7 +351,7 @@ def check_runtime_folder(folder: Path, user: int) -> Finding:
 
 
 def check_endpoints(endpoints: Mapping[str, str], probe: Callable[[str], Endpoint]) -> list[Finding]:
-    """Look which endpoints (keys, with their nodes) can be had; one of ipc that is held is a rig that runs."""
+    """Check which endpoints (keys, with their nodes) can be bound; one of ipc that is held is a running rig."""
     states = {endpoint: probe(endpoint) for endpoint in endpoints}
     free = sum(found.state == "free" for found in states.values())
     held = [f"{endpoints[at]} ({found.detail})" for at, found in states.items() if found.state == "rig"]
@@ -371,22 +369,22 @@ def _endpoint_finding(node: str, endpoint: str, found: Endpoint) -> Finding:
 
 
 def check_keys(machine: str, others: Iterable[str], keyring: "Keyring") -> list[Finding]:
-    """Look whether a machine has its key, and knows those of the other machines of a rig."""
+    """Check whether a machine has its key, and knows those of the other machines of a rig."""
     try:
         keyring.own(machine)
         allowed = keyring.allowed()
     except ConfigError as error:
-        # the text names the command that helps
-        return [Finding("keys", "problem", f"this machine is {machine}: {error}", "put it right with `telenano keys`")]
+        # the text of the error names the command that helps
+        return [Finding("keys", "problem", f"this machine is {machine}: {error}", "correct it with `telenano keys`")]
     unknown = [name for name in sorted(others) if allowed.of_machine(name) is None]
     if not unknown:
-        return [Finding("keys", "ok", f"this machine is {machine}; keys are known of {', '.join(sorted(others))}")]
-    advice = f"take over the public key that `telenano keys show` gives there: `telenano keys allow {unknown[0]} ...`"
-    return [Finding("keys", "warning", f"this machine is {machine}; no key is known of {', '.join(unknown)}", advice)]
+        return [Finding("keys", "ok", f"this machine is {machine}; it knows the keys of {', '.join(sorted(others))}")]
+    advice = f"copy the public key that `telenano keys show` prints there: `telenano keys allow {unknown[0]} ...`"
+    return [Finding("keys", "warning", f"this machine is {machine}; it knows no key of {', '.join(unknown)}", advice)]
 
 
 def probe_endpoint(endpoint: str) -> Endpoint:
-    """Try whether an endpoint can be had, and let it go at once."""
+    """Try to bind an endpoint, and release it at once."""
     match = _TCP.fullmatch(endpoint)
     if match is None:
         return _probe_ipc(Path(endpoint.removeprefix("ipc://") + ".lock"))
@@ -411,41 +409,41 @@ def _probe_tcp(host: str, port: int) -> Endpoint:
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
     except OSError as error:
-        return Endpoint("unusable", f"{host} is not known ({error.strerror})")
+        return Endpoint("unusable", f"{host} cannot be resolved ({error.strerror})")
     with socket.socket(family, kind, protocol) as attempt:
-        # as ZeroMQ does: an ended connection is no hindrance
+        # as ZeroMQ does: a closed connection does not block the port
         attempt.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             attempt.bind(address)
         except OSError as error:
             if error.errno == errno.EADDRINUSE:
                 return Endpoint("in use", "the port is in use")
-            return Endpoint("unusable", f"the port cannot be had ({error.strerror})")
+            return Endpoint("unusable", f"the port cannot be bound ({error.strerror})")
     return Endpoint("free")
 
 
 def check_disk(folder: Path, free_bytes: int) -> Finding:
-    """Look at the room for recordings."""
+    """Check the space for recordings."""
     found = f"{free_bytes / 1e9:.1f} GB free in {folder}"
     if free_bytes >= _LEAST_DISK_BYTES:
         return Finding("disk", "ok", found)
-    return Finding("disk", "warning", found, "make room, or record elsewhere by `telenano up --out DIR`")
+    return Finding("disk", "warning", found, "free some space, or record elsewhere with `telenano up --out DIR`")
 
 
 def check_cache(folder: Path | None) -> Finding:
-    """Look at the folder of compiled code; None where there is no compiler."""
+    """Check the folder of compiled code; None where there is no compiler."""
     name = "compiled code"
     if folder is None:
         return Finding(name, "ok", "numba is not installed: rigs run without it, studies cannot")
     if not _can_be_written(folder):
-        advice = "name a folder that can be written by XDG_CACHE_HOME or NUMBA_CACHE_DIR"
-        return Finding(name, "problem", f"{folder} cannot be written, every study would compile again", advice)
+        advice = "set a writable folder by XDG_CACHE_HOME or NUMBA_CACHE_DIR"
+        return Finding(name, "problem", f"{folder} cannot be written, so every study would compile again", advice)
     there = "is there" if folder.exists() else "is made by the first study, which takes up to 60 s longer"
     return Finding(name, "ok", f"{folder} {there}")
 
 
 def in_container(root: Path = Path("/")) -> bool:
-    """Say whether docker or podman runs this process."""
+    """Return whether docker or podman runs this process."""
     return (root / ".dockerenv").exists() or (root / "run/.containerenv").exists()
 
 

@@ -1,4 +1,7 @@
-"""`telenano doctor`: looks at this machine before, or while, a rig runs, and says what to do about what it finds."""
+"""`telenano doctor`: check this machine before, or while, a rig runs, and advise what to change.
+
+What may be missing on it is imported late: its absence is a finding.
+"""
 
 import importlib.util
 import os
@@ -8,43 +11,36 @@ import sys
 from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
+from rich.table import Table
+from rich.text import Text
 
-from presets import DEFAULT_SITE_FILE, site_file_named
+from presets import DEFAULT_SITE_FILE
 from proto.errors import ConfigError, EndpointError
 from telenano.doctor import checks
 from telenano.doctor.checks import Finding
+from telenano.options import JsonOption, SiteFileOption
 from telenano.output import console, fail, print_json, report_errors
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from services.runtime.address_book import AddressBook
 
-# not from the plan of a rig: that imports what may be missing here
-SITE_FILE = DEFAULT_SITE_FILE
 _SYSTEM = Path("/sys/devices/system")
 _STYLES = {"ok": "green", "warning": "yellow", "problem": "red"}
 _TIMER_SAMPLES = 200
 _TIMER_PERIOD_S = 1e-3
 
 
-def doctor(
-    site_file: Annotated[
-        Path,
-        typer.Option("--site-file", metavar="FILE", callback=site_file_named, help="Address book of the rig (YAML)."),
-    ] = SITE_FILE,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout, nothing else.")] = False,
-) -> None:
-    """Look whether this machine can run a rig, and say what to do; exit code 1 if there is a problem."""
+def doctor(site_file: SiteFileOption = DEFAULT_SITE_FILE, as_json: JsonOption = False) -> None:
+    """Check whether this machine can run a rig, and advise what to change; exit code 1 if there is a problem."""
     with report_errors(as_json):
-        tell_findings(examine(site_file), as_json=as_json)
+        print_findings(examine(site_file), as_json=as_json)
 
 
 def examine(site_file: Path) -> list[Finding]:
-    """Make every check that this machine allows."""
+    """Run every check that this machine allows."""
     findings = [checks.check_python(sys.version_info[:3]), *packages()]
     findings += machine(container=checks.in_container())
     try:
@@ -55,7 +51,7 @@ def examine(site_file: Path) -> list[Finding]:
 
 
 def machine(*, container: bool) -> list[Finding]:
-    """Look at what the machine gives to a process of this user."""
+    """Check what the machine permits to a process of this user."""
     permitted = os.sched_getaffinity(0)
     quota = checks.cpu_quota(Path("/sys/fs/cgroup"), Path("/proc/self/cgroup"))
     runtime = Path("/proc/sys/kernel/sched_rt_runtime_us")
@@ -75,8 +71,8 @@ def machine(*, container: bool) -> list[Finding]:
     ]
 
 
-def tell_findings(findings: Sequence[Finding], *, as_json: bool) -> None:
-    """Print the findings and leave with 1 if one of them is a problem."""
+def print_findings(findings: Sequence[Finding], *, as_json: bool) -> None:
+    """Print the findings and exit with 1 if one of them is a problem."""
     problems = [finding.name for finding in findings if finding.level == "problem"]
     warnings = [finding.name for finding in findings if finding.level == "warning"]
     document: dict[str, Any] = {"ok": not problems, "findings": [finding._asdict() for finding in findings]}
@@ -90,11 +86,8 @@ def tell_findings(findings: Sequence[Finding], *, as_json: bool) -> None:
         typer.echo(f"a rig can run here, {len(warnings)} warning(s){': ' if warnings else ''}{', '.join(warnings)}")
 
 
-def findings_table(findings: Sequence[Finding]) -> "Table":
-    """Draw findings, the advice below what it is about."""
-    from rich.table import Table
-    from rich.text import Text
-
+def findings_table(findings: Sequence[Finding]) -> Table:
+    """Draw findings, each with its advice below."""
     table = Table("check", "level", "found")
     for finding in findings:
         found = Text(finding.found)
@@ -105,7 +98,7 @@ def findings_table(findings: Sequence[Finding]) -> "Table":
 
 
 def packages() -> list[Finding]:
-    """Compare what is installed with what the project demands."""
+    """Compare the installed packages with those that the project requires."""
     try:
         return checks.check_packages(requires("telenano") or (), _installed)
     except PackageNotFoundError:
@@ -121,7 +114,7 @@ def _installed(name: str) -> str | None:
 
 
 def rig(site_file: Path) -> list[Finding]:
-    """Look at what a rig of this site file uses; ImportError where what every process needs is missing."""
+    """Check what a rig of this site file uses; ImportError if a package that every process needs is missing."""
     import zmq
 
     from services.runtime.address_book import runtime_directory
@@ -135,7 +128,7 @@ def rig(site_file: Path) -> list[Finding]:
     try:
         return [*findings, *_addresses(load_site(site_file))]
     except (ConfigError, EndpointError) as error:
-        return [*findings, Finding("site file", "problem", str(error), "put it right, or name another by --site-file")]
+        return [*findings, Finding("site file", "problem", str(error), "correct it, or name another with --site-file")]
 
 
 def _addresses(book: "AddressBook") -> list[Finding]:
@@ -144,17 +137,21 @@ def _addresses(book: "AddressBook") -> list[Finding]:
     keyring = Keyring()
     machine = this_machine(keyring)
     found = checks.check_endpoints(endpoints_of(book, machine), checks.probe_endpoint)
-    if book.locked:
+    if book.requires_keys:
         others = {book.machine_of(node) for node in book.nodes} - {machine}
         found += checks.check_keys(machine, others, keyring)
     elif book.spans_machines:
-        advice = "take `insecure: true` out of it, and make keys by `telenano keys new`"
-        found.append(Finding("keys", "warning", "the site file waives them: whoever reaches a port hears it", advice))
+        advice = "remove `insecure: true` from it, and make keys with `telenano keys new`"
+        found.append(
+            Finding(
+                "keys", "warning", "the site file waives them: anyone who can connect to a port can read it", advice
+            )
+        )
     return found
 
 
 def endpoints_of(book: "AddressBook", machine: str) -> dict[str, str]:
-    """Give the endpoints that the nodes of a machine bind, each with its node; EndpointError for an unknown name."""
+    """Return the endpoints that the nodes of a machine bind, each with its node; EndpointError for an unknown name."""
     endpoints = {}
     for node in book.nodes:
         # a rig that no network carries is on one machine, whatever that is called

@@ -113,7 +113,10 @@ def become(request: dict[str, Any]) -> None:
 
 
 if __name__ == "__main__":
-    # what most commands import when they run
-    from telenano import app  # noqa: F401
+    # what commands import when they run
+    from telenano.lazy_commands import LAZY_COMMANDS, load
+
+    for command in LAZY_COMMANDS:
+        load(command)
 
     serve()

@@ -14,7 +14,8 @@ import pytest
 from ledger import enter
 
 from analysis.report import write_report
-from recording.reader import RecordedMessage, Recording
+from recording.messages import RecordedMessage
+from recording.reader import Recording
 
 DEPLOY = Path(__file__).resolve().parents[2] / "deploy"
 NODES = ("haptic_node", "controller_master", "delay_node", "controller_slave", "afm_node", "recorder")

@@ -113,7 +113,7 @@ class ModelMediatedConfig(SteeredConfig):
     )
 
     def to_params(self, period_s: float) -> ModelMediatedParams:
-        """Give the constants of the compiled steps for a period [s] of the hand."""
+        """Return the constants of the compiled steps for a period [s] of the hand."""
         kappa = self.contact_stiffness_n_per_m1_5 * KAPPA_UNIT
         fit = FitParams(
             cantilever=self.cantilever_stiffness_n_per_m,
@@ -162,13 +162,13 @@ def _begun(params: ModelMediatedParams, mass: Mass) -> MasterState:
 
 @compiled
 def master_start(params: ModelMediatedParams, hand: HandSample) -> MasterState:
-    """Put the virtual mass to rest where the hand is, over a surface not yet known."""
+    """Start with the virtual mass at rest at the hand's position, over a surface not yet known."""
     return _begun(params, at_rest(hand.position_m))
 
 
 @compiled
 def master_resume(params: ModelMediatedParams, hand: HandSample, tip_reference_m: float) -> MasterState:
-    """Go on with the hand's motion and the tip's reference; the surface is learnt anew."""
+    """Continue with the hand's motion and the tip's reference; the surface is learnt from nothing."""
     return _begun(params, resumed(params.mass, hand, tip_reference_m))
 
 
@@ -176,7 +176,7 @@ def master_resume(params: ModelMediatedParams, hand: HandSample, tip_reference_m
 def master_send(
     params: ModelMediatedParams, state: MasterState, hand: HandSample, dt: float
 ) -> tuple[MasterState, PortSignal]:
-    """Say the slave's reference and the hand's force, which the slave does not exceed."""
+    """Return the slave's reference and the hand's force, which the slave does not exceed."""
     p, mass = params.mass, state.mass
     velocity = p.position_scale * mass.velocity_m_per_s
     force = hand.force_n / p.force_scale
@@ -186,7 +186,7 @@ def master_send(
 
 @compiled
 def learnt(params: ModelMediatedParams, fit: Fit, signal: PortSignal) -> Fit:
-    """Take a sample of the tip into the fit; outside of contact it can only say that the surface is further away."""
+    """Update the fit by a sample of the tip; outside of contact it can only move the surface further away."""
     position, force = signal.position_m / NANO, signal.force_n / NANO
     if signal.in_contact:
         return fitted(params.fit, fit, position, force) if fit.known else met(params.fit, position, force)
@@ -198,7 +198,7 @@ def learnt(params: ModelMediatedParams, fit: Fit, signal: PortSignal) -> Fit:
 
 @compiled
 def between(start: Surface, end: Surface, share: float) -> Surface:
-    """Give the surface a share of the way from one to another."""
+    """Return the surface that lies the given share of the way from `start` to `end`."""
     return Surface(
         start.contact_nm + share * (end.contact_nm - start.contact_nm),
         start.kappa + share * (end.kappa - start.kappa),
@@ -210,7 +210,7 @@ def between(start: Surface, end: Surface, share: float) -> Surface:
 def updated(
     params: ModelMediatedParams, model: Surface, goal: Surface, reference_m: float, store_j: float
 ) -> tuple[Surface, float]:
-    """Move the model towards the goal as far as force and energy at the hand allow; give it with the energy used [J].
+    """Move the model towards the goal as far as force and energy at the hand allow; return it with the energy used [J].
 
     The share is halved until both limits hold, so the rule is exact whatever the surface's shape; if it gets too small
     the model stays.
@@ -272,7 +272,7 @@ def master_receive(
 
 @compiled
 def slave_start(params: ModelMediatedParams, tip: TipSample) -> SlaveState:
-    """Begin where the base is."""
+    """Start at the position of the base."""
     return SlaveState(tip.position_m)
 
 
@@ -280,7 +280,7 @@ def slave_start(params: ModelMediatedParams, tip: TipSample) -> SlaveState:
 def slave_receive(
     params: ModelMediatedParams, state: SlaveState, signal: PortSignal, tip: TipSample, dt: float
 ) -> tuple[SlaveState, SlaveReference]:
-    """Go after the reference, towards the sample no faster than the force guard allows.
+    """Follow the reference, towards the sample no faster than the force guard allows.
 
     While the tip does not follow, the reference is the master's; while the master does not, the base stays.
     """
@@ -302,21 +302,21 @@ def slave_receive(
 def slave_send(
     params: ModelMediatedParams, state: SlaveState, tip: TipSample, dt: float
 ) -> tuple[SlaveState, PortSignal]:
-    """Send what the tip is at: the sample that the model is fitted to."""
+    """Send the measured state of the tip: the sample that the model is fitted to."""
     return state, measured(tip)
 
 
 @compiled
 def retune(old: ModelMediatedParams, new: ModelMediatedParams, state: MasterState) -> MasterState:
-    """Keep the tip's reference where it is when alpha_p changes."""
+    """Keep the tip's reference constant when alpha_p changes."""
     mass = rescaled(old.mass, new.mass, state.mass)
     store = min(state.store_j, new.cap_j)
     return MasterState(mass, state.fit, state.model, state.rendered, store, state.injected_j, state.dissipated_j)
 
 
 @compiled
-def master_books(params: ModelMediatedParams, state: MasterState) -> EnergyAccount:
-    """Give the energy kept for updates, and what the damper took less what updates have used."""
+def master_energy_account(params: ModelMediatedParams, state: MasterState) -> EnergyAccount:
+    """Return the energy kept for updates, and what the damper took less what updates have used."""
     return EnergyAccount(state.store_j, state.dissipated_j - state.injected_j, 0.0)
 
 
@@ -331,5 +331,5 @@ MODEL_MEDIATED = Law(
     slave_receive=slave_receive,
     slave_send=slave_send,
     retune=retune,
-    master_books=master_books,
+    master_energy_account=master_energy_account,
 )

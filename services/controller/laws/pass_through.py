@@ -14,7 +14,7 @@ class SlaveState(NamedTuple):
 
 @compiled
 def measured(tip: TipSample) -> PortSignal:
-    """Give the signal that says what the tip is at."""
+    """Return the signal that carries the measured state of the tip."""
     return PortSignal(
         tip.position_m,
         0.0,
@@ -32,7 +32,7 @@ def measured(tip: TipSample) -> PortSignal:
 
 @compiled
 def slave_start(params: object, tip: TipSample) -> SlaveState:
-    """Begin where the base is."""
+    """Start at the position of the base."""
     return SlaveState(tip.position_m)
 
 
@@ -40,7 +40,7 @@ def slave_start(params: object, tip: TipSample) -> SlaveState:
 def slave_receive(
     params: object, state: SlaveState, signal: PortSignal, tip: TipSample, dt: float
 ) -> tuple[SlaveState, SlaveReference]:
-    """Pass the reference on."""
+    """Pass the reference on to the base."""
     return SlaveState(signal.position_m), SlaveReference(signal.position_m, True)
 
 

@@ -27,9 +27,9 @@ velocity, so there is nothing to cap and no force spike; the strongest it can do
   speed limit: so positions do not drift apart, and the make-up is itself inside the inequality.
 - At the master a cut would also hold an operator who pulls back by himself. Motion that the mass makes without
   the force costs the channel nothing; it is always allowed, and the force counts as zero over it.
-- The slave never presses harder than the hand does, as heard, and a margin: F_c <= max(F_m, 0) + F_0. Without that, a
-  channel that has run out of energy would hold hand and tip where they are, pressed together, after the hand has let
-  go. Giving way is motion at the port like any other: it is counted, and returns the energy of the contact.
+- The slave never presses harder than the hand does, by the last signal, and a margin: F_c <= max(F_m, 0) + F_0.
+  Without that, a channel that has run out of energy would hold hand and tip where they are, pressed together, after the
+  hand has let go. Giving way is motion at the port like any other: it is counted, and returns the contact's energy.
 - A half that is taken up while the tip presses begins with the coupling stretched by that force, F_c = F_s, and keeps
   the stretch as an offset between x_d and x_ref: so the tip is not let off when the law or a hand comes back.
 - E_left is capped (the rest is dissipated): a great store, gathered long ago, would let an instability grow first.
@@ -106,7 +106,7 @@ class PassivityConfig(SteeredConfig):
     energy_cap_j: Positive = Field(default=5e-3, description="Most energy that a side keeps to spend [J]; > 0")
 
     def to_params(self, period_s: float) -> PassivityParams:
-        """Give the constants of the compiled steps for a period [s] of the hand."""
+        """Return the constants of the compiled steps for a period [s] of the hand."""
         guard = self.guard_at_hand_n_per_m()
         rate = (self.coupling_stiffness_n_per_m + guard) / self.coupling_damping_n_s_per_m
         return PassivityParams(
@@ -122,10 +122,10 @@ class PassivityConfig(SteeredConfig):
 
 
 class Account(NamedTuple):
-    """Energy of one port [J]: counted into the channel, heard of the other side, left to spend, dissipated."""
+    """Energy of one port [J]: put into the channel, put in by the other side, left to spend, dissipated."""
 
     in_j: float
-    heard_j: float
+    received_j: float
     left_j: float
     lost_j: float
 
@@ -149,35 +149,35 @@ class SlaveState(NamedTuple):
 
 @compiled
 def credited(account: Account, energy_j: float, cap_j: float) -> Account:
-    """Add what the other side has put in since it was last heard; what goes beyond the cap is dissipated."""
-    news = max(energy_j - account.heard_j, 0.0)
+    """Add what the other side has put in since its last signal; what goes beyond the cap is dissipated."""
+    news = max(energy_j - account.received_j, 0.0)
     left = min(account.left_j + news, cap_j)
     lost = account.lost_j + (account.left_j + news - left)
-    return Account(account.in_j, account.heard_j + news, left, lost)
+    return Account(account.in_j, account.received_j + news, left, lost)
 
 
 @compiled
 def charged(account: Account, work_j: float, lost_j: float) -> Account:
-    """Book the work done on the channel (positive) or by it (negative), and what the controller dissipated."""
+    """Charge the work done on the channel (positive) or by it (negative), and what the controller dissipated."""
     put_in, spent = max(work_j, 0.0), max(-work_j, 0.0)
-    return Account(account.in_j + put_in, account.heard_j, account.left_j - spent, account.lost_j + lost_j)
+    return Account(account.in_j + put_in, account.received_j, account.left_j - spent, account.lost_j + lost_j)
 
 
 @compiled
-def heard_anew(account: Account, energy_j: float) -> Account:
-    """Begin to count at a signal, with what is left to spend."""
+def received_anew(account: Account, energy_j: float) -> Account:
+    """Start counting the other side's energy at a signal; what is left to spend stays."""
     return Account(account.in_j, energy_j, account.left_j, account.lost_j)
 
 
 @compiled
 def master_start(params: PassivityParams, hand: HandSample) -> MasterState:
-    """Put the virtual mass to rest where the hand is."""
+    """Start with the virtual mass at rest at the hand's position."""
     return MasterState(at_rest(hand.position_m), Account(0.0, 0.0, params.start_j, 0.0))
 
 
 @compiled
 def master_resume(params: PassivityParams, hand: HandSample, tip_reference_m: float) -> MasterState:
-    """Go on with the hand's motion and the tip's reference."""
+    """Continue with the hand's motion and the tip's reference."""
     return MasterState(resumed(params.mass, hand, tip_reference_m), Account(0.0, 0.0, params.start_j, 0.0))
 
 
@@ -185,7 +185,7 @@ def master_resume(params: PassivityParams, hand: HandSample, tip_reference_m: fl
 def master_send(
     params: PassivityParams, state: MasterState, hand: HandSample, dt: float
 ) -> tuple[MasterState, PortSignal]:
-    """Say the slave's reference and the energy that has gone into the channel."""
+    """Return the slave's reference and the energy that has gone into the channel."""
     p, mass = params.mass, state.mass
     velocity = p.position_scale * mass.velocity_m_per_s
     force = hand.force_n / p.force_scale
@@ -197,7 +197,7 @@ def master_send(
 
 @compiled
 def paid_motion(motion_m: float, own_m: float, force_n: float, left_j: float) -> tuple[float, float]:
-    """Cut a motion [m] of the hand to what its energy pays for; give it with the work [J] on the channel.
+    """Limit a motion [m] of the hand to the energy left; return it with the work [J] done on the channel.
 
     motion_m: what the mass would do under hand and channel, own_m: without the channel's force F [N]. Into the channel
     (F d >= 0) nothing is cut.
@@ -215,12 +215,12 @@ def paid_motion(motion_m: float, own_m: float, force_n: float, left_j: float) ->
 def master_receive(
     params: PassivityParams, state: MasterState, hand: HandSample, signal: PortSignal, dt: float
 ) -> tuple[MasterState, MasterReference]:
-    """Move the virtual mass over dt [s] under the force heard last, within the energy that the channel has."""
+    """Move the virtual mass over dt [s] under the force received last, within the energy that the channel has."""
     p = params.mass
     force = p.force_scale * signal.force_n
     coupled = is_coupled(p, signal)
     if not (coupled and hand.following):
-        account = heard_anew(state.account, signal.energy_j)
+        account = received_anew(state.account, signal.energy_j)
         state = MasterState(let_go(p, state.mass, hand), account)
         return state, MasterReference(hand.position_m, 0.0, force if coupled else 0.0, coupled)
     mass, account = state.mass, credited(state.account, signal.energy_j, params.cap_j)
@@ -240,14 +240,14 @@ def master_receive(
 
 @compiled
 def slave_start(params: PassivityParams, tip: TipSample) -> SlaveState:
-    """Begin where the base is."""
+    """Start at the position of the base."""
     stretch = params.mass.force_scale * tip.force_n / params.coupling_n_per_m
     return SlaveState(tip.position_m, stretch, stretch, Account(0.0, 0.0, params.start_j, 0.0), False)
 
 
 @compiled
 def paid_stretch(stretch_m: float, motion_m: float, stiffness_n_per_m: float, left_j: float) -> tuple[float, float]:
-    """Cut a motion [m] of the coupling's end to what its energy pays for; give it with the work [J] on the channel.
+    """Limit a motion [m] of the coupling's end to the energy left; return it with the work [J] done on the channel.
 
     The channel gives out F d + K d^2 / 2 with F = K stretch, exactly.
     """
@@ -263,7 +263,7 @@ def paid_stretch(stretch_m: float, motion_m: float, stiffness_n_per_m: float, le
 def slave_receive(
     params: PassivityParams, state: SlaveState, signal: PortSignal, tip: TipSample, dt: float
 ) -> tuple[SlaveState, SlaveReference]:
-    """Draw the base after the reference, within the energy that the channel has.
+    """Make the base follow the reference, within the energy that the channel has.
 
     While the tip does not follow, the reference is the master's; while the master does not, the base stays.
     """
@@ -271,7 +271,7 @@ def slave_receive(
     coupled = is_coupled(p, signal) and tip.following
     if not coupled:
         base = state.position_m if tip.following else signal.position_m
-        account = heard_anew(state.account, signal.energy_j)
+        account = received_anew(state.account, signal.energy_j)
         stretch = p.force_scale * tip.force_n / k if tip.following else 0.0
         return SlaveState(base, stretch, stretch, account, False), SlaveReference(base, True)
     account = credited(state.account, signal.energy_j, params.cap_j)
@@ -313,21 +313,21 @@ def slave_send(params: PassivityParams, state: SlaveState, tip: TipSample, dt: f
 
 @compiled
 def retune(old: PassivityParams, new: PassivityParams, state: MasterState) -> MasterState:
-    """Keep the tip's reference where it is when alpha_p changes; the energy left stays below the new cap."""
+    """Keep the tip's reference constant when alpha_p changes; the energy left stays below the new cap."""
     a = state.account
-    account = Account(a.in_j, a.heard_j, min(a.left_j, new.cap_j), a.lost_j)
+    account = Account(a.in_j, a.received_j, min(a.left_j, new.cap_j), a.lost_j)
     return MasterState(rescaled(old.mass, new.mass, state.mass), account)
 
 
 @compiled
-def master_books(params: PassivityParams, state: MasterState) -> EnergyAccount:
-    """Give what this port may still give out, what its controller dissipated, and what both ports began with."""
+def master_energy_account(params: PassivityParams, state: MasterState) -> EnergyAccount:
+    """Return what this port may still give out, what its controller dissipated, and what both ports began with."""
     return EnergyAccount(state.account.left_j, state.account.lost_j, 2.0 * params.start_j)
 
 
 @compiled
-def slave_books(params: PassivityParams, state: SlaveState) -> EnergyAccount:
-    """Give what this port may still give out, what its controller dissipated, and what both ports began with."""
+def slave_energy_account(params: PassivityParams, state: SlaveState) -> EnergyAccount:
+    """Return what this port may still give out, what its controller dissipated, and what both ports began with."""
     return EnergyAccount(state.account.left_j, state.account.lost_j, 2.0 * params.start_j)
 
 
@@ -342,7 +342,7 @@ PASSIVITY = Law(
     slave_receive=slave_receive,
     slave_send=slave_send,
     retune=retune,
-    master_books=master_books,
-    slave_books=slave_books,
+    master_energy_account=master_energy_account,
+    slave_energy_account=slave_energy_account,
     uses_energy=True,
 )

@@ -41,25 +41,25 @@ class PositionForceConfig(MassConfig):
     """Section `controller.position_force`."""
 
     def to_params(self, period_s: float) -> PositionForceParams:
-        """Give the constants of the compiled steps for a period [s] of the hand."""
+        """Return the constants of the compiled steps for a period [s] of the hand."""
         return PositionForceParams(self.mass_params(period_s))
 
 
 @compiled
 def master_start(params: PositionForceParams, hand: HandSample) -> Mass:
-    """Put the virtual mass to rest where the hand is."""
+    """Start with the virtual mass at rest at the hand's position."""
     return at_rest(hand.position_m)
 
 
 @compiled
 def master_resume(params: PositionForceParams, hand: HandSample, tip_reference_m: float) -> Mass:
-    """Go on with the hand's motion and the tip's reference."""
+    """Continue with the hand's motion and the tip's reference."""
     return resumed(params.mass, hand, tip_reference_m)
 
 
 @compiled
 def master_send(params: PositionForceParams, state: Mass, hand: HandSample, dt: float) -> tuple[Mass, PortSignal]:
-    """Say the slave's reference, and the hand's force for the record."""
+    """Return the slave's reference, and the hand's force for the record."""
     p = params.mass
     position, velocity = tip_reference(p, state), p.position_scale * state.velocity_m_per_s
     force = hand.force_n / p.force_scale
@@ -71,7 +71,7 @@ def master_send(params: PositionForceParams, state: Mass, hand: HandSample, dt: 
 def master_receive(
     params: PositionForceParams, state: Mass, hand: HandSample, signal: PortSignal, dt: float
 ) -> tuple[Mass, MasterReference]:
-    """Move the virtual mass over dt [s] against the force that was heard last."""
+    """Move the virtual mass over dt [s] against the force received last."""
     p = params.mass
     force = p.force_scale * signal.force_n
     coupled = is_coupled(p, signal)
@@ -84,7 +84,7 @@ def master_receive(
 
 @compiled
 def retune(old: PositionForceParams, new: PositionForceParams, state: Mass) -> Mass:
-    """Keep the tip's reference where it is when alpha_p changes."""
+    """Keep the tip's reference constant when alpha_p changes."""
     return rescaled(old.mass, new.mass, state)
 
 

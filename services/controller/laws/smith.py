@@ -70,7 +70,7 @@ class SmithConfig(ImpedanceConfig):
     )
 
     def to_params(self, period_s: float) -> SmithParams:
-        """Give the constants of the compiled steps for a period [s] of the hand."""
+        """Return the constants of the compiled steps for a period [s] of the hand."""
         return SmithParams(
             impedance=self.impedance_params(period_s),
             stiffness_n_per_m=min(self.environment_stiffness_n_per_m, self.environment_stiffness_max_n_per_m),
@@ -112,19 +112,19 @@ def _fresh(params: SmithParams, state: impedance.MasterState) -> MasterState:
 
 @compiled
 def master_start(params: SmithParams, hand: HandSample) -> MasterState:
-    """Put the virtual mass to rest where the hand is, as if it had always been there."""
+    """Start with the virtual mass at rest at the hand's position, as if it had always been there."""
     return _fresh(params, impedance.master_start(params.impedance, hand))
 
 
 @compiled
 def master_resume(params: SmithParams, hand: HandSample, tip_reference_m: float) -> MasterState:
-    """Go on with the hand's motion and the tip's reference."""
+    """Continue with the hand's motion and the tip's reference."""
     return _fresh(params, impedance.master_resume(params.impedance, hand, tip_reference_m))
 
 
 @compiled
 def master_send(params: SmithParams, state: MasterState, hand: HandSample, dt: float) -> tuple[MasterState, PortSignal]:
-    """Say the slave's reference and remember it for every period in dt [s]."""
+    """Return the slave's reference and store it for every period in dt [s]."""
     inner, signal = impedance.master_send(params.impedance, state.impedance, hand, dt)
     sent, newest = state.sent_m.copy(), state.newest
     for _ in range(periods_in(dt, params.impedance.period_s)):
@@ -135,14 +135,14 @@ def master_send(params: SmithParams, state: MasterState, hand: HandSample, dt: f
 
 @compiled
 def reference_then(state: MasterState, age_s: float, period_s: float) -> float:
-    """Give the reference [m] that was sent age_s [s] ago."""
+    """Return the reference [m] that was sent age_s [s] ago."""
     periods = min(round(age_s / period_s), HISTORY - 1)
     return float(state.sent_m[(state.newest - periods) % HISTORY])
 
 
 @compiled
 def estimated(params: SmithParams, estimate: Estimate, reference_m: float, signal: PortSignal) -> Estimate:
-    """Take one pair of reference and force into the estimate of K_e; contact starts a new memory."""
+    """Update the estimate of K_e by one pair of reference and force; a new contact starts a new memory."""
     if not signal.in_contact:
         return Estimate(0.0, 0.0, 0.0, 0.0, estimate.stiffness_n_per_m, False)
     if not estimate.in_contact:
@@ -192,7 +192,7 @@ def master_receive(
 
 @compiled
 def retune(old: SmithParams, new: SmithParams, state: MasterState) -> MasterState:
-    """Keep the tip's reference where it is when alpha_p changes."""
+    """Keep the tip's reference constant when alpha_p changes."""
     inner = impedance.retune(old.impedance, new.impedance, state.impedance)
     return MasterState(inner, state.sent_m, state.newest, state.estimate, state.in_use_n_per_m)
 

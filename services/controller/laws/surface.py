@@ -33,8 +33,8 @@ NANO = 1e-9
 KAPPA_UNIT = 10.0**-4.5
 BINS = 32
 _ITERATIONS = 30
-# weight that a bin keeps when the tip goes to another one, and below which it has no say in where the contact ends
-_KEEP, _HEARD = 0.98, 0.3
+# weight that a bin keeps when the tip goes to another one, and below which it does not bound the end of the contact
+_KEEP, _LEAST_BOUNDING = 0.98, 0.3
 _FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-2, 1e-6, 1e6
 
 
@@ -87,7 +87,7 @@ def root_of(y_nm: float, ratio: float) -> float:
 
 @compiled
 def force_nn(surface: Surface, cantilever: float, range_nm: float, position_nm: float) -> float:
-    """Give F [nN] at a base position [nm]."""
+    """Return F [nN] at a base position [nm]."""
     y = position_nm - surface.contact_nm
     if y <= -range_nm:
         return 0.0
@@ -99,7 +99,7 @@ def force_nn(surface: Surface, cantilever: float, range_nm: float, position_nm: 
 
 @compiled
 def potential(surface: Surface, cantilever: float, range_nm: float, position_nm: float) -> float:
-    """Give V = int F dx from far away [nN nm = 1e-18 J] at a base position [nm]."""
+    """Return V = int F dx from far away [nN nm = 1e-18 J] at a base position [nm]."""
     y = position_nm - surface.contact_nm
     if y <= -range_nm:
         return 0.0
@@ -112,7 +112,7 @@ def potential(surface: Surface, cantilever: float, range_nm: float, position_nm:
 
 @compiled
 def gradient(surface: Surface, cantilever: float, y_nm: float) -> tuple[float, float, float]:
-    """Give dF/dx_c, dF/dkappa, dF/dF_a in contact, at y [nm] >= 0."""
+    """Return dF/dx_c, dF/dkappa, dF/dF_a in contact, at y [nm] >= 0."""
     r = root_of(y_nm, surface.kappa / cantilever)
     yielding = 1.0 + 1.5 * surface.kappa * r / cantilever
     return -1.5 * surface.kappa * r / yielding, r * r * r / yielding, -1.0
@@ -120,14 +120,14 @@ def gradient(surface: Surface, cantilever: float, y_nm: float) -> tuple[float, f
 
 @compiled
 def unknown(params: FitParams) -> Fit:
-    """Give the fit before anything was met."""
+    """Return the fit before any contact."""
     none = np.zeros(BINS)
     return Fit(Surface(0.0, params.kappa, 0.0), none, none.copy(), none.copy(), -1, _FIRST_DAMPING, False)
 
 
 @compiled
 def met(params: FitParams, position_nm: float, force: float) -> Fit:
-    """Begin a fit at the first sample in contact: the contact ends here, or where this force is lost."""
+    """Start a fit at the first sample in contact: the contact ends here, or where this force is lost."""
     adhesion = max(-force, 0.0)
     r = (max(force, 0.0) / params.kappa) ** (1.0 / 3.0)
     y = r * r * (1.0 + params.kappa * r / params.cantilever)
@@ -146,7 +146,7 @@ def met(params: FitParams, position_nm: float, force: float) -> Fit:
 
 @compiled
 def remembered(params: FitParams, fit: Fit, position_nm: float, force: float) -> Fit:
-    """Put a sample in its bin; others lose weight when the tip goes to another bin, and not while it stands."""
+    """Store a sample in its bin; the others lose weight when the tip goes to another bin, and not while it stands."""
     index = math.floor(position_nm / params.bin_nm) % BINS
     positions, forces, weights = fit.positions_nm.copy(), fit.forces_nn.copy(), fit.weights.copy()
     if index != fit.bin:
@@ -157,7 +157,7 @@ def remembered(params: FitParams, fit: Fit, position_nm: float, force: float) ->
 
 @compiled
 def misfit(params: FitParams, fit: Fit, surface: Surface) -> float:
-    """Give the weighted sum of squares [nN^2] of what a surface misses the samples by."""
+    """Return the weighted sum of squared residuals [nN^2] of the samples against a surface."""
     total = 0.0
     for index in range(BINS):
         if fit.weights[index] > 0.0:
@@ -188,7 +188,7 @@ def _damped(diagonal: float, damping: float) -> float:
 
 @compiled
 def fitted(params: FitParams, fit: Fit, position_nm: float, force: float) -> Fit:
-    """Take one sample in contact into the fit, with one step of Levenberg and Marquardt over the bins.
+    """Update the fit by one sample in contact, with one step of Levenberg and Marquardt over the bins.
 
     A step that would fit worse is not taken and the next one is more careful, so the misfit of what is remembered never
     rises by a step. A contact that still holds at a position ends further out: x_c stays below it, but no further than
@@ -204,8 +204,8 @@ def fitted(params: FitParams, fit: Fit, position_nm: float, force: float) -> Fit
         weight = fit.weights[index]
         if weight > 0.0:
             at = fit.positions_nm[index]
-            # what was seen before the surface moved has lost its say in where the contact ends
-            if weight > _HEARD:
+            # samples from before the surface moved have lost the weight to bound the end of the contact
+            if weight > _LEAST_BOUNDING:
                 lowest = min(lowest, at)
             by_c, by_k, by_a = gradient(surface, params.cantilever, at - surface.contact_nm)
             error = weight * _error(params, surface, at, fit.forces_nn[index])

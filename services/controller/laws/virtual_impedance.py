@@ -38,7 +38,7 @@ class ImpedanceConfig(ScaledConfig):
     force_gain: NotNegative = Field(default=20.0, description="Gain of the force error K_f")
 
     def impedance_params(self, period_s: float) -> VirtualImpedanceParams:
-        """Give the constants of the impedance for a period [s] of the hand."""
+        """Return the constants of the impedance for a period [s] of the hand."""
         return VirtualImpedanceParams(
             force_gain=self.force_gain,
             position_scale=self.position_scale,
@@ -53,7 +53,7 @@ class VirtualImpedanceConfig(ImpedanceConfig):
     """Section `controller.virtual_impedance`."""
 
     def to_params(self, period_s: float) -> VirtualImpedanceParams:
-        """Give the constants of the compiled steps for a period [s] of the hand."""
+        """Return the constants of the compiled steps for a period [s] of the hand."""
         return self.impedance_params(period_s)
 
 
@@ -67,13 +67,13 @@ class MasterState(NamedTuple):
 
 @compiled
 def master_start(params: VirtualImpedanceParams, hand: HandSample) -> MasterState:
-    """Put the virtual mass to rest where the hand is."""
+    """Start with the virtual mass at rest at the hand's position."""
     return MasterState(hand.position_m, 0.0, 0.0)
 
 
 @compiled
 def master_resume(params: VirtualImpedanceParams, hand: HandSample, tip_reference_m: float) -> MasterState:
-    """Go on with the hand's motion; the offset keeps the tip's reference where it is."""
+    """Continue with the hand's motion; the offset keeps the tip's reference where it is."""
     offset = tip_reference_m - params.position_scale * hand.position_m
     return MasterState(hand.position_m, hand.velocity_m_per_s, offset)
 
@@ -82,7 +82,7 @@ def master_resume(params: VirtualImpedanceParams, hand: HandSample, tip_referenc
 def master_send(
     params: VirtualImpedanceParams, state: MasterState, hand: HandSample, dt: float
 ) -> tuple[MasterState, PortSignal]:
-    """Say the slave's reference: x_sr = alpha_p x (Eq. 15)."""
+    """Return the slave's reference: x_sr = alpha_p x (Eq. 15)."""
     position = params.position_scale * state.position_m + state.tip_offset_m
     velocity = params.position_scale * state.velocity_m_per_s
     force = hand.force_n / params.force_scale
@@ -116,13 +116,13 @@ def master_receive(
 
 @compiled
 def _offset_that_keeps(params: VirtualImpedanceParams, state: MasterState, position_m: float) -> float:
-    """Give the offset with which the tip's reference stays put while the virtual mass is moved to the hand."""
+    """Return the offset with which the tip's reference stays constant while the virtual mass is moved to the hand."""
     return state.tip_offset_m + params.position_scale * (state.position_m - position_m)
 
 
 @compiled
 def retune(old: VirtualImpedanceParams, new: VirtualImpedanceParams, state: MasterState) -> MasterState:
-    """Keep the tip's reference where it is when alpha_p changes; position and velocity of the hand go on."""
+    """Keep the tip's reference constant when alpha_p changes; position and velocity of the hand go on."""
     offset = state.tip_offset_m + (old.position_scale - new.position_scale) * state.position_m
     return MasterState(state.position_m, state.velocity_m_per_s, offset)
 

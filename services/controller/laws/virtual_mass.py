@@ -4,9 +4,10 @@ The device is a non-backdrivable screw, so each law ends in a position reference
 
     M_v x'' + B_v x' = F_m - F_e,
 
-where F_m is the operator's force and F_e what the law says that the environment does, at the hand's scale: F = alpha_f
-F_s, x = x_s / alpha_p. The product F v at the hand's scale is then the same on both sides, and it is that product whose
-passivity the laws are about. The discretisation is exact for forces held over a period, so F dx is the exact energy.
+where F_m is the operator's force and F_e the force that the law ascribes to the environment, at the hand's scale:
+F = alpha_f F_s, x = x_s / alpha_p. The product F v at the hand's scale is then the same on both sides, and it is that
+product whose passivity the laws are about. The discretisation is exact for forces held over a period, so F dx is the
+exact energy.
 """
 
 from typing import Annotated, NamedTuple
@@ -64,7 +65,7 @@ class MassConfig(ScaledConfig):
     damping_n_s_per_m: Positive = Field(default=100.0, description="Virtual damping B_v [N s/m]; > 0")
 
     def mass_params(self, period_s: float, line_n_s_per_m: float = 0.0) -> MassParams:
-        """Give the constants for a period [s]; line_n_s_per_m: a damper [N s/m] of the law that acts on the mass."""
+        """Return the constants for a period [s]; line_n_s_per_m: a damper [N s/m] of the law that acts on the mass."""
         damping = self.damping_n_s_per_m + line_n_s_per_m
         step = exact_discretisation(self.mass_kg, damping, 0.0, period_s)
         return MassParams(
@@ -88,45 +89,45 @@ class SteeredConfig(MassConfig):
     )
 
     def guard_at_hand_n_per_m(self) -> float:
-        """Give that stiffness at the hand's scale [N/m]."""
+        """Return the guard stiffness at the hand's scale [N/m]."""
         return self.guard_stiffness_n_per_m * self.force_scale * self.position_scale
 
 
 @compiled
 def periods_in(dt: float, period_s: float) -> int:
-    """Give the whole periods in dt [s], at least one."""
+    """Return the whole periods in dt [s], at least one."""
     return max(1, round(dt / period_s))
 
 
 @compiled
 def at_rest(position_m: float) -> Mass:
-    """Give the mass at rest, not coupled, with tip and hand on the line through zero."""
+    """Return the mass at rest, not coupled, with tip and hand on the line through zero."""
     return Mass(position_m, 0.0, 0.0, False)
 
 
 @compiled
 def resumed(params: MassParams, hand: HandSample, tip_reference_m: float) -> Mass:
-    """Give the mass in the hand's motion, with the offset that makes tip_reference_m [m] the tip's reference."""
+    """Return the mass in the hand's motion, with the offset that makes tip_reference_m [m] the tip's reference."""
     offset = tip_reference_m - params.position_scale * hand.position_m
     return Mass(hand.position_m, hand.velocity_m_per_s, offset, False)
 
 
 @compiled
 def rescaled(old: MassParams, new: MassParams, mass: Mass) -> Mass:
-    """Keep the tip's reference where it is when alpha_p changes."""
+    """Keep the tip's reference constant when alpha_p changes."""
     offset = mass.tip_offset_m + (old.position_scale - new.position_scale) * mass.position_m
     return Mass(mass.position_m, mass.velocity_m_per_s, offset, mass.coupled)
 
 
 @compiled
 def tip_reference(params: MassParams, mass: Mass) -> float:
-    """Give x_ref = alpha_p x + offset [m]."""
+    """Return x_ref = alpha_p x + offset [m]."""
     return params.position_scale * mass.position_m + mass.tip_offset_m
 
 
 @compiled
 def is_coupled(params: MassParams, signal: PortSignal) -> bool:
-    """Say whether the tip follows and was heard lately enough."""
+    """Return whether the tip follows and its last signal is recent enough."""
     return signal.active and signal.silence_s <= params.silence_limit_s
 
 
@@ -147,5 +148,5 @@ def moved(params: MassParams, mass: Mass, force_n: float) -> Mass:
 
 @compiled
 def placed(mass: Mass, position_m: float, velocity_m_per_s: float) -> Mass:
-    """Put the mass elsewhere, coupled as it is."""
+    """Set position and velocity of the mass; offset and coupling stay."""
     return Mass(position_m, velocity_m_per_s, mass.tip_offset_m, mass.coupled)

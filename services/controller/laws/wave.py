@@ -19,7 +19,7 @@ of F_0 (its work at the two ports) is what the line is granted; it is zero where
 What crosses the link are counters, not samples: X = sqrt(2/b) int u dt = x + int F dt / b as `position_m`, and
 E = int u^2/2 dt as `energy_j` (and w likewise). The receiver rebuilds its wave from what is still due,
 
-    |u| = min( U / tau_f, 2 D / U ),   U = sqrt(b/2) |X heard - X taken|,   D = E heard - E taken.
+    |u| = min( U / tau_f, 2 D / U ),   U = sqrt(b/2) |X received - X taken|,   D = E received - E taken.
 
 The first is at once the wave filter, a first-order low-pass of time constant tau_f, and the cure for drift: every metre
 that was sent arrives. The second spreads what is due so that way and energy run out together; then u^2/2 Ts <= D
@@ -94,7 +94,7 @@ class WaveConfig(SteeredConfig):
     )
 
     def to_params(self, period_s: float) -> WaveParams:
-        """Give the constants of the compiled steps for a period [s] of the hand."""
+        """Return the constants of the compiled steps for a period [s] of the hand."""
         b = self.impedance_n_s_per_m
         share = 1.0 if self.filter_s == 0.0 else approach(period_s / self.filter_s)
         fade = decay(period_s / self.fade_s)
@@ -102,11 +102,11 @@ class WaveConfig(SteeredConfig):
 
 
 class Inbox(NamedTuple):
-    """Counters of the incoming wave, at the hand's scale: heard and taken, sqrt(2/b) int u dt [m] and energy [J]."""
+    """Counters of the incoming wave, at the hand's scale: received and taken, sqrt(2/b) int u dt [m] and energy [J]."""
 
-    heard_m: float
+    received_m: float
     taken_m: float
-    heard_j: float
+    received_j: float
     taken_j: float
 
 
@@ -144,47 +144,47 @@ class SlaveState(NamedTuple):
 
 
 @compiled
-def heard(inbox: Inbox, position_m: float, energy_j: float) -> Inbox:
-    """Take the counters of a signal; one whose energy lies below what was heard is an old one and says nothing."""
-    if energy_j < inbox.heard_j:
+def received(inbox: Inbox, position_m: float, energy_j: float) -> Inbox:
+    """Update the counters by a signal; one with less energy than was received already is an old one: ignore it."""
+    if energy_j < inbox.received_j:
         return inbox
     return Inbox(position_m, inbox.taken_m, energy_j, inbox.taken_j)
 
 
 @compiled
 def drawn(inbox: Inbox, share: float, impedance_n_s_per_m: float, period_s: float) -> tuple[Inbox, float]:
-    """Give the wave [sqrt(W)] of the next period [s]: a share of what is due, within the energy that has arrived."""
+    """Return the wave [sqrt(W)] of the next period [s]: a share of what is due, within the energy that has arrived."""
     root = math.sqrt(0.5 * impedance_n_s_per_m)
-    due = root * (inbox.heard_m - inbox.taken_m)
+    due = root * (inbox.received_m - inbox.taken_m)
     if due == 0.0:
         return inbox, 0.0
-    size = min(share * abs(due) / period_s, 2.0 * max(inbox.heard_j - inbox.taken_j, 0.0) / abs(due))
+    size = min(share * abs(due) / period_s, 2.0 * max(inbox.received_j - inbox.taken_j, 0.0) / abs(due))
     wave = math.copysign(size, due)
-    taken_j = min(inbox.taken_j + 0.5 * wave * wave * period_s, inbox.heard_j)
-    return Inbox(inbox.heard_m, inbox.taken_m + wave * period_s / root, inbox.heard_j, taken_j), wave
+    taken_j = min(inbox.taken_j + 0.5 * wave * wave * period_s, inbox.received_j)
+    return Inbox(inbox.received_m, inbox.taken_m + wave * period_s / root, inbox.received_j, taken_j), wave
 
 
 @compiled
 def emptied(position_m: float, energy_j: float) -> Inbox:
-    """Begin to count at a signal: what it stands for has been taken."""
+    """Start counting at a signal: what it stands for counts as taken."""
     return Inbox(position_m, position_m, energy_j, energy_j)
 
 
 @compiled
 def master_start(params: WaveParams, hand: HandSample) -> MasterState:
-    """Put the virtual mass to rest where the hand is."""
+    """Start with the virtual mass at rest at the hand's position."""
     return MasterState(at_rest(hand.position_m), emptied(0.0, 0.0), 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @compiled
 def master_resume(params: WaveParams, hand: HandSample, tip_reference_m: float) -> MasterState:
-    """Go on with the hand's motion and the tip's reference."""
+    """Continue with the hand's motion and the tip's reference."""
     return MasterState(resumed(params.mass, hand, tip_reference_m), emptied(0.0, 0.0), 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @compiled
 def master_send(params: WaveParams, state: MasterState, hand: HandSample, dt: float) -> tuple[MasterState, PortSignal]:
-    """Say how much wave and wave energy has left so far; while let go, that is the tip's reference."""
+    """Return the counters of wave and wave energy sent; while the hand is let go, that is the tip's reference."""
     p, mass = params.mass, state.mass
     position = tip_reference(p, mass) + p.position_scale * state.impulse_m
     velocity = p.position_scale * mass.velocity_m_per_s
@@ -209,7 +209,7 @@ def master_receive(
         return state, MasterReference(hand.position_m, 0.0, 0.0, coupled)
     # what was sent before the tip was felt is no wave: start to count here
     inbox = state.inbox if state.mass.coupled else emptied(position, signal.energy_j)
-    inbox = heard(inbox, position, signal.energy_j)
+    inbox = received(inbox, position, signal.energy_j)
     bias = state.bias_n if state.mass.coupled else p.force_scale * signal.force_n
     mass, impulse, sent, force, out = state.mass, state.impulse_m, state.sent_j, 0.0, 0.0
     granted = state.granted_j
@@ -233,7 +233,7 @@ def master_receive(
 
 @compiled
 def slave_start(params: WaveParams, tip: TipSample) -> SlaveState:
-    """Begin where the base is."""
+    """Start at the position of the base."""
     force = params.mass.force_scale * tip.force_n
     return SlaveState(
         tip.position_m, emptied(0.0, 0.0), 0.0, 0.0, 0.0, 0.0, 0.0, tip.position_m, force, 0.0, 0.0, False
@@ -259,7 +259,7 @@ def slave_receive(
         return state, SlaveReference(base, True)
     # a reference of the master's own that came before is no wave: start to count here
     inbox = state.inbox if state.coupled else emptied(position, signal.energy_j)
-    inbox = heard(inbox, position, signal.energy_j)
+    inbox = received(inbox, position, signal.energy_j)
     anchor = state.anchor_m if state.coupled else state.position_m
     last_n = state.last_n if state.coupled else p.force_scale * tip.force_n
     bias = state.bias_n if state.coupled else last_n
@@ -289,7 +289,7 @@ def slave_receive(
 
 @compiled
 def slave_send(params: WaveParams, state: SlaveState, tip: TipSample, dt: float) -> tuple[SlaveState, PortSignal]:
-    """Account for the work on the environment and send back what wave it leaves."""
+    """Account for the work on the environment and send the remaining wave back."""
     p, b = params.mass, params.impedance_n_s_per_m
     force = p.force_scale * tip.force_n
     sent_m, sent_j, reserve, wave = state.sent_m, state.sent_j, state.reserve_j, 0.0
@@ -339,7 +339,7 @@ def slave_send(params: WaveParams, state: SlaveState, tip: TipSample, dt: float)
 
 @compiled
 def retune(old: WaveParams, new: WaveParams, state: MasterState) -> MasterState:
-    """Keep the tip's reference where it is when alpha_p changes, and force and energy of the line when b does."""
+    """Keep the tip's reference constant when alpha_p changes, and force and energy of the line when b does."""
     ratio = old.impedance_n_s_per_m / new.impedance_n_s_per_m
     mass = rescaled(old.mass, new.mass, state.mass)
     return MasterState(
@@ -354,15 +354,15 @@ def retune(old: WaveParams, new: WaveParams, state: MasterState) -> MasterState:
 
 
 @compiled
-def master_books(params: WaveParams, state: MasterState) -> EnergyAccount:
-    """Give the wave energy that has arrived and is not yet taken, and the most that F_0 may have put in."""
-    return EnergyAccount(state.inbox.heard_j - state.inbox.taken_j, 0.0, 2.0 * state.granted_j)
+def master_energy_account(params: WaveParams, state: MasterState) -> EnergyAccount:
+    """Return the wave energy that has arrived and is not yet taken, and the most that F_0 may have put in."""
+    return EnergyAccount(state.inbox.received_j - state.inbox.taken_j, 0.0, 2.0 * state.granted_j)
 
 
 @compiled
-def slave_books(params: WaveParams, state: SlaveState) -> EnergyAccount:
-    """Give the energy that has arrived and was neither given to the environment nor sent back."""
-    return EnergyAccount(state.inbox.heard_j - state.inbox.taken_j + state.reserve_j, 0.0, state.granted_j)
+def slave_energy_account(params: WaveParams, state: SlaveState) -> EnergyAccount:
+    """Return the energy that has arrived and was neither given to the environment nor sent back."""
+    return EnergyAccount(state.inbox.received_j - state.inbox.taken_j + state.reserve_j, 0.0, state.granted_j)
 
 
 WAVE = Law(
@@ -376,8 +376,8 @@ WAVE = Law(
     slave_receive=slave_receive,
     slave_send=slave_send,
     retune=retune,
-    master_books=master_books,
-    slave_books=slave_books,
+    master_energy_account=master_energy_account,
+    slave_energy_account=slave_energy_account,
     uses_waves=True,
     uses_energy=True,
 )

@@ -1,1 +1,1 @@
-"""What the link may do to a message: one model each."""
+"""The impairment models of the link, one for each effect on a message."""

@@ -13,7 +13,7 @@ class Corruptor:
         self._bits = bits
         self._draw = draw
 
-    def damaged(self, payload: bytes) -> bytes:
+    def corrupt(self, payload: bytes) -> bytes:
         """Return the payload with so many different bits flipped, all of them if it has fewer."""
         available = 8 * len(payload)
         places: set[int] = set()
@@ -40,7 +40,7 @@ class Overtaking:
         self._since = 0
 
     def __call__(self) -> bool:
-        """Tell whether the next message is chosen."""
+        """Return whether the next message is chosen."""
         happens = self._happens()
         self._since += 1
         if self._since < self._gap or not happens:

@@ -22,7 +22,7 @@ class MarkovLossChain:
         self.state = _RECEIVED
 
     def __call__(self) -> bool:
-        """Step to the next message and tell whether it is lost."""
+        """Step to the next message and return whether it is lost."""
         s, u = self._settings, self._draw()
         if self.state == _RECEIVED:
             self.state = _LOST_ALONE if u < s.p14 else _LOST_IN_BURST if u < s.p14 + s.p13 else _RECEIVED

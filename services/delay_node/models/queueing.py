@@ -27,7 +27,7 @@ class Server(Protocol):
         """Send the next message; return when its last byte is sent."""
 
     def wait_until(self, free_ns: int) -> None:
-        """Be busy until then at least: what an earlier server still sends comes first."""
+        """Start no transmission before free_ns [ns]: what an earlier server still sends comes first."""
 
 
 class RateServer:
@@ -51,7 +51,7 @@ class RateServer:
         return self._free_ns
 
     def wait_until(self, free_ns: int) -> None:
-        """Start nothing before."""
+        """Start no transmission before free_ns [ns]."""
         self._free_ns = max(self._free_ns, free_ns)
 
 
@@ -81,7 +81,7 @@ class DeliveryServer:
         return self._time_ns(self._index)
 
     def wait_until(self, free_ns: int) -> None:
-        """Leave out the opportunities before."""
+        """Skip the opportunities before free_ns [ns]."""
         self._index, self._left = self._seek(free_ns, 0)
 
     def _seek(self, ready_ns: int, size_bytes: int) -> tuple[int, int]:
@@ -138,14 +138,14 @@ class ServedQueue(Generic[Item]):
         return len(self._waiting)
 
     def holds_before(self, topic: str, order: int) -> bool:
-        """Tell whether a message of the topic waits that arrived before the one of this order."""
+        """Return whether a message of the topic waits that arrived before the one of this order."""
         return any(entry.topic == topic and entry.order < order for entry in self._waiting)
 
     def wait_until(self, free_ns: int) -> None:
-        """Send nothing before."""
+        """Start no transmission before free_ns [ns]."""
         self.free_ns = max(self.free_ns, free_ns)
         self._server.wait_until(free_ns)
-        self._foresee()
+        self._update_leave_time()
 
     def push(self, entry: Waiting[Item]) -> list[Item]:
         """Add a message; return the items dropped for it, which may be its own."""
@@ -158,7 +158,7 @@ class ServedQueue(Generic[Item]):
         self._waiting.append(entry)
         self._bytes += entry.size_bytes
         if len(self._waiting) == 1:
-            self._foresee()
+            self._update_leave_time()
         return dropped
 
     def pop(self) -> tuple[Item, int]:
@@ -166,10 +166,10 @@ class ServedQueue(Generic[Item]):
         entry = self._waiting.popleft()
         self._bytes -= entry.size_bytes
         self.free_ns = self._server.send(entry.ready_ns, entry.size_bytes)
-        self._foresee()
+        self._update_leave_time()
         return entry.item, self.free_ns
 
-    def _foresee(self) -> None:
+    def _update_leave_time(self) -> None:
         head = self._waiting[0] if self._waiting else None
         self.leave_ns = None if head is None else self._server.passage(head.ready_ns, head.size_bytes).leave_ns
 
@@ -200,7 +200,7 @@ class ServedQueue(Generic[Item]):
         entry = self._waiting[place]
         del self._waiting[place]
         self._bytes -= entry.size_bytes
-        self._foresee()
+        self._update_leave_time()
         return entry.item
 
 
@@ -229,7 +229,7 @@ class SlotGate:
         self._bytes: Counter[int] = Counter()
 
     def slot_ns(self, now_ns: int, release_ns: int, size_bytes: int) -> int:
-        """Book a place in a slot; no later message may ask for a time before now_ns.
+        """Reserve a place in a slot; no later message may ask for a time before now_ns.
 
         Returns: the time of the slot, >= release_ns.
         """

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-from services.delay_node.config import SettingsError
+from proto.errors import ConfigError
 
 LARGEST_FILE_BYTES = 32_000_000
 
@@ -24,37 +24,37 @@ class DelayCourse(NamedTuple):
 def read_text(path: Path) -> str:
     """Return the text of a trace.
 
-    Raises: SettingsError naming the file, if it is no file, too large, or no UTF-8 text.
+    Raises: ConfigError naming the file, if it is not a file, too large, or not UTF-8 text.
     """
     try:
         # A device or a pipe would never end, and the link would stand still while it reads.
         if not path.is_file():
-            raise SettingsError(f"{path}: is not a file")
+            raise ConfigError(f"{path}: is not a file")
         if path.stat().st_size > LARGEST_FILE_BYTES:
-            raise SettingsError(f"{path}: is larger than {LARGEST_FILE_BYTES} bytes")
+            raise ConfigError(f"{path}: is larger than {LARGEST_FILE_BYTES} bytes")
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise SettingsError(f"{path}: cannot be read: {error}") from error
+        raise ConfigError(f"{path}: cannot be read: {error}") from error
 
 
 def parse_delay_trace(text: str, name: str) -> DelayCourse:
     """Return the course of a delay trace: lines `time_s delay_s`, times from 0 on, strictly increasing.
 
-    Raises: SettingsError naming file and line.
+    Raises: ConfigError naming file and line.
     """
     times_ns: list[int] = []
     delays_ns: list[int] = []
     for number, words in _lines(text):
         place = f"{name}, line {number}"
         if len(words) != 2:
-            raise SettingsError(f"{place}: {_shown(words)} is not a pair `time_s delay_s`")
+            raise ConfigError(f"{place}: {_shown(words)} is not a pair `time_s delay_s`")
         time_ns, delay_ns = (round(_not_negative(word, place) * 1e9) for word in words)
         if times_ns and time_ns <= times_ns[-1]:
-            raise SettingsError(f"{place}: time {words[0]} s is not later than {times_ns[-1] / 1e9} s before it")
+            raise ConfigError(f"{place}: time {words[0]} s is not later than {times_ns[-1] / 1e9} s before it")
         times_ns.append(time_ns)
         delays_ns.append(delay_ns)
     if not times_ns:
-        raise SettingsError(f"{name}: holds no line `time_s delay_s`")
+        raise ConfigError(f"{name}: holds no line `time_s delay_s`")
     return DelayCourse(tuple(times_ns), tuple(delays_ns))
 
 
@@ -64,30 +64,30 @@ def parse_delivery_trace(text: str, name: str, unit_s: float) -> tuple[int, ...]
     A repeated time is one more opportunity at that time. The last time is the period of the trace, so it must
     be greater than 0.
 
-    Raises: SettingsError naming file and line.
+    Raises: ConfigError naming file and line.
     """
     times_ns: list[int] = []
     for number, words in _lines(text):
         place = f"{name}, line {number}"
         if len(words) != 1:
-            raise SettingsError(f"{place}: {_shown(words)} is not one time")
+            raise ConfigError(f"{place}: {_shown(words)} is not one time")
         time_ns = round(_not_negative(words[0], place) * unit_s * 1e9)
         if times_ns and time_ns < times_ns[-1]:
-            raise SettingsError(f"{place}: time {words[0]} is earlier than the one before it")
+            raise ConfigError(f"{place}: time {words[0]} is earlier than the one before it")
         times_ns.append(time_ns)
     if not times_ns or times_ns[-1] == 0:
-        raise SettingsError(f"{name}: the last time is the period of the trace and must be greater than 0")
+        raise ConfigError(f"{name}: the last time is the period of the trace and must be greater than 0")
     return tuple(times_ns)
 
 
 def parse_jitter_table(text: str, name: str) -> tuple[float, ...]:
     """Return the samples of a jitter table: finite numbers separated by white space.
 
-    Raises: SettingsError naming file and line.
+    Raises: ConfigError naming file and line.
     """
     samples = tuple(_number(word, f"{name}, line {number}") for number, words in _lines(text) for word in words)
     if not samples:
-        raise SettingsError(f"{name}: holds no samples")
+        raise ConfigError(f"{name}: holds no samples")
     return samples
 
 
@@ -107,16 +107,16 @@ def _number(word: str, place: str) -> float:
     try:
         value = float(word)
     except ValueError as error:
-        raise SettingsError(f"{place}: {_shown([word])} is not a number") from error
+        raise ConfigError(f"{place}: {_shown([word])} is not a number") from error
     if not math.isfinite(value):
-        raise SettingsError(f"{place}: {word!r} is not finite")
+        raise ConfigError(f"{place}: {word!r} is not finite")
     return value
 
 
 def _not_negative(word: str, place: str) -> float:
     value = _number(word, place)
     if value < 0.0:
-        raise SettingsError(f"{place}: {word} is negative")
+        raise ConfigError(f"{place}: {word} is negative")
     return value
 
 

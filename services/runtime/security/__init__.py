@@ -1,1 +1,1 @@
-"""Who may connect: keys, the list of those that are let in, and what became of every connection."""
+"""Authentication and access control: key pairs, the list of allowed keys, and the state of every connection."""

@@ -1,4 +1,4 @@
-"""Who may speak to this machine: its own CURVE keys, and the list of those of others with what each may do.
+"""The keyring of a machine: its own CURVE key pairs, and the list of allowed keys with the roles of each.
 
 A machine has one key pair for all its nodes, named after the machine in the site file. Keys and list are in one folder
 that only its owner can read.
@@ -35,11 +35,11 @@ _KEY_LENGTH = 40
 def _check_key(text: str) -> str:
     try:
         valid = len(text) == _KEY_LENGTH and bool(z85.decode(text))
-    # what the decoder says of letters, and of numbers, that Z85 does not have
+    # what the decoder raises for letters, and for numbers, that Z85 does not have
     except (KeyError, ValueError, struct.error):
         valid = False
     if not valid:
-        raise ValueError(f"is no public key, which has {_KEY_LENGTH} characters of Z85 (`telenano keys show`)")
+        raise ValueError(f"is not a public key, which has {_KEY_LENGTH} characters of Z85 (`telenano keys show`)")
     return text
 
 
@@ -61,9 +61,9 @@ class AllowedKey(BaseModel):
     name: Annotated[str, Field(pattern=MACHINE_PATTERN)] = Field(description="Machine that the key belongs to")
     public_key: PublicKey = Field(description="Its public key, 40 characters of Z85")
     roles: tuple[Role, ...] = Field(
-        min_length=1, description="data: its measurements and references are taken; control: its commands; observe"
+        min_length=1, description="data: its measurements and references are accepted; control: its commands; observe"
     )
-    revoked: bool = Field(default=False, description="The key is refused for ever")
+    revoked: bool = Field(default=False, description="The key is rejected permanently")
 
 
 class AllowList(BaseModel):
@@ -83,16 +83,16 @@ class AllowList(BaseModel):
         return self
 
     def of_machine(self, name: str) -> AllowedKey | None:
-        """Give the valid key of a machine, None if it has none."""
+        """Return the valid key of a machine, None if it has none."""
         return next((key for key in self.keys if key.name == name and not key.revoked), None)
 
     def of_key(self, public_key: str) -> AllowedKey | None:
-        """Give the entry of a key, revoked or not; None when it is not listed."""
+        """Return the entry of a key, revoked or not; None when it is not listed."""
         return next((key for key in self.keys if key.public_key == public_key), None)
 
 
 def keys_directory() -> Path:
-    """Give the folder of keys: TELENANO_KEYS_DIR, or `telenano/keys` in the user's configuration folder."""
+    """Return the folder of keys: TELENANO_KEYS_DIR, or `telenano/keys` in the user's configuration folder."""
     named = os.environ.get(KEYS_DIRECTORY_VARIABLE)
     if named:
         return Path(named)
@@ -108,37 +108,41 @@ class Keyring:
         self.allowed_path = self.folder / ALLOWED_NAME
 
     def names(self) -> list[str]:
-        """Give the names of the key pairs that are here."""
+        """Return the names of the key pairs in the folder."""
         try:
             return sorted(path.name.removesuffix(_SECRET_SUFFIX) for path in self.folder.glob("*" + _SECRET_SUFFIX))
         except OSError as error:
             raise ConfigError(f"{self.folder}: cannot be read: {error.strerror}") from error
 
     def own(self, name: str) -> KeyPair:
-        """Give the key pair of a machine; refused when others can read its file."""
+        """Return the key pair of a machine; ConfigError also when other users can read its file."""
         path = self.folder / f"{name}{_SECRET_SUFFIX}"
-        hint, again = (f"`telenano keys new {name}{option}` makes one" for option in ("", " --replace"))
+        hint, again = (f"`telenano keys new {name}{option}` creates one" for option in ("", " --replace"))
         try:
             mode = path.stat().st_mode
             if mode & _OTHERS:
-                raise ConfigError(f"{path}: others can read this secret key (mode {mode & 0o777:o}): chmod 600 {path}")
+                raise ConfigError(
+                    f"{path}: other users can read this secret key (mode {mode & 0o777:o}): chmod 600 {path}"
+                )
             public, secret = zmq.auth.load_certificate(path)
         except FileNotFoundError as error:
             raise ConfigError(f"{path}: there is no key for the machine {name}: {hint}") from error
         except OSError as error:
             raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
         except ValueError as error:
-            raise ConfigError(f"{path}: holds no key pair: {again}") from error
+            raise ConfigError(f"{path}: contains no key pair: {again}") from error
         if secret is None or not _is_key_pair(public, secret):
-            raise ConfigError(f"{path}: holds no valid key pair: {again}")
+            raise ConfigError(f"{path}: contains no valid key pair: {again}")
         return KeyPair(public, secret)
 
     def create(self, name: str, *, replace: bool = False) -> KeyPair:
-        """Make a key pair; an existing one is kept unless it is to be replaced."""
+        """Create a key pair; ConfigError when there is one already, unless `replace`."""
         _check_name(name)
         path = self.folder / f"{name}{_SECRET_SUFFIX}"
         if not replace and name in self.names():
-            raise ConfigError(f"{path} exists already: --replace makes a new key, which the other machines must allow")
+            raise ConfigError(
+                f"{path} already exists: --replace creates a new key, which the other machines must allow"
+            )
         with self._private():
             zmq.auth.create_certificates(self.folder, name)
             # on a command line, a key that begins with a dash would be taken for an option
@@ -147,13 +151,13 @@ class Keyring:
         return self.own(name)
 
     def allowed(self) -> AllowList:
-        """Give the list of the keys known here; without a file nobody is."""
+        """Return the list of allowed keys, which is empty without a file."""
         if self.stamp() is None:
             return AllowList()
         return validate(AllowList, read_yaml(self.allowed_path), str(self.allowed_path))
 
     def allow(self, name: str, public_key: str, roles: Sequence[Role]) -> AllowedKey:
-        """Enter a key, or change the roles of one that is there."""
+        """Add a key to the list, or change the roles of one that is there."""
         _check_name(name)
         known = self.allowed()
         entry = validate(
@@ -161,27 +165,27 @@ class Keyring:
         )
         listed, holder = known.of_key(public_key), known.of_machine(name)
         if listed is not None and listed.revoked:
-            raise ConfigError(f"{public_key} was revoked and stays so: make a new key at {name}")
+            raise ConfigError(f"{public_key} was revoked permanently: create a new key on {name}")
         if listed is not None and listed.name != name:
-            raise ConfigError(f"{public_key} is allowed already, as {listed.name}")
+            raise ConfigError(f"{public_key} is already allowed, as {listed.name}")
         if holder is not None and holder.public_key != public_key:
-            raise ConfigError(f"{name} has another key here: `telenano keys revoke {name}` first")
+            raise ConfigError(f"{name} is already listed with another key: run `telenano keys revoke {name}` first")
         self._write([*(key for key in known.keys if key is not listed), entry])
         return entry
 
     def revoke(self, name_or_key: str) -> AllowedKey:
-        """Refuse a key from now on, given by name or by itself; running nodes see it within a second."""
+        """Revoke a key, given by its machine or by itself; running nodes apply it within a second."""
         known = self.allowed()
         entry = known.of_machine(name_or_key) or known.of_key(name_or_key)
         if entry is None:
             listed = ", ".join(key.name for key in known.keys if not key.revoked) or "none"
-            raise ConfigError(f"{self.allowed_path}: there is no key of {name_or_key}, listed are {listed}")
+            raise ConfigError(f"{self.allowed_path}: there is no key of {name_or_key}, listed keys are {listed}")
         gone = entry.model_copy(update={"revoked": True})
         self._write([gone if key is entry else key for key in known.keys])
         return gone
 
     def stamp(self) -> tuple[int, int] | None:
-        """Give what changes whenever the list does, None while there is no list."""
+        """Return a value that changes whenever the list does, None while there is no list."""
         try:
             found = self.allowed_path.stat()
         except FileNotFoundError:
@@ -192,7 +196,7 @@ class Keyring:
 
     def _write(self, keys: Sequence[AllowedKey]) -> None:
         document = {"keys": [key.model_dump(mode="json") for key in sorted(keys, key=lambda key: key.name)]}
-        # whole or not at all: a running node may read it at any moment
+        # atomically: a running node may read it at any moment
         new = self.allowed_path.with_suffix(".new")
         with self._private():
             new.write_text(yaml.safe_dump(document, sort_keys=False, width=120), encoding="utf-8")
@@ -200,7 +204,7 @@ class Keyring:
 
     @contextmanager
     def _private(self) -> Iterator[None]:
-        """Have what is made in the block readable by this user alone."""
+        """Make files that the block creates readable by this user alone."""
         before = os.umask(_OTHERS)
         try:
             self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -212,28 +216,30 @@ class Keyring:
 
 
 def this_machine(keyring: Keyring) -> str:
-    """Give the machine that this process runs on, for programs that are no node of the site file.
+    """Return the machine that this process runs on, for programs that are no node of the site file.
 
-    TELENANO_MACHINE says so; else the machine whose key is here, `master` where there are several or none.
+    It is that of TELENANO_MACHINE; without it, the machine whose key is here, `master` where there are several or none.
     """
     named = os.environ.get(MACHINE_VARIABLE)
     if named:
         if not re.fullmatch(MACHINE_PATTERN, named):
-            raise ConfigError(f"environment variable {MACHINE_VARIABLE} is {named!r}, a name such as master is needed")
+            raise ConfigError(f"environment variable {MACHINE_VARIABLE} is {named!r}, must be a name such as master")
         return named
     names = keyring.names()
     return names[0] if len(names) == 1 else "master"
 
 
 def key_text(raw: bytes) -> str:
-    """Give a key of 32 bytes as Z85 text."""
+    """Return a key of 32 bytes as Z85 text."""
     encoded: bytes = z85.encode(raw)
     return encoded.decode("ascii")
 
 
 def _check_name(name: str) -> None:
     if not re.fullmatch(MACHINE_PATTERN, name):
-        raise ConfigError(f"{name!r} is no name of a machine: small letters, digits and _, a letter first, 32 at most")
+        raise ConfigError(
+            f"{name!r} is not a valid machine name: lower-case letters, digits and _, a letter first, 32 at most"
+        )
 
 
 def _is_key_pair(public: bytes, secret: bytes) -> bool:

@@ -1,4 +1,4 @@
-"""What libzmq says of connections, and the account of those that were refused."""
+"""libzmq's socket monitor events, and the count of rejected connections."""
 
 import zmq
 from zmq.utils.monitor import recv_monitor_message
@@ -9,26 +9,26 @@ PROTOCOL_FAILED = int(zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL)
 KEY_REFUSED = int(zmq.EVENT_HANDSHAKE_FAILED_AUTH)
 DISCONNECTED = int(zmq.EVENT_DISCONNECTED)
 FAILURES = {
-    CLOSED_IN_HANDSHAKE: "the connection was closed in the handshake, or it took too long",
-    PROTOCOL_FAILED: "another protocol was spoken, no encryption, or with another key",
-    KEY_REFUSED: "the key was refused",
+    CLOSED_IN_HANDSHAKE: "the connection was closed during the handshake, or the handshake timed out",
+    PROTOCOL_FAILED: "the peer used another protocol, no encryption, or another key",
+    KEY_REFUSED: "the key was rejected",
 }
 # events taken in a turn of the node's loop
-_AT_ONCE = 8
+_BATCH = 8
 
 
 class Monitor:
     """The events of one socket that concern handshakes and lost connections."""
 
     def __init__(self, socket: "zmq.Socket[bytes]", wanted: int) -> None:
-        """Watch a socket for the events that are added up in `wanted`."""
+        """Monitor a socket for the events that are added up in `wanted`."""
         self.has_pending = False
         self.socket: zmq.Socket[bytes] = socket.get_monitor_socket(wanted)
 
     def events(self) -> list[tuple[int, str]]:
-        """Give event and endpoint of what has happened; `has_pending` afterwards when there may be more."""
+        """Return event and endpoint of what has happened, a bounded number; `has_pending` if there may be more."""
         found: list[tuple[int, str]] = []
-        for _ in range(_AT_ONCE):
+        for _ in range(_BATCH):
             try:
                 event = recv_monitor_message(self.socket, zmq.NOBLOCK)
             except zmq.Again:
@@ -40,13 +40,12 @@ class Monitor:
 
 
 class RejectionCounter:
-    """How often connections were refused, by reason, and the newest of them in words."""
+    """How often connections were rejected, by reason, and the newest rejection in words."""
 
     def __init__(self) -> None:
         self.counts: dict[str, int] = {}
-        self.newest = ""
+        self.last_error = ""
 
-    def enter(self, reason: str, text: str) -> None:
-        """Count a refusal."""
+    def record(self, reason: str, text: str) -> None:
         self.counts[reason] = self.counts.get(reason, 0) + 1
-        self.newest = text
+        self.last_error = text

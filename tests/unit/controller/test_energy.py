@@ -31,7 +31,7 @@ def test_motion_out_of_force_is_no_work() -> None:
 
 
 @pytest.mark.parametrize(
-    ("net_j", "known", "books", "passive"),
+    ("net_j", "known", "account", "passive"),
     [
         (0.0, True, NONE, True),
         (-TOLERANCE_J, True, NONE, True),
@@ -42,5 +42,5 @@ def test_motion_out_of_force_is_no_work() -> None:
         (1.0, True, EnergyAccount(-1e-6, 0.0, 0.0), False),
     ],
 )
-def test_passive_at_the_bound_and_not_past_it(net_j: float, known: bool, books: EnergyAccount, passive: bool) -> None:
-    assert is_passive(net_j, known, books) is passive
+def test_passive_at_the_bound_and_not_past_it(net_j: float, known: bool, account: EnergyAccount, passive: bool) -> None:
+    assert is_passive(net_j, known, account) is passive

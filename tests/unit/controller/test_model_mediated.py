@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from services.controller.law import NO_SIGNAL, HandSample, TipSample
 from services.controller.laws.model_mediated import (
     ModelMediatedConfig,
-    master_books,
+    master_energy_account,
     master_receive,
     master_resume,
     master_send,
@@ -83,7 +83,7 @@ def test_spring_is_held_at_any_delay(run_loop: Any, stiffness: float, delay: int
     run = run_loop("model_mediated", lambda n: 1.0, lambda x: stiffness * x, 6000, lambda n: delay, lambda n: delay)
     assert np.ptp(1e8 * run.force_n[-500:]) < 1e-2
     assert 1e8 * run.force_n[-1] == pytest.approx(1.0, rel=0.03, abs=0.0)
-    assert master_books(PARAMS, run.masters[-1]).dissipated_j >= 0.0
+    assert master_energy_account(PARAMS, run.masters[-1]).dissipated_j >= 0.0
 
 
 def test_updates_are_paid_from_the_damper_at_all_times(run_loop: Any) -> None:

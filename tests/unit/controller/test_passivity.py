@@ -79,7 +79,7 @@ def test_account_takes_growing_counters_only_and_caps_its_store() -> None:
     assert credited(account, 2e-3, 1.0) == account
     assert credited(account, 3e-3, 1.0) == account
     capped = credited(account, 9e-3, 5e-3)
-    assert (capped.left_j, capped.heard_j) == (5e-3, 9e-3)
+    assert (capped.left_j, capped.received_j) == (5e-3, 9e-3)
     assert capped.lost_j == pytest.approx(5e-3, rel=1e-12, abs=0.0)
     assert charged(capped, 2e-3, 0.0)[:3] == (2e-3, 9e-3, 5e-3)
     assert charged(capped, -2e-3, 1e-4).left_j == pytest.approx(3e-3, rel=1e-14, abs=0.0)
@@ -108,9 +108,9 @@ def test_channel_is_passive_whatever_hand_tip_and_link_do(ticks: list[tuple[floa
         answer = replies[max(0, len(replies) - 1 - delay - lost)]
         master, _ = master_receive(PARAMS, master, hand, answer._replace(silence_s=0.0), T)
         for port, other in ((master.account, slave.account), (slave.account, master.account)):
-            out = port.heard_j + PARAMS.start_j - port.left_j
+            out = port.received_j + PARAMS.start_j - port.left_j
             assert port.left_j >= 0.0
-            assert port.heard_j <= other.in_j * (1.0 + 1e-12)
+            assert port.received_j <= other.in_j * (1.0 + 1e-12)
             assert out <= other.in_j + PARAMS.start_j + 1e-15
 
 

@@ -14,11 +14,11 @@ from services.controller.laws.wave import (
     WaveConfig,
     drawn,
     emptied,
-    heard,
     master_receive,
     master_resume,
     master_send,
     master_start,
+    received,
     retune,
     slave_receive,
     slave_send,
@@ -49,7 +49,7 @@ def through(messages: list[tuple[float, float]], delays: list[int], share: float
             delay = delays[m % len(delays)]
             # a delay divisible by 3 comes a second time, later: old news by then
             if delay != LOST and (m + delay == n or (delay % 3 == 0 and m + delay + 4 == n)):
-                inbox = heard(inbox, *message)
+                inbox = received(inbox, *message)
         inbox, wave = drawn(inbox, share, B, T)
         rebuilt.append(wave)
     return rebuilt
@@ -74,14 +74,14 @@ def test_even_wave_over_a_constant_delay_is_at_the_bound() -> None:
 
 
 def test_wave_that_claims_a_millionth_more_way_than_energy_is_cut() -> None:
-    inbox = heard(emptied(0.0, 0.0), math.sqrt(2.0 / B) * 0.5 * T * (1.0 + 1e-6), 0.5 * 0.5**2 * T)
+    inbox = received(emptied(0.0, 0.0), math.sqrt(2.0 / B) * 0.5 * T * (1.0 + 1e-6), 0.5 * 0.5**2 * T)
     inbox, wave = drawn(inbox, 1.0, B, T)
     assert wave == pytest.approx(0.5 / (1.0 + 1e-6), rel=1e-13, abs=0.0)
     for _ in range(50):
         inbox, _ = drawn(inbox, 1.0, B, T)
-    assert inbox.taken_j <= inbox.heard_j
+    assert inbox.taken_j <= inbox.received_j
     # one with the energy for it passes whole
-    honest = heard(emptied(0.0, 0.0), math.sqrt(2.0 / B) * 0.5 * T, 0.5 * 0.5**2 * T * (1.0 + 1e-12))
+    honest = received(emptied(0.0, 0.0), math.sqrt(2.0 / B) * 0.5 * T, 0.5 * 0.5**2 * T * (1.0 + 1e-12))
     assert drawn(honest, 1.0, B, T)[1] == pytest.approx(0.5, rel=1e-13, abs=0.0)
 
 
@@ -92,7 +92,7 @@ def test_filter_is_the_first_order_low_pass() -> None:
 
 
 def test_nothing_new_means_that_the_wave_dies_out_with_the_filter() -> None:
-    inbox = heard(emptied(0.0, 0.0), 1e-3, 1.0)
+    inbox = received(emptied(0.0, 0.0), 1e-3, 1.0)
     seen = []
     for _ in range(100):
         inbox, wave = drawn(inbox, PARAMS.share, B, T)
@@ -103,7 +103,7 @@ def test_nothing_new_means_that_the_wave_dies_out_with_the_filter() -> None:
 def test_all_that_was_lost_on_the_way_arrives_with_the_next_signal() -> None:
     inbox = emptied(0.0, 0.0)
     for position, energy in [*counters([0.5] * 100)[::20], counters([0.5] * 100)[-1]]:
-        inbox = heard(inbox, position, energy)
+        inbox = received(inbox, position, energy)
     for _ in range(400):
         inbox, _ = drawn(inbox, PARAMS.share, B, T)
     assert inbox.taken_m == pytest.approx(100 * math.sqrt(2.0 / B) * 0.5 * T, rel=1e-6, abs=0.0)

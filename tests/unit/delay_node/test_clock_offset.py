@@ -22,7 +22,7 @@ def test_symmetric_path_gives_the_injected_offset(offset_ns: int) -> None:
 @pytest.mark.parametrize(("there_ns", "back_ns"), [(30_000_000, 10_000_000), (0, 50_000_000), (50_000_000, 0)])
 def test_asymmetric_path_shifts_the_estimate_by_half_of_the_asymmetry(there_ns: int, back_ns: int) -> None:
     offsets = OffsetFilter(8)
-    offsets.enter(exchange(500_000_000, there_ns, back_ns))
+    offsets.record(exchange(500_000_000, there_ns, back_ns))
     estimate = offsets.estimate()
     assert estimate is not None
     error_s = estimate.offset_s - 0.5
@@ -35,7 +35,7 @@ def test_uncertainty_is_reached_when_one_way_takes_no_time_and_never_passed() ->
     for _ in range(500):
         there, back = draw.randrange(10**8), draw.randrange(10**8)
         offsets = OffsetFilter(1)
-        offsets.enter(exchange(123_456_789, there, back))
+        offsets.record(exchange(123_456_789, there, back))
         estimate = offsets.estimate()
         assert estimate is not None
         assert abs(estimate.offset_s - 0.123456789) <= estimate.uncertainty_s + 1e-12
@@ -43,13 +43,13 @@ def test_uncertainty_is_reached_when_one_way_takes_no_time_and_never_passed() ->
 
 def test_minimum_filter_believes_the_shortest_round_trip_in_view() -> None:
     offsets = OffsetFilter(3)
-    offsets.enter(exchange(1_000_000, 50_000, 50_000))
+    offsets.record(exchange(1_000_000, 50_000, 50_000))
     for extra in (9_000_000, 5_000_000):
-        offsets.enter(exchange(1_000_000, 50_000 + extra, 50_000))
+        offsets.record(exchange(1_000_000, 50_000 + extra, 50_000))
     best = offsets.estimate()
     assert best is not None
     assert (best.offset_s, best.exchanges) == (pytest.approx(1e-3, rel=1e-9, abs=0.0), 3)
-    offsets.enter(exchange(1_000_000, 7_050_000, 50_000))
+    offsets.record(exchange(1_000_000, 7_050_000, 50_000))
     # the good one has left the window
     later = offsets.estimate()
     assert later is not None
@@ -58,7 +58,7 @@ def test_minimum_filter_believes_the_shortest_round_trip_in_view() -> None:
 
 def test_impossible_exchange_is_left_out() -> None:
     offsets = OffsetFilter(3)
-    offsets.enter(Exchange(100, 0, 500, 150))
+    offsets.record(Exchange(100, 0, 500, 150))
     assert offsets.estimate() is None
 
 

@@ -7,11 +7,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import BaseModel
 
+from proto.errors import ConfigError
 from services.delay_node.config import (
     DirectionSettings,
     Impairment,
     LinkSettings,
-    SettingsError,
     changed,
     flattened,
     parse_settings,
@@ -29,7 +29,7 @@ REPOSITORY = Path(__file__).parents[3]
         ({"forward.delay_s": "20 ms"}, "forward.delay_s", "valid number"),
         ({"backward.loss.probability": 1.5}, "backward.loss.probability", "less than or equal to 1, got 1.5"),
         ({"backward.los": 0.1}, "backward.los", "known are delay_s, jitter"),
-        ({"backward.loss": 0.1}, "backward.loss", "valid dictionary"),
+        ({"backward.loss": 0.1}, "backward.loss", "should be an object, got 0.1"),
         ({"forward.topics.afm/state.jitter.sd": 1}, "forward.topics.afm/state.jitter.sd", "known are scale_s"),
         ({"profile": "mars"}, "profile", "'mars'; known are clean, lan, dsl, lte, satellite, transcontinental"),
         ({"profile.name": "lan"}, "profile", "valid string"),
@@ -55,15 +55,15 @@ REPOSITORY = Path(__file__).parents[3]
             "forward.topics.a",
             "order",
         ),
-        ({"forward.topics. a.delay_s": 1}, "forward.topics", "' a' is no topic pattern"),
+        ({"forward.topics. a.delay_s": 1}, "forward.topics", "' a' is not a topic pattern"),
         ({"seed": -1}, "seed", "greater than or equal to 0"),
     ],
 )
 def test_bad_setting_is_refused_naming_the_key_and_what_would_be_right(flat, key, reason):
     good = parse_settings({"forward": {"delay_s": 0.02}})
-    with pytest.raises(SettingsError) as error:
+    with pytest.raises(ConfigError) as error:
         changed(good, flat)
-    assert str(error.value).startswith(key)
+    assert str(error.value).startswith(f"session/control: {key}")
     assert reason in str(error.value)
 
 
@@ -88,16 +88,33 @@ def test_settings_at_the_edge_of_what_makes_sense_are_accepted(flat):
 
 
 def test_every_wrong_key_gets_a_line_of_its_own():
-    with pytest.raises(SettingsError) as error:
+    with pytest.raises(ConfigError) as error:
         changed(LinkSettings(), {"forward.delay_s": -1.0, "backward.loss.probability": 2.0})
-    assert [line.split(":")[0] for line in str(error.value).splitlines()] == [
-        "forward.delay_s",
-        "backward.loss.probability",
+    assert [line.split(": ")[:2] for line in str(error.value).splitlines()] == [
+        ["session/control", "forward.delay_s"],
+        ["session/control", "backward.loss.probability"],
     ]
 
 
+def test_every_contradiction_is_named_at_its_key_and_an_inherited_one_once():
+    topics = {"a.b": {"delay_s": 1}, "x": {}, "y": {"outage": {"mean_up_s": 1}}}
+    with pytest.raises(ConfigError) as error:
+        parse_settings({"forward": {"order": "topic", "reordering": {"probability": 1}, "topics": topics}}, "rig.yaml")
+    assert [line.split(": ")[:2] for line in str(error.value).splitlines()] == [
+        ["rig.yaml", "forward.order"],
+        ["rig.yaml", "forward.topics"],
+        ["rig.yaml", "forward.topics.x"],
+        ["rig.yaml", "forward.topics.y.outage.mean_up_s"],
+    ]
+
+
+def test_key_that_is_both_value_and_section_in_one_request_is_refused():
+    with pytest.raises(ConfigError, match="session/control: loss "):
+        changed(LinkSettings(), {"forward.loss": 0.1, "forward.loss.probability": 0.2})
+
+
 def test_tree_that_is_no_mapping_is_refused():
-    with pytest.raises(SettingsError, match="link settings: Input should be"):
+    with pytest.raises(ConfigError, match="link settings: Input should be"):
         parse_settings(None)
 
 
@@ -168,7 +185,7 @@ def test_exact_topic_wins_then_the_first_pattern_that_fits():
 
 
 def test_topic_override_without_a_key_is_refused():
-    with pytest.raises(SettingsError, match=r"forward\.topics\.afm/state: changes nothing"):
+    with pytest.raises(ConfigError, match=r"forward\.topics\.afm/state: changes nothing"):
         parse_settings({"forward": {"topics": {"afm/state": {}}}})
 
 

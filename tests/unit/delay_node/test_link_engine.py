@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.delay_node.config import SettingsError, changed, parse_settings
+from proto.errors import ConfigError
+from services.delay_node.config import changed, parse_settings
 from services.delay_node.engine import DirectionEngine, LinkEngine, fates_of
 
 MS = 1_000_000
@@ -91,11 +92,11 @@ def test_delay_trace_table_and_delivery_come_from_files(tmp_path):
 def test_bad_trace_leaves_the_last_good_settings(tmp_path):
     (tmp_path / "bad.txt").write_text("0 0.01\n0 0.02\n")
     link = LinkEngine(parse_settings({"forward": {"delay_s": 0.02}}), START, folder=tmp_path)
-    with pytest.raises(SettingsError, match=r"^backward\.delay_trace\.file: bad\.txt, line 2: time 0"):
+    with pytest.raises(ConfigError, match=r"^backward\.delay_trace\.file: bad\.txt, line 2: time 0"):
         link.reconfigure(
             changed(link.settings, {"backward.delay_trace.file": "bad.txt", "forward.delay_s": 0.0}), START
         )
-    with pytest.raises(SettingsError, match=r"^forward\.topics\.a\.delivery_trace\.file: .*gone\.txt: is not a file"):
+    with pytest.raises(ConfigError, match=r"^forward\.topics\.a\.delivery_trace\.file: .*gone\.txt: is not a file"):
         link.reconfigure(changed(link.settings, {"forward.topics.a.delivery_trace.file": "gone.txt"}), START)
     assert link.settings.forward.delay_s == 0.02
     assert link.forward.submit(START, TOPIC, b"", 0) == ()
@@ -566,7 +567,7 @@ ARRIVALS = st.lists(
     arrivals=ARRIVALS,
     seed=st.integers(0, 9),
 )
-def test_every_message_has_one_fate_and_none_is_lost_from_the_books(
+def test_every_message_has_one_fate_and_none_is_missing_from_the_counts(
     before, after, reordering, override, arrivals, seed
 ):
     def link_settings(tree):

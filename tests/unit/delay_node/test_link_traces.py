@@ -2,7 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from services.delay_node.config import SettingsError
+from proto.errors import ConfigError
 from services.delay_node.models import traces
 from services.delay_node.models.traces import (
     DelayCourse,
@@ -31,7 +31,7 @@ def test_delay_trace_reads_comments_blanks_and_commas():
     ],
 )
 def test_bad_delay_trace_names_file_and_line(text, line, reason):
-    with pytest.raises(SettingsError, match=reason) as error:
+    with pytest.raises(ConfigError, match=reason) as error:
         parse_delay_trace(text, "wan.txt")
     assert str(error.value).startswith(f"wan.txt, {line}")
 
@@ -47,7 +47,7 @@ def test_bad_delay_trace_names_file_and_line(text, line, reason):
     ],
 )
 def test_bad_delivery_trace_names_file_and_line(text, reason):
-    with pytest.raises(SettingsError, match=reason):
+    with pytest.raises(ConfigError, match=reason):
         parse_delivery_trace(text, "d.txt", 1e-3)
 
 
@@ -57,28 +57,28 @@ def test_delivery_trace_in_milliseconds_may_repeat_a_time():
 
 def test_bad_jitter_table_names_file_and_line():
     assert parse_jitter_table("# t\n1 -2\n3.5\n", "j") == (1.0, -2.0, 3.5)
-    with pytest.raises(SettingsError, match=r"j, line 2: 'x' is not a number"):
+    with pytest.raises(ConfigError, match=r"j, line 2: 'x' is not a number"):
         parse_jitter_table("1\nx\n", "j")
-    with pytest.raises(SettingsError, match="j: holds no samples"):
+    with pytest.raises(ConfigError, match="j: holds no samples"):
         parse_jitter_table("", "j")
-    with pytest.raises(SettingsError, match="e: holds no line"):
+    with pytest.raises(ConfigError, match="e: holds no line"):
         parse_delay_trace("", "e")
 
 
 def test_missing_binary_endless_and_huge_files_are_named(tmp_path, monkeypatch):
     for path in (tmp_path / "none.txt", tmp_path, Path("/dev/zero")):
-        with pytest.raises(SettingsError, match=f"{path}: is not a file"):
+        with pytest.raises(ConfigError, match=f"{path}: is not a file"):
             read_text(path)
     (tmp_path / "b").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(SettingsError, match="b: cannot be read"):
+    with pytest.raises(ConfigError, match="b: cannot be read"):
         read_text(tmp_path / "b")
     monkeypatch.setattr(traces, "LARGEST_FILE_BYTES", 2)
-    with pytest.raises(SettingsError, match="b: is larger than 2 bytes"):
+    with pytest.raises(ConfigError, match="b: is larger than 2 bytes"):
         read_text(tmp_path / "b")
 
 
 def test_error_shows_little_of_a_file_that_is_no_trace():
-    with pytest.raises(SettingsError) as error:
+    with pytest.raises(ConfigError) as error:
         parse_delay_trace("secret " * 50, "x")
     assert len(str(error.value)) < 120
 

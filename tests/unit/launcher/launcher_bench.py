@@ -1,4 +1,4 @@
-"""A session in virtual time, whose nodes answer what they know unless they are told to be silent."""
+"""A session in virtual time, whose nodes answer the commands that they know unless a test makes them silent."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -21,9 +21,17 @@ TICK_NS = 50_000_000
 SECOND_NS = 1_000_000_000
 
 
-def row(topic: str, src: str = "", *, heard: bool = True, age_s: float = 0.001) -> InputHealth:
+def row(topic: str, src: str = "", *, received: bool = True, age_s: float = 0.001) -> InputHealth:
     return InputHealth(
-        topic=topic, src=src, received=int(heard), lost=0, gaps=0, repeated=0, restarts=0, age_valid=heard, age_s=age_s
+        topic=topic,
+        src=src,
+        received=int(received),
+        lost=0,
+        gaps=0,
+        repeated=0,
+        restarts=0,
+        age_valid=received,
+        age_s=age_s,
     )
 
 
@@ -76,7 +84,7 @@ class FakeChildren:
         return ended
 
     def log_tail(self, node: str) -> str:
-        return f"the last words of {node}"
+        return f"the log tail of {node}"
 
     def log_path(self, node: str) -> Path:
         return Path("logs") / f"{node}.log"
@@ -86,7 +94,7 @@ class FakeChildren:
 
 
 class Bench:
-    """A launcher in virtual time: what it is told by others, and what it says."""
+    """A launcher in virtual time: the messages that it receives, and those that it sends."""
 
     node: RigNode
 
@@ -96,7 +104,7 @@ class Bench:
         self.children = FakeChildren()
         self.context = NodeContext(key, self.clock, self.bus, StructuredLog(key))
         self.finished = False
-        # every line that a person was shown
+        # every line that the view has shown
         self.news: list[str] = []
 
     def begin(self, node: RigNode) -> None:
@@ -112,16 +120,16 @@ class Bench:
         while node.news:
             self.news.append(node.news.popleft())
 
-    def hear(self, message: Message, topic: str) -> None:
+    def receive(self, message: Message, topic: str) -> None:
         self.node.on_message(Received(topic, message, b"", self.clock.now_ns(), Arrival.NEXT))
 
-    def hear_health(self, *nodes: str, **fields: Any) -> None:
+    def receive_health(self, *nodes: str, **fields: Any) -> None:
         for node in nodes:
-            self.hear(health(node, **fields), "node/health")
+            self.receive(health(node, **fields), "node/health")
 
-    def hear_event(self, src: str, kind: Any, text: str = "said", answer_to: str = "", **data: Any) -> None:
+    def receive_event(self, src: str, kind: Any, text: str = "said", answer_to: str = "", **data: Any) -> None:
         event = SessionEvent(seq=0, t_ns=0, src=src, v=1, id=answer_to, kind=kind, level="info", text=text, data=data)
-        self.hear(event, "session/event")
+        self.receive(event, "session/event")
 
     def tick(self, count: int = 1) -> None:
         for _ in range(count):
@@ -134,7 +142,7 @@ class Bench:
 
 
 class Rig(Bench):
-    """A session with its nodes: `own` are children of the launcher, `others` somebody else's."""
+    """A session with its nodes: `own` are children of the launcher, `others` run elsewhere."""
 
     def __init__(
         self,
@@ -145,23 +153,28 @@ class Rig(Bench):
         **options: Any,
     ) -> None:
         super().__init__()
-        tape = ExternalRecording(self.clock, recorder) if recorder else None
+        recording = ExternalRecording(self.clock, recorder) if recorder else None
         self.silent: set[str] = set()
         self.refusing: set[str] = set()
         self.answered = 0
         self.rig_nodes = [*own, *others]
         self.session = SessionNode(
-            self.context, Supervisor(self.clock, own, self.children), duration_s, others=others, tape=tape, **options
+            self.context,
+            Supervisor(self.clock, own, self.children),
+            duration_s,
+            others=others,
+            recording=recording,
+            **options,
         )
         self.begin(self.session)
 
     def all_ready(self) -> None:
-        self.hear_health(*self.rig_nodes)
+        self.receive_health(*self.rig_nodes)
 
     def tick_alive(self, count: int = 1, missing: Sequence[str] = ()) -> None:
-        """Let time pass with every node but the missing ones heard."""
+        """Let time pass with reports of every node but the missing ones."""
         for _ in range(count):
-            self.hear_health(*(node for node in self.rig_nodes if node not in missing))
+            self.receive_health(*(node for node in self.rig_nodes if node not in missing))
             self.tick()
 
     def after_tick(self) -> None:
@@ -171,5 +184,5 @@ class Rig(Bench):
             known = {"arm": named, "estop": named, "set": {control.target}}
             concerned = known.get(control.command, {"haptic_node@master"}) & set(self.rig_nodes)
             for node in concerned - self.silent:
-                self.hear_event(node, "refused" if node in self.refusing else "ack", answer_to=control.id)
+                self.receive_event(node, "refused" if node in self.refusing else "ack", answer_to=control.id)
         self.answered = len(controls)

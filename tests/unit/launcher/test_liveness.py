@@ -1,6 +1,6 @@
 import pytest
 
-from services.launcher.liveness import NODE_SILENT_S, SITE_SILENT_S, Change, Watch
+from services.launcher.liveness import NODE_TIMEOUT_S, SITE_TIMEOUT_S, Change, LivenessMonitor
 from services.runtime.clock import VirtualClock
 
 SECOND_NS = 1_000_000_000
@@ -8,122 +8,122 @@ NODES = ("afm_node@slave", "controller@slave")
 EPOCH_NS = 10**18
 
 
-def watched(site: str = "") -> tuple[VirtualClock, Watch]:
+def monitored(site: str = "") -> tuple[VirtualClock, LivenessMonitor]:
     clock = VirtualClock(start_ns=SECOND_NS, epoch_offset_ns=EPOCH_NS)
-    return clock, Watch(clock, NODES, site)
+    return clock, LivenessMonitor(clock, NODES, site)
 
 
 def pass_s(clock: VirtualClock, duration_s: float) -> None:
     clock.advance_ns(round(duration_s * SECOND_NS))
 
 
-def told(changes: list[Change]) -> list[tuple[str, bool]]:
-    return [(change.who, change.silent) for change in changes]
+def reported(changes: list[Change]) -> list[tuple[str, bool]]:
+    return [(change.subject, change.silent) for change in changes]
 
 
-def test_who_was_never_heard_is_not_told_as_silent() -> None:
-    clock, watch = watched()
+def test_a_node_never_heard_is_not_reported_as_silent() -> None:
+    clock, monitor = monitored()
     pass_s(clock, 100.0)
-    assert watch.look() == []
-    assert not watch.heard
+    assert monitor.check() == []
+    assert not monitor.any_alive
 
 
-def test_a_node_is_told_as_silent_after_its_limit_and_once() -> None:
-    clock, watch = watched()
+def test_a_node_is_reported_as_silent_once_after_its_timeout() -> None:
+    clock, monitor = monitored()
     for node in NODES:
-        watch.enter(node)
-    pass_s(clock, NODE_SILENT_S)
-    watch.enter(NODES[0])
-    assert watch.look() == []
+        monitor.record(node)
+    pass_s(clock, NODE_TIMEOUT_S)
+    monitor.record(NODES[0])
+    assert monitor.check() == []
     pass_s(clock, 0.001)
-    (change,) = watch.look()
-    assert (change.who, change.nodes, change.silent) == (NODES[1], (NODES[1],), True)
+    (change,) = monitor.check()
+    assert (change.subject, change.nodes, change.silent) == (NODES[1], (NODES[1],), True)
     assert change.since_ns == SECOND_NS + EPOCH_NS
-    assert change.silence_s == pytest.approx(NODE_SILENT_S + 0.001, rel=1e-9)
-    assert watch.look() == []
-    assert watch.silent == [NODES[1]]
-    assert watch.heard
+    assert change.silence_s == pytest.approx(NODE_TIMEOUT_S + 0.001, rel=1e-9)
+    assert monitor.check() == []
+    assert monitor.silent == [NODES[1]]
+    assert monitor.any_alive
 
 
 def test_a_return_says_how_long_it_was() -> None:
-    clock, watch = watched()
-    watch.enter(NODES[0])
+    clock, monitor = monitored()
+    monitor.record(NODES[0])
     pass_s(clock, 60.0)
-    assert told(watch.look()) == [(NODES[0], True)]
-    watch.enter(NODES[0])
-    (change,) = watch.look()
-    assert (change.who, change.silent, change.first) == (NODES[0], False, False)
+    assert reported(monitor.check()) == [(NODES[0], True)]
+    monitor.record(NODES[0])
+    (change,) = monitor.check()
+    assert (change.subject, change.silent, change.first) == (NODES[0], False, False)
     assert change.silence_s == pytest.approx(60.0, rel=1e-9)
     assert change.since_ns == SECOND_NS + EPOCH_NS
-    assert watch.silent == []
+    assert monitor.silent == []
 
 
-def test_strangers_are_not_watched() -> None:
-    clock, watch = watched("slave")
-    watch.enter("recorder@slave")
-    assert watch.look() == []
+def test_other_nodes_are_not_monitored() -> None:
+    clock, monitor = monitored("slave")
+    monitor.record("recorder@slave")
+    assert monitor.check() == []
     pass_s(clock, 10.0)
-    assert watch.look() == []
+    assert monitor.check() == []
 
 
-def test_a_cable_is_told_as_a_site_and_not_as_its_nodes() -> None:
-    clock, watch = watched("slave")
-    watch.enter(NODES[0])
-    (first,) = watch.look()
-    assert (first.who, first.silent, first.first) == ("the slave's site", False, True)
+def test_a_pulled_cable_is_reported_as_a_site_and_not_as_its_nodes() -> None:
+    clock, monitor = monitored("slave")
+    monitor.record(NODES[0])
+    (first,) = monitor.check()
+    assert (first.subject, first.silent, first.first) == ("the slave's site", False, True)
     # reports of the two come half a period apart
     pass_s(clock, 0.25)
-    watch.enter(NODES[1])
-    pass_s(clock, SITE_SILENT_S + 0.001)
-    assert told(watch.look()) == [("the slave's site", True)]
+    monitor.record(NODES[1])
+    pass_s(clock, SITE_TIMEOUT_S + 0.001)
+    assert reported(monitor.check()) == [("the slave's site", True)]
     pass_s(clock, 60.0)
-    assert watch.look() == []
-    assert not watch.heard
-    watch.enter(NODES[1])
-    (back,) = watch.look()
-    assert (back.who, back.nodes, back.silent) == ("the slave's site", NODES, False)
+    assert monitor.check() == []
+    assert not monitor.any_alive
+    monitor.record(NODES[1])
+    (back,) = monitor.check()
+    assert (back.subject, back.nodes, back.silent) == ("the slave's site", NODES, False)
     assert back.silence_s == pytest.approx(62.001, rel=1e-9)
     # the other node has its time to start, and is then silent for as long as it really was
     for _ in range(39):
         pass_s(clock, 0.5)
-        watch.enter(NODES[1])
-        assert watch.look() == []
+        monitor.record(NODES[1])
+        assert monitor.check() == []
     pass_s(clock, 0.5)
-    (late,) = watch.look()
-    assert (late.who, late.silent, late.since_ns) == (NODES[0], True, SECOND_NS + EPOCH_NS)
+    (late,) = monitor.check()
+    assert (late.subject, late.silent, late.since_ns) == (NODES[0], True, SECOND_NS + EPOCH_NS)
 
 
-def test_a_node_that_came_back_with_its_site_is_watched_as_before() -> None:
-    clock, watch = watched("slave")
+def test_a_node_that_came_back_with_its_site_is_monitored_as_before() -> None:
+    clock, monitor = monitored("slave")
     for node in NODES:
-        watch.enter(node)
-    watch.look()
+        monitor.record(node)
+    monitor.check()
     pass_s(clock, 5.0)
-    watch.look()
+    monitor.check()
     for node in NODES:
-        watch.enter(node)
-    assert told(watch.look()) == [("the slave's site", False)]
+        monitor.record(node)
+    assert reported(monitor.check()) == [("the slave's site", False)]
     for _ in range(7):
         pass_s(clock, 0.5)
-        watch.enter(NODES[1])
-    assert told(watch.look()) == [(NODES[0], True)]
+        monitor.record(NODES[1])
+    assert reported(monitor.check()) == [(NODES[0], True)]
 
 
 def test_a_node_that_was_silent_before_is_part_of_the_site() -> None:
-    clock, watch = watched("slave")
+    clock, monitor = monitored("slave")
     for node in NODES:
-        watch.enter(node)
-    watch.look()
+        monitor.record(node)
+    monitor.check()
     for _ in range(8):
         pass_s(clock, 0.5)
-        watch.enter(NODES[1])
-        changes = watch.look()
+        monitor.record(NODES[1])
+        changes = monitor.check()
         if changes:
-            assert told(changes) == [(NODES[0], True)]
-    assert watch.silent == [NODES[0]]
+            assert reported(changes) == [(NODES[0], True)]
+    assert monitor.silent == [NODES[0]]
     pass_s(clock, 3.0)
-    assert told(watch.look()) == [("the slave's site", True)]
-    assert watch.silent == ["the slave's site"]
-    watch.enter(NODES[0])
-    assert told(watch.look()) == [("the slave's site", False)]
-    assert watch.silent == []
+    assert reported(monitor.check()) == [("the slave's site", True)]
+    assert monitor.silent == ["the slave's site"]
+    monitor.record(NODES[0])
+    assert reported(monitor.check()) == [("the slave's site", False)]
+    assert monitor.silent == []

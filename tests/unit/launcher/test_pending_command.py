@@ -36,11 +36,11 @@ def test_two_commands_have_two_ids() -> None:
 def test_it_ends_when_all_have_answered() -> None:
     clock = VirtualClock()
     pending = PendingCommand(clock, "arm", "*", BOTH)
-    assert pending.enter(answer(pending, BOTH[0]))
-    assert not pending.enter(answer(pending, BOTH[0])), "a repeated answer is no news"
+    assert pending.record(answer(pending, BOTH[0]))
+    assert not pending.record(answer(pending, BOTH[0])), "a repeated answer is no news"
     assert pending.missing == [BOTH[1]]
     assert not pending.complete
-    assert pending.enter(answer(pending, BOTH[1]))
+    assert pending.record(answer(pending, BOTH[1]))
     assert pending.complete
     clock.advance_ns(10_000 * MS)
     assert not pending.take_due()
@@ -50,15 +50,15 @@ def test_it_ends_when_all_have_answered() -> None:
 def test_other_events_are_no_answers() -> None:
     clock = VirtualClock()
     pending, other = (PendingCommand(clock, "arm", "*", BOTH) for _ in range(2))
-    assert not pending.enter(answer(other, BOTH[0]))
-    assert not pending.enter(answer(pending, BOTH[0], "mode"))
+    assert not pending.record(answer(other, BOTH[0]))
+    assert not pending.record(answer(pending, BOTH[0], "mode"))
     assert pending.missing == sorted(BOTH)
 
 
-def test_silence_fails_at_the_deadline_and_names_the_silent() -> None:
+def test_missing_answers_fail_at_the_deadline_and_are_named() -> None:
     clock = VirtualClock()
     pending = PendingCommand(clock, "start", "*", BOTH)
-    pending.enter(answer(pending, BOTH[0]))
+    pending.record(answer(pending, BOTH[0]))
     clock.advance_ns(5000 * MS - 1)
     assert pending.failure() == ""
     clock.advance_ns(1)
@@ -68,15 +68,15 @@ def test_silence_fails_at_the_deadline_and_names_the_silent() -> None:
 
 def test_a_refusal_fails_with_its_reason() -> None:
     pending = PendingCommand(VirtualClock(), "arm", "*", BOTH)
-    pending.enter(answer(pending, BOTH[0], "refused"))
+    pending.record(answer(pending, BOTH[0], "refused"))
     assert pending.failure() == "afm_node@slave refused arm: afm_node@slave says refused"
 
 
-def test_a_newcomer_has_it_sent_at_once() -> None:
+def test_a_new_reader_has_it_sent_at_once() -> None:
     clock = VirtualClock()
     pending = PendingCommand(clock, "mark", "*", BOTH)
     assert pending.take_due()
     clock.advance_ns(MS)
     assert not pending.take_due()
-    pending.hurry()
+    pending.make_due()
     assert pending.take_due()

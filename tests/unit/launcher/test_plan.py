@@ -6,7 +6,7 @@ import yaml
 
 from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE, known_scenarios
 from proto.errors import ConfigError
-from proto.nodes import LAUNCHER, RECORDER, START_ORDER, STOP_ORDER
+from proto.nodes import LAUNCHER, OPTIONAL_NODES, RECORDER, START_ORDER, STOP_ORDER
 from services.launcher.plan import ALLOW_REPLAY, UpRequest, anchored, make_plan
 from services.runtime.config import read_yaml
 from services.runtime.main import load_site
@@ -33,8 +33,10 @@ def test_every_packaged_scenario_is_sound(tmp_path: Path) -> None:
 
 def test_the_packaged_site_has_the_whole_rig() -> None:
     assert set(load_site(DEFAULT_SITE_FILE).nodes) >= {LAUNCHER, *START_ORDER}
-    assert set(START_ORDER) == set(STOP_ORDER)
-    assert START_ORDER[0] == STOP_ORDER[-1] == "recorder@master"
+    assert set(STOP_ORDER) == {*START_ORDER, *OPTIONAL_NODES}
+    # the recorders hear the others come and go
+    assert START_ORDER[0] == RECORDER
+    assert set(STOP_ORDER[-2:]) == {RECORDER, "recorder@slave"}
 
 
 def test_flags_reach_the_effective_scenario_that_the_nodes_read(tmp_path: Path) -> None:
@@ -97,7 +99,7 @@ def test_attached_plans_start_nothing_and_leave_the_scenario_to_the_nodes(tmp_pa
 
 
 def test_attached_plans_never_touch_a_recording(tmp_path: Path) -> None:
-    # the recorder of somebody else may write to this very folder
+    # a recorder that runs elsewhere may write to this very folder
     for name in ("session.mcap", "session_1.mcap"):
         (tmp_path / name).write_text("precious")
     make_plan(request(tmp_path, attach=True), tmp_path)

@@ -37,7 +37,7 @@ def test_nodes_are_stopped_in_order_and_the_log_is_kept(tmp_path: Path) -> None:
     assert stopping == ["c@d", "a@b"]
 
 
-def test_a_death_is_reported_once_with_its_signal(tmp_path: Path) -> None:
+def test_an_exit_is_reported_once_with_its_signal(tmp_path: Path) -> None:
     children = processes(tmp_path, {"a@b": "import os, signal; os.kill(os.getpid(), signal.SIGKILL)"}, [], [])
     children.start("a@b")
     ended: dict[str, int] = {}

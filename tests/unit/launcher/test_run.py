@@ -78,8 +78,8 @@ def test_the_plan_says_which_rig_is_made(tmp_path: Path) -> None:
     assert isinstance(made["slave"], SiteNode)
     sessions = {name: rig for name, rig in made.items() if isinstance(rig, SessionNode)}
     assert set(sessions) == {"plain", "attach", "master"}
-    assert {name for name, session in sessions.items() if session.tape is not None} == {"attach"}
-    assert {name: session.watch.site for name, session in sessions.items()} == {
+    assert {name for name, session in sessions.items() if session.recording is not None} == {"attach"}
+    assert {name: session.liveness.site for name, session in sessions.items()} == {
         "plain": "",
         "attach": "",
         "master": "slave",
@@ -88,9 +88,9 @@ def test_the_plan_says_which_rig_is_made(tmp_path: Path) -> None:
 
 def test_the_file_that_the_recorder_named_is_found_if_it_is_the_sessions(tmp_path: Path) -> None:
     plan, session = attached(tmp_path)
-    assert session.tape is not None
+    assert session.recording is not None
     path = recorded(tmp_path / "rec", "the-start")
-    session.tape.files = [str(path)]
+    session.recording.files = [str(path)]
     assert holds_command(path, "the-start")
     outcome = outcome_of(session, plan)
     assert (outcome.ran, outcome.recording, outcome.note) == (True, path, "")
@@ -100,46 +100,46 @@ def test_the_file_that_the_recorder_named_is_found_if_it_is_the_sessions(tmp_pat
     assert f"`telenano report {path} --out {plan.out}`" in outcome.note
 
 
-def test_a_recording_elsewhere_is_told_with_the_command_that_reports_it(tmp_path: Path) -> None:
+def test_a_recording_elsewhere_is_reported_with_the_command_that_reports_it(tmp_path: Path) -> None:
     plan, session = attached(tmp_path)
-    assert session.tape is not None
-    session.tape.files = ["/elsewhere/session_1.mcap"]
+    assert session.recording is not None
+    session.recording.files = ["/elsewhere/session_1.mcap"]
     outcome = outcome_of(session, plan)
     assert outcome.recording is None
     assert "recorder@master recorded the session to /elsewhere/session_1.mcap" in outcome.note
-    session.tape.files = []
+    session.recording.files = []
     assert outcome_of(session, plan).note == "nothing was recorded: no recorder was heard"
 
 
 def test_a_report_is_made_of_a_session_that_ran(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     plan = plan_of(tmp_path)
     path = tmp_path / "session.mcap"
-    said: list[str] = []
+    reported: list[str] = []
     ran = Outcome("", False, True, path, "", {})
     monkeypatch.setattr(up, "make_report", lambda recording, out: {"recording": str(recording), "out": str(out)})
-    assert report_of(ran, plan, said.append) == {"recording": str(path), "out": str(plan.out)}
-    assert said == ["making figure and summary"]
-    assert report_of(Outcome("", True, False, path, "", {}), plan, said.append) is None
-    assert report_of(Outcome("", False, True, None, "elsewhere", {}), plan, said.append) is None
+    assert report_of(ran, plan, reported.append) == {"recording": str(path), "out": str(plan.out)}
+    assert reported == ["making figure and summary"]
+    assert report_of(Outcome("", True, False, path, "", {}), plan, reported.append) is None
+    assert report_of(Outcome("", False, True, None, "elsewhere", {}), plan, reported.append) is None
 
     def broken(recording: Path, out: Path) -> Any:
         raise RecordingError("no session in it")
 
     monkeypatch.setattr(up, "make_report", broken)
-    assert report_of(Outcome("the cause", False, True, path, "", {}), plan, said.append) is None
+    assert report_of(Outcome("the cause", False, True, path, "", {}), plan, reported.append) is None
     with pytest.raises(RecordingError, match="no session in it"):
-        report_of(ran, plan, said.append)
+        report_of(ran, plan, reported.append)
 
     def interrupted(recording: Path, out: Path) -> Any:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(up, "make_report", interrupted)
     with pytest.raises(RigError, match=r"`telenano report .* makes it"):
-        report_of(ran, plan, said.append)
+        report_of(ran, plan, reported.append)
 
 
 @pytest.mark.usefixtures("own_signals")
-def test_attaching_to_nobody_gives_up_at_its_limit_and_leaves_a_log(tmp_path: Path) -> None:
+def test_attaching_to_no_nodes_gives_up_at_its_limit_and_leaves_a_log(tmp_path: Path) -> None:
     plan = plan_of(tmp_path, attach=True, wait_s=0.2)
     phases: list[str] = []
     outcome = run_rig(plan, lambda rig: phases.append(rig.phase), phases.append)

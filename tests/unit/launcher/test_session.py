@@ -71,32 +71,32 @@ def test_a_device_that_becomes_able_is_asked_again() -> None:
 def test_what_is_not_ready_in_time_is_named_with_its_missing_input_and_its_log() -> None:
     rig = Rig()
     rig.all_ready()
-    rig.hear(health("afm_node@slave", inputs=(row("afm/command", heard=False),)), "node/health")
+    rig.receive(health("afm_node@slave", inputs=(row("afm/command", received=False),)), "node/health")
     rig.tick(round(READY_DEADLINE_S * SECOND_NS / TICK_NS) - 1)
     assert not rig.finished
     rig.tick(2)
     assert rig.finished
-    assert "afm_node@slave does not hear afm/command" in rig.session.failure
-    assert "the last words of afm_node@slave" in rig.session.failure
+    assert "afm_node@slave does not receive afm/command" in rig.session.failure
+    assert "the log tail of afm_node@slave" in rig.session.failure
     assert "recorder@master" not in rig.session.failure
 
 
-def test_a_death_is_published_and_the_node_comes_back() -> None:
+def test_an_exit_is_published_and_the_node_comes_back() -> None:
     rig = Rig()
     rig.all_ready()
     rig.tick(4)
     rig.children.ended = {"afm_node@slave": -9}
     rig.tick(1)
-    death = rig.bus.events()[-1]
-    assert (death.kind, death.level) == ("node", "warning")
-    assert "killed by SIGKILL" in death.text
-    assert death.data["exit_code"] == -9
+    ended = rig.bus.events()[-1]
+    assert (ended.kind, ended.level) == ("node", "warning")
+    assert "killed by SIGKILL" in ended.text
+    assert ended.data["exit_code"] == -9
     assert "afm_node@slave" not in rig.session.health
     rig.tick(3)
     assert rig.children.started == [*NODES, "afm_node@slave"]
     assert rig.bus.events()[-1].text == "afm_node@slave was started again"
     assert rig.session.phase == "running"
-    assert rig.session.keeper.restarts()["afm_node@slave"] == 1
+    assert rig.session.supervisor.restarts()["afm_node@slave"] == 1
 
 
 def test_a_crash_loop_ends_the_rig_with_the_cause() -> None:
@@ -109,13 +109,13 @@ def test_a_crash_loop_ends_the_rig_with_the_cause() -> None:
         rig.children.ended = {"afm_node@slave": code}
         rig.tick(30)
     assert rig.finished
-    what, deaths, others, where, words = rig.session.failure.splitlines()
+    what, exits, others, where, words = rig.session.failure.splitlines()
     assert what.startswith("afm_node@slave ended with exit code 1 after ")
     assert what.endswith("it died 5 times within 30 s")
-    assert deaths.startswith("its 5 deaths: was killed by SIGKILL after 0.5 s, ended with exit code 1 after ")
-    assert others == "others that were started again: recorder@master (1)"
+    assert exits.startswith("its last 5 exits: was killed by SIGKILL after 0.5 s, ended with exit code 1 after ")
+    assert others == "other nodes that were started again: recorder@master (1)"
     assert where == "last lines of afm_node@slave, from logs/afm_node@slave.log:"
-    assert words == "the last words of afm_node@slave"
+    assert words == "the log tail of afm_node@slave"
 
 
 def test_a_node_that_cannot_start_ends_the_rig_at_once() -> None:
@@ -123,7 +123,7 @@ def test_a_node_that_cannot_start_ends_the_rig_at_once() -> None:
     rig.children.ended = {"haptic_node@master": 2}
     rig.tick(1)
     assert rig.finished
-    assert "the last words of haptic_node@master" in rig.session.failure
+    assert "the log tail of haptic_node@master" in rig.session.failure
     assert rig.children.started == NODES
 
 
@@ -157,11 +157,14 @@ def test_a_hand_that_is_gone_does_not_keep_the_rig_from_stopping() -> None:
     [
         (None, "has not been heard"),
         (health("recorder@master", "starting"), "is still starting"),
-        (health("recorder@master", inputs=(row("haptic/state", heard=False),)), "does not hear haptic/state"),
+        (health("recorder@master", inputs=(row("haptic/state", received=False),)), "does not receive haptic/state"),
         # sent on change only: silence means nothing
-        (health("recorder@master", inputs=(row("session/control", heard=False),)), None),
-        # heard at one of its sockets
-        (health("recorder@master", inputs=(row("afm/state", heard=False), row("afm/state", "afm_node@slave"))), None),
+        (health("recorder@master", inputs=(row("session/control", received=False),)), None),
+        # received at one of its sockets
+        (
+            health("recorder@master", inputs=(row("afm/state", received=False), row("afm/state", "afm_node@slave"))),
+            None,
+        ),
         (health("recorder@master", "safe"), None),
     ],
 )
@@ -175,7 +178,7 @@ def test_inputs_at_a_declared_rate_are_what_counts() -> None:
         row("afm/state", "a@b", age_s=0.3),
         row("session/event", "a@b", age_s=9.0),
         row("node/health", "a@b", age_s=0.5),
-        row("haptic/state", heard=False),
+        row("haptic/state", received=False),
     )
     assert oldest_input_s(health("x@y", inputs=inputs)) == 0.3
     assert silent_inputs(health("x@y", inputs=inputs)) == ["haptic/state"]

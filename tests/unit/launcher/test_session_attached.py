@@ -1,4 +1,4 @@
-"""A session of nodes that somebody else runs."""
+"""A session of nodes that run elsewhere."""
 
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ FILES = ("/rec/session_1.mcap", "/rec/session_2.mcap")
 
 
 class Attached(Rig):
-    """Nodes of somebody else, with a recorder that begins a file when it is told to."""
+    """Nodes that run elsewhere, with a recorder that begins a file when it is commanded to."""
 
     def __init__(self, **options: Any) -> None:
         self.files = list(FILES)
@@ -25,22 +25,22 @@ class Attached(Rig):
         super().__init__(own=(), others=OTHERS, recorder=RECORDER, **options)
 
     @property
-    def tape(self) -> ExternalRecording:
-        assert self.session.tape is not None
-        return self.session.tape
+    def recording(self) -> ExternalRecording:
+        assert self.session.recording is not None
+        return self.session.recording
 
     def with_recorder(self) -> None:
-        self.hear_health(RECORDER)
+        self.receive_health(RECORDER)
 
     def after_tick(self) -> None:
         for control in self.bus.controls()[self.answered :]:
             if control.target != RECORDER or RECORDER in self.silent:
                 continue
             if RECORDER not in self.refusing and control.id not in self.split_ids:
-                self.hear_event(RECORDER, "recording", state="started", path=self.files.pop(0))
+                self.receive_event(RECORDER, "recording", state="started", path=self.files.pop(0))
                 self.split_ids.append(control.id)
             kind = "refused" if RECORDER in self.refusing else "ack"
-            self.hear_event(RECORDER, kind, "what the recorder says", answer_to=control.id)
+            self.receive_event(RECORDER, kind, "what the recorder says", answer_to=control.id)
         super().after_tick()
 
 
@@ -50,7 +50,7 @@ def commands(rig: Rig) -> list[tuple[str, str]]:
 
 def test_a_session_has_a_file_of_its_own_and_leaves_the_nodes() -> None:
     rig = Attached(duration_s=2.0)
-    rig.hear_event(RECORDER, "recording", state="started", path="/rec/session.mcap")
+    rig.receive_event(RECORDER, "recording", state="started", path="/rec/session.mcap")
     rig.all_ready()
     rig.with_recorder()
     rig.tick(5)
@@ -66,28 +66,28 @@ def test_a_session_has_a_file_of_its_own_and_leaves_the_nodes() -> None:
         ("start", "*"),
         ("stop", "*"),
         ("set", RECORDER),
-        # nobody is at the controls any more: the tip is withdrawn, after the session's file is complete
+        # there is no operator any more: the tip is withdrawn, after the session's file is complete
         ("estop", "afm_node"),
     ]
     assert {**rig.bus.controls()[0].parameters} == {"record.split": True}
-    # the file that the second order began is not the session's
-    assert rig.tape.files == [FILES[0]]
-    assert rig.bus.events()[-1].text == "the session is over, the nodes go on"
+    # the file that the second command began is not the session's
+    assert rig.recording.files == [FILES[0]]
+    assert rig.bus.events()[-1].text == "the session is over, the nodes keep running"
     assert rig.children.started == []
 
 
 def test_it_waits_without_a_limit_and_says_for_what() -> None:
     rig = Attached()
-    rig.hear_health(*OTHERS[:2])
+    rig.receive_health(*OTHERS[:2])
     rig.with_recorder()
-    rig.hear(health("afm_node@slave", inputs=(row("afm/command", heard=False),)), "node/health")
+    rig.receive(health("afm_node@slave", inputs=(row("afm/command", received=False),)), "node/health")
     for _ in range(round(10 * READY_DEADLINE_S)):
         rig.tick_alive(20, missing=OTHERS)
-        rig.hear_health("controller@master")
-        rig.hear(health("afm_node@slave", inputs=(row("afm/command", heard=False),)), "node/health")
+        rig.receive_health("controller@master")
+        rig.receive(health("afm_node@slave", inputs=(row("afm/command", received=False),)), "node/health")
     assert rig.session.phase == "starting"
     assert rig.session.causes() == {
-        "afm_node@slave": "does not hear afm/command",
+        "afm_node@slave": "does not receive afm/command",
         "haptic_node@master": "has not been heard",
     }
     assert rig.session.status_line() == "waiting for 2 of 3 nodes to be ready (without a limit, Ctrl-C gives up)"
@@ -96,10 +96,10 @@ def test_it_waits_without_a_limit_and_says_for_what() -> None:
 
 def test_a_limit_is_kept_and_names_who_was_missing() -> None:
     rig = Attached(wait_s=5.0)
-    rig.hear_health(*OTHERS[:2])
+    rig.receive_health(*OTHERS[:2])
     assert "up to 5 s" in rig.session.status_line()
     for _ in range(round(5 * SECOND_NS / TICK_NS) - 1):
-        rig.hear_health(*OTHERS[:2])
+        rig.receive_health(*OTHERS[:2])
         rig.tick()
     assert not rig.finished
     rig.tick(2)
@@ -117,7 +117,7 @@ def test_without_a_recorder_the_session_runs_and_says_so() -> None:
     rig.tick_alive(51)
     assert rig.finished
     assert ("set", RECORDER) not in commands(rig)
-    assert rig.tape.path == ""
+    assert rig.recording.path == ""
 
 
 @pytest.mark.parametrize(
@@ -141,12 +141,12 @@ def test_a_file_that_follows_within_the_session_is_remembered() -> None:
     rig.all_ready()
     rig.with_recorder()
     rig.tick(5)
-    rig.hear_event(RECORDER, "recording", state="started", path="/rec/later.mcap")
-    assert rig.tape.files == [FILES[0], "/rec/later.mcap"]
-    assert rig.tape.path == FILES[0]
+    rig.receive_event(RECORDER, "recording", state="started", path="/rec/later.mcap")
+    assert rig.recording.files == [FILES[0], "/rec/later.mcap"]
+    assert rig.recording.path == FILES[0]
 
 
-def test_a_silent_node_is_told_and_does_not_end_the_session() -> None:
+def test_a_silent_node_is_reported_and_does_not_end_the_session() -> None:
     rig = Attached(duration_s=30.0)
     rig.all_ready()
     rig.with_recorder()
@@ -154,28 +154,32 @@ def test_a_silent_node_is_told_and_does_not_end_the_session() -> None:
     rig.tick_alive(70, missing=["afm_node@slave", "controller@master"])
     rig.tick_alive(20, missing=["afm_node@slave"])
     assert rig.session.phase == "running"
-    assert set(rig.session.watch.silent) == {RECORDER, "afm_node@slave"}
+    assert set(rig.session.liveness.silent) == {RECORDER, "afm_node@slave"}
     assert "afm_node@slave" in rig.session.status_line()
     assert [event.data["state"] for event in rig.bus.events() if event.data.get("about_node") == "afm_node@slave"] == [
         "silent"
     ]
     rig.tick_alive(1)
     assert rig.news[-1].startswith("afm_node@slave is heard again after 4.")
-    assert rig.news[-1].endswith("a tip that has retracted stays so until `telenano session arm --target afm_node`")
+    assert rig.news[-1].endswith(
+        "a tip that has retracted stays retracted until `telenano session arm --target afm_node`"
+    )
     assert "controller@master is heard again" in "\n".join(rig.news)
 
 
 def test_a_quick_restart_is_seen_by_the_uptime() -> None:
     rig = Attached(duration_s=30.0)
     rig.tick_alive(70)
-    rig.hear_health("haptic_node@master", uptime_s=70.0)
-    rig.hear_health("haptic_node@master", uptime_s=0.1)
+    rig.receive_health("haptic_node@master", uptime_s=70.0)
+    rig.receive_health("haptic_node@master", uptime_s=0.1)
     rig.tick()
-    assert rig.news[-1].startswith("haptic_node@master was restarted; a hand that was restarted stays free until")
+    assert rig.news[-1].startswith(
+        "haptic_node@master was restarted; a haptic device that was restarted stays off until"
+    )
     assert rig.bus.events()[-1].level == "warning"
 
 
-def test_who_is_lost_while_the_devices_are_armed_is_waited_for_again() -> None:
+def test_a_node_lost_while_the_devices_are_armed_is_waited_for_again() -> None:
     rig = Attached()
     rig.silent = {"haptic_node@master"}
     rig.all_ready()
@@ -215,7 +219,7 @@ def test_a_launcher_without_children_stops_nobody(tmp_path: Path) -> None:
     assert stopping == []
 
 
-def test_a_namesake_is_not_taken_for_the_recording(tmp_path: Path) -> None:
+def test_another_file_of_the_same_name_is_not_taken_for_the_recording(tmp_path: Path) -> None:
     path = tmp_path / "session_1.mcap"
     assert not readable_here(str(path), "an-id")
     path.write_bytes(b"something else")

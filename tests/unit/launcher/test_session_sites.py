@@ -15,8 +15,8 @@ MASTER = ("recorder@master", "delay_node@master", "controller@master", "haptic_n
 SLAVE = ("afm_node@slave", "controller@slave")
 LINK = "delay_node@slave"
 DEADLINE_TICKS = round(READY_DEADLINE_S * SECOND_NS / TICK_NS)
-DEAF = health("controller@master", inputs=(row("teleop/backward", heard=False),))
-ARM = "a tip that has retracted stays so until `telenano session arm --target afm_node --site "
+WITHOUT_INPUT = health("controller@master", inputs=(row("teleop/backward", received=False),))
+ARM = "a tip that has retracted stays retracted until `telenano session arm --target afm_node --site "
 
 
 def master(duration_s: float = 2.0) -> Rig:
@@ -28,12 +28,12 @@ class Slave(Bench):
 
     def __init__(self) -> None:
         super().__init__("launcher@slave")
-        keeper = Supervisor(self.clock, SLAVE, self.children)
-        self.site = SiteNode(self.context, keeper, link=LINK, site="slave", other_site="master")
+        supervisor = Supervisor(self.clock, SLAVE, self.children)
+        self.site = SiteNode(self.context, supervisor, link=LINK, site="slave", other_site="master")
         self.begin(self.site)
 
     def ping(self) -> None:
-        self.hear(ClockPing(seq=0, t_ns=0, src=LINK, v=1), "clock/ping")
+        self.receive(ClockPing(seq=0, t_ns=0, src=LINK, v=1), "clock/ping")
 
     def tick_linked(self, count: int) -> None:
         for _ in range(count):
@@ -45,9 +45,9 @@ def test_the_master_waits_for_the_slave_without_a_limit() -> None:
     rig = master()
     assert rig.children.started == list(MASTER)
     for _ in range(10 * DEADLINE_TICKS):
-        rig.hear_health(*MASTER)
-        # what only the other site sends is no fault of this one
-        rig.hear(DEAF, "node/health")
+        rig.receive_health(*MASTER)
+        # an input that only the other site sends does not count against this one
+        rig.receive(WITHOUT_INPUT, "node/health")
         rig.tick()
     assert rig.session.phase == "starting"
     assert rig.session.causes() == dict.fromkeys(SLAVE, "has not been heard")
@@ -60,7 +60,7 @@ def test_the_master_waits_for_the_slave_without_a_limit() -> None:
 
 def test_own_nodes_have_their_limit_whether_the_slave_is_there_or_not() -> None:
     rig = master()
-    rig.hear_health(*MASTER[:3])
+    rig.receive_health(*MASTER[:3])
     rig.tick(DEADLINE_TICKS + 1)
     assert rig.finished
     assert rig.session.failure.startswith(
@@ -71,34 +71,34 @@ def test_own_nodes_have_their_limit_whether_the_slave_is_there_or_not() -> None:
 
 def test_inputs_have_their_limit_from_when_the_slave_is_heard() -> None:
     rig = master()
-    rig.hear_health(*MASTER)
+    rig.receive_health(*MASTER)
     rig.tick(3 * DEADLINE_TICKS)
     for _ in range(DEADLINE_TICKS):
-        rig.hear_health(*rig.rig_nodes)
-        rig.hear(DEAF, "node/health")
+        rig.receive_health(*rig.rig_nodes)
+        rig.receive(WITHOUT_INPUT, "node/health")
         rig.tick()
     assert not rig.finished
-    rig.hear_health(*rig.rig_nodes)
-    rig.hear(DEAF, "node/health")
+    rig.receive_health(*rig.rig_nodes)
+    rig.receive(WITHOUT_INPUT, "node/health")
     rig.tick(3)
     assert rig.finished
-    assert "controller@master does not hear teleop/backward" in rig.session.failure
+    assert "controller@master does not receive teleop/backward" in rig.session.failure
 
 
 def test_a_node_that_dies_late_in_a_long_wait_has_its_time_again() -> None:
     rig = master()
-    rig.hear_health(*MASTER)
+    rig.receive_health(*MASTER)
     rig.tick(2 * DEADLINE_TICKS)
     rig.children.ended = {"haptic_node@master": -9}
     rig.tick(DEADLINE_TICKS - 1)
     assert not rig.finished
     assert rig.children.started[-1] == "haptic_node@master"
-    rig.hear_health("haptic_node@master")
+    rig.receive_health("haptic_node@master")
     rig.tick(DEADLINE_TICKS)
     assert not rig.finished
 
 
-def test_a_cable_that_is_pulled_is_told_and_the_session_goes_on() -> None:
+def test_a_pulled_cable_is_reported_and_the_session_goes_on() -> None:
     rig = master(duration_s=100.0)
     rig.tick_alive(10)
     assert rig.session.phase == "running"
@@ -114,11 +114,11 @@ def test_a_cable_that_is_pulled_is_told_and_the_session_goes_on() -> None:
         assert len(rig.news) == 2
     states = [event.data["state"] for event in rig.bus.events() if event.data.get("about_node") == "the slave's site"]
     assert states == ["heard", "silent", "heard", "silent", "heard"]
-    # nobody but the operator arms again
+    # only the operator arms again
     assert [control.command for control in rig.bus.controls()] == ["arm", "arm", "start"]
 
 
-def test_one_node_of_the_slave_is_told_by_its_name() -> None:
+def test_one_node_of_the_slave_is_reported_by_its_name() -> None:
     rig = master(duration_s=100.0)
     rig.tick_alive(10)
     rig.news.clear()
@@ -139,10 +139,10 @@ def test_the_slave_keeps_its_nodes_and_conducts_nothing() -> None:
     rig = Slave()
     assert rig.children.started == list(SLAVE)
     assert "has not been heard yet" in rig.site.status_line()
-    # ready is who runs: inputs come from the other site
-    rig.hear(health("controller@slave", inputs=(row("teleop/forward", heard=False),)), "node/health")
+    # a node is ready once it runs: its inputs come from the other site
+    rig.receive(health("controller@slave", inputs=(row("teleop/forward", received=False),)), "node/health")
     assert rig.site.waiting() == {"afm_node@slave": "has not been heard"}
-    rig.hear_health("afm_node@slave")
+    rig.receive_health("afm_node@slave")
     rig.tick()
     assert (rig.site.phase, rig.news) == ("running", [])
     rig.tick_linked(3 * DEADLINE_TICKS)
@@ -158,9 +158,9 @@ def test_the_slave_keeps_its_nodes_and_conducts_nothing() -> None:
     assert rig.children.stopped == 1
 
 
-def test_the_slave_tells_of_the_masters_silence_and_return() -> None:
+def test_the_slave_reports_the_masters_silence_and_return() -> None:
     rig = Slave()
-    rig.hear_health(*SLAVE)
+    rig.receive_health(*SLAVE)
     rig.tick_linked(5)
     rig.tick(20 * 60)
     assert rig.news[-1].startswith("the master's site is silent since")
@@ -174,7 +174,7 @@ def test_the_slave_tells_of_the_masters_silence_and_return() -> None:
 
 def test_the_slave_starts_what_died_again_and_gives_up_what_cannot_run() -> None:
     rig = Slave()
-    rig.hear_health(*SLAVE)
+    rig.receive_health(*SLAVE)
     rig.tick(2)
     rig.children.ended = {"afm_node@slave": -11}
     rig.tick(4)
@@ -189,7 +189,7 @@ def test_the_slave_starts_what_died_again_and_gives_up_what_cannot_run() -> None
 
 def test_the_slave_gives_its_own_nodes_a_limit() -> None:
     rig = Slave()
-    rig.hear_health("controller@slave")
+    rig.receive_health("controller@slave")
     rig.tick_linked(DEADLINE_TICKS - 1)
     assert not rig.finished
     rig.tick_linked(2)
@@ -197,13 +197,13 @@ def test_the_slave_gives_its_own_nodes_a_limit() -> None:
     assert rig.site.failure.startswith("the site was not ready within 60 s: afm_node@slave has not been heard\nlast")
 
 
-def test_lines_tell_news_and_who_is_waited_for() -> None:
+def test_lines_show_news_and_missing_nodes() -> None:
     rig = master()
     text = StringIO()
     view = LineView(Console(file=text, width=200))
     rig.node.observe = view.observe
     for _ in range(400):
-        rig.hear_health(*MASTER, "afm_node@slave")
+        rig.receive_health(*MASTER, "afm_node@slave")
         rig.tick()
     rig.tick_alive(6)
     lines = text.getvalue().splitlines()
@@ -220,7 +220,7 @@ def test_the_live_view_draws_a_site_without_a_session() -> None:
     text = StringIO()
     Console(file=text, width=200).print(rig_picture(rig.site))
     assert "afm_node@slave has not been heard" in text.getvalue()
-    rig.hear_health(*SLAVE)
+    rig.receive_health(*SLAVE)
     rig.tick_linked(1)
     Console(file=text, width=200).print(rig_picture(rig.site))
     assert "the master's site is heard and conducts" in text.getvalue()

@@ -1,4 +1,4 @@
-"""A rig of which somebody else, or a recording, runs a part."""
+"""A rig of which a part runs elsewhere, or is replayed."""
 
 from pathlib import Path
 
@@ -7,15 +7,15 @@ import pytest
 from presets import DEFAULT_SITE_FILE
 from proto.errors import ConfigError
 from proto.nodes import START_ORDER
-from services.launcher.plan import UpRequest, left_out, make_plan
+from services.launcher.plan import UpRequest, excluded_nodes, make_plan
 
 
 def test_nodes_are_left_out_by_name_or_key() -> None:
-    assert left_out(["controller"]) == {"controller@master", "controller@slave"}
-    assert left_out(["controller@slave", "haptic_node"]) == {"controller@slave", "haptic_node@master"}
-    assert left_out([]) == frozenset()
-    with pytest.raises(ConfigError, match="--without hand: there are recorder@master"):
-        left_out(["hand"])
+    assert excluded_nodes(["controller"]) == {"controller@master", "controller@slave"}
+    assert excluded_nodes(["controller@slave", "haptic_node"]) == {"controller@slave", "haptic_node@master"}
+    assert excluded_nodes([]) == frozenset()
+    with pytest.raises(ConfigError, match="--without hand: no such node, known are recorder@master"):
+        excluded_nodes(["hand"])
 
 
 def test_a_plan_starts_the_others_in_order(tmp_path: Path) -> None:

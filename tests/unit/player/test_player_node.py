@@ -43,13 +43,13 @@ class Stage:
     ) -> None:
         self.clock = VirtualClock(0, EPOCH_NS + 10**12)
         recording = Recording(path)
-        self.parts = ReplayPlan(recording, book, selection, given.pop("remap", None))
-        self.tape = Playback(recording, self.parts.plays, given.pop("span", Span()))
-        outlets = {
+        self.plan = ReplayPlan(recording, book, selection, given.pop("remap", None))
+        self.playback = Playback(recording, self.plan.plays, given.pop("span", Span()))
+        publishers = {
             node: ReplayPublisher(Publisher(context, self.clock, node, book.endpoint(node), kind=zmq.XPUB))
-            for node in self.parts.nodes
+            for node in self.plan.nodes
         }
-        self.outlets = outlets
+        self.publishers = publishers
         self.own = Publisher(context, self.clock, PLAYER, book.endpoint(PLAYER))
         bus = ZmqBus(self.own, [], self.clock, -1)
         self.events: list[SessionEvent] = []
@@ -63,7 +63,7 @@ class Stage:
 
         bus.publish = kept
         node_context = NodeContext(PLAYER, self.clock, bus, StructuredLog(PLAYER))
-        self.player = PlayerNode(node_context, self.tape, self.parts, outlets, PlaySettings(**given))
+        self.player = PlayerNode(node_context, self.playback, self.plan, publishers, PlaySettings(**given))
         self.reader = context.socket(zmq.SUB)
         self.reader.set(zmq.RCVTIMEO, 5000)
         self.reader.set(zmq.LINGER, 0)
@@ -72,9 +72,9 @@ class Stage:
     def listen(self, nodes: Sequence[str], topic: str = "") -> None:
         self.reader.subscribe(topic)
         for node in nodes:
-            self.reader.connect(self.outlets[node].publisher.socket.get(zmq.LAST_ENDPOINT).decode())
-            # the subscription has arrived once the outlet can be asked for it
-            while not self.outlets[node].publisher.socket.poll(1000):
+            self.reader.connect(self.publishers[node].publisher.socket.get(zmq.LAST_ENDPOINT).decode())
+            # the subscription has arrived once the publisher has something to read
+            while not self.publishers[node].publisher.socket.poll(1000):
                 pass
 
     def run_ms(self, duration_ms: float) -> None:
@@ -109,9 +109,9 @@ class Stage:
 
     def close(self) -> None:
         self.reader.close()
-        for outlet in self.outlets.values():
-            outlet.publisher.socket.set(zmq.LINGER, 0)
-            outlet.publisher.close()
+        for publisher in self.publishers.values():
+            publisher.publisher.socket.set(zmq.LINGER, 0)
+            publisher.publisher.close()
         self.own.close()
 
 
@@ -134,113 +134,113 @@ def test_the_bytes_are_those_of_the_recording_on_the_endpoint_of_their_node(
     stage: Callable[..., Stage], make_file: MakeFile
 ) -> None:
     path = make_file()
-    theatre = stage(path, Selection())
-    assert theatre.parts.nodes == [FAR, HAND]
-    theatre.listen([HAND], "haptic/state")
-    theatre.listen([FAR], "teleop/forward")
-    theatre.reader.subscribe("")
-    theatre.run_ms(100)
+    rig = stage(path, Selection())
+    assert rig.plan.nodes == [FAR, HAND]
+    rig.listen([HAND], "haptic/state")
+    rig.listen([FAR], "teleop/forward")
+    rig.reader.subscribe("")
+    rig.run_ms(100)
     expected = {(m.topic, m.payload) for m in Recording(path).messages()}
     got: set[tuple[str, bytes]] = set()
     while got != expected:
-        topic, payload = theatre.heard(1)[0]
+        topic, payload = rig.heard(1)[0]
         if topic != "node/health":
             got.add((topic, payload))
-    assert theatre.player.sent == 80
-    assert theatre.player.finished
+    assert rig.player.sent == 80
+    assert rig.player.finished
 
 
 def test_health_says_that_it_is_a_replay_before_anything_else(stage: Callable[..., Stage], make_file: MakeFile) -> None:
-    theatre = stage(make_file())
-    theatre.listen([HAND])
-    theatre.run_ms(100)
-    topic, payload = theatre.heard(1)[0]
+    rig = stage(make_file())
+    rig.listen([HAND])
+    rig.run_ms(100)
+    topic, payload = rig.heard(1)[0]
     assert topic == "node/health"
     health = decode(topic, payload)
     assert isinstance(health, NodeHealth)
     assert (health.src, health.replay) == (HAND, True)
-    assert theatre.player.replay
+    assert rig.player.replay
 
 
 def test_messages_are_sent_when_they_are_due(stage: Callable[..., Stage], make_file: MakeFile) -> None:
-    theatre = stage(make_file(), rate=2.0)
-    theatre.listen([HAND], "haptic/state")
-    theatre.run_ms(5.2)
+    rig = stage(make_file(), rate=2.0)
+    rig.listen([HAND], "haptic/state")
+    rig.run_ms(5.2)
     # twice as fast as one a ms, and the first at once
-    assert theatre.player.sent == 11
-    theatre.command(**{"player.rate": 1.0})
-    theatre.run_ms(5.0)
-    assert theatre.player.sent == 16
+    assert rig.player.sent == 11
+    rig.command(**{"player.rate": 1.0})
+    rig.run_ms(5.0)
+    assert rig.player.sent == 16
 
 
 def test_nothing_is_sent_before_somebody_listens_or_the_wait_is_over(
     stage: Callable[..., Stage], make_file: MakeFile
 ) -> None:
-    theatre = stage(make_file(), wait_s=0.2)
-    theatre.run_ms(190)
-    assert theatre.player.sent == 0
-    assert "waiting for readers" in theatre.player.status()
-    theatre.run_ms(300)
-    assert theatre.player.sent == 40
-    assert any("nobody listens to haptic/state" in event.text for event in theatre.events)
+    rig = stage(make_file(), wait_s=0.2)
+    rig.run_ms(190)
+    assert rig.player.sent == 0
+    assert "waiting for readers" in rig.player.status()
+    rig.run_ms(300)
+    assert rig.player.sent == 40
+    assert any("no reader has subscribed to haptic/state" in event.text for event in rig.events)
 
 
 def test_pause_step_and_step_to_a_topic(stage: Callable[..., Stage], make_file: MakeFile) -> None:
-    theatre = stage(make_file(), Selection(), paused=True, wait_s=0.0)
-    theatre.run_ms(100)
-    assert theatre.player.sent == 0
-    theatre.command(**{"player.step": 1})
-    theatre.run_ms(60)
-    assert theatre.player.sent == 1
-    theatre.command(**{"player.step": 4})
-    theatre.run_ms(60)
-    assert theatre.player.sent == 5
-    theatre.command(**{"player.step_topic": "haptic/state"})
-    theatre.run_ms(60)
-    message = theatre.tape.peek()
+    rig = stage(make_file(), Selection(), paused=True, wait_s=0.0)
+    rig.run_ms(100)
+    assert rig.player.sent == 0
+    rig.command(**{"player.step": 1})
+    rig.run_ms(60)
+    assert rig.player.sent == 1
+    rig.command(**{"player.step": 4})
+    rig.run_ms(60)
+    assert rig.player.sent == 5
+    rig.command(**{"player.step_topic": "haptic/state"})
+    rig.run_ms(60)
+    message = rig.playback.peek()
     assert message is not None
     # hand 3 was the next one on its topic: what comes now is the forward of the same ms
     assert (message.topic, message.seq) == ("teleop/forward", 3)
-    theatre.command("start")
-    theatre.run_ms(100)
-    assert theatre.player.finished
+    rig.command("start")
+    rig.run_ms(100)
+    assert rig.player.finished
 
 
 def test_after_a_seek_the_state_is_told_and_numbers_go_on(stage: Callable[..., Stage], make_file: MakeFile) -> None:
-    theatre = stage(make_file())
-    theatre.listen([HAND], "haptic/state")
-    theatre.run_ms(10.2)
-    assert [state.seq for state in theatre.heard_states(11)] == list(range(11))
-    theatre.command(**{"player.seek_s": 0.0305, "player.pause": True})
-    theatre.run_ms(60)
-    (state,) = theatre.heard_states(1)
+    rig = stage(make_file())
+    rig.listen([HAND], "haptic/state")
+    rig.run_ms(10.2)
+    assert [state.seq for state in rig.heard_states(11)] == list(range(11))
+    rig.command(**{"player.seek_s": 0.0305, "player.pause": True})
+    rig.run_ms(60)
+    (state,) = rig.heard_states(1)
     # the hand as it was at 30 ms, its own time kept, its number the next that readers expect
     assert (state.seq, state.t_ns) == (11, haptic_state(30).t_ns)
-    theatre.command(**{"player.pause": False})
-    theatre.run_ms(5)
-    assert [(s.seq, s.t_ns) for s in theatre.heard_states(2)] == [
+    rig.command(**{"player.pause": False})
+    rig.run_ms(5)
+    assert [(s.seq, s.t_ns) for s in rig.heard_states(2)] == [
         (12, haptic_state(31).t_ns),
         (13, haptic_state(32).t_ns),
     ]
-    theatre.command(**{"player.skip_s": -0.020})
-    theatre.run_ms(60)
-    times = [state.t_ns for state in theatre.heard_states(6)]
+    rig.command(**{"player.skip_s": -0.020})
+    rig.run_ms(60)
+    times = [state.t_ns for state in rig.heard_states(6)]
     assert any(later < earlier for earlier, later in pairwise(times))
 
 
 def test_a_loop_between_two_points_goes_round_without_a_gap_in_the_numbers(
     stage: Callable[..., Stage], make_file: MakeFile
 ) -> None:
-    theatre = stage(make_file(), span=Span(0.010, 0.020, loop=True))
-    theatre.listen([HAND], "haptic/state")
-    theatre.run_ms(35)
-    states = theatre.heard_states(30)
+    rig = stage(make_file(), span=Span(0.010, 0.020, loop=True))
+    rig.listen([HAND], "haptic/state")
+    rig.run_ms(35)
+    states = rig.heard_states(30)
     assert [state.seq for state in states] == list(range(states[0].seq, states[0].seq + 30))
     places = {round((state.t_ns - EPOCH_NS) / MILLISECOND_NS) for state in states}
     assert places == set(range(9, 20))
-    theatre.command(**{"player.loop": False})
-    theatre.run_ms(50)
-    assert theatre.player.finished
+    rig.command(**{"player.loop": False})
+    rig.run_ms(50)
+    assert rig.player.finished
 
 
 def test_a_slow_reader_holds_the_replay_up_and_loses_nothing(stage: Callable[..., Stage], tmp_path: Path) -> None:
@@ -251,27 +251,27 @@ def test_a_slow_reader_holds_the_replay_up_and_loses_nothing(stage: Callable[...
     for seq in range(count):
         writer.write(hand, EPOCH_NS + seq * 1000, EPOCH_NS + seq, seq, payload)
     writer.finish()
-    theatre = stage(writer.path, rate=0.0)
-    theatre.reader.set(zmq.RCVHWM, 100)
-    theatre.listen([HAND], "haptic/state")
-    theatre.run_ms(1000)
-    assert theatre.player.blocked
-    assert theatre.player.sent < count
-    assert "waiting for a slow reader" in theatre.player.status()
+    rig = stage(writer.path, rate=0.0)
+    rig.reader.set(zmq.RCVHWM, 100)
+    rig.listen([HAND], "haptic/state")
+    rig.run_ms(1000)
+    assert rig.player.blocked
+    assert rig.player.sent < count
+    assert "waiting for a slow reader" in rig.player.status()
     received = 0
     while received < count:
-        while theatre.reader.poll(0):
-            theatre.reader.recv_multipart()
+        while rig.reader.poll(0):
+            rig.reader.recv_multipart()
             received += 1
-        theatre.run_ms(10)
-    assert theatre.player.sent == received == count
+        rig.run_ms(10)
+    assert rig.player.sent == received == count
 
 
 def test_commands_are_answered_and_wrong_ones_refused(stage: Callable[..., Stage], make_file: MakeFile) -> None:
-    theatre = stage(make_file(), paused=True)
-    assert "rate 3" in theatre.command(**{"player.rate": 3})
-    assert "loop" in theatre.command(**{"player.loop": True, "player.a_s": 0.01, "player.b_s": 0.02})
-    assert theatre.tape.end_ns == theatre.tape.at(0.02)
+    rig = stage(make_file(), paused=True)
+    assert "rate 3" in rig.command(**{"player.rate": 3})
+    assert "loop" in rig.command(**{"player.loop": True, "player.a_s": 0.01, "player.b_s": 0.02})
+    assert rig.playback.end_ns == rig.playback.at(0.02)
     for parameters, text in (
         ({"player.speed": 1.0}, "player.speed is unknown"),
         ({}, "set needs parameters"),
@@ -282,27 +282,27 @@ def test_commands_are_answered_and_wrong_ones_refused(stage: Callable[..., Stage
         ({"player.next_event": True}, "there is no event"),
     ):
         with pytest.raises(RefusedError, match=text):
-            theatre.command(**parameters)
-    assert "finished" not in [event.data["state"] for event in theatre.events]
-    theatre.command("stop")
-    assert theatre.events[-1].data["state"] == "finished"
+            rig.command(**parameters)
+    assert "finished" not in [event.data["state"] for event in rig.events]
+    rig.command("stop")
+    assert rig.events[-1].data["state"] == "finished"
 
 
 def test_the_clock_of_the_recording_is_published(stage: Callable[..., Stage], make_file: MakeFile) -> None:
-    theatre = stage(make_file(), wait_s=0.0, rate=0.01)
-    theatre.run_ms(3200)
-    times = [event.data["time_s"] for event in theatre.events if event.data["state"] == "playing"]
+    rig = stage(make_file(), wait_s=0.0, rate=0.01)
+    rig.run_ms(3200)
+    times = [event.data["time_s"] for event in rig.events if event.data["state"] == "playing"]
     assert len(times) == 3
     assert times == sorted(times)
-    assert theatre.tape.origin_ns < theatre.events[-1].data["time_ns"] <= theatre.tape.position_ns
+    assert rig.playback.origin_ns < rig.events[-1].data["time_ns"] <= rig.playback.position_ns
 
 
 def test_topics_and_nodes_can_be_renamed(stage: Callable[..., Stage], make_file: MakeFile) -> None:
-    theatre = stage(make_file(), remap={"haptic/state": "haptic/ghost", HAND: "controller@master"})
-    assert theatre.parts.nodes == ["controller@master"]
-    theatre.listen(["controller@master"], "haptic/ghost")
-    theatre.run_ms(60)
-    assert theatre.heard(1)[0] == ("haptic/ghost", encode(haptic_state(0)))
+    rig = stage(make_file(), remap={"haptic/state": "haptic/ghost", HAND: "controller@master"})
+    assert rig.plan.nodes == ["controller@master"]
+    rig.listen(["controller@master"], "haptic/ghost")
+    rig.run_ms(60)
+    assert rig.heard(1)[0] == ("haptic/ghost", encode(haptic_state(0)))
 
 
 def test_the_recorders_own_words_and_recorded_health_are_not_played(tmp_path: Path, book: AddressBook) -> None:
@@ -311,8 +311,8 @@ def test_the_recorders_own_words_and_recorded_health_are_not_played(tmp_path: Pa
         channel = writer.channel(topic, src, "master")
         writer.write(channel, EPOCH_NS, EPOCH_NS, 0, encode(sample(topic, 0, src=src)))
     writer.finish()
-    parts = ReplayPlan(Recording(writer.path), book, Selection())
-    assert [channel.topic for channel in parts.topics] == ["haptic/state"]
+    plan = ReplayPlan(Recording(writer.path), book, Selection())
+    assert [channel.topic for channel in plan.topics] == ["haptic/state"]
 
 
 def test_a_node_that_is_not_in_the_site_file_is_named(make_file: MakeFile, tmp_path: Path) -> None:
@@ -322,7 +322,7 @@ def test_a_node_that_is_not_in_the_site_file_is_named(make_file: MakeFile, tmp_p
 
 
 def test_forwarded_copies_belong_to_the_link(make_file: MakeFile, book: AddressBook) -> None:
-    parts = ReplayPlan(Recording(make_file()), book, Selection.of(nodes=["delay_node"]))
-    assert parts.nodes == [FAR]
-    assert {channel.channel_topic for channel in parts.topics} == {"teleop/forward@slave"}
+    plan = ReplayPlan(Recording(make_file()), book, Selection.of(nodes=["delay_node"]))
+    assert plan.nodes == [FAR]
+    assert {channel.channel_topic for channel in plan.topics} == {"teleop/forward@slave"}
     assert teleop_forward(0).src == "controller@master"

@@ -37,10 +37,10 @@ def events(tmp_path: Path) -> Path:
     return writer.path
 
 
-def played(tape: Playback) -> list[int]:
+def played(playback: Playback) -> list[int]:
     found = []
-    while tape.peek() is not None:
-        found.append(tape.take().seq)
+    while playback.peek() is not None:
+        found.append(playback.pop().seq)
     return found
 
 
@@ -50,11 +50,11 @@ def hands(path: Path, start_s: float = 0.0, end_s: float | None = None) -> Playb
 
 def test_everything_is_played_once_in_order(make_file: MakeFile) -> None:
     path = make_file()
-    tape = Playback(Recording(path), ALL, Span())
-    heard = [(message.channel_topic, message.seq) for message in iter(lambda: tape.peek() and tape.take(), None)]
+    playback = Playback(Recording(path), ALL, Span())
+    heard = [(message.channel_topic, message.seq) for message in iter(lambda: playback.peek() and playback.pop(), None)]
     assert heard == [(message.channel_topic, message.seq) for message in Recording(path).messages()]
-    with pytest.raises(RecordingError, match="there is nothing after"):
-        tape.take()
+    with pytest.raises(RecordingError, match="there is no message after"):
+        playback.pop()
 
 
 def test_start_and_end_bound_what_is_played(events: Path) -> None:
@@ -67,26 +67,26 @@ def test_start_and_end_bound_what_is_played(events: Path) -> None:
 
 @pytest.mark.parametrize("place", [0, 1, 37, 50, 99])
 def test_a_seek_leads_to_any_place_and_on_from_there(events: Path, place: int) -> None:
-    tape = hands(events)
-    played(tape)
-    state = tape.seek(tape.at(place * 1e-3))
+    playback = hands(events)
+    played(playback)
+    state = playback.seek(playback.at(place * 1e-3))
     assert [message.seq for message in state] == ([place - 1] if place else [])
-    assert played(tape) == list(range(place, 100))
+    assert played(playback) == list(range(place, 100))
 
 
 def test_a_seek_beyond_the_recording_stays_within(events: Path) -> None:
-    tape = hands(events)
-    tape.seek(tape.at(-5.0))
-    assert tape.time_s == 0.0
-    tape.seek(tape.at(5.0))
-    assert played(tape) == [99]
+    playback = hands(events)
+    playback.seek(playback.at(-5.0))
+    assert playback.time_s == 0.0
+    playback.seek(playback.at(5.0))
+    assert played(playback) == [99]
 
 
 def test_the_state_at_a_position_reaches_back_to_slow_topics_and_leaves_events_out(events: Path) -> None:
-    tape = Playback(Recording(events), ALL, Span())
-    state = tape.seek(tape.at(0.0955))
+    playback = Playback(Recording(events), ALL, Span())
+    state = playback.seek(playback.at(0.0955))
     assert [(message.topic, message.seq) for message in state] == [("link/status", 0), ("haptic/state", 95)]
-    assert tape.seek(tape.at(0.0035))[0].topic == "haptic/state"
+    assert playback.seek(playback.at(0.0035))[0].topic == "haptic/state"
 
 
 def test_the_state_is_found_in_a_killed_file_too(make_file: MakeFile) -> None:
@@ -100,25 +100,25 @@ def test_the_state_is_found_in_a_killed_file_too(make_file: MakeFile) -> None:
 
 
 def test_the_next_event_is_found_from_anywhere(events: Path) -> None:
-    tape = hands(events)
+    playback = hands(events)
     times = []
-    while (found := tape.next_event_ns()) is not None:
-        times.append(round((found - tape.origin_ns) / MILLISECOND_NS))
-        tape.seek(found)
+    while (found := playback.next_event_ns()) is not None:
+        times.append(round((found - playback.origin_ns) / MILLISECOND_NS))
+        playback.seek(found)
     assert times == [30, 60]
 
 
 def test_loop_points_can_be_moved_while_playing(events: Path) -> None:
-    tape = hands(events)
+    playback = hands(events)
     for _ in range(30):
-        tape.take()
-    tape.limit(start_ns=tape.at(0.010))
-    tape.limit(end_ns=tape.at(0.040))
-    assert played(tape) == list(range(30, 40))
-    tape.rewind()
-    assert played(tape) == list(range(10, 40))
+        playback.pop()
+    playback.limit(start_ns=playback.at(0.010))
+    playback.limit(end_ns=playback.at(0.040))
+    assert played(playback) == list(range(30, 40))
+    playback.rewind()
+    assert played(playback) == list(range(10, 40))
     with pytest.raises(RecordingError, match="must come after its start"):
-        tape.limit(end_ns=tape.at(0.005))
+        playback.limit(end_ns=playback.at(0.005))
 
 
 def test_nothing_chosen_is_an_error(events: Path) -> None:
@@ -127,13 +127,13 @@ def test_nothing_chosen_is_an_error(events: Path) -> None:
 
 
 def test_time_is_mapped_by_the_rate_and_goes_on_from_where_it_was() -> None:
-    transport = PlaybackClock(1000, 50_000, 1.0, paused=False)
-    assert transport.due_ns(50_100) == 1100
-    transport.change(1100, 50_100, rate=2.0)
-    assert transport.due_ns(50_300) == 1200
-    transport.change(1200, 50_300, paused=True)
-    assert transport.due_ns(50_300) is None
-    transport.change(9000, 50_300, paused=False)
-    assert transport.due_ns(50_500) == 9100
-    transport.change(9100, 50_500, rate=0.0)
-    assert transport.due_ns(99_999_999) == 9100
+    playback_clock = PlaybackClock(1000, 50_000, 1.0, paused=False)
+    assert playback_clock.due_ns(50_100) == 1100
+    playback_clock.change(1100, 50_100, rate=2.0)
+    assert playback_clock.due_ns(50_300) == 1200
+    playback_clock.change(1200, 50_300, paused=True)
+    assert playback_clock.due_ns(50_300) is None
+    playback_clock.change(9000, 50_300, paused=False)
+    assert playback_clock.due_ns(50_500) == 9100
+    playback_clock.change(9100, 50_500, rate=0.0)
+    assert playback_clock.due_ns(99_999_999) == 9100

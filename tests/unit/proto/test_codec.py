@@ -368,7 +368,7 @@ _EXACT = {
 
 
 def _strategy(schema: dict[str, Any], root: dict[str, Any], name: str = "") -> st.SearchStrategy[Any]:
-    """Give the values that a JSON Schema of the contract allows."""
+    """Return the values that a JSON Schema of the contract allows."""
     if name in _EXACT:
         return st.from_regex(re.compile(_EXACT[name], re.ASCII), fullmatch=True)
     if "$ref" in schema:

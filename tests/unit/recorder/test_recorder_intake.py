@@ -18,7 +18,7 @@ from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake, Listener, read_header
 from services.runtime.bus import Subscriber
 from services.runtime.clock import VirtualClock
-from services.runtime.security.peer_connections import Rights
+from services.runtime.security.peer_connections import MessagePermissions
 
 MakeListener = Callable[[str], Listener]
 
@@ -60,9 +60,9 @@ def recorded(intake: Intake) -> Recording:
 def test_the_place_where_a_message_was_heard_names_the_channel(intake: Intake, listen: MakeListener) -> None:
     near, far = listen("controller@master"), listen("delay_node@slave")
     for listener in (near, far):
-        intake.take(listener, frames("teleop/forward", teleop_forward(0)), EPOCH_NS)
+        intake.record(listener, frames("teleop/forward", teleop_forward(0)), EPOCH_NS)
     link = sample("link/status", 0, src="delay_node@slave")
-    intake.take(far, frames("link/status", link), EPOCH_NS)
+    intake.record(far, frames("link/status", link), EPOCH_NS)
     heard = [(m.channel_topic, m.site, m.via, m.src) for m in recorded(intake).messages()]
     assert heard == [
         ("teleop/forward", "master", "direct", "controller@master"),
@@ -73,7 +73,7 @@ def test_the_place_where_a_message_was_heard_names_the_channel(intake: Intake, l
 
 def test_what_comes_back_to_the_master_is_marked_so(intake: Intake, listen: MakeListener) -> None:
     event = sample("session/event", 0, src="afm_node@slave")
-    intake.take(listen("delay_node@master"), frames("session/event", event), EPOCH_NS)
+    intake.record(listen("delay_node@master"), frames("session/event", event), EPOCH_NS)
     assert [m.channel_topic for m in recorded(intake).messages()] == ["session/event@master"]
 
 
@@ -81,7 +81,7 @@ def test_sources_on_one_topic_are_counted_apart(intake: Intake, listen: MakeList
     for source in ("haptic_node@master", "controller@master"):
         listener = listen(source)
         for seq in range(3):
-            intake.take(listener, frames("session/event", sample("session/event", seq, src=source)), EPOCH_NS)
+            intake.record(listener, frames("session/event", sample("session/event", seq, src=source)), EPOCH_NS)
     info = recorded(intake).info()
     assert [(c.channel_topic, c.src, c.messages, c.gaps) for c in info.channels] == [
         ("session/event", "haptic_node@master", 3, 0),
@@ -93,7 +93,7 @@ def test_sources_on_one_topic_are_counted_apart(intake: Intake, listen: MakeList
 def test_a_gap_is_written_where_it_happened(intake: Intake, listen: MakeListener) -> None:
     listener = listen("haptic_node@master")
     for seq in (0, 1, 5, 6):
-        intake.take(listener, frames("haptic/state", haptic_state(seq)), EPOCH_NS + seq)
+        intake.record(listener, frames("haptic/state", haptic_state(seq)), EPOCH_NS + seq)
     heard = list(recorded(intake).messages())
     assert [(m.topic, m.log_ns - EPOCH_NS) for m in heard] == [
         ("haptic/state", 0),
@@ -111,27 +111,27 @@ def test_a_gap_is_written_where_it_happened(intake: Intake, listen: MakeListener
 def test_lost_events_count_as_a_fault_only_where_they_were_sent(intake: Intake, listen: MakeListener) -> None:
     near, far = listen("afm_node@slave"), listen("delay_node@master")
     for seq in (0, 3):
-        intake.take(far, frames("session/event", sample("session/event", seq, src="afm_node@slave")), EPOCH_NS)
+        intake.record(far, frames("session/event", sample("session/event", seq, src="afm_node@slave")), EPOCH_NS)
     assert (intake.lost, intake.lossless_lost) == (2, 0)
     for seq in (0, 3):
-        intake.take(near, frames("session/event", sample("session/event", seq, src="afm_node@slave")), EPOCH_NS)
+        intake.record(near, frames("session/event", sample("session/event", seq, src="afm_node@slave")), EPOCH_NS)
     assert (intake.lost, intake.lossless_lost) == (4, 2)
 
 
 def test_repetitions_and_late_messages_are_recorded_as_they_come(intake: Intake, listen: MakeListener) -> None:
     listener = listen("haptic_node@master")
     for seq in (0, 2, 1, 1):
-        intake.take(listener, frames("haptic/state", haptic_state(seq)), EPOCH_NS)
+        intake.record(listener, frames("haptic/state", haptic_state(seq)), EPOCH_NS)
     assert [m.seq for m in recorded(intake).messages(["haptic/state"])] == [0, 2, 1, 1]
 
 
 def test_only_a_command_heard_at_its_publisher_is_given_back(intake: Intake, listen: MakeListener) -> None:
     command = session_control(0)
-    near = intake.take(listen("launcher@master"), frames("session/control", command), EPOCH_NS)
-    far = intake.take(listen("delay_node@slave"), frames("session/control", command), EPOCH_NS)
+    near = intake.record(listen("launcher@master"), frames("session/control", command), EPOCH_NS)
+    far = intake.record(listen("delay_node@slave"), frames("session/control", command), EPOCH_NS)
     assert near is not None and near.message == command
     assert far is None
-    assert intake.take(listen("haptic_node@master"), frames("haptic/state", haptic_state(0)), EPOCH_NS) is None
+    assert intake.record(listen("haptic_node@master"), frames("haptic/state", haptic_state(0)), EPOCH_NS) is None
 
 
 def header(**changes: Any) -> bytes:
@@ -166,7 +166,7 @@ def test_frames_that_are_no_message_are_counted_and_kept(
     intake: Intake, listen: MakeListener, sent: list[bytes], reason: str
 ) -> None:
     listener = listen("haptic_node@master")
-    assert intake.take(listener, sent, EPOCH_NS + 9) is None
+    assert intake.record(listener, sent, EPOCH_NS + 9) is None
     assert listener.subscriber.rejected == {reason: 1}
     assert listener.subscriber.last_error
     (message,) = recorded(intake).messages()
@@ -181,26 +181,28 @@ def test_frames_that_are_no_message_are_counted_and_kept(
 def test_a_flood_of_made_up_sources_ends_in_rejections(intake: Intake, listen: MakeListener) -> None:
     listener = listen("haptic_node@master")
     for number in range(1100):
-        intake.take(listener, [b"node/health", header(src=f"n{number}@master")], EPOCH_NS)
+        intake.record(listener, [b"node/health", header(src=f"n{number}@master")], EPOCH_NS)
     assert listener.subscriber.rejected == {"source": 1100 - 1024}
     assert len(listener.streams) == 1024
 
 
 def test_what_a_machine_may_not_say_is_kept_apart_and_not_acted_on(intake: Intake, listen: MakeListener) -> None:
     listener = listen("afm_node@slave")
-    rights = listener.subscriber.permit = Rights("slave", ["afm_node@slave"], ["observe"])
+    permissions = listener.subscriber.permit = MessagePermissions("slave", ["afm_node@slave"], ["observe"])
     command = frames("session/control", sample("session/control", 0, src="afm_node@slave"))
-    assert intake.take(listener, command, EPOCH_NS) is None
-    assert intake.take(listener, frames("afm/state", sample("afm/state", 0, src="afm_node@slave")), EPOCH_NS) is None
+    assert intake.record(listener, command, EPOCH_NS) is None
+    assert intake.record(listener, frames("afm/state", sample("afm/state", 0, src="afm_node@slave")), EPOCH_NS) is None
     assert listener.subscriber.rejected == {"role": 2}
     assert listener.subscriber.last_error == (
-        "afm/state of afm_node@slave: the machine slave lacks the role data, has observe"
+        "afm/state of afm_node@slave: the machine slave lacks the role data, it has observe"
     )
-    rights.change(["data", "control"])
-    assert intake.take(listener, frames("afm/state", sample("afm/state", 0, src="controller@slave")), EPOCH_NS) is None
+    permissions.change(["data", "control"])
+    assert (
+        intake.record(listener, frames("afm/state", sample("afm/state", 0, src="controller@slave")), EPOCH_NS) is None
+    )
     assert listener.subscriber.rejected == {"role": 2, "source": 1}
-    intake.take(listener, frames("afm/state", sample("afm/state", 1, src="afm_node@slave")), EPOCH_NS)
-    received = intake.take(listener, command, EPOCH_NS)
+    intake.record(listener, frames("afm/state", sample("afm/state", 1, src="afm_node@slave")), EPOCH_NS)
+    received = intake.record(listener, command, EPOCH_NS)
     assert received is not None
     assert received.topic == "session/control"
     assert [(m.channel_topic, m.src, m.seq) for m in recorded(intake).messages(["afm/state", "session/control"])] == [
@@ -234,19 +236,19 @@ def test_a_write_error_ends_the_recording_and_nothing_else(listen: MakeListener,
     config = RecorderConfig(chunk_size_bytes=4096, compression="none")
     intake = Intake(RecordingWriter(file, Path("x.mcap"), NODE, config))
     listener = listen("haptic_node@master")
-    intake.take(listener, frames("haptic/state", haptic_state(0)), EPOCH_NS)
+    intake.record(listener, frames("haptic/state", haptic_state(0)), EPOCH_NS)
     file.broken = True
     if moment == "message":
         for seq in range(1, 20):
-            intake.take(listener, frames("haptic/state", haptic_state(seq)), EPOCH_NS)
+            intake.record(listener, frames("haptic/state", haptic_state(seq)), EPOCH_NS)
     elif moment == "channel":
         for source in range(20):
-            intake.take(listener, frames("node/health", sample("node/health", 0, src=f"n{source}@master")), EPOCH_NS)
+            intake.record(listener, frames("node/health", sample("node/health", 0, src=f"n{source}@master")), EPOCH_NS)
     elif moment == "gap":
         for seq in range(2, 80, 2):
-            intake.take(listener, frames("haptic/state", haptic_state(seq)), EPOCH_NS)
+            intake.record(listener, frames("haptic/state", haptic_state(seq)), EPOCH_NS)
     elif moment == "rejected":
-        intake.take(listener, [b"haptic/state", bytes(8192)], EPOCH_NS)
+        intake.record(listener, [b"haptic/state", bytes(8192)], EPOCH_NS)
     elif moment == "flush":
         intake.flush()
     else:
@@ -255,9 +257,9 @@ def test_a_write_error_ends_the_recording_and_nothing_else(listen: MakeListener,
     assert intake.fault == "x.mcap: cannot be written: Input/output error"
     # whatever comes now is heard, counted and answered all the same
     lost = intake.lost
-    intake.take(listener, frames("haptic/state", haptic_state(100)), EPOCH_NS)
-    intake.take(listener, [b"haptic/state"], EPOCH_NS)
-    command = intake.take(listen("launcher@master"), frames("session/control", session_control(0)), EPOCH_NS)
+    intake.record(listener, frames("haptic/state", haptic_state(100)), EPOCH_NS)
+    intake.record(listener, [b"haptic/state"], EPOCH_NS)
+    command = intake.record(listen("launcher@master"), frames("session/control", session_control(0)), EPOCH_NS)
     assert command is not None
     assert intake.lost > lost
     intake.flush()

@@ -9,7 +9,7 @@ from recorder_samples import haptic_state, teleop_forward
 
 from proto import encode
 from proto.errors import ConfigError
-from recording.reader import RecordedMessage
+from recording.messages import RecordedMessage
 from services.recorder.live import LiveRecording
 from services.runtime.address_book import AddressBook
 from services.runtime.bus import Publisher
@@ -57,5 +57,5 @@ def test_a_live_rig_is_read_like_a_recording(tmp_path: Path) -> None:
 def test_a_rig_with_keys_is_not_heard_without_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TELENANO_KEYS_DIR", str(tmp_path))
     monkeypatch.setenv("TELENANO_MACHINE", "laptop")
-    with pytest.raises(ConfigError, match="`telenano keys new laptop` makes one"):
+    with pytest.raises(ConfigError, match="`telenano keys new laptop` creates one"):
         LiveRecording(AddressBook.model_validate({"nodes": {HAND: "tcp://127.0.0.1:5701"}}))

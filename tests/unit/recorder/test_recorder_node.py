@@ -61,7 +61,7 @@ class QuietBus:
     def rejections(self) -> tuple[dict[str, int], str]:
         return {}, ""
 
-    def attend(self, *, now: bool = False) -> Sequence[ConnectionEvent]:
+    def process_events(self, *, now: bool = False) -> Sequence[ConnectionEvent]:
         return ()
 
     def close(self) -> None:
@@ -125,12 +125,12 @@ def test_the_end_completes_the_file_and_says_what_is_in_it(rig: Rig) -> None:
 
 
 def test_a_folder_that_cannot_be_written_is_an_event_and_the_node_goes_on(config: RecorderConfig) -> None:
-    rig = Rig(Intake(None, "/x: cannot be made: Permission denied"), config)
+    rig = Rig(Intake(None, "/x: cannot be created: Permission denied"), config)
     for _ in range(6):
         rig.loop.turn()
     (event,) = rig.bus.events()
     assert (event.kind, event.level, event.data["state"]) == ("recording", "error", "failed")
-    assert "the rig goes on: /x: cannot be made: Permission denied" in event.text
+    assert "the rig continues: /x: cannot be created: Permission denied" in event.text
     assert rig.node.state == "safe"
     rig.command(session_control(0, id="m1"))
     rig.loop.turn()
@@ -181,7 +181,7 @@ def test_lost_commands_and_events_are_a_fault(rig: Rig) -> None:
 
 def test_health_counts_the_messages_heard(rig: Rig) -> None:
     rig.loop.turn()
-    rig.intake.heard = 1000
+    rig.intake.received = 1000
     for _ in range(3):
         rig.loop.turn()
     rates = [message.rate_hz for topic, message in rig.bus.said if topic == "node/health"]
@@ -371,7 +371,7 @@ def test_a_process_that_may_not_write_runs_and_says_so(site_file: Path, scenario
     with started(site_file, scenario_file) as process:
         assert process.stderr is not None
         line = b""
-        while b"the rig goes on" not in line:
+        while b"the rig continues" not in line:
             line = process.stderr.readline()
             assert line, "the recorder ended"
         assert b"out: is not a folder" in line

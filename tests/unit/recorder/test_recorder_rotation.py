@@ -11,7 +11,8 @@ from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state, sampl
 from proto import Message, encode
 from proto.errors import ConfigError, RecordingError, RefusedError
 from proto.messages import SessionControl, SessionEvent
-from recording.reader import Recording, open_recordings
+from recording.multi_file import open_recordings
+from recording.reader import Recording
 from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake, Listener
 from services.recorder.node import RecorderNode
@@ -52,7 +53,7 @@ class Desk:
         return message
 
     def hear(self, topic: str, message: Message) -> None:
-        self.intake.take(self.listener, [topic.encode(), encode(message)], self.clock.now_ns())
+        self.intake.record(self.listener, [topic.encode(), encode(message)], self.clock.now_ns())
 
     def hear_states(self, first: int, count: int) -> None:
         for seq in range(first, first + count):
@@ -99,7 +100,7 @@ def test_only_the_chosen_channels_are_written(desk: Callable[..., Desk]) -> None
     rig.hear("haptic/command", sample("haptic/command", 0, src="controller@master"))
     rig.intake.finish()
     assert {channel.channel_topic for channel in Recording(rig.files()[0]).channels} == {"haptic/state"}
-    assert rig.intake.heard == 5
+    assert rig.intake.received == 5
     assert rig.intake.written == 3
 
 
@@ -149,7 +150,7 @@ def test_at_the_quota_recording_stops_with_a_finished_file(desk: Callable[..., D
     assert rig.node.state == "safe"
     # the rig goes on and is heard
     rig.hear_states(600, 1)
-    assert rig.intake.heard == 601
+    assert rig.intake.received == 601
 
 
 def test_at_the_quota_the_oldest_file_goes(desk: Callable[..., Desk]) -> None:
@@ -159,13 +160,13 @@ def test_at_the_quota_the_oldest_file_goes(desk: Callable[..., Desk]) -> None:
         rig.flush()
     rig.intake.finish()
     assert rig.intake.fault == ""
-    assert rig.intake.parts is not None
-    assert rig.intake.parts.dropped > 0
+    assert rig.intake.rotation is not None
+    assert rig.intake.rotation.dropped > 0
     kept = [seq for path in rig.files() for seq in seqs(path)]
     assert kept == list(range(kept[0], 2000))
     assert kept[0] > 0
     assert sum(path.stat().st_size for path in rig.files()) < 300_000 + 90_000
-    assert any("removed for the quota" in event.text for event in rig.events)
+    assert any("removed to keep the quota" in event.text for event in rig.events)
 
 
 def test_a_snapshot_holds_what_came_before_its_trigger(desk: Callable[..., Desk]) -> None:
@@ -220,14 +221,14 @@ def test_contact_from_the_start_is_no_snap(desk: Callable[..., Desk]) -> None:
     assert rig.files() == []
 
 
-def test_the_ring_forgets_by_time_and_by_size() -> None:
-    ring = SnapshotBuffer(1.0, 1000)
+def test_the_snapshot_buffer_drops_by_time_and_by_size() -> None:
+    buffer = SnapshotBuffer(1.0, 1000)
     for second in range(5):
-        ring.add(Entry(second * SECOND_NS // 2, 0, second, b"x" * 10, None, None))
-    assert [entry.seq for entry in ring.take()] == [2, 3, 4]
+        buffer.add(Entry(second * SECOND_NS // 2, 0, second, b"x" * 10, None, None))
+    assert [entry.seq for entry in buffer.drain()] == [2, 3, 4]
     for number in range(20):
-        ring.add(Entry(0, 0, number, b"x" * 100, None, None))
-    assert (len(ring), ring.size_bytes) == (10, 1000)
+        buffer.add(Entry(0, 0, number, b"x" * 100, None, None))
+    assert (len(buffer), buffer.size_bytes) == (10, 1000)
 
 
 def test_the_recorder_says_how_it_does(desk: Callable[..., Desk]) -> None:
@@ -244,9 +245,9 @@ def test_the_recorder_says_how_it_does(desk: Callable[..., Desk]) -> None:
 
 def test_orders_that_make_no_sense_are_refused(desk: Callable[..., Desk]) -> None:
     rig = desk()
-    with pytest.raises(RefusedError, match=r"known are record\.split"):
+    with pytest.raises(RefusedError, match=r"settable are record\.split"):
         rig.command(**{"record.splt": True})
-    with pytest.raises(RefusedError, match="takes true only"):
+    with pytest.raises(RefusedError, match=r"record\.split must be true"):
         rig.command(**{"record.split": 3})
     with pytest.raises(RecordingError, match="there is no snapshot"):
         rig.command(**{"record.snapshot": True})
@@ -270,6 +271,6 @@ def test_settings_that_cannot_be_are_refused(settings: dict[str, Any], text: str
         validate(RecorderConfig, settings, "test")
 
 
-def test_an_intake_without_parts_cannot_split(config: RecorderConfig) -> None:
+def test_an_intake_without_rotation_cannot_split(config: RecorderConfig) -> None:
     with pytest.raises(RecordingError, match="no folder"):
         Intake(None, "no folder").split(0)

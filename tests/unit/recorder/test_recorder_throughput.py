@@ -42,7 +42,7 @@ def test_recording_keeps_up_and_costs_a_small_multiple_of_a_plain_writer(
     def ours() -> None:
         intake = Intake(RecordingWriter.create(NODE, RecorderConfig(directory=tmp_path)))
         for seq, payload in enumerate(payloads):
-            intake.take(listener, [b"haptic/state", payload], EPOCH_NS + seq * MILLISECOND_NS)
+            intake.record(listener, [b"haptic/state", payload], EPOCH_NS + seq * MILLISECOND_NS)
             if seq % 200 == 199:
                 intake.flush()
         intake.finish()

@@ -54,7 +54,7 @@ def test_nil_becomes_nan(config: RecorderConfig) -> None:
 @pytest.mark.parametrize(
     ("channel", "field", "text"),
     [
-        ("haptic/stat", "t_ns", "has no channel haptic/stat, it has haptic/state, teleop/forward@slave"),
+        ("haptic/stat", "t_ns", "has no channel haptic/stat; its channels are haptic/state, teleop/forward@slave"),
         ("haptic/state", "positon_m.2", "haptic/state, seq 0: has no field positon_m.2, its fields are seq, t_ns"),
         ("haptic/state", "position_m.3", "has no field position_m.3"),
         ("haptic/state", "t_ns.1", "has no field t_ns.1"),

@@ -2,7 +2,7 @@ import pytest
 
 from proto.errors import ConfigError
 from recording.channel_filter import Selection, matcher, node_matcher
-from recording.reader import RecordedChannel
+from recording.messages import RecordedChannel
 
 
 def channel(name: str, src: str = "afm_node@slave") -> RecordedChannel:

@@ -137,7 +137,7 @@ def test_the_schema_for_viewers_is_plain(topic: str) -> None:
 
 def test_nothing_is_overwritten(rich: Path, tmp_path: Path) -> None:
     for kind in ("parquet", "csv", "hdf5", "mcap-json"):
-        with pytest.raises(RecordingError, match="exists already"):
+        with pytest.raises(RecordingError, match="already exists"):
             export_recording(rich, tmp_path, kind)
 
 

@@ -13,7 +13,8 @@ from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state, teleo
 from proto import encode
 from proto.errors import RecordingError
 from recording.mcap_scan import MAGIC, scan
-from recording.reader import RecordedMessage, Recording
+from recording.messages import RecordedMessage
+from recording.reader import Recording
 from recording.records import GAP_TOPIC, REJECTED_TOPIC, GapRecord, RejectedRecord
 from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
@@ -232,7 +233,7 @@ def test_a_damaged_chunk_is_named(make_file: MakeFile, tmp_path: Path) -> None:
     assert info.complete
     assert len(info.damage) == 1
     assert info.damage[0].startswith(f"byte {block.offset}, ")
-    assert info.damage[0].endswith("the check sum of the chunk is wrong")
+    assert info.damage[0].endswith("the checksum of the chunk is wrong")
     assert {channel.lost for channel in info.channels} == {10}
 
 
@@ -244,7 +245,7 @@ def test_reading_goes_on_after_foreign_bytes(make_file: MakeFile) -> None:
     info = Recording(path).info()
     assert info.messages == 80
     assert info.skipped_bytes == 500
-    assert info.damage == (f"byte {block.offset}, 500 bytes: bytes that are no record",)
+    assert info.damage == (f"byte {block.offset}, 500 bytes: bytes that are not a record",)
 
 
 def test_bytes_after_the_end_are_reported(make_file: MakeFile) -> None:

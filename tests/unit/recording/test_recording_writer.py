@@ -88,7 +88,7 @@ def test_a_folder_that_cannot_be_used_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(RecordingError, match="file: is not a folder"):
         RecordingWriter.create(NODE, RecorderConfig(directory=tmp_path / "file"))
-    with pytest.raises(RecordingError, match=r"below/session\.mcap: cannot be made: Not a directory"):
+    with pytest.raises(RecordingError, match=r"below/session\.mcap: cannot be created: Not a directory"):
         RecordingWriter.create(NODE, RecorderConfig(directory=tmp_path / "file" / "below"))
 
 

@@ -28,7 +28,7 @@ SOURCE_OF = {LINK: "controller@master"}
 
 
 def free_ports(count: int) -> list[int]:
-    """Give ports that nobody has."""
+    """Return ports that nobody has."""
     sockets = [socket.socket() for _ in range(count)]
     for each in sockets:
         each.bind(("127.0.0.1", 0))
@@ -50,12 +50,12 @@ def two_machine_book(folder: Path, **more: Any) -> AddressBook:
 
 
 def port_of(book: AddressBook, node: str) -> int:
-    """Give the port of a node."""
+    """Return the port of a node."""
     return int((book.network_endpoint(node) or "").rpartition(":")[2])
 
 
 def payload(topic: str, src: str, seq: int) -> bytes:
-    """Give a message of a topic as it is on the wire."""
+    """Return a message of a topic as it is on the wire."""
     return encode(_example(topic).model_copy(update={"src": src, "seq": seq}))
 
 
@@ -72,12 +72,12 @@ class Machine:
         self.book = book
         self.ring = Keyring(folder / name)
         self.clock = VirtualClock(start_ns=10**9, epoch_offset_ns=10**18)
-        self.notices: list[ConnectionEvent] = []
+        self.events: list[ConnectionEvent] = []
         self.received: list[Received] = []
         self.publishers: dict[str, Publisher] = {}
         self.subscribers: list[Subscriber] = []
         self.sent = 0
-        if book.locked:
+        if book.requires_keys:
             self.ring.create(name)
 
     @property
@@ -109,18 +109,18 @@ class Machine:
             topic = TOPIC_OF.get(node, "session/event")
             publisher.send(topic, payload(topic, SOURCE_OF.get(node, node), self.sent))
         self.sent += 1
-        self.notices += self.network.attend()
+        self.events += self.network.process_events()
         for subscriber in self.subscribers:
             self.received += subscriber.receive()
 
     def heard_from(self, src: str) -> int:
-        """Give how many messages of a source have been heard."""
+        """Return how many messages of a source have been heard."""
         return sum(received.message.src == src for received in self.received)
 
     def texts(self, connection: str, peer: str | None = None) -> list[str]:
-        """Give what was told of a kind of event on connections."""
+        """Return what was told of a kind of event on connections."""
         return [
-            n.text for n in self.notices if n.data.get("connection") == connection and peer in (None, n.data["peer"])
+            n.text for n in self.events if n.data.get("connection") == connection and peer in (None, n.data["peer"])
         ]
 
     def close(self) -> None:
@@ -146,7 +146,7 @@ def until(condition: Callable[[], object], *machines: Machine) -> None:
     end = time.monotonic() + PATIENCE_S
     while not condition():
         assert time.monotonic() < end, [
-            (machine.name, machine.notices, machine.network.rejected) for machine in machines
+            (machine.name, machine.events, machine.network.rejected) for machine in machines
         ]
         for machine in machines:
             machine.turn()
@@ -154,7 +154,7 @@ def until(condition: Callable[[], object], *machines: Machine) -> None:
 
 
 def hears_more(machine: Machine, src: str, count: int = 5) -> Callable[[], bool]:
-    """Give the condition that a machine hears more of a source than it has so far."""
+    """Return the condition that a machine hears more of a source than it has so far."""
     before = machine.heard_from(src)
     return lambda: machine.heard_from(src) >= before + count
 

@@ -116,7 +116,7 @@ def test_the_runtime_folder_is_named_or_private(monkeypatch: pytest.MonkeyPatch,
 
 
 def test_an_unknown_node_is_named_with_those_there_are() -> None:
-    with pytest.raises(KeyError, match="viz_node@master is not in the site file, it has afm_node@slave, controller"):
+    with pytest.raises(KeyError, match="viz_node@master is not in the site file, which has afm_node@slave, controller"):
         book().endpoint("viz_node@master")
 
 
@@ -133,16 +133,16 @@ def test_endpoints_on_this_machine_pass(endpoint: str) -> None:
 )
 def test_tcp_is_locked_unless_that_is_waived_even_on_this_machine(endpoint: str) -> None:
     rig = AddressBook(nodes={"afm_node@slave": endpoint})
-    assert (rig.spans_machines, rig.locked) == (True, True)
+    assert (rig.spans_machines, rig.requires_keys) == (True, True)
     assert rig.endpoint("afm_node@slave") == rig.network_endpoint("afm_node@slave") == endpoint
     assert rig.local_endpoint("afm_node@slave") is None
     rig = AddressBook(nodes={"afm_node@slave": endpoint}, insecure=True)
-    assert (rig.spans_machines, rig.locked) == (True, False)
+    assert (rig.spans_machines, rig.requires_keys) == (True, False)
 
 
 def test_ipc_alone_needs_no_key() -> None:
     rig = book()
-    assert (rig.spans_machines, rig.locked) == (False, False)
+    assert (rig.spans_machines, rig.requires_keys) == (False, False)
     assert {rig.network_endpoint(node) for node in NODES} == {rig.bind_endpoint(node) for node in NODES} == {None}
 
 
@@ -183,7 +183,7 @@ def test_an_ipc_path_is_absolute_and_fits_a_socket(monkeypatch: pytest.MonkeyPat
 
 def test_two_nodes_cannot_share_an_endpoint(monkeypatch: pytest.MonkeyPatch) -> None:
     text = error_of({"afm_node@slave": "tcp://127.0.0.1:5501", "controller@slave": "tcp://127.0.0.1:5501"})
-    assert "nodes.controller@slave: tcp://127.0.0.1:5501 is the endpoint of afm_node@slave already" in text
+    assert "nodes.controller@slave: tcp://127.0.0.1:5501 is already the endpoint of afm_node@slave" in text
     monkeypatch.setenv("TELENANO_RUNTIME_DIR", "/run/rig")
     assert "already" in error_of({"afm_node@slave": "ipc://{runtime}/a", "controller@slave": "ipc:///run/rig/a"})
 
@@ -210,7 +210,7 @@ def two_sites() -> AddressBook:
 
 def test_two_sites_are_locked_and_the_link_runs_at_the_operators() -> None:
     rig = two_sites()
-    assert rig.locked
+    assert rig.requires_keys
     assert {node: rig.machine_of(node) for node in rig.nodes if node.startswith("delay_node")} == {
         "delay_node@master": "master",
         "delay_node@slave": "master",
@@ -290,9 +290,9 @@ def test_an_address_comes_from_the_file_the_environment_or_both(monkeypatch: pyt
     # what is no machine of the file is none of the environment either
     monkeypatch.setenv("TELENANO_HOST_LAPTOP", "10.0.0.3")
     assert error_of({"afm_node@slave": "tcp://{laptop}:5712"}, machines=hosts) == (
-        "site.yaml: nodes.afm_node@slave: tcp://{laptop}:5712: {laptop} is no machine of `machines`, known are slave"
+        "site.yaml: nodes.afm_node@slave: tcp://{laptop}:5712: {laptop} is not in `machines`, which has slave"
     )
-    assert error_of({"afm_node@slave": "tcp://{slave}:5712"}).endswith("known are none")
+    assert error_of({"afm_node@slave": "tcp://{slave}:5712"}).endswith("is not in `machines`, which has none")
 
 
 def test_a_wrong_address_of_the_environment_is_seen_at_the_start(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -347,7 +347,7 @@ def test_a_name_that_is_not_known_here_cannot_be_bound_but_may_be_known_later_to
     with pytest.raises(EndpointError) as caught:
         rig.bind_endpoint("afm_node@slave")
     assert str(caught.value) == (
-        "afm_node@slave cannot bind afm.elsewhere: the name is not known here (Name or service not known), give an "
+        "afm_node@slave cannot bind afm.elsewhere: the name cannot be resolved (Name or service not known): give an "
         "address, or TELENANO_BIND_ADDRESS=0.0.0.0 to bind every interface"
     )
     assert rig.connect_endpoint("afm_node@slave", "master") == "tcp://afm.elsewhere:5712"

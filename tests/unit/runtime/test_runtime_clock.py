@@ -22,7 +22,7 @@ def test_offset_is_inherited_from_the_supervisor(monkeypatch: pytest.MonkeyPatch
 
 def test_a_wrong_inherited_offset_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(EPOCH_OFFSET_VARIABLE, "1e9")
-    with pytest.raises(ConfigError, match=f"{EPOCH_OFFSET_VARIABLE} is '1e9', an integer"):
+    with pytest.raises(ConfigError, match=f"{EPOCH_OFFSET_VARIABLE} is '1e9', must be an integer"):
         SystemClock()
 
 

@@ -80,14 +80,14 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("spring: {stiffness", "is not YAML: .*line 1"),
-        ("a: b: c", "is not YAML: .*line 1"),
-        ("- 1\n- 2", "holds a list, a mapping of keys is needed"),
-        ("", "holds a NoneType, a mapping"),
-        ("just words", "holds a str"),
-        ("a: !!python/object/apply:os.getcwd []", "is not YAML: .*could not determine a constructor"),
-        ("a: 1\nb:\n  c: 1\n  c: 2\n", "is not YAML: c is given twice .*line 4"),
-        ("a: \x00", "is not YAML"),
+        ("spring: {stiffness", "is not valid YAML: .*line 1"),
+        ("a: b: c", "is not valid YAML: .*line 1"),
+        ("- 1\n- 2", "contains a list, must contain a mapping of keys"),
+        ("", "contains a NoneType, must contain a mapping"),
+        ("just words", "contains a str"),
+        ("a: !!python/object/apply:os.getcwd []", "is not valid YAML: .*could not determine a constructor"),
+        ("a: 1\nb:\n  c: 1\n  c: 2\n", "is not valid YAML: c is given twice .*line 4"),
+        ("a: \x00", "is not valid YAML"),
     ],
 )
 def test_what_is_not_a_mapping_in_yaml_is_refused_with_its_file(tmp_path: Path, text: str, said: str) -> None:
@@ -216,14 +216,14 @@ def test_a_key_that_is_both_value_and_section_is_refused() -> None:
         lambda: environment_overrides({"TELENANO__A": "1", "TELENANO__A__B": "2"}),
         lambda: nested({"a": 1, "a.b": 2}, "session/control x"),
     ):
-        with pytest.raises(ConfigError, match="a has a value already"):
+        with pytest.raises(ConfigError, match="a already has a value"):
             attempt()
 
 
 def test_a_value_that_is_not_yaml_is_named_with_its_flag_or_variable() -> None:
-    with pytest.raises(ConfigError, match=r"--set a=\{: the value is not YAML"):
+    with pytest.raises(ConfigError, match=r"--set a=\{: the value is not valid YAML"):
         flag_overrides(["a={"])
-    with pytest.raises(ConfigError, match="environment variable TELENANO__A: the value is not YAML"):
+    with pytest.raises(ConfigError, match="environment variable TELENANO__A: the value is not valid YAML"):
         environment_overrides({"TELENANO__A": "["})
 
 

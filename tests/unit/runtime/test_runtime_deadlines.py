@@ -60,11 +60,11 @@ def test_a_period_is_positive(period: int) -> None:
 def test_quantiles_of_an_interval_and_a_new_start() -> None:
     window = LatenessWindow()
     for value in range(101):
-        window.enter(value * 1e-6)
+        window.record(value * 1e-6)
     p50, p99, greatest = window.take()
     np.testing.assert_allclose([p50, p99, greatest], [50e-6, 99e-6, 100e-6], rtol=1e-12, atol=0)
     assert window.take() == (0.0, 0.0, 0.0)
-    window.enter(3e-6)
+    window.record(3e-6)
     assert window.take() == (3e-6, 3e-6, 3e-6)
 
 
@@ -73,7 +73,7 @@ def test_a_long_interval_keeps_its_newest_samples() -> None:
     samples = np.random.default_rng(7).exponential(50e-6, 20_000)
     samples[0] = 1.0
     for value in samples:
-        window.enter(float(value))
+        window.record(float(value))
     newest = samples[-8192:]
     expected = [*np.percentile(newest, [50.0, 99.0]), newest.max()]
     np.testing.assert_allclose(window.take(), expected, rtol=1e-12, atol=0)
@@ -85,18 +85,18 @@ def test_the_spin_is_as_long_as_wakeups_are_late_and_never_longer_than_allowed()
     draw = random.Random(1)
     late_ns = [int(draw.gauss(20_000, 5_000)) for _ in range(20_000)]
     for late in late_ns:
-        margin.enter(late)
+        margin.record(late)
     covered = sum(late <= margin.ns for late in late_ns) / len(late_ns)
     assert 0.97 < covered < 0.999
     for _ in range(10_000):
-        margin.enter(10**9)
+        margin.record(10**9)
     assert margin.ns == 100_000
     for _ in range(10_000):
-        margin.enter(0)
+        margin.record(0)
     assert 0 <= margin.ns < 4_000
 
 
 def test_without_leave_there_is_no_spin() -> None:
     margin = SpinMargin(0)
-    margin.enter(10**6)
+    margin.record(10**6)
     assert margin.ns == 0

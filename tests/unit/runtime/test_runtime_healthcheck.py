@@ -10,7 +10,6 @@ import msgpack
 import pytest
 import zmq
 
-from proto.errors import ConfigError
 from services.runtime import healthcheck
 
 NODE = "afm_node@slave"
@@ -83,24 +82,24 @@ def test_reports_of_other_nodes_do_not_count(says: Any, capsys: pytest.CaptureFi
     ],
 )
 def test_what_is_no_report_is_passed_over(message: list[bytes]) -> None:
-    assert healthcheck.health_in(message, NODE) is None
+    assert healthcheck.parse_health(message, NODE) is None
 
 
 def test_report_is_taken() -> None:
-    assert healthcheck.health_in(frames(), NODE) == HEALTHY
+    assert healthcheck.parse_health(frames(), NODE) == HEALTHY
 
 
 def test_silence_is_not_waited_for_longer_than_asked(sockets: Path, capsys: pytest.CaptureFixture[str]) -> None:
     begun = time.monotonic()
     assert healthcheck.main([NODE, "--within", "0.2"]) == 1
     assert 0.2 <= time.monotonic() - begun < 2.0
-    assert capsys.readouterr().out == f"afm_node@slave was not heard at ipc://{sockets}/{NODE} within 0.2 s\n"
+    assert capsys.readouterr().out == f"afm_node@slave sent no node/health at ipc://{sockets}/{NODE} within 0.2 s\n"
 
 
 def test_a_flood_of_other_messages_ends_in_time(says: Any, capsys: pytest.CaptureFixture[str]) -> None:
     says(*[frames(src="controller@master")] * 100)
     assert healthcheck.main([NODE, "--within", "0.3"]) == 1
-    assert "was not heard" in capsys.readouterr().out
+    assert "sent no node/health" in capsys.readouterr().out
 
 
 def test_environment_names_the_node(
@@ -129,7 +128,7 @@ def test_what_cannot_be_asked_is_said(
     assert "give node@site, or set TELENANO_NODE" in capsys.readouterr().out
     assert healthcheck.main([NODE]) == 2
     assert "set TELENANO_RUNTIME_DIR" in capsys.readouterr().out
-    with pytest.raises(ConfigError):
+    with pytest.raises(LookupError):
         healthcheck.endpoint_of(NODE, None)
     file = tmp_path / "site.yaml"
     file.write_text("nodes: {controller@slave: 'ipc:///run/c'}")

@@ -103,7 +103,7 @@ def test_a_node_runs_until_it_is_told_to_stop(arguments: list[str], capfd: pytes
         (["--set", "gain"], "--set gain: is not of the form section.key=value"),
         (["--scenario", "/nowhere/fig12.yaml"], "/nowhere/fig12.yaml: cannot be read: No such file or directory"),
         (["--site-file", "/nowhere/site.yaml"], "/nowhere/site.yaml: cannot be read: No such file or directory"),
-        (["--site", "slave"], "controller@slave is not in the site file, it has controller@master"),
+        (["--site", "slave"], "controller@slave is not in the site file, which has controller@master"),
         (["--set", "realtime.cpus.controller=100000"], "realtime.cpus: 100000 cannot be used"),
     ],
 )

@@ -80,7 +80,7 @@ class FakeBus:
     def rejections(self) -> tuple[dict[str, int], str]:
         return dict(self.refused), "haptic/state: not msgpack" if self.refused else ""
 
-    def attend(self, *, now: bool = False) -> list[ConnectionEvent]:
+    def process_events(self, *, now: bool = False) -> list[ConnectionEvent]:
         self.attended.append(now)
         told, self.notices = self.notices, []
         return told

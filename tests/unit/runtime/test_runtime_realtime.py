@@ -147,7 +147,7 @@ def test_a_processor_is_kept_to_and_one_that_is_not_there_is_named(monkeypatch: 
         patch.setattr(os, "sched_setaffinity", lambda pid, cpus: asked.append((pid, cpus)))
         apply_realtime(RealtimeConfig(cpus={"test": 0}), ListLog(), NODE)
     assert asked == [(0, {0})]
-    with pytest.raises(ConfigError, match=r"realtime\.cpus: 100000 cannot be used .*permitted are \d"):
+    with pytest.raises(ConfigError, match=r"realtime\.cpus: 100000 cannot be used .*permitted processors are \d"):
         apply_realtime(RealtimeConfig(cpus={NODE: 100_000}), ListLog(), NODE)
 
 

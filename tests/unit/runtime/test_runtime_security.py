@@ -15,7 +15,7 @@ from services.runtime.security.keyring import AllowedKey, KeyPair, Keyring, key_
 
 
 def secret_key(number: int) -> bytes:
-    """Give a key that is the same at each collection: keys stand in the names of tests, which workers agree on."""
+    """Return a key that is the same at each collection: keys stand in the names of tests, which workers agree on."""
     return z85.encode(bytes([number]) * 32)
 
 
@@ -69,7 +69,7 @@ def test_a_key_is_replaced_only_when_that_is_wanted(ring: Keyring) -> None:
     pair = ring.create("master")
     text = refusal_of(ring.create, "master")
     assert text == (
-        f"{secret_file(ring)} exists already: --replace makes a new key, which the other machines must allow"
+        f"{secret_file(ring)} already exists: --replace creates a new key, which the other machines must allow"
     )
     assert ring.own("master") == pair
     assert ring.create("master", replace=True) != pair
@@ -89,7 +89,7 @@ def test_a_key_that_looks_like_an_option_is_not_given_out(ring: Keyring, monkeyp
 
 
 def test_a_missing_key_says_how_to_make_one(ring: Keyring) -> None:
-    text = f"{secret_file(ring)}: there is no key for the machine master: `telenano keys new master` makes one"
+    text = f"{secret_file(ring)}: there is no key for the machine master: `telenano keys new master` creates one"
     assert refusal_of(ring.own, "master") == text
     assert ring.names() == []
     ring.create("slave")
@@ -102,7 +102,7 @@ def test_a_secret_that_others_can_read_is_refused(ring: Keyring, mode: int) -> N
     secret_file(ring).chmod(mode)
     text = refusal_of(ring.own, "master")
     assert text == (
-        f"{secret_file(ring)}: others can read this secret key (mode {mode:o}): chmod 600 {secret_file(ring)}"
+        f"{secret_file(ring)}: other users can read this secret key (mode {mode:o}): chmod 600 {secret_file(ring)}"
     )
 
 
@@ -124,8 +124,8 @@ def test_a_file_without_a_key_pair_is_refused(ring: Keyring, content: bytes) -> 
     ring.create("master")
     secret_file(ring).write_bytes(content)
     text = refusal_of(ring.own, "master")
-    assert text.startswith(f"{secret_file(ring)}: holds no ")
-    assert text.endswith("`telenano keys new master --replace` makes one")
+    assert text.startswith(f"{secret_file(ring)}: contains no ")
+    assert text.endswith("`telenano keys new master --replace` creates one")
 
 
 def test_a_folder_that_cannot_be_is_named(tmp_path: Path) -> None:
@@ -139,7 +139,8 @@ def test_a_folder_that_cannot_be_is_named(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["", "Master", "1st", "a b", "a" * 33, "../master", "master\n", "ä"])
 def test_a_wrong_name_is_refused(ring: Keyring, name: str) -> None:
     for text in (refusal_of(ring.create, name), refusal_of(ring.allow, name, KEY, ["data"])):
-        assert text == f"{name!r} is no name of a machine: small letters, digits and _, a letter first, 32 at most"
+        wanted = "lower-case letters, digits and _, a letter first, 32 at most"
+        assert text == f"{name!r} is not a valid machine name: {wanted}"
     assert not ring.folder.exists()
 
 
@@ -183,9 +184,9 @@ def test_roles_change_when_a_key_is_allowed_again(ring: Keyring) -> None:
 def test_a_machine_has_one_key_and_a_key_one_machine(ring: Keyring) -> None:
     ring.allow("slave", KEY, ["data"])
     assert refusal_of(ring.allow, "slave", OTHER, ["data"]) == (
-        "slave has another key here: `telenano keys revoke slave` first"
+        "slave is already listed with another key: run `telenano keys revoke slave` first"
     )
-    assert refusal_of(ring.allow, "laptop", KEY, ["data"]) == f"{KEY} is allowed already, as slave"
+    assert refusal_of(ring.allow, "laptop", KEY, ["data"]) == f"{KEY} is already allowed, as slave"
     assert listed(ring) == [("slave", KEY, ("data",), False)]
 
 
@@ -196,7 +197,7 @@ def test_a_revoked_key_stays_so_and_a_new_one_takes_its_place(ring: Keyring) -> 
     assert ring.allowed().of_key(KEY).revoked
     for name in ("slave", "laptop"):
         text = refusal_of(ring.allow, name, KEY, ["data"])
-        assert text == f"{KEY} was revoked and stays so: make a new key at {name}"
+        assert text == f"{KEY} was revoked permanently: create a new key on {name}"
     ring.allow("slave", OTHER, ["control"])
     assert sorted(listed(ring)) == sorted(
         [("slave", KEY, ("data",), True), ("slave", OTHER, ("control",), False)],
@@ -215,18 +216,18 @@ def test_a_key_is_revoked_by_itself(ring: Keyring) -> None:
 
 
 def test_who_is_not_listed_cannot_be_revoked(ring: Keyring) -> None:
-    assert refusal_of(ring.revoke, "slave") == (f"{ring.allowed_path}: there is no key of slave, listed are none")
+    assert refusal_of(ring.revoke, "slave") == (f"{ring.allowed_path}: there is no key of slave, listed keys are none")
     ring.allow("laptop", KEY, ["data"])
     ring.allow("tablet", OTHER, ["data"])
     ring.revoke("tablet")
-    assert refusal_of(ring.revoke, "slave").endswith("listed are laptop")
-    assert refusal_of(ring.revoke, "tablet").endswith("listed are laptop")
+    assert refusal_of(ring.revoke, "slave").endswith("listed keys are laptop")
+    assert refusal_of(ring.revoke, "tablet").endswith("listed keys are laptop")
 
 
 @pytest.mark.parametrize("key", ["", "abc", "~" * 40, "ä" * 40, "a" * 45, KEY + "\n", "#" * 40, KEY[:39] + "'"])
 def test_what_is_no_key_is_refused(ring: Keyring, key: str) -> None:
     assert refusal_of(ring.allow, "slave", key, ["data"]) == (
-        "key of slave: public_key: is no public key, which has 40 characters of Z85 (`telenano keys show`), "
+        "key of slave: public_key: is not a public key, which has 40 characters of Z85 (`telenano keys show`), "
         f"got {key!r}"
     )
     assert not ring.allowed_path.exists()
@@ -270,14 +271,14 @@ def test_the_list_is_replaced_whole_and_leaves_nothing_beside_it(
 @pytest.mark.parametrize(
     ("document", "text"),
     [
-        ("[]", "holds a list, a mapping of keys is needed"),
-        ("keys: [", "is not YAML"),
+        ("[]", "contains a list, must contain a mapping of keys"),
+        ("keys: [", "is not valid YAML"),
         ("kesy: []", "kesy: unknown key, known are keys"),
         ("keys: {}", "keys: Input should be a valid array"),
         ("keys: [{name: slave}]", "keys.0.public_key: is missing"),
         (f"keys: [{{name: slave, public_key: '{KEY}', roles: [read]}}]", "keys.0.roles.0: Input should be 'data'"),
         (f"keys: [{{name: Slave, public_key: '{KEY}', roles: [data]}}]", "keys.0.name: String should match"),
-        ("keys: [{name: slave, public_key: abc, roles: [data]}]", "keys.0.public_key: is no public key"),
+        ("keys: [{name: slave, public_key: abc, roles: [data]}]", "keys.0.public_key: is not a public key"),
         (f"keys: [{{name: slave, public_key: '{KEY}', roles: [data], revoked: 1}}]", "keys.0.revoked: "),
     ],
 )
@@ -335,7 +336,7 @@ def test_this_machine_is_named_or_the_one_whose_key_is_here(ring: Keyring, monke
     assert this_machine(ring) == "laptop"
     monkeypatch.setenv("TELENANO_MACHINE", "Laptop 1")
     assert refusal_of(this_machine, ring) == (
-        "environment variable TELENANO_MACHINE is 'Laptop 1', a name such as master is needed"
+        "environment variable TELENANO_MACHINE is 'Laptop 1', must be a name such as master"
     )
 
 
@@ -348,48 +349,48 @@ def test_a_key_as_text() -> None:
 
 
 @pytest.fixture
-def trust(ring: Keyring) -> AccessControl:
+def access(ring: Keyring) -> AccessControl:
     ring.create("master")
     ring.allow("slave", KEY, ["data", "control"])
-    return AccessControl("master", ring, locked=True)
+    return AccessControl("master", ring, requires_keys=True)
 
 
-def test_verdicts_on_keys(trust: AccessControl, ring: Keyring) -> None:
+def test_verdicts_on_keys(access: AccessControl, ring: Keyring) -> None:
     own = ring.own("master").public.decode()
-    assert trust.public_key == own
-    assert trust.judge(own) == ("master", "")
-    assert trust.judge(KEY) == ("slave", "")
-    assert trust.judge(OTHER) == ("", "unlisted")
-    assert [trust.roles(machine) for machine in ("slave", "laptop", "master")] == [
+    assert access.public_key == own
+    assert access.authorize(own) == ("master", "")
+    assert access.authorize(KEY) == ("slave", "")
+    assert access.authorize(OTHER) == ("", "unlisted")
+    assert [access.roles(machine) for machine in ("slave", "laptop", "master")] == [
         ("data", "control"),
         (),
         ("data", "control", "observe"),
     ]
-    assert [trust.server_key(machine) for machine in ("slave", "laptop", "master")] == [
+    assert [access.server_key(machine) for machine in ("slave", "laptop", "master")] == [
         KEY.encode(),
         None,
         own.encode(),
     ]
 
 
-def test_the_list_is_read_again_when_it_has_changed(trust: AccessControl, ring: Keyring) -> None:
-    assert not trust.reload()
+def test_the_list_is_read_again_when_it_has_changed(access: AccessControl, ring: Keyring) -> None:
+    assert not access.reload()
     ring.revoke("slave")
     # nothing changes behind the back of a process
-    assert trust.judge(KEY) == ("slave", "")
-    assert trust.reload()
-    assert trust.judge(KEY) == ("slave", "revoked")
-    assert (trust.roles("slave"), trust.server_key("slave")) == ((), None)
+    assert access.authorize(KEY) == ("slave", "")
+    assert access.reload()
+    assert access.authorize(KEY) == ("slave", "revoked")
+    assert (access.roles("slave"), access.server_key("slave")) == ((), None)
     ring.allow("slave", OTHER, ["observe"])
-    assert trust.reload()
-    assert (trust.judge(OTHER), trust.roles("slave")) == (("slave", ""), ("observe",))
-    assert trust.judge(KEY) == ("slave", "revoked")
-    assert not trust.reload()
+    assert access.reload()
+    assert (access.authorize(OTHER), access.roles("slave")) == (("slave", ""), ("observe",))
+    assert access.authorize(KEY) == ("slave", "revoked")
+    assert not access.reload()
 
 
 @pytest.mark.parametrize("harm", ["gone", "broken", "folder gone"])
 def test_a_list_that_breaks_leaves_the_old_one_in_force_and_is_told_once(
-    trust: AccessControl, ring: Keyring, harm: str
+    access: AccessControl, ring: Keyring, harm: str
 ) -> None:
     good = ring.allowed_path.read_bytes()
     if harm == "broken":
@@ -398,38 +399,38 @@ def test_a_list_that_breaks_leaves_the_old_one_in_force_and_is_told_once(
         ring.allowed_path.unlink()
     else:
         ring.folder.rename(ring.folder.with_name("elsewhere"))
-    assert str(ring.allowed_path) in refusal_of(trust.reload)
+    assert str(ring.allowed_path) in refusal_of(access.reload)
     for _ in range(3):
-        assert not trust.reload()
-    assert trust.judge(KEY) == ("slave", "")
+        assert not access.reload()
+    assert access.authorize(KEY) == ("slave", "")
     ring.folder.mkdir(exist_ok=True)
     ring.allowed_path.write_bytes(good)
-    assert trust.reload()
-    assert trust.judge(KEY) == ("slave", "")
+    assert access.reload()
+    assert access.authorize(KEY) == ("slave", "")
 
 
 def test_a_list_that_comes_later_is_read(ring: Keyring) -> None:
     ring.create("master")
-    trust = AccessControl("master", ring, locked=True)
-    assert not trust.reload()
-    assert trust.judge(KEY) == ("", "unlisted")
+    access = AccessControl("master", ring, requires_keys=True)
+    assert not access.reload()
+    assert access.authorize(KEY) == ("", "unlisted")
     ring.allow("slave", KEY, ["data"])
-    assert trust.reload()
-    assert trust.judge(KEY) == ("slave", "")
+    assert access.reload()
+    assert access.authorize(KEY) == ("slave", "")
 
 
 def test_without_locks_nothing_is_read_and_everybody_may_everything(tmp_path: Path) -> None:
-    trust = AccessControl("master", Keyring(tmp_path / "none"), locked=False)
-    assert not trust.reload()
-    assert (trust.public_key, trust.own, trust.server_key("slave")) == ("", None, None)
-    assert trust.roles("slave") == ("data", "control", "observe")
+    access = AccessControl("master", Keyring(tmp_path / "none"), requires_keys=False)
+    assert not access.reload()
+    assert (access.public_key, access.own, access.server_key("slave")) == ("", None, None)
+    assert access.roles("slave") == ("data", "control", "observe")
 
 
 def test_a_locked_rig_needs_the_own_key_and_a_list_in_order(ring: Keyring) -> None:
-    assert "`telenano keys new master` makes one" in refusal_of(AccessControl, "master", ring, locked=True)
+    assert "`telenano keys new master` creates one" in refusal_of(AccessControl, "master", ring, requires_keys=True)
     ring.create("master")
     ring.allowed_path.write_text("keys: 1")
-    assert refusal_of(AccessControl, "master", ring, locked=True).startswith(f"{ring.allowed_path}: keys: ")
+    assert refusal_of(AccessControl, "master", ring, requires_keys=True).startswith(f"{ring.allowed_path}: keys: ")
 
 
 NODES = {
@@ -441,12 +442,12 @@ NODES = {
 
 def test_what_a_machine_lacks_is_said_with_the_commands_that_help(ring: Keyring) -> None:
     book = AddressBook.model_validate({"nodes": NODES})
-    assert "`telenano keys new slave` makes one" in refusal_of(check_keys, book, "slave", ring)
+    assert "`telenano keys new slave` creates one" in refusal_of(check_keys, book, "slave", ring)
     ring.create("slave")
     # commands of the operator come out of the link, which runs at the master
     assert refusal_of(check_keys, book, "slave", ring) == (
-        f"{ring.allowed_path}: the key of master is not allowed here: `telenano keys allow master KEY --role data "
-        "--role control`, with the KEY that `telenano keys show` says there"
+        f"{ring.allowed_path}: the key of master is not allowed here: run `telenano keys allow master KEY --role data "
+        "--role control`, with the KEY that `telenano keys show` prints there"
     )
     ring.create("master")
     assert "`telenano keys allow slave KEY --role data`, with" in refusal_of(check_keys, book, "master", ring)

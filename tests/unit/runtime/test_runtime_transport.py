@@ -62,7 +62,7 @@ def world(tmp_path: Path) -> Iterator[Callable[..., list[Machine]]]:
         machines = [Machine(name, book, tmp_path) for name in names or ("master", "slave")]
         for one in machines:
             for other in machines:
-                if one is not other and book.locked and not strangers:
+                if one is not other and book.requires_keys and not strangers:
                     one.knows(other)
         made.extend(machines)
         return machines
@@ -80,7 +80,7 @@ def raw_connection(book: AddressBook, node: str = AFM) -> Iterator[socket.socket
 
 
 def is_closed(raw: socket.socket) -> bool:
-    """Say whether the other end has closed a connection, without waiting."""
+    """Return whether the other end has closed a connection, without waiting."""
     raw.setblocking(False)
     try:
         return raw.recv(4096) == b""
@@ -101,7 +101,7 @@ def test_listed_machines_hear_one_another(world: Callable[..., list[Machine]]) -
         lambda: master.heard_from(AFM) and master.heard_from(CONTROLLER) and slave.heard_from(OPERATOR), master, slave
     )
     endpoint = master.book.network_endpoint(AFM)
-    (up,) = [notice for notice in master.notices if notice.data.get("peer") == AFM]
+    (up,) = [event for event in master.events if event.data.get("peer") == AFM]
     assert (up.level, up.text) == ("info", f"{AFM} is connected ({endpoint})")
     assert up.data == {"peer": AFM, "endpoint": endpoint, "connection": "up", "gone_s": up.data["gone_s"]}
     assert (master.network.rejected, master.network.last_error) == (slave.network.rejected, "") == ({}, "")
@@ -199,8 +199,8 @@ def test_without_a_network_there_is_nothing_to_look_after(tmp_path: Path) -> Non
         assert (list(quiet.descriptors), len(subscribers)) == ([], 1)
         assert publisher.socket.get(zmq.HEARTBEAT_IVL) == 0
         bus = ZmqBus(publisher, subscribers, SystemClock(), -1, quiet)
-        assert (bus.attend(), bus.attend(now=True), bus.rejections()) == ((), (), ({}, ""))
-        assert quiet.attend() == []
+        assert (bus.process_events(), bus.process_events(now=True), bus.rejections()) == ((), (), ({}, ""))
+        assert quiet.process_events() == []
         bus.close()
 
 
@@ -222,14 +222,14 @@ def test_plain_tcp_is_heard_where_locks_are_waived(world: Callable[..., list[Mac
 def test_a_machine_without_a_key_cannot_take_part(world: Callable[..., list[Machine]]) -> None:
     master, _ = world()
     (master.ring.folder / "master.key_secret").unlink()
-    with zmq.Context() as context, pytest.raises(ConfigError, match="`telenano keys new master` makes one"):
+    with zmq.Context() as context, pytest.raises(ConfigError, match="`telenano keys new master` creates one"):
         Transport(context, master.clock, master.book, "master", master.ring)
 
 
 def test_what_cannot_be_bound_is_named(world: Callable[..., list[Machine]], tmp_path: Path) -> None:
     (_, slave) = world()
     slave.open()
-    with pytest.raises(EndpointError, match="viz_node@slave is not in the site file, it has afm_node@slave"):
+    with pytest.raises(EndpointError, match="viz_node@slave is not in the site file, which has afm_node@slave"):
         slave.network.publisher("viz_node@slave")
     with socket.socket() as holder:
         holder.bind(("127.0.0.1", port_of(slave.book, AFM)))
@@ -256,18 +256,19 @@ def test_an_unlisted_machine_is_refused_told_and_let_in_once_it_is_listed(world:
     until(lambda: master.texts("refused") and laptop.heard_from(AFM), master, slave, laptop)
     endpoint = slave.book.network_endpoint(AFM)
     assert master.texts("refused") == [
-        f"slave refuses the key of master at {AFM} ({endpoint}): there, "
+        f"slave rejects the key of master at {AFM} ({endpoint}): on slave, run "
         f"`telenano keys allow master '{master.key}' --role ...`"
     ]
     assert slave.network.rejected == {"unlisted": 1}
-    assert slave.network.last_error == f"somebody (127.0.0.1) at {AFM}: the key {master.key} is not in the list"
+    told = f"an unknown machine (127.0.0.1) at {AFM}: the key {master.key} is not in the list"
+    assert slave.network.last_error == told
     # it goes on asking, is told so once, and nobody else hears less
     until(lambda: slave.network.rejected["unlisted"] >= 3, master, slave, laptop)
     until(hears_more(laptop, AFM), master, slave, laptop)
     assert len(master.texts("refused")) == 1
-    # both count the same refusals, each in its own time
+    # both count the same rejections, each in its own time
     until(lambda: master.network.rejected == {"handshake": slave.network.rejected["unlisted"]}, master, slave, laptop)
-    assert master.network.last_error == f"{AFM} at {endpoint}: the key was refused"
+    assert master.network.last_error == f"{AFM} at {endpoint}: the key was rejected"
     assert (master.heard_from(AFM), master.texts("up")) == (0, [])
     assert laptop.network.rejected == {}
     slave.knows(master, ["observe"])
@@ -303,11 +304,11 @@ def test_another_key_of_the_server_than_the_listed_one_is_no_connection_until_th
     until(lambda: master.texts("refused") and laptop.heard_from(AFM), master, slave, laptop)
     endpoint = slave.book.network_endpoint(AFM)
     assert master.texts("refused") == [
-        f"{AFM} ({endpoint}) does not agree on keys: is that of slave in {master.ring.allowed_path} the one it has, "
-        f"and is {endpoint} really slave?"
+        f"the handshake with {AFM} ({endpoint}) keeps failing: is the key of slave in {master.ring.allowed_path} the "
+        f"one it uses, and is {endpoint} its endpoint?"
     ]
     assert set(slave.network.rejected) == {"handshake"}
-    assert slave.network.last_error.startswith(f"somebody at {AFM}: ")
+    assert slave.network.last_error.startswith(f"a client of {AFM}: ")
     assert set(master.network.rejected) == {"handshake"}
     # both in one go, as a script would
     master.ring.revoke("slave")
@@ -329,7 +330,7 @@ def test_a_new_key_of_the_server_ends_what_the_old_one_began(world: Callable[...
     until(lambda: master.texts("down"), master, slave)
     endpoint = slave.book.network_endpoint(AFM)
     assert master.texts("down") == [
-        f"the connection to {AFM} ({endpoint}) was closed: the key of slave that it had is no longer allowed"
+        f"the connection to {AFM} ({endpoint}) was closed: the key of slave that it used is no longer allowed"
     ]
     before = master.heard_from(AFM)
     until(lambda: master.network.rejected.get("handshake", 0) >= 3, master, slave)
@@ -348,8 +349,8 @@ def test_a_server_without_a_listed_key_is_not_connected_to_until_it_has_one(
     master.open().hears({AFM: ["afm/state"]})
     until(lambda: master.texts("unreached"), master, slave)
     assert master.texts("unreached") == [
-        f"{AFM} is not listened to, no valid key of slave is in {master.ring.allowed_path}: "
-        "`telenano keys allow slave KEY --role data`"
+        f"{AFM} is not connected, no valid key of slave is in {master.ring.allowed_path}: "
+        "run `telenano keys allow slave KEY --role data`"
     ]
     assert (master.network.rejected, slave.network.rejected, master.received) == ({}, {}, [])
     master.knows(slave)
@@ -370,7 +371,7 @@ def test_a_plain_peer_hears_nothing(world: Callable[..., list[Machine]]) -> None
         assert not plain.poll(0)
     finally:
         plain.close()
-    assert slave.network.last_error.startswith(f"somebody at {AFM}: ")
+    assert slave.network.last_error.startswith(f"a client of {AFM}: ")
     assert set(slave.network.rejected) == {"handshake"}
 
 
@@ -406,7 +407,7 @@ def test_garbage_on_the_port_is_refused_and_disturbs_nobody(
     assert not master.texts("down")
     if counted:
         until(lambda: slave.network.rejected == {"handshake": 1}, master, slave)
-        assert slave.network.last_error.startswith(f"somebody at {AFM}: ")
+        assert slave.network.last_error.startswith(f"a client of {AFM}: ")
 
 
 def test_connections_without_a_word_are_closed_and_disturb_nobody(
@@ -423,7 +424,7 @@ def test_connections_without_a_word_are_closed_and_disturb_nobody(
         until(lambda: slave.network.rejected == {"handshake": 100}, master, slave)
         until(lambda: all(is_closed(raw) for raw in silent), master, slave)
     assert not master.texts("down")
-    assert "it took too long" in slave.network.last_error
+    assert "the handshake timed out" in slave.network.last_error
 
 
 def test_a_frame_that_no_subscription_needs_closes_the_connection_of_its_sender_alone(
@@ -464,7 +465,7 @@ def test_a_message_that_nobody_may_send_closes_the_connection_of_its_sender_alon
     until(lambda: len(master.texts("up")) == 2, master, slave)
     slave.publishers[AFM].send("afm/state", bytes(17 << 20))
     until(lambda: master.texts("down"), master, slave)
-    assert set(notice.data["peer"] for notice in master.notices if notice.data["connection"] == "down") == {AFM}
+    assert set(event.data["peer"] for event in master.events if event.data["connection"] == "down") == {AFM}
     until(lambda: len(master.texts("up", AFM)) == 2, master, slave)
     until(hears_more(master, CONTROLLER), master, slave)
     until(hears_more(master, AFM), master, slave)
@@ -472,7 +473,7 @@ def test_a_message_that_nobody_may_send_closes_the_connection_of_its_sender_alon
     assert tracker.lost == 0
 
 
-def test_nobody_is_let_in_while_nobody_is_at_the_post(
+def test_nobody_is_accepted_while_no_authenticator_is_bound(
     world: Callable[..., list[Machine]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(transport, "_HANDSHAKE_MS", 300)
@@ -508,20 +509,20 @@ def test_a_key_revoked_while_it_is_connected_is_cut_off_and_the_others_come_back
     until(lambda: laptop.texts("up") and master.texts("up"), *everybody)
     slave.ring.revoke("laptop")
     until(lambda: laptop.texts("down") and master.texts("down"), *everybody)
-    (notice,) = slave.notices
+    (event,) = slave.events
     endpoint = slave.book.bind_endpoint(AFM)
-    assert (notice.level, notice.text) == (
+    assert (event.level, event.text) == (
         "warning",
         f"the key of laptop is no longer allowed: all network connections at {AFM} were closed",
     )
-    assert notice.data == {"endpoint": endpoint, "connection": "revoked"}
+    assert event.data == {"endpoint": endpoint, "connection": "revoked"}
     cut = laptop.heard_from(AFM)
     until(hears_more(master, AFM), *everybody)
     until(lambda: laptop.texts("refused"), *everybody)
     assert (laptop.heard_from(AFM), len(master.texts("up"))) == (cut, 2)
     assert set(slave.network.rejected) == {"revoked"}
     assert slave.subscribers[0].tracker("afm/state", AFM).lost == 0
-    assert len(slave.notices) == 1
+    assert len(slave.events) == 1
 
 
 def test_a_revocation_is_seen_at_the_next_look_which_every_report_is(world: Callable[..., list[Machine]]) -> None:
@@ -529,15 +530,15 @@ def test_a_revocation_is_seen_at_the_next_look_which_every_report_is(world: Call
     slave.open().speaks(AFM)
     master.open().hears({AFM: ["afm/state"]})
     until(hears_more(master, AFM), master, slave)
-    slave.clock.advance_ns(transport._LOOK_NS)
-    assert slave.network.attend() == []
+    slave.clock.advance_ns(transport._CHECK_NS)
+    assert slave.network.process_events() == []
     slave.ring.revoke("master")
-    slave.clock.advance_ns(transport._LOOK_NS - 1)
-    assert slave.network.attend() == []
+    slave.clock.advance_ns(transport._CHECK_NS - 1)
+    assert slave.network.process_events() == []
     slave.clock.advance_ns(1)
-    assert [notice.data["connection"] for notice in slave.network.attend()] == ["revoked"]
+    assert [event.data["connection"] for event in slave.network.process_events()] == ["revoked"]
     # health is reported twice a second, and looks each time
-    assert transport._LOOK_NS < 500_000_000
+    assert transport._CHECK_NS < 500_000_000
     until(lambda: master.texts("down"), master, slave)
 
 
@@ -548,7 +549,7 @@ def test_a_key_taken_off_the_list_is_cut_off_too(world: Callable[..., list[Machi
     until(hears_more(master, AFM), master, slave)
     slave.ring.allowed_path.write_text("keys: []\n")
     until(lambda: master.texts("refused"), master, slave)
-    assert slave.notices[0].text.startswith("the key of a machine taken off the list is no longer allowed: ")
+    assert slave.events[0].text.startswith("the key of a machine removed from the list is no longer allowed: ")
     assert set(slave.network.rejected) == {"unlisted"}
 
 
@@ -562,7 +563,7 @@ def test_a_change_that_concerns_nobody_here_disturbs_nobody(world: Callable[...,
         ring.revoke("laptop")
     slave.knows(master, ["observe"])
     turns(60, master, slave)
-    assert (slave.notices, len(master.notices)) == ([], 1)
+    assert (slave.events, len(master.events)) == ([], 1)
 
 
 def test_a_machine_that_revokes_the_key_of_another_stops_listening_to_it(world: Callable[..., list[Machine]]) -> None:
@@ -572,7 +573,7 @@ def test_a_machine_that_revokes_the_key_of_another_stops_listening_to_it(world: 
     until(lambda: len(master.texts("up")) == 2, master, slave)
     master.ring.revoke("slave")
     until(lambda: len(master.texts("down")) == 2, master, slave)
-    assert all(text.endswith("the key of slave that it had is no longer allowed") for text in master.texts("down"))
+    assert all(text.endswith("the key of slave that it used is no longer allowed") for text in master.texts("down"))
     heard = len(master.received)
     until(lambda: len(master.texts("unreached")) == 2, master, slave)
     assert (len(master.received), master.subscribers[-1].rejected) == (heard, {})
@@ -586,14 +587,15 @@ def test_a_list_that_breaks_is_told_once_and_changes_nothing(world: Callable[...
     until(lambda: master.texts("up"), master, slave)
     good = slave.ring.allowed_path.read_text()
     slave.ring.allowed_path.write_text("keys: [")
-    until(lambda: slave.notices, master, slave)
+    until(lambda: slave.events, master, slave)
     turns(60, master, slave)
-    (notice,) = slave.notices
-    assert notice.level == "error"
-    assert notice.text.startswith(f"the list of keys stays as it was: {slave.ring.allowed_path}: is not YAML")
+    (event,) = slave.events
+    assert event.level == "error"
+    assert event.text.startswith(f"the list of keys was not reloaded: {slave.ring.allowed_path}: is not valid YAML")
     slave.ring.allowed_path.unlink()
-    until(lambda: len(slave.notices) == 2, master, slave)
-    assert slave.notices[1].text.startswith(f"the list of keys stays as it was: {slave.ring.allowed_path}: is gone")
+    until(lambda: len(slave.events) == 2, master, slave)
+    told = f"the list of keys was not reloaded: {slave.ring.allowed_path}: no longer exists"
+    assert slave.events[1].text.startswith(told)
     slave.ring.allowed_path.write_text(good)
     slave.ring.revoke("master")
     until(lambda: master.texts("refused"), master, slave)
@@ -615,35 +617,35 @@ class StubbornSocket:
             raise zmq.ZMQError(zmq.EADDRINUSE)
 
 
-def test_a_door_that_cannot_be_opened_again_is_told_and_tried_again_without_holding_the_loop(
+def test_an_endpoint_that_cannot_be_bound_again_is_reported_and_retried_without_holding_the_loop(
     world: Callable[..., list[Machine]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(zap_authenticator, "_HURRIED", 3)
+    monkeypatch.setattr(zap_authenticator, "_FAST_REBINDS", 3)
     _, slave = world()
     slave.open()
-    doorman, stubborn = slave.network._authenticator, StubbornSocket()
+    authenticator, stubborn = slave.network._authenticator, StubbornSocket()
     quiet = SimpleNamespace(events=list, has_pending=False, socket=None)
-    door = BoundEndpoint(SimpleNamespace(socket=stubborn, node=AFM), quiet, "tcp://127.0.0.1:1")
-    doorman.doors.append(door)
+    bound = BoundEndpoint(SimpleNamespace(socket=stubborn, node=AFM), quiet, "tcp://127.0.0.1:1")
+    authenticator.endpoints.append(bound)
     try:
-        door.accepted.add(zmq.curve_keypair()[0].decode())
-        doorman.review()
-        assert [doorman.attend() for _ in range(4)] == [True, False, False, False]
-        texts = [notice.text for notice in doorman.take_notices()]
+        bound.accepted.add(zmq.curve_keypair()[0].decode())
+        authenticator.apply_permissions()
+        assert [authenticator.process_events() for _ in range(4)] == [True, False, False, False]
+        texts = [event.text for event in authenticator.take_events()]
         assert len(texts) == 2
         assert texts[1] == (
-            f"{AFM} cannot bind tcp://127.0.0.1:1 again: Address already in use; it is tried twice a second"
+            f"{AFM} cannot bind tcp://127.0.0.1:1 again: Address already in use; retrying twice a second"
         )
-        # somebody who was being answered when the door was shut, and is revoked in his turn
-        door.accepted.add(zmq.curve_keypair()[0].decode())
-        doorman.review()
+        # a client that was being answered when the endpoint was unbound, and is revoked in his turn
+        bound.accepted.add(zmq.curve_keypair()[0].decode())
+        authenticator.apply_permissions()
         stubborn.stubborn = False
-        assert not doorman.attend()
-        doorman.attend()
+        assert not authenticator.process_events()
+        authenticator.process_events()
         assert stubborn.calls == ["unbind"] + ["bind"] * 7
-        assert door.unbound is False
+        assert bound.unbound is False
     finally:
-        doorman.doors.remove(door)
+        authenticator.endpoints.remove(bound)
 
 
 # --- what may be said ---
@@ -670,7 +672,7 @@ def test_a_role_that_a_machine_lacks_is_what_its_messages_are_refused_for(world:
     until(lambda: command() or subscriber.rejected.get("role", 0) >= 5, master, slave)
     assert (master.received, set(subscriber.rejected)) == ([], {"role"})
     assert subscriber.last_error in [
-        f"{topic} of {AFM}: the machine slave lacks the role {role}, has observe"
+        f"{topic} of {AFM}: the machine slave lacks the role {role}, it has observe"
         for topic, role in (("afm/state", "data"), ("session/control", "control"))
     ]
     master.knows(slave, ["data"])
@@ -683,7 +685,7 @@ def test_a_role_that_a_machine_lacks_is_what_its_messages_are_refused_for(world:
     master.knows(slave, ["control"])
     refused = subscriber.rejected["role"]
     until(lambda: subscriber.rejected["role"] > refused + 5, master, slave)
-    assert subscriber.last_error == f"afm/state of {AFM}: the machine slave lacks the role data, has control"
+    assert subscriber.last_error == f"afm/state of {AFM}: the machine slave lacks the role data, it has control"
     until_heard("session/control")
     # roles are no reason to end a connection
     assert len(master.texts("up")) == 1
@@ -700,7 +702,7 @@ def test_a_machine_speaks_for_its_own_nodes(world: Callable[..., list[Machine]])
         slave.publishers[AFM].send("afm/state", payload("afm/state", src, 0))
 
     until(lambda: pretend("haptic_node@master") or subscriber.rejected.get("source", 0) > 3, master, slave)
-    assert subscriber.last_error == "afm/state: the machine slave may not speak for haptic_node@master"
+    assert subscriber.last_error == "afm/state: the machine slave may not send messages of haptic_node@master"
     assert master.heard_from("haptic_node@master") == 0
     # within a machine no wall is claimed
     until(lambda: pretend(CONTROLLER) or "afm/state" in _topics(master, CONTROLLER), master, slave)
@@ -736,22 +738,22 @@ def test_the_link_carries_what_comes_from_the_other_site(world: Callable[..., li
 
 
 def test_rights_are_remembered_to_a_bound(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(peer_connections, "_MOST_REMEMBERED", 2)
-    rights = MessagePermissions("master", [LINK], ["data"])
+    monkeypatch.setattr(peer_connections, "_MAX_PERMITTED", 2)
+    permissions = MessagePermissions("master", [LINK], ["data"])
     for number in range(10):
-        rights("teleop/forward", f"node{number}@master")
-    assert len(rights._fine) == 2
+        permissions("teleop/forward", f"node{number}@master")
+    assert len(permissions._permitted) == 2
     with pytest.raises(WireError) as caught:
-        rights("session/control", "launcher@master")
+        permissions("session/control", "launcher@master")
     assert caught.value.reason == "role"
-    rights.change(["control"])
-    rights("session/control", "launcher@master")
+    permissions.change(["control"])
+    permissions("session/control", "launcher@master")
     for number in (0, 9):
-        with pytest.raises(WireError, match="the machine master lacks the role data, has control"):
-            rights("teleop/forward", f"node{number}@master")
-    rights.change([])
-    with pytest.raises(WireError, match="lacks the role control, has none"):
-        rights("session/control", "launcher@master")
+        with pytest.raises(WireError, match="the machine master lacks the role data, it has control"):
+            permissions("teleop/forward", f"node{number}@master")
+    permissions.change([])
+    with pytest.raises(WireError, match="lacks the role control, it has none"):
+        permissions("session/control", "launcher@master")
 
 
 # --- what goes and comes back ---
@@ -762,19 +764,19 @@ def test_a_server_that_goes_away_and_comes_back_is_told_of(world: Callable[..., 
     slave.open().speaks(AFM, CONTROLLER)
     master.open().hears()
     until(lambda: len(master.texts("up")) == 2, master, slave)
-    master.notices.clear()
+    master.events.clear()
     slave.close()
     until(lambda: len(master.texts("down")) == 2, master)
     endpoint = master.book.network_endpoint(AFM)
-    (down,) = [notice for notice in master.notices if notice.data["peer"] == AFM]
-    assert (down.level, down.text) == ("warning", f"the connection to {AFM} ({endpoint}) is lost")
+    (down,) = [event for event in master.events if event.data["peer"] == AFM]
+    assert (down.level, down.text) == ("warning", f"the connection to {AFM} ({endpoint}) was lost")
     assert down.data == {"peer": AFM, "endpoint": endpoint, "connection": "down"}
     gone_ns = master.clock.monotonic_ns()
     master.clock.advance_ns(2_000_000_000)
     # the other one stays away
     slave.open().speaks(AFM)
     until(hears_more(master, AFM), master, slave)
-    (up,) = [notice for notice in master.notices if notice.data["connection"] == "up"]
+    (up,) = [event for event in master.events if event.data["connection"] == "up"]
     assert 2.0 <= up.data["gone_s"] <= (master.clock.monotonic_ns() - gone_ns) * 1e-9 + 1.0
     assert up.text == f"{AFM} is connected again after {up.data['gone_s']:.1f} s ({endpoint})"
     assert (up.level, master.texts("up", CONTROLLER)) == ("info", [])
@@ -787,14 +789,15 @@ def test_what_is_not_reached_is_told_after_5_s_and_every_minute(world: Callable[
     told: list[tuple[float, str]] = []
     while master.clock.monotonic_ns() < began + 130e9:
         master.clock.advance_ns(100_000_000)
-        told += [((master.clock.monotonic_ns() - began) * 1e-9, notice.text) for notice in master.network.attend()]
+        now_s = (master.clock.monotonic_ns() - began) * 1e-9
+        told += [(now_s, event.text) for event in master.network.process_events()]
     assert [round(at_s) for at_s, _ in told] == [5, 65, 125]
     endpoint = master.book.network_endpoint(AFM)
     for at_s, text in told:
         assert 0.0 <= at_s % 60.0 - 5.0 < 1.0
         assert text == (
             f"{AFM} has not been reached at {endpoint} for {at_s:.0f} s: is slave running, is the address right, does "
-            "a firewall close the port?"
+            "a firewall block the port?"
         )
 
 
@@ -805,13 +808,13 @@ def test_who_comes_and_goes_with_a_command_is_not_missed(world: Callable[..., li
     master, slave = world(book=AddressBook.model_validate({"machines": book.machines, "nodes": nodes}))
     master.open().hears({console: ["session/event"]})
     for _ in range(200):
-        master.clock.advance_ns(transport._LOOK_NS)
-        assert master.network.attend() == []
+        master.clock.advance_ns(transport._CHECK_NS)
+        assert master.network.process_events() == []
     slave.open().speaks(console)
     until(lambda: master.texts("up") and master.heard_from(console), master, slave)
     slave.close()
     until(lambda: master.texts("down"), master)
-    assert {notice.level for notice in master.notices} == {"info"}
+    assert {event.level for event in master.events} == {"info"}
 
 
 def test_what_is_reached_but_refuses_is_reminded_of_as_that(world: Callable[..., list[Machine]]) -> None:
@@ -820,7 +823,7 @@ def test_what_is_reached_but_refuses_is_reminded_of_as_that(world: Callable[...,
     slave.open().speaks(AFM)
     master.open().hears({AFM: ["afm/state"]})
     until(lambda: master.texts("unreached"), master, slave)
-    assert master.texts("unreached")[0].endswith(" s: the key was refused")
+    assert master.texts("unreached")[0].endswith(" s: the key was rejected")
 
 
 def test_a_port_that_speaks_something_else_is_asked_again_until_the_right_program_is_there(
@@ -843,8 +846,8 @@ def test_what_was_said_before_a_connection_was_lost_is_still_heard(world: Callab
     slave.open().speaks(AFM)
     master.open().hears({AFM: ["afm/state"]})
     until(lambda: master.texts("up") and master.heard_from(AFM), master, slave)
-    master.clock.advance_ns(transport._LOOK_NS)
-    master.network.attend()
+    master.clock.advance_ns(transport._CHECK_NS)
+    master.network.process_events()
     # more than a reader takes in a turn, and then the end
     last_words = 3000
     for seq in range(slave.sent, slave.sent + last_words):
@@ -935,34 +938,34 @@ def test_a_pulled_cable_is_noticed_and_what_was_sent_into_it_does_not_come_out_l
 def test_strangers_are_answered_a_few_at_a_time(world: Callable[..., list[Machine]]) -> None:
     _, slave = world()
     slave.open().speaks(AFM)
-    knocks = 3 * zap_authenticator._AT_ONCE + 1
+    requests = 3 * zap_authenticator._BATCH + 1
     flood = slave.context.socket(zmq.DEALER)
     flood.set(zmq.LINGER, 0)
     flood.connect("inproc://zeromq.zap.01")
     key = bytes(32)
     try:
-        for number in range(knocks):
+        for number in range(requests):
             request = [b"", b"1.0", b"%d" % number, AFM.encode(), b"10.0.0.7", b"", b"CURVE", key]
             flood.send_multipart(request)
         counted, has_pending = [], []
         for _ in range(4):
-            slave.network.attend()
+            slave.network.process_events()
             counted.append(slave.network.rejected["unlisted"])
             has_pending.append(slave.network.has_pending)
         assert counted == [
-            zap_authenticator._AT_ONCE,
-            2 * zap_authenticator._AT_ONCE,
-            3 * zap_authenticator._AT_ONCE,
-            knocks,
+            zap_authenticator._BATCH,
+            2 * zap_authenticator._BATCH,
+            3 * zap_authenticator._BATCH,
+            requests,
         ]
         assert has_pending == [True, True, True, False]
-        answers = [flood.recv_multipart(zmq.NOBLOCK) for _ in range(knocks)]
-        assert answers[-1] == [b"", b"1.0", b"%d" % (knocks - 1), b"400", b"unlisted", b"", b""]
-        # a question of a kind that no door here asks
+        answers = [flood.recv_multipart(zmq.NOBLOCK) for _ in range(requests)]
+        assert answers[-1] == [b"", b"1.0", b"%d" % (requests - 1), b"400", b"unlisted", b"", b""]
+        # a request with a mechanism that no endpoint here uses
         flood.send_multipart([b"", b"1.0", b"n", b"", b"10.0.0.7", b"", b"NULL"])
-        slave.network.attend()
+        slave.network.process_events()
         assert flood.recv_multipart(zmq.NOBLOCK)[3] == b"400"
-        assert slave.network.rejected == {"unlisted": knocks, "handshake": 1}
+        assert slave.network.rejected == {"unlisted": requests, "handshake": 1}
     finally:
         flood.close()
 
@@ -975,7 +978,7 @@ def test_an_answer_names_the_machine_to_the_socket(world: Callable[..., list[Mac
         asking.send_multipart(
             [b"", b"1.0", b"7", AFM.encode(), b"10.0.0.7", b"", b"CURVE", zmq.utils.z85.decode(master.key)]
         )
-        slave.network.attend()
+        slave.network.process_events()
         assert asking.recv_multipart(zmq.NOBLOCK) == [b"", b"1.0", b"7", b"200", b"", b"master", b""]
     assert slave.network.rejected == {}
 
@@ -993,15 +996,15 @@ def test_events_of_connections_are_taken_a_few_at_a_time() -> None:
         end = time.monotonic() + PATIENCE_S
         while total < 100 and time.monotonic() < end:
             taken = watch.events()
-            assert len(taken) <= socket_monitor._AT_ONCE
-            assert watch.has_pending == (len(taken) == socket_monitor._AT_ONCE)
+            assert len(taken) <= socket_monitor._BATCH
+            assert watch.has_pending == (len(taken) == socket_monitor._BATCH)
             total += len(taken)
         assert total == 100
         assert {event for event, _ in taken} == {PROTOCOL_FAILED}
         watch.socket.close()
 
 
-def test_every_knock_ends_a_wait_however_often(world: Callable[..., list[Machine]]) -> None:
+def test_every_rejected_connection_ends_a_wait_however_often(world: Callable[..., list[Machine]]) -> None:
     """ZeroMQ's descriptors tell of changes only: none may be missed, the first one before the first wait included."""
     _, slave = world()
     slave.open()
@@ -1015,16 +1018,16 @@ def test_every_knock_ends_a_wait_however_often(world: Callable[..., list[Machine
                 end = time.monotonic() + PATIENCE_S
                 while bus.rejections()[0].get("handshake", 0) < number:
                     bus.wait(clock.monotonic_ns() + round(PATIENCE_S * 1e9))
-                    assert time.monotonic() < end, f"knock {number} was not noticed"
-                    bus.attend()
+                    assert time.monotonic() < end, f"connection {number} was not noticed"
+                    bus.process_events()
         counts, text = bus.rejections()
-        assert (counts, text) == ({"handshake": 30}, f"somebody at {AFM}: {FAILURES[PROTOCOL_FAILED]}")
+        assert (counts, text) == ({"handshake": 30}, f"a client of {AFM}: {FAILURES[PROTOCOL_FAILED]}")
         # and then all is quiet: nothing wakes the loop for nothing
         deadline = clock.monotonic_ns() + 200_000_000
         waits = 0
         while clock.monotonic_ns() < deadline:
             bus.wait(deadline)
-            bus.attend()
+            bus.process_events()
             waits += 1
         assert waits <= 3
     finally:
@@ -1034,8 +1037,8 @@ def test_every_knock_ends_a_wait_however_often(world: Callable[..., list[Machine
             os.close(end_of_pipe)
 
 
-def test_a_bus_that_has_more_to_attend_to_does_not_wait(tmp_path: Path) -> None:
-    class Restless:
+def test_a_bus_that_has_more_to_process_does_not_wait(tmp_path: Path) -> None:
+    class Pending:
         has_pending = True
         rejected: ClassVar[dict[str, int]] = {}
         last_error = ""
@@ -1044,7 +1047,7 @@ def test_a_bus_that_has_more_to_attend_to_does_not_wait(tmp_path: Path) -> None:
         def __init__(self, descriptor: int) -> None:
             self.descriptors = [descriptor]
 
-        def attend(self) -> list[Any]:
+        def process_events(self) -> list[Any]:
             self.calls += 1
             self.has_pending = self.calls < 5
             return []
@@ -1055,23 +1058,23 @@ def test_a_bus_that_has_more_to_attend_to_does_not_wait(tmp_path: Path) -> None:
     wake, quiet = os.pipe(), os.pipe()
     clock = SystemClock()
     with zmq.Context() as context:
-        attendant = Restless(quiet[0])
-        bus = ZmqBus(Publisher(context, clock, AFM, f"ipc://{tmp_path}/a"), [], clock, wake[0], attendant)
+        handler = Pending(quiet[0])
+        bus = ZmqBus(Publisher(context, clock, AFM, f"ipc://{tmp_path}/a"), [], clock, wake[0], handler)
         try:
             for _ in range(5):
                 # would take an hour
                 bus.wait(clock.monotonic_ns() + 3_600_000_000_000)
-                bus.attend()
+                bus.process_events()
             # quiet now: asked for only when its descriptor speaks, or in so many words
             bus.wait(clock.monotonic_ns() + 1_000_000)
-            bus.attend()
-            assert attendant.calls == 5
-            bus.attend(now=True)
-            assert attendant.calls == 6
+            bus.process_events()
+            assert handler.calls == 5
+            bus.process_events(now=True)
+            assert handler.calls == 6
             os.write(quiet[1], b"x")
             bus.wait(clock.monotonic_ns() + 3_600_000_000_000)
-            bus.attend()
-            assert attendant.calls == 7
+            bus.process_events()
+            assert handler.calls == 7
         finally:
             bus.close()
     for end_of_pipe in (*wake, *quiet):
@@ -1084,13 +1087,13 @@ def test_the_newest_refusal_is_the_one_that_is_told(world: Callable[..., list[Ma
     clock = SystemClock()
     reader = Subscriber(slave.context, clock, {})
     bus = ZmqBus(slave.network.publisher(AFM), [reader], clock, -1, slave.network)
-    refusals = slave.network._refusals
+    rejections = slave.network._rejections
     try:
         reader.examine([b"one"], 0)
         assert bus.rejections()[1].startswith("a message has 2 frames")
-        refusals.enter("unlisted", "somebody at the door")
-        assert bus.rejections() == ({"frames": 1, "unlisted": 1}, "somebody at the door")
-        assert bus.rejections() == ({"frames": 1, "unlisted": 1}, "somebody at the door")
+        rejections.record("unlisted", "somebody at the port")
+        assert bus.rejections() == ({"frames": 1, "unlisted": 1}, "somebody at the port")
+        assert bus.rejections() == ({"frames": 1, "unlisted": 1}, "somebody at the port")
         reader.examine([b"one"], 0)
         assert bus.rejections()[1].startswith("a message has 2 frames")
     finally:
@@ -1104,7 +1107,7 @@ def test_an_end_in_the_middle_of_a_handshake_is_no_hang(world: Callable[..., lis
     for machine in (master, laptop):
         machine.open().hears()
     with raw_connection(slave.book), raw_connection(slave.book, CONTROLLER):
-        # they knock, and nobody answers
+        # they ask to be authenticated, and nobody answers
         assert select.select([slave.network._authenticator.socket.fileno()], (), (), PATIENCE_S)[0]
         slave.close()
         for machine in (master, laptop):

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from services.delay_node.config import SettingsError, parse_settings
+from proto.errors import ConfigError
+from services.delay_node.config import parse_settings
 from studies import link
 from studies.link import schedule_of, symmetric_link
 
@@ -65,5 +66,5 @@ def test_corrupted_messages_are_refused_by_their_reader() -> None:
 
 @pytest.mark.parametrize(("delay", "jitter", "loss"), [(-1e-3, 0.0, 0.0), (0.0, -1e-3, 0.0), (0.0, 0.0, 1.01)])
 def test_impossible_links_are_refused(delay: float, jitter: float, loss: float) -> None:
-    with pytest.raises(SettingsError, match="forward"):
+    with pytest.raises(ConfigError, match="forward"):
         symmetric_link(delay, jitter, loss, 0)

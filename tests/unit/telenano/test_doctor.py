@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
+from presets import DEFAULT_SITE_FILE
 from services.runtime.address_book import AddressBook, NodeEntry
 from services.runtime.security.keyring import Keyring
 from telenano.app import app
@@ -179,13 +180,13 @@ def test_governor(tmp_path: Path) -> None:
     cpus = tree(tmp_path, {**names, "cpu2/cpufreq/scaling_governor": "powersave"})
     judged(checks.check_governor(cpus, [0, 1]), "ok", "performance")
     judged(checks.check_governor(cpus, [0, 2]), "warning", "performance, powersave", "cpupower")
-    judged(checks.check_governor(cpus, [7]), "ok", "none is seen")
+    judged(checks.check_governor(cpus, [7]), "ok", "none is visible")
 
 
 def test_deep_idle(tmp_path: Path) -> None:
     tree(tmp_path, {"device": "", "driver": "intel_idle", "none": "none"})
     device, folder = tmp_path / "device", tmp_path
-    judged(checks.check_idle(device, tmp_path / "driver", container=False), "ok", "held off")
+    judged(checks.check_idle(device, tmp_path / "driver", container=False), "ok", "can be prevented")
     judged(checks.check_idle(folder, tmp_path / "none", container=False), "ok", "no idle driver")
     judged(checks.check_idle(folder, tmp_path / "missing", container=False), "ok", "no idle driver")
     judged(checks.check_idle(folder, tmp_path / "driver", container=False), "warning", "intel_idle", "setfacl")
@@ -209,11 +210,11 @@ def test_clock_source(tmp_path: Path, current: str, available: str, level: str, 
 
 
 def test_a_clock_source_that_is_not_seen(tmp_path: Path) -> None:
-    judged(checks.check_clock_source(tmp_path), "ok", "not seen")
+    judged(checks.check_clock_source(tmp_path), "ok", "not visible")
 
 
 def test_synchronised_clock() -> None:
-    judged(checks.check_synchronised(None), "ok", "does not say")
+    judged(checks.check_synchronised(None), "ok", "does not report")
     judged(checks.check_synchronised(KernelClock(True, 0.0123)), "ok", "12.3 ms")
     judged(checks.check_synchronised(KernelClock(False, 16.0)), "warning", "not synchronised", "chrony")
 
@@ -276,7 +277,7 @@ def test_runtime_folder(tmp_path: Path) -> None:
 
 def test_a_runtime_folder_that_cannot_be(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    judged(checks.check_runtime_folder(tmp_path / "file", os.getuid()), "problem", "no folder")
+    judged(checks.check_runtime_folder(tmp_path / "file", os.getuid()), "problem", "not a writable folder")
     judged(checks.check_runtime_folder(tmp_path / "file" / "run", os.getuid()), "problem", "cannot be made")
 
 
@@ -396,7 +397,7 @@ def test_an_address_that_cannot_be_had(monkeypatch: pytest.MonkeyPatch) -> None:
 
     with monkeypatch.context() as patch:
         patch.setattr(socket, "getaddrinfo", unknown)
-        assert checks.probe_endpoint("tcp://rig:5555").detail == "rig is not known (Name or service not known)"
+        assert checks.probe_endpoint("tcp://rig:5555").detail == "rig cannot be resolved (Name or service not known)"
 
     class Forbidden(socket.socket):
         def bind(self, address: Any) -> None:
@@ -404,7 +405,7 @@ def test_an_address_that_cannot_be_had(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(socket, "socket", Forbidden)
     state, detail = checks.probe_endpoint("tcp://127.0.0.1:80")
-    assert (state, detail) == ("unusable", "the port cannot be had (Permission denied)")
+    assert (state, detail) == ("unusable", "the port cannot be bound (Permission denied)")
 
 
 def test_disk(tmp_path: Path) -> None:
@@ -484,7 +485,7 @@ def test_a_runtime_folder_that_is_too_long_spares_the_other_checks(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("TELENANO_RUNTIME_DIR", str(tmp_path / ("x" * 110)))
-    levels = {finding.name: finding.level for finding in doctor.rig(doctor.SITE_FILE)}
+    levels = {finding.name: finding.level for finding in doctor.rig(DEFAULT_SITE_FILE)}
     assert (levels["runtime folder"], levels["site file"]) == ("problem", "problem")
 
 
@@ -509,5 +510,5 @@ def test_a_project_that_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> Non
 def test_the_folder_of_compiled_code_is_the_one_in_use(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "file" / "cache"))
-    finding = next(finding for finding in doctor.rig(doctor.SITE_FILE) if finding.name == "compiled code")
+    finding = next(finding for finding in doctor.rig(DEFAULT_SITE_FILE) if finding.name == "compiled code")
     judged(finding, "problem", str(tmp_path / "file" / "cache"))

@@ -39,7 +39,7 @@ def test_a_new_key_is_shown_with_what_to_do_elsewhere_and_its_secret_never(folde
     pair = Keyring(folder).own("master")
     assert (code, err) == (0, "")
     assert out == (
-        f"made the key of master in {folder}; its public half is\n\n  {pair.public.decode()}\n\n"
+        f"made the key of master in {folder}; its public key is\n\n  {pair.public.decode()}\n\n"
         f"On each other machine:  telenano keys allow master '{pair.public.decode()}' --role ...\n"
     )
     shown = run("show")[1] + run("show", "--json")[1] + out
@@ -52,7 +52,7 @@ def test_a_key_that_is_there_is_replaced_on_demand_alone(folder: Path) -> None:
     assert first == {"name": "master", "public_key": first["public_key"], "folder": str(folder)}
     code, out, err = run("new", "master")
     assert (code, out) == (2, "")
-    assert err.startswith(f"telenano: {folder / 'master.key_secret'} exists already: --replace makes a new key")
+    assert err.startswith(f"telenano: {folder / 'master.key_secret'} already exists: --replace creates a new key")
     assert document("new", "master", "--replace")["public_key"] != first["public_key"]
 
 
@@ -102,7 +102,7 @@ def test_a_key_is_revoked_for_ever_by_name_or_by_itself(folder: Path, by: str) -
     assert (code, out) == (0, f"the key {KEY} of slave is revoked\n")
     code, _, err = run("allow", "slave", KEY, "--role", "data")
     assert code == 2
-    assert err == f"telenano: {KEY} was revoked and stays so: make a new key at slave\n"
+    assert err == f"telenano: {KEY} was revoked permanently: create a new key on slave\n"
     run("allow", "slave", OTHER, "--role", "data")
     assert document("revoke", "slave") == {"name": "slave", "public_key": OTHER, "roles": ["data"], "revoked": True}
 
@@ -110,10 +110,10 @@ def test_a_key_is_revoked_for_ever_by_name_or_by_itself(folder: Path, by: str) -
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        (["new", "Master"], "'Master' is no name of a machine"),
-        (["allow", "slave", "abc", "--role", "data"], "is no public key, which has 40 characters of Z85"),
+        (["new", "Master"], "'Master' is not a valid machine name"),
+        (["allow", "slave", "abc", "--role", "data"], "is not a public key, which has 40 characters of Z85"),
         (["allow", "slave", "/nowhere/slave.key", "--role", "data"], "/nowhere/slave.key: holds no public key"),
-        (["revoke", "slave"], "there is no key of slave, listed are none"),
+        (["revoke", "slave"], "there is no key of slave, listed keys are none"),
     ],
 )
 def test_what_is_wrong_is_one_sentence_and_an_exit_code(folder: Path, arguments: list[str], text: str) -> None:
@@ -133,7 +133,7 @@ def test_a_file_without_a_public_key_is_named(tmp_path: Path, folder: Path) -> N
         file.write_bytes(content)
         code, _, err = run("allow", "slave", str(file), "--role", "data")
         assert code == 2
-        assert "no public key" in err
+        assert "public key" in err
 
 
 def test_a_damaged_key_is_named_when_keys_are_shown(folder: Path) -> None:
@@ -141,4 +141,4 @@ def test_a_damaged_key_is_named_when_keys_are_shown(folder: Path) -> None:
     (folder / "master.key_secret").write_text("nothing")
     code, _, err = run("show")
     assert code == 2
-    assert f"{folder / 'master.key_secret'}: holds no key pair" in err
+    assert f"{folder / 'master.key_secret'}: contains no key pair" in err

@@ -13,6 +13,15 @@ from proto import TOPICS
 from proto.errors import RigError
 from proto.messages import InputHealth, Message, NodeHealth
 from proto.sequence import Arrival
+from services.launcher.rig_status import (
+    NEEDED,
+    RigStatus,
+    document_of,
+    expected_nodes,
+    listen,
+    problems_of,
+    stalled_inputs,
+)
 from services.runtime.address_book import AddressBook
 from services.runtime.bus import ConnectionEvent, Publisher, Received
 from services.runtime.clock import SystemClock
@@ -20,7 +29,6 @@ from services.runtime.main import load_site
 from services.runtime.observer import Heard, Observer
 from telenano.app import app
 from telenano.commands import status
-from telenano.commands.status import NEEDED, Picture, document_of, expected_nodes, listen, problems_of, stalled_inputs
 
 RIG = [
     "haptic_node@master",
@@ -82,11 +90,11 @@ def health(node: str, *inputs: InputHealth, t_s: float = 1.0, **changes: Any) ->
     return made
 
 
-def picture_of(*messages: Message) -> Picture:
-    picture = Picture()
+def status_of(*messages: Message) -> RigStatus:
+    heard = RigStatus()
     for each in messages:
-        picture.enter(each)
-    return picture
+        heard.record(each)
+    return heard
 
 
 class FakeObserver:
@@ -133,13 +141,13 @@ def test_what_a_machine_cannot_hear_is_not_expected_of_it() -> None:
 def test_the_newest_counts_and_a_copy_out_of_the_link_is_no_second_event() -> None:
     old, new = health("afm_node@slave", t_s=1.0, pid=3), health("afm_node@slave", t_s=2.0, pid=4)
     event = message("session/event", "afm_node@slave", **EVENT)
-    picture = picture_of(new, old, event, event)
-    assert picture.newest(NodeHealth) == {"afm_node@slave": new}
-    assert len(picture.events) == 1
+    heard = status_of(new, old, event, event)
+    assert heard.newest(NodeHealth) == {"afm_node@slave": new}
+    assert len(heard.events) == 1
 
 
 def test_a_rig_in_which_all_is_well() -> None:
-    assert problems_of(picture_of(*map(health, RIG)), RIG) == {}
+    assert problems_of(status_of(*map(health, RIG)), RIG) == {}
 
 
 @pytest.mark.parametrize(
@@ -148,31 +156,31 @@ def test_a_rig_in_which_all_is_well() -> None:
         (None, "has not been heard"),
         (health("afm_node@slave", state="starting"), "is still starting"),
         (health("afm_node@slave", state="stopping"), "is stopping"),
-        (health("afm_node@slave", row("afm/command", received=0)), "does not hear afm/command"),
+        (health("afm_node@slave", row("afm/command", received=0)), "does not receive afm/command"),
     ],
 )
 def test_what_is_wrong_with_a_node(newest: NodeHealth | None, words: str) -> None:
     heard = [health(node) for node in RIG if node != "afm_node@slave"] + ([newest] if newest else [])
-    assert problems_of(picture_of(*heard), RIG) == {"afm_node@slave": words}
+    assert problems_of(status_of(*heard), RIG) == {"afm_node@slave": words}
 
 
 @pytest.mark.parametrize("state", ["safe", "ready"])
 def test_a_device_that_waits_for_its_operator_is_no_problem(state: str) -> None:
-    assert problems_of(picture_of(health("afm_node@slave", state=state)), ["afm_node@slave"]) == {}
+    assert problems_of(status_of(health("afm_node@slave", state=state)), ["afm_node@slave"]) == {}
 
 
 def test_the_launcher_is_judged_where_it_is_heard_and_a_console_is_not() -> None:
     heard = [*map(health, RIG), health("console@master", state="stopping"), health("player@master", state="stopping")]
-    assert problems_of(picture_of(*heard), RIG) == {}
+    assert problems_of(status_of(*heard), RIG) == {}
     heard.append(health("launcher@master", state="starting"))
-    assert problems_of(picture_of(*heard), RIG) == {"launcher@master": "is still starting"}
+    assert problems_of(status_of(*heard), RIG) == {"launcher@master": "is still starting"}
 
 
 def test_an_input_that_fell_silent_while_listening() -> None:
     node = "controller@master"
     before = health(node, row("teleop/backward"), row("haptic/state"), t_s=1.0)
     after = health(node, row("teleop/backward"), row("haptic/state", received=11), t_s=2.0)
-    assert problems_of(picture_of(before, after), [node]) == {node: "hears no more of teleop/backward"}
+    assert problems_of(status_of(before, after), [node]) == {node: "no longer hears teleop/backward"}
 
 
 @pytest.mark.parametrize(
@@ -205,7 +213,7 @@ def test_a_node_that_was_restarted_meanwhile_counts_anew() -> None:
 def test_the_facts_of_a_node() -> None:
     inputs = (row("afm/command", age_s=0.002, lost=3), row("node/health", age_s=0.4, lost=1))
     node = health("afm_node@slave", *inputs, rejected={"topic": 2}, overruns=7)
-    [facts] = document_of(picture_of(node), ["afm_node@slave"])["nodes"]
+    [facts] = document_of(status_of(node), ["afm_node@slave"])["nodes"]
     assert facts == {
         "node": "afm_node@slave", "heard": True, "problem": None, "state": "running", "uptime_s": 3725.0,
         "rate_hz": 999.9, "overruns": 7, "cpu_percent": 25.0, "memory_bytes": 176_000_000, "realtime": True,
@@ -215,12 +223,12 @@ def test_the_facts_of_a_node() -> None:
 
 
 def test_a_node_that_acts_on_messages_only_has_no_lateness() -> None:
-    [facts] = document_of(picture_of(health("controller@master", period_s=0.0)), ["controller@master"])["nodes"]
+    [facts] = document_of(status_of(health("controller@master", period_s=0.0)), ["controller@master"])["nodes"]
     assert (facts["lateness_p99_s"], facts["oldest_input_s"]) == (None, None)
 
 
 def test_a_site_of_its_own_is_ok() -> None:
-    document = document_of(picture_of(health("haptic_node@master")), ["haptic_node@master"])
+    document = document_of(status_of(health("haptic_node@master")), ["haptic_node@master"])
     assert (document["ok"], document["problems"], document["link"], document["laws"]) == (True, [], None, [])
 
 
@@ -245,9 +253,9 @@ def test_a_rig_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
     for words in (
         "haptic_node@master │ running", "1:02:05", "999.9", "0.210", "fifo, memory", "│ nothing", "launcher@master",
         "wan · delay 20.50 ms · dropped loss 3 · 2 in flight", "wan · no message · dropped 0",
-        "the slave's is 1.500 ms ahead, ± 0.100 ms", "net energy 0.0025 J · other half heard 2 ms ago",
+        "the slave's clock is 1.500 ms ahead, ± 0.100 ms", "net energy 0.0025 J · other half heard 2 ms ago",
         "position · programme at 3.2 s", "follow · in contact", "running · 1234 messages heard · 0 lost",
-        "slave is not reached", "recording to x.mcap", "every node is heard and none waits",
+        "slave is not reached", "recording to x.mcap", "every node is heard and none waits for anything",
     ):  # fmt: skip
         assert words in out, words
 
@@ -285,11 +293,11 @@ def test_a_rig_in_trouble_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
     code, out, err = run(monkeypatch, *heard)
     assert code == 1
     assert err == (
-        "telenano: not all is well with controller@master, delay_node@master, controller@slave, afm_node@slave, "
+        "telenano: nodes with a problem: controller@master, delay_node@master, controller@slave, afm_node@slave, "
         "recorder@master\n"
     )
     for words in (
-        "│ replay", "version 4", "not heard", "has not been heard", "does not hear haptic/state", "not passive",
+        "│ replay", "version 4", "not heard", "has not been heard", "does not receive haptic/state", "not passive",
         "waits for the other half to switch", "other half never heard", "emergency stop is latched",
         "programme not running · at a limit", "estop · in contact · meniscus · at a limit",
     ):  # fmt: skip
@@ -333,15 +341,15 @@ def test_it_listens_on_the_bus_and_only_to_what_it_needs(tmp_path: Path) -> None
     speaker.start()
     observer = Observer(book, NEEDED)
     try:
-        picture = listen(observer, 0.5)
-        heard = {topic for topic, _ in observer.subscribers[node].trackers}
+        heard = listen(observer, 0.5)
+        topics = {topic for topic, _ in observer.subscribers[node].trackers}
     finally:
         over.set()
         speaker.join()
         observer.close()
-    assert set(picture.newest(NodeHealth)) == {node}
-    assert picture.events
-    assert heard == {"node/health", "session/event"}
+    assert set(heard.newest(NodeHealth)) == {node}
+    assert heard.events
+    assert topics == {"node/health", "session/event"}
 
 
 def test_nobody_speaks(tmp_path: Path) -> None:

@@ -1,0 +1,144 @@
+"""Messages and channels as a recording holds them."""
+
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import msgpack
+from mcap.records import Channel, Schema
+from pydantic import ValidationError
+
+from proto import WireError, decode
+from proto.errors import RecordingError
+from proto.messages import Record
+from recording.records import RECORDS
+
+
+class RecordedChannel(NamedTuple):
+    """What one publisher (`src`) sent on one bus topic, as received at one site.
+
+    `channel_topic` is the bus topic, with `@site` where it was received behind the link. `rate_hz` is the declared
+    rate, None for topics sent on change. In a file that is not a recording of ours, `site` and `src` are empty.
+    """
+
+    channel_topic: str
+    topic: str
+    site: str
+    via: str
+    src: str
+    rate_hz: float | None
+    delivery: str
+
+
+class RecordedMessage(NamedTuple):
+    """A message as it was received: times in ns, `log_ns` on the recorder's clock, `publish_ns` on the publisher's."""
+
+    channel: RecordedChannel
+    log_ns: int
+    publish_ns: int
+    seq: int
+    payload: bytes
+
+    @property
+    def channel_topic(self) -> str:
+        return self.channel.channel_topic
+
+    @property
+    def topic(self) -> str:
+        return self.channel.topic
+
+    @property
+    def site(self) -> str:
+        return self.channel.site
+
+    @property
+    def via(self) -> str:
+        """`direct` at its publisher, `link` behind the link."""
+        return self.channel.via
+
+    @property
+    def src(self) -> str:
+        return self.channel.src
+
+    def decode(self) -> Record:
+        """Return the validated message: a proto Message, or the recorder's own GapRecord or RejectedRecord.
+
+        Raises RecordingError naming the channel and what is wrong.
+        """
+        try:
+            if self.topic in RECORDS:
+                return RECORDS[self.topic].model_validate(self.fields())
+            return decode(self.topic, self.payload)
+        except (WireError, ValidationError) as error:
+            raise RecordingError(f"{self.channel_topic}, seq {self.seq}: {error}") from error
+
+    def fields(self) -> dict[str, Any]:
+        """Return the fields as plain Python values, not validated.
+
+        Raises RecordingError naming the channel when the payload is not a msgpack map.
+        """
+        try:
+            found = msgpack.unpackb(self.payload, use_list=False)
+        except (ValueError, msgpack.exceptions.UnpackException, RecursionError) as error:
+            raise RecordingError(f"{self.channel_topic}, seq {self.seq}: not msgpack: {error}") from error
+        if not isinstance(found, dict):
+            raise RecordingError(f"{self.channel_topic}, seq {self.seq}: not a msgpack map")
+        return found
+
+
+ChannelFilter = Callable[[RecordedChannel], bool]
+
+
+class RawChannel(NamedTuple):
+    """Whole description of a channel; `schema` is name, encoding and data, None where there is none."""
+
+    topic: str
+    encoding: str
+    metadata: tuple[tuple[str, str], ...]
+    schema: tuple[str, str, bytes] | None
+
+    @property
+    def channel_topic(self) -> str:
+        return self.topic
+
+    @property
+    def src(self) -> str:
+        """Publisher, empty in a file that is not a recording of ours."""
+        return dict(self.metadata).get("src", "")
+
+
+class RawMessage(NamedTuple):
+    """A message with everything that a copy needs."""
+
+    channel: RawChannel
+    log_ns: int
+    publish_ns: int
+    seq: int
+    payload: bytes
+
+
+def raw_channel(found: Channel, schemas: Mapping[int, Schema]) -> RawChannel:
+    """Return a channel of the file together with its schema."""
+    schema = schemas.get(found.schema_id)
+    described = None if schema is None else (schema.name, schema.encoding, schema.data)
+    return RawChannel(found.topic, found.message_encoding, tuple(sorted(found.metadata.items())), described)
+
+
+def recorded_channel(found: Channel) -> RecordedChannel:
+    """Return a channel with the facts in its metadata; empty where it is not one of ours."""
+    facts = found.metadata
+    return RecordedChannel(
+        channel_topic=found.topic,
+        topic=facts.get("topic", found.topic),
+        site=facts.get("site", ""),
+        via=facts.get("via", "direct"),
+        src=facts.get("src", ""),
+        rate_hz=_number(facts.get("rate_hz", "")),
+        delivery=facts.get("delivery", ""),
+    )
+
+
+def _number(text: str) -> float | None:
+    try:
+        return float(text)
+    except ValueError:
+        return None

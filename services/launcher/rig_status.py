@@ -1,0 +1,164 @@
+"""The state of a running rig, from the messages heard for a moment: a summary of each node, and its problems."""
+
+from collections.abc import Collection, Iterable, Sequence
+from typing import Any, TypeVar
+
+from proto import TOPICS
+from proto.errors import RigError
+from proto.messages import (
+    AfmState,
+    HapticState,
+    LawStatus,
+    LinkDirection,
+    LinkStatus,
+    Message,
+    NodeHealth,
+    SessionEvent,
+)
+from proto.nodes import START_ORDER, is_visitor, site_of
+from services.launcher.readiness import oldest_input_s, unmet
+from services.runtime.observer import Observer
+
+M = TypeVar("M", bound=Message)
+
+# what the law sends at 1 kHz tells nothing here, and reading it would cost the rig processor time
+NEEDED = ("node/health", "link/status", "law/status", "haptic/state", "afm/state", "session/event")
+_LINK = "delay_node@master"
+_HEALTH_FACTS = ("state", "uptime_s", "rate_hz", "overruns", "cpu_percent", "memory_bytes", "realtime", "memory_locked")
+_LAW_FACTS = ("src", "law", "switching", "passive", "heard", "silence_s", "net_valid", "net_energy_j")
+_HAND_FACTS = ("src", "mode", "estop", "limited", "session_s")
+_AFM_FACTS = ("src", "mode", "limited", "in_contact", "meniscus")
+_EVENT_FACTS = ("src", "kind", "level", "text")
+
+
+class RigStatus:
+    """The messages heard of a rig: of each source the newest of a kind, of each node also its first health."""
+
+    def __init__(self) -> None:
+        self.first: dict[str, NodeHealth] = {}
+        self.events: dict[tuple[str, int], SessionEvent] = {}
+        self.notices: list[str] = []
+        self._newest: dict[tuple[str, type[Message]], Message] = {}
+
+    def record(self, message: Message) -> None:
+        """Record a message, which may be the link's copy of one that is known."""
+        key = (message.src, type(message))
+        known = self._newest.get(key)
+        if known is None or message.t_ns > known.t_ns:
+            self._newest[key] = message
+        if isinstance(message, NodeHealth):
+            self.first.setdefault(message.src, message)
+        elif isinstance(message, SessionEvent):
+            self.events[message.src, message.seq] = message
+
+    def newest(self, kind: type[M]) -> dict[str, M]:
+        """Return by source the newest message of a kind."""
+        return {src: message for (src, _), message in self._newest.items() if isinstance(message, kind)}
+
+
+def expected_nodes(nodes: Iterable[str], reachable: Collection[str]) -> list[str]:
+    """Return the nodes of a site file that report their health while a rig runs, and can be heard here.
+
+    Parameters: reachable, nodes whose sockets this machine can hear; the link brings the health of the slave's site.
+    """
+    reporting = [node for node in nodes if node in START_ORDER]
+    return [node for node in reporting if node in reachable or (_LINK in reachable and site_of(node) == "slave")]
+
+
+def listen(observer: Observer, duration_s: float) -> RigStatus:
+    """Listen to a rig for a time [s]; RigError if no node is heard."""
+    status = RigStatus()
+    for heard in observer.listen(duration_s):
+        status.record(heard.received.message)
+    status.notices = [notice.text for notice in observer.notices]
+    if not status.first:
+        raise RigError("no rig is heard, is `telenano up` running with this site file?")
+    return status
+
+
+def problems_of(status: RigStatus, expected: Sequence[str]) -> dict[str, str]:
+    """Return for each node with a problem what it is, in words."""
+    health = status.newest(NodeHealth)
+    judged = [*expected, *sorted(node for node in health if node not in expected and not is_visitor(node))]
+    problems = unmet(judged, health)
+    for node in judged:
+        if node in problems:
+            continue
+        if health[node].state == "stopping":
+            problems[node] = "is stopping"
+        elif stalled := stalled_inputs(status.first[node], health[node]):
+            problems[node] = f"no longer hears {', '.join(stalled)}"
+    return problems
+
+
+def stalled_inputs(first: NodeHealth, newest: NodeHealth) -> list[str]:
+    """Return the topics of which a node received nothing between two reports, for longer than the topic allows.
+
+    Counts are compared and not ages, which would need the clocks of both sites to agree.
+    """
+    if first.pid != newest.pid:
+        return []
+    span_s = (newest.t_ns - first.t_ns) * 1e-9
+    before, now = _received(first), _received(newest)
+    return sorted(topic for topic, count in now.items() if 0 < count == before.get(topic) and _stale(topic, span_s))
+
+
+def _stale(topic: str, silence_s: float) -> bool:
+    row = TOPICS.get(topic)
+    return row is not None and row.deadline_s is not None and silence_s > row.deadline_s
+
+
+def _received(health: NodeHealth) -> dict[str, int]:
+    counts: dict[str, int] = {}
+    for row in health.inputs:
+        counts[row.topic] = counts.get(row.topic, 0) + row.received
+    return counts
+
+
+def document_of(status: RigStatus, expected: Sequence[str]) -> dict[str, Any]:
+    """Return the state of a rig as JSON can hold it, SI units in the names."""
+    problems = problems_of(status, expected)
+    health = status.newest(NodeHealth)
+    shown = [*expected, *sorted(health.keys() - set(expected))]
+    links = list(status.newest(LinkStatus).values())
+    return {
+        "ok": not problems,
+        "problems": [f"{node} {what}" for node, what in problems.items()],
+        "nodes": [_node_facts(node, health.get(node), problems.get(node)) for node in shown],
+        "link": _link_facts(links[0]) if links else None,
+        "laws": [_facts(law, _LAW_FACTS) for _, law in sorted(status.newest(LawStatus).items())],
+        "hand": [_facts(hand, _HAND_FACTS) for hand in status.newest(HapticState).values()],
+        "afm": [_facts(afm, _AFM_FACTS) for afm in status.newest(AfmState).values()],
+        "connections": status.notices,
+        "events": [_facts(event, _EVENT_FACTS) for event in status.events.values()],
+    }
+
+
+def _facts(message: Message, names: Iterable[str]) -> dict[str, Any]:
+    return {name: getattr(message, name) for name in names}
+
+
+def _node_facts(node: str, health: NodeHealth | None, problem: str | None) -> dict[str, Any]:
+    facts: dict[str, Any] = {"node": node, "heard": health is not None, "problem": problem}
+    if health is None:
+        return facts
+    return {
+        **facts,
+        **_facts(health, (*_HEALTH_FACTS, "replay")),
+        "lateness_p99_s": health.lateness_p99_s if health.period_s else None,
+        "oldest_input_s": oldest_input_s(health),
+        "received": sum(row.received for row in health.inputs),
+        "lost": sum(row.lost for row in health.inputs),
+        "refused": health.rejected,
+    }
+
+
+def _link_facts(link: LinkStatus) -> dict[str, Any]:
+    clock = link.clock
+    offset = {"offset_s": clock.offset_s, "uncertainty_s": clock.uncertainty_s} if clock.valid else None
+    return {"forward": _way_facts(link.forward), "backward": _way_facts(link.backward), "clock": offset}
+
+
+def _way_facts(way: LinkDirection) -> dict[str, Any]:
+    delay_s = way.delay_mean_s if way.delay_valid else None
+    return {"profile": way.profile, "delay_mean_s": delay_s, "dropped": way.dropped, "queue_depth": way.queue_depth}

@@ -1,0 +1,128 @@
+"""`telenano up`: run a scenario on a rig, record it, and write figure and summary."""
+
+import signal
+from datetime import datetime
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from services.launcher.plan import Plan, UpRequest, make_plan
+from services.launcher.run import Outcome, default_folder, report_of, run_rig
+from telenano.live_view import LineView, LiveView
+from telenano.options import JsonOption, RigFileOption, Site
+from telenano.output import console, fail, print_document, print_json, report_errors
+
+
+def up(
+    scenario: Annotated[
+        str,
+        typer.Option(
+            "--scenario",
+            metavar="NAME|FILE",
+            help="Experiment to run: a known name or a YAML file. With --attach it gives name and duration only.",
+        ),
+    ],
+    site_file: RigFileOption = None,
+    site: Annotated[
+        Site | None,
+        typer.Option("--site", help="Run the nodes of one site here; those of the other run on another machine."),
+    ] = None,
+    attach: Annotated[
+        bool,
+        typer.Option("--attach", help="Start no node: run a session with nodes that were started elsewhere."),
+    ] = False,
+    wait: Annotated[
+        float | None,
+        typer.Option(
+            "--wait", min=0.0, metavar="S", help="Give up if nodes started elsewhere are not ready after this time [s]."
+        ),
+    ] = None,
+    delay_ms: Annotated[
+        float | None,
+        typer.Option("--delay-ms", min=0.0, metavar="D", help="Delay of the link, one way, in both directions [ms]."),
+    ] = None,
+    duration: Annotated[
+        float | None,
+        typer.Option("--duration", metavar="S", help="Length of the session [s] in place of the scenario's."),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="DIR", help="Folder for the results; default: sessions/NAME-DATE-TIME."),
+    ] = None,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace the results of a session that the folder holds already.")
+    ] = False,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", metavar="SECTION.KEY=VALUE", help="Change one key of the scenario (SI units); may be repeated."
+        ),
+    ] = None,
+    without: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--without", metavar="NODE", help="Leave this node out, for a replay to take its place (repeatable)."
+        ),
+    ] = None,
+    allow_replay: Annotated[
+        bool, typer.Option("--allow-replay", help="Let the devices obey commands that come from a recording.")
+    ] = False,
+    headless: Annotated[
+        bool, typer.Option("--headless", help="Print a line for each phase instead of the live view.")
+    ] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Start every node of a rig, run a scenario, record it, and write figure and summary."""
+    with report_errors(as_json):
+        request = UpRequest(
+            scenario=scenario,
+            site_file=site_file,
+            delay_ms=delay_ms,
+            duration_s=duration,
+            out=out,
+            overwrite=overwrite,
+            settings=settings or (),
+            without=without or (),
+            allow_replay=allow_replay,
+            site=None if site is None else site.value,
+            attach=attach,
+            wait_s=wait,
+        )
+        plan = make_plan(request, default_folder(scenario, datetime.now()))
+        view = _open_view(live=not headless and not as_json, quiet=as_json)
+        with view:
+            outcome = run_rig(plan, view.observe, view.say)
+        _restore_default_signals()
+        summary = report_of(outcome, plan, view.say)
+    _print_outcome(outcome, summary, plan, as_json=as_json)
+
+
+def _open_view(*, live: bool, quiet: bool) -> LiveView | LineView:
+    out = console()
+    return LiveView(out) if live and out.is_terminal else LineView(out, quiet=quiet)
+
+
+def _restore_default_signals() -> None:
+    """Let Ctrl-C end what follows the session at once: no process has to be made safe any more."""
+    signal.set_wakeup_fd(-1)
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+
+def _print_outcome(outcome: Outcome, summary: dict[str, Any] | None, plan: Plan, *, as_json: bool) -> None:
+    if outcome.failure:
+        fail(outcome.failure, as_json=as_json, summary=summary)
+    if plan.site == "slave":
+        kept = {"recording": str(outcome.recording or ""), "restarts": outcome.restarts}
+        print_document({"site": "slave", **kept}, str(plan.out), as_json=as_json)
+    elif summary is not None:
+        print_document(summary, str(plan.out), as_json=as_json)
+    elif not (outcome.ran and plan.attach):
+        reason = "the recorder left no recording" if outcome.ran else "stopped before the session began"
+        fail(f"{reason}, see {plan.out / 'logs'}", as_json=as_json)
+    elif as_json:
+        # the recording is elsewhere, or nobody recorded
+        print_json({"scenario": plan.scenario.name, "recording": None, "note": outcome.note})
+    else:
+        typer.echo(f"the session ran; {outcome.note}")

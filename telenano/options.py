@@ -1,0 +1,55 @@
+"""Options and arguments that several commands share, and the way to make a group of commands."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from presets import site_file_named
+
+
+class Site(StrEnum):
+    """The two sites of a rig."""
+
+    MASTER = "master"
+    SLAVE = "slave"
+
+
+SiteFileOption = Annotated[
+    Path,
+    typer.Option(
+        "--site-file",
+        metavar="FILE",
+        callback=site_file_named,
+        help="Address book of the rig (YAML); default: all on this machine.",
+    ),
+]
+RigFileOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--site-file",
+        metavar="FILE",
+        callback=site_file_named,
+        help="Address book of the rig (YAML); default: all on this machine, with --site two of them.",
+    ),
+]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print exactly one JSON object on stdout, nothing else.")]
+CountOption = Annotated[
+    int | None, typer.Option("--count", min=1, metavar="N", help="End after this number of messages; default: no end.")
+]
+DurationOption = Annotated[
+    float | None, typer.Option("--duration", min=0.0, metavar="S", help="End after this time [s]; default: no end.")
+]
+ListenOption = Annotated[float, typer.Option("--duration", min=0.0, metavar="S", help="How long to listen [s].")]
+
+
+def command_group() -> typer.Typer:
+    """Return an empty group of commands; its help text is in the table of `lazy_commands`."""
+    return typer.Typer(
+        no_args_is_help=True,
+        add_completion=False,
+        pretty_exceptions_enable=False,
+        # markup would swallow the units in brackets
+        rich_markup_mode=None,
+    )

@@ -1,0 +1,68 @@
+"""Results as tables of a terminal."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+
+def summary_tables(summary: Mapping[str, Any], title: str) -> Group:
+    """Draw a summary: single values, then the values by topic side by side, then every list as a table."""
+    by_topic = {key: value for key, value in summary.items() if _keyed_by_topic(value)}
+    lists = {key: value for key, value in summary.items() if _is_list_of_rows(value)}
+    rest = {key: value for key, value in summary.items() if key not in by_topic and key not in lists}
+    parts: list[RenderableType] = [_values_table(rest, title)]
+    if by_topic:
+        topics = sorted({topic for values in by_topic.values() for topic in values})
+        rows = [{"topic": topic} | {key: values.get(topic) for key, values in by_topic.items()} for topic in topics]
+        parts.append(rows_table(rows))
+    parts += [rows_table(rows, title=key) for key, rows in lists.items()]
+    return Group(*parts)
+
+
+def rows_table(rows: Sequence[Mapping[str, Any]], title: str | None = None) -> Table:
+    """Draw rows that have the same keys."""
+    table = Table(*rows[0], title=title)
+    for column, value in zip(table.columns, rows[0].values(), strict=True):
+        column.justify = "left" if isinstance(value, str) else "right"
+        column.overflow = "fold"
+    for row in rows:
+        table.add_row(*(_value_text(value) for value in row.values()))
+    return table
+
+
+def _values_table(values: Mapping[str, Any], title: str) -> Table:
+    table = Table("quantity", "value", title=title)
+    for column in table.columns:
+        column.overflow = "fold"
+    for key, value in _leaves("", values):
+        table.add_row(key, _value_text(value))
+    return table
+
+
+def _keyed_by_topic(value: Any) -> bool:
+    return isinstance(value, Mapping) and bool(value) and all("/" in key for key in value)
+
+
+def _is_list_of_rows(value: Any) -> bool:
+    return isinstance(value, list | tuple) and bool(value) and all(isinstance(row, Mapping) for row in value)
+
+
+def _leaves(prefix: str, tree: Mapping[str, Any]) -> list[tuple[str, Any]]:
+    rows: list[tuple[str, Any]] = []
+    for key, value in tree.items():
+        name = f"{prefix}{key}"
+        rows += _leaves(f"{name}.", value) if isinstance(value, Mapping) and value else [(name, value)]
+    return rows
+
+
+def _value_text(value: Any) -> Text:
+    if value is None:
+        return Text("-", "dim")
+    if isinstance(value, bool):
+        return Text("yes" if value else "no", "green" if value else "red")
+    if isinstance(value, list | tuple):
+        return Text(", ".join(str(item) for item in value) or "-")
+    return Text(f"{value:.6g}" if isinstance(value, float) else str(value))

@@ -1,0 +1,178 @@
+"""The table of nodes against everything else that names them: folders, topics, scenario, sites, containers, images."""
+
+import ast
+import importlib
+import re
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from presets import DEFAULT_SITE_FILE, SITE_DIRECTORY, TWO_SITES_FILE
+from proto import TOPICS
+from proto.nodes import (
+    HAND,
+    LAUNCHER,
+    LINK,
+    NODES,
+    OPTIONAL_NODES,
+    PLAYER,
+    RECORDER,
+    SERVICES,
+    START_ORDER,
+    STOP_ORDER,
+    TIP,
+    NodeRow,
+    is_console,
+    is_visitor,
+    name_of,
+    site_of,
+    sites_of,
+)
+from services.runtime.main import NodeKind, load_site, node_kind
+from services.runtime.scenario import Scenario
+
+ROOT = Path(__file__).resolve().parents[3]
+COMPOSE = [ROOT / "deploy" / name for name in ("docker-compose.yml", "compose.master.yml", "compose.slave.yml")]
+KEYS = {row.key for row in NODES}
+# services of the compose files and images that are no node of the rig
+NO_NODES = {"session", "study", "keys"}
+
+
+def folders() -> set[str]:
+    """Return the folders of services/ that run as a process of the bus: those whose __main__ declares a NodeKind."""
+    found = set()
+    for path in ROOT.glob("services/*/__main__.py"):
+        module = importlib.import_module(f"services.{path.parent.name}.__main__")
+        if any(isinstance(value, NodeKind) for value in vars(module).values()):
+            found.add(path.parent.name)
+    return found
+
+
+def without_a_folder(rows: Iterable[NodeRow]) -> set[str]:
+    """Return the names of rig nodes that no folder of services/ can run."""
+    return {name_of(row.key) for row in rows if row.part in ("rig", "endpoint")} - folders()
+
+
+def declared(path: Path) -> dict[str, dict[str, Any]]:
+    """Return the services of a compose file that stand for nodes of the rig."""
+    services: dict[str, dict[str, Any]] = yaml.safe_load(path.read_text())["services"]
+    return {name: service for name, service in services.items() if name not in NO_NODES}
+
+
+def nodes_of(path: Path) -> dict[str, str]:
+    """Return the node of each service of a compose file, its own or that of the service that it extends."""
+    found = {}
+    for name, service in declared(path).items():
+        extended = service.get("extends")
+        inherited = nodes_of(path.parent / extended["file"])[extended["service"]] if extended else ""
+        found[name] = service["environment"].get("TELENANO_NODE", inherited)
+    return found
+
+
+def test_every_row_has_a_name_and_a_site_of_its_own() -> None:
+    assert len(KEYS) == len(NODES)
+    assert [row.key for row in NODES if not re.fullmatch(r"[a-z_]+@(master|slave)", row.key)] == []
+
+
+def test_every_rig_node_has_a_folder_and_every_folder_a_row() -> None:
+    assert without_a_folder(NODES) == set()
+    assert folders() == set(SERVICES)
+
+
+def test_a_row_without_a_folder_is_found() -> None:
+    assert without_a_folder([*NODES, NodeRow("thermometer@slave", "rig", stop=8)]) == {"thermometer"}
+
+
+@pytest.mark.parametrize("name", sorted(SERVICES))
+def test_a_folder_declares_one_kind_under_its_own_name(name: str) -> None:
+    module = importlib.import_module(f"services.{name}.__main__")
+    kinds = [value for value in vars(module).values() if isinstance(value, NodeKind)]
+    assert kinds == [node_kind(name)]
+    assert kinds[0].name == name
+    assert kinds[0].sites == sites_of(name) != ()
+
+
+def test_launcher_and_player_have_a_folder_without_a_process_of_their_own() -> None:
+    for key in (LAUNCHER, PLAYER):
+        assert (ROOT / "services" / name_of(key) / "__init__.py").is_file()
+        assert name_of(key) not in folders()
+
+
+def test_the_names_that_code_uses_are_rows() -> None:
+    assert {HAND, TIP, LAUNCHER, PLAYER, RECORDER} <= KEYS
+    assert {f"{LINK}@{site}" for site in ("master", "slave")} <= KEYS
+
+
+def test_start_and_stop_have_the_same_nodes() -> None:
+    rig = [row for row in NODES if row.part == "rig"]
+    assert sorted(row.stop for row in rig) == list(range(1, len(rig) + 1))
+    assert [row.key for row in NODES if row.part != "rig" and row.stop] == []
+    assert set(STOP_ORDER) == {*START_ORDER, *OPTIONAL_NODES}
+    assert len(STOP_ORDER) == len(START_ORDER) + len(OPTIONAL_NODES)
+
+
+def test_an_endpoint_belongs_to_a_node_of_the_rig() -> None:
+    assert {name_of(row.key) for row in NODES if row.part == "endpoint"} <= set(SERVICES)
+
+
+def test_visitors_are_told_from_the_rig_by_name() -> None:
+    assert {row.key for row in NODES if is_visitor(row.key)} == {row.key for row in NODES if row.part == "visitor"}
+    assert is_console("console_desk@master")
+    assert not is_console(LAUNCHER)
+
+
+def test_publishers_of_topics_are_rows() -> None:
+    named = {publisher for topic in TOPICS.values() for publisher in topic.publishers if "*" not in publisher}
+    assert {name for name in named if name not in KEYS | {name_of(key) for key in KEYS}} == set()
+
+
+def test_the_scenario_has_a_section_for_each_node() -> None:
+    assert set(Scenario.model_fields) == {"name", "description", "duration_s", "realtime", *SERVICES}
+
+
+def test_the_local_site_has_every_node_that_is_not_optional() -> None:
+    assert {row.key for row in NODES if row.required} <= set(load_site(DEFAULT_SITE_FILE).nodes)
+
+
+def test_two_sites_have_every_node_of_the_rig() -> None:
+    rig = {row.key for row in NODES if row.part != "visitor"}
+    assert rig <= set(load_site(TWO_SITES_FILE).nodes)
+
+
+@pytest.mark.parametrize("path", sorted(SITE_DIRECTORY.glob("*.yaml")), ids=lambda path: path.stem)
+def test_site_files_name_only_nodes_that_there_are(path: Path) -> None:
+    assert {node for node in load_site(path).nodes if node not in KEYS and not is_console(node)} == set()
+
+
+def test_containers_are_the_nodes_of_the_rig() -> None:
+    whole, master, slave = (nodes_of(path) for path in COMPOSE)
+    assert sorted(whole.values()) == sorted(START_ORDER)
+    assert sorted([*master.values(), *slave.values()]) == sorted(STOP_ORDER)
+    assert {site_of(node) for node in master.values()} == {"master"}
+    assert {site_of(node) for node in slave.values()} == {"slave"}
+
+
+def test_a_container_runs_the_image_of_its_node() -> None:
+    for name, service in declared(COMPOSE[0]).items():
+        image = name_of(nodes_of(COMPOSE[0])[name])
+        assert service["build"]["args"]["SERVICE"] == image
+        assert service["image"] == f"telenano-{image}"
+
+
+def test_the_makefile_has_an_image_for_each_node() -> None:
+    words = re.search(r"^IMAGES := ((?:.*\\\n)*.*)$", (ROOT / "Makefile").read_text(), re.M)
+    assert words is not None
+    assert set(re.findall(r"(\w+):", words.group(1))) == {*SERVICES, "session", "study"}
+
+
+def test_the_benchmark_of_containers_starts_every_node() -> None:
+    tree = ast.parse((ROOT / "benchmarks" / "compose.py").read_text())
+    lists = [
+        ast.literal_eval(statement.value)
+        for statement in tree.body
+        if isinstance(statement, ast.Assign) and ast.unparse(statement.targets[0]) == "NODES"
+    ]
+    assert [sorted(names) for names in lists] == [sorted(nodes_of(COMPOSE[0]))]
