@@ -20,7 +20,7 @@ from recording.channel_filter import Selection
 from recording.reader import RecordedChannel, RecordedMessage, Source
 from services.player.playback import Playback, PlaybackClock, Span, is_state
 from services.runtime.address_book import AddressBook
-from services.runtime.bus import Publisher
+from services.runtime.bus import ZmqPublisher
 from services.runtime.clock import Clock
 from services.runtime.node import HEALTH_PERIOD_NS, Node, NodeContext, resident_bytes
 
@@ -94,7 +94,7 @@ class ReplayPlan:
 class ReplayPublisher:
     """The endpoint of a node that is played: waits for slow readers instead of dropping, and knows its readers."""
 
-    def __init__(self, publisher: Publisher) -> None:
+    def __init__(self, publisher: ZmqPublisher) -> None:
         """Take a publisher made with `kind=zmq.XPUB`."""
         self.publisher = publisher
         self.sent = 0
@@ -184,7 +184,6 @@ class PlayerNode(Node):
         """Prepare to play; `observe` is called twenty times a second, for a status line and keys."""
         super().__init__(context)
         self.tape = tape
-        self.finish: Callable[[], None] = lambda: None
         self.finished = False
         self.started = False
         self.blocked = False
@@ -285,7 +284,7 @@ class PlayerNode(Node):
         if not self.finished:
             self.finished = True
             self._tell("finished")
-            self.finish()
+            self.context.request_stop()
 
     def _set(self, parameters: Mapping[str, Scalar]) -> None:
         unknown = sorted(set(parameters) - set(_SETTERS))

@@ -3,6 +3,7 @@
 import fcntl
 import os
 import select
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any, NamedTuple, Protocol, cast
@@ -85,11 +86,44 @@ class Attendant(Protocol):
     def attend(self) -> list[ConnectionEvent]:
         """Deal with what has come up; `has_pending` afterwards when more is left to do."""
 
-    def close(self) -> None:
-        """Close what is not closed with the sockets of the bus."""
+
+class Publisher(Protocol):
+    """What a bus sends with."""
+
+    def publish(self, topic: str, **fields: Any) -> Message:
+        """Send a message on a topic; the header is filled in."""
 
 
-class Publisher:
+class _NumberingPublisher(ABC):
+    def __init__(self, clock: Clock, node: str) -> None:
+        self.node = node
+        self._clock = clock
+        self._sequence: dict[str, int] = {}
+
+    def publish(self, topic: str, **fields: Any) -> Message:
+        """Send a message on a topic; the header is filled in.
+
+        Raises pydantic.ValidationError when the fields do not make a valid message, WireError when it is too large.
+        """
+        seq = self._sequence.get(topic, 0)
+        model = TOPICS[topic].model
+        message = model(seq=seq, t_ns=self._clock.now_ns(), src=self.node, v=model.version, **fields)
+        self.send(topic, encode(message))
+        self._sequence[topic] = seq + 1
+        return message
+
+    @abstractmethod
+    def send(self, topic: str, payload: bytes) -> None: ...
+
+
+class NullPublisher(_NumberingPublisher):
+    """The publisher of who has no endpoint: numbers and checks as any other, and sends nothing."""
+
+    def send(self, topic: str, payload: bytes) -> None:
+        """Drop a message."""
+
+
+class ZmqPublisher(_NumberingPublisher):
     """The PUB socket of a node: numbers, stamps, checks and sends its messages."""
 
     def __init__(
@@ -103,9 +137,7 @@ class Publisher:
         prepare: Callable[["zmq.Socket[bytes]"], None] = lambda socket: None,
     ) -> None:
         """Bind an endpoint, with a socket that `prepare` was called with; EndpointError says why that fails."""
-        self.node = node
-        self._clock = clock
-        self._sequence: dict[str, int] = {}
+        super().__init__(clock, node)
         self._lock = hold_endpoint(endpoint)
         self.socket = context.socket(kind)
         self.socket.set(zmq.SNDHWM, HIGH_WATER_MARK)
@@ -117,18 +149,6 @@ class Publisher:
         except EndpointError:
             self._lock.close()
             raise
-
-    def publish(self, topic: str, **fields: Any) -> Message:
-        """Send a message on a topic; the header is filled in.
-
-        Raises pydantic.ValidationError when the fields do not make a valid message, WireError when it is too large.
-        """
-        seq = self._sequence.get(topic, 0)
-        model = TOPICS[topic].model
-        message = model(seq=seq, t_ns=self._clock.now_ns(), src=self.node, v=model.version, **fields)
-        self.send(topic, encode(message))
-        self._sequence[topic] = seq + 1
-        return message
 
     def send(self, topic: str, payload: bytes) -> None:
         """Send bytes as they are: what the link forwards keeps the header of its publisher."""
@@ -269,7 +289,6 @@ class ZmqBus:
         wake_descriptor: int,
         network: Attendant | None = None,
     ) -> None:
-        self.publisher = publisher
         self.subscribers = list(subscribers)
         self._clock = clock
         self._network = network if network is not None and network.descriptors else None
@@ -279,16 +298,11 @@ class ZmqBus:
         self._descriptors += self._network_descriptors
         self._attend = self._network is not None
         self.publish = publisher.publish
-        self._others: list[Publisher] = []
         self._accounts: list[Subscriber | Attendant] = [*self.subscribers]
         if self._network is not None:
             self._accounts.append(self._network)
         self._counted = [0] * len(self._accounts)
         self._last_error = ""
-
-    def also_closes(self, publisher: Publisher) -> None:
-        """Close another publisher of the same node together with this bus."""
-        self._others.append(publisher)
 
     def receive(self) -> Iterator[Received]:
         """Give what has arrived on every connection, without waiting."""
@@ -329,15 +343,6 @@ class ZmqBus:
             if counted != self._counted[place]:
                 self._counted[place], self._last_error = counted, account.last_error
         return total, self._last_error
-
-    def close(self) -> None:
-        """Close every socket."""
-        for subscriber in self.subscribers:
-            subscriber.close()
-        for publisher in (self.publisher, *self._others):
-            publisher.close()
-        if self._network is not None:
-            self._network.close()
 
 
 def split_frames(frames: Sequence[bytes]) -> tuple[str, bytes]:

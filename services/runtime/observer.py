@@ -1,5 +1,6 @@
 """`telenano topic`: what is said on the bus of a running rig, heard at every socket of it."""
 
+import contextlib
 import math
 import time
 from collections.abc import Collection, Iterator, Sequence
@@ -17,9 +18,7 @@ from proto.nodes import site_of
 from proto.sequence import SequenceTracker
 from services.runtime.address_book import AddressBook
 from services.runtime.bus import ConnectionEvent, Received
-from services.runtime.clock import SystemClock
-from services.runtime.security.keyring import Keyring, this_machine
-from services.runtime.transport import Transport
+from services.runtime.participant import OBSERVER, open_participant
 
 _WAIT_MS = 100
 
@@ -51,15 +50,11 @@ class Observer:
         Raises ConfigError when this machine lacks a key that the rig demands.
         """
         self.notices: list[ConnectionEvent] = []
-        self._context = zmq.Context[zmq.Socket[bytes]]()
+        self._open = contextlib.ExitStack()
+        participant = self._open.enter_context(open_participant(OBSERVER, book, publisher=False))
+        self._network = participant.network
+        self.subscribers = participant.observe(lambda topic, site: topic in wanted)
         self._poller = zmq.Poller()
-        self._network = Transport(self._context, SystemClock(), book, this_machine(Keyring()))
-        plan = {
-            node: [name for name in topics if name in wanted]
-            for node, topics in book.observed(self._network.machine).items()
-        }
-        plan = {node: topics for node, topics in plan.items() if topics}
-        self.subscribers = dict(zip(plan, self._network.subscribers(plan, apart=True), strict=True))
         for subscriber in self.subscribers.values():
             self._poller.register(subscriber.socket, zmq.POLLIN)
 
@@ -88,10 +83,7 @@ class Observer:
 
     def close(self) -> None:
         """Close every socket."""
-        for subscriber in self.subscribers.values():
-            subscriber.close()
-        self._network.close()
-        self._context.term()
+        self._open.close()
 
 
 def list_topics(observer: Observer, duration_s: float) -> list[dict[str, Any]]:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import zmq
 
-from services.runtime.bus import ConnectionEvent, Publisher
+from services.runtime.bus import ConnectionEvent, ZmqPublisher
 from services.runtime.security.access_control import AccessControl
 from services.runtime.security.keyring import key_text
 from services.runtime.security.socket_monitor import (
@@ -31,7 +31,7 @@ _WHY = {"unlisted": "is not in the list", "revoked": "was revoked"}
 class BoundEndpoint:
     """A publisher that other machines may connect to."""
 
-    publisher: Publisher
+    publisher: ZmqPublisher
     monitor: Monitor
     endpoint: str
     accepted: set[str] = field(default_factory=set)
@@ -71,7 +71,7 @@ class ZapAuthenticator:
             # without this libzmq lets everybody in while nobody is at the post, as when a process ends
             socket.set(zmq.ZAP_ENFORCE_DOMAIN, 1)
 
-    def watch(self, publisher: Publisher) -> None:
+    def watch(self, publisher: ZmqPublisher) -> None:
         """Look after a publisher whose last endpoint is one for other machines."""
         bound = publisher.socket.getsockopt_string(zmq.LAST_ENDPOINT).rstrip("\0")
         self.doors.append(

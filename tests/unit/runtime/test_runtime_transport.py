@@ -34,7 +34,7 @@ from proto import WireError
 from proto.errors import ConfigError, EndpointError
 from services.runtime import transport
 from services.runtime.address_book import AddressBook
-from services.runtime.bus import Publisher, Subscriber, ZmqBus
+from services.runtime.bus import Subscriber, ZmqBus, ZmqPublisher
 from services.runtime.clock import SystemClock, VirtualClock
 from services.runtime.security import peer_connections, socket_monitor, zap_authenticator
 from services.runtime.security.keyring import Keyring
@@ -201,7 +201,8 @@ def test_without_a_network_there_is_nothing_to_look_after(tmp_path: Path) -> Non
         bus = ZmqBus(publisher, subscribers, SystemClock(), -1, quiet)
         assert (bus.attend(), bus.attend(now=True), bus.rejections()) == ((), (), ({}, ""))
         assert quiet.attend() == []
-        bus.close()
+        for each in (*subscribers, publisher):
+            each.close()
 
 
 def test_plain_tcp_is_heard_where_locks_are_waived(world: Callable[..., list[Machine]], tmp_path: Path) -> None:
@@ -1007,7 +1008,7 @@ def test_every_knock_ends_a_wait_however_often(world: Callable[..., list[Machine
     slave.open()
     clock = SystemClock()
     wake = os.pipe()
-    bus = ZmqBus(slave.network.publisher(AFM), [], clock, wake[0], slave.network)
+    bus = ZmqBus(slave.speaks(AFM).publishers[AFM], [], clock, wake[0], slave.network)
     try:
         for number in range(1, 31):
             with raw_connection(slave.book) as raw:
@@ -1028,8 +1029,6 @@ def test_every_knock_ends_a_wait_however_often(world: Callable[..., list[Machine
             waits += 1
         assert waits <= 3
     finally:
-        bus.close()
-        bus.close()
         for end_of_pipe in wake:
             os.close(end_of_pipe)
 
@@ -1056,7 +1055,8 @@ def test_a_bus_that_has_more_to_attend_to_does_not_wait(tmp_path: Path) -> None:
     clock = SystemClock()
     with zmq.Context() as context:
         attendant = Restless(quiet[0])
-        bus = ZmqBus(Publisher(context, clock, AFM, f"ipc://{tmp_path}/a"), [], clock, wake[0], attendant)
+        publisher = ZmqPublisher(context, clock, AFM, f"ipc://{tmp_path}/a")
+        bus = ZmqBus(publisher, [], clock, wake[0], attendant)
         try:
             for _ in range(5):
                 # would take an hour
@@ -1073,7 +1073,7 @@ def test_a_bus_that_has_more_to_attend_to_does_not_wait(tmp_path: Path) -> None:
             bus.attend()
             assert attendant.calls == 7
         finally:
-            bus.close()
+            publisher.close()
     for end_of_pipe in (*wake, *quiet):
         os.close(end_of_pipe)
 
@@ -1083,18 +1083,16 @@ def test_the_newest_refusal_is_the_one_that_is_told(world: Callable[..., list[Ma
     slave.open()
     clock = SystemClock()
     reader = Subscriber(slave.context, clock, {})
-    bus = ZmqBus(slave.network.publisher(AFM), [reader], clock, -1, slave.network)
+    slave.subscribers.append(reader)
+    bus = ZmqBus(slave.speaks(AFM).publishers[AFM], [reader], clock, -1, slave.network)
     refusals = slave.network._refusals
-    try:
-        reader.examine([b"one"], 0)
-        assert bus.rejections()[1].startswith("a message has 2 frames")
-        refusals.enter("unlisted", "somebody at the door")
-        assert bus.rejections() == ({"frames": 1, "unlisted": 1}, "somebody at the door")
-        assert bus.rejections() == ({"frames": 1, "unlisted": 1}, "somebody at the door")
-        reader.examine([b"one"], 0)
-        assert bus.rejections()[1].startswith("a message has 2 frames")
-    finally:
-        bus.close()
+    reader.examine([b"one"], 0)
+    assert bus.rejections()[1].startswith("a message has 2 frames")
+    refusals.enter("unlisted", "somebody at the door")
+    assert bus.rejections() == ({"frames": 1, "unlisted": 1}, "somebody at the door")
+    assert bus.rejections() == ({"frames": 1, "unlisted": 1}, "somebody at the door")
+    reader.examine([b"one"], 0)
+    assert bus.rejections()[1].startswith("a message has 2 frames")
 
 
 def test_an_end_in_the_middle_of_a_handshake_is_no_hang(world: Callable[..., list[Machine]]) -> None:
