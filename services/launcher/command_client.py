@@ -69,7 +69,7 @@ def _scalar(pair: str, text: str) -> Scalar:
 
 
 def addressed(book: AddressBook, target: str, site: Site = "master") -> list[str]:
-    """Give the nodes of the site file that a target means at a console; ConfigError names those that there are.
+    """Return the nodes of the site file that a target means at a console; ConfigError names those that there are.
 
     Commands cross the link forward only: a console at the slave reaches the nodes there.
     """
@@ -89,7 +89,7 @@ def _answers_nothing(node: str) -> bool:
 
 
 def console_of(book: AddressBook, site: Site) -> str:
-    """Give the console of a site whose machine this is; ConfigError when there is none."""
+    """Return the console of a site whose machine this is; ConfigError when there is none."""
     known = sorted(node for node in book.nodes if is_console(node) and site_of(node) == site)
     machines = _machines_here(book)
     here = [node for node in known if machines is None or book.machine_of(node) in machines]
@@ -100,7 +100,7 @@ def console_of(book: AddressBook, site: Site) -> str:
 
 
 def _machines_here(book: AddressBook) -> list[str] | None:
-    """Give the machines in whose name this process may speak; None for all, where there are no keys."""
+    """Return the machines in whose name this process may speak; None for all, where there are no keys."""
     if not book.locked:
         return None
     keyring = Keyring()
@@ -162,11 +162,11 @@ class Exchange:
         self.alive: set[str] = set()
 
     def enter_health(self, health: NodeHealth) -> None:
-        """Take the sign of life of a node."""
+        """Record that a node is alive."""
         self.alive.add(health.src)
 
     def enter_event(self, event: SessionEvent) -> bool:
-        """Take an event; True when it is a first answer."""
+        """Record an event; return whether it is a first answer."""
         new = self.pending.enter(event)
         if new:
             self._last_answer_ns = self._clock.monotonic_ns()
@@ -174,7 +174,7 @@ class Exchange:
 
     @property
     def done(self) -> bool:
-        """Say whether nothing more is to be waited for."""
+        """Return whether nothing more is to be waited for."""
         now = self._clock.monotonic_ns()
         if self.pending.expired or not self._wildcard:
             return self.pending.expired or self.pending.complete

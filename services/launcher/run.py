@@ -41,7 +41,7 @@ class Outcome:
 
 
 def default_folder(scenario: str, now: datetime) -> Path:
-    """Give the folder of a session that none was named for: scenario and local time."""
+    """Return the folder of a session that none was named for: scenario and local time."""
     return Path("sessions") / f"{Path(scenario).stem}-{now:%Y%m%d-%H%M%S}"
 
 
@@ -94,7 +94,7 @@ def _run(rig: RigNode, bus: ZmqBus, signals: StopSignals) -> None:
 
 
 def outcome_of(rig: RigNode, plan: Plan) -> Outcome:
-    """Say how it ended, and where the recording is."""
+    """Return how it ended, and where the recording is."""
     ran = isinstance(rig, SessionNode) and rig.ran
     recording: Path | None = plan.recording if plan.recording.exists() else None
     note = ""

@@ -67,7 +67,7 @@ class LiveRecording:
     def messages(
         self, topics: Iterable[str] | None = None, duration_s: float | None = None
     ) -> Iterator[RecordedMessage]:
-        """Give messages as they come, without end when `duration_s` is None; frames that are no message are left out.
+        """Return messages as they come, without end when `duration_s` is None; frames that are no message are left out.
 
         Parameters: topics, names of channels such as `teleop/forward@slave`, all when None.
         """

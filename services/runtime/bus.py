@@ -52,7 +52,7 @@ class Bus(Protocol):
         """Send a message; the header is filled in."""
 
     def receive(self) -> Iterator[Received]:
-        """Give what has arrived, without waiting."""
+        """Return what has arrived, without waiting."""
 
     def wait(self, deadline_ns: int) -> None:
         """Wait until something has arrived or the monotonic clock has reached `deadline_ns`."""
@@ -84,7 +84,7 @@ class Attendant(Protocol):
         """What becomes readable when there is something to attend to."""
 
     def attend(self) -> list[ConnectionEvent]:
-        """Deal with what has come up; `has_pending` afterwards when more is left to do."""
+        """Process pending events, a bounded number; `has_pending` says whether more are left."""
 
 
 class Publisher(Protocol):
@@ -206,7 +206,7 @@ class Subscriber:
         self.descriptor: int = self.socket.fileno()
 
     def receive_raw(self) -> Iterator[tuple[list[bytes], int]]:
-        """Give the frames of what has arrived, a bounded number, and the time [ns] at which each was taken."""
+        """Return the frames of what has arrived, a bounded number, and the time [ns] at which each was taken."""
         receive, pending = self.socket.recv, self.pending
         for taken in range(_BATCH):
             # asked first, because learning it from an exception costs as much as taking a message; not where many come
@@ -227,7 +227,7 @@ class Subscriber:
             yield frames, self._clock.now_ns()
 
     def receive(self) -> Iterator[Received]:
-        """Give the messages that have arrived: valid, not repeated, and on `latest` topics not overtaken."""
+        """Return the messages that have arrived: valid, not repeated, and on `latest` topics not overtaken."""
         for frames, received_ns in self.receive_raw():
             received = self.examine(frames, received_ns)
             if received is not None:
@@ -251,12 +251,12 @@ class Subscriber:
         return Received(topic, message, payload, received_ns, arrival)
 
     def pending(self) -> bool:
-        """Say whether a message has arrived."""
+        """Return whether a message has arrived."""
         # not Socket.poll, which makes a poller first
         return bool(cast(int, self.socket.get(_EVENTS)) & _READABLE)
 
     def input_health(self) -> tuple[InputHealth, ...]:
-        """Give the account of every input; a topic that nobody was heard on has an empty source."""
+        """Return the account of every input; a topic that nobody was heard on has an empty source."""
         now = self._clock.now_ns()
         heard = {topic for topic, _ in self.trackers}
         silent = [_health_of(topic, "", SequenceTracker(), now) for topic in self.topics if topic not in heard]
@@ -267,7 +267,7 @@ class Subscriber:
         self.socket.close()
 
     def tracker(self, topic: str, src: str) -> SequenceTracker:
-        """Give the account of a topic from a source; WireError (`source`) when absurdly many have been heard."""
+        """Return the account of a topic from a source; WireError (`source`) when absurdly many have been heard."""
         tracker = self.trackers.get((topic, src))
         if tracker is None:
             if len(self.trackers) >= _MOST_TRACKERS:
@@ -305,7 +305,7 @@ class ZmqBus:
         self._last_error = ""
 
     def receive(self) -> Iterator[Received]:
-        """Give what has arrived on every connection, without waiting."""
+        """Return what has arrived on every connection, without waiting."""
         for subscriber in self.subscribers:
             yield from subscriber.receive()
 
@@ -322,7 +322,7 @@ class ZmqBus:
                 self._attend = not self._network_descriptors.isdisjoint(ready)
 
     def attend(self, *, now: bool = False) -> Sequence[ConnectionEvent]:
-        """Look after network connections if there is cause, or if asked to do so `now`; gives what happened to them."""
+        """Look after network connections if there is cause, or `now`; return what happened to them."""
         if self._network is None or not (self._attend or now):
             return ()
         notices = self._network.attend()
@@ -330,11 +330,11 @@ class ZmqBus:
         return notices
 
     def input_health(self) -> tuple[InputHealth, ...]:
-        """Give the account of every input."""
+        """Return the account of every input."""
         return tuple(health for subscriber in self.subscribers for health in subscriber.input_health())
 
     def rejections(self) -> tuple[dict[str, int], str]:
-        """Give frames and connections refused so far by reason, and the text of a refusal since it was last asked."""
+        """Return frames and connections refused so far by reason, and the text of a refusal since it was last asked."""
         total: dict[str, int] = {}
         for place, account in enumerate(self._accounts):
             for reason, count in account.rejected.items():
@@ -346,7 +346,7 @@ class ZmqBus:
 
 
 def split_frames(frames: Sequence[bytes]) -> tuple[str, bytes]:
-    """Give topic and payload of a two-frame message; WireError (`frames`, `topic`) says what is wrong."""
+    """Return topic and payload of a two-frame message; WireError (`frames`, `topic`) says what is wrong."""
     if len(frames) != 2:
         raise WireError("frames", f"a message has 2 frames (topic, msgpack map), this one has {len(frames)}")
     try:
@@ -367,7 +367,7 @@ def bind(socket: "zmq.Socket[bytes]", endpoint: str, node: str) -> None:
 
 
 def hold_endpoint(endpoint: str) -> IO[str]:
-    """Take an ipc endpoint for this process; libzmq itself would silently take it away from a running one.
+    """Lock an ipc endpoint for this process; libzmq itself would silently take it away from a running one.
 
     Raises EndpointError naming the process that holds it.
     """

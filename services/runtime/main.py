@@ -55,13 +55,13 @@ class NodeKind(Generic[C]):
 
 
 def node_kind(name: str) -> NodeKind[Any]:
-    """Give the kind that a service declares for itself, so that a check and the node's own cannot differ."""
+    """Return the kind that a service declares for itself, so that a check and the node's own cannot differ."""
     module = importlib.import_module(f"services.{name}.__main__")
     return next(value for value in vars(module).values() if isinstance(value, NodeKind))
 
 
 def ordinary(node: Callable[[NodeContext, C], Node], inputs: Sequence[str]) -> Callable[..., tuple[Node, AccountedBus]]:
-    """Give the builder of a node that has one bus."""
+    """Return the builder of a node that has one bus."""
 
     def build(wiring: Wiring, config: C) -> tuple[Node, AccountedBus]:
         bus = wiring.bus(inputs)
@@ -97,7 +97,7 @@ def load_site(path: Path) -> AddressBook:
 
 
 def run_node(kind: NodeKind[C], arguments: Sequence[str] | None = None) -> int:
-    """Run a node until it is told to stop; gives the exit code, 2 when it could not start."""
+    """Run a node until it is told to stop; return the exit code, 2 when it could not start."""
     given = parse_arguments(kind.name, kind.sites, arguments)
     configure_logging()
     log = StructuredLog(f"{kind.name}@{given.site}")

@@ -59,7 +59,7 @@ class Observer:
             self._poller.register(subscriber.socket, zmq.POLLIN)
 
     def listen(self, duration_s: float | None) -> Iterator[Heard]:
-        """Give what is heard within a time [s], None for no end."""
+        """Return what is heard within a time [s], None for no end."""
         deadline = math.inf if duration_s is None else time.monotonic() + duration_s
         while time.monotonic() < deadline:
             self._poller.poll(_WAIT_MS)
@@ -69,7 +69,7 @@ class Observer:
                     yield Heard(self.name(node, received.topic, received.message.src), received)
 
     def tracker(self, name: str, src: str) -> SequenceTracker:
-        """Give the account of a topic, or of its copy at a site, from a source."""
+        """Return the account of a topic, or of its copy at a site, from a source."""
         topic = name.partition("@")[0]
         for node, subscriber in self.subscribers.items():
             if (topic, src) in subscriber.trackers and self.name(node, topic, src) == name:
@@ -78,7 +78,7 @@ class Observer:
 
     @staticmethod
     def name(node: str, topic: str, src: str) -> str:
-        """Name what came from the socket of a node: at a site, the messages of the other are copies by the link."""
+        """Return the name of what a node sent: at a site, the messages of the other are copies by the link."""
         return topic if site_of(src) == site_of(node) else f"{topic}@{site_of(node)}"
 
     def close(self) -> None:
@@ -87,7 +87,7 @@ class Observer:
 
 
 def list_topics(observer: Observer, duration_s: float) -> list[dict[str, Any]]:
-    """Listen for a time [s] and give a row for each topic and source heard, and for each topic that was silent."""
+    """Listen for a time [s] and return a row for each topic and source heard, and for each topic that was silent."""
     counts: dict[tuple[str, str], int] = {}
     for heard in observer.listen(duration_s):
         key = (heard.name, heard.received.message.src)
@@ -104,7 +104,7 @@ def _topic_row(name: str, src: str, count: int) -> dict[str, Any]:
 
 
 def messages_of(observer: Observer, name: str, duration_s: float | None, count: int | None) -> Iterator[Received]:
-    """Give the messages of a topic (topic@site: of its copy) until a number or a time [s] is over."""
+    """Return the messages of a topic (topic@site: of its copy) until a number or a time [s] is over."""
     given = 0
     for heard in observer.listen(duration_s):
         if heard.name == name:
@@ -115,7 +115,7 @@ def messages_of(observer: Observer, name: str, duration_s: float | None, count: 
 
 
 def message_fields(message: Message) -> dict[str, Any]:
-    """Give a message as JSON can hold it: arrays as lists of numbers."""
+    """Return a message as JSON can hold it: arrays as lists of numbers."""
     return {key: _plain(value) for key, value in message.__dict__.items()}
 
 
@@ -153,7 +153,7 @@ def _sampled(
 
 
 def measure_rate(observer: Observer, name: str, duration_s: float | None, count: int | None) -> list[dict[str, Any]]:
-    """Give for each source of a topic: rate, standard deviation of the interval, gaps; RigError when it is silent."""
+    """Return for each source of a topic: rate, standard deviation of the interval, gaps; RigError when it is silent."""
     samples = _sampled(observer, name, duration_s, count, least=2)
     rows = []
     for src, of_source in sorted(samples.items()):
@@ -173,7 +173,7 @@ def measure_rate(observer: Observer, name: str, duration_s: float | None, count:
 
 
 def measure_delay(observer: Observer, name: str, duration_s: float | None, count: int | None) -> list[dict[str, Any]]:
-    """Give for each source of a topic the age of its messages on arrival [ms]; RigError when it is silent."""
+    """Return for each source of a topic the age of its messages on arrival [ms]; RigError when it is silent."""
     samples = _sampled(observer, name, duration_s, count, least=1)
     return [_age_row(src, of_source.ages_ns) for src, of_source in sorted(samples.items())]
 

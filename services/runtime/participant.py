@@ -74,7 +74,7 @@ class Participant:
 def open_participant(
     key: str, book: AddressBook, wake_descriptor: int = -1, *, publisher: bool = True
 ) -> Iterator[Participant]:
-    """Take part in the bus while the block runs; then close connections, endpoints and context, in this order.
+    """Open a part in the bus while the block runs; then close connections, endpoints and context, in this order.
 
     Parameters: publisher, false for who has no endpoint in the site file, only listens and may be on any machine.
     Raises: EndpointError when the node is not in the book, ConfigError when its machine lacks a key that the rig needs.
