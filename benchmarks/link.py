@@ -24,7 +24,7 @@ import numpy as np
 import yaml
 import zmq
 
-from services.runtime.bus import Publisher, Subscriber
+from services.runtime.bus import Subscriber, ZmqPublisher
 from services.runtime.clock import EPOCH_OFFSET_VARIABLE, SystemClock
 from services.runtime.log import StructuredLog
 from services.runtime.realtime import RealtimeConfig, apply_realtime, freeze_garbage, shallow_idle
@@ -57,8 +57,8 @@ def source(book: dict[str, str], ticks: int, go: Connection) -> None:
     """Send a burst of each topic at every tick of an absolute grid."""
     apply_realtime(RealtimeConfig(cpus="free"), StructuredLog("source"), "source@master")
     clock, context = SystemClock(), zmq.Context[zmq.Socket[bytes]]()
-    master = Publisher(context, clock, "controller@master", book["controller@master"])
-    slave = Publisher(context, clock, "controller@slave", book["controller@slave"])
+    master = ZmqPublisher(context, clock, "controller@master", book["controller@master"])
+    slave = ZmqPublisher(context, clock, "controller@slave", book["controller@slave"])
     go.recv()
     freeze_garbage()
     deadline = clock.monotonic_ns()

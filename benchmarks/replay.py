@@ -32,12 +32,12 @@ from proto.nodes import PLAYER
 from recording.reader import Recording
 from recording.writer import RecordingWriter
 from services.player.node import PlaySettings
+from services.player.run import ReplayRequest, run_replay
 from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake, Listener
 from services.recorder.open_recording import open_recording
 from services.runtime.bus import Subscriber
 from services.runtime.clock import SystemClock
-from telenano.commands.replay import ReplayRequest, run_replay
 
 PERIOD_NS = 1_000_000
 EPOCH_NS = 1_750_000_000_000_000_000

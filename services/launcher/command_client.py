@@ -1,6 +1,5 @@
 """`telenano session`: a console that sends one command to a running rig and waits for the answers."""
 
-import contextlib
 import math
 import os
 import time
@@ -17,11 +16,11 @@ from proto.nodes import LINK, is_console, site_of
 from services.launcher.pending_command import Command, PendingCommand
 from services.launcher.plan import Site
 from services.runtime.address_book import AddressBook
-from services.runtime.bus import Publisher, Subscriber
-from services.runtime.clock import Clock, SystemClock
+from services.runtime.bus import ZmqPublisher
+from services.runtime.clock import Clock
 from services.runtime.main import load_site
+from services.runtime.participant import Participant, open_participant
 from services.runtime.security.keyring import MACHINE_VARIABLE, Keyring, this_machine
-from services.runtime.transport import Transport
 
 _BIND_PATIENCE_NS = 2_000_000_000
 _RETRY_S = 0.1
@@ -70,7 +69,7 @@ def _scalar(pair: str, text: str) -> Scalar:
 
 
 def addressed(book: AddressBook, target: str, site: Site = "master") -> list[str]:
-    """Give the nodes of the site file that a target means at a console; ConfigError names those that there are.
+    """Return the nodes of the site file that a target means at a console; ConfigError names those that there are.
 
     Commands cross the link forward only: a console at the slave reaches the nodes there.
     """
@@ -90,7 +89,7 @@ def _answers_nothing(node: str) -> bool:
 
 
 def console_of(book: AddressBook, site: Site) -> str:
-    """Give the console of a site whose machine this is; ConfigError when there is none."""
+    """Return the console of a site whose machine this is; ConfigError when there is none."""
     known = sorted(node for node in book.nodes if is_console(node) and site_of(node) == site)
     machines = _machines_here(book)
     here = [node for node in known if machines is None or book.machine_of(node) in machines]
@@ -101,7 +100,7 @@ def console_of(book: AddressBook, site: Site) -> str:
 
 
 def _machines_here(book: AddressBook) -> list[str] | None:
-    """Give the machines in whose name this process may speak; None for all, where there are no keys."""
+    """Return the machines in whose name this process may speak; None for all, where there are no keys."""
     if not book.requires_keys:
         return None
     keyring = Keyring()
@@ -119,49 +118,31 @@ def send_control(request: ControlRequest, heard: Callable[[SessionEvent], None])
     Returns: the answers by node, refusals among them.
     Raises: RigError when nodes do not answer or no rig is there, EndpointError when another console is at work.
     """
-    book, clock = load_site(request.site_file), SystemClock()
+    book = load_site(request.site_file)
     meant = addressed(book, request.target, request.site)
     try:
         console = console_of(book, request.site)
     except ConfigError as error:
         raise ConfigError(f"{request.site_file}: {error}") from error
-    with zmq.Context[zmq.Socket[bytes]]() as context, contextlib.ExitStack() as stack:
-        sockets = _open(context, clock, book, console, stack)
-        exchange = Exchange(clock, request, meant)
-        _converse(exchange, sockets, heard)
+    with open_participant(console, book) as participant:
+        publisher = _bind(participant)
+        subscribers = participant.subscribers(book.sources(console, ["session/event", "node/health"]))
+        exchange = Exchange(participant.clock, request, meant)
+        while not exchange.done:
+            if _newcomers(publisher):
+                exchange.pending.make_due()
+            if exchange.pending.take_due():
+                publisher.publish("session/control", **exchange.pending.fields())
+            zmq.select([subscriber.socket for subscriber in subscribers], [], [], _POLL_MS * 1e-3)
+            participant.network.process_events()
+            for received in (message for subscriber in subscribers for message in subscriber.receive()):
+                message = received.message
+                if isinstance(message, NodeHealth):
+                    exchange.enter_health(message)
+                elif isinstance(message, SessionEvent) and exchange.enter_event(message):
+                    heard(message)
+        exchange.check()
     return exchange.pending.answers
-
-
-@dataclass(frozen=True)
-class _Sockets:
-    """What a console speaks and hears with."""
-
-    network: Transport
-    publisher: Publisher
-    subscribers: list[Subscriber]
-
-    def wait(self) -> None:
-        """Wait a moment for what arrives, and look after the connections."""
-        zmq.select([subscriber.socket for subscriber in self.subscribers], [], [], _POLL_MS * 1e-3)
-        self.network.process_events()
-
-
-def _open(
-    context: "zmq.Context[zmq.Socket[bytes]]",
-    clock: Clock,
-    book: AddressBook,
-    console: str,
-    stack: contextlib.ExitStack,
-) -> _Sockets:
-    """Bind the console's endpoint and connect to the nodes; what is opened is closed with the stack."""
-    network = Transport(context, clock, book, book.machine_of(console))
-    stack.callback(network.close)
-    publisher = _bind(network, clock, console)
-    stack.callback(publisher.close)
-    subscribers = network.subscribers(book.sources(console, ["session/event", "node/health"]))
-    for subscriber in subscribers:
-        stack.callback(subscriber.close)
-    return _Sockets(network, publisher, subscribers)
 
 
 class Exchange:
@@ -181,11 +162,11 @@ class Exchange:
         self.alive: set[str] = set()
 
     def enter_health(self, health: NodeHealth) -> None:
-        """Take the sign of life of a node."""
+        """Record that a node is alive."""
         self.alive.add(health.src)
 
     def enter_event(self, event: SessionEvent) -> bool:
-        """Take an event; True when it is a first answer."""
+        """Record an event; return whether it is a first answer."""
         new = self.pending.record(event)
         if new:
             self._last_answer_ns = self._clock.monotonic_ns()
@@ -193,7 +174,7 @@ class Exchange:
 
     @property
     def done(self) -> bool:
-        """Say whether nothing more is to be waited for."""
+        """Return whether nothing more is to be waited for."""
         now = self._clock.monotonic_ns()
         if self.pending.expired or not self._wildcard:
             return self.pending.expired or self.pending.complete
@@ -213,23 +194,7 @@ class Exchange:
             raise RigError(f"{', '.join(self.pending.missing)} did not answer {command}")
 
 
-def _converse(exchange: Exchange, sockets: _Sockets, heard: Callable[[SessionEvent], None]) -> None:
-    while not exchange.done:
-        if _newcomers(sockets.publisher):
-            exchange.pending.make_due()
-        if exchange.pending.take_due():
-            sockets.publisher.publish("session/control", **exchange.pending.fields())
-        sockets.wait()
-        for received in (message for subscriber in sockets.subscribers for message in subscriber.receive()):
-            message = received.message
-            if isinstance(message, NodeHealth):
-                exchange.enter_health(message)
-            elif isinstance(message, SessionEvent) and exchange.enter_event(message):
-                heard(message)
-    exchange.check()
-
-
-def _newcomers(publisher: Publisher) -> int:
+def _newcomers(publisher: ZmqPublisher) -> int:
     """Count the readers of commands that have connected since the last call; nothing reaches them before that."""
     count = 0
     while publisher.socket.poll(0):
@@ -237,11 +202,12 @@ def _newcomers(publisher: Publisher) -> int:
     return count
 
 
-def _bind(network: Transport, clock: Clock, console: str) -> Publisher:
+def _bind(participant: Participant) -> ZmqPublisher:
+    clock = participant.clock
     deadline = clock.monotonic_ns() + _BIND_PATIENCE_NS
     while True:
         try:
-            publisher = network.publisher(console, zmq.XPUB)
+            publisher = participant.bind(participant.key, zmq.XPUB)
         except EndpointError:
             if clock.monotonic_ns() >= deadline:
                 raise

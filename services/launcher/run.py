@@ -2,14 +2,11 @@
 
 import contextlib
 import logging
-import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import IO, Any
-
-import zmq
 
 from proto.errors import RecordingError, RigError
 from proto.nodes import LINK, RECORDER, STOP_ORDER
@@ -19,11 +16,10 @@ from services.launcher.processes import NodeProcesses, node_command
 from services.launcher.session import RigNode, SessionNode, SiteNode
 from services.launcher.supervisor import Supervisor
 from services.runtime.bus import ZmqBus
-from services.runtime.clock import Clock, SystemClock
-from services.runtime.log import StructuredLog, configure_logging
-from services.runtime.node import NodeContext, NodeLoop, install_stop_signals
-from services.runtime.realtime import RealtimeStatus, shallow_idle
-from services.runtime.transport import Transport
+from services.runtime.log import configure_logging
+from services.runtime.node import NodeContext
+from services.runtime.participant import StopSignals, open_participant, run_loop
+from services.runtime.realtime import shallow_idle
 
 Observer = Callable[[RigNode], None]
 
@@ -45,46 +41,29 @@ class Outcome:
 
 
 def default_folder(scenario: str, now: datetime) -> Path:
-    """Give the folder of a session that none was named for: scenario and local time."""
+    """Return the folder of a session that none was named for: scenario and local time."""
     return Path("sessions") / f"{Path(scenario).stem}-{now:%Y%m%d-%H%M%S}"
 
 
 def run_rig(plan: Plan, observe: Observer, say: Callable[[str], None]) -> Outcome:
     """Run what a plan says from the first process to the last; TelenanoError says why it could not begin."""
-    clock = SystemClock()
-    stopper = _Stopper()
-    with zmq.Context[zmq.Socket[bytes]]() as context, contextlib.ExitStack() as stack:
+    signals = StopSignals()
+    with contextlib.ExitStack() as stack:
+        participant = stack.enter_context(open_participant(plan.launcher, plan.book, signals.descriptor))
         # the endpoint first: whoever has it runs a rig already, whose files must not be touched
-        inputs = SiteNode.inputs if plan.site == "slave" else SessionNode.inputs
-        bus = open_bus(context, clock, plan, inputs, stopper.wake)
-        stack.callback(bus.close)
+        bus = participant.bus(SiteNode.inputs if plan.site == "slave" else SessionNode.inputs)
         plan.prepare_folder()
         log_directory = plan.out / "logs"
         commands = {node: node_command(node, plan.site_file, plan.scenario_file) for node in plan.nodes}
+        clock = participant.clock
         children = NodeProcesses(
             commands, STOP_ORDER, log_directory, clock.epoch_offset_ns, lambda node: say(f"stopping {node}")
         )
         stack.enter_context(own_log(log_directory / f"{plan.launcher}.log"))
-        node_context = NodeContext(plan.launcher, clock, bus, StructuredLog(plan.launcher))
-        rig = make_rig(plan, node_context, Supervisor(clock, plan.nodes, children))
+        rig = make_rig(plan, participant.context(bus), Supervisor(clock, plan.nodes, children))
         rig.observe = observe
-        _run(rig, bus, stopper)
+        _run(rig, bus, signals)
     return outcome_of(rig, plan)
-
-
-def open_bus(
-    context: "zmq.Context[zmq.Socket[bytes]]", clock: Clock, plan: Plan, inputs: Sequence[str], wake: int
-) -> ZmqBus:
-    """Bind the launcher's endpoint and connect to what it hears; EndpointError names who has the endpoint."""
-    book = plan.book
-    network = Transport(context, clock, book, book.machine_of(plan.launcher))
-    try:
-        publisher = network.publisher(plan.launcher)
-    except BaseException:
-        network.close()
-        raise
-    subscribers = network.subscribers(book.sources(plan.launcher, list(inputs)))
-    return ZmqBus(publisher, subscribers, clock, wake, network)
 
 
 def make_rig(plan: Plan, context: NodeContext, supervisor: Supervisor) -> RigNode:
@@ -103,36 +82,11 @@ def make_rig(plan: Plan, context: NodeContext, supervisor: Supervisor) -> RigNod
     )
 
 
-class _Stopper:
-    """Takes the stop signals from the first moment on; the rig hears of them once there is one."""
-
-    def __init__(self) -> None:
-        self.rig: RigNode | None = None
-        self._asked = False
-        self.wake = install_stop_signals(self._stop)
-
-    def attach(self, rig: RigNode) -> None:
-        self.rig = rig
-        if self._asked:
-            rig.interrupt()
-
-    def _stop(self) -> None:
-        self._asked = True
-        # the descriptor ends every wait until it is read, and this loop goes on waiting after a signal
-        with contextlib.suppress(BlockingIOError):
-            os.read(self.wake, 64)
-        if self.rig is not None:
-            self.rig.interrupt()
-
-
-def _run(rig: RigNode, bus: ZmqBus, stopper: _Stopper) -> None:
-    loop = NodeLoop(rig, bus, RealtimeStatus(fifo=False, memory_locked=False))
-    rig.finish = loop.stop
-    stopper.attach(rig)
+def _run(rig: RigNode, bus: ZmqBus, signals: StopSignals) -> None:
     with shallow_idle():
         try:
             rig.launch()
-            loop.run()
+            run_loop(rig, bus, signals, freeze=False)
         except OSError as error:
             raise RigError(f"the rig could not be run: {error}") from error
         finally:
@@ -140,7 +94,7 @@ def _run(rig: RigNode, bus: ZmqBus, stopper: _Stopper) -> None:
 
 
 def outcome_of(rig: RigNode, plan: Plan) -> Outcome:
-    """Say how it ended, and where the recording is."""
+    """Return how it ended, and where the recording is."""
     ran = isinstance(rig, SessionNode) and rig.ran
     recording: Path | None = plan.recording if plan.recording.exists() else None
     note = ""

@@ -71,7 +71,6 @@ class RigNode(Node):
         self.news: deque[str] = deque(maxlen=64)
         self.phase: Phase = "starting"
         self.interrupted = False
-        self.finish: Callable[[], None] = lambda: None
         self.observe: Callable[[RigNode], None] = lambda node: None
         self.state = "starting"
         self._failure = ""
@@ -353,7 +352,7 @@ class SessionNode(RigNode):
             ends = "the nodes keep running" if self.attached else "the nodes are stopped"
             text = f"the session is over, {ends}"
             self.event("node", "info", text, answer_to="", interrupted=self.interrupted)
-            self.finish()
+            self.context.request_stop()
 
 
 class SiteNode(RigNode):
@@ -397,7 +396,7 @@ class SiteNode(RigNode):
         if self.phase in ("starting", "running") and (self.failure or self.interrupted):
             self.phase = "ending"
             self.event("node", "info", "the site is stopped", answer_to="", interrupted=self.interrupted)
-            self.finish()
+            self.context.request_stop()
         elif self.phase == "starting":
             self._advance_start()
 

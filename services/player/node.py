@@ -21,7 +21,7 @@ from recording.messages import RecordedChannel, RecordedMessage
 from recording.multi_file import RecordingSource
 from services.player.playback import Playback, PlaybackClock, is_state
 from services.runtime.address_book import AddressBook
-from services.runtime.bus import Publisher
+from services.runtime.bus import ZmqPublisher
 from services.runtime.clock import Clock
 from services.runtime.node import HEALTH_PERIOD_NS, Node, NodeContext, resident_bytes
 
@@ -95,7 +95,7 @@ class ReplayPlan:
 class ReplayPublisher:
     """Publisher at the endpoint of a played node: does not drop for slow readers, and knows its subscriptions."""
 
-    def __init__(self, publisher: Publisher) -> None:
+    def __init__(self, publisher: ZmqPublisher) -> None:
         """Configure the socket of a publisher, which must be made with `kind=zmq.XPUB`."""
         self.publisher = publisher
         self.sent = 0
@@ -185,7 +185,6 @@ class PlayerNode(Node):
         """Prepare to play; `observe` is called twenty times a second, for a status line and keys."""
         super().__init__(context)
         self.playback = playback
-        self.finish: Callable[[], None] = lambda: None
         self.finished = False
         self.started = False
         self.blocked = False
@@ -285,7 +284,7 @@ class PlayerNode(Node):
         if not self.finished:
             self.finished = True
             self._publish_status("finished")
-            self.finish()
+            self.context.request_stop()
 
     def _set(self, parameters: Mapping[str, Scalar]) -> None:
         unknown = sorted(set(parameters) - set(_SETTERS))

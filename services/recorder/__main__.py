@@ -14,7 +14,7 @@ from services.runtime.node import AccountedBus, Node
 
 def build(wiring: Wiring, config: RecorderConfig) -> tuple[Node, AccountedBus]:
     """Connect to every node of the site file and begin the recording."""
-    publisher = wiring.publisher(wiring.key)
+    publisher = wiring.bind(wiring.key)
     intake = begin(wiring, config)
     bus = RecorderBus(
         publisher, listeners(wiring, config), intake, wiring.clock, wiring.wake_descriptor, wiring.network
@@ -30,7 +30,7 @@ def listeners(wiring: Wiring, config: RecorderConfig) -> list[Listener]:
     """
     site = site_of(wiring.key)
     heard = ("master", "slave") if site == "master" or not wiring.book.spans_machines else (site,)
-    return connect(wiring.network, wiring.book, heard, config.hears)
+    return connect(wiring, heard, config.hears)
 
 
 def begin(wiring: Wiring, config: RecorderConfig) -> Intake:

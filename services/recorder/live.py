@@ -1,5 +1,6 @@
 """A running rig as something to read like a recording: the same iterator of the same messages."""
 
+import contextlib
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from types import TracebackType
@@ -8,16 +9,13 @@ from typing import Self
 import zmq
 
 from proto import TOPICS, WireError
-from proto.errors import ConfigError
 from proto.nodes import site_of
 from recording.messages import RecordedChannel, RecordedMessage
 from recording.writer import channel_topic
 from services.recorder.intake import Listener, read_header
 from services.runtime.address_book import AddressBook
 from services.runtime.bus import split_frames
-from services.runtime.clock import SystemClock
-from services.runtime.security.keyring import Keyring, this_machine
-from services.runtime.transport import Transport
+from services.runtime.participant import OBSERVER, SITES, Participant, open_participant
 
 _WAIT_MS = 100
 
@@ -27,21 +25,14 @@ def _everything(topic: str, site: str) -> bool:
 
 
 def connect(
-    network: Transport,
-    book: AddressBook,
-    sites: Sequence[str] = ("master", "slave"),
-    hears: Callable[[str, str], bool] = _everything,
+    participant: Participant, sites: Sequence[str] = SITES, hears: Callable[[str, str], bool] = _everything
 ) -> list[Listener]:
     """Connect to each node at `sites` for every recorded topic that can be heard there.
 
     `hears` says of a topic and a site whether it is wanted: what is not asked for is not even sent.
     """
-    plan = {
-        node: [topic for topic in topics if TOPICS[topic].recorded and hears(topic, site_of(node))]
-        for node, topics in book.observed(network.machine, sites).items()
-    }
-    plan = {node: topics for node, topics in plan.items() if topics}
-    return [Listener(node, reader) for node, reader in zip(plan, network.subscribers(plan, apart=True), strict=True)]
+    readers = participant.observe(lambda topic, site: TOPICS[topic].recorded and hears(topic, site), sites)
+    return [Listener(node, reader) for node, reader in readers.items()]
 
 
 class LiveRecording:
@@ -52,13 +43,10 @@ class LiveRecording:
 
     def __init__(self, book: AddressBook) -> None:
         """Listen as the machine that this process runs on; ConfigError when it lacks a key that the rig demands."""
-        self._context = zmq.Context[zmq.Socket[bytes]]()
-        try:
-            self._network = Transport(self._context, SystemClock(), book, this_machine(Keyring()))
-        except ConfigError:
-            self._context.term()
-            raise
-        self._listeners = connect(self._network, book)
+        self._open = contextlib.ExitStack()
+        participant = self._open.enter_context(open_participant(OBSERVER, book, publisher=False))
+        self._network = participant.network
+        self._listeners = connect(participant)
         self._channels: dict[tuple[str, str, str], RecordedChannel] = {}
 
     def __enter__(self) -> Self:
@@ -79,7 +67,7 @@ class LiveRecording:
     def messages(
         self, topics: Iterable[str] | None = None, duration_s: float | None = None
     ) -> Iterator[RecordedMessage]:
-        """Give messages as they come, without end when `duration_s` is None; frames that are no message are left out.
+        """Return messages as they come, without end when `duration_s` is None; frames that are no message are left out.
 
         Parameters: topics, names of channels such as `teleop/forward@slave`, all when None.
         """
@@ -99,10 +87,7 @@ class LiveRecording:
 
     def close(self) -> None:
         """Close every connection."""
-        for listener in self._listeners:
-            listener.subscriber.close()
-        self._network.close()
-        self._context.term()
+        self._open.close()
 
     def _message(self, listener: Listener, frames: list[bytes], received_ns: int) -> RecordedMessage | None:
         publisher, permit = listener.publisher, listener.subscriber.permit

@@ -1,7 +1,7 @@
 """The recorder as a node: it subscribes to every node at its own endpoint and records all messages."""
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import ClassVar
 
 import zmq
@@ -83,8 +83,16 @@ class RecorderNode(Node):
     inputs: ClassVar[tuple[str, ...]] = ("session/control",)
     commands: ClassVar[tuple[str, ...]] = ("mark",)
 
-    def __init__(self, context: NodeContext, config: RecorderConfig, intake: Intake) -> None:
+    def __init__(
+        self,
+        context: NodeContext,
+        config: RecorderConfig,
+        intake: Intake,
+        on_flush: Callable[["RecorderNode"], None] = lambda node: None,
+    ) -> None:
+        """Prepare to record; `on_flush` is called after each flush, for a status line and keys."""
         self._intake = intake
+        self._on_flush = on_flush
         super().__init__(context)
         self.state = "running"
         self._flush_deadline = PeriodicDeadline(self.clock.monotonic_ns(), round(config.flush_interval_s * 1e9))
@@ -121,6 +129,7 @@ class RecorderNode(Node):
         self.overruns = self._flush_deadline.overruns
         self._measure(now_ns)
         self._report()
+        self._on_flush(self)
 
     def on_control(self, control: SessionControl) -> str:
         """Record a mark; `set` begins a new file, writes a snapshot, or only returns the status."""

@@ -3,6 +3,7 @@
 import fcntl
 import os
 import select
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any, NamedTuple, Protocol, cast
@@ -51,7 +52,7 @@ class Bus(Protocol):
         """Send a message; the header is filled in."""
 
     def receive(self) -> Iterator[Received]:
-        """Give what has arrived, without waiting."""
+        """Return what has arrived, without waiting."""
 
     def wait(self, deadline_ns: int) -> None:
         """Wait until something has arrived or the monotonic clock has reached `deadline_ns`."""
@@ -83,13 +84,46 @@ class Attendant(Protocol):
         """What becomes readable when there is something to attend to."""
 
     def process_events(self) -> list[ConnectionEvent]:
-        """Deal with what has come up; `has_pending` afterwards when more is left to do."""
-
-    def close(self) -> None:
-        """Close what is not closed with the sockets of the bus."""
+        """Process pending events, a bounded number; `has_pending` says whether more are left."""
 
 
-class Publisher:
+class Publisher(Protocol):
+    """What a bus sends with."""
+
+    def publish(self, topic: str, **fields: Any) -> Message:
+        """Send a message on a topic; the header is filled in."""
+
+
+class _NumberingPublisher(ABC):
+    def __init__(self, clock: Clock, node: str) -> None:
+        self.node = node
+        self._clock = clock
+        self._sequence: dict[str, int] = {}
+
+    def publish(self, topic: str, **fields: Any) -> Message:
+        """Send a message on a topic; the header is filled in.
+
+        Raises pydantic.ValidationError when the fields do not make a valid message, WireError when it is too large.
+        """
+        seq = self._sequence.get(topic, 0)
+        model = TOPICS[topic].model
+        message = model(seq=seq, t_ns=self._clock.now_ns(), src=self.node, v=model.version, **fields)
+        self.send(topic, encode(message))
+        self._sequence[topic] = seq + 1
+        return message
+
+    @abstractmethod
+    def send(self, topic: str, payload: bytes) -> None: ...
+
+
+class NullPublisher(_NumberingPublisher):
+    """The publisher of who has no endpoint: numbers and checks as any other, and sends nothing."""
+
+    def send(self, topic: str, payload: bytes) -> None:
+        """Drop a message."""
+
+
+class ZmqPublisher(_NumberingPublisher):
     """The PUB socket of a node: numbers, stamps, checks and sends its messages."""
 
     def __init__(
@@ -103,9 +137,7 @@ class Publisher:
         prepare: Callable[["zmq.Socket[bytes]"], None] = lambda socket: None,
     ) -> None:
         """Bind an endpoint, with a socket that `prepare` was called with; EndpointError says why that fails."""
-        self.node = node
-        self._clock = clock
-        self._sequence: dict[str, int] = {}
+        super().__init__(clock, node)
         self._lock = hold_endpoint(endpoint)
         self.socket = context.socket(kind)
         self.socket.set(zmq.SNDHWM, HIGH_WATER_MARK)
@@ -117,18 +149,6 @@ class Publisher:
         except EndpointError:
             self._lock.close()
             raise
-
-    def publish(self, topic: str, **fields: Any) -> Message:
-        """Send a message on a topic; the header is filled in.
-
-        Raises pydantic.ValidationError when the fields do not make a valid message, WireError when it is too large.
-        """
-        seq = self._sequence.get(topic, 0)
-        model = TOPICS[topic].model
-        message = model(seq=seq, t_ns=self._clock.now_ns(), src=self.node, v=model.version, **fields)
-        self.send(topic, encode(message))
-        self._sequence[topic] = seq + 1
-        return message
 
     def send(self, topic: str, payload: bytes) -> None:
         """Send bytes as they are: what the link forwards keeps the header of its publisher."""
@@ -186,7 +206,7 @@ class Subscriber:
         self.descriptor: int = self.socket.fileno()
 
     def receive_raw(self) -> Iterator[tuple[list[bytes], int]]:
-        """Give the frames of what has arrived, a bounded number, and the time [ns] at which each was taken."""
+        """Return the frames of what has arrived, a bounded number, and the time [ns] at which each was taken."""
         receive, pending = self.socket.recv, self.pending
         for taken in range(_BATCH):
             # asked first, because learning it from an exception costs as much as taking a message; not where many come
@@ -207,7 +227,7 @@ class Subscriber:
             yield frames, self._clock.now_ns()
 
     def receive(self) -> Iterator[Received]:
-        """Give the messages that have arrived: valid, not repeated, and on `latest` topics not overtaken."""
+        """Return the messages that have arrived: valid, not repeated, and on `latest` topics not overtaken."""
         for frames, received_ns in self.receive_raw():
             received = self.examine(frames, received_ns)
             if received is not None:
@@ -231,12 +251,12 @@ class Subscriber:
         return Received(topic, message, payload, received_ns, arrival)
 
     def pending(self) -> bool:
-        """Say whether a message has arrived."""
+        """Return whether a message has arrived."""
         # not Socket.poll, which makes a poller first
         return bool(cast(int, self.socket.get(_EVENTS)) & _READABLE)
 
     def input_health(self) -> tuple[InputHealth, ...]:
-        """Give the account of every input; a topic that nobody was heard on has an empty source."""
+        """Return the account of every input; a topic that nobody was heard on has an empty source."""
         now = self._clock.now_ns()
         heard = {topic for topic, _ in self.trackers}
         silent = [_health_of(topic, "", SequenceTracker(), now) for topic in self.topics if topic not in heard]
@@ -247,7 +267,7 @@ class Subscriber:
         self.socket.close()
 
     def tracker(self, topic: str, src: str) -> SequenceTracker:
-        """Give the account of a topic from a source; WireError (`source`) when absurdly many have been heard."""
+        """Return the account of a topic from a source; WireError (`source`) when absurdly many have been heard."""
         tracker = self.trackers.get((topic, src))
         if tracker is None:
             if len(self.trackers) >= _MOST_TRACKERS:
@@ -269,7 +289,6 @@ class ZmqBus:
         wake_descriptor: int,
         network: Attendant | None = None,
     ) -> None:
-        self.publisher = publisher
         self.subscribers = list(subscribers)
         self._clock = clock
         self._network = network if network is not None and network.descriptors else None
@@ -279,19 +298,14 @@ class ZmqBus:
         self._descriptors += self._network_descriptors
         self._attend = self._network is not None
         self.publish = publisher.publish
-        self._others: list[Publisher] = []
         self._accounts: list[Subscriber | Attendant] = [*self.subscribers]
         if self._network is not None:
             self._accounts.append(self._network)
         self._counted = [0] * len(self._accounts)
         self._last_error = ""
 
-    def also_closes(self, publisher: Publisher) -> None:
-        """Close another publisher of the same node together with this bus."""
-        self._others.append(publisher)
-
     def receive(self) -> Iterator[Received]:
-        """Give what has arrived on every connection, without waiting."""
+        """Return what has arrived on every connection, without waiting."""
         for subscriber in self.subscribers:
             yield from subscriber.receive()
 
@@ -308,7 +322,7 @@ class ZmqBus:
                 self._attend = not self._network_descriptors.isdisjoint(ready)
 
     def process_events(self, *, now: bool = False) -> Sequence[ConnectionEvent]:
-        """Look after network connections if there is cause, or if asked to do so `now`; gives what happened to them."""
+        """Look after network connections if there is cause, or `now`; return what happened to them."""
         if self._network is None or not (self._attend or now):
             return ()
         notices = self._network.process_events()
@@ -316,11 +330,11 @@ class ZmqBus:
         return notices
 
     def input_health(self) -> tuple[InputHealth, ...]:
-        """Give the account of every input."""
+        """Return the account of every input."""
         return tuple(health for subscriber in self.subscribers for health in subscriber.input_health())
 
     def rejections(self) -> tuple[dict[str, int], str]:
-        """Give frames and connections refused so far by reason, and the text of a refusal since it was last asked."""
+        """Return frames and connections refused so far by reason, and the text of a refusal since it was last asked."""
         total: dict[str, int] = {}
         for place, account in enumerate(self._accounts):
             for reason, count in account.rejected.items():
@@ -330,18 +344,9 @@ class ZmqBus:
                 self._counted[place], self._last_error = counted, account.last_error
         return total, self._last_error
 
-    def close(self) -> None:
-        """Close every socket."""
-        for subscriber in self.subscribers:
-            subscriber.close()
-        for publisher in (self.publisher, *self._others):
-            publisher.close()
-        if self._network is not None:
-            self._network.close()
-
 
 def split_frames(frames: Sequence[bytes]) -> tuple[str, bytes]:
-    """Give topic and payload of a two-frame message; WireError (`frames`, `topic`) says what is wrong."""
+    """Return topic and payload of a two-frame message; WireError (`frames`, `topic`) says what is wrong."""
     if len(frames) != 2:
         raise WireError("frames", f"a message has 2 frames (topic, msgpack map), this one has {len(frames)}")
     try:
@@ -362,7 +367,7 @@ def bind(socket: "zmq.Socket[bytes]", endpoint: str, node: str) -> None:
 
 
 def hold_endpoint(endpoint: str) -> IO[str]:
-    """Take an ipc endpoint for this process; libzmq itself would silently take it away from a running one.
+    """Lock an ipc endpoint for this process; libzmq itself would silently take it away from a running one.
 
     Raises EndpointError naming the process that holds it.
     """

@@ -3,70 +3,40 @@
 import argparse
 import importlib
 import signal
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import closing
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-import zmq
 from pydantic import BaseModel
 
-from proto.errors import EndpointError, TelenanoError
+from proto.errors import TelenanoError
 from proto.nodes import sites_of
 from services.runtime.address_book import AddressBook
-from services.runtime.bus import Publisher, Subscriber, ZmqBus
-from services.runtime.clock import Clock, SystemClock
 from services.runtime.config import read_yaml, validate
 from services.runtime.log import StructuredLog, configure_logging
-from services.runtime.node import AccountedBus, Node, NodeContext, NodeLoop, install_stop_signals
+from services.runtime.node import AccountedBus, Node, NodeContext
+from services.runtime.participant import Participant, StopSignals, open_participant, run_loop
 from services.runtime.realtime import (
     RealtimeConfig,
     ahead_of_others,
     apply_realtime,
     die_with_parent,
-    freeze_garbage,
     raise_file_limit,
 )
 from services.runtime.scenario import load_scenario
-from services.runtime.transport import Transport
 
 C = TypeVar("C", bound=BaseModel)
 
 EXIT_BAD_START = 2
 
 
-@dataclass(frozen=True)
-class Wiring:
-    """What a node's builder makes its sockets from."""
+@dataclass(frozen=True, kw_only=True)
+class Wiring(Participant):
+    """What a node's builder is given: its part in the bus, and the files that it is configured by."""
 
-    key: str
-    book: AddressBook
     site_file: Path
     scenario_file: Path
-    clock: Clock
-    log: StructuredLog
-    network: Transport
-    wake_descriptor: int
-
-    def publisher(self, key: str) -> Publisher:
-        """Bind the PUB socket of a node; EndpointError says why that fails."""
-        return self.network.publisher(key)
-
-    def subscribers(self, connections: Mapping[str, Sequence[str]]) -> list[Subscriber]:
-        """Connect to nodes (keys) for topics (values): a socket for each machine that they run on."""
-        return self.network.subscribers(connections)
-
-    def bus(self, topics: Sequence[str]) -> ZmqBus:
-        """Make the bus of an ordinary node: its own PUB socket and the SUB sockets for its inputs."""
-        # the publisher first: it is what may fail, and nothing is open yet
-        publisher = self.publisher(self.key)
-        subscribers = self.subscribers(self.book.sources(self.key, list(topics)))
-        return ZmqBus(publisher, subscribers, self.clock, self.wake_descriptor, self.network)
-
-    def context(self, bus: ZmqBus) -> NodeContext:
-        """Give what a node needs of the world."""
-        return NodeContext(self.key, self.clock, bus, self.log)
 
 
 @dataclass(frozen=True)
@@ -85,13 +55,13 @@ class NodeKind(Generic[C]):
 
 
 def node_kind(name: str) -> NodeKind[Any]:
-    """Give the kind that a service declares for itself, so that a check and the node's own cannot differ."""
+    """Return the kind that a service declares for itself, so that a check and the node's own cannot differ."""
     module = importlib.import_module(f"services.{name}.__main__")
     return next(value for value in vars(module).values() if isinstance(value, NodeKind))
 
 
 def ordinary(node: Callable[[NodeContext, C], Node], inputs: Sequence[str]) -> Callable[..., tuple[Node, AccountedBus]]:
-    """Give the builder of a node that has one bus."""
+    """Return the builder of a node that has one bus."""
 
     def build(wiring: Wiring, config: C) -> tuple[Node, AccountedBus]:
         bus = wiring.bus(inputs)
@@ -127,7 +97,7 @@ def load_site(path: Path) -> AddressBook:
 
 
 def run_node(kind: NodeKind[C], arguments: Sequence[str] | None = None) -> int:
-    """Run a node until it is told to stop; gives the exit code, 2 when it could not start."""
+    """Run a node until it is told to stop; return the exit code, 2 when it could not start."""
     given = parse_arguments(kind.name, kind.sites, arguments)
     configure_logging()
     log = StructuredLog(f"{kind.name}@{given.site}")
@@ -151,57 +121,11 @@ def _run(kind: NodeKind[C], given: NodeArguments, log: StructuredLog) -> None:
     # before the ZeroMQ context exists: its threads inherit what is asked for here
     key = f"{kind.name}@{given.site}"
     status = apply_realtime(wanted, log, key)
-    stopper = _Stopper()
-    wake_descriptor = install_stop_signals(stopper.stop)
+    signals = StopSignals()
     raise_file_limit()
-    clock = SystemClock()
-    machine = _machine_of(book, key)
-    with (
-        zmq.Context[zmq.Socket[bytes]]() as context,
-        closing(Transport(context, clock, book, machine)) as network,
-    ):
-        wiring = Wiring(
-            key=key,
-            book=book,
-            site_file=given.site_file,
-            scenario_file=given.scenario,
-            clock=clock,
-            log=log,
-            network=network,
-            wake_descriptor=wake_descriptor,
-        )
+    with open_participant(key, book, signals.descriptor) as participant:
+        wiring = Wiring(**vars(participant), site_file=given.site_file, scenario_file=given.scenario)
         node, bus = kind.build(wiring, config)
-        loop = NodeLoop(node, bus, status, spin_s=wanted.spin_s)
-        stopper.attach(loop)
         log.info("ready", realtime=status.fifo, memory_locked=status.memory_locked)
-        freeze_garbage()
-        try:
-            loop.run()
-        finally:
-            bus.close()
+        run_loop(node, bus, signals, status, spin_s=wanted.spin_s)
     log.info("stopped")
-
-
-def _machine_of(book: AddressBook, key: str) -> str:
-    try:
-        return book.machine_of(key)
-    except KeyError as error:
-        raise EndpointError(str(error.args[0])) from error
-
-
-class _Stopper:
-    """Remembers a stop signal that comes before there is a loop to stop."""
-
-    def __init__(self) -> None:
-        self._asked = False
-        self._loop: NodeLoop | None = None
-
-    def stop(self) -> None:
-        self._asked = True
-        if self._loop is not None:
-            self._loop.stop()
-
-    def attach(self, loop: NodeLoop) -> None:
-        self._loop = loop
-        if self._asked:
-            loop.stop()

@@ -38,6 +38,11 @@ class NodeContext:
     clock: Clock
     bus: Bus
     log: StructuredLog
+    stop_requested: bool = False
+
+    def request_stop(self) -> None:
+        """End the loop of the node after the step in hand."""
+        self.stop_requested = True
 
     def event(self, kind: str, level: str, text: str, *, answer_to: str = "", **data: bool | float | str) -> None:
         """Publish a session/event and write it to the log."""
@@ -91,6 +96,10 @@ class Node(ABC):
         """Carry out a command and say in a sentence what came of it; RefusedError says why not."""
         raise RefusedError(f"{self.context.key} does not know {control.command}")
 
+    def interrupt(self) -> None:
+        """Act on SIGTERM or SIGINT, within the signal handler."""
+        self.context.request_stop()
+
     @abstractmethod
     def make_safe(self) -> None:
         """Put actuators in their declared safe state; called whatever ends the loop."""
@@ -107,9 +116,6 @@ class AccountedBus(Bus, Protocol):
 
     def process_events(self, *, now: bool = False) -> Sequence[ConnectionEvent]:
         """Look after network connections if there is cause, or `now`; gives what happened to them."""
-
-    def close(self) -> None:
-        """Close every socket."""
 
 
 class CommandHandler:
@@ -147,7 +153,6 @@ class NodeLoop:
 
     def __init__(self, node: Node, bus: AccountedBus, realtime: RealtimeStatus, *, spin_s: float = 0.0) -> None:
         self.node = node
-        self.stopping = False
         self._bus = bus
         self._clock = node.clock
         self._realtime = realtime
@@ -160,14 +165,11 @@ class NodeLoop:
         self._last_steps = 0
         self._rejected_seen = 0
 
-    def stop(self) -> None:
-        """Leave the loop after the step in hand."""
-        self.stopping = True
-
     def run(self) -> None:
-        """Run until `stop`, then leave the node safe whatever happened."""
+        """Run until a stop is requested, then leave the node safe whatever happened."""
+        context = self.node.context
         try:
-            while not self.stopping:
+            while not context.stop_requested:
                 self.turn()
         finally:
             self.node.make_safe()

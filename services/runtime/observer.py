@@ -1,5 +1,6 @@
 """`telenano topic`: what is said on the bus of a running rig, heard at every socket of it."""
 
+import contextlib
 import math
 import time
 from collections.abc import Collection, Iterator, Sequence
@@ -17,9 +18,7 @@ from proto.nodes import site_of
 from proto.sequence import SequenceTracker
 from services.runtime.address_book import AddressBook
 from services.runtime.bus import ConnectionEvent, Received
-from services.runtime.clock import SystemClock
-from services.runtime.security.keyring import Keyring, this_machine
-from services.runtime.transport import Transport
+from services.runtime.participant import OBSERVER, open_participant
 
 _WAIT_MS = 100
 
@@ -51,20 +50,16 @@ class Observer:
         Raises ConfigError when this machine lacks a key that the rig demands.
         """
         self.notices: list[ConnectionEvent] = []
-        self._context = zmq.Context[zmq.Socket[bytes]]()
+        self._open = contextlib.ExitStack()
+        participant = self._open.enter_context(open_participant(OBSERVER, book, publisher=False))
+        self._network = participant.network
+        self.subscribers = participant.observe(lambda topic, site: topic in wanted)
         self._poller = zmq.Poller()
-        self._network = Transport(self._context, SystemClock(), book, this_machine(Keyring()))
-        plan = {
-            node: [name for name in topics if name in wanted]
-            for node, topics in book.observed(self._network.machine).items()
-        }
-        plan = {node: topics for node, topics in plan.items() if topics}
-        self.subscribers = dict(zip(plan, self._network.subscribers(plan, apart=True), strict=True))
         for subscriber in self.subscribers.values():
             self._poller.register(subscriber.socket, zmq.POLLIN)
 
     def listen(self, duration_s: float | None) -> Iterator[Heard]:
-        """Give what is heard within a time [s], None for no end."""
+        """Return what is heard within a time [s], None for no end."""
         deadline = math.inf if duration_s is None else time.monotonic() + duration_s
         while time.monotonic() < deadline:
             self._poller.poll(_WAIT_MS)
@@ -74,7 +69,7 @@ class Observer:
                     yield Heard(self.name(node, received.topic, received.message.src), received)
 
     def tracker(self, name: str, src: str) -> SequenceTracker:
-        """Give the account of a topic, or of its copy at a site, from a source."""
+        """Return the account of a topic, or of its copy at a site, from a source."""
         topic = name.partition("@")[0]
         for node, subscriber in self.subscribers.items():
             if (topic, src) in subscriber.trackers and self.name(node, topic, src) == name:
@@ -83,19 +78,16 @@ class Observer:
 
     @staticmethod
     def name(node: str, topic: str, src: str) -> str:
-        """Name what came from the socket of a node: at a site, the messages of the other are copies by the link."""
+        """Return the name of what a node sent: at a site, the messages of the other are copies by the link."""
         return topic if site_of(src) == site_of(node) else f"{topic}@{site_of(node)}"
 
     def close(self) -> None:
         """Close every socket."""
-        for subscriber in self.subscribers.values():
-            subscriber.close()
-        self._network.close()
-        self._context.term()
+        self._open.close()
 
 
 def list_topics(observer: Observer, duration_s: float) -> list[dict[str, Any]]:
-    """Listen for a time [s] and give a row for each topic and source heard, and for each topic that was silent."""
+    """Listen for a time [s] and return a row for each topic and source heard, and for each topic that was silent."""
     counts: dict[tuple[str, str], int] = {}
     for heard in observer.listen(duration_s):
         key = (heard.name, heard.received.message.src)
@@ -112,7 +104,7 @@ def _topic_row(name: str, src: str, count: int) -> dict[str, Any]:
 
 
 def messages_of(observer: Observer, name: str, duration_s: float | None, count: int | None) -> Iterator[Received]:
-    """Give the messages of a topic (topic@site: of its copy) until a number or a time [s] is over."""
+    """Return the messages of a topic (topic@site: of its copy) until a number or a time [s] is over."""
     given = 0
     for heard in observer.listen(duration_s):
         if heard.name == name:
@@ -123,7 +115,7 @@ def messages_of(observer: Observer, name: str, duration_s: float | None, count: 
 
 
 def message_fields(message: Message) -> dict[str, Any]:
-    """Give a message as JSON can hold it: arrays as lists of numbers."""
+    """Return a message as JSON can hold it: arrays as lists of numbers."""
     return {key: _plain(value) for key, value in message.__dict__.items()}
 
 
@@ -161,7 +153,7 @@ def _sampled(
 
 
 def measure_rate(observer: Observer, name: str, duration_s: float | None, count: int | None) -> list[dict[str, Any]]:
-    """Give for each source of a topic: rate, standard deviation of the interval, gaps; RigError when it is silent."""
+    """Return for each source of a topic: rate, standard deviation of the interval, gaps; RigError when it is silent."""
     samples = _sampled(observer, name, duration_s, count, least=2)
     rows = []
     for src, of_source in sorted(samples.items()):
@@ -181,7 +173,7 @@ def measure_rate(observer: Observer, name: str, duration_s: float | None, count:
 
 
 def measure_delay(observer: Observer, name: str, duration_s: float | None, count: int | None) -> list[dict[str, Any]]:
-    """Give for each source of a topic the age of its messages on arrival [ms]; RigError when it is silent."""
+    """Return for each source of a topic the age of its messages on arrival [ms]; RigError when it is silent."""
     samples = _sampled(observer, name, duration_s, count, least=1)
     return [_age_row(src, of_source.ages_ns) for src, of_source in sorted(samples.items())]
 

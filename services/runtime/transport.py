@@ -11,7 +11,7 @@ import zmq
 
 from proto.errors import ConfigError, EndpointError
 from services.runtime.address_book import AddressBook
-from services.runtime.bus import ConnectionEvent, Publisher, Subscriber
+from services.runtime.bus import ConnectionEvent, Subscriber, ZmqPublisher
 from services.runtime.clock import Clock
 from services.runtime.security.access_control import AccessControl
 from services.runtime.security.keyring import Keyring
@@ -76,24 +76,24 @@ class Transport:
         """The newest rejection in words."""
         return self._rejections.last_error
 
-    def publisher(self, key: str, kind: int = zmq.PUB) -> Publisher:
+    def publisher(self, key: str, kind: int = zmq.PUB) -> ZmqPublisher:
         """Bind the endpoints of a node; EndpointError says why that fails."""
         try:
             local, network = self._book.local_endpoint(key), self._book.bind_endpoint(key)
         except KeyError as error:
             raise EndpointError(str(error.args[0])) from error
         if network is None:
-            return Publisher(self._context, self._clock, key, local or "", kind=kind)
+            return ZmqPublisher(self._context, self._clock, key, local or "", kind=kind)
 
         def prepare(socket: "zmq.Socket[bytes]") -> None:
             _set_network_options(socket, _READER_SILENCE_MS, network)
             self._authenticator.require_keys(socket, key)
 
         if local is None:
-            publisher = Publisher(self._context, self._clock, key, network, kind=kind, prepare=prepare)
+            publisher = ZmqPublisher(self._context, self._clock, key, network, kind=kind, prepare=prepare)
         else:
             # what a socket has bound keeps the options of that moment, so ipc stays plain
-            publisher = Publisher(self._context, self._clock, key, local, kind=kind)
+            publisher = ZmqPublisher(self._context, self._clock, key, local, kind=kind)
             prepare(publisher.socket)
             publisher.also_bind(network)
         self._authenticator.add(publisher)

@@ -5,105 +5,16 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-import zmq
-from pydantic import BaseModel
 
 from presets import DEFAULT_SITE_FILE, site_file_named
 from proto.errors import TelenanoError
+from services.recorder.attach import run_record
 from services.recorder.config import RecorderConfig
-from services.recorder.live import connect
-from services.recorder.node import RecorderBus, RecorderNode
-from services.recorder.null_publisher import OBSERVER, NullPublisher
-from services.recorder.open_recording import open_recording
-from services.runtime.clock import SystemClock
+from services.recorder.node import RecorderNode
 from services.runtime.config import validate
-from services.runtime.log import StructuredLog
-from services.runtime.main import load_site
-from services.runtime.node import NodeContext, NodeLoop, install_stop_signals
-from services.runtime.realtime import RealtimeStatus, freeze_garbage
-from services.runtime.security.keyring import Keyring, this_machine
-from services.runtime.transport import Transport
 from telenano.output import RawKeyboard, fail, print_json, report_errors
 
 _KEYS_TEXT = "s new file · t snapshot · q end"
-
-
-class Recorded(BaseModel):
-    """What came of it."""
-
-    path: str
-    files: int
-    messages: int
-    lost: int
-    rejected: int
-    fault: str
-
-
-class _Observer(RecorderNode):
-    """The recorder, looked at while it works."""
-
-    observe: Callable[["_Observer"], None]
-    until_ns: int | None = None
-
-    def on_deadline(self, now_ns: int) -> None:
-        """Flush, then show how it does."""
-        super().on_deadline(now_ns)
-        self.observe(self)
-        if self.until_ns is not None and now_ns >= self.until_ns:
-            self.end()
-
-    end: Callable[[], None]
-
-
-def _nobody_looks(node: RecorderNode, end: Callable[[], None]) -> None:
-    """Show nothing."""
-
-
-def run_record(
-    site_file: Path,
-    config: RecorderConfig,
-    scenario_file: Path | None = None,
-    duration_s: float | None = None,
-    observe: Callable[[RecorderNode, Callable[[], None]], None] = _nobody_looks,
-) -> Recorded:
-    """Record what is said in the rig of a site file until the time [s] is over or the process is told to stop.
-
-    The process has no endpoint: it sends nothing, is in no one's list, and the rig does not know of it. `observe` is
-    called at each flush with the node and the function that ends the recording.
-    """
-    clock, book = SystemClock(), load_site(site_file)
-    loops: list[NodeLoop] = []
-
-    def stop() -> None:
-        for loop in loops:
-            loop.stop()
-
-    wake = install_stop_signals(stop)
-    with zmq.Context[zmq.Socket[bytes]]() as context:
-        network = Transport(context, clock, book, this_machine(Keyring()))
-        listeners = connect(network, book, hears=config.hears)
-        intake = open_recording(OBSERVER, clock, config, site_file, scenario_file)
-        bus = RecorderBus(NullPublisher(clock, OBSERVER), listeners, intake, clock, wake, network)
-        node = _Observer(NodeContext(OBSERVER, clock, bus, StructuredLog(OBSERVER)), config, intake)
-        loop = NodeLoop(node, bus, RealtimeStatus(fifo=False, memory_locked=False))
-        node.end = loop.stop
-        node.observe = lambda recorder: observe(recorder, loop.stop)
-        if duration_s is not None:
-            node.until_ns = clock.monotonic_ns() + round(duration_s * 1e9)
-        loops.append(loop)
-        freeze_garbage()
-        try:
-            loop.run()
-        finally:
-            bus.close()
-    return Recorded(
-        path=node.path,
-        files=0 if intake.rotation is None else intake.rotation.count,
-        messages=intake.written,
-        lost=intake.lost,
-        rejected=intake.rejected,
-        fault=intake.fault,
-    )
 
 
 class RecordKeyBindings:
@@ -113,9 +24,13 @@ class RecordKeyBindings:
         self._keys = keys
         self._said = _KEYS_TEXT
 
-    def __call__(self, node: RecorderNode, end: Callable[[], None]) -> None:
+    def __call__(self, node: RecorderNode) -> None:
         """Act on the keys pressed and show how the recording does."""
-        actions: dict[str, Callable[[], None]] = {"s": node.split, "t": node.snapshot, "q": end}
+        actions: dict[str, Callable[[], None]] = {
+            "s": node.split,
+            "t": node.snapshot,
+            "q": node.context.request_stop,
+        }
         for key in self._keys.pressed():
             try:
                 self._said = _KEYS_TEXT if key in actions else f"unknown key {key!r}: {_KEYS_TEXT}"

@@ -1,104 +1,22 @@
 """`telenano replay`: recordings take the place of nodes on the bus, the rest of the rig being live."""
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-import zmq
 
 from presets import DEFAULT_SITE_FILE, site_file_named
-from proto.errors import ConfigError, EndpointError, TelenanoError
-from proto.nodes import PLAYER
-from recording.channel_filter import Selection
-from recording.multi_file import open_recordings
-from services.player.node import PlayerNode, PlaySettings, ReplayPlan, ReplayPublisher
-from services.player.playback import Playback, Span
-from services.runtime.bus import ZmqBus
-from services.runtime.clock import SystemClock
-from services.runtime.log import StructuredLog
-from services.runtime.main import load_site
-from services.runtime.node import NodeContext, NodeLoop, install_stop_signals
-from services.runtime.realtime import RealtimeStatus, freeze_garbage, shallow_idle
-from services.runtime.transport import Transport
+from proto.errors import ConfigError, TelenanoError
+from services.player.node import PlayerNode, PlaySettings
+from services.player.playback import Span
+from services.player.run import ReplayRequest, run_replay
 from telenano.output import RawKeyboard, print_json, report_errors
 
 _RATE_STEP = 1.25
 _KEYS_TEXT = (
     "space pause · . step · n next on topic · e next event · ← → 1 s · + - rate · a b loop points · l loop · q end"
 )
-# at every message the loop would spin through the gap to the next; these few µs are what a sleep is late by
-_SPIN_S = 20e-6
-
-
-@dataclass(frozen=True)
-class ReplayRequest:
-    """What was asked for on the command line."""
-
-    files: Sequence[Path]
-    site_file: Path = DEFAULT_SITE_FILE
-    nodes: Sequence[str] = ()
-    topics: Sequence[str] = ()
-    exclude: Sequence[str] = ()
-    remap: Mapping[str, str] = field(default_factory=dict)
-    span: Span = field(default_factory=Span)
-    settings: PlaySettings = field(default_factory=PlaySettings)
-
-
-@dataclass(frozen=True)
-class Replayed:
-    """What came of a replay."""
-
-    nodes: list[str]
-    sent: int
-    time_s: float
-
-
-def run_replay(request: ReplayRequest, observe: Callable[[PlayerNode], None] = lambda player: None) -> Replayed:
-    """Play recordings into the rig of a site file until they end or the process is told to stop.
-
-    Raises RecordingError, ConfigError, and EndpointError when a node that is to be played runs.
-    """
-    recording = open_recordings(request.files)
-    book, clock = load_site(request.site_file), SystemClock()
-    if PLAYER not in book.nodes:
-        raise ConfigError(f"{request.site_file}: nodes: {PLAYER} is missing, the player needs an endpoint")
-    parts = ReplayPlan(recording, book, Selection.of(request.topics, request.exclude, request.nodes), request.remap)
-    tape = Playback(recording, parts.plays, request.span)
-    stopping: list[NodeLoop] = []
-
-    def stop() -> None:
-        for loop in stopping:
-            loop.stop()
-
-    wake = install_stop_signals(stop)
-    with zmq.Context[zmq.Socket[bytes]]() as context, shallow_idle():
-        network = Transport(context, clock, book, book.machine_of(PLAYER))
-        publishers = [network.publisher(PLAYER)]
-        try:
-            publishers.extend(network.publisher(node, zmq.XPUB) for node in parts.nodes)
-        except EndpointError:
-            for publisher in publishers:
-                publisher.close()
-            raise
-        outlets = {publisher.node: ReplayPublisher(publisher) for publisher in publishers[1:]}
-        sources = book.sources(PLAYER, list(PlayerNode.inputs))
-        live = {node: topics for node, topics in sources.items() if node not in outlets}
-        bus = ZmqBus(publishers[0], network.subscribers(live), clock, wake, network)
-        for publisher in publishers[1:]:
-            bus.also_closes(publisher)
-        node_context = NodeContext(PLAYER, clock, bus, StructuredLog(PLAYER))
-        player = PlayerNode(node_context, tape, parts, outlets, request.settings, observe=observe)
-        loop = NodeLoop(player, bus, RealtimeStatus(fifo=False, memory_locked=False), spin_s=_SPIN_S)
-        player.finish = loop.stop
-        stopping.append(loop)
-        freeze_garbage()
-        try:
-            loop.run()
-        finally:
-            bus.close()
-    return Replayed(parts.nodes, player.sent, tape.time_s)
 
 
 class PlayerKeyBindings:

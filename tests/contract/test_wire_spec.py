@@ -16,7 +16,7 @@ from proto import TOPICS, decode, encode
 from proto.contract import examples
 from proto.messages import AfmScanline, Array, Record, SessionControl
 from proto.sequence import Arrival, SequenceTracker
-from services.runtime.bus import Publisher, Subscriber
+from services.runtime.bus import Subscriber, ZmqPublisher
 from services.runtime.clock import SystemClock
 
 ROW_OF = {
@@ -81,7 +81,7 @@ def test_command_and_answer_over_sockets(tmp_path: Path) -> None:
     clock = SystemClock()
     console, node = f"ipc://{tmp_path}/console", f"ipc://{tmp_path}/node"
     with zmq.Context() as context:
-        publisher = Publisher(context, clock, "controller@master", node)
+        publisher = ZmqPublisher(context, clock, "controller@master", node)
         subscriber = Subscriber(context, clock, {console: ["session/control"]})
         commands, answers = context.socket(zmq.PUB), context.socket(zmq.SUB)
         try:
@@ -107,7 +107,7 @@ def _plain(value: object) -> object:
 
 
 def _send_until_answered(
-    commands: zmq.Socket[bytes], answers: zmq.Socket[bytes], subscriber: Subscriber, publisher: Publisher
+    commands: zmq.Socket[bytes], answers: zmq.Socket[bytes], subscriber: Subscriber, publisher: ZmqPublisher
 ) -> dict[str, object]:
     deadline = time.monotonic() + 20.0
     seq = 0

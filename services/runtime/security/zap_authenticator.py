@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import zmq
 
-from services.runtime.bus import ConnectionEvent, Publisher
+from services.runtime.bus import ConnectionEvent, ZmqPublisher
 from services.runtime.security.access_control import AccessControl
 from services.runtime.security.keyring import key_text
 from services.runtime.security.socket_monitor import (
@@ -31,7 +31,7 @@ _REASONS = {"unlisted": "is not in the list", "revoked": "was revoked"}
 class BoundEndpoint:
     """A publisher that other machines may connect to."""
 
-    publisher: Publisher
+    publisher: ZmqPublisher
     monitor: Monitor
     endpoint: str
     accepted: set[str] = field(default_factory=set)
@@ -73,7 +73,7 @@ class ZapAuthenticator:
             # without this libzmq accepts every client while no ZAP handler is bound, as when a process ends
             socket.set(zmq.ZAP_ENFORCE_DOMAIN, 1)
 
-    def add(self, publisher: Publisher) -> None:
+    def add(self, publisher: ZmqPublisher) -> None:
         """Monitor a publisher whose last endpoint is one for other machines."""
         bound = publisher.socket.getsockopt_string(zmq.LAST_ENDPOINT).rstrip("\0")
         self.endpoints.append(

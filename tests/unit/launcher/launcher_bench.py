@@ -103,18 +103,17 @@ class Bench:
         self.bus = FakeBus(self.clock, key)
         self.children = FakeChildren()
         self.context = NodeContext(key, self.clock, self.bus, StructuredLog(key))
-        self.finished = False
         # every line that the view has shown
         self.news: list[str] = []
 
     def begin(self, node: RigNode) -> None:
         self.node = node
-        node.finish = self.finish
         node.observe = self.take_news
         node.launch()
 
-    def finish(self) -> None:
-        self.finished = True
+    @property
+    def finished(self) -> bool:
+        return self.context.stop_requested
 
     def take_news(self, node: RigNode) -> None:
         while node.news:

@@ -20,7 +20,7 @@ from services.player.node import PlayerNode, PlaySettings, ReplayPlan, ReplayPub
 from services.player.playback import Playback, Span
 from services.recorder.config import RecorderConfig
 from services.runtime.address_book import AddressBook
-from services.runtime.bus import Publisher, ZmqBus
+from services.runtime.bus import ZmqBus, ZmqPublisher
 from services.runtime.clock import VirtualClock
 from services.runtime.log import StructuredLog
 from services.runtime.node import NodeContext
@@ -46,11 +46,11 @@ class Stage:
         self.plan = ReplayPlan(recording, book, selection, given.pop("remap", None))
         self.playback = Playback(recording, self.plan.plays, given.pop("span", Span()))
         publishers = {
-            node: ReplayPublisher(Publisher(context, self.clock, node, book.endpoint(node), kind=zmq.XPUB))
+            node: ReplayPublisher(ZmqPublisher(context, self.clock, node, book.endpoint(node), kind=zmq.XPUB))
             for node in self.plan.nodes
         }
         self.publishers = publishers
-        self.own = Publisher(context, self.clock, PLAYER, book.endpoint(PLAYER))
+        self.own = ZmqPublisher(context, self.clock, PLAYER, book.endpoint(PLAYER))
         bus = ZmqBus(self.own, [], self.clock, -1)
         self.events: list[SessionEvent] = []
         publish = bus.publish

@@ -12,7 +12,7 @@ from proto.errors import ConfigError
 from recording.messages import RecordedMessage
 from services.recorder.live import LiveRecording
 from services.runtime.address_book import AddressBook
-from services.runtime.bus import Publisher
+from services.runtime.bus import ZmqPublisher
 from services.runtime.clock import SystemClock
 
 HAND, FAR = "haptic_node@master", "delay_node@slave"
@@ -22,7 +22,7 @@ def test_a_live_rig_is_read_like_a_recording(tmp_path: Path) -> None:
     book = AddressBook(nodes={node: f"ipc://{tmp_path}/{node}" for node in (HAND, FAR)})
     done = threading.Event()
     with zmq.Context() as context:
-        publishers = [Publisher(context, SystemClock(), node, book.endpoint(node)) for node in (HAND, FAR)]
+        publishers = [ZmqPublisher(context, SystemClock(), node, book.endpoint(node)) for node in (HAND, FAR)]
 
         def speak() -> None:
             seq = 0

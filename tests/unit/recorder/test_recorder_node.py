@@ -23,7 +23,7 @@ from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake
 from services.recorder.node import RecorderBus, RecorderNode
 from services.runtime.address_book import AddressBook
-from services.runtime.bus import ConnectionEvent, Publisher, Received
+from services.runtime.bus import ConnectionEvent, Received, ZmqPublisher
 from services.runtime.clock import SystemClock, VirtualClock
 from services.runtime.log import StructuredLog
 from services.runtime.main import Wiring
@@ -112,7 +112,7 @@ def test_the_start_is_said_once_after_the_first_flush(rig: Rig, tmp_path: Path) 
 
 
 def test_the_end_completes_the_file_and_says_what_is_in_it(rig: Rig) -> None:
-    rig.loop.stop()
+    rig.node.context.request_stop()
     rig.loop.run()
     started, finished = rig.bus.events()
     assert started.data["state"] == "started"
@@ -137,7 +137,7 @@ def test_a_folder_that_cannot_be_written_is_an_event_and_the_node_goes_on(config
     answer = rig.bus.events()[-1]
     assert (answer.id, answer.kind) == ("m1", "refused")
     assert "Permission denied" in answer.text
-    rig.loop.stop()
+    rig.node.context.request_stop()
     rig.loop.run()
     assert len(rig.bus.events()) == 2
 
@@ -227,7 +227,7 @@ class Stage:
 
     def __init__(self, context: zmq.Context, site_file: Path, nodes: Sequence[str]) -> None:
         book = AddressBook.model_validate(yaml.safe_load(site_file.read_text()))
-        self.publishers = {node: Publisher(context, SystemClock(), node, book.endpoint(node)) for node in nodes}
+        self.publishers = {node: ZmqPublisher(context, SystemClock(), node, book.endpoint(node)) for node in nodes}
         self.sent = 0
 
     def say_all(self) -> None:
@@ -275,7 +275,7 @@ def test_everything_on_real_sockets_is_heard_at_its_place(
             wake_descriptor=reader,
         )
         intake = begin(wiring, config)
-        bus = RecorderBus(wiring.publisher(NODE), listeners(wiring, config), intake, clock, reader, wiring.network)
+        bus = RecorderBus(wiring.bind(NODE), listeners(wiring, config), intake, clock, reader, wiring.network)
         node = RecorderNode(wiring.context(bus), config, intake)
         loop = NodeLoop(node, bus, RealtimeStatus(fifo=False, memory_locked=False))
         others = stage([key for key in NODES if key != NODE])
@@ -293,9 +293,10 @@ def test_everything_on_real_sockets_is_heard_at_its_place(
             others.publishers["launcher@master"].send("session/control", encode(session_control(others.sent)))
             loop.turn()
             found = {stream.channel_topic for each in bus._listeners.values() for stream in each.streams.values()}
-        loop.stop()
+        node.context.request_stop()
         loop.run()
-        bus.close()
+        wiring.resources.close()
+        wiring.network.close()
     os.close(reader)
     os.close(writer)
     recording = Recording(config.directory / config.file_name)

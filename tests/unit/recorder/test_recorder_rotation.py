@@ -16,10 +16,9 @@ from recording.reader import Recording
 from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake, Listener
 from services.recorder.node import RecorderNode
-from services.recorder.null_publisher import OBSERVER, NullPublisher
 from services.recorder.open_recording import open_recording
 from services.recorder.snapshot_buffer import Entry, SnapshotBuffer
-from services.runtime.bus import Subscriber, ZmqBus
+from services.runtime.bus import NullPublisher, Subscriber, ZmqBus
 from services.runtime.clock import VirtualClock
 from services.runtime.config import validate
 from services.runtime.log import StructuredLog
@@ -40,7 +39,7 @@ class Desk:
         self.intake = open_recording(NODE, self.clock, self.config, site_file, None)
         subscriber = Subscriber(context, self.clock, {"inproc://nowhere": ["haptic/state"]})
         self.listener = Listener("haptic_node@master", subscriber)
-        self.publisher = NullPublisher(self.clock, OBSERVER)
+        self.publisher = NullPublisher(self.clock, NODE)
         self.events: list[SessionEvent] = []
         bus = ZmqBus(self.publisher, [], self.clock, -1)
         bus.publish = self._publish

@@ -13,7 +13,7 @@ import zmq
 from proto import TOPICS, Message, encode
 from proto.contract import examples
 from services.runtime.address_book import AddressBook
-from services.runtime.bus import ConnectionEvent, Publisher, Received, Subscriber
+from services.runtime.bus import ConnectionEvent, Received, Subscriber, ZmqPublisher
 from services.runtime.clock import VirtualClock
 from services.runtime.security.keyring import Keyring, Role
 from services.runtime.transport import Transport
@@ -74,7 +74,7 @@ class Machine:
         self.clock = VirtualClock(start_ns=10**9, epoch_offset_ns=10**18)
         self.events: list[ConnectionEvent] = []
         self.received: list[Received] = []
-        self.publishers: dict[str, Publisher] = {}
+        self.publishers: dict[str, ZmqPublisher] = {}
         self.subscribers: list[Subscriber] = []
         self.sent = 0
         if book.requires_keys:

@@ -17,7 +17,7 @@ from proto.contract import examples
 from proto.errors import EndpointError
 from proto.messages import HapticState, SessionControl
 from proto.sequence import Arrival
-from services.runtime.bus import Publisher, Received, Subscriber, ZmqBus, split_frames
+from services.runtime.bus import Received, Subscriber, ZmqBus, ZmqPublisher, split_frames
 from services.runtime.clock import SystemClock, VirtualClock
 
 Context = zmq.Context[zmq.Socket[bytes]]
@@ -126,7 +126,7 @@ def hand(reader: Subscriber, seq: int, t_ns: int, topic: str = "haptic/state", s
 
 def test_a_message_is_numbered_stamped_and_arrives_as_it_was_sent(context: Context, endpoint: str) -> None:
     clock = VirtualClock(start_ns=7, epoch_offset_ns=10**18)
-    publisher = Publisher(context, clock, "haptic_node@master", endpoint, kind=zmq.XPUB)
+    publisher = ZmqPublisher(context, clock, "haptic_node@master", endpoint, kind=zmq.XPUB)
     reader = Subscriber(context, clock, {endpoint: ["haptic/state", "node/health"]})
     try:
         for _ in range(2):
@@ -147,7 +147,7 @@ def test_a_message_is_numbered_stamped_and_arrives_as_it_was_sent(context: Conte
 
 
 def test_a_message_that_is_refused_takes_no_number(context: Context, endpoint: str) -> None:
-    publisher = Publisher(context, VirtualClock(), "haptic_node@master", endpoint)
+    publisher = ZmqPublisher(context, VirtualClock(), "haptic_node@master", endpoint)
     try:
         with pytest.raises(ValueError, match="session_s"):
             publisher.publish("haptic/state", **{**published("haptic/state"), "session_s": float("nan")})
@@ -341,18 +341,18 @@ def test_a_reader_that_stops_for_longer_than_its_mark_counts_what_it_missed(cont
 
 
 def test_an_ipc_endpoint_in_use_names_its_holder(context: Context, endpoint: str) -> None:
-    first = Publisher(context, SystemClock(), "afm_node@slave", endpoint)
+    first = ZmqPublisher(context, SystemClock(), "afm_node@slave", endpoint)
     with pytest.raises(EndpointError, match=f"{endpoint} is in use by process {os.getpid()}: stop it"):
-        Publisher(context, SystemClock(), "afm_node@slave", endpoint)
+        ZmqPublisher(context, SystemClock(), "afm_node@slave", endpoint)
     first.close()
-    Publisher(context, SystemClock(), "afm_node@slave", endpoint).close()
+    ZmqPublisher(context, SystemClock(), "afm_node@slave", endpoint).close()
 
 
 HOLDER = """
 import sys, zmq
-from services.runtime.bus import Publisher
+from services.runtime.bus import ZmqPublisher
 from services.runtime.clock import SystemClock
-holder = Publisher(zmq.Context(), SystemClock(), "afm_node@slave", sys.argv[1])
+holder = ZmqPublisher(zmq.Context(), SystemClock(), "afm_node@slave", sys.argv[1])
 print("holding", flush=True)
 sys.stdin.read()
 """
@@ -365,40 +365,40 @@ def test_an_endpoint_is_free_again_when_its_holder_was_killed(context: Context, 
         try:
             assert holder.stdout.readline() == "holding\n"
             with pytest.raises(EndpointError, match=f"in use by process {holder.pid}:"):
-                Publisher(context, SystemClock(), "afm_node@slave", endpoint)
+                ZmqPublisher(context, SystemClock(), "afm_node@slave", endpoint)
         finally:
             holder.kill()
-    Publisher(context, SystemClock(), "afm_node@slave", endpoint).close()
+    ZmqPublisher(context, SystemClock(), "afm_node@slave", endpoint).close()
 
 
 def test_a_tcp_port_in_use_is_named(context: Context) -> None:
     with plain_socket.create_server(("127.0.0.1", 0)) as server:
         endpoint = f"tcp://127.0.0.1:{server.getsockname()[1]}"
         with pytest.raises(EndpointError, match=f"afm_node@slave cannot bind {endpoint}: another process has it"):
-            Publisher(context, SystemClock(), "afm_node@slave", endpoint)
+            ZmqPublisher(context, SystemClock(), "afm_node@slave", endpoint)
 
 
 @pytest.mark.parametrize("endpoint", ["tcp://192.0.2.1:5501", "tcp://no-such-interface:5501"])
 def test_an_address_of_another_machine_cannot_be_bound(context: Context, endpoint: str) -> None:
     with pytest.raises(EndpointError, match=f"afm_node@slave cannot bind {endpoint}: "):
-        Publisher(context, SystemClock(), "afm_node@slave", endpoint)
+        ZmqPublisher(context, SystemClock(), "afm_node@slave", endpoint)
 
 
 def test_a_folder_that_cannot_be_made_is_named(context: Context, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(EndpointError, match=r"file/bus\.lock cannot be opened: "):
-        Publisher(context, SystemClock(), "afm_node@slave", f"ipc://{tmp_path}/file/bus")
+        ZmqPublisher(context, SystemClock(), "afm_node@slave", f"ipc://{tmp_path}/file/bus")
 
 
 def test_an_ipc_path_that_libzmq_refuses_lets_its_lock_go(context: Context, tmp_path: Path) -> None:
     endpoint = f"ipc://{tmp_path}/{'x' * 120}"
     for _ in range(2):
         with pytest.raises(EndpointError, match=r"afm_node@slave cannot bind .*longer than 107"):
-            Publisher(context, SystemClock(), "afm_node@slave", endpoint)
+            ZmqPublisher(context, SystemClock(), "afm_node@slave", endpoint)
 
 
 def test_the_folder_of_the_sockets_is_private(context: Context, tmp_path: Path) -> None:
-    Publisher(context, SystemClock(), "afm_node@slave", f"ipc://{tmp_path}/private/bus").close()
+    ZmqPublisher(context, SystemClock(), "afm_node@slave", f"ipc://{tmp_path}/private/bus").close()
     assert (tmp_path / "private").stat().st_mode & 0o077 == 0
 
 
@@ -417,7 +417,8 @@ def test_a_wait_ends_with_a_message_a_signal_or_its_deadline(
     context: Context, sender: Sender, reader: Subscriber, tmp_path: Path, wake: tuple[int, int]
 ) -> None:
     clock = SystemClock()
-    bus = ZmqBus(Publisher(context, clock, "n@master", f"ipc://{tmp_path}/own"), [reader], clock, wake[0])
+    own = ZmqPublisher(context, clock, "n@master", f"ipc://{tmp_path}/own")
+    bus = ZmqBus(own, [reader], clock, wake[0])
     hour_ns = 3_600_000_000_000
     try:
         # a deadline that is over, and one that is near
@@ -437,16 +438,15 @@ def test_a_wait_ends_with_a_message_a_signal_or_its_deadline(
         os.write(wake[1], b"\x0f")
         bus.wait(clock.monotonic_ns() + hour_ns)
     finally:
-        bus.close()
+        own.close()
 
 
 def test_the_accounts_of_several_subscribers_are_one(
     context: Context, reader: Subscriber, deaf: Subscriber, tmp_path: Path, wake: tuple[int, int]
 ) -> None:
     clock = SystemClock()
-    bus = ZmqBus(Publisher(context, clock, "n@master", f"ipc://{tmp_path}/own"), [reader, deaf], clock, wake[0])
-    other = Publisher(context, clock, "n@slave", f"ipc://{tmp_path}/other")
-    bus.also_closes(other)
+    own = ZmqPublisher(context, clock, "n@master", f"ipc://{tmp_path}/own")
+    bus = ZmqBus(own, [reader, deaf], clock, wake[0])
     try:
         assert bus.rejections() == ({}, "")
         reader.examine([b"one"], 0)
@@ -458,15 +458,13 @@ def test_the_accounts_of_several_subscribers_are_one(
         assert "not msgpack" in text
         assert [h.topic for h in bus.input_health()] == ["haptic/state", "session/control", "haptic/state"]
     finally:
-        bus.close()
-    assert other.socket.closed
-    assert bus.publisher.socket.closed
+        own.close()
 
 
 def test_what_the_link_forwards_keeps_the_header_of_its_publisher(
     context: Context, endpoint: str, tmp_path: Path
 ) -> None:
-    link = Publisher(context, SystemClock(), "delay_node@slave", endpoint, kind=zmq.XPUB)
+    link = ZmqPublisher(context, SystemClock(), "delay_node@slave", endpoint, kind=zmq.XPUB)
     reader = Subscriber(context, SystemClock(), {endpoint: ["session/control"]})
     try:
         assert link.socket.poll(WAIT_S * 1e3)

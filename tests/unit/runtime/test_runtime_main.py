@@ -56,7 +56,7 @@ class Mortal(Node):
         self.ended.append(f"{self.context.key} gain {self.config.gain}")
 
 
-KIND = NodeKind("controller", ("master", "slave"), Config, ordinary(Mortal, Mortal.inputs))
+KIND = NodeKind("controller", Config, ordinary(Mortal, Mortal.inputs))
 
 
 @pytest.fixture(autouse=True)

@@ -240,17 +240,17 @@ def test_the_loop_spins_to_the_deadline_and_never_past_it() -> None:
 
 def test_stop_leaves_after_the_step_in_hand_and_makes_the_node_safe() -> None:
     rig = Rig(period_ns=MS)
-    rig.node.on_message = lambda received: rig.loop.stop()
+    rig.node.on_message = lambda received: rig.node.context.request_stop()
     rig.bus.arrives(50 * MS + 1, "haptic/state")
     rig.loop.run()
-    assert (rig.node.made_safe, rig.node.state, rig.loop.stopping) == (1, "stopping", True)
+    assert (rig.node.made_safe, rig.node.state, rig.node.context.stop_requested) == (1, "stopping", True)
     assert rig.node.ticks[-1] == 50 * MS
     assert rig.health[-1].state == "stopping"
 
 
 def test_a_stop_before_the_first_turn_runs_nothing() -> None:
     rig = Rig(period_ns=MS)
-    rig.loop.stop()
+    rig.node.context.request_stop()
     rig.loop.run()
     assert (rig.node.ticks, rig.node.made_safe, rig.node.state) == ([], 1, "stopping")
 
@@ -330,7 +330,7 @@ def test_connections_are_looked_after_in_every_turn_and_in_any_case_with_every_r
 
 def test_what_is_said_of_connections_at_the_very_end_is_told_too() -> None:
     rig = Rig(period_ns=MS)
-    rig.loop.stop()
+    rig.node.context.request_stop()
     rig.bus.notices = [ConnectionEvent("info", "it is back", {})]
     rig.loop.run()
     assert [e.text for e in rig.events] == ["it is back"]

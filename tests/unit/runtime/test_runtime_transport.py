@@ -34,7 +34,7 @@ from proto import WireError
 from proto.errors import ConfigError, EndpointError
 from services.runtime import transport
 from services.runtime.address_book import AddressBook
-from services.runtime.bus import Publisher, Subscriber, ZmqBus
+from services.runtime.bus import Subscriber, ZmqBus, ZmqPublisher
 from services.runtime.clock import SystemClock, VirtualClock
 from services.runtime.security import peer_connections, socket_monitor, zap_authenticator
 from services.runtime.security.keyring import Keyring
@@ -201,7 +201,8 @@ def test_without_a_network_there_is_nothing_to_look_after(tmp_path: Path) -> Non
         bus = ZmqBus(publisher, subscribers, SystemClock(), -1, quiet)
         assert (bus.process_events(), bus.process_events(now=True), bus.rejections()) == ((), (), ({}, ""))
         assert quiet.process_events() == []
-        bus.close()
+        for each in (*subscribers, publisher):
+            each.close()
 
 
 def test_plain_tcp_is_heard_where_locks_are_waived(world: Callable[..., list[Machine]], tmp_path: Path) -> None:
@@ -1010,7 +1011,7 @@ def test_every_rejected_connection_ends_a_wait_however_often(world: Callable[...
     slave.open()
     clock = SystemClock()
     wake = os.pipe()
-    bus = ZmqBus(slave.network.publisher(AFM), [], clock, wake[0], slave.network)
+    bus = ZmqBus(slave.speaks(AFM).publishers[AFM], [], clock, wake[0], slave.network)
     try:
         for number in range(1, 31):
             with raw_connection(slave.book) as raw:
@@ -1031,8 +1032,6 @@ def test_every_rejected_connection_ends_a_wait_however_often(world: Callable[...
             waits += 1
         assert waits <= 3
     finally:
-        bus.close()
-        bus.close()
         for end_of_pipe in wake:
             os.close(end_of_pipe)
 
@@ -1059,7 +1058,8 @@ def test_a_bus_that_has_more_to_process_does_not_wait(tmp_path: Path) -> None:
     clock = SystemClock()
     with zmq.Context() as context:
         handler = Pending(quiet[0])
-        bus = ZmqBus(Publisher(context, clock, AFM, f"ipc://{tmp_path}/a"), [], clock, wake[0], handler)
+        publisher = ZmqPublisher(context, clock, AFM, f"ipc://{tmp_path}/a")
+        bus = ZmqBus(publisher, [], clock, wake[0], handler)
         try:
             for _ in range(5):
                 # would take an hour
@@ -1076,7 +1076,7 @@ def test_a_bus_that_has_more_to_process_does_not_wait(tmp_path: Path) -> None:
             bus.process_events()
             assert handler.calls == 7
         finally:
-            bus.close()
+            publisher.close()
     for end_of_pipe in (*wake, *quiet):
         os.close(end_of_pipe)
 
@@ -1086,18 +1086,16 @@ def test_the_newest_refusal_is_the_one_that_is_told(world: Callable[..., list[Ma
     slave.open()
     clock = SystemClock()
     reader = Subscriber(slave.context, clock, {})
-    bus = ZmqBus(slave.network.publisher(AFM), [reader], clock, -1, slave.network)
+    slave.subscribers.append(reader)
+    bus = ZmqBus(slave.speaks(AFM).publishers[AFM], [reader], clock, -1, slave.network)
     rejections = slave.network._rejections
-    try:
-        reader.examine([b"one"], 0)
-        assert bus.rejections()[1].startswith("a message has 2 frames")
-        rejections.record("unlisted", "somebody at the port")
-        assert bus.rejections() == ({"frames": 1, "unlisted": 1}, "somebody at the port")
-        assert bus.rejections() == ({"frames": 1, "unlisted": 1}, "somebody at the port")
-        reader.examine([b"one"], 0)
-        assert bus.rejections()[1].startswith("a message has 2 frames")
-    finally:
-        bus.close()
+    reader.examine([b"one"], 0)
+    assert bus.rejections()[1].startswith("a message has 2 frames")
+    rejections.record("unlisted", "somebody at the port")
+    assert bus.rejections() == ({"frames": 1, "unlisted": 1}, "somebody at the port")
+    assert bus.rejections() == ({"frames": 1, "unlisted": 1}, "somebody at the port")
+    reader.examine([b"one"], 0)
+    assert bus.rejections()[1].startswith("a message has 2 frames")
 
 
 def test_an_end_in_the_middle_of_a_handshake_is_no_hang(world: Callable[..., list[Machine]]) -> None:

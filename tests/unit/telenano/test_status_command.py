@@ -23,7 +23,7 @@ from services.launcher.rig_status import (
     stalled_inputs,
 )
 from services.runtime.address_book import AddressBook
-from services.runtime.bus import ConnectionEvent, Publisher, Received
+from services.runtime.bus import ConnectionEvent, Received, ZmqPublisher
 from services.runtime.clock import SystemClock
 from services.runtime.main import load_site
 from services.runtime.observer import Heard, Observer
@@ -328,7 +328,7 @@ def test_it_listens_on_the_bus_and_only_to_what_it_needs(tmp_path: Path) -> None
 
     def speak() -> None:
         with zmq.Context[zmq.Socket[bytes]]() as context:
-            publisher = Publisher(context, SystemClock(), node, book.endpoint(node))
+            publisher = ZmqPublisher(context, SystemClock(), node, book.endpoint(node))
             template = health(node).model_dump(exclude={"seq", "t_ns", "src", "v"})
             while not over.wait(0.005):
                 publisher.publish("session/event", **EVENT)

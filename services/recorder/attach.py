@@ -1,0 +1,64 @@
+"""An additional recorder that attaches to a running rig and leaves it as it was."""
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+from pydantic import BaseModel
+
+from services.recorder.config import RecorderConfig
+from services.recorder.live import connect
+from services.recorder.node import RecorderBus, RecorderNode
+from services.recorder.open_recording import open_recording
+from services.runtime.bus import NullPublisher
+from services.runtime.main import load_site
+from services.runtime.participant import OBSERVER, StopSignals, open_participant, run_loop
+
+
+class Recorded(BaseModel):
+    """What came of it."""
+
+    path: str
+    files: int
+    messages: int
+    lost: int
+    rejected: int
+    fault: str
+
+
+def run_record(
+    site_file: Path,
+    config: RecorderConfig,
+    scenario_file: Path | None = None,
+    duration_s: float | None = None,
+    observe: Callable[[RecorderNode], None] = lambda node: None,
+) -> Recorded:
+    """Record what is said in the rig of a site file until the time [s] is over or the process is told to stop.
+
+    The process has no endpoint: it sends nothing, is in no one's list, and the rig does not know of it. `observe` is
+    called at each flush.
+    """
+    book, signals = load_site(site_file), StopSignals()
+    with open_participant(OBSERVER, book, signals.descriptor, publisher=False) as participant:
+        clock = participant.clock
+        listeners = connect(participant, hears=config.hears)
+        intake = open_recording(OBSERVER, clock, config, site_file, scenario_file)
+        publisher = NullPublisher(clock, OBSERVER)
+        bus = RecorderBus(publisher, listeners, intake, clock, signals.descriptor, participant.network)
+        until_ns = math.inf if duration_s is None else clock.monotonic_ns() + round(duration_s * 1e9)
+
+        def on_flush(node: RecorderNode) -> None:
+            observe(node)
+            if clock.monotonic_ns() >= until_ns:
+                node.context.request_stop()
+
+        node = RecorderNode(participant.context(bus), config, intake, on_flush)
+        run_loop(node, bus, signals)
+    return Recorded(
+        path=node.path,
+        files=0 if intake.rotation is None else intake.rotation.count,
+        messages=intake.written,
+        lost=intake.lost,
+        rejected=intake.rejected,
+        fault=intake.fault,
+    )

@@ -1,0 +1,148 @@
+"""How a process takes part in the bus: what it opens there, the loop that it runs, and how both end."""
+
+import contextlib
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import zmq
+
+from proto.errors import EndpointError
+from proto.nodes import site_of
+from services.runtime.address_book import AddressBook
+from services.runtime.bus import Bus, Publisher, Subscriber, ZmqBus, ZmqPublisher
+from services.runtime.clock import Clock, SystemClock
+from services.runtime.log import StructuredLog
+from services.runtime.node import AccountedBus, Node, NodeContext, NodeLoop, install_stop_signals
+from services.runtime.realtime import RealtimeStatus, freeze_garbage
+from services.runtime.security.keyring import Keyring, this_machine
+from services.runtime.transport import Transport
+
+SITES = ("master", "slave")
+# the name of who only listens: it is in no site file
+OBSERVER = "record@master"
+NO_REALTIME = RealtimeStatus(fifo=False, memory_locked=False)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Participant:
+    """A process on the bus: its name there, its clock, and the sockets that it opens.
+
+    `wake_descriptor` becomes readable at a stop signal, to end the wait of a bus.
+    """
+
+    key: str
+    book: AddressBook
+    clock: Clock
+    log: StructuredLog
+    network: Transport
+    wake_descriptor: int
+    resources: contextlib.ExitStack = field(default_factory=contextlib.ExitStack)
+
+    def bind(self, key: str, kind: int = zmq.PUB) -> ZmqPublisher:
+        """Bind the endpoints of a node; EndpointError says why that fails."""
+        return self.resources.enter_context(contextlib.closing(self.network.publisher(key, kind)))
+
+    def subscribers(self, connections: Mapping[str, Sequence[str]], *, apart: bool = False) -> list[Subscriber]:
+        """Connect to nodes (keys) for topics (values): a socket for each machine, or with `apart` for each node."""
+        opened = self.network.subscribers(connections, apart=apart)
+        return [self.resources.enter_context(contextlib.closing(subscriber)) for subscriber in opened]
+
+    def observe(self, wanted: Callable[[str, str], bool], sites: Sequence[str] = SITES) -> dict[str, Subscriber]:
+        """Connect to each node at `sites` by a socket of its own, for the topics that are `wanted` of its site."""
+        heard = self.book.observed(self.network.machine, sites)
+        plan = {node: [topic for topic in topics if wanted(topic, site_of(node))] for node, topics in heard.items()}
+        plan = {node: topics for node, topics in plan.items() if topics}
+        return dict(zip(plan, self.subscribers(plan, apart=True), strict=True))
+
+    def bus(self, topics: Sequence[str]) -> ZmqBus:
+        """Open the bus of an ordinary node: its own endpoint and connections for its inputs."""
+        # the publisher first: it is what may fail, and nothing is open yet
+        publisher = self.bind(self.key)
+        return self.bus_of(publisher, self.subscribers(self.book.sources(self.key, topics)))
+
+    def bus_of(self, publisher: Publisher, subscribers: Sequence[Subscriber]) -> ZmqBus:
+        """Make one bus of sockets that were opened before."""
+        return ZmqBus(publisher, subscribers, self.clock, self.wake_descriptor, self.network)
+
+    def context(self, bus: Bus) -> NodeContext:
+        """Return what a node needs of the world."""
+        return NodeContext(self.key, self.clock, bus, self.log)
+
+
+@contextlib.contextmanager
+def open_participant(
+    key: str, book: AddressBook, wake_descriptor: int = -1, *, publisher: bool = True
+) -> Iterator[Participant]:
+    """Open a part in the bus while the block runs; then close connections, endpoints and context, in this order.
+
+    Parameters: publisher, false for who has no endpoint in the site file, only listens and may be on any machine.
+    Raises: EndpointError when the node is not in the book, ConfigError when its machine lacks a key that the rig needs.
+    """
+    clock = SystemClock()
+    machine = _machine_of(book, key) if publisher else this_machine(Keyring())
+    with contextlib.ExitStack() as resources:
+        context = resources.enter_context(zmq.Context[zmq.Socket[bytes]]())
+        network = resources.enter_context(contextlib.closing(Transport(context, clock, book, machine)))
+        yield Participant(
+            key=key,
+            book=book,
+            clock=clock,
+            log=StructuredLog(key),
+            network=network,
+            wake_descriptor=wake_descriptor,
+            resources=resources,
+        )
+
+
+def _machine_of(book: AddressBook, key: str) -> str:
+    try:
+        return book.machine_of(key)
+    except KeyError as error:
+        raise EndpointError(str(error.args[0])) from error
+
+
+class StopSignals:
+    """SIGTERM and SIGINT from now on: they interrupt the node, also when they come before there is one."""
+
+    def __init__(self) -> None:
+        self._node: Node | None = None
+        self._received = False
+        self.descriptor = install_stop_signals(self._receive)
+
+    def interrupt(self, node: Node) -> None:
+        """Interrupt a node at every signal, and now if there was one already."""
+        self._node = node
+        if self._received:
+            self._receive()
+
+    def _receive(self) -> None:
+        self._received = True
+        if self._node is None:
+            return
+        self._node.interrupt()
+        if not self._node.context.stop_requested:
+            # the descriptor ends every wait until it is read, and this loop goes on waiting after a signal
+            with contextlib.suppress(BlockingIOError):
+                os.read(self.descriptor, 64)
+
+
+def run_loop(
+    node: Node,
+    bus: AccountedBus,
+    signals: StopSignals,
+    realtime: RealtimeStatus = NO_REALTIME,
+    *,
+    spin_s: float = 0.0,
+    freeze: bool = True,
+) -> None:
+    """Run a node until it or a signal requests its stop.
+
+    Parameters: spin_s, longest busy wait before a deadline [s]; freeze, false for a process that has work after the
+    loop, for which it needs the garbage collector.
+    """
+    loop = NodeLoop(node, bus, realtime, spin_s=spin_s)
+    signals.interrupt(node)
+    if freeze:
+        freeze_garbage()
+    loop.run()

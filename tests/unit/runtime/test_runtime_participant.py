@@ -1,0 +1,147 @@
+"""Taking part in the bus: what is opened is closed, and a stop signal is never lost."""
+
+import os
+import select
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+from typing import ClassVar
+
+import pytest
+import zmq
+
+from proto.errors import ConfigError, EndpointError
+from services.runtime.address_book import AddressBook
+from services.runtime.bus import NullPublisher, Received
+from services.runtime.clock import VirtualClock
+from services.runtime.node import Node, NodeContext
+from services.runtime.participant import OBSERVER, Participant, StopSignals, open_participant, run_loop
+
+HAND, LINK = "haptic_node@master", "delay_node@master"
+
+
+@pytest.fixture
+def book(tmp_path: Path) -> AddressBook:
+    return AddressBook(nodes={node: f"ipc://{tmp_path}/{node}" for node in (HAND, LINK, "controller@master")})
+
+
+@pytest.fixture
+def signals() -> Iterator[StopSignals]:
+    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
+    made = StopSignals()
+    yield made
+    os.close(signal.set_wakeup_fd(-1))
+    os.close(made.descriptor)
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+class Idle(Node):
+    """A node that waits; a patient one goes on after a signal, until its next deadline."""
+
+    inputs: ClassVar[tuple[str, ...]] = ("session/control",)
+
+    def __init__(self, context: NodeContext, *, patient: bool = False) -> None:
+        super().__init__(context)
+        self.patient = patient
+        self.log: list[str] = []
+
+    def on_message(self, received: Received) -> None:
+        raise AssertionError(f"nobody sends {received.topic}")
+
+    def interrupt(self) -> None:
+        self.log.append("interrupt")
+        if not self.patient:
+            super().interrupt()
+
+    def deadline_ns(self) -> int:
+        return self.clock.monotonic_ns() if self.patient else super().deadline_ns()
+
+    def on_deadline(self, now_ns: int) -> None:
+        self.context.request_stop()
+
+    def make_safe(self) -> None:
+        self.log.append("safe")
+
+
+def test_what_was_opened_is_closed_connections_first(book: AddressBook) -> None:
+    order: list[str] = []
+    with open_participant(HAND, book) as participant:
+        bus = participant.bus(["session/control", "haptic/command"])
+        extra = participant.bind(LINK, zmq.XPUB)
+        sockets = [subscriber.socket for subscriber in bus.subscribers]
+        participant.resources.callback(lambda: order.append(f"open {not sockets[0].closed}"))
+        assert participant.network.machine == "master"
+    assert order == ["open True"]
+    assert sockets
+    assert all(socket.closed for socket in [*sockets, extra.socket])
+    # the endpoint is free again
+    with open_participant(HAND, book) as again:
+        again.bind(HAND)
+
+
+def test_an_endpoint_that_is_taken_leaves_nothing_open(book: AddressBook) -> None:
+    with open_participant(LINK, book) as holder:
+        holder.bind(LINK)
+        with pytest.raises(EndpointError, match=f"{LINK} is in use by process {os.getpid()}"), \
+                open_participant(HAND, book) as participant:  # fmt: skip
+            first = participant.bind(HAND)
+            participant.bind(LINK)
+        assert first.socket.closed
+
+
+def test_a_node_needs_a_place_in_the_site_file_and_an_observer_none(book: AddressBook) -> None:
+    with pytest.raises(EndpointError, match="afm_node@slave is not in the site file"), \
+            open_participant("afm_node@slave", book):  # fmt: skip
+        pass
+    with open_participant(OBSERVER, book, publisher=False) as observer:
+        heard = observer.observe(lambda topic, site: topic == "haptic/state" and site == "master")
+        assert {node: reader.topics for node, reader in heard.items()} == {HAND: ["haptic/state"]}
+        assert observer.observe(lambda topic, site: True, ["slave"]) == {}
+
+
+def test_without_a_key_that_the_rig_needs_nothing_is_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TELENANO_KEYS_DIR", str(tmp_path))
+    locked = AddressBook.model_validate({"nodes": {HAND: "tcp://127.0.0.1:5701"}})
+    with pytest.raises(ConfigError, match="`telenano keys new master` makes one"), open_participant(HAND, locked):
+        pass
+
+
+def idle_of(participant: Participant, *, patient: bool = False) -> Idle:
+    return Idle(participant.context(participant.bus(Idle.inputs)), patient=patient)
+
+
+def test_a_signal_before_there_is_a_loop_stops_it(book: AddressBook, signals: StopSignals) -> None:
+    signal.raise_signal(signal.SIGTERM)
+    with open_participant(HAND, book, signals.descriptor) as participant:
+        bus = participant.bus(Idle.inputs)
+        node = Idle(participant.context(bus))
+        run_loop(node, bus, signals, freeze=False)
+    assert node.log == ["interrupt", "safe"]
+
+
+def test_a_node_that_goes_on_after_a_signal_can_wait_again(book: AddressBook, signals: StopSignals) -> None:
+    signal.raise_signal(signal.SIGINT)
+    assert select.select([signals.descriptor], (), (), 0)[0]
+    with open_participant(HAND, book, signals.descriptor) as participant:
+        node = idle_of(participant, patient=True)
+        signals.interrupt(node)
+        assert not select.select([signals.descriptor], (), (), 0)[0]
+        signal.raise_signal(signal.SIGTERM)
+        assert not select.select([signals.descriptor], (), (), 0)[0]
+        assert node.log == ["interrupt", "interrupt"]
+        # one that is to stop leaves it readable: the wait in which the signal came has to end
+        node.patient = False
+        signal.raise_signal(signal.SIGTERM)
+        assert select.select([signals.descriptor], (), (), 0)[0]
+    assert node.context.stop_requested
+
+
+def test_a_null_publisher_numbers_and_checks(monkeypatch: pytest.MonkeyPatch) -> None:
+    publisher = NullPublisher(VirtualClock(), OBSERVER)
+    event = {"id": "", "kind": "mark", "level": "info", "text": "here", "data": {}}
+    sent = [publisher.publish("session/event", **event) for _ in range(2)]
+    assert [(message.seq, message.src) for message in sent] == [(0, OBSERVER), (1, OBSERVER)]
+    with pytest.raises(ValueError, match="level"):
+        publisher.publish("session/event", **{**event, "level": "loud"})
+    assert publisher.publish("session/event", **event).seq == 2
