@@ -47,12 +47,12 @@ class Bench:
         return model.model_validate({**header, **fields})
 
     def heard(self, topic: str, src: str, **fields: Any) -> Received:
-        """Give a message of another node as the node would receive it now."""
+        """Return a message of another node as the node would receive it now."""
         message = self.make(topic, src, **fields)
         return Received(topic, message, encode(message), self.clock.now_ns(), Arrival.NEXT)
 
     def take(self, topic: str) -> list[Any]:
-        """Give and forget what was published on a topic."""
+        """Return and remove what was published on a topic."""
         taken = [message for name, message in self.sent if name == topic]
         self.sent = [(name, message) for name, message in self.sent if name != topic]
         return taken
@@ -63,7 +63,7 @@ class Bench:
 
 @pytest.fixture
 def bench_of() -> type[Bench]:
-    """Give the class of benches; call it with node@site."""
+    """Return the class of benches; call it with node@site."""
     return Bench
 
 

@@ -20,7 +20,7 @@ _GOLDEN = {
 
 
 def sample(topic: str, seq: int, **changes: Any) -> Message:
-    """Give a valid message; fields that no test asks for come from the golden vectors of the wire."""
+    """Return a valid message; fields that no test asks for come from the golden vectors of the wire."""
     base = decode(topic, _GOLDEN[topic])
     header = {"seq": seq, "t_ns": EPOCH_NS + seq * MILLISECOND_NS}
     return type(base)(**(base.__dict__ | header | changes))

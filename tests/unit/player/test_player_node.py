@@ -93,7 +93,7 @@ class Stage:
         return [(topic.decode(), payload) for topic, payload in frames]
 
     def heard_states(self, count: int) -> list[HapticState]:
-        """Give so many states, whatever else was heard between them."""
+        """Return the next `count` states, skipping other messages."""
         found: list[HapticState] = []
         while len(found) < count:
             topic, payload = self.reader.recv_multipart()

@@ -29,7 +29,7 @@ def frames(topic: str, message: Message) -> list[bytes]:
 
 @pytest.fixture
 def listen() -> Iterator[MakeListener]:
-    """Give listeners whose connection is never used: the frames come from the test."""
+    """Yield a factory of listeners whose connection is never used: the frames come from the test."""
     made: list[Listener] = []
     with zmq.Context() as context:
 

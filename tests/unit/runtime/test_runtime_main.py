@@ -167,5 +167,5 @@ def test_arguments_and_their_help(capsys: pytest.CaptureFixture[str]) -> None:
 def test_a_wrong_site_file_names_its_key(tmp_path: Path) -> None:
     path = tmp_path / "site.yaml"
     path.write_text("nodes: {afm_node@slave: 'tcp://{slave}:5501'}\n")
-    with pytest.raises(ConfigError, match=r"site\.yaml: nodes\.afm_node@slave: .* no machine of `machines`"):
+    with pytest.raises(ConfigError, match=r"site\.yaml: nodes\.afm_node@slave: .* is not in `machines`"):
         load_site(path)

@@ -103,7 +103,7 @@ def test_a_node_needs_a_place_in_the_site_file_and_an_observer_none(book: Addres
 def test_without_a_key_that_the_rig_needs_nothing_is_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TELENANO_KEYS_DIR", str(tmp_path))
     locked = AddressBook.model_validate({"nodes": {HAND: "tcp://127.0.0.1:5701"}})
-    with pytest.raises(ConfigError, match="`telenano keys new master` makes one"), open_participant(HAND, locked):
+    with pytest.raises(ConfigError, match="`telenano keys new master` creates one"), open_participant(HAND, locked):
         pass
 
 
