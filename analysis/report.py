@@ -133,7 +133,7 @@ def summarise(session: Session, info: RecordingInfo, traffic: Traffic) -> dict[s
     return {
         "scenario": session.scenario,
         "duration_s": round(session.duration_s, 3),
-        "stable": bool(holds) and all(hold.stable for hold in holds),
+        "stable": bool(holds) and all(hold.verdict == "stable" for hold in holds),
         "hold_ratio": _hold_ratio(series),
         "contact_x_cm": _mean(100.0 * series.reference_m[series.reference_time_s >= last_s]),
         "release_force_nn": _mean(1e9 * series.tip_force_n[series.tip_time_s >= last_s]),

@@ -1,10 +1,11 @@
-"""Whether a recorded session was stable: judged by what the tip's force does while the hand's force stands still."""
+"""The holds of a recorded session: where the hand's force stands still, and what the tip's force does meanwhile."""
 
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+
+from analysis.verdict import WINDOWS, Kind, judge
 
 Series = npt.NDArray[np.float64]
 
@@ -12,24 +13,22 @@ Series = npt.NDArray[np.float64]
 SHORTEST_HOLD_S = 0.5
 # the first part of a hold shows the answer to the step before it
 SETTLING_SHARE = 0.2
-SMALLEST_SHARE_OF_FORCE = 0.05
-LEAST_DECAY = 0.9
 _HAND_STEADY_SHARE = 0.01
 
 
 class Hold(NamedTuple):
-    """A stretch of constant hand force, and the peak-to-peak of alpha_f F_s [N] in the last two quarters of it."""
+    """A stretch of constant hand force, and what became of alpha_f F_s in it: see `analysis.verdict.Verdict`."""
 
     start_s: float
     end_s: float
     hand_force_n: float
-    earlier_n: float
-    later_n: float
-    stable: bool
+    verdict: Kind
+    growth_per_s: float | None
+    peak_to_peak_n: float
 
 
 def constant_stretches(time_s: Series, force_n: Series, tolerance_n: float) -> list[tuple[float, float]]:
-    """Give the stretches [s] of at least SHORTEST_HOLD_S over which a force stays within a tolerance of its start."""
+    """Return the stretches [s] of at least SHORTEST_HOLD_S over which a force stays within a tolerance of its start."""
     stretches: list[tuple[float, float]] = []
     first = 0
     for index in range(1, len(time_s) + 1):
@@ -42,24 +41,20 @@ def constant_stretches(time_s: Series, force_n: Series, tolerance_n: float) -> l
 
 
 def judge_holds(hand_time_s: Series, hand_force_n: Series, tip_time_s: Series, scaled_force_n: Series) -> list[Hold]:
-    """Judge every hold of a session.
+    """Judge every hold of a session, each without its first fifth, as the studies judge theirs.
 
-    In each stretch of constant F_m, its first fifth left out, the rest is cut into quarters. The hold is unstable when
-    the peak-to-peak of alpha_f F_s in the last quarter is above 5 % of the greatest hand force of the session and has
-    not fallen below 90 % of that in the quarter before: an oscillation that neither is small nor dies out.
+    Small is what is small beside the greatest force of the hand in the session, so that the holds share one measure; a
+    trend has to be a factor of two to be believed, because messages on a real bus come when they come.
 
     Parameters: times [s], F_m [N] at the hand's times, alpha_f F_s [N] at the tip's times; one dimension each.
     """
     greatest = float(np.abs(hand_force_n).max(initial=0.0))
-    threshold = SMALLEST_SHARE_OF_FORCE * greatest
     holds = []
     for start, end in constant_stretches(hand_time_s, hand_force_n, _HAND_STEADY_SHARE * greatest):
-        edges = np.linspace(start + SETTLING_SHARE * (end - start), end, 5)
-        quarters = [scaled_force_n[(tip_time_s >= a) & (tip_time_s < b)] for a, b in pairwise(edges)]
-        if any(quarter.size == 0 for quarter in quarters):
+        judged = (tip_time_s >= start + SETTLING_SHARE * (end - start)) & (tip_time_s < end)
+        if greatest == 0.0 or judged.sum() < 2 * WINDOWS:
             continue
-        earlier, later = float(np.ptp(quarters[2])), float(np.ptp(quarters[3]))
-        stable = later <= threshold or later < LEAST_DECAY * earlier
         force = float(np.interp(0.5 * (start + end), hand_time_s, hand_force_n))
-        holds.append(Hold(start, end, force, earlier, later, stable))
+        verdict = judge(tip_time_s[judged], scaled_force_n[judged], greatest, noisy=True)
+        holds.append(Hold(start, end, force, *verdict))
     return holds

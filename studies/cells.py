@@ -10,11 +10,14 @@ import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
+from analysis import verdict
+from analysis.verdict import judge
 from proto.errors import ConfigError
 from services.afm_node.config import AfmConfig, CantileverConfig, SafetyConfig
 from services.afm_node.safety import MODE_FOLLOW, MODE_HOLD, SafetyParams
@@ -26,7 +29,6 @@ from services.runtime.compiled import source_digest
 from services.runtime.config import merge, nested, validate
 from studies.link import schedule_of, symmetric_link
 from studies.lockstep import Rig, Series, Trajectory, build_rig, simulate
-from studies.verdict import judge
 
 Environment = Literal["spring", "contact"]
 ENVIRONMENTS: tuple[Environment, ...] = ("spring", "contact")
@@ -183,7 +185,7 @@ def judged(cell: Cell, course: Trajectory) -> CellResult:
         first = int(np.searchsorted(course.time_s, start_s))
     hold = slice(min(first, ended), ended)
     force = scales.force_scale * course.tip_force_n
-    verdict = judge(
+    found = judge(
         course.time_s[hold],
         force[hold],
         _LEVELS_N[cell.environment][-1],
@@ -193,9 +195,9 @@ def judged(cell: Cell, course: Trajectory) -> CellResult:
     pressed = force[hold] > 0.0
     return CellResult(
         cell,
-        verdict.kind,
-        verdict.growth_per_s,
-        verdict.peak_to_peak_n,
+        found.kind,
+        found.growth_per_s,
+        found.peak_to_peak_n,
         1.0 - float(course.in_contact[hold].mean()) if ended > first else 1.0,
         float(np.mean(course.hand_force_n[hold] / force[hold])) if pressed.size and pressed.all() else None,
         float(energies_of(course, scales).stored_j.min()),
@@ -253,4 +255,5 @@ def _laws_with_gain() -> str:
 
 @functools.lru_cache(maxsize=1)
 def _sources() -> str:
-    return source_digest()
+    # the verdict is no model, but what a cell is called depends on it
+    return source_digest() + hashlib.sha256(Path(verdict.__file__).read_bytes()).hexdigest()[:16]

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from analysis.verdict import KINDS
 from studies.cells import Cell, CellResult, energies_of, scales_of, trajectory_of
 from studies.page import Page, png_of, write_parquet
 from studies.stability import LineResult
 from studies.theory import hybrid_of, llewellyn
-from studies.verdict import KINDS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes as PlotAxes

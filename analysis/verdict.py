@@ -25,7 +25,7 @@ KINDS: tuple[Kind, ...] = ("stable", "limit_cycle", "diverged")
 WINDOWS = 8
 # the windows that the growth rate is taken from: the first show the answer to the step before them
 _LATE_WINDOWS = 6
-# what the report of a recorded session calls small as well
+# of the hand's force
 SMALL_SHARE = 0.05
 # below this share of the hand's force nothing is left to fit a slope to
 _FLOOR_SHARE = 1e-7

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from studies.verdict import SMALL_SHARE, WINDOWS, growth_rate, judge, window_sizes
+from analysis.verdict import SMALL_SHARE, WINDOWS, growth_rate, judge, window_sizes
 
 TIME_S = np.arange(8000) * 1e-3
 

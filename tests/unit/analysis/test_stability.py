@@ -1,0 +1,56 @@
+"""Holds of a session that is made up: what the hand does is known, and so is what becomes of the motion."""
+
+import numpy as np
+import pytest
+
+from analysis.stability import SETTLING_SHARE, constant_stretches, judge_holds
+
+TIME_S = np.arange(9000) * 1e-3
+# at rest, pressed with 1 N, pressed with 2 N; the steps between them are ramps of half a second
+HAND_N = np.interp(TIME_S, [0.0, 1.0, 1.5, 4.5, 5.0, 9.0], [0.0, 0.0, 1.0, 1.0, 2.0, 2.0])
+
+
+def swing(start_s: float, end_s: float, growth_per_s: float, size_n: float) -> np.ndarray:
+    """A swing of 5 Hz in a part of the session, of `size_n` where that part begins."""
+    since_s = TIME_S - start_s
+    inside = (since_s >= 0.0) & (end_s > TIME_S)
+    return np.where(inside, size_n * np.exp(growth_per_s * since_s) * np.sin(10.0 * np.pi * since_s), 0.0)
+
+
+def verdicts(tip_n: np.ndarray) -> list[str]:
+    return [hold.verdict for hold in judge_holds(TIME_S, HAND_N, TIME_S, tip_n)]
+
+
+def test_the_holds_are_where_the_hand_stands_still() -> None:
+    found = constant_stretches(TIME_S, HAND_N, 0.01)
+    assert [(round(a, 1), round(b, 1)) for a, b in found] == [(0.0, 1.0), (1.5, 4.5), (5.0, 9.0)]
+
+
+def test_a_loop_that_follows_is_stable_in_each_of_them() -> None:
+    holds = judge_holds(TIME_S, HAND_N, TIME_S, HAND_N)
+    assert [hold.verdict for hold in holds] == ["stable"] * 3
+    assert [hold.hand_force_n for hold in holds] == pytest.approx([0.0, 1.0, 2.0], abs=1e-9)
+
+
+def test_a_swing_that_dies_out_grows_or_goes_on() -> None:
+    assert verdicts(HAND_N + swing(1.5, 4.5, -2.0, 0.5)) == ["stable", "stable", "stable"]
+    assert verdicts(HAND_N + swing(1.5, 4.5, 2.0, 0.01)) == ["stable", "diverged", "stable"]
+    assert verdicts(HAND_N + swing(5.0, 9.0, 0.0, 0.3)) == ["stable", "stable", "limit_cycle"]
+
+
+def test_what_the_step_before_left_behind_is_not_looked_at() -> None:
+    end_s = 5.0 + 0.9 * SETTLING_SHARE * 4.0
+    assert verdicts(HAND_N + swing(5.0, end_s, 0.0, 1.0)) == ["stable"] * 3
+
+
+def test_small_is_measured_by_the_greatest_force_of_the_session() -> None:
+    # 0.08 N from peak to peak: 8 % of the hold's own force, 4 % of the greatest
+    assert verdicts(HAND_N + swing(1.5, 4.5, 0.0, 0.04)) == ["stable"] * 3
+    assert verdicts(HAND_N + swing(1.5, 4.5, 0.0, 0.06)) == ["stable", "limit_cycle", "stable"]
+
+
+def test_a_session_without_force_or_samples_has_no_holds() -> None:
+    assert judge_holds(TIME_S, np.zeros_like(TIME_S), TIME_S, HAND_N) == []
+    assert judge_holds(TIME_S, HAND_N, TIME_S[:10], HAND_N[:10]) == []
+    empty = np.array([])
+    assert judge_holds(empty, empty, empty, empty) == []
