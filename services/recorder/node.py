@@ -17,7 +17,7 @@ from services.runtime.schedule import Grid
 
 # how long the end may take to fetch what still waits in the sockets, seconds of it on a machine that was too busy;
 # within the grace that a supervisor gives
-_LAST_WORDS_NS = 2_000_000_000
+_LAST_WORDS_NS = 20_000_000_000
 _MEASURED_NS = 1_000_000_000
 # to wake up for every message costs more than to write it, and takes its turn from the loop
 _GATHERED_NS = 1_000_000
@@ -197,6 +197,9 @@ class RecorderNode(Node):
             heard = self._intake.heard
             for _ in self.context.bus.receive():
                 pass
+        if heard != self._intake.heard:
+            text = "the recording ends before all that had been sent was written: the machine was too busy"
+            self.event("fault", "error", text, waited_s=_LAST_WORDS_NS * 1e-9)
 
     def _announce(self) -> None:
         intake = self._intake
