@@ -10,11 +10,14 @@ from functools import partial
 from pathlib import Path
 from typing import Protocol
 
+from proto.nodes import name_of
 from services.runtime.clock import EPOCH_OFFSET_VARIABLE
 from services.runtime.config import ENVIRONMENT_PREFIX
 from services.runtime.realtime import die_with_parent
 
 GRACE_S = 3.0
+# a recorder on a machine that was too busy has to write what still waits for it
+RECORDER_GRACE_S = 30.0
 _TAIL_BYTES = 16_384
 _TAIL_LINES = 6
 # the steps are compiled for one core; a thread pool in a loop process would only compete with the loop
@@ -96,12 +99,12 @@ class NodeProcesses:
         return "\n".join(_readable(line) for line in lines[-_TAIL_LINES:])
 
     def stop(self) -> None:
-        """Stop every process, in order: SIGTERM, three seconds to leave safely, then SIGKILL."""
+        """Stop every process, in order: SIGTERM, three seconds to leave safely (a recorder: thirty), then SIGKILL."""
         for node in [*self._stop_order, *self._running]:
             process = self._running.pop(node, None)
             if process is not None:
                 self._on_stopping(node)
-                _terminate(process)
+                _terminate(process, RECORDER_GRACE_S if name_of(node) == "recorder" else GRACE_S)
 
 
 def child_environment(environment: Mapping[str, str], epoch_offset_ns: int) -> dict[str, str]:
@@ -125,10 +128,10 @@ def _die_with(parent: int) -> None:
         os.kill(os.getpid(), signal.SIGTERM)
 
 
-def _terminate(process: "subprocess.Popen[bytes]") -> None:
+def _terminate(process: "subprocess.Popen[bytes]", grace_s: float) -> None:
     process.send_signal(signal.SIGTERM)
     try:
-        process.wait(GRACE_S)
+        process.wait(grace_s)
     except subprocess.TimeoutExpired:
         process.kill()
         process.wait()

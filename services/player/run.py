@@ -53,15 +53,15 @@ def run_replay(request: ReplayRequest, observe: Callable[[PlayerNode], None] = l
     book = load_site(request.site_file)
     if PLAYER not in book.nodes:
         raise ConfigError(f"{request.site_file}: nodes: {PLAYER} is missing, the player needs an endpoint")
-    parts = ReplayPlan(recording, book, Selection.of(request.topics, request.exclude, request.nodes), request.remap)
-    tape = Playback(recording, parts.plays, request.span)
+    plan = ReplayPlan(recording, book, Selection.of(request.topics, request.exclude, request.nodes), request.remap)
+    playback = Playback(recording, plan.plays, request.span)
     signals = StopSignals()
     with open_participant(PLAYER, book, signals.descriptor) as participant, shallow_idle():
         publisher = participant.bind(PLAYER)
-        outlets = {node: ReplayPublisher(participant.bind(node, zmq.XPUB)) for node in parts.nodes}
+        publishers = {node: ReplayPublisher(participant.bind(node, zmq.XPUB)) for node in plan.nodes}
         sources = book.sources(PLAYER, PlayerNode.inputs)
-        live = {node: topics for node, topics in sources.items() if node not in outlets}
+        live = {node: topics for node, topics in sources.items() if node not in publishers}
         bus = participant.bus_of(publisher, participant.subscribers(live))
-        player = PlayerNode(participant.context(bus), tape, parts, outlets, request.settings, observe=observe)
+        player = PlayerNode(participant.context(bus), playback, plan, publishers, request.settings, observe=observe)
         run_loop(player, bus, signals, spin_s=_SPIN_S)
-    return Replayed(parts.nodes, player.sent, tape.time_s)
+    return Replayed(plan.nodes, player.sent, playback.time_s)

@@ -17,7 +17,7 @@ from services.runtime.node import Node, NodeContext
 
 # how long the end may take to fetch what still waits in the sockets, seconds of it on a machine that was too busy;
 # within the grace that a supervisor gives
-_DRAIN_TIMEOUT_NS = 2_000_000_000
+_DRAIN_TIMEOUT_NS = 20_000_000_000
 _RATE_PERIOD_NS = 1_000_000_000
 # to wake up for every message costs more than to write it, and takes its turn from the loop
 _BATCH_NS = 1_000_000
@@ -208,6 +208,9 @@ class RecorderNode(Node):
             received = self._intake.received
             for _ in self.context.bus.receive():
                 pass
+        if received != self._intake.received:
+            text = "the recording ends before all that had been sent was written: the machine was too busy"
+            self.event("fault", "error", text, waited_s=_DRAIN_TIMEOUT_NS * 1e-9)
 
     def _report_path(self) -> None:
         intake = self._intake

@@ -38,19 +38,19 @@ class PlayerKeyBindings:
         self._keys.show(player.status() + (f" · {self._said}" if self._said else ""))
 
     def _press(self, player: PlayerNode, key: str) -> str:
-        tape, rate = player.playback, player.playback_clock.rate
+        playback, rate = player.playback, player.playback_clock.rate
         actions: dict[str, Callable[[], Any]] = {
             "space": lambda: player.pause(not player.playback_clock.paused),
             ".": player.step,
-            "n": lambda: player.step(topic=self._step_topic or tape.channels[0].channel_topic),
+            "n": lambda: player.step(topic=self._step_topic or playback.channels[0].channel_topic),
             "e": player.seek_event,
-            "right": lambda: player.seek(tape.time_s + 1.0),
-            "left": lambda: player.seek(tape.time_s - 1.0),
+            "right": lambda: player.seek(playback.time_s + 1.0),
+            "left": lambda: player.seek(playback.time_s - 1.0),
             "+": lambda: player.set_rate(rate * _RATE_STEP),
             "-": lambda: player.set_rate(rate / _RATE_STEP),
-            "a": lambda: tape.limit(start_ns=tape.position_ns),
-            "b": lambda: tape.limit(end_ns=tape.position_ns + 1),
-            "l": lambda: setattr(tape, "loop", not tape.loop),
+            "a": lambda: playback.limit(start_ns=playback.position_ns),
+            "b": lambda: playback.limit(end_ns=playback.position_ns + 1),
+            "l": lambda: setattr(playback, "loop", not playback.loop),
             "q": player.end,
         }
         if key not in actions:

@@ -335,8 +335,9 @@ def drained(process: "subprocess.Popen[str]") -> list[str]:
     return [line for line in text.splitlines() if line.startswith("{") and line.endswith("}")]
 
 
-FAST_AT_MASTER = ("haptic/state", "haptic/command", "teleop/forward", "teleop/backward@master")
-FAST_AT_SLAVE = ("afm/state", "afm/command", "teleop/forward@slave", "teleop/backward")
+# one of each node of the loop: a command to the tip answers what came through the link, and what comes back the tip
+FAST_AT_MASTER = ("haptic/state", "haptic/command", "teleop/backward@master")
+FAST_AT_SLAVE = ("afm/state", "afm/command")
 
 
 # connections a second; the strangers of these tests run on the processors of the rig and have a part of them

@@ -37,8 +37,8 @@ _FOR_A_GUEST = {
 
 # what a rig on two machines says that no fault is judged by: both machines, and the tests, are this one here
 NOT_NEEDED = {
-    "master": ["law/*", "link/fates", "afm/*", "teleop/forward@slave", "teleop/backward"],
-    "slave": ["law/*"],
+    "master": ["law/*", "link/fates", "afm/*", "teleop/forward", "teleop/forward@slave", "teleop/backward"],
+    "slave": ["law/*", "teleop/*"],
 }
 
 
