@@ -135,6 +135,10 @@ class Publisher:
         self.socket.send(topic.encode(), _SNDMORE)
         self.socket.send(payload)
 
+    def sequence_numbers(self) -> dict[str, int]:
+        """Give the seq of the next message on each topic."""
+        return dict(self._sequence)
+
     def also_bind(self, endpoint: str) -> None:
         """Bind a further endpoint; EndpointError says why that fails, and everything is closed."""
         try:
@@ -306,6 +310,10 @@ class ZmqBus:
             ready, _, _ = select.select(self._descriptors, (), (), remaining * 1e-9)
             if self._network_descriptors:
                 self._attend = not self._network_descriptors.isdisjoint(ready)
+
+    def sequence_numbers(self) -> dict[str, int]:
+        """Give the seq of the next message on each topic."""
+        return self.publisher.sequence_numbers()
 
     def attend(self, *, now: bool = False) -> Sequence[ConnectionEvent]:
         """Look after network connections if there is cause, or if asked to do so `now`; gives what happened to them."""

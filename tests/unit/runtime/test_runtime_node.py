@@ -77,6 +77,9 @@ class FakeBus:
     def input_health(self) -> tuple[InputHealth, ...]:
         return ()
 
+    def sequence_numbers(self) -> dict[str, int]:
+        return {"haptic/state": len(self.sent)}
+
     def rejections(self) -> tuple[dict[str, int], str]:
         return dict(self.refused), "haptic/state: not msgpack" if self.refused else ""
 
