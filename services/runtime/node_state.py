@@ -67,7 +67,15 @@ def restore(node: Any, state: bytes) -> None:
     """Put a node that was just built into a captured state; RecordingError when that is not one of this node."""
     try:
         _restore_parts(node, msgpack.unpackb(state, strict_map_key=False))
-    except (ValueError, TypeError, KeyError, AttributeError, ImportError, msgpack.exceptions.UnpackException) as error:
+    except (
+        ValueError,
+        TypeError,
+        KeyError,
+        AttributeError,
+        IndexError,
+        ImportError,
+        msgpack.exceptions.UnpackException,
+    ) as error:
         raise RecordingError(f"{node.context.key}: its state in the journal does not fit this code: {error}") from error
 
 
