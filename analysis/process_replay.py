@@ -17,7 +17,7 @@ from proto.errors import ConfigError, RecordingError, TelenanoError
 from proto.messages import NodeJournal, SessionControl
 from proto.nodes import START_ORDER, name_of, site_of
 from proto.sequence import Arrival
-from recording.reader import RecordedMessage, Recording
+from recording.reader import RecordedChannel, RecordedMessage, Recording
 from recording.tolerance import Tolerances, first_difference
 from services.runtime.address_book import AddressBook
 from services.runtime.bus import Received, ZmqBus
@@ -155,10 +155,17 @@ class _Recorded:
         self.outputs: dict[tuple[str, int], list[RecordedMessage]] = {}
         self._inputs: dict[tuple[str, str, int], list[RecordedMessage]] = {}
         sources = {(source.topic, source.src) for batch in batches for source in batch.inputs}
-        for found in recording.messages():
-            if (found.topic, found.src) in sources and found.site == site_of(key):
+
+        def is_input(channel: RecordedChannel) -> bool:
+            return (channel.topic, channel.src) in sources and channel.site == site_of(key)
+
+        def is_output(channel: RecordedChannel) -> bool:
+            return channel.src == key and channel.via == "direct" and channel.topic not in _NOT_COMPARED
+
+        for found in recording.select(lambda channel: is_input(channel) or is_output(channel)):
+            if is_input(found.channel):
                 self._inputs.setdefault((found.topic, found.src, found.seq), []).append(found)
-            if found.src == key and found.via == "direct" and found.topic not in _NOT_COMPARED:
+            if is_output(found.channel):
                 self.outputs.setdefault((found.topic, found.seq), []).append(found)
 
     def input(self, turn: Turn) -> RecordedMessage | None:

@@ -26,7 +26,7 @@ from services.runtime.node import HEALTH_PERIOD_NS, Node, NodeContext, resident_
 
 # an observer of the rig and the player itself are no part of what is played
 _NEVER_PLAYED = ("recorder", "player", "record")
-_OWN_TOPICS = ("node/health",)
+_OWN_TOPICS = ("node/health", "node/journal")
 _TICK_NS = 50_000_000
 _PROGRESS_NS = 1_000_000_000
 _RETRY_NS = 500_000
@@ -74,7 +74,10 @@ class ReplayPlan:
         self.topics = {channel: self._topic(channel) for channel in chosen}
 
     def plays(self, channel: RecordedChannel) -> bool:
-        """Say whether a channel is played; health is not, because the player has its own to tell."""
+        """Say whether a channel is played.
+
+        Health is not, because the player has its own to tell, nor a journal, because nobody takes those turns now.
+        """
         node = node_of(channel)
         name = node.partition("@")[0]
         if not node or name in _NEVER_PLAYED or channel.topic in _OWN_TOPICS:

@@ -12,6 +12,8 @@ from proto.errors import RecordingError
 
 _PLAIN = (type(None), bool, int, float, str, bytes)
 _PACKAGES = ("proto.", "services.")
+# half of what a message may hold
+_LARGEST = 1 << 19
 
 
 class StateSnapshot:
@@ -29,12 +31,12 @@ class StateSnapshot:
         self._remember((), node)
 
     def capture(self) -> bytes:
-        """Give the state; empty when the node holds something that has no form here, such as a live device."""
+        """Give the state; empty when it is too large, or holds something that has no form here, such as a live device."""
         try:
             state: bytes = msgpack.packb(self._changed((), self._node))
         except (TypeError, ValueError, OverflowError):
             return b""
-        return state
+        return state if len(state) <= _LARGEST else b""
 
     def _remember(self, path: tuple[str, ...], owner: Any) -> None:
         self._built[path] = dict(vars(owner))

@@ -83,7 +83,7 @@ def test_an_array_comes_back_bit_by_bit_and_can_be_written_to() -> None:
     other.sample[0][0, 0] = 1.0
 
 
-@pytest.mark.parametrize("value", [object(), Stranger(1.0), lambda: None, 2**70])
+@pytest.mark.parametrize("value", [object(), Stranger(1.0), lambda: None, 2**70, bytes(10**6)])
 def test_what_has_no_form_gives_no_state_and_disturbs_nothing(value: object) -> None:
     node = Stateful(VirtualClock())
     snapshot = StateSnapshot(node)
