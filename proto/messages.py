@@ -28,7 +28,7 @@ Text = Annotated[str, Field(max_length=MAX_TEXT)]
 Facts = Annotated[dict[str, Scalar], Field(max_length=MAX_KEYS)]
 Counts = Annotated[dict[str, Count], Field(max_length=MAX_KEYS)]
 
-_DTYPES: dict[str, npt.DTypeLike] = {"u1": "u1", "i2": "<i2", "i4": "<i4", "f4": "<f4", "f8": "<f8"}
+_DTYPES: dict[str, npt.DTypeLike] = {"u1": "u1", "i2": "<i2", "i4": "<i4", "i8": "<i8", "f4": "<f4", "f8": "<f8"}
 
 
 class Record(BaseModel):
@@ -51,7 +51,9 @@ class Message(Record):
 class Array(Record):
     """An array of numbers, little-endian, in C order."""
 
-    dtype: Literal["u1", "i2", "i4", "f4", "f8"] = Field(description="Element type: kind and bytes, little-endian")
+    dtype: Literal["u1", "i2", "i4", "i8", "f4", "f8"] = Field(
+        description="Element type: kind and bytes, little-endian"
+    )
     shape: tuple[Annotated[int, Field(ge=0, le=2**24)], ...] = Field(max_length=4, description="Length of each axis")
     data: bytes = Field(description="Elements in C order")
 
@@ -331,4 +333,34 @@ class NodeHealth(Message):
     replay: bool = Field(description="The messages of this node come from a recording, not from an instrument")
     inputs: Annotated[tuple[InputHealth, ...], FailFast()] = Field(
         max_length=MAX_ITEMS, description="Every input of the node"
+    )
+
+
+class JournalInput(Record):
+    """What a node hears: a topic from a source."""
+
+    topic: Text = Field(description="Topic")
+    src: Source = Field(description="Publisher, node@site")
+
+
+class NodeJournal(Message):
+    """In which order a node took its inputs and deadlines: what a re-run of the node follows.
+
+    A turn is one message or one deadline, acted on at one time. The arrays have one element a turn.
+    """
+
+    first_turn: Count = Field(description="Number of the first turn, counted from 0 at the start of the node")
+    epoch_offset_ns: Annotated[int, Field(ge=-(2**63), lt=2**63)] = Field(
+        description="What the node's clock is ahead of its monotonic clock [ns]"
+    )
+    inputs: Annotated[tuple[JournalInput, ...], FailFast(), Field(max_length=MAX_ITEMS)] = Field(
+        description="What `input` counts in, from 0"
+    )
+    outputs: Counts = Field(description="seq of the next message on each topic of the node, before the first turn")
+    kind: Array = Field(description="u1: 0 deadline, 1 message, 2 message whose command the node carried out")
+    time_ns: Array = Field(description="i8: time of the turn on the node's clock [ns]; of a message: its reception")
+    input: Array = Field(description="i2: which of `inputs` the message came from; -1 for a deadline")
+    number: Array = Field(description="i8: seq of the message; -1 for a deadline")
+    state: Array = Field(
+        description="u1: state of the node before the first turn, for the re-run only; empty when it cannot be told"
     )

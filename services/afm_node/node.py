@@ -38,6 +38,7 @@ class AfmNode(Node):
 
     inputs = INPUTS
     commands: ClassVar[tuple[str, ...]] = ("arm", "estop")
+    journalled = True
     period_s = PERIOD_S
 
     def __init__(self, context: NodeContext, config: AfmConfig, driver: AfmDriver) -> None:

@@ -75,11 +75,11 @@ class ControllerHalf(Node):
     """
 
     commands: ClassVar[tuple[str, ...]] = ("set",)
+    journalled = True
 
     def __init__(self, context: NodeContext, config: ControllerConfig) -> None:
         super().__init__(context)
         self.config = config
-        self.law: Law = LAWS[config.law]
         self.params: Any = config.params()
         self.law_state: Any = None
         self.signal: PortSignal = NO_SIGNAL
@@ -97,6 +97,11 @@ class ControllerHalf(Node):
         for law in LAWS.values():
             changed = config.model_copy(update={"law": law.name})
             warm_up(law, changed.params(), changed)
+
+    @property
+    def law(self) -> Law:
+        """Give the law in force."""
+        return LAWS[self.config.law]
 
     def on_deadline(self, now_ns: int) -> None:
         """Do nothing: a controller acts on messages only."""
@@ -120,7 +125,6 @@ class ControllerHalf(Node):
         return "set " + ", ".join(f"{key} = {value}" for key, value in control.parameters.items())
 
     def _switch(self) -> None:
-        self.law = LAWS[self.config.law]
         self.signal, self._signal_ns = NO_SIGNAL, None
         self._band_state = fresh(NO_SIGNAL)
         self.port = energy.opened(self.port.position_m, self.port.force_n)

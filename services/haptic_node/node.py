@@ -30,6 +30,7 @@ class HapticNode(Node):
 
     inputs = INPUTS
     commands: ClassVar[tuple[str, ...]] = ("start", "stop", "arm", "estop")
+    journalled = True
     period_s = PERIOD_S
 
     def __init__(self, context: NodeContext, config: HapticConfig, device: HapticDevice) -> None:

@@ -27,7 +27,7 @@ from services.runtime.node import HEALTH_PERIOD_NS, Node, NodeContext, resident_
 
 # the recorder, the observer `telenano record` and the player itself are not part of the rig that is played
 _EXCLUDED_NODES = ("recorder", "player", "record")
-_EXCLUDED_TOPICS = ("node/health",)
+_EXCLUDED_TOPICS = ("node/health", "node/journal")
 _TICK_NS = 50_000_000
 _PROGRESS_NS = 1_000_000_000
 _RETRY_NS = 500_000
@@ -75,7 +75,10 @@ class ReplayPlan:
         self.topics = {channel: self._topic(channel) for channel in selected}
 
     def plays(self, channel: RecordedChannel) -> bool:
-        """Return whether a channel is played; health is not, because the player publishes its own."""
+        """Return whether a channel is played.
+
+        Health is not, because the player publishes its own, nor a journal, because nobody takes those turns now.
+        """
         node = node_of(channel)
         name = node.partition("@")[0]
         if not node or name in _EXCLUDED_NODES or channel.topic in _EXCLUDED_TOPICS:

@@ -93,6 +93,9 @@ class Publisher(Protocol):
     def publish(self, topic: str, **fields: Any) -> Message:
         """Send a message on a topic; the header is filled in."""
 
+    def sequence_numbers(self) -> dict[str, int]:
+        """Return the seq of the next message on each topic."""
+
 
 class _NumberingPublisher(ABC):
     def __init__(self, clock: Clock, node: str) -> None:
@@ -111,6 +114,10 @@ class _NumberingPublisher(ABC):
         self.send(topic, encode(message))
         self._sequence[topic] = seq + 1
         return message
+
+    def sequence_numbers(self) -> dict[str, int]:
+        """Return the seq of the next message on each topic."""
+        return dict(self._sequence)
 
     @abstractmethod
     def send(self, topic: str, payload: bytes) -> None: ...
@@ -298,6 +305,7 @@ class ZmqBus:
         self._descriptors += self._network_descriptors
         self._attend = self._network is not None
         self.publish = publisher.publish
+        self.sequence_numbers = publisher.sequence_numbers
         self._accounts: list[Subscriber | Attendant] = [*self.subscribers]
         if self._network is not None:
             self._accounts.append(self._network)

@@ -63,6 +63,22 @@ class VirtualClock:
         self._monotonic_ns += duration_ns
 
 
+class TurnClock:
+    """The clock of a node whose inputs are journalled: it shows the time of the turn in hand."""
+
+    def __init__(self, time_ns: int, epoch_offset_ns: int) -> None:
+        self.time_ns = time_ns
+        self.epoch_offset_ns = epoch_offset_ns
+
+    def monotonic_ns(self) -> int:
+        """Give the time of the turn on the monotonic clock [ns]."""
+        return self.time_ns - self.epoch_offset_ns
+
+    def now_ns(self) -> int:
+        """Give the time of the turn [ns]."""
+        return self.time_ns
+
+
 def _inherited_ns(text: str) -> int:
     try:
         return int(text)

@@ -15,11 +15,12 @@ from typing import ClassVar, Literal, Protocol
 
 from proto import TOPICS
 from proto.errors import RefusedError, TelenanoError
-from proto.messages import MAX_TEXT, InputHealth, Scalar, SessionControl
+from proto.messages import MAX_TEXT, InputHealth, NodeHealth, Scalar, SessionControl
 from proto.sequence import Arrival
 from services.runtime.bus import Bus, ConnectionEvent, Received
 from services.runtime.clock import Clock
 from services.runtime.deadlines import LatenessWindow, SpinMargin
+from services.runtime.journal import InputJournal
 from services.runtime.log import RateLimitedLog, StructuredLog
 from services.runtime.realtime import RealtimeStatus
 
@@ -65,12 +66,14 @@ class Node(ABC):
     inputs: ClassVar[tuple[str, ...]]
     commands: ClassVar[tuple[str, ...]] = ()
     replay: ClassVar[bool] = False
+    # its inputs are written to node/journal, and during a turn its clock stands still
+    journalled: ClassVar[bool] = False
     period_s: float = 0.0
     state: NodeState = "ready"
 
     def __init__(self, context: NodeContext) -> None:
         self.context = context
-        self.clock = context.clock
+        self.clock: Clock = context.clock
         self.publish = context.bus.publish
         self.event = context.event
         self.steps = 0
@@ -114,6 +117,9 @@ class AccountedBus(Bus, Protocol):
     def rejections(self) -> tuple[dict[str, int], str]:
         """Give the frames refused so far by reason, and the text of the last refusal."""
 
+    def sequence_numbers(self) -> dict[str, int]:
+        """Return the seq of the next message on each topic."""
+
     def process_events(self, *, now: bool = False) -> Sequence[ConnectionEvent]:
         """Look after network connections if there is cause, or `now`; gives what happened to them."""
 
@@ -125,21 +131,26 @@ class CommandHandler:
         self._node = node
         self._answers: OrderedDict[str, tuple[str, str, str]] = OrderedDict()
 
-    def handle(self, control: SessionControl) -> None:
-        """Carry out a command if it concerns this node, and answer with a session/event of the same id."""
+    def handle(self, control: SessionControl) -> bool:
+        """Carry out a command if it concerns this node, and answer with a session/event of the same id.
+
+        Returns: whether the node was asked now, rather than its answer repeated.
+        """
         key = self._node.context.key
         name = key.partition("@")[0]
         if not (fnmatchcase(key, control.target) or fnmatchcase(name, control.target)):
-            return
+            return False
         wildcard = any(sign in control.target for sign in "*?[")
         if wildcard and control.command not in self._node.commands:
-            return
-        if control.id not in self._answers:
+            return False
+        is_new = control.id not in self._answers
+        if is_new:
             self._answers[control.id] = self._carry_out(control)
             if len(self._answers) > _REMEMBERED_ANSWERS:
                 self._answers.popitem(last=False)
         kind, level, text = self._answers[control.id]
         self._node.event(kind, level, text, answer_to=control.id, command=control.command)
+        return is_new
 
     def _carry_out(self, control: SessionControl) -> tuple[str, str, str]:
         try:
@@ -154,13 +165,14 @@ class NodeLoop:
     def __init__(self, node: Node, bus: AccountedBus, realtime: RealtimeStatus, *, spin_s: float = 0.0) -> None:
         self.node = node
         self._bus = bus
-        self._clock = node.clock
+        self._clock = node.context.clock
         self._realtime = realtime
         self._spin = SpinMargin(round(spin_s * 1e9))
         self._desk = CommandHandler(node)
         self._lateness = LatenessWindow()
-        self._limited_log = RateLimitedLog(node.context.log, node.clock)
-        self._started_ns = self._health_due_ns = self._last_health_ns = node.clock.monotonic_ns()
+        self._limited_log = RateLimitedLog(node.context.log, self._clock)
+        self._started_ns = self.health_due_ns = self._last_health_ns = self._clock.monotonic_ns()
+        self._journal = InputJournal(node, bus.sequence_numbers) if node.journalled else None
         self._last_cpu_s = time.process_time()
         self._last_steps = 0
         self._rejected_seen = 0
@@ -172,6 +184,8 @@ class NodeLoop:
             while not context.stop_requested:
                 self.turn()
         finally:
+            # to make safe may take its time, and is no turn
+            self.node.clock = self._clock
             self.node.make_safe()
             self.node.state = "stopping"
             self.publish_health(self._clock.monotonic_ns())
@@ -179,7 +193,7 @@ class NodeLoop:
     def turn(self) -> None:
         """Wait for the next message or deadline and act on it."""
         wanted = self.node.deadline_ns() - self._spin.ns
-        self._bus.wait(min(wanted, self._health_due_ns))
+        self._bus.wait(min(wanted, self.health_due_ns))
         woken = self._clock.monotonic_ns()
         idle = True
         for received in self._bus.receive():
@@ -195,12 +209,19 @@ class NodeLoop:
             while now < deadline:
                 now = self._clock.monotonic_ns()
             self._lateness.record((now - deadline) * 1e-9)
+            journal = self._journal
+            if journal is not None:
+                journal.clock.time_ns = now + journal.clock.epoch_offset_ns
             self.node.on_deadline(now)
-        if now >= self._health_due_ns:
+            if journal is not None:
+                journal.enter_deadline()
+        if now >= self.health_due_ns:
             self.publish_health(now)
+        elif self._journal is not None and self._journal.full:
+            self._journal.publish()
 
     def publish_health(self, now_ns: int) -> None:
-        """Send node/health and start a new interval."""
+        """Send node/health and what the journal holds, and start a new interval."""
         self._tell(self._bus.process_events(now=True))
         self._report_rejections()
         elapsed_s = max(now_ns - self._last_health_ns, 1) * 1e-9
@@ -227,16 +248,23 @@ class NodeLoop:
             inputs=self._bus.input_health(),
         )
         self._last_steps, self._last_cpu_s, self._last_health_ns = self.node.steps, cpu_s, now_ns
-        self._health_due_ns = now_ns + HEALTH_PERIOD_NS
+        self.health_due_ns = now_ns + HEALTH_PERIOD_NS
+        if self._journal is not None:
+            self._journal.publish()
 
     def _dispatch(self, received: Received) -> None:
         if received.arrival is Arrival.AFTER_GAP and TOPICS[received.topic].delivery == "lossless":
             self._report_gap(received)
         if not self.node.admits(received):
             return
+        journal = self._journal
+        if journal is not None:
+            journal.clock.time_ns = received.received_ns
         self.node.on_message(received)
-        if isinstance(received.message, SessionControl):
-            self._desk.handle(received.message)
+        asked = isinstance(received.message, SessionControl) and self._desk.handle(received.message)
+        # of the health of others only `admits` takes note, and what came of that is in the journal
+        if journal is not None and not isinstance(received.message, NodeHealth):
+            journal.enter_message(received, asked=asked)
 
     def _tell(self, notices: Sequence[ConnectionEvent]) -> None:
         for notice in notices:

@@ -11,7 +11,7 @@ from typing import Any
 import msgpack
 
 CONTRACT = Path(__file__).parents[2] / "proto"
-_ELEMENT = {"u1": "B", "i2": "h", "i4": "i", "f4": "f", "f8": "d"}
+_ELEMENT = {"u1": "B", "i2": "h", "i4": "i", "i8": "q", "f4": "f", "f8": "d"}
 _TYPES = {
     "null": lambda v: v is None,
     "boolean": lambda v: isinstance(v, bool),

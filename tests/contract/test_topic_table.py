@@ -15,7 +15,7 @@ from proto.contract import FOLDER, topic_table
 from proto.messages import MAX_ITEMS, MAX_KEYS, Message, Record
 
 # topics that more than one kind of node may send
-SHARED = {"session/control", "session/event", "node/health"}
+SHARED = {"session/control", "session/event", "node/health", "node/journal"}
 # what a numeric field may end in: SI units, and the two that a process is measured in
 UNIT = re.compile(r"_(m|s|ns|n|j|w|hz|rad|m_per_s|n_per_m|sqrt_w|bytes|percent)$")
 # numbers without a unit: counts and names of things
@@ -25,6 +25,7 @@ UNITLESS = {
     "answered_seq": "number of a message",
     "command_seq": "number of a message",
     "v": "version",
+    "first_turn": "number of a turn",
     "pid": "name of a process",
     "shape": "elements",
     "line": "number of a line",

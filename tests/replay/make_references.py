@@ -20,10 +20,12 @@ from services.controller.config import LAWS
 
 FOLDER = Path(__file__).resolve().parent
 DURATION_S = 1.2
-TOPICS = ("haptic/*", "teleop/*", "afm/*", "session/control*", "session/event")
+# all that a node with a journal hears and says
+TOPICS = ("haptic/*", "teleop/*", "afm/*", "law/*", "clock/*", "session/control*", "session/event", "node/journal")
 # every message of the link twice, and the delay that a law has to bear
 DELAY_MS = "4"
-BEFORE_S = 0.3
+# more than a batch of the journal, at whose beginning a re-run starts
+BEFORE_S = 0.7
 
 
 def make(law: str) -> Path:

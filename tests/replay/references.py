@@ -20,8 +20,8 @@ from recording.tolerance import Tolerances
 FOLDER = Path(__file__).resolve().parent
 REFERENCES = sorted(FOLDER.glob("*.mcap"))
 OUTPUTS = {
-    "controller@master": ("teleop/forward", "haptic/command"),
-    "controller@slave": ("afm/command", "teleop/backward"),
+    "controller@master": ("teleop/forward", "haptic/command", "law/status"),
+    "controller@slave": ("afm/command", "teleop/backward", "law/status"),
     "afm_node@slave": ("afm/state",),
     "haptic_node@master": ("haptic/state",),
 }
@@ -33,6 +33,8 @@ def tolerances(recording: Recording, node: str) -> Tolerances:
     """Give what the figures of a node may differ by on another machine than that of the recording."""
     limits: dict[str, float] = {}
     for message in recording.messages(OUTPUTS[node]):
+        if message.src != node:
+            continue
         for field, value in message.fields().items():
             for part in value if isinstance(value, tuple) else (value,):
                 if isinstance(part, float):

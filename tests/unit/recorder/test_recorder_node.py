@@ -58,6 +58,9 @@ class QuietBus:
     def input_health(self) -> tuple[InputHealth, ...]:
         return ()
 
+    def sequence_numbers(self) -> dict[str, int]:
+        return {}
+
     def rejections(self) -> tuple[dict[str, int], str]:
         return {}, ""
 

@@ -92,7 +92,14 @@ def test_the_link_reads_at_each_site_what_crosses_to_the_other() -> None:
 def test_an_observer_connects_to_every_node_for_all_that_it_may_send() -> None:
     observed = book().observed()
     assert set(observed) == set(NODES)
-    assert observed["afm_node@slave"] == ["afm/state", "afm/scanline", "clock/pong", "session/event", "node/health"]
+    assert observed["afm_node@slave"] == [
+        "afm/state",
+        "afm/scanline",
+        "clock/pong",
+        "session/event",
+        "node/health",
+        "node/journal",
+    ]
     assert observed["delay_node@slave"] == [
         "clock/ping",
         "session/event",

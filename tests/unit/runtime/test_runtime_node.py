@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from proto import TOPICS, Message, encode
 from proto.contract import examples
 from proto.errors import ConfigError, RefusedError
-from proto.messages import MAX_TEXT, InputHealth, NodeHealth, SessionControl, SessionEvent
+from proto.messages import MAX_TEXT, InputHealth, NodeHealth, NodeJournal, SessionControl, SessionEvent
 from proto.sequence import Arrival
 from services.runtime.bus import ConnectionEvent, Received
 from services.runtime.clock import VirtualClock
@@ -76,6 +76,9 @@ class FakeBus:
 
     def input_health(self) -> tuple[InputHealth, ...]:
         return ()
+
+    def sequence_numbers(self) -> dict[str, int]:
+        return {"haptic/state": len(self.sent)}
 
     def rejections(self) -> tuple[dict[str, int], str]:
         return dict(self.refused), "haptic/state: not msgpack" if self.refused else ""
@@ -487,3 +490,131 @@ def test_an_event_is_written_to_the_log(caplog: pytest.LogCaptureFixture) -> Non
         {"kind": "mode", "gap_m": 1e-9},
     )
     assert json.dumps(record.facts)
+
+
+class Journalled(Probe):
+    """A probe whose inputs are journalled; it reads its clock at every turn, while time passes."""
+
+    journalled = True
+
+    def __init__(self, context: NodeContext, period_ns: int = 0) -> None:
+        super().__init__(context, period_ns)
+        self.read: list[tuple[int, int]] = []
+
+    def on_message(self, received: Received) -> None:
+        self._read()
+
+    def on_deadline(self, now_ns: int) -> None:
+        super().on_deadline(now_ns)
+        self._read()
+
+    def on_control(self, control: SessionControl) -> str:
+        self._read()
+        return super().on_control(control)
+
+    def make_safe(self) -> None:
+        self._read()
+
+    def _read(self) -> None:
+        self.context.bus.clock.advance_ns(20_000)  # type: ignore[attr-defined]
+        self.read.append((self.clock.monotonic_ns(), self.clock.now_ns()))
+
+
+def journalled_rig(period_ns: int = 0, spin_s: float = 0.0) -> Rig:
+    rig = Rig()
+    rig.node = Journalled(rig.node.context, period_ns)
+    rig.loop = NodeLoop(rig.node, rig.bus, GRANTED, spin_s=spin_s)
+    return rig
+
+
+def told(journal: Any) -> list[tuple[int, ...]]:
+    arrays = (journal.kind, journal.time_ns, journal.input, journal.number)
+    return list(zip(*(found.to_numpy().tolist() for found in arrays), strict=True))
+
+
+def test_a_turn_has_one_time_that_the_journal_has_too() -> None:
+    rig = journalled_rig(period_ns=100 * MS)
+    epoch = 10**18
+    rig.bus.arrives(30 * MS, "haptic/state", src="haptic_node@master", seq=4)
+    rig.bus.coming[0] = (30 * MS, rig.bus.coming[0][1]._replace(received_ns=30 * MS + epoch))
+    rig.run_until(500 * MS)
+    node = rig.node
+    assert isinstance(node, Journalled)
+    ticks = [tick * 100 * MS + 5 * MS for tick in range(1, 6)]
+    assert [monotonic for monotonic, _ in node.read] == [30 * MS, *ticks]
+    assert all(now - monotonic == epoch for monotonic, now in node.read)
+    (journal,) = rig.bus.of(NodeJournal)
+    assert journal.first_turn == 0
+    assert journal.epoch_offset_ns == epoch
+    assert [(found.topic, found.src) for found in journal.inputs] == [("haptic/state", "haptic_node@master")]
+    assert told(journal) == [(1, 30 * MS + epoch, 0, 4), *((0, tick + epoch, -1, -1) for tick in ticks)]
+    # what a turn says goes out before the journal of it
+    assert rig.bus.sent[-1] is journal
+
+
+def test_a_late_deadline_has_the_time_after_the_wait() -> None:
+    rig = journalled_rig(period_ns=100 * MS)
+    rig.bus.oversleep_ns = 3 * MS
+    rig.run_until(520 * MS)
+    (journal,) = rig.bus.of(NodeJournal)
+    assert {turn[1] - 10**18 - 8 * MS for turn in told(journal)} <= {tick * 100 * MS for tick in range(1, 6)}
+
+
+def test_the_journal_tells_which_command_was_carried_out() -> None:
+    rig = journalled_rig()
+    for at_ms, name in ((10, "one"), (20, "one"), (30, "two")):
+        target = "*" if name == "one" else "afm_node"
+        parameters = {"gain": 1}
+        rig.bus.arrives(
+            at_ms * MS, "session/control", id=name, command="set", target=target, parameters=parameters, seq=at_ms
+        )
+    rig.run_until(510 * MS)
+    (journal,) = rig.bus.of(NodeJournal)
+    assert [(kind, number) for kind, _, _, number in told(journal)] == [(2, 10), (1, 20), (1, 30)]
+
+
+def test_the_journal_numbers_its_turns_and_the_outputs_so_far() -> None:
+    rig = journalled_rig(period_ns=MS)
+    rig.run_until(1600 * MS)
+    journals = rig.bus.of(NodeJournal)
+    assert len(journals) == 3
+    assert [found.first_turn for found in journals[1:]] == [
+        sum(len(told(found)) for found in journals[:count]) for count in (1, 2)
+    ]
+    assert journals[1].outputs == {"haptic/state": rig.bus.sent.index(journals[0]) + 1}
+
+
+def test_a_flood_makes_a_batch_before_the_half_second() -> None:
+    rig = journalled_rig()
+    rig.loop.turn()
+    for seq in range(3000):
+        rig.bus.arrives(6 * MS + seq * 100, "haptic/state", seq=seq)
+    rig.run_until(400 * MS)
+    assert len(told(rig.bus.of(NodeJournal)[0])) >= 2048
+
+
+def test_the_health_of_others_is_no_turn_and_an_idle_node_writes_nothing() -> None:
+    rig = journalled_rig()
+    rig.bus.arrives(10 * MS, "node/health")
+    rig.run_until(1100 * MS)
+    assert rig.bus.of(NodeJournal) == []
+
+
+def test_the_rest_of_the_journal_is_sent_at_the_end_and_making_safe_is_no_turn() -> None:
+    rig = journalled_rig(period_ns=10 * MS)
+    rig.run_until(40 * MS)
+    rig.loop.stop()
+    rig.loop.run()
+    node = rig.node
+    assert isinstance(node, Journalled)
+    assert node.clock is rig.clock
+    assert node.read[-1][0] == rig.clock.monotonic_ns()
+    (journal,) = rig.bus.of(NodeJournal)
+    assert len(told(journal)) == len(node.read) - 1
+
+
+def test_a_node_without_a_journal_reads_the_clock_itself() -> None:
+    rig = Rig(period_ns=MS)
+    rig.run_until(600 * MS)
+    assert rig.node.clock is rig.clock
+    assert rig.bus.of(NodeJournal) == []

@@ -1,0 +1,85 @@
+"""The input journal of a node: in which order it took its messages and deadlines, published in batches."""
+
+from array import array
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from proto.messages import Array, JournalInput
+from services.runtime.bus import Received
+from services.runtime.clock import TurnClock
+from services.runtime.node_state import StateSnapshot
+
+DEADLINE, MESSAGE, COMMAND = 0, 1, 2
+# turns in one message: some 50 kB, and below what is allowed however many sources there are
+_BATCH = 2048
+
+
+class InputJournal:
+    """Keeps the turns of a node and gives it `clock`, which shows one time during a turn.
+
+    Each batch begins with the state of the node and the numbers of its next outputs, so that a re-run can begin at any
+    of them: the recorder may come late, and a recording may be cut.
+    """
+
+    def __init__(self, node: Any, sequence_numbers: Callable[[], dict[str, int]]) -> None:
+        """Begin with the state that the node was built in, and take over its clock."""
+        clock = node.context.clock
+        self.clock = TurnClock(clock.now_ns(), clock.epoch_offset_ns)
+        self._node = node
+        self._sequence_numbers = sequence_numbers
+        self._snapshot = StateSnapshot(node)
+        self._first_turn = 0
+        self._begin()
+        node.clock = self.clock
+
+    @property
+    def full(self) -> bool:
+        """A batch is complete."""
+        return len(self._kind) >= _BATCH
+
+    def enter_deadline(self) -> None:
+        """Enter a deadline that was acted on at the time that the clock shows."""
+        self._kind.append(DEADLINE)
+        self._time_ns.append(self.clock.time_ns)
+        self._input.append(-1)
+        self._number.append(-1)
+
+    def enter_message(self, received: Received, *, asked: bool) -> None:
+        """Enter a message that was acted on when it was received; `asked`: the node carried out its command."""
+        message = received.message
+        source = (received.topic, message.src)
+        place = self._sources.get(source)
+        if place is None:
+            place = self._sources[source] = len(self._sources)
+        self._kind.append(COMMAND if asked else MESSAGE)
+        self._time_ns.append(received.received_ns)
+        self._input.append(place)
+        self._number.append(message.seq)
+
+    def publish(self) -> None:
+        """Send the turns since the last batch, if there were any, and begin a new batch."""
+        if not self._kind:
+            return
+        self._node.publish(
+            "node/journal",
+            first_turn=self._first_turn,
+            epoch_offset_ns=self.clock.epoch_offset_ns,
+            inputs=tuple(JournalInput(topic=topic, src=src) for topic, src in self._sources),
+            outputs=self._outputs,
+            kind=Array.from_numpy(np.asarray(self._kind)),
+            time_ns=Array.from_numpy(np.asarray(self._time_ns)),
+            input=Array.from_numpy(np.asarray(self._input)),
+            number=Array.from_numpy(np.asarray(self._number)),
+            state=Array.from_numpy(np.frombuffer(self._state, dtype=np.uint8)),
+        )
+        self._first_turn += len(self._kind)
+        self._begin()
+
+    def _begin(self) -> None:
+        self._sources: dict[tuple[str, str], int] = {}
+        self._kind, self._time_ns = array("B"), array("q")
+        self._input, self._number = array("h"), array("q")
+        self._outputs = self._sequence_numbers()
+        self._state = self._snapshot.capture()
