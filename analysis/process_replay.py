@@ -34,6 +34,8 @@ from services.runtime.scenario import LoadedScenario, Scenario
 JOURNAL = "node/journal"
 # what the loop around the node says as well, on the same numbers, is not compared
 _NOT_COMPARED = (JOURNAL, "node/health", "session/event")
+# the first parts of a journal may tell of what was heard before the recording began; later ones have to be whole
+_LATEST_START_NS = 1_500_000_000
 
 
 class RerunResult(BaseModel):
@@ -59,7 +61,7 @@ class RerunResult(BaseModel):
     ended_early: str = ""
 
     def verdict(self) -> str:
-        """Say in a sentence what came of it."""
+        """Return the outcome as a sentence."""
         counts = ", ".join(f"{count} {topic}" for topic, count in self.compared.items()) or "nothing"
         outside = f"; {self.left_out} outside of what the journal and the recorded inputs cover" * (self.left_out > 0)
         if self.difference:
@@ -93,7 +95,9 @@ def rerun(
             "or before nodes kept a journal; it can still be read, replayed, compared and plotted"
         )
     recorded = _Recorded(recording, key, batches)
-    begun = next((n for n, batch in enumerate(batches) if batch.state.data and not recorded.missing(batch)), None)
+    first_ns = int(batches[0].time_ns.to_numpy()[0])
+    early = [batch for batch in batches if int(batch.time_ns.to_numpy()[0]) - first_ns <= _LATEST_START_NS]
+    begun = next((n for n, batch in enumerate(early) if batch.state.data and not recorded.missing(batch)), None)
     if begun is None:
         missing = next((found for found in map(recorded.missing, batches) if found), "the node's state")
         raise RecordingError(f"{recording.path}: has no part of the journal of {key} with all inputs: lacks {missing}")
@@ -170,12 +174,12 @@ class _Recorded:
                 self.outputs.setdefault((found.topic, found.seq), []).append(found)
 
     def input(self, turn: Turn) -> RecordedMessage | None:
-        """Give the message of a turn: a source that was started again uses its numbers again, the nearest is meant."""
+        """Return the message of a turn; of those with one number, from before and after a restart, the nearest."""
         found = self._inputs.get((turn.topic, turn.src, turn.seq), ())
         return min(found, key=lambda message: abs(message.log_ns - turn.time_ns), default=None)
 
     def output(self, topic: str, seq: int, time_ns: int) -> RecordedMessage | None:
-        """Give what the node said under a number."""
+        """Return what the node said under a number."""
         found = self.outputs.get((topic, seq), ())
         return min(found, key=lambda message: abs(message.publish_ns - time_ns), default=None)
 
@@ -222,7 +226,7 @@ class ReplayBus:
         return message
 
     def receive(self) -> Iterator[Received]:
-        """Give nothing: the re-run hands the messages over itself."""
+        """Return nothing: the re-run hands the messages over itself."""
         return iter(())
 
     def wait(self, deadline_ns: int) -> None:
@@ -322,5 +326,5 @@ class _ReplayWiring(Wiring):
     replay_bus: ReplayBus
 
     def bus(self, topics: Sequence[str]) -> ZmqBus:
-        """Give the bus of the re-run."""
+        """Return the bus of the re-run."""
         return cast(ZmqBus, self.replay_bus)

@@ -84,11 +84,11 @@ class Node(ABC):
         """Act on a message of one of the inputs; session/control goes to `on_control` as well."""
 
     def admits(self, received: Received) -> bool:
-        """Say whether a message may be acted on; device nodes keep out what comes from a recording."""
+        """Return whether a message may be acted on; device nodes keep out what comes from a recording."""
         return True
 
     def deadline_ns(self) -> int:
-        """Give the monotonic time [ns] at which `on_deadline` is wanted."""
+        """Return the monotonic time [ns] at which `on_deadline` is wanted."""
         return _FAR_FUTURE_NS
 
     @abstractmethod
@@ -112,10 +112,10 @@ class AccountedBus(Bus, Protocol):
     """A bus whose inputs are accounted for."""
 
     def input_health(self) -> tuple[InputHealth, ...]:
-        """Give the account of every input."""
+        """Return the account of every input."""
 
     def rejections(self) -> tuple[dict[str, int], str]:
-        """Give the frames refused so far by reason, and the text of the last refusal."""
+        """Return the frames refused so far by reason, and the text of the last refusal."""
 
     def sequence_numbers(self) -> dict[str, int]:
         """Return the seq of the next message on each topic."""
@@ -299,5 +299,5 @@ def install_stop_signals(stop: Callable[[], None]) -> int:
 
 
 def resident_bytes() -> int:
-    """Give the resident memory of this process [bytes]."""
+    """Return the resident memory of this process [bytes]."""
     return int(_STATM.read_bytes().split()[1]) * os.sysconf("SC_PAGE_SIZE")

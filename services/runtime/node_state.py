@@ -31,7 +31,7 @@ class StateSnapshot:
         self._remember((), node)
 
     def capture(self) -> bytes:
-        """Give the state; empty when it is too large or holds what has no form here, such as a live device."""
+        """Return the state; empty when it is too large or holds what has no form here, such as a live device."""
         try:
             state: bytes = msgpack.packb(self._changed((), self._node))
         except (TypeError, ValueError, OverflowError):

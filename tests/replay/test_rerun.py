@@ -32,7 +32,7 @@ def reference() -> Recording:
 
 def test_there_is_a_reference_with_a_journal_for_each_law() -> None:
     assert {path.stem for path in REFERENCES} == set(LAWS)
-    assert all(path.stat().st_size < 1_200_000 for path in REFERENCES)
+    assert all(path.stat().st_size < 1_500_000 for path in REFERENCES)
     assert JOURNALLED, "recorded before nodes kept a journal: run python tests/replay/make_references.py"
 
 
@@ -51,8 +51,8 @@ def test_a_rerun_says_what_was_recorded(path: Path, node: str) -> None:
         seqs = [message.seq for message in recording.messages([topic]) if message.src == node]
         expected = len([seq for seq in seqs if seq >= result.first_seq[topic]])
         assert result.compared[topic] == expected > (100 if topic == "law/status" else 1000)
-        # a batch of the journal covers half a second
-        assert result.first_seq[topic] - seqs[0] < 800
+        # a batch of the journal covers half a second, and the first may be one whose beginning was not recorded
+        assert result.first_seq[topic] - seqs[0] < 1100
 
 
 def test_the_tolerance_is_a_billionth_of_what_a_field_reaches(reference: Recording) -> None:
@@ -69,7 +69,7 @@ ELSEWHERE = {
     "uncompiled": {"NUMBA_DISABLE_JIT": "1"},
     "without_fma": {"GLIBC_TUNABLES": "glibc.cpu.hwcaps=-FMA,-FMA4,-AVX2,-FMA_Usable,-FMA4_Usable,-AVX2_Usable"},
 }
-SHORT_S = 1.7
+SHORT_S = 1.3
 
 
 @pytest.fixture(scope="module")

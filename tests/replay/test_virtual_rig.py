@@ -42,7 +42,7 @@ def edited(source: Path, folder: Path, edit: Callable[[RawMessage], bytes | None
     """Copy a recording; `edit` gives the payload of a message, None to leave it out."""
     recording = Recording(source)
     writer = RecordingWriter.create("recorder@master", FileSettings(directory=folder))
-    for name, found in recording.attached.items():
+    for name, found in recording.attachment_records.items():
         writer.attach(name, found.media_type, found.data, found.log_time)
     channels: dict[Any, int] = {}
     for message in recording.raw():

@@ -104,7 +104,7 @@ class VirtualBus:
     def rejections(self) -> tuple[dict[str, int], str]:
         return {}, ""
 
-    def attend(self, *, now: bool = False) -> Sequence[ConnectionEvent]:
+    def process_events(self, *, now: bool = False) -> Sequence[ConnectionEvent]:
         return ()
 
     def close(self) -> None:
@@ -158,7 +158,7 @@ class VirtualRig:
     def finish(self) -> Path:
         """Stop the nodes and complete the file."""
         for loop in self.loops.values():
-            loop.stop()
+            loop.node.context.request_stop()
             loop.run()
         for log_ns, _, site, message in sorted(self._heard, key=lambda entry: entry[:2]):
             topic = self.topic_of(message)

@@ -603,7 +603,7 @@ def test_the_health_of_others_is_no_turn_and_an_idle_node_writes_nothing() -> No
 def test_the_rest_of_the_journal_is_sent_at_the_end_and_making_safe_is_no_turn() -> None:
     rig = journalled_rig(period_ns=10 * MS)
     rig.run_until(40 * MS)
-    rig.loop.stop()
+    rig.node.context.request_stop()
     rig.loop.run()
     node = rig.node
     assert isinstance(node, Journalled)
