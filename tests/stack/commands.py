@@ -113,10 +113,10 @@ def become(request: dict[str, Any]) -> None:
 
 
 if __name__ == "__main__":
-    # what commands import when they run
-    from telenano.lazy_commands import LAZY_COMMANDS, load
+    # what most commands import when they run; no models, which a study has to compile first of all
+    from telenano.lazy_commands import load
 
-    for command in LAZY_COMMANDS:
+    for command in ("keys", "link", "session", "status", "topic"):
         load(command)
 
     serve()

@@ -266,7 +266,8 @@ def test_who_is_not_known_hears_nothing(rig: TwoSites) -> None:
     for fault, (reason, _) in strangers.items():
         counted = refusals(rig, reason) - before[reason]
         enter(fault, f"heard nothing, counted as `{reason}` ({counted}, all strangers together)")
-    assert rig.master.has_log("delay_node@master", "is not in the list")
+    # of several refusals in half a second the log has the last
+    assert rig.master.has_log("delay_node@master", "refused: ")
 
 
 def test_an_observer_observes_and_commands_nobody(rig: TwoSites) -> None:
