@@ -4,11 +4,8 @@ import contextlib
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
-import msgpack
-
-from proto import MAX_MESSAGE_BYTES, TOPICS, Topic, WireError, decode
+from proto import MAX_MESSAGE_BYTES, TOPICS, Topic, WireError, decode, decode_header
 from proto.errors import RecordingError
 from proto.messages import SOURCE_PATTERN
 from proto.nodes import site_of
@@ -22,7 +19,6 @@ from services.runtime.bus import Received, Subscriber, split_frames
 
 _SOURCE = re.compile(SOURCE_PATTERN)
 _MAX_SOURCE_LENGTH = 64
-_COUNT_LIMIT = 2**63
 _MAX_REJECTED_FRAMES = 4
 _NEVER = event_trigger(())
 
@@ -183,17 +179,13 @@ class Intake:
 
     def _record_message(self, listener: Listener, frames: Sequence[bytes], received_ns: int) -> Received | None:
         topic, payload = split_frames(frames)
-        row = TOPICS.get(topic)
-        if row is None:
-            raise WireError("topic", f"unknown topic {topic[:80]!r}")
-        fields = read_fields(row, payload)
-        seq, t_ns, src = check_header(row, fields)
+        (seq, t_ns, src), fields = decode_header(topic, payload)
         permit = listener.subscriber.permit
         if permit is not None:
             permit(topic, src)
         stream = listener.streams.get((frames[0], src))
         if stream is None:
-            stream = self._open_stream(listener, frames[0], row, src)
+            stream = self._open_stream(listener, frames[0], TOPICS[topic], src)
         arrival = stream.tracker.accept(seq, t_ns)
         if stream.wanted:
             if arrival is Arrival.AFTER_GAP:
@@ -261,38 +253,3 @@ class Intake:
                 self.writer.finish()
         self.writer = None
         self.fault = str(error)
-
-
-def read_header(row: Topic, payload: bytes) -> tuple[int, int, str]:
-    """Return seq, t_ns and src of a message without validating the rest of it.
-
-    Raises WireError naming topic, key and what would be right. The form of `src` is left to the caller, which meets
-    the same few again and again.
-    """
-    return check_header(row, read_fields(row, payload))
-
-
-def read_fields(row: Topic, payload: bytes) -> dict[str, Any]:
-    """Return the fields of a message, not validated; WireError names the topic when the bytes are not a msgpack map."""
-    if len(payload) > MAX_MESSAGE_BYTES:
-        raise WireError("oversized", f"{row.name}: {len(payload)} bytes, at most {MAX_MESSAGE_BYTES} are allowed")
-    try:
-        fields: dict[str, Any] = msgpack.unpackb(payload, use_list=False, max_ext_len=0)
-    except (ValueError, msgpack.exceptions.UnpackException, RecursionError) as error:
-        raise WireError("malformed", f"{row.name}: not msgpack: {str(error) or type(error).__name__}") from error
-    if type(fields) is not dict:
-        raise WireError("malformed", f"{row.name}: a msgpack {type(fields).__name__}, a map is needed")
-    return fields
-
-
-def check_header(row: Topic, fields: dict[str, Any]) -> tuple[int, int, str]:
-    """Return seq, t_ns and src; WireError names topic, key and what would be right."""
-    seq, t_ns, src, version = fields.get("seq"), fields.get("t_ns"), fields.get("src"), fields.get("v")
-    if not (type(seq) is int and type(t_ns) is int and type(src) is str and type(version) is int):
-        raise WireError("schema", f"{row.name}: the header needs seq, t_ns and v as integers and src as text")
-    if version > row.model.version:
-        text = f"{row.name}: schema version {version} is newer than version {row.model.version} known here"
-        raise WireError("newer_version", text)
-    if not (0 <= seq < _COUNT_LIMIT and 0 <= t_ns < _COUNT_LIMIT and version >= 1):
-        raise WireError("schema", f"{row.name}: seq {seq}, t_ns {t_ns} or v {version} is out of range")
-    return seq, t_ns, src

@@ -8,11 +8,11 @@ from typing import Self
 
 import zmq
 
-from proto import TOPICS, WireError
+from proto import TOPICS, WireError, decode_header
 from proto.nodes import site_of
 from recording.messages import RecordedChannel, RecordedMessage
 from recording.writer import channel_topic
-from services.recorder.intake import Listener, read_header
+from services.recorder.intake import Listener
 from services.runtime.address_book import AddressBook
 from services.runtime.bus import split_frames
 from services.runtime.participant import OBSERVER, SITES, Participant, open_participant
@@ -94,7 +94,7 @@ class LiveRecording:
         try:
             topic, payload = split_frames(frames)
             row = TOPICS[topic]
-            seq, t_ns, src = read_header(row, payload)
+            (seq, t_ns, src), _ = decode_header(topic, payload)
             if permit is not None:
                 permit(topic, src)
         except (WireError, KeyError):

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from proto import MAX_MESSAGE_BYTES, TOPICS, Message, WireError, decode, encode
+from proto import MAX_MESSAGE_BYTES, TOPICS, Message, WireError, decode, decode_header, encode
 from proto.contract import examples, schema_of
 from proto.messages import MAX_ITEMS, MAX_KEYS, Array, SessionControl
 
@@ -26,14 +26,15 @@ SLOW_S = 1.0
 
 def outcome(topic: str, payload: bytes) -> Message | WireError:
     """Decode within the time allowed; any other exception than WireError ends the test."""
-    started = time.perf_counter()
+    # of this process: what others take is no fault of the decoder
+    started = time.process_time()
     try:
         result: Message | WireError = decode(topic, payload)
     except WireError as error:
         result = error
         assert len(str(error)) < 1000
         assert str(error)
-    assert time.perf_counter() - started < SLOW_S
+    assert time.process_time() - started < SLOW_S
     return result
 
 
@@ -454,3 +455,28 @@ def test_what_the_model_allows_the_decoder_takes() -> None:
     assert decode("node/health", encode(crowd)) == crowd
     with pytest.raises(ValueError, match="at most 4096"):
         TOPICS["node/health"].model.model_validate({**health, "inputs": health["inputs"][:1] * (MAX_ITEMS + 1)})
+
+
+def test_a_header_is_read_without_its_message() -> None:
+    fields = {"seq": 7, "t_ns": 8, "src": "haptic_node@master", "v": 1, "position_m": "nonsense"}
+    header, found = decode_header("haptic/state", msgpack.packb(fields))
+    assert header == (7, 8, "haptic_node@master")
+    assert found == fields
+
+
+@pytest.mark.parametrize(
+    ("change", "reason", "text"),
+    [
+        ({"v": 9}, "newer_version", "schema version 9 from 'haptic_node@master' is newer than version 1 known here"),
+        ({"seq": -1}, "schema", "seq -1, t_ns 8 or v 1 is out of range"),
+        ({"t_ns": 2**63}, "schema", "is out of range"),
+        ({"src": 3}, "schema", "the header needs seq, t_ns and v as integers and src as text"),
+        ({"v": True}, "schema", "the header needs"),
+        ({1: 2}, "malformed", "haptic/state: not msgpack"),
+    ],
+)
+def test_a_wrong_header_is_refused(change: dict[Any, Any], reason: str, text: str) -> None:
+    fields = {"seq": 7, "t_ns": 8, "src": "haptic_node@master", "v": 1} | change
+    with pytest.raises(WireError, match=text) as error:
+        decode_header("haptic/state", msgpack.packb(fields))
+    assert error.value.reason == reason

@@ -10,12 +10,12 @@ import pytest
 import zmq
 from recorder_samples import EPOCH_NS, NODE, haptic_state, sample, session_control, teleop_forward
 
-from proto import MAX_MESSAGE_BYTES, TOPICS, Message, WireError, encode
+from proto import MAX_MESSAGE_BYTES, Message, encode
 from recording.reader import Recording
 from recording.records import GAP_TOPIC, REJECTED_TOPIC, GapRecord, RejectedRecord
 from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
-from services.recorder.intake import Intake, Listener, read_header
+from services.recorder.intake import Intake, Listener
 from services.runtime.bus import Subscriber
 from services.runtime.clock import VirtualClock
 from services.runtime.security.peer_connections import MessagePermissions
@@ -210,13 +210,6 @@ def test_what_a_machine_may_not_say_is_kept_apart_and_not_acted_on(intake: Intak
         ("session/control", "afm_node@slave", 0),
     ]
     assert intake.rejected == 3
-
-
-def test_a_header_is_read_without_its_message() -> None:
-    row = TOPICS["haptic/state"]
-    assert read_header(row, encode(haptic_state(7))) == (7, EPOCH_NS + 7_000_000, "haptic_node@master")
-    with pytest.raises(WireError, match="haptic/state: schema version 9 is newer than version 1 known here"):
-        read_header(row, header(v=9))
 
 
 class BreakingFile(io.BytesIO):
