@@ -15,7 +15,8 @@ from services.runtime.clock import EPOCH_OFFSET_VARIABLE
 from services.runtime.config import ENVIRONMENT_PREFIX
 from services.runtime.realtime import die_with_parent
 
-GRACE_S = 3.0
+# safe within milliseconds; then its last messages go out to readers that are behind
+GRACE_S = 8.0
 # a recorder on a machine that was too busy has to write what still waits for it
 RECORDER_GRACE_S = 30.0
 _TAIL_BYTES = 16_384
@@ -99,7 +100,7 @@ class NodeProcesses:
         return "\n".join(_readable(line) for line in lines[-_TAIL_LINES:])
 
     def stop(self) -> None:
-        """Stop every process, in order: SIGTERM, three seconds to leave safely (a recorder: thirty), then SIGKILL."""
+        """Stop every process, in order: SIGTERM, eight seconds to leave (a recorder: thirty), then SIGKILL."""
         for node in [*self._stop_order, *self._running]:
             process = self._running.pop(node, None)
             if process is not None:

@@ -32,7 +32,9 @@ _FEW = 3
 _EVENTS, _READABLE, _DONTWAIT, _SNDMORE = int(zmq.EVENTS), int(zmq.POLLIN), int(zmq.DONTWAIT), int(zmq.SNDMORE)
 # sources heard on one node; a peer that makes up names must not fill the memory
 _MOST_TRACKERS = 1024
-_LINGER_MS = 200
+# how long a node that ends goes on sending what a reader that is behind has not yet taken, its recorder above all;
+# within the grace that a supervisor gives
+_LINGER_MS = 6000
 
 
 class Received(NamedTuple):

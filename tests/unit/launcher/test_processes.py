@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 
 import psutil
+import pytest
 
 from services.launcher.processes import NodeProcesses, child_environment
 
@@ -47,7 +48,8 @@ def test_an_exit_is_reported_once_with_its_signal(tmp_path: Path) -> None:
     assert children.reap() == {}
 
 
-def test_who_ignores_sigterm_is_killed(tmp_path: Path) -> None:
+def test_who_ignores_sigterm_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("services.launcher.processes.GRACE_S", 0.5)
     children = processes(tmp_path, {"a@b": STUBBORN}, ["a@b"], [])
     process_id = children.start("a@b")
     wait_for_line(children.log_path("a@b"))
