@@ -41,7 +41,6 @@ class Session:
 
     @property
     def duration_s(self) -> float:
-        """Length of the session [s]."""
         return (self.end_ns - self.start_ns) * 1e-9
 
     def series(self) -> SessionSeries:
@@ -70,7 +69,6 @@ class Traffic:
     overruns: int
 
     def rates_hz(self, duration_s: float) -> dict[str, float]:
-        """Return messages a second of each channel."""
         return {name: round(count / duration_s, 3) for name, count in sorted(self.messages.items())}
 
     def completeness(self, duration_s: float) -> dict[str, float]:

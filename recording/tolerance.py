@@ -57,7 +57,6 @@ class FieldDifference(NamedTuple):
 
     @property
     def text(self) -> str:
-        """The difference as text."""
         return f"{self.field}: {self.left!r} against {self.right!r}"
 
 

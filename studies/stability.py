@@ -76,7 +76,6 @@ class Line:
 
     @property
     def label(self) -> str:
-        """Return the name of the conditions."""
         parts = [f"{'K' if self.axes.environment == 'spring' else 'k'} = {self.stiffness_n_per_m:g} N/m"]
         parts += [f"K_f = {self.gain:g}"] if self.gain is not None else []
         parts += [f"jitter {self.jitter}"] if self.jitter.value else []
@@ -101,7 +100,6 @@ class LineResult:
     theory_link_ms: float | None
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the fields as plain data."""
         line = self.line
         return {
             "law": line.law,

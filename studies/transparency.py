@@ -48,7 +48,6 @@ class Transparency:
     z_width_db: float | None
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the fields as plain data."""
         return asdict(self)
 
 

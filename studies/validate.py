@@ -56,7 +56,6 @@ class Agreement:
     agree: bool
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the fields as plain data."""
         return asdict(self)
 
 

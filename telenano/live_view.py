@@ -70,14 +70,12 @@ class LiveView(AbstractContextManager["LiveView"]):
         self._last: Group | None = None
 
     def __enter__(self) -> Self:
-        """Start the live display."""
         self._live.start()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Clear the live display."""
         self._live.stop()
 
     def observe(self, rig: RigNode) -> None:

@@ -61,7 +61,6 @@ class AfmNode(Node):
         self._due_ns = self._stepped_ns + _PERIOD_NS
 
     def admits(self, received: Received) -> bool:
-        """Keep commands of a recording away from the device, unless they are allowed."""
         return self._replay_guard.admits(received)
 
     def deadline_ns(self) -> int:

@@ -20,7 +20,6 @@ class SimulatedAfm:
 
     @property
     def safe_position_m(self) -> float:
-        """Base position [m] of the safe state: retracted."""
         return self._safe_position_m
 
     def open(self) -> None:
@@ -43,12 +42,10 @@ class SimulatedAfm:
         return sample
 
     def retract(self) -> None:
-        """Retract to the safe position at once."""
         if self._tip is not None:
             self.exchange(self._safe_position_m)
 
     def close(self) -> None:
-        """Go to the safe position and stop; harmless when already closed."""
         self.retract()
         self._tip = None
 
@@ -65,7 +62,6 @@ class SimulatedSpring:
 
     @property
     def safe_position_m(self) -> float:
-        """Base position [m] of the safe state: retracted."""
         return self._params.safety.retract_position_m
 
     def open(self) -> None:
@@ -90,5 +86,4 @@ class SimulatedSpring:
         """Retract to the safe position at once: there is nothing to move."""
 
     def close(self) -> None:
-        """Stop; harmless when already closed."""
         self._opened = False

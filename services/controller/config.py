@@ -50,5 +50,4 @@ class ControllerConfig(BaseModel):
         return getattr(self, self.law)
 
     def params(self) -> Any:
-        """Return the compiled constants of the law in force."""
         return self.section().to_params(self.period_s)

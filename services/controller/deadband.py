@@ -53,7 +53,6 @@ class DeadbandConfig(BaseModel):
     )
 
     def to_params(self) -> DeadbandParams:
-        """Return the constants of the compiled step."""
         return DeadbandParams(
             enabled=self.enabled,
             weber_fraction=self.weber_fraction,

@@ -287,7 +287,6 @@ class DirectionSettings(Impairment):
         return next((pattern for pattern in self.topics if fnmatchcase(topic, pattern)), "")
 
     def is_reliable(self, topic: str) -> bool:
-        """Return whether the topic is carried reliably."""
         return any(fnmatchcase(topic, pattern) for pattern in self.reliable)
 
     def block(self, pattern: str) -> Impairment:

@@ -59,14 +59,12 @@ class DelayNode(Node):
         self.state = "running"
 
     def deadline_ns(self) -> int:
-        """Give the next release or report, whichever comes first."""
         release_ns = self.engine.next_release_ns()
         if release_ns is None:
             return self._status.deadline_ns
         return min(self._status.deadline_ns, release_ns - self.clock.epoch_offset_ns)
 
     def on_message(self, received: Received) -> None:
-        """Hand a message to the engine and send on what is due."""
         if isinstance(received.message, ClockPong):
             self._on_pong(received.message, received.received_ns)
         direction = TOPICS[received.topic].bridged
@@ -82,7 +80,6 @@ class DelayNode(Node):
             self._publish_fates()
 
     def on_deadline(self, now_ns: int) -> None:
-        """Release what is due; report when it is time."""
         epoch_ns = now_ns + self.clock.epoch_offset_ns
         for way, side in self._sides.items():
             self._send(way, side.due(epoch_ns))

@@ -62,7 +62,6 @@ class CorrelatedUniform:
         self._score: float | None = None
 
     def __call__(self) -> float:
-        """Return the next number."""
         u = self._draw() or SMALLEST
         if self._rho == 0.0:
             return u

@@ -83,7 +83,6 @@ class DeviceConfig(_Section):
         return self
 
     def to_params(self) -> MotorParams:
-        """Return the constants of the compiled device."""
         own_gain = self.servo_gain_v_per_m
         return MotorParams(
             speed_gain_rad_per_s_v=self.speed_gain_rad_per_s_v,
@@ -130,7 +129,6 @@ class LimitsConfig(_Section):
         return self
 
     def to_params(self, *, has_position_mode: bool, has_force_mode: bool) -> SafetyParams:
-        """Return the constants of the guard for a device with the modes named."""
         return SafetyParams(
             command_deadline_s=self.command_deadline_s,
             position_min_m=self.position_min_m,
@@ -192,7 +190,6 @@ class ForceProfileConfig(_Section):
         return self
 
     def to_params(self) -> OperatorParams:
-        """Return the constants of the compiled hand."""
         times = np.array([point.time_s for point in self.points])
         forces = np.array([point.force_n for point in self.points])
         return OperatorParams(FORCE_PROFILE, times, forces, 0.0, 0.0, 0.0, 0.0, 0.0, self.max_force_n)
@@ -224,7 +221,6 @@ class ImpedanceConfig(_Section):
         return self
 
     def to_params(self) -> OperatorParams:
-        """Return the constants of the compiled hand."""
         return OperatorParams(
             kind=IMPEDANCE,
             times_s=np.array([point.time_s for point in self.path]),
@@ -269,7 +265,6 @@ class HapticConfig(_Section):
         return self
 
     def to_plant_params(self) -> step.PlantParams:
-        """Return the constants of the simulated device and hand, for `SimulatedHaptic`."""
         return step.PlantParams(self.device.to_params(), self.operator.to_params())
 
     def to_params(self) -> step.HapticParams:

@@ -55,11 +55,9 @@ class HapticNode(Node):
         self._grid = PeriodicDeadline(self.clock.monotonic_ns(), round(PERIOD_S * 1e9))
 
     def admits(self, received: Received) -> bool:
-        """Keep commands of a recording away from the device, unless they are allowed."""
         return self._replay_guard.admits(received)
 
     def deadline_ns(self) -> int:
-        """Give the next tick of the grid."""
         return self._grid.deadline_ns
 
     def on_message(self, received: Received) -> None:

@@ -54,7 +54,6 @@ class LivenessMonitor:
 
     @property
     def any_alive(self) -> bool:
-        """Whether at least one node has been heard within its timeout."""
         return any(node not in self._silent_ns for node in self._last_seen_ns) and not self.site_silent
 
     @property

@@ -77,7 +77,6 @@ class RigNode(Node):
         self._ticks = PeriodicDeadline(self.clock.monotonic_ns(), round(TICK_S * 1e9))
 
     def launch(self) -> None:
-        """Start every own node for the first time."""
         self.supervisor.launch()
 
     def interrupt(self) -> None:
@@ -111,11 +110,9 @@ class RigNode(Node):
         """Advance the state machine, once a tick."""
 
     def deadline_ns(self) -> int:
-        """Return the time of the next tick [ns]."""
         return self._ticks.deadline_ns
 
     def on_message(self, received: Received) -> None:
-        """Process health reports and events of the nodes."""
         message = received.message
         if isinstance(message, NodeHealth):
             self._record_health(message)
@@ -225,7 +222,6 @@ class SessionNode(RigNode):
 
     @property
     def progress(self) -> tuple[float, float] | None:
-        """Elapsed time and whole length of the session [s]; None before the operator's programme runs."""
         return (min(self.elapsed_s, self.duration_s), self.duration_s) if self.ran else None
 
     @property
@@ -260,7 +256,6 @@ class SessionNode(RigNode):
         return {"arming": "arming the devices", "ending": "stopping", "over": "stopped"}[self.phase]
 
     def _time_limits(self) -> str:
-        """Return the time limits of the wait, in words."""
         own = [] if self.attached else [f"up to {READY_DEADLINE_S:g} s"]
         others = "without a limit" if self._wait_s is None else f"up to {self._wait_s:g} s"
         subject = "" if self.attached else f"for {self.liveness.site_name} "

@@ -50,13 +50,11 @@ class LiveRecording:
         self._channels: dict[tuple[str, str, str], RecordedChannel] = {}
 
     def __enter__(self) -> Self:
-        """Listen."""
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Close every connection."""
         self.close()
 
     @property
@@ -86,7 +84,6 @@ class LiveRecording:
                         yield message
 
     def close(self) -> None:
-        """Close every connection."""
         self._open.close()
 
     def _message(self, listener: Listener, frames: list[bytes], received_ns: int) -> RecordedMessage | None:

@@ -82,7 +82,6 @@ class Observer:
         return topic if site_of(src) == site_of(node) else f"{topic}@{site_of(node)}"
 
     def close(self) -> None:
-        """Close every socket."""
         self._open.close()
 
 

@@ -108,7 +108,6 @@ class Keyring:
         self.allowed_path = self.folder / ALLOWED_NAME
 
     def names(self) -> list[str]:
-        """Return the names of the key pairs in the folder."""
         try:
             return sorted(path.name.removesuffix(_SECRET_SUFFIX) for path in self.folder.glob("*" + _SECRET_SUFFIX))
         except OSError as error:

@@ -45,7 +45,6 @@ class MessagePermissions:
         self._permitted: set[tuple[str, str]] = set()
 
     def change(self, roles: Sequence[Role]) -> None:
-        """Replace the roles."""
         self._roles = frozenset(roles)
         self._permitted.clear()
 
