@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from analysis import verdict
 from analysis.verdict import judge
@@ -26,7 +26,7 @@ from services.afm_node.step import AfmParams
 from services.controller.config import LAWS, ControllerConfig
 from services.haptic_node.config import ForcePoint, ForceProfileConfig, HapticConfig
 from services.runtime.compiled import source_digest
-from services.runtime.config import merge, nested, validate
+from services.runtime.config import Settings, merge, nested, validate
 from studies.link import schedule_of, symmetric_link
 from studies.lockstep import Rig, Series, Trajectory, build_rig, simulate
 
@@ -49,10 +49,8 @@ _TRANSIENT_SHARE = 0.2
 _SHORTEST_HOLD_S = 1.0
 
 
-class Cell(BaseModel):
+class Cell(Settings):
     """What one cell runs. `settings` are dotted keys of the section `controller` that differ from their defaults."""
-
-    model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
 
     law: str = Field(description="Name of the law")
     environment: Environment = Field(description="spring: F = K (x_s - L); contact: the tip-sample force")

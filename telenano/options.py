@@ -50,6 +50,7 @@ ExcludeOption = Annotated[
 ]
 ListenOption = Annotated[float, typer.Option("--duration", min=0.0, metavar="S", help="How long to listen [s].")]
 
+
 def command_group() -> typer.Typer:
     """Return an empty group of commands; its help text is in the table of `lazy_commands`."""
     return typer.Typer(
