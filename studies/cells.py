@@ -135,7 +135,6 @@ class CellResult:
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> "CellResult":
-        """Read what `as_dict` gave."""
         return cls(**{**data, "cell": Cell.model_validate_json(json.dumps(data["cell"]))})
 
 

@@ -184,11 +184,7 @@ def _bracket(line: Line, row: Sequence[CellResult]) -> Edge | None:
 
 
 def _ms(line: Line, samples: int) -> float:
-    return samples * _period_s(line) * 1e3
-
-
-def _period_s(line: Line) -> float:
-    return line.cell(0.0).controller().period_s
+    return samples * line.cell(0.0).controller().period_s * 1e3
 
 
 def _line_result(line: Line, cells: tuple[CellResult, ...], link_ms: float | None) -> LineResult:

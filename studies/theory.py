@@ -102,19 +102,6 @@ def critical_link_delay_s(loop: LoopModel, period_s: float) -> float:
     return delay_margin(sampled_loop(transfer_function(loop), period_s)).delay_s
 
 
-def characteristic_radius(loop: LoopModel, period_s: float, samples: int) -> float:
-    """Return the largest modulus of the poles of the sampled loop closed through so many samples of delay.
-
-    An independent check of T_d: it passes 1 between the numbers of samples on either side of T_d / Ts. The growth rate
-    of the slowest mode is log(radius) / Ts.
-    """
-    sampled = sampled_loop(transfer_function(loop), period_s)
-    numerator, denominator = np.squeeze(sampled.num[0][0]), np.squeeze(sampled.den[0][0])
-    closed = np.concatenate([denominator, np.zeros(samples)])
-    closed[-len(numerator) :] += numerator
-    return float(np.abs(np.roots(closed)).max())
-
-
 def hybrid_of(law: str, parameters: BaseModel, round_trip_s: float, omega_rad_per_s: Series) -> Complex | None:
     """Return H of a law at its parameters over a constant round trip [s], half of it each way, at angular frequencies.
 
@@ -187,20 +174,6 @@ def llewellyn(hybrid: Complex) -> Series:
 
 def _ratio(part: Series, size: Series) -> Series:
     return np.divide(part, size, out=np.zeros_like(part), where=size > 0.0)
-
-
-def scattering_norm(hybrid: Complex, impedance_n_s_per_m: float) -> Series:
-    """Return the norm of the scattering matrix at each frequency; the two-port is passive if it never exceeds 1.
-
-    S = diag(1, -1) (H' - 1)(H' + 1)^-1 with H' normalised by an impedance b [N s/m], > 0, which does not change whether
-    the norm exceeds 1 (Anderson and Spong 1989).
-    """
-    root = math.sqrt(impedance_n_s_per_m)
-    # velocity in, force out on the first port, force in, velocity out on the second
-    normal = np.diag([1.0 / root, root]) @ hybrid @ np.diag([1.0 / root, root])
-    one = np.eye(2)
-    scattering = np.diag([1.0, -1.0]) @ (normal - one) @ np.linalg.inv(normal + one)
-    return np.asarray(np.linalg.norm(scattering, ord=2, axis=(1, 2)), dtype=np.float64)
 
 
 def varying_delay_gain(delay_rate: float) -> float:

@@ -1,7 +1,6 @@
 """The view of a running rig: a live table on a terminal, a few lines elsewhere."""
 
 from contextlib import AbstractContextManager
-from types import TracebackType
 from typing import Self
 
 from rich.console import Console, Group, RenderableType
@@ -33,9 +32,7 @@ class LineView(AbstractContextManager["LineView"]):
         self._reasons: dict[str, str] = {}
         self._reminded_ns = 0
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         """Do nothing: each line was printed as it came."""
 
     def observe(self, rig: RigNode) -> None:
@@ -73,9 +70,7 @@ class LiveView(AbstractContextManager["LiveView"]):
         self._live.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self._live.stop()
 
     def observe(self, rig: RigNode) -> None:

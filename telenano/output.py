@@ -8,7 +8,6 @@ import sys
 import termios
 import tty
 from collections.abc import Iterator, Mapping, Sequence
-from types import TracebackType
 from typing import Any, NoReturn, Self
 
 import typer
@@ -87,9 +86,7 @@ class RawKeyboard:
             tty.setcbreak(self._input)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         """Restore the terminal."""
         if self._input is not None and self._before is not None:
             termios.tcsetattr(self._input, termios.TCSADRAIN, self._before)

@@ -32,10 +32,6 @@ class SimulatedAfm:
         self._tip = initial_state(self._plant, self._safe_position_m)
 
     def exchange(self, base_m: float) -> AfmSample:
-        """Apply a base position [m] and return what the device measured.
-
-        Raises: ValueError, if the position is not finite; RuntimeError, if not open.
-        """
         if self._tip is None:
             raise RuntimeError("the simulated AFM is not open: call open() first")
         self._tip, sample = measure(self._plant, self._tip, base_m)
@@ -71,10 +67,6 @@ class SimulatedSpring:
         self._opened = True
 
     def exchange(self, base_m: float) -> AfmSample:
-        """Apply a base position [m] and return force and distance.
-
-        Raises: ValueError, if the position is not finite; RuntimeError, if not open.
-        """
         if not self._opened:
             raise RuntimeError("the simulated spring is not open: call open() first")
         if not math.isfinite(base_m):

@@ -3,7 +3,6 @@
 import contextlib
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from types import TracebackType
 from typing import Self
 
 import zmq
@@ -20,12 +19,8 @@ from services.runtime.participant import OBSERVER, SITES, Participant, open_part
 _WAIT_MS = 100
 
 
-def _everything(topic: str, site: str) -> bool:
-    return True
-
-
 def connect(
-    participant: Participant, sites: Sequence[str] = SITES, hears: Callable[[str, str], bool] = _everything
+    participant: Participant, sites: Sequence[str] = SITES, hears: Callable[[str, str], bool] = lambda topic, site: True
 ) -> list[Listener]:
     """Connect to each node at `sites` for every recorded topic that can be heard there.
 
@@ -52,9 +47,7 @@ class LiveRecording:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     @property

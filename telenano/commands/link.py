@@ -9,8 +9,9 @@ import typer
 from presets import DEFAULT_SITE_FILE
 from proto.errors import RigError
 from proto.nodes import LINK
+from recording.tables import json_fields
 from services.delay_node.profiles import PROFILES
-from services.runtime.observer import Observer, message_fields, messages_of
+from services.runtime.observer import Observer, messages_of
 from telenano.commands.session import SessionCommand, send_command
 from telenano.commands.topic import open_observer
 from telenano.options import JsonOption, SiteFileOption, command_group
@@ -78,7 +79,7 @@ def _change(settings: Sequence[str], site_file: Path, *, as_json: bool) -> None:
 def current_status(observer: Observer) -> dict[str, Any]:
     """Return the fields of the next link/status; RigError when no link is heard."""
     for received in messages_of(observer, "link/status", _PATIENCE_S, 1):
-        return message_fields(received.message)
+        return json_fields(received.message)
     raise RigError("no link is heard, is `telenano up` running with this site file?")
 
 

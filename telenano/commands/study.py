@@ -8,7 +8,7 @@ import json
 import os
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -151,7 +151,7 @@ def transparency(
         page.code(_command())
         write_transparency(page, rows)
         page.write(out / "transparency.html")
-        records = [row.as_dict() for row in rows]
+        records = [asdict(row) for row in rows]
         write_parquet(out / "transparency.parquet", records)
         summary = {"study": "transparency", "rows": records}
         (out / "transparency.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
@@ -237,7 +237,7 @@ def validate(
         cells = [line.cell(d) for line in axes.lines() for d in axes.delays_ms]
         _make_folder(out)
         agreements = validate_cells(cells, Bus(site_file, out), lambda text: typer.echo(text, err=True))
-        records = [agreement.as_dict() for agreement in agreements]
+        records = [asdict(agreement) for agreement in agreements]
         write_parquet(out / "validate.parquet", records)
         edges = bus_edges(agreements, cells[0].controller().period_s)
         summary = {
