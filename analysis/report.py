@@ -44,7 +44,6 @@ class Session:
         return (self.end_ns - self.start_ns) * 1e-9
 
     def series(self) -> SessionSeries:
-        """Return the series of Fig. 12 in the paper's symbols."""
         return SessionSeries(
             hand_time_s=self._time_s(self.hand),
             hand_force_n=-self.hand["operator_force_n.2"],

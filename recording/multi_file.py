@@ -39,7 +39,6 @@ class MultiFileRecording:
     """The files of a recording that was split, read as one."""
 
     def __init__(self, recordings: Sequence[Recording]) -> None:
-        """Put the recordings in the order of time."""
         filled = [recording for recording in recordings if recording.span_ns != (0, 0)] or list(recordings[:1])
         self.files = sorted(filled, key=lambda recording: recording.span_ns)
         self.path = self.files[0].path

@@ -33,7 +33,6 @@ class Tolerances:
         return cls(limits)
 
     def on(self, topic: str) -> "Tolerances":
-        """Return the tolerances of the fields of a topic."""
         limits: dict[str, float] = {}
         for name, limit in self._limits.items():
             limited, _, field = name.rpartition(":")

@@ -81,7 +81,8 @@ class Cell(Settings):
         settings: dict[str, Any] = nested(dict(self.settings), "--set")
         if self.gain is not None:
             if "force_gain" not in LAWS[self.law].config.model_fields:
-                raise ConfigError(f"--gain: {self.law} has no force gain; {_laws_with_gain()} has")
+                known = ", ".join(name for name, law in LAWS.items() if "force_gain" in law.config.model_fields)
+                raise ConfigError(f"--gain: {self.law} has no force gain; {known} has")
             settings = merge(settings, {self.law: {"force_gain": self.gain}})
         return validate(ControllerConfig, merge(settings, {"law": self.law}), "--set", "controller")
 
@@ -244,10 +245,6 @@ def rig_of(cell: Cell, hand_points: Sequence[tuple[float, float]]) -> Rig:
     points = tuple(ForcePoint(time_s=time, force_n=force) for time, force in hand_points)
     haptic = HapticConfig(operator=ForceProfileConfig(kind="force_profile", points=points))
     return build_rig(cell.controller(), haptic, _instrument(cell.environment, cell.stiffness_n_per_m))
-
-
-def _laws_with_gain() -> str:
-    return ", ".join(name for name, law in LAWS.items() if "force_gain" in law.config.model_fields)
 
 
 @functools.lru_cache(maxsize=1)

@@ -41,7 +41,6 @@ class Jitter:
     relative: bool = False
 
     def at_ms(self, round_trip_ms: float) -> float:
-        """Return the half-width in ms at a round trip."""
         return 0.5 * round_trip_ms * self.value if self.relative else self.value
 
     def __str__(self) -> str:
@@ -60,7 +59,6 @@ class Line:
     loss: float
 
     def cell(self, round_trip_ms: float) -> Cell:
-        """Return the cell at a round trip [ms]."""
         return Cell(
             law=self.law,
             environment=self.axes.environment,

@@ -169,19 +169,5 @@ def llewellyn(hybrid: Complex) -> Series:
     transfer = h12 * h21
     third = 2.0 * h11.real * h22.real - transfer.real - np.abs(transfer)
     pairs = ((h11.real, np.abs(h11)), (h22.real, np.abs(h22)), (third, np.abs(transfer)))
-    return np.asarray(np.minimum.reduce([_ratio(part, size) for part, size in pairs]), dtype=np.float64)
-
-
-def _ratio(part: Series, size: Series) -> Series:
-    return np.divide(part, size, out=np.zeros_like(part), where=size > 0.0)
-
-
-def varying_delay_gain(delay_rate: float) -> float:
-    """Return the largest gain on a received wave that keeps a varying delay passive: sqrt(1 - dT/dt).
-
-    A delay that grows stretches a wave in time, so that its energy arrives more than once (Lozano, Chopra and Spong
-    2002). Raises ValueError for dT/dt >= 1, where messages would arrive in reverse order, or not a number.
-    """
-    if not delay_rate < 1.0:
-        raise ValueError(f"rate of change of the delay dT/dt = {delay_rate} must be below 1")
-    return math.sqrt(1.0 - delay_rate) if delay_rate > 0.0 else 1.0
+    ratios = [np.divide(part, size, out=np.zeros_like(part), where=size > 0.0) for part, size in pairs]
+    return np.asarray(np.minimum.reduce(ratios), dtype=np.float64)

@@ -87,7 +87,6 @@ class RawKeyboard:
         return self
 
     def __exit__(self, *error: object) -> None:
-        """Restore the terminal."""
         if self._input is not None and self._before is not None:
             termios.tcsetattr(self._input, termios.TCSADRAIN, self._before)
         if self._show:
@@ -100,7 +99,6 @@ class RawKeyboard:
         return split_keys(os.read(self._input, 64))
 
     def show(self, line: str) -> None:
-        """Replace the status line."""
         if self._show:
             width = os.get_terminal_size(sys.stderr.fileno()).columns
             sys.stderr.write(f"{_CLEAR_LINE}{line[: width - 1]}")

@@ -66,7 +66,8 @@ class DelayNode(Node):
 
     def on_message(self, received: Received) -> None:
         if isinstance(received.message, ClockPong):
-            self._on_pong(received.message, received.received_ns)
+            pong = received.message
+            self._offset.record(Exchange(pong.ping_t_ns, pong.received_ns, pong.t_ns, received.received_ns))
         direction = TOPICS[received.topic].bridged
         if direction is None:
             return
@@ -110,9 +111,6 @@ class DelayNode(Node):
         outlet = self._outlets[way]
         for release in releases:
             outlet.send(release.topic, release.payload)
-
-    def _on_pong(self, pong: ClockPong, received_ns: int) -> None:
-        self._offset.record(Exchange(pong.ping_t_ns, pong.received_ns, pong.t_ns, received_ns))
 
     def _publish_fates(self) -> None:
         self._unreported = 0

@@ -61,7 +61,6 @@ class HapticNode(Node):
         return self._grid.deadline_ns
 
     def on_message(self, received: Received) -> None:
-        """Keep the newest command for the next tick, with the time of its arrival."""
         if isinstance(received.message, HapticCommand):
             self._command = received.message
             self._command_received_ns = received.received_ns
@@ -82,7 +81,6 @@ class HapticNode(Node):
         self.steps += 1
 
     def on_control(self, control: SessionControl) -> str:
-        """Start or stop the operator's programme, stop at once, or arm again."""
         if control.command == "start":
             self._session_ticks = 0
             return "the operator's programme runs"

@@ -49,7 +49,6 @@ class LivenessMonitor:
 
     @property
     def site_name(self) -> str:
-        """Name of the other site, for a sentence."""
         return f"the {self.site}'s site"
 
     @property

@@ -60,7 +60,6 @@ class PendingCommand:
 
     @property
     def missing(self) -> list[str]:
-        """Nodes that have not answered yet, sorted."""
         return sorted(self.expected - set(self.answers))
 
     @property

@@ -167,11 +167,8 @@ class RigNode(Node):
         elif change.first:
             self.report("info", f"{change.subject} is heard", about_node=change.subject, state="heard")
         else:
-            self._report_return(change)
-
-    def _report_return(self, change: Change) -> None:
-        text = f"{change.subject} is heard again after {change.silence_s:.1f} s{self._hints(*change.nodes)}"
-        self.report("info", text, about_node=change.subject, state="heard", silence_s=change.silence_s)
+            text = f"{change.subject} is heard again after {change.silence_s:.1f} s{self._hints(*change.nodes)}"
+            self.report("info", text, about_node=change.subject, state="heard", silence_s=change.silence_s)
 
     def _hints(self, *nodes: str) -> str:
         at = f" --site {self.site}" if self.site else ""
@@ -267,7 +264,6 @@ class SessionNode(RigNode):
             self.recording.on_health(received.message)
 
     def on_event(self, event: SessionEvent) -> None:
-        """Process answers to the session's commands, and reports about the recording."""
         if self.recording is not None:
             self.recording.on_event(event)
         if self._sequence is not None:
@@ -377,7 +373,6 @@ class SiteNode(RigNode):
         return f"running, {site} is heard and conducts; Ctrl-C stops the nodes here"
 
     def on_message(self, received: Received) -> None:
-        """Process health reports and events of the nodes, and the heartbeat of the link."""
         super().on_message(received)
         if isinstance(received.message, ClockPing):
             self.liveness.record(received.message.src)

@@ -210,7 +210,6 @@ class PlayerNode(Node):
         """Ignore it: commands come through `on_control`."""
 
     def deadline_ns(self) -> int:
-        """Return the time of the next message or of the next look at keys and readers [ns]."""
         if not self.started or self.finished:
             return self._tick_ns
         if self.blocked:
@@ -242,7 +241,6 @@ class PlayerNode(Node):
         return self.status()
 
     def status(self) -> str:
-        """Return the state of the replay in one line."""
         span = f"replay at {self.playback.time_s:.3f} of {self.playback.length_s:.3f} s"
         rate = "as fast as possible" if self.playback_clock.rate == 0.0 else f"rate {self.playback_clock.rate:g}"
         parts = [span, rate, f"{self.sent} messages"]

@@ -52,7 +52,6 @@ class LiveRecording:
 
     @property
     def channels(self) -> tuple[RecordedChannel, ...]:
-        """Everything that was said so far, by whom and where heard."""
         return tuple(self._channels.values())
 
     def messages(

@@ -120,7 +120,6 @@ class RecorderNode(Node):
         return self._flush_deadline.deadline_ns
 
     def on_deadline(self, now_ns: int) -> None:
-        """Flush, and report what has changed since the last time."""
         # report the file before the flush, which may end it
         self._report_path()
         self._intake.flush(now_ns)

@@ -6,7 +6,7 @@ import os
 import re
 import socket
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Annotated, Self
@@ -140,7 +140,8 @@ class AddressBook(Settings):
         network = self._entry(node).network
         if network is None:
             return None
-        hosts = {**self.machines, **_hosts_of_environment(self.machines)}
+        named = {name: os.environ.get(HOST_VARIABLE_PREFIX + name.upper()) for name in self.machines}
+        hosts = {name: named[name] or host for name, host in self.machines.items()}
         for name in _PLACEHOLDER.findall(network):
             if name not in hosts:
                 known = ", ".join(hosts) or "none"
@@ -257,11 +258,6 @@ def _publishes(topic: Topic, node: str) -> bool:
 
 def _crosses(topic: Topic, to_site: str) -> bool:
     return topic.bridged in (("forward", "both") if to_site == "slave" else ("backward", "both"))
-
-
-def _hosts_of_environment(machines: Mapping[str, str]) -> dict[str, str]:
-    named = {name: os.environ.get(HOST_VARIABLE_PREFIX + name.upper()) for name in machines}
-    return {name: host for name, host in named.items() if host}
 
 
 def _numeric(node: str, host: str) -> str:

@@ -16,6 +16,7 @@ from telenano.commands.session import SessionCommand, send_command
 from telenano.commands.topic import open_observer
 from telenano.options import JsonOption, SiteFileOption, command_group
 from telenano.output import print_json, print_rows, report_errors
+from telenano.tables import counts_text
 
 _PATIENCE_S = 3.0
 _COUNTS = ("messages_in", "messages_out", "duplicated", "reordered", "corrupted", "queue_depth")
@@ -90,7 +91,7 @@ def status_rows(status: dict[str, Any]) -> list[dict[str, Any]]:
     keys = sorted({key for way in ways for key in way["settings"]})
     rows += [_row(key, *(way["settings"].get(key, "") for way in ways)) for key in keys]
     rows += [_row(key, *(way[key] for way in ways)) for key in _COUNTS]
-    rows.append(_row("dropped", *(_causes(way["dropped"]) for way in ways)))
+    rows.append(_row("dropped", *(counts_text(way["dropped"]) for way in ways)))
     rows += [_row(key, *(way[key] if way["delay_valid"] else "" for way in ways)) for key in _DELAYS]
     clock = status["clock"]
     if clock["valid"]:
@@ -100,7 +101,3 @@ def status_rows(status: dict[str, Any]) -> list[dict[str, Any]]:
 
 def _row(what: str, forward: Any, backward: Any) -> dict[str, Any]:
     return {"what": what, "forward": forward, "backward": backward}
-
-
-def _causes(dropped: dict[str, int]) -> str:
-    return ", ".join(f"{cause} {count}" for cause, count in dropped.items()) or "0"

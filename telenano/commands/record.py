@@ -26,7 +26,6 @@ class RecordKeyBindings:
         self._said = _KEYS_TEXT
 
     def __call__(self, node: RecorderNode) -> None:
-        """Act on the keys pressed and show how the recording does."""
         actions: dict[str, Callable[[], None]] = {
             "s": node.split,
             "t": node.snapshot,

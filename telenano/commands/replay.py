@@ -24,13 +24,11 @@ class PlayerKeyBindings:
     """What the keys do to a player."""
 
     def __init__(self, keys: RawKeyboard, step_topic: str) -> None:
-        """Take the terminal, and the topic to which the key n steps."""
         self._keys = keys
         self._step_topic = step_topic
         self._said = ""
 
     def __call__(self, player: PlayerNode) -> None:
-        """Act on the keys pressed and show where the replay stands."""
         for key in self._keys.pressed():
             try:
                 self._said = self._press(player, key)

@@ -127,7 +127,6 @@ class PeerConnections:
         return self.monitor.has_pending
 
     def take_events(self) -> list[ConnectionEvent]:
-        """Return the events since the last call."""
         events, self._events = self._events, []
         return events
 

@@ -20,7 +20,6 @@ from studies.theory import (
     loop_model,
     sampled_loop,
     transfer_function,
-    varying_delay_gain,
     wave_hybrid,
 )
 
@@ -152,15 +151,6 @@ def test_passive_is_absolutely_stable_but_not_the_other_way_round() -> None:
     hybrid[:, 1, 0] /= 3.0
     assert llewellyn(hybrid).min() >= -1e-12
     assert scattering_norm(hybrid, 50.0).max() > 1.0
-
-
-def test_varying_delay_gain() -> None:
-    assert varying_delay_gain(0.0) == 1.0
-    assert varying_delay_gain(-0.5) == 1.0
-    assert varying_delay_gain(0.75) == 0.5
-    for rate in (1.0, math.nan):
-        with pytest.raises(ValueError, match="below 1"):
-            varying_delay_gain(rate)
 
 
 def test_law_without_the_hands_say_has_no_hybrid_form() -> None:
