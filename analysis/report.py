@@ -41,11 +41,9 @@ class Session:
 
     @property
     def duration_s(self) -> float:
-        """Length of the session [s]."""
         return (self.end_ns - self.start_ns) * 1e-9
 
     def series(self) -> SessionSeries:
-        """Return the series of Fig. 12 in the paper's symbols."""
         return SessionSeries(
             hand_time_s=self._time_s(self.hand),
             hand_force_n=-self.hand["operator_force_n.2"],
@@ -70,7 +68,6 @@ class Traffic:
     overruns: int
 
     def rates_hz(self, duration_s: float) -> dict[str, float]:
-        """Return messages a second of each channel."""
         return {name: round(count / duration_s, 3) for name, count in sorted(self.messages.items())}
 
     def completeness(self, duration_s: float) -> dict[str, float]:

@@ -94,7 +94,7 @@ def vectors() -> list[dict[str, Any]]:
             "message": topic.model.__name__,
             "topic": topic.name,
             "case": case,
-            "fields": _json_form(message.model_dump()),
+            "fields": message.model_dump(),
             "hex": encode(message).hex(),
         }
         for topic in TOPICS.values()
@@ -241,17 +241,8 @@ def _a_source(topic: Topic) -> str:
     return f"{publisher}@{'slave' if publisher == 'afm_node' else 'master'}"
 
 
-def _json_form(value: Any) -> Any:
-    """Return a value as JSON has it: tuples as arrays, bytes in hexadecimal."""
-    if isinstance(value, dict):
-        return {key: _json_form(part) for key, part in value.items()}
-    if isinstance(value, tuple):
-        return [_json_form(part) for part in value]
-    return value.hex() if isinstance(value, bytes) else value
-
-
 def _json_text(data: Any) -> str:
-    return json.dumps(data, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    return json.dumps(data, indent=1, ensure_ascii=False, allow_nan=False, default=bytes.hex) + "\n"
 
 
 def _with_table(spec: str) -> str:

@@ -58,7 +58,6 @@ class Selection:
         )
 
     def __call__(self, channel: _Named) -> bool:
-        """Return whether a channel is selected."""
         if self.nodes and not any(test(channel.src) for test in self.nodes):
             return False
         return self.names(channel.channel_topic)

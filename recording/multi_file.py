@@ -39,32 +39,27 @@ class MultiFileRecording:
     """The files of a recording that was split, read as one."""
 
     def __init__(self, recordings: Sequence[Recording]) -> None:
-        """Put the recordings in the order of time."""
         filled = [recording for recording in recordings if recording.span_ns != (0, 0)] or list(recordings[:1])
         self.files = sorted(filled, key=lambda recording: recording.span_ns)
         self.path = self.files[0].path
 
     @property
     def channels(self) -> tuple[RecordedChannel, ...]:
-        """Channels in the order of their first appearance."""
         return tuple(dict.fromkeys(channel for file in self.files for channel in file.channels))
 
     @property
     def span_ns(self) -> tuple[int, int]:
-        """First and last time of reception [ns]."""
         return self.files[0].span_ns[0], max(file.span_ns[1] for file in self.files)
 
     def select(
         self, wanted: ChannelFilter | None = None, start_ns: int | None = None, end_ns: int | None = None
     ) -> Iterator[RecordedMessage]:
-        """Yield messages of wanted channels within bounds [ns], file by file."""
         for file in self.files:
             yield from file.select(wanted, start_ns, end_ns)
 
     def newest_before(
         self, time_ns: int, wanted: ChannelFilter | None = None
     ) -> dict[RecordedChannel, RecordedMessage]:
-        """Return the newest message of each wanted channel received before a time [ns]."""
         newest: dict[RecordedChannel, RecordedMessage] = {}
         for file in self.files:
             newest |= file.newest_before(time_ns, wanted)

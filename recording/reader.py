@@ -81,7 +81,6 @@ class Recording:
 
     @cached_property
     def channels(self) -> tuple[RecordedChannel, ...]:
-        """Channels in the order of their first appearance."""
         return tuple(dict.fromkeys(self._channels_by_number.values()))
 
     @cached_property

@@ -48,7 +48,6 @@ class CopyWriter:
         self._mcap.start(profile)
 
     def __enter__(self) -> "CopyWriter":
-        """Return the writer."""
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:

@@ -22,9 +22,14 @@ def plain(message: RecordedMessage) -> dict[str, Any]:
     is not a msgpack map either.
     """
     try:
-        return {key: _plain(value) for key, value in message.decode().__dict__.items()}
+        return json_fields(message.decode())
     except RecordingError:
         return {key: _plain(value) for key, value in message.fields().items()}
+
+
+def json_fields(model: BaseModel) -> dict[str, Any]:
+    """Return the fields of a model as JSON values: arrays as lists of numbers, bytes as base64."""
+    return {key: _plain(value) for key, value in model.__dict__.items()}
 
 
 def line(message: RecordedMessage) -> dict[str, Any]:
@@ -86,7 +91,7 @@ def _plain(value: Any) -> Any:
     if isinstance(value, Array):
         return value.to_numpy().tolist()
     if isinstance(value, BaseModel):
-        return {key: _plain(inner) for key, inner in value.__dict__.items()}
+        return json_fields(value)
     if isinstance(value, Mapping):
         return {str(key): _plain(inner) for key, inner in value.items()}
     if isinstance(value, tuple | list):

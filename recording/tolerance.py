@@ -33,7 +33,6 @@ class Tolerances:
         return cls(limits)
 
     def on(self, topic: str) -> "Tolerances":
-        """Return the tolerances of the fields of a topic."""
         limits: dict[str, float] = {}
         for name, limit in self._limits.items():
             limited, _, field = name.rpartition(":")
@@ -57,7 +56,6 @@ class FieldDifference(NamedTuple):
 
     @property
     def text(self) -> str:
-        """The difference as text."""
         return f"{self.field}: {self.left!r} against {self.right!r}"
 
 

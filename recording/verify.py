@@ -81,7 +81,6 @@ class _Check:
         self._last_ns = 0
 
     def run(self) -> list[Finding]:
-        """Read the file and return the findings."""
         damage: list[Damage] = list(self._recording.structural_damage)
         for message in self._recording.select(report=damage.append):
             self.messages += 1

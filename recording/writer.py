@@ -128,16 +128,13 @@ class RecordingWriter:
         self._write_own(GAP_TOPIC, log_ns, gap.model_dump())
 
     def write_rejected(self, log_ns: int, rejected: RejectedRecord) -> None:
-        """Write frames that are not a message."""
         self._write_own(REJECTED_TOPIC, log_ns, rejected.model_dump())
 
     def attach(self, name: str, media_type: str, data: bytes, log_ns: int) -> None:
-        """Write an attachment, for instance the site file."""
         with self._guarded():
             self._mcap.add_attachment(0, log_ns, name, media_type, data)
 
     def add_metadata(self, name: str, entries: Mapping[str, str]) -> None:
-        """Write named metadata, for instance versions."""
         with self._guarded():
             self._mcap.add_metadata(name, dict(entries))
 

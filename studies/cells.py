@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from analysis import verdict
 from analysis.verdict import judge
@@ -26,7 +26,7 @@ from services.afm_node.step import AfmParams
 from services.controller.config import LAWS, ControllerConfig
 from services.haptic_node.config import ForcePoint, ForceProfileConfig, HapticConfig
 from services.runtime.compiled import source_digest
-from services.runtime.config import merge, nested, validate
+from services.runtime.config import Settings, merge, nested, validate
 from studies.link import schedule_of, symmetric_link
 from studies.lockstep import Rig, Series, Trajectory, build_rig, simulate
 
@@ -49,10 +49,8 @@ _TRANSIENT_SHARE = 0.2
 _SHORTEST_HOLD_S = 1.0
 
 
-class Cell(BaseModel):
+class Cell(Settings):
     """What one cell runs. `settings` are dotted keys of the section `controller` that differ from their defaults."""
-
-    model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
 
     law: str = Field(description="Name of the law")
     environment: Environment = Field(description="spring: F = K (x_s - L); contact: the tip-sample force")
@@ -83,7 +81,8 @@ class Cell(BaseModel):
         settings: dict[str, Any] = nested(dict(self.settings), "--set")
         if self.gain is not None:
             if "force_gain" not in LAWS[self.law].config.model_fields:
-                raise ConfigError(f"--gain: {self.law} has no force gain; {_laws_with_gain()} has")
+                known = ", ".join(name for name, law in LAWS.items() if "force_gain" in law.config.model_fields)
+                raise ConfigError(f"--gain: {self.law} has no force gain; {known} has")
             settings = merge(settings, {self.law: {"force_gain": self.gain}})
         return validate(ControllerConfig, merge(settings, {"law": self.law}), "--set", "controller")
 
@@ -137,7 +136,6 @@ class CellResult:
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> "CellResult":
-        """Read what `as_dict` gave."""
         return cls(**{**data, "cell": Cell.model_validate_json(json.dumps(data["cell"]))})
 
 
@@ -247,10 +245,6 @@ def rig_of(cell: Cell, hand_points: Sequence[tuple[float, float]]) -> Rig:
     points = tuple(ForcePoint(time_s=time, force_n=force) for time, force in hand_points)
     haptic = HapticConfig(operator=ForceProfileConfig(kind="force_profile", points=points))
     return build_rig(cell.controller(), haptic, _instrument(cell.environment, cell.stiffness_n_per_m))
-
-
-def _laws_with_gain() -> str:
-    return ", ".join(name for name, law in LAWS.items() if "force_gain" in law.config.model_fields)
 
 
 @functools.lru_cache(maxsize=1)

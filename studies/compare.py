@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -73,7 +73,10 @@ def write_comparison(result: Comparison, out: Path, command: str) -> dict[str, A
     """Write compare.html, .json, .parquet and the figures into a folder; gives the object of the JSON file."""
     out.mkdir(parents=True, exist_ok=True)
     summary = summarise(result)
-    images = {name: png_of(draw(result)) for name, draw in (("courses.png", _courses), ("energies.png", _energies))}
+    images = {
+        "courses.png": png_of(_drawn(result, "tip's force, hand's scale [N]", energy=False)),
+        "energies.png": png_of(_drawn(result, "energy held [mJ]", energy=True)),
+    }
     for name, png in images.items():
         (out / name).write_bytes(png)
     write_parquet(out / "compare.parquet", [cell.as_dict() for cell in (*result.good, *result.bad)])
@@ -94,7 +97,7 @@ def summarise(result: Comparison) -> dict[str, Any]:
             "critical_delay_contact_ms": contact.critical_delay_ms,
             "contact": {f"{c.cell.round_trip_ms:g}": _outcome(c) for c in result.good if c.cell.law == law},
             "contact_lossy": {f"{c.cell.round_trip_ms:g}": _outcome(c) for c in result.bad if c.cell.law == law},
-            "transparency": [t.as_dict() for t in result.transparency if t.law == law],
+            "transparency": [asdict(t) for t in result.transparency if t.law == law],
         }
     return {"study": "compare", "longest_delay_ms": max(result.request.map_delays_ms), "laws": laws}
 
@@ -109,16 +112,8 @@ def _outcome(cell: CellResult) -> dict[str, Any]:
     }
 
 
-def _courses(result: Comparison) -> "Figure":
-    """Draw alpha_f F_s over time at the longest of the delays, over both links, a panel a law."""
-    return _drawn(result, "tip's force, hand's scale [N]", energy=False)
-
-
-def _energies(result: Comparison) -> "Figure":
-    return _drawn(result, "energy held [mJ]", energy=True)
-
-
 def _drawn(result: Comparison, label: str, *, energy: bool) -> "Figure":
+    """Draw alpha_f F_s or the energy over time at the longest of the delays, over both links, a panel a law."""
     from matplotlib.figure import Figure
 
     laws = result.request.laws

@@ -43,15 +43,12 @@ class Page:
         self._parts = [f"<h1>{escape(title)}</h1>"]
 
     def heading(self, words: str) -> None:
-        """Begin a section."""
         self._parts.append(f"<h2>{escape(words)}</h2>")
 
     def paragraph(self, words: str) -> None:
-        """Add a paragraph."""
         self._parts.append(f"<p>{escape(words)}</p>")
 
     def code(self, words: str) -> None:
-        """Add a line of code."""
         self._parts.append(f"<p><code>{escape(words)}</code></p>")
 
     def table(self, head: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
@@ -61,13 +58,11 @@ class Page:
         self._parts.append(f"<table><thead><tr>{header}</tr></thead><tbody>{body}</tbody></table>")
 
     def image(self, png: bytes, words: str) -> None:
-        """Add a figure with a caption."""
         data = base64.b64encode(png).decode()
         alt = escape(words, quote=True)
         self._parts.append(f'<p><img src="data:image/png;base64,{data}" alt="{alt}"></p><p>{escape(words)}</p>')
 
     def write(self, path: Path) -> None:
-        """Write the page."""
         title = f"<title>{escape(self._title)}</title>"
         head = f'<meta charset="utf-8"><meta name="viewport" content="width=device-width">{title}'
         body = "\n".join(self._parts)

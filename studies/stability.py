@@ -41,7 +41,6 @@ class Jitter:
     relative: bool = False
 
     def at_ms(self, round_trip_ms: float) -> float:
-        """Return the half-width in ms at a round trip."""
         return 0.5 * round_trip_ms * self.value if self.relative else self.value
 
     def __str__(self) -> str:
@@ -60,7 +59,6 @@ class Line:
     loss: float
 
     def cell(self, round_trip_ms: float) -> Cell:
-        """Return the cell at a round trip [ms]."""
         return Cell(
             law=self.law,
             environment=self.axes.environment,
@@ -76,7 +74,6 @@ class Line:
 
     @property
     def label(self) -> str:
-        """Return the name of the conditions."""
         parts = [f"{'K' if self.axes.environment == 'spring' else 'k'} = {self.stiffness_n_per_m:g} N/m"]
         parts += [f"K_f = {self.gain:g}"] if self.gain is not None else []
         parts += [f"jitter {self.jitter}"] if self.jitter.value else []
@@ -101,7 +98,6 @@ class LineResult:
     theory_link_ms: float | None
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the fields as plain data."""
         line = self.line
         return {
             "law": line.law,
@@ -186,11 +182,7 @@ def _bracket(line: Line, row: Sequence[CellResult]) -> Edge | None:
 
 
 def _ms(line: Line, samples: int) -> float:
-    return samples * _period_s(line) * 1e3
-
-
-def _period_s(line: Line) -> float:
-    return line.cell(0.0).controller().period_s
+    return samples * line.cell(0.0).controller().period_s * 1e3
 
 
 def _line_result(line: Line, cells: tuple[CellResult, ...], link_ms: float | None) -> LineResult:

@@ -102,19 +102,6 @@ def critical_link_delay_s(loop: LoopModel, period_s: float) -> float:
     return delay_margin(sampled_loop(transfer_function(loop), period_s)).delay_s
 
 
-def characteristic_radius(loop: LoopModel, period_s: float, samples: int) -> float:
-    """Return the largest modulus of the poles of the sampled loop closed through so many samples of delay.
-
-    An independent check of T_d: it passes 1 between the numbers of samples on either side of T_d / Ts. The growth rate
-    of the slowest mode is log(radius) / Ts.
-    """
-    sampled = sampled_loop(transfer_function(loop), period_s)
-    numerator, denominator = np.squeeze(sampled.num[0][0]), np.squeeze(sampled.den[0][0])
-    closed = np.concatenate([denominator, np.zeros(samples)])
-    closed[-len(numerator) :] += numerator
-    return float(np.abs(np.roots(closed)).max())
-
-
 def hybrid_of(law: str, parameters: BaseModel, round_trip_s: float, omega_rad_per_s: Series) -> Complex | None:
     """Return H of a law at its parameters over a constant round trip [s], half of it each way, at angular frequencies.
 
@@ -182,33 +169,5 @@ def llewellyn(hybrid: Complex) -> Series:
     transfer = h12 * h21
     third = 2.0 * h11.real * h22.real - transfer.real - np.abs(transfer)
     pairs = ((h11.real, np.abs(h11)), (h22.real, np.abs(h22)), (third, np.abs(transfer)))
-    return np.asarray(np.minimum.reduce([_ratio(part, size) for part, size in pairs]), dtype=np.float64)
-
-
-def _ratio(part: Series, size: Series) -> Series:
-    return np.divide(part, size, out=np.zeros_like(part), where=size > 0.0)
-
-
-def scattering_norm(hybrid: Complex, impedance_n_s_per_m: float) -> Series:
-    """Return the norm of the scattering matrix at each frequency; the two-port is passive if it never exceeds 1.
-
-    S = diag(1, -1) (H' - 1)(H' + 1)^-1 with H' normalised by an impedance b [N s/m], > 0, which does not change whether
-    the norm exceeds 1 (Anderson and Spong 1989).
-    """
-    root = math.sqrt(impedance_n_s_per_m)
-    # velocity in, force out on the first port, force in, velocity out on the second
-    normal = np.diag([1.0 / root, root]) @ hybrid @ np.diag([1.0 / root, root])
-    one = np.eye(2)
-    scattering = np.diag([1.0, -1.0]) @ (normal - one) @ np.linalg.inv(normal + one)
-    return np.asarray(np.linalg.norm(scattering, ord=2, axis=(1, 2)), dtype=np.float64)
-
-
-def varying_delay_gain(delay_rate: float) -> float:
-    """Return the largest gain on a received wave that keeps a varying delay passive: sqrt(1 - dT/dt).
-
-    A delay that grows stretches a wave in time, so that its energy arrives more than once (Lozano, Chopra and Spong
-    2002). Raises ValueError for dT/dt >= 1, where messages would arrive in reverse order, or not a number.
-    """
-    if not delay_rate < 1.0:
-        raise ValueError(f"rate of change of the delay dT/dt = {delay_rate} must be below 1")
-    return math.sqrt(1.0 - delay_rate) if delay_rate > 0.0 else 1.0
+    ratios = [np.divide(part, size, out=np.zeros_like(part), where=size > 0.0) for part, size in pairs]
+    return np.asarray(np.minimum.reduce(ratios), dtype=np.float64)

@@ -14,8 +14,8 @@ What is unstable has no such numbers: they are None.
 """
 
 import math
-from dataclasses import asdict, dataclass
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -46,10 +46,6 @@ class Transparency:
     perceived_delay_ms: float | None
     free_impedance_n_s_per_m: float | None
     z_width_db: float | None
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the fields as plain data."""
-        return asdict(self)
 
 
 class _Tones(NamedTuple):

@@ -55,7 +55,6 @@ class LazyRoot(TyperGroup):
     """The group of all commands, which lists them without importing them."""
 
     def list_commands(self, ctx: Any) -> list[str]:
-        """Return the names of all commands."""
         return list(LAZY_COMMANDS)
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:

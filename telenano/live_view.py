@@ -1,7 +1,6 @@
 """The view of a running rig: a live table on a terminal, a few lines elsewhere."""
 
 from contextlib import AbstractContextManager
-from types import TracebackType
 from typing import Self
 
 from rich.console import Console, Group, RenderableType
@@ -10,16 +9,16 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from proto.messages import NodeHealth, SessionEvent
+from proto.messages import NodeHealth
 from services.launcher.readiness import oldest_input_s
 from services.launcher.session import Phase, RigNode, SessionNode
+from telenano.tables import LEVEL_STYLES
 
 _REFRESH_TICKS = 5
 # how often a line repeats what is still waited for
 _REMIND_NS = 5_000_000_000
 _NEWS_SHOWN = 6
 _STATE_STYLES = {"ready": "green", "running": "green", "safe": "yellow", "starting": "yellow", "stopping": "red"}
-_LEVEL_STYLES = {"info": "", "warning": "yellow", "error": "red"}
 _COLUMNS = ("state", "rate Hz", "late p99 ms", "input age ms", "lost", "refused", "CPU %", "MB", "restarts")
 
 
@@ -33,9 +32,7 @@ class LineView(AbstractContextManager["LineView"]):
         self._reasons: dict[str, str] = {}
         self._reminded_ns = 0
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         """Do nothing: each line was printed as it came."""
 
     def observe(self, rig: RigNode) -> None:
@@ -70,14 +67,10 @@ class LiveView(AbstractContextManager["LiveView"]):
         self._last: Group | None = None
 
     def __enter__(self) -> Self:
-        """Start the live display."""
         self._live.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Clear the live display."""
+    def __exit__(self, *error: object) -> None:
         self._live.stop()
 
     def observe(self, rig: RigNode) -> None:
@@ -88,7 +81,6 @@ class LiveView(AbstractContextManager["LiveView"]):
             self._live.update(self._last, refresh=True)
 
     def say(self, text: str) -> None:
-        """Show a line below the table."""
         self._live.update(Group(*([self._last] if self._last else []), Text(text)), refresh=True)
 
 
@@ -103,7 +95,9 @@ def rig_picture(rig: RigNode) -> Group:
         bar.add_row(ProgressBar(whole_s, done_s, width=50), f"{done_s:.1f} of {whole_s:g} s")
         parts.append(bar)
     parts += [Text(text, "yellow", overflow="ellipsis", no_wrap=True) for text in list(rig.news)[-_NEWS_SHOWN:]]
-    parts += [_event_line(event) for event in rig.events]
+    for event in rig.events:
+        text, style = f"{event.src}: {event.text}", LEVEL_STYLES[event.level]
+        parts.append(Text(text, style, overflow="ellipsis", no_wrap=True))
     return Group(*parts)
 
 
@@ -136,7 +130,3 @@ def _cells(health: NodeHealth) -> list[Text]:
 
 def _alarming(count: int) -> Text:
     return Text(str(count), "red" if count else "")
-
-
-def _event_line(event: SessionEvent) -> Text:
-    return Text(f"{event.src}: {event.text}", _LEVEL_STYLES[event.level], overflow="ellipsis", no_wrap=True)

@@ -41,6 +41,13 @@ CountOption = Annotated[
 DurationOption = Annotated[
     float | None, typer.Option("--duration", min=0.0, metavar="S", help="End after this time [s]; default: no end.")
 ]
+TopicsOption = Annotated[
+    list[str] | None,
+    typer.Option("--topics", metavar="PATTERN", help="Only these channels: glob or /regular expression/ (repeatable)."),
+]
+ExcludeOption = Annotated[
+    list[str] | None, typer.Option("--exclude", metavar="PATTERN", help="Not these channels (repeatable).")
+]
 ListenOption = Annotated[float, typer.Option("--duration", min=0.0, metavar="S", help="How long to listen [s].")]
 
 

@@ -8,7 +8,6 @@ import sys
 import termios
 import tty
 from collections.abc import Iterator, Mapping, Sequence
-from types import TracebackType
 from typing import Any, NoReturn, Self
 
 import typer
@@ -87,10 +86,7 @@ class RawKeyboard:
             tty.setcbreak(self._input)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Restore the terminal."""
+    def __exit__(self, *error: object) -> None:
         if self._input is not None and self._before is not None:
             termios.tcsetattr(self._input, termios.TCSADRAIN, self._before)
         if self._show:
@@ -103,7 +99,6 @@ class RawKeyboard:
         return split_keys(os.read(self._input, 64))
 
     def show(self, line: str) -> None:
-        """Replace the status line."""
         if self._show:
             width = os.get_terminal_size(sys.stderr.fileno()).columns
             sys.stderr.write(f"{_CLEAR_LINE}{line[: width - 1]}")

@@ -7,6 +7,13 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+LEVEL_STYLES = {"info": "", "warning": "yellow", "error": "red"}
+
+
+def counts_text(counts: Mapping[str, int]) -> str:
+    """Return counts with their names in one line; 0 when there are none."""
+    return ", ".join(f"{name} {count}" for name, count in counts.items()) or "0"
+
 
 def summary_tables(summary: Mapping[str, Any], title: str) -> Group:
     """Draw a summary: single values, then the values by topic side by side, then every list as a table."""

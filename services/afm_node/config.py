@@ -5,7 +5,7 @@ Every default is a value of Table 2 or, where the paper gives none, one that its
 
 from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from services.afm_node.cantilever import build_plant, volts_per_m
 from services.afm_node.capillary import meniscus_radius_m
@@ -14,6 +14,7 @@ from services.afm_node.safety import SafetyParams
 from services.afm_node.spring import SpringParams, spring_params
 from services.afm_node.step import AfmParams
 from services.afm_node.tip_sample import AS_PRINTED, CONSISTENT, TipSampleProperties, build_tip_sample
+from services.runtime.config import Settings
 
 # The contact table reaches this multiple of the force limit, so that a tick that overshoots is still on it.
 _TABLE_REACH = 2.0
@@ -22,11 +23,7 @@ BasePosition = Annotated[float, Field(ge=-1e-4, le=1e-4)]
 Speed = Annotated[float, Field(gt=0.0, le=1e-3)]
 
 
-class _Model(BaseModel):
-    model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
-
-
-class CantileverConfig(_Model):
+class CantileverConfig(Settings):
     """Spring and read-out of the cantilever (Table 2, Eq. 3)."""
 
     stiffness_n_per_m: float = Field(40.0, ge=1e-3, le=1e4, description="Spring constant k [N/m], 0.001 to 10000.")
@@ -37,7 +34,7 @@ class CantileverConfig(_Model):
     )
 
 
-class TipSampleConfig(_Model):
+class TipSampleConfig(Settings):
     """Tip, sample and the water between them. What is not given comes from the preset."""
 
     preset: Literal["table_2"] = Field("table_2", description="Where unnamed values come from: Table 2 of the paper.")
@@ -81,7 +78,7 @@ class TipSampleConfig(_Model):
         return self.meniscus_radius_m if self.relative_humidity is None else meniscus_radius_m(self.relative_humidity)
 
 
-class SafetyConfig(_Model):
+class SafetyConfig(Settings):
     """Limits of base and tip; positions along the paper's axis, towards the sample, 0 at the rest distance."""
 
     base_min_m: BasePosition = Field(-200e-9, description="Base furthest from the sample [m], -1e-4 to 1e-4.")
@@ -109,7 +106,7 @@ class SafetyConfig(_Model):
         return self
 
 
-class SpringConfig(_Model):
+class SpringConfig(Settings):
     """A linear environment in place of cantilever and sample: the one of the theory of delay."""
 
     stiffness_n_per_m: float = Field(20.0, gt=0.0, le=1e9, description="Stiffness K [N/m], up to 1e9.")
@@ -117,7 +114,7 @@ class SpringConfig(_Model):
     bilateral: bool = Field(True, description="Whether it also pulls, which is what makes it linear.")
 
 
-class AfmConfig(_Model):
+class AfmConfig(Settings):
     """A simulated AFM over a sample."""
 
     environment: Literal["tip_sample", "spring"] = Field(

@@ -61,15 +61,12 @@ class AfmNode(Node):
         self._due_ns = self._stepped_ns + _PERIOD_NS
 
     def admits(self, received: Received) -> bool:
-        """Keep commands of a recording away from the device, unless they are allowed."""
         return self._replay_guard.admits(received)
 
     def deadline_ns(self) -> int:
-        """Give the time at which the instrument steps by itself."""
         return self._due_ns
 
     def on_message(self, received: Received) -> None:
-        """Act on a command at once; answer the link's question for the time of this site."""
         if isinstance(received.message, ClockPing):
             self.publish("clock/pong", ping_t_ns=received.message.t_ns, received_ns=received.received_ns)
         elif isinstance(received.message, AfmCommand):
@@ -84,7 +81,6 @@ class AfmNode(Node):
         self._due_ns = now_ns + _PERIOD_NS
 
     def on_control(self, control: SessionControl) -> str:
-        """Arm the instrument, or stop it at once."""
         if control.command == "estop":
             self._step(self.clock.monotonic_ns(), estop=True)
             return "emergency stop latched: the tip retracts and stays until armed"

@@ -20,7 +20,6 @@ class SimulatedAfm:
 
     @property
     def safe_position_m(self) -> float:
-        """Base position [m] of the safe state: retracted."""
         return self._safe_position_m
 
     def open(self) -> None:
@@ -33,22 +32,16 @@ class SimulatedAfm:
         self._tip = initial_state(self._plant, self._safe_position_m)
 
     def exchange(self, base_m: float) -> AfmSample:
-        """Apply a base position [m] and return what the device measured.
-
-        Raises: ValueError, if the position is not finite; RuntimeError, if not open.
-        """
         if self._tip is None:
             raise RuntimeError("the simulated AFM is not open: call open() first")
         self._tip, sample = measure(self._plant, self._tip, base_m)
         return sample
 
     def retract(self) -> None:
-        """Retract to the safe position at once."""
         if self._tip is not None:
             self.exchange(self._safe_position_m)
 
     def close(self) -> None:
-        """Go to the safe position and stop; harmless when already closed."""
         self.retract()
         self._tip = None
 
@@ -65,7 +58,6 @@ class SimulatedSpring:
 
     @property
     def safe_position_m(self) -> float:
-        """Base position [m] of the safe state: retracted."""
         return self._params.safety.retract_position_m
 
     def open(self) -> None:
@@ -75,10 +67,6 @@ class SimulatedSpring:
         self._opened = True
 
     def exchange(self, base_m: float) -> AfmSample:
-        """Apply a base position [m] and return force and distance.
-
-        Raises: ValueError, if the position is not finite; RuntimeError, if not open.
-        """
         if not self._opened:
             raise RuntimeError("the simulated spring is not open: call open() first")
         if not math.isfinite(base_m):
@@ -90,5 +78,4 @@ class SimulatedSpring:
         """Retract to the safe position at once: there is nothing to move."""
 
     def close(self) -> None:
-        """Stop; harmless when already closed."""
         self._opened = False

@@ -2,7 +2,7 @@
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from services.controller.deadband import DeadbandConfig
 from services.controller.law import Law
@@ -12,6 +12,7 @@ from services.controller.laws.position_force import POSITION_FORCE, PositionForc
 from services.controller.laws.smith import SMITH, SmithConfig
 from services.controller.laws.virtual_impedance import VIRTUAL_IMPEDANCE, VirtualImpedanceConfig
 from services.controller.laws.wave import WAVE, WaveConfig
+from services.runtime.config import Settings
 
 LAWS: dict[str, Law] = {
     law.name: law for law in (VIRTUAL_IMPEDANCE, POSITION_FORCE, WAVE, PASSIVITY, MODEL_MEDIATED, SMITH)
@@ -19,10 +20,8 @@ LAWS: dict[str, Law] = {
 LawName = Literal["virtual_impedance", "position_force", "wave", "passivity", "model_mediated", "smith"]
 
 
-class ControllerConfig(BaseModel):
+class ControllerConfig(Settings):
     """Section `controller` of a scenario, read by both halves of the law."""
-
-    model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
 
     law: LawName = Field(default="virtual_impedance", description="Law in force")
     period_s: Annotated[float, Field(ge=1e-4, le=0.1)] = Field(
@@ -50,5 +49,4 @@ class ControllerConfig(BaseModel):
         return getattr(self, self.law)
 
     def params(self) -> Any:
-        """Return the compiled constants of the law in force."""
         return self.section().to_params(self.period_s)

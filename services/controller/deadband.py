@@ -15,10 +15,11 @@ model-mediated law is not in the channel at all.
 
 from typing import Annotated, NamedTuple
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from services.controller.law import PortSignal
 from services.runtime.compiled import compiled
+from services.runtime.config import Settings
 
 NotNegative = Annotated[float, Field(ge=0.0)]
 
@@ -35,10 +36,8 @@ class DeadbandParams(NamedTuple):
     keep_alive_s: float
 
 
-class DeadbandConfig(BaseModel):
+class DeadbandConfig(Settings):
     """Section `controller.deadband`; floors at the tip's scale, wave at the hand's."""
-
-    model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
 
     enabled: bool = Field(default=False, description="Whether signals that would not be felt are kept back")
     weber_fraction: Annotated[float, Field(ge=0.0, lt=1.0)] = Field(
@@ -53,7 +52,6 @@ class DeadbandConfig(BaseModel):
     )
 
     def to_params(self) -> DeadbandParams:
-        """Return the constants of the compiled step."""
         return DeadbandParams(
             enabled=self.enabled,
             weber_fraction=self.weber_fraction,

@@ -100,7 +100,6 @@ class ControllerHalf(Node):
 
     @property
     def law(self) -> Law:
-        """Give the law in force."""
         return LAWS[self.config.law]
 
     def on_deadline(self, now_ns: int) -> None:
@@ -264,7 +263,6 @@ class MasterController(ControllerHalf):
         self._far: LawStatus | None = None
 
     def on_message(self, received: Received) -> None:
-        """Act on the hand's sample or on the slave's answer."""
         message = received.message
         if isinstance(message, HapticState):
             self._on_hand(message)
@@ -282,11 +280,9 @@ class MasterController(ControllerHalf):
         return self.law.retune(old, new, self.law_state)
 
     def energy_account(self) -> EnergyAccount:
-        """Give what this half of the law knows of energy."""
         return cast(EnergyAccount, self.law.master_energy_account(self.params, self.law_state))
 
     def round_trip_s(self) -> tuple[float, bool]:
-        """Give the age of the hand's sample that the newest answer descends from [s], and whether it is known."""
         if self._signal_ns is None:
             return _NEVER
         return max(0, round((self._hand[1] - self._signal_hand_ns) / self._period_ns)) * self.config.period_s, True
@@ -384,7 +380,6 @@ class SlaveController(ControllerHalf):
         self._instrument_ns = 0
 
     def on_message(self, received: Received) -> None:
-        """Act on the master's signal or on the instrument's answer."""
         message = received.message
         if isinstance(message, TeleopForward):
             self._on_forward(message, received.received_ns)
@@ -392,7 +387,6 @@ class SlaveController(ControllerHalf):
             self._on_instrument(message)
 
     def energy_account(self) -> EnergyAccount:
-        """Give what this half of the law knows of energy."""
         return cast(EnergyAccount, self.law.slave_energy_account(self.params, self.law_state))
 
     def _switch(self) -> None:

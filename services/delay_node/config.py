@@ -9,11 +9,11 @@ from collections.abc import Iterator, Mapping
 from fnmatch import fnmatchcase
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import BaseModel, BeforeValidator, Field, ValidationError, field_validator, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from services.delay_node.profiles import PROFILES, known_profiles
-from services.runtime.config import flatten, merge, nested, validate
+from services.runtime.config import Settings, flatten, merge, nested, validate
 
 Setting = float | int | str | bool
 # a dotted key, and what is wrong with its value
@@ -27,13 +27,7 @@ Seconds = Annotated[float, Field(ge=0.0, le=LONGEST_S)]
 Interval = Annotated[float, Field(ge=1e-6, le=LONGEST_S)]
 
 
-class Frozen(BaseModel):
-    """Frozen, strict, closed and finite: the base of every settings model here."""
-
-    model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
-
-
-class Jitter(Frozen):
+class Jitter(Settings):
     """Random part of the delay: scale_s times a standardised random number."""
 
     scale_s: Seconds = Field(
@@ -54,7 +48,7 @@ class Jitter(Frozen):
     table_file: str | None = Field(default=None, description="file of samples, any count per line, # begins a comment")
 
 
-class DelayTrace(Frozen):
+class DelayTrace(Settings):
     """A delay that follows a recorded course of time; adds to delay_s."""
 
     file: str | None = Field(default=None, description="file of lines `time_s delay_s`, times strictly increasing")
@@ -62,14 +56,14 @@ class DelayTrace(Frozen):
     repeat: bool = Field(default=True, description="start again after the last line; otherwise keep its delay")
 
 
-class Event(Frozen):
+class Event(Settings):
     """Something that happens to a message with a probability, in runs if correlated."""
 
     probability: Probability = Field(default=0.0, description="share of the messages concerned, 0..1")
     correlation: Correlation = Field(default=0.0, description="correlation of successive occurrences, 0..1")
 
 
-class MarkovLoss(Frozen):
+class MarkovLoss(Settings):
     """Four-state loss: 1 received, 2 received inside a burst, 3 lost inside a burst, 4 lost alone."""
 
     p13: Probability = Field(default=0.0, description="received -> lost in a burst, per message")
@@ -79,7 +73,7 @@ class MarkovLoss(Frozen):
     p14: Probability = Field(default=0.0, description="received -> lost alone, per message")
 
 
-class GilbertElliott(Frozen):
+class GilbertElliott(Settings):
     """Two-state loss: each state has a loss probability of its own."""
 
     p: Probability = Field(default=0.0, description="good -> bad, per message")
@@ -100,14 +94,14 @@ class Reordering(Event):
     gap: int = Field(default=1, ge=1, description="one message in a gap at most: gap - 1 go the normal way between two")
 
 
-class Rate(Frozen):
+class Rate(Settings):
     """Serialisation at a finite rate."""
 
     rate_bytes_per_s: float | None = Field(default=None, gt=0.0, description="throughput [byte/s], none: unlimited")
     overhead_bytes: int = Field(default=0, ge=0, le=65536, description="bytes added to each message on the line")
 
 
-class DeliveryTrace(Frozen):
+class DeliveryTrace(Settings):
     """Throughput given by recorded delivery opportunities; the trace repeats."""
 
     file: str | None = Field(default=None, description="file of times, one a line, not decreasing")
@@ -115,7 +109,7 @@ class DeliveryTrace(Frozen):
     bytes_per_opportunity: int | None = Field(default=1500, ge=1, description="bytes, none: one message of any size")
 
 
-class Queue(Frozen):
+class Queue(Settings):
     """The queue in front of a rate limit or a delivery trace."""
 
     limit_messages: int | None = Field(default=1000, ge=0, description="messages that may wait, none: unlimited")
@@ -127,7 +121,7 @@ class Queue(Frozen):
     )
 
 
-class Slots(Frozen):
+class Slots(Settings):
     """Release in bursts: messages leave only when a slot opens."""
 
     min_interval_s: Interval | None = Field(default=None, description="shortest time between slots [s], none: off")
@@ -157,7 +151,7 @@ def _names(value: object) -> object:
     return tuple(value) if isinstance(value, list) else value
 
 
-class Outage(Frozen):
+class Outage(Settings):
     """Times without any connection, by schedule, at random, or both."""
 
     schedule: Annotated[tuple[tuple[Seconds, Interval], ...], BeforeValidator(_schedule)] = Field(
@@ -171,7 +165,7 @@ class Outage(Frozen):
     )
 
 
-class Impairment(Frozen):
+class Impairment(Settings):
     """Everything that can happen to a message on its way in one direction."""
 
     delay_s: Seconds = Field(default=0.0, description="fixed delay [s]")
@@ -287,7 +281,6 @@ class DirectionSettings(Impairment):
         return next((pattern for pattern in self.topics if fnmatchcase(topic, pattern)), "")
 
     def is_reliable(self, topic: str) -> bool:
-        """Return whether the topic is carried reliably."""
         return any(fnmatchcase(topic, pattern) for pattern in self.reliable)
 
     def block(self, pattern: str) -> Impairment:
@@ -298,7 +291,7 @@ class DirectionSettings(Impairment):
         return Impairment.model_validate(own)
 
 
-class LinkSettings(Frozen):
+class LinkSettings(Settings):
     """Settings of the whole link. `forward` runs from the master site to the slave site, `backward` the other way."""
 
     profile: str = Field(default="clean", description="named settings that the keys below change")

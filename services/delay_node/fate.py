@@ -68,7 +68,6 @@ class Figures:
         self._count = self._sum_ns = self._shortest_ns = self._longest_ns = 0
 
     def count_release(self, delay_ns: int, size_bytes: int) -> None:
-        """Count a message that has just been released."""
         self.messages_out += 1
         self.bytes_out += size_bytes
         if self._count == 0 or delay_ns < self._shortest_ns:

@@ -59,16 +59,15 @@ class DelayNode(Node):
         self.state = "running"
 
     def deadline_ns(self) -> int:
-        """Give the next release or report, whichever comes first."""
         release_ns = self.engine.next_release_ns()
         if release_ns is None:
             return self._status.deadline_ns
         return min(self._status.deadline_ns, release_ns - self.clock.epoch_offset_ns)
 
     def on_message(self, received: Received) -> None:
-        """Hand a message to the engine and send on what is due."""
         if isinstance(received.message, ClockPong):
-            self._on_pong(received.message, received.received_ns)
+            pong = received.message
+            self._offset.record(Exchange(pong.ping_t_ns, pong.received_ns, pong.t_ns, received.received_ns))
         direction = TOPICS[received.topic].bridged
         if direction is None:
             return
@@ -82,7 +81,6 @@ class DelayNode(Node):
             self._publish_fates()
 
     def on_deadline(self, now_ns: int) -> None:
-        """Release what is due; report when it is time."""
         epoch_ns = now_ns + self.clock.epoch_offset_ns
         for way, side in self._sides.items():
             self._send(way, side.due(epoch_ns))
@@ -113,9 +111,6 @@ class DelayNode(Node):
         outlet = self._outlets[way]
         for release in releases:
             outlet.send(release.topic, release.payload)
-
-    def _on_pong(self, pong: ClockPong, received_ns: int) -> None:
-        self._offset.record(Exchange(pong.ping_t_ns, pong.received_ns, pong.t_ns, received_ns))
 
     def _publish_fates(self) -> None:
         self._unreported = 0

@@ -167,7 +167,6 @@ class Pipeline:
         self.blocks = {pattern: self._block(pattern, held, now_ns) for pattern, held in files.items()}
 
     def of_topic(self, topic: str) -> TopicPipeline:
-        """Return the pipeline of a topic under the settings in force."""
         block = self.blocks[self._settings.pattern_of(topic)]
         s, reliable = block.settings, self._settings.is_reliable(topic)
         progress = self._progress.setdefault(("topic", topic), Progress())

@@ -39,7 +39,6 @@ class Occurrence:
         self._threshold = probability
 
     def __call__(self) -> bool:
-        """Return whether the event happens to the next message."""
         happens = self._draw() < self._threshold
         self._threshold = self._after_event if happens else self._after_none
         return happens
@@ -62,7 +61,6 @@ class CorrelatedUniform:
         self._score: float | None = None
 
     def __call__(self) -> float:
-        """Return the next number."""
         u = self._draw() or SMALLEST
         if self._rho == 0.0:
             return u

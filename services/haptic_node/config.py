@@ -4,22 +4,19 @@ import math
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from services.haptic_node import step
 from services.haptic_node.motor import SUBSTEP_S, MotorParams, closed_loop_coefficients
 from services.haptic_node.operator import FORCE_PROFILE, IMPEDANCE, OperatorParams
 from services.haptic_node.safety import SafetyParams
+from services.runtime.config import Settings
 
 # E1: the printed gain gives a bandwidth of 1.318 Hz, the printed bandwidth of 30 Hz needs the other gain.
 SERVO_GAINS_V_PER_M: dict[str, float] = {"paper_bandwidth": 1.917e5, "paper_gain": 1.0e4}
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
-
-
-class DeviceConfig(_Section):
+class DeviceConfig(Settings):
     """The 1-DOF device (Table 1, Eq. 1-2). What the paper does not give is marked as our own choice."""
 
     preset: Literal["paper_bandwidth", "paper_gain"] = Field(
@@ -83,7 +80,6 @@ class DeviceConfig(_Section):
         return self
 
     def to_params(self) -> MotorParams:
-        """Return the constants of the compiled device."""
         own_gain = self.servo_gain_v_per_m
         return MotorParams(
             speed_gain_rad_per_s_v=self.speed_gain_rad_per_s_v,
@@ -99,7 +95,7 @@ class DeviceConfig(_Section):
         )
 
 
-class LimitsConfig(_Section):
+class LimitsConfig(Settings):
     """What the guard in front of the driver lets through."""
 
     command_deadline_s: float = Field(
@@ -130,7 +126,6 @@ class LimitsConfig(_Section):
         return self
 
     def to_params(self, *, has_position_mode: bool, has_force_mode: bool) -> SafetyParams:
-        """Return the constants of the guard for a device with the modes named."""
         return SafetyParams(
             command_deadline_s=self.command_deadline_s,
             position_min_m=self.position_min_m,
@@ -142,14 +137,14 @@ class LimitsConfig(_Section):
         )
 
 
-class ForcePoint(_Section):
+class ForcePoint(Settings):
     """One corner of a force profile."""
 
     time_s: float = Field(ge=0.0, description="Time since the session started [s]; >= 0")
     force_n: float = Field(ge=-1e3, le=1e3, description="Force of the hand on the device, towards the sample > 0 [N]")
 
 
-class PathPoint(_Section):
+class PathPoint(Settings):
     """One corner of an intended path."""
 
     time_s: float = Field(ge=0.0, description="Time since the session started [s]; >= 0")
@@ -174,7 +169,7 @@ def _check_times(name: str, points: tuple[ForcePoint, ...] | tuple[PathPoint, ..
 MaxForce = Annotated[float, Field(gt=0.0, le=1e3, description="Most that hand and force sensor take [N]; (0, 1e3]")]
 
 
-class ForceProfileConfig(_Section):
+class ForceProfileConfig(Settings):
     """A hand that presses with a given force whatever the device does."""
 
     kind: Literal["force_profile"] = Field(description="Selects this model of the hand")
@@ -192,13 +187,12 @@ class ForceProfileConfig(_Section):
         return self
 
     def to_params(self) -> OperatorParams:
-        """Return the constants of the compiled hand."""
         times = np.array([point.time_s for point in self.points])
         forces = np.array([point.force_n for point in self.points])
         return OperatorParams(FORCE_PROFILE, times, forces, 0.0, 0.0, 0.0, 0.0, 0.0, self.max_force_n)
 
 
-class ImpedanceConfig(_Section):
+class ImpedanceConfig(Settings):
     """A hand with mass, damper and spring on its way along an intended path; constants of the usual size, our own."""
 
     kind: Literal["impedance"] = Field(description="Selects this model of the hand")
@@ -224,7 +218,6 @@ class ImpedanceConfig(_Section):
         return self
 
     def to_params(self) -> OperatorParams:
-        """Return the constants of the compiled hand."""
         return OperatorParams(
             kind=IMPEDANCE,
             times_s=np.array([point.time_s for point in self.path]),
@@ -241,7 +234,7 @@ class ImpedanceConfig(_Section):
 OperatorConfig = Annotated[ForceProfileConfig | ImpedanceConfig, Field(discriminator="kind")]
 
 
-class HapticConfig(_Section):
+class HapticConfig(Settings):
     """Section `haptic_node` of a scenario."""
 
     device: DeviceConfig = Field(default=DeviceConfig(), description="The simulated device")
@@ -269,7 +262,6 @@ class HapticConfig(_Section):
         return self
 
     def to_plant_params(self) -> step.PlantParams:
-        """Return the constants of the simulated device and hand, for `SimulatedHaptic`."""
         return step.PlantParams(self.device.to_params(), self.operator.to_params())
 
     def to_params(self) -> step.HapticParams:

@@ -55,15 +55,12 @@ class HapticNode(Node):
         self._grid = PeriodicDeadline(self.clock.monotonic_ns(), round(PERIOD_S * 1e9))
 
     def admits(self, received: Received) -> bool:
-        """Keep commands of a recording away from the device, unless they are allowed."""
         return self._replay_guard.admits(received)
 
     def deadline_ns(self) -> int:
-        """Give the next tick of the grid."""
         return self._grid.deadline_ns
 
     def on_message(self, received: Received) -> None:
-        """Keep the newest command for the next tick, with the time of its arrival."""
         if isinstance(received.message, HapticCommand):
             self._command = received.message
             self._command_received_ns = received.received_ns
@@ -84,7 +81,6 @@ class HapticNode(Node):
         self.steps += 1
 
     def on_control(self, control: SessionControl) -> str:
-        """Start or stop the operator's programme, stop at once, or arm again."""
         if control.command == "start":
             self._session_ticks = 0
             return "the operator's programme runs"

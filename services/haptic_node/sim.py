@@ -40,7 +40,6 @@ class SimulatedHaptic:
 
     @property
     def capabilities(self) -> Capabilities:
-        """Return what the device can do."""
         return self._capabilities
 
     def open(self) -> None:
@@ -56,7 +55,6 @@ class SimulatedHaptic:
         self._opened = False
 
     def write(self, command: DriveCommand) -> None:
-        """Apply the command of this period. Raises DeviceError if closed or the mode is not one of the device's."""
         self._require_open()
         if command.mode not in self._capabilities.modes:
             raise DeviceError(

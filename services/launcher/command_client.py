@@ -162,7 +162,6 @@ class Exchange:
         self.alive: set[str] = set()
 
     def enter_health(self, health: NodeHealth) -> None:
-        """Record that a node is alive."""
         self.alive.add(health.src)
 
     def enter_event(self, event: SessionEvent) -> bool:
@@ -174,7 +173,6 @@ class Exchange:
 
     @property
     def done(self) -> bool:
-        """Return whether nothing more is to be waited for."""
         now = self._clock.monotonic_ns()
         if self.pending.expired or not self._wildcard:
             return self.pending.expired or self.pending.complete

@@ -45,7 +45,6 @@ class CommandSequence:
         self._retry_until_ns = self._next_retry_ns = 0
 
     def on_event(self, event: SessionEvent) -> None:
-        """Match an event with the command that waits for answers."""
         if self._pending is not None:
             self._pending.record(event)
 

@@ -37,7 +37,6 @@ class ExternalRecording:
         return self.files[0] if self.files else ""
 
     def on_health(self, health: NodeHealth) -> None:
-        """Note that the recorder is alive."""
         if health.src == self.recorder:
             self._recorder_alive = True
 

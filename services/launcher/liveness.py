@@ -49,12 +49,10 @@ class LivenessMonitor:
 
     @property
     def site_name(self) -> str:
-        """Name of the other site, for a sentence."""
         return f"the {self.site}'s site"
 
     @property
     def any_alive(self) -> bool:
-        """Whether at least one node has been heard within its timeout."""
         return any(node not in self._silent_ns for node in self._last_seen_ns) and not self.site_silent
 
     @property

@@ -36,7 +36,6 @@ class PendingCommand:
         self._deadline_ns = self._next_ns + deadline_ns
 
     def fields(self) -> dict[str, Any]:
-        """Return the fields of the session/control message."""
         return {"id": self.id, "command": self.command, "target": self.target, "parameters": self._parameters}
 
     def take_due(self) -> bool:
@@ -61,22 +60,18 @@ class PendingCommand:
 
     @property
     def missing(self) -> list[str]:
-        """Nodes that have not answered yet, sorted."""
         return sorted(self.expected - set(self.answers))
 
     @property
     def refusals(self) -> list[SessionEvent]:
-        """Answers of the nodes that refused the command."""
         return [event for event in self.answers.values() if event.kind == "refused"]
 
     @property
     def complete(self) -> bool:
-        """Whether every expected node has answered."""
         return not self.missing
 
     @property
     def expired(self) -> bool:
-        """Whether the time for answers is over."""
         return self._clock.monotonic_ns() >= self._deadline_ns
 
     def failure(self) -> str:

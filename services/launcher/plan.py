@@ -88,22 +88,18 @@ class Plan:
 
     @property
     def launcher(self) -> str:
-        """Name of the launcher at this site."""
         return f"launcher@{self.site or 'master'}"
 
     @property
     def scenario(self) -> Scenario:
-        """The effective scenario."""
         return self.loaded.scenario
 
     @property
     def recording(self) -> Path:
-        """The file that the recorder writes."""
         return self.out / RECORDING_NAME
 
     @property
     def scenario_file(self) -> Path:
-        """The file that gives the nodes the effective scenario."""
         return self.out / "scenario.yaml"
 
     def existing_outputs(self) -> list[Path]:

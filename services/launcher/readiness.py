@@ -51,7 +51,6 @@ class ReadinessGate:
         self.reset()
 
     def reset(self) -> None:
-        """Begin to wait again, with all limits from now."""
         self._begun_ns = self._clock.monotonic_ns()
         # since when each own node has not been ready through no fault of another one
         self._not_ready_since_ns = dict.fromkeys(self._own, self._begun_ns)

@@ -92,16 +92,13 @@ class RestartTracker:
         return ProcessExit(node, exit_code, life_s, history.delay_s, f"it is started again in {history.delay_s:g} s")
 
     def due(self) -> list[str]:
-        """Return the nodes that are due to be started again."""
         now = self._clock.monotonic_ns()
         return [node for node, history in self._histories.items() if history.restart_ns and history.restart_ns <= now]
 
     def exits(self, node: str) -> list[ProcessExit]:
-        """Return the last exits of a node, in order."""
         return list(self._histories[node].exits)
 
     def restarts(self, node: str) -> int:
-        """Return how often a node was started again."""
         return self._histories[node].restarts
 
 

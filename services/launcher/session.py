@@ -77,7 +77,6 @@ class RigNode(Node):
         self._ticks = PeriodicDeadline(self.clock.monotonic_ns(), round(TICK_S * 1e9))
 
     def launch(self) -> None:
-        """Start every own node for the first time."""
         self.supervisor.launch()
 
     def interrupt(self) -> None:
@@ -111,11 +110,9 @@ class RigNode(Node):
         """Advance the state machine, once a tick."""
 
     def deadline_ns(self) -> int:
-        """Return the time of the next tick [ns]."""
         return self._ticks.deadline_ns
 
     def on_message(self, received: Received) -> None:
-        """Process health reports and events of the nodes."""
         message = received.message
         if isinstance(message, NodeHealth):
             self._record_health(message)
@@ -170,11 +167,8 @@ class RigNode(Node):
         elif change.first:
             self.report("info", f"{change.subject} is heard", about_node=change.subject, state="heard")
         else:
-            self._report_return(change)
-
-    def _report_return(self, change: Change) -> None:
-        text = f"{change.subject} is heard again after {change.silence_s:.1f} s{self._hints(*change.nodes)}"
-        self.report("info", text, about_node=change.subject, state="heard", silence_s=change.silence_s)
+            text = f"{change.subject} is heard again after {change.silence_s:.1f} s{self._hints(*change.nodes)}"
+            self.report("info", text, about_node=change.subject, state="heard", silence_s=change.silence_s)
 
     def _hints(self, *nodes: str) -> str:
         at = f" --site {self.site}" if self.site else ""
@@ -225,7 +219,6 @@ class SessionNode(RigNode):
 
     @property
     def progress(self) -> tuple[float, float] | None:
-        """Elapsed time and whole length of the session [s]; None before the operator's programme runs."""
         return (min(self.elapsed_s, self.duration_s), self.duration_s) if self.ran else None
 
     @property
@@ -260,7 +253,6 @@ class SessionNode(RigNode):
         return {"arming": "arming the devices", "ending": "stopping", "over": "stopped"}[self.phase]
 
     def _time_limits(self) -> str:
-        """Return the time limits of the wait, in words."""
         own = [] if self.attached else [f"up to {READY_DEADLINE_S:g} s"]
         others = "without a limit" if self._wait_s is None else f"up to {self._wait_s:g} s"
         subject = "" if self.attached else f"for {self.liveness.site_name} "
@@ -272,7 +264,6 @@ class SessionNode(RigNode):
             self.recording.on_health(received.message)
 
     def on_event(self, event: SessionEvent) -> None:
-        """Process answers to the session's commands, and reports about the recording."""
         if self.recording is not None:
             self.recording.on_event(event)
         if self._sequence is not None:
@@ -382,7 +373,6 @@ class SiteNode(RigNode):
         return f"running, {site} is heard and conducts; Ctrl-C stops the nodes here"
 
     def on_message(self, received: Received) -> None:
-        """Process health reports and events of the nodes, and the heartbeat of the link."""
         super().on_message(received)
         if isinstance(received.message, ClockPing):
             self.liveness.record(received.message.src)

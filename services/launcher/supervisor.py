@@ -21,7 +21,6 @@ class Supervisor:
         self._children = children
 
     def launch(self) -> None:
-        """Start every node for the first time."""
         for node in self.nodes:
             self._start(node)
 
@@ -39,7 +38,6 @@ class Supervisor:
             report("warning", f"{node} was started again", about_node=node, pid=process_id)
 
     def restarts(self) -> dict[str, int]:
-        """Return how often each node was started again."""
         return {node: self._tracker.restarts(node) for node in self.nodes}
 
     def log_tail_of(self, node: str) -> str:

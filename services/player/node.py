@@ -132,7 +132,6 @@ class ReplayPublisher:
         return subscribed
 
     def has_subscriber(self, topic: str) -> bool:
-        """Return whether a reader has subscribed to a topic."""
         name = topic.encode()
         return any(name.startswith(prefix) for prefix in self.subscriptions)
 
@@ -163,7 +162,6 @@ class SequenceShift:
         return packed
 
     def sent(self, message: RecordedMessage) -> None:
-        """Record that a message was sent."""
         channel = message.channel
         self._jumped.discard(channel)
         self._last[channel] = message.seq + self._offsets.get(channel, 0)
@@ -212,7 +210,6 @@ class PlayerNode(Node):
         """Ignore it: commands come through `on_control`."""
 
     def deadline_ns(self) -> int:
-        """Return the time of the next message or of the next look at keys and readers [ns]."""
         if not self.started or self.finished:
             return self._tick_ns
         if self.blocked:
@@ -221,7 +218,6 @@ class PlayerNode(Node):
         return self._tick_ns if due is None else min(self._tick_ns, due)
 
     def on_deadline(self, now_ns: int) -> None:
-        """Send the messages that are due."""
         if now_ns >= self._tick_ns:
             self._tick(now_ns)
         if self.started and not self.finished:
@@ -245,7 +241,6 @@ class PlayerNode(Node):
         return self.status()
 
     def status(self) -> str:
-        """Return the state of the replay in one line."""
         span = f"replay at {self.playback.time_s:.3f} of {self.playback.length_s:.3f} s"
         rate = "as fast as possible" if self.playback_clock.rate == 0.0 else f"rate {self.playback_clock.rate:g}"
         parts = [span, rate, f"{self.sent} messages"]
@@ -254,7 +249,6 @@ class PlayerNode(Node):
         return ", ".join(parts)
 
     def pause(self, paused: bool) -> None:
-        """Pause or continue."""
         self.playback_clock.change(self.clock.monotonic_ns(), self.playback.position_ns, paused=paused)
 
     def set_rate(self, rate: float) -> None:

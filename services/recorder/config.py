@@ -63,7 +63,6 @@ class RecorderConfig(FileSettings):
         return self
 
     def selection(self) -> Selection:
-        """Return the channels to record."""
         return Selection.of(self.topics, self.exclude)
 
     def hears(self, topic: str, site: str) -> bool:

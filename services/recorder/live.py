@@ -3,7 +3,6 @@
 import contextlib
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from types import TracebackType
 from typing import Self
 
 import zmq
@@ -20,12 +19,8 @@ from services.runtime.participant import OBSERVER, SITES, Participant, open_part
 _WAIT_MS = 100
 
 
-def _everything(topic: str, site: str) -> bool:
-    return True
-
-
 def connect(
-    participant: Participant, sites: Sequence[str] = SITES, hears: Callable[[str, str], bool] = _everything
+    participant: Participant, sites: Sequence[str] = SITES, hears: Callable[[str, str], bool] = lambda topic, site: True
 ) -> list[Listener]:
     """Connect to each node at `sites` for every recorded topic that can be heard there.
 
@@ -50,18 +45,13 @@ class LiveRecording:
         self._channels: dict[tuple[str, str, str], RecordedChannel] = {}
 
     def __enter__(self) -> Self:
-        """Listen."""
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Close every connection."""
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     @property
     def channels(self) -> tuple[RecordedChannel, ...]:
-        """Everything that was said so far, by whom and where heard."""
         return tuple(self._channels.values())
 
     def messages(
@@ -86,7 +76,6 @@ class LiveRecording:
                         yield message
 
     def close(self) -> None:
-        """Close every connection."""
         self._open.close()
 
     def _message(self, listener: Listener, frames: list[bytes], received_ns: int) -> RecordedMessage | None:

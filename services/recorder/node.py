@@ -119,11 +119,9 @@ class RecorderNode(Node):
         """Ignore it: the bus has recorded it."""
 
     def deadline_ns(self) -> int:
-        """Return the time of the next flush [ns]."""
         return self._flush_deadline.deadline_ns
 
     def on_deadline(self, now_ns: int) -> None:
-        """Flush, and report what has changed since the last time."""
         # report the file before the flush, which may end it
         self._report_path()
         self._intake.flush(now_ns)
@@ -157,12 +155,10 @@ class RecorderNode(Node):
         return self._path
 
     def split(self) -> None:
-        """Continue in a new file; RecordingError says why that is not possible."""
         self._intake.split(self.clock.monotonic_ns())
         self._report()
 
     def snapshot(self) -> None:
-        """Write the snapshot buffer; RecordingError when there is none."""
         self._intake.snapshot()
 
     def status(self) -> str:

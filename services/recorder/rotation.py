@@ -44,7 +44,6 @@ class FileRotation:
         self._finished.append((writer.path, writer.size_bytes))
 
     def due(self, writer: RecordingWriter, now_ns: int) -> bool:
-        """Return whether the current file has reached its size or time."""
         config = self._config
         too_large = config.split_size_bytes is not None and writer.size_bytes >= config.split_size_bytes
         too_long = config.split_interval_s is not None and now_ns - self._started_ns >= config.split_interval_s * 1e9

@@ -39,7 +39,6 @@ class SnapshotBuffer:
             self.size_bytes -= len(self._entries.popleft().payload)
 
     def drain(self) -> list[Entry]:
-        """Return all entries and clear the buffer."""
         entries = list(self._entries)
         self._entries.clear()
         self.size_bytes = 0

@@ -6,17 +6,18 @@ import os
 import re
 import socket
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Annotated, Self
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from proto.errors import EndpointError
 from proto.messages import SOURCE_PATTERN
 from proto.nodes import LINK, name_of, site_of
 from proto.topics import TOPICS, Topic
+from services.runtime.config import Settings
 
 # the machine that the link runs on, with its endpoints for both sites
 LINK_MACHINE = "master"
@@ -45,10 +46,8 @@ def runtime_directory() -> Path:
     return Path(tempfile.gettempdir()) / f"telenano-{os.getuid()}"
 
 
-class NodeEntry(BaseModel):
+class NodeEntry(Settings):
     """The endpoints of a node: `local` for readers on its machine, `network` for those on other machines."""
-
-    model_config = ConfigDict(frozen=True, strict=True, extra="forbid")
 
     local: str | None = Field(default=None, description="ipc:///absolute/path for readers on the same machine")
     network: str | None = Field(default=None, description="tcp://host:port for readers on other machines")
@@ -77,15 +76,13 @@ def _as_entry(value: object) -> object:
     return value
 
 
-class AddressBook(BaseModel):
+class AddressBook(Settings):
     """The address book of a rig.
 
     `{runtime}` in an ipc endpoint stands for the private folder of `runtime_directory`, `{NAME}` in a tcp endpoint
     for the address of a machine. A reader at one site reaches a publisher at the other only through the link, which
     republishes on a socket of its own at each site.
     """
-
-    model_config = ConfigDict(frozen=True, strict=True, extra="forbid")
 
     machines: dict[MachineName, str] = Field(
         default={}, description="Address of each machine; TELENANO_HOST_NAME in the environment replaces that of NAME"
@@ -143,7 +140,8 @@ class AddressBook(BaseModel):
         network = self._entry(node).network
         if network is None:
             return None
-        hosts = {**self.machines, **_hosts_of_environment(self.machines)}
+        named = {name: os.environ.get(HOST_VARIABLE_PREFIX + name.upper()) for name in self.machines}
+        hosts = {name: named[name] or host for name, host in self.machines.items()}
         for name in _PLACEHOLDER.findall(network):
             if name not in hosts:
                 known = ", ".join(hosts) or "none"
@@ -260,11 +258,6 @@ def _publishes(topic: Topic, node: str) -> bool:
 
 def _crosses(topic: Topic, to_site: str) -> bool:
     return topic.bridged in (("forward", "both") if to_site == "slave" else ("backward", "both"))
-
-
-def _hosts_of_environment(machines: Mapping[str, str]) -> dict[str, str]:
-    named = {name: os.environ.get(HOST_VARIABLE_PREFIX + name.upper()) for name in machines}
-    return {name: host for name, host in named.items() if host}
 
 
 def _numeric(node: str, host: str) -> str:

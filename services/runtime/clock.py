@@ -71,11 +71,9 @@ class TurnClock:
         self.epoch_offset_ns = epoch_offset_ns
 
     def monotonic_ns(self) -> int:
-        """Give the time of the turn on the monotonic clock [ns]."""
         return self.time_ns - self.epoch_offset_ns
 
     def now_ns(self) -> int:
-        """Give the time of the turn [ns]."""
         return self.time_ns
 
 

@@ -8,13 +8,19 @@ from pathlib import Path
 from typing import Any, TypeVar, get_args, get_origin
 
 import yaml
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from proto.errors import ConfigError
 
 M = TypeVar("M", bound=BaseModel)
 
 ENVIRONMENT_PREFIX = "TELENANO__"
+
+
+class Settings(BaseModel):
+    """The base of settings: frozen and strict, without unknown keys and without infinite numbers."""
+
+    model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
 
 
 def read_yaml(path: Path) -> dict[str, Any]:

@@ -50,7 +50,6 @@ class NodeKind(Generic[C]):
 
     @property
     def sites(self) -> tuple[str, ...]:
-        """Where a process of this kind may run."""
         return sites_of(self.name)
 
 

@@ -3,17 +3,15 @@
 import contextlib
 import math
 import time
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import zmq
-from pydantic import BaseModel
 
 from proto import TOPICS
 from proto.errors import ConfigError, RigError
-from proto.messages import Array, Message
 from proto.nodes import site_of
 from proto.sequence import SequenceTracker
 from services.runtime.address_book import AddressBook
@@ -82,7 +80,6 @@ class Observer:
         return topic if site_of(src) == site_of(node) else f"{topic}@{site_of(node)}"
 
     def close(self) -> None:
-        """Close every socket."""
         self._open.close()
 
 
@@ -112,21 +109,6 @@ def messages_of(observer: Observer, name: str, duration_s: float | None, count: 
             given += 1
             if count is not None and given >= count:
                 return
-
-
-def message_fields(message: Message) -> dict[str, Any]:
-    """Return a message as JSON can hold it: arrays as lists of numbers."""
-    return {key: _plain(value) for key, value in message.__dict__.items()}
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Array):
-        return value.to_numpy().tolist()
-    if isinstance(value, BaseModel):
-        return {key: _plain(inner) for key, inner in value.__dict__.items()}
-    if isinstance(value, tuple):
-        return [_plain(inner) for inner in value]
-    return value
 
 
 @dataclass
@@ -175,10 +157,9 @@ def measure_rate(observer: Observer, name: str, duration_s: float | None, count:
 def measure_delay(observer: Observer, name: str, duration_s: float | None, count: int | None) -> list[dict[str, Any]]:
     """Return for each source of a topic the age of its messages on arrival [ms]; RigError when it is silent."""
     samples = _sampled(observer, name, duration_s, count, least=1)
-    return [_age_row(src, of_source.ages_ns) for src, of_source in sorted(samples.items())]
-
-
-def _age_row(src: str, ages_ns: Sequence[int]) -> dict[str, Any]:
-    p50, p99 = np.percentile(np.array(ages_ns) * 1e-6, [50.0, 99.0])
-    row = {"p50_ms": float(p50), "p99_ms": float(p99), "max_ms": max(ages_ns) * 1e-6}
-    return {"src": src, "messages": len(ages_ns), **row}
+    rows = []
+    for src, of_source in sorted(samples.items()):
+        p50, p99 = np.percentile(np.array(of_source.ages_ns) * 1e-6, [50.0, 99.0])
+        row = {"p50_ms": float(p50), "p99_ms": float(p99), "max_ms": max(of_source.ages_ns) * 1e-6}
+        rows.append({"src": src, "messages": len(of_source.ages_ns), **row})
+    return rows

@@ -66,7 +66,6 @@ class Participant:
         return ZmqBus(publisher, subscribers, self.clock, self.wake_descriptor, self.network)
 
     def context(self, bus: Bus) -> NodeContext:
-        """Return what a node needs of the world."""
         return NodeContext(self.key, self.clock, bus, self.log)
 
 

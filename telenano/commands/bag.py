@@ -22,7 +22,7 @@ from recording.rewrite import filter_recording, merge_recordings, split_recordin
 from recording.tables import line, plain
 from recording.tolerance import Tolerances
 from recording.verify import verify as check
-from telenano.options import CountOption, JsonOption, command_group
+from telenano.options import CountOption, ExcludeOption, JsonOption, TopicsOption, command_group
 from telenano.output import EXIT_FAILED, console, print_document, print_json, print_rows, report_errors
 
 _CHANNEL_COLUMNS = ("channel_topic", "src", "messages", "rate_hz", "gaps", "lost", "restarts")
@@ -33,13 +33,6 @@ app = command_group()
 FileArgument = Annotated[Path, typer.Argument(metavar="FILE", help="Recording (.mcap).")]
 FilesArgument = Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings (.mcap).")]
 OutOption = Annotated[Path, typer.Option("--out", metavar="PATH", help="File or folder to make, never overwritten.")]
-TopicsOption = Annotated[
-    list[str] | None,
-    typer.Option("--topics", metavar="PATTERN", help="Only these channels: glob or /regular expression/ (repeatable)."),
-]
-ExcludeOption = Annotated[
-    list[str] | None, typer.Option("--exclude", metavar="PATTERN", help="Not these channels (repeatable).")
-]
 NodesOption = Annotated[
     list[str] | None, typer.Option("--nodes", metavar="NODE", help="Only messages of these nodes (repeatable).")
 ]

@@ -9,12 +9,14 @@ import typer
 from presets import DEFAULT_SITE_FILE
 from proto.errors import RigError
 from proto.nodes import LINK
+from recording.tables import json_fields
 from services.delay_node.profiles import PROFILES
-from services.runtime.observer import Observer, message_fields, messages_of
+from services.runtime.observer import Observer, messages_of
 from telenano.commands.session import SessionCommand, send_command
 from telenano.commands.topic import open_observer
 from telenano.options import JsonOption, SiteFileOption, command_group
 from telenano.output import print_json, print_rows, report_errors
+from telenano.tables import counts_text
 
 _PATIENCE_S = 3.0
 _COUNTS = ("messages_in", "messages_out", "duplicated", "reordered", "corrupted", "queue_depth")
@@ -78,7 +80,7 @@ def _change(settings: Sequence[str], site_file: Path, *, as_json: bool) -> None:
 def current_status(observer: Observer) -> dict[str, Any]:
     """Return the fields of the next link/status; RigError when no link is heard."""
     for received in messages_of(observer, "link/status", _PATIENCE_S, 1):
-        return message_fields(received.message)
+        return json_fields(received.message)
     raise RigError("no link is heard, is `telenano up` running with this site file?")
 
 
@@ -89,7 +91,7 @@ def status_rows(status: dict[str, Any]) -> list[dict[str, Any]]:
     keys = sorted({key for way in ways for key in way["settings"]})
     rows += [_row(key, *(way["settings"].get(key, "") for way in ways)) for key in keys]
     rows += [_row(key, *(way[key] for way in ways)) for key in _COUNTS]
-    rows.append(_row("dropped", *(_causes(way["dropped"]) for way in ways)))
+    rows.append(_row("dropped", *(counts_text(way["dropped"]) for way in ways)))
     rows += [_row(key, *(way[key] if way["delay_valid"] else "" for way in ways)) for key in _DELAYS]
     clock = status["clock"]
     if clock["valid"]:
@@ -99,7 +101,3 @@ def status_rows(status: dict[str, Any]) -> list[dict[str, Any]]:
 
 def _row(what: str, forward: Any, backward: Any) -> dict[str, Any]:
     return {"what": what, "forward": forward, "backward": backward}
-
-
-def _causes(dropped: dict[str, int]) -> str:
-    return ", ".join(f"{cause} {count}" for cause, count in dropped.items()) or "0"

@@ -6,12 +6,13 @@ from typing import Annotated, Any
 
 import typer
 
-from presets import DEFAULT_SITE_FILE, site_file_named
+from presets import DEFAULT_SITE_FILE
 from proto.errors import TelenanoError
 from services.recorder.attach import run_record
 from services.recorder.config import RecorderConfig
 from services.recorder.node import RecorderNode
 from services.runtime.config import validate
+from telenano.options import ExcludeOption, JsonOption, SiteFileOption, TopicsOption
 from telenano.output import RawKeyboard, fail, print_json, report_errors
 
 _KEYS_TEXT = "s new file · t snapshot · q end"
@@ -25,7 +26,6 @@ class RecordKeyBindings:
         self._said = _KEYS_TEXT
 
     def __call__(self, node: RecorderNode) -> None:
-        """Act on the keys pressed and show how the recording does."""
         actions: dict[str, Callable[[], None]] = {
             "s": node.split,
             "t": node.snapshot,
@@ -42,13 +42,8 @@ class RecordKeyBindings:
 
 def record(
     out: Annotated[Path, typer.Option("--out", metavar="FILE", help="Recording to make; an existing one is kept.")],
-    topics: Annotated[
-        list[str] | None,
-        typer.Option("--topics", metavar="PATTERN", help="Only these: glob or /regular expression/ (repeatable)."),
-    ] = None,
-    exclude: Annotated[
-        list[str] | None, typer.Option("--exclude", metavar="PATTERN", help="Not these (repeatable).")
-    ] = None,
+    topics: TopicsOption = None,
+    exclude: ExcludeOption = None,
     duration: Annotated[
         float | None, typer.Option("--duration", min=0.0, metavar="S", help="End after this time [s].")
     ] = None,
@@ -81,11 +76,8 @@ def record(
         Path | None,
         typer.Option("--scenario", metavar="FILE", help="Scenario to attach, which report and re-run need (YAML)."),
     ] = None,
-    site_file: Annotated[
-        Path,
-        typer.Option("--site-file", metavar="FILE", callback=site_file_named, help="Address book of the rig (YAML)."),
-    ] = DEFAULT_SITE_FILE,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object at the end.")] = False,
+    site_file: SiteFileOption = DEFAULT_SITE_FILE,
+    as_json: JsonOption = False,
 ) -> None:
     """Attach to a running rig and record it; Ctrl-C or q completes the file. Keys: s new file, t snapshot, q end."""
     with report_errors(as_json):

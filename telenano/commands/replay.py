@@ -6,11 +6,12 @@ from typing import Annotated, Any
 
 import typer
 
-from presets import DEFAULT_SITE_FILE, site_file_named
+from presets import DEFAULT_SITE_FILE
 from proto.errors import ConfigError, TelenanoError
 from services.player.node import PlayerNode, PlaySettings
 from services.player.playback import Span
 from services.player.run import ReplayRequest, run_replay
+from telenano.options import ExcludeOption, JsonOption, SiteFileOption, TopicsOption
 from telenano.output import RawKeyboard, print_json, report_errors
 
 _RATE_STEP = 1.25
@@ -23,13 +24,11 @@ class PlayerKeyBindings:
     """What the keys do to a player."""
 
     def __init__(self, keys: RawKeyboard, step_topic: str) -> None:
-        """Take the terminal, and the topic to which the key n steps."""
         self._keys = keys
         self._step_topic = step_topic
         self._said = ""
 
     def __call__(self, player: PlayerNode) -> None:
-        """Act on the keys pressed and show where the replay stands."""
         for key in self._keys.pressed():
             try:
                 self._said = self._press(player, key)
@@ -76,13 +75,8 @@ def replay(
         list[str] | None,
         typer.Option("--nodes", metavar="NODE", help="Take the place of this node (repeatable); default: all of them."),
     ] = None,
-    topics: Annotated[
-        list[str] | None,
-        typer.Option("--topics", metavar="PATTERN", help="Only these: glob or /regular expression/ (repeatable)."),
-    ] = None,
-    exclude: Annotated[
-        list[str] | None, typer.Option("--exclude", metavar="PATTERN", help="Not these (repeatable).")
-    ] = None,
+    topics: TopicsOption = None,
+    exclude: ExcludeOption = None,
     rate: Annotated[
         float, typer.Option("--rate", min=0.0, help="1 as recorded, 0 as fast as the slowest reader keeps up.")
     ] = 1.0,
@@ -105,11 +99,8 @@ def replay(
     step_topic: Annotated[
         str, typer.Option("--step-topic", metavar="TOPIC", help="Channel to which the key n steps; default: the first.")
     ] = "",
-    site_file: Annotated[
-        Path,
-        typer.Option("--site-file", metavar="FILE", callback=site_file_named, help="Address book of the rig (YAML)."),
-    ] = DEFAULT_SITE_FILE,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object at the end.")] = False,
+    site_file: SiteFileOption = DEFAULT_SITE_FILE,
+    as_json: JsonOption = False,
 ) -> None:
     """Play a recording in the place of nodes that do not run; the others hear no difference but the mark in health.
 

@@ -15,10 +15,10 @@ from services.runtime.main import load_site
 from services.runtime.observer import Observer
 from telenano.options import JsonOption, ListenOption, SiteFileOption
 from telenano.output import console, fail, print_json, report_errors
+from telenano.tables import LEVEL_STYLES, counts_text
 
 _DEFAULT_S = 1.5
 _STATE_STYLES = {"ready": "green", "running": "green", "safe": "yellow", "starting": "yellow"}
-_LEVEL_STYLES = {"info": "", "warning": "yellow", "error": "red"}
 _COLUMNS: dict[str, Literal["left", "right"]] = {
     "node": "left",
     "state": "left",
@@ -91,7 +91,7 @@ def _cells(facts: Mapping[str, Any]) -> list[Text]:
         _alarming(facts["overruns"]),
         Text("-" if age_s is None else f"{age_s * 1e3:.1f}"),
         _alarming(facts["lost"]),
-        Text(_counts(facts["refused"]), "red" if facts["refused"] else ""),
+        Text(counts_text(facts["refused"]), "red" if facts["refused"] else ""),
         Text(f"{facts['cpu_percent']:.0f}"),
         Text(f"{facts['memory_bytes'] / 1e6:.0f}"),
         Text(", ".join(granted) or "nothing"),
@@ -100,10 +100,6 @@ def _cells(facts: Mapping[str, Any]) -> list[Text]:
 
 def _alarming(count: int) -> Text:
     return Text(str(count), "red" if count else "")
-
-
-def _counts(counts: Mapping[str, int]) -> str:
-    return ", ".join(f"{reason} {count}" for reason, count in counts.items()) or "0"
 
 
 def _lines(document: Mapping[str, Any]) -> Iterator[tuple[str, Text]]:
@@ -127,12 +123,12 @@ def _lines(document: Mapping[str, Any]) -> Iterator[tuple[str, Text]]:
             yield node["node"], Text(f"{node['state']} · {node['received']} messages heard · {node['lost']} lost")
     yield from (("connection", Text(text)) for text in document["connections"])
     for event in document["events"]:
-        yield f"event {event['src']}", Text(event["text"], _LEVEL_STYLES[event["level"]])
+        yield f"event {event['src']}", Text(event["text"], LEVEL_STYLES[event["level"]])
 
 
 def _way_text(way: Mapping[str, Any]) -> str:
     delay = "no message" if way["delay_mean_s"] is None else f"delay {way['delay_mean_s'] * 1e3:.2f} ms"
-    return f"{way['profile']} · {delay} · dropped {_counts(way['dropped'])} · {way['queue_depth']} in flight"
+    return f"{way['profile']} · {delay} · dropped {counts_text(way['dropped'])} · {way['queue_depth']} in flight"
 
 
 def _law_text(law: Mapping[str, Any]) -> Text:

@@ -8,7 +8,7 @@ import json
 import os
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -115,16 +115,12 @@ def stability(
         with _sweep(out, workers, scheduler, shown=not as_json) as sweep:
             results = run_stability(axes, sweep)
         summary = write_stability(results, out, _command())
-        if as_json:
-            print_json(summary)
-            return
+        head = ("law", "conditions", "theory [ms]", "lockstep [ms]", "link alone [ms]")
         rows = [
             (r.line.law, r.line.label, _ms(r.theory_ms), _ms(r.critical_delay_ms), _ms(r.critical_link_ms))
             for r in results
         ]
-        _print_table(
-            ("law", "conditions", "theory [ms]", "lockstep [ms]", "link alone [ms]"), rows, out / "stability.html"
-        )
+        _print_result(summary, head, rows, out / "stability.html", as_json=as_json)
 
 
 @app.command()
@@ -151,18 +147,15 @@ def transparency(
         page.code(_command())
         write_transparency(page, rows)
         page.write(out / "transparency.html")
-        records = [row.as_dict() for row in rows]
+        records = [asdict(row) for row in rows]
         write_parquet(out / "transparency.parquet", records)
         summary = {"study": "transparency", "rows": records}
         (out / "transparency.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
-        if as_json:
-            print_json(summary)
-            return
         head = ("law", "delay [ms]", "verdict", "tracking [%]", "rendered [N/m]", "perceived [ms]", "Z-width [dB]")
-        _print_table(head, [
+        _print_result(summary, head, [
             (r.law, r.round_trip_ms, r.verdict, r.tracking_error_percent, r.rendered_stiffness_n_per_m,
              r.perceived_delay_ms, r.z_width_db) for r in rows
-        ], out / "transparency.html")  # fmt: skip
+        ], out / "transparency.html", as_json=as_json)  # fmt: skip
 
 
 @app.command()
@@ -199,14 +192,11 @@ def compare(
         with _sweep(out, workers, scheduler, shown=not as_json) as sweep:
             result = run_comparison(request, sweep)
         summary = write_comparison(result, out, _command())
-        if as_json:
-            print_json(summary)
-            return
         head = ("law", *(f"spring {k:g} N/m" for k in springs), "contact")
-        _print_table(head, [
+        _print_result(summary, head, [
             (name, *(_ms(v) for v in found["critical_delay_ms"].values()), _ms(found["critical_delay_contact_ms"]))
             for name, found in summary["laws"].items()
-        ], out / "compare.html")  # fmt: skip
+        ], out / "compare.html", as_json=as_json)  # fmt: skip
 
 
 @app.command()
@@ -237,7 +227,7 @@ def validate(
         cells = [line.cell(d) for line in axes.lines() for d in axes.delays_ms]
         _make_folder(out)
         agreements = validate_cells(cells, Bus(site_file, out), lambda text: typer.echo(text, err=True))
-        records = [agreement.as_dict() for agreement in agreements]
+        records = [asdict(agreement) for agreement in agreements]
         write_parquet(out / "validate.parquet", records)
         edges = bus_edges(agreements, cells[0].controller().period_s)
         summary = {
@@ -247,17 +237,8 @@ def validate(
             "cells": records,
         }
         (out / "validate.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
-        head = (
-            "law",
-            "stiffness [N/m]",
-            "delay [ms]",
-            "lockstep",
-            "bus",
-            "growth, lockstep [1/s]",
-            "growth, bus [1/s]",
-            "difference",
-            "agree",
-        )
+        head = ("law", "stiffness [N/m]", "delay [ms]", "lockstep", "bus", "growth, lockstep [1/s]",
+                "growth, bus [1/s]", "difference", "agree")  # fmt: skip
         rows = [
             (a.law, a.stiffness_n_per_m, a.round_trip_ms, a.lockstep, a.bus, a.lockstep_growth_per_s,
              a.bus_growth_per_s, a.difference_share, "yes" if a.agree else "no") for a in agreements
@@ -276,10 +257,7 @@ def validate(
                 " included: it compares with the continuous theory and with lockstep."
             )
         page.write(out / "validate.html")
-        if as_json:
-            print_json(summary)
-        else:
-            _print_table(head, rows, out / "validate.html")
+        _print_result(summary, head, rows, out / "validate.html", as_json=as_json)
     if not summary["agree"]:
         raise typer.Exit(EXIT_FAILED)
 
@@ -362,7 +340,12 @@ def _ms(value: float | None) -> str:
     return "none found" if value is None else f"{value:.2f}"
 
 
-def _print_table(head: tuple[str, ...], rows: list[tuple[Any, ...]], page: Path) -> None:
+def _print_result(
+    summary: dict[str, Any], head: tuple[str, ...], rows: list[tuple[Any, ...]], page: Path, *, as_json: bool
+) -> None:
+    if as_json:
+        print_json(summary)
+        return
     table = Table(*head)
     for row in rows:
         table.add_row(*(text(value) for value in row))

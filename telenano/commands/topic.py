@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from presets import DEFAULT_SITE_FILE
+from recording.tables import json_fields
 from services.runtime.main import load_site
 from services.runtime.observer import (
     Observer,
@@ -16,7 +17,6 @@ from services.runtime.observer import (
     list_topics,
     measure_delay,
     measure_rate,
-    message_fields,
     messages_of,
 )
 from telenano.options import CountOption, DurationOption, JsonOption, ListenOption, SiteFileOption, command_group
@@ -56,7 +56,7 @@ def echo(
     collected: list[dict[str, Any]] = []
     with report_errors(as_json), open_observer(site_file, topic) as observer, contextlib.suppress(KeyboardInterrupt):
         for received in messages_of(observer, topic, duration, count):
-            fields = message_fields(received.message)
+            fields = json_fields(received.message)
             if as_json:
                 collected.append(fields)
             else:

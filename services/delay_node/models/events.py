@@ -40,7 +40,6 @@ class Overtaking:
         self._since = 0
 
     def __call__(self) -> bool:
-        """Return whether the next message is chosen."""
         happens = self._happens()
         self._since += 1
         if self._since < self._gap or not happens:

@@ -41,17 +41,14 @@ class RateServer:
         self._free_ns = 0
 
     def passage(self, ready_ns: int, size_bytes: int) -> Passage:
-        """Return when the message starts and is completely sent."""
         start_ns = max(ready_ns, self._free_ns)
         return Passage(start_ns, start_ns + round((size_bytes + self._overhead_bytes) * self._ns_per_byte))
 
     def send(self, ready_ns: int, size_bytes: int) -> int:
-        """Occupy the line for the message."""
         self._free_ns = self.passage(ready_ns, size_bytes).finish_ns
         return self._free_ns
 
     def wait_until(self, free_ns: int) -> None:
-        """Start no transmission before free_ns [ns]."""
         self._free_ns = max(self._free_ns, free_ns)
 
 
@@ -71,17 +68,14 @@ class DeliveryServer:
         self._index, self._left = 0, bytes_per_opportunity or 1
 
     def passage(self, ready_ns: int, size_bytes: int) -> Passage:
-        """Return the opportunity that delivers the message."""
         finish_ns = self._time_ns(self._seek(ready_ns, size_bytes)[0])
         return Passage(finish_ns, finish_ns)
 
     def send(self, ready_ns: int, size_bytes: int) -> int:
-        """Use up the opportunities for the message."""
         self._index, self._left = self._seek(ready_ns, size_bytes)
         return self._time_ns(self._index)
 
     def wait_until(self, free_ns: int) -> None:
-        """Skip the opportunities before free_ns [ns]."""
         self._index, self._left = self._seek(free_ns, 0)
 
     def _seek(self, ready_ns: int, size_bytes: int) -> tuple[int, int]:
@@ -142,7 +136,6 @@ class ServedQueue(Generic[Item]):
         return any(entry.topic == topic and entry.order < order for entry in self._waiting)
 
     def wait_until(self, free_ns: int) -> None:
-        """Start no transmission before free_ns [ns]."""
         self.free_ns = max(self.free_ns, free_ns)
         self._server.wait_until(free_ns)
         self._update_leave_time()

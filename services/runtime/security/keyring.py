@@ -14,12 +14,12 @@ from typing import Annotated, Literal, NamedTuple, Self
 
 import yaml
 import zmq.auth
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 from zmq.utils import z85
 
 from proto.errors import ConfigError
 from services.runtime.address_book import MACHINE_PATTERN
-from services.runtime.config import read_yaml, validate
+from services.runtime.config import Settings, read_yaml, validate
 
 KEYS_DIRECTORY_VARIABLE = "TELENANO_KEYS_DIR"
 MACHINE_VARIABLE = "TELENANO_MACHINE"
@@ -53,10 +53,8 @@ class KeyPair(NamedTuple):
     secret: bytes
 
 
-class AllowedKey(BaseModel):
+class AllowedKey(Settings):
     """A key of another machine and what it may do here; every key listed and not revoked may observe."""
-
-    model_config = ConfigDict(frozen=True, strict=True, extra="forbid")
 
     name: Annotated[str, Field(pattern=MACHINE_PATTERN)] = Field(description="Machine that the key belongs to")
     public_key: PublicKey = Field(description="Its public key, 40 characters of Z85")
@@ -66,10 +64,8 @@ class AllowedKey(BaseModel):
     revoked: bool = Field(default=False, description="The key is rejected permanently")
 
 
-class AllowList(BaseModel):
+class AllowList(Settings):
     """The keys that are known at this machine."""
-
-    model_config = ConfigDict(frozen=True, strict=True, extra="forbid")
 
     keys: tuple[AllowedKey, ...] = Field(default=(), description="One entry a key")
 
@@ -108,7 +104,6 @@ class Keyring:
         self.allowed_path = self.folder / ALLOWED_NAME
 
     def names(self) -> list[str]:
-        """Return the names of the key pairs in the folder."""
         try:
             return sorted(path.name.removesuffix(_SECRET_SUFFIX) for path in self.folder.glob("*" + _SECRET_SUFFIX))
         except OSError as error:

@@ -45,7 +45,6 @@ class MessagePermissions:
         self._permitted: set[tuple[str, str]] = set()
 
     def change(self, roles: Sequence[Role]) -> None:
-        """Replace the roles."""
         self._roles = frozenset(roles)
         self._permitted.clear()
 
@@ -128,7 +127,6 @@ class PeerConnections:
         return self.monitor.has_pending
 
     def take_events(self) -> list[ConnectionEvent]:
-        """Return the events since the last call."""
         events, self._events = self._events, []
         return events
 

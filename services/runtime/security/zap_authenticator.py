@@ -97,7 +97,6 @@ class ZapAuthenticator:
         return left
 
     def take_events(self) -> list[ConnectionEvent]:
-        """Return the events since the last call."""
         events, self._events = self._events, []
         return events
 

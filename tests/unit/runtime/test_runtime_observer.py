@@ -5,7 +5,8 @@ import pytest
 
 from proto.errors import ConfigError
 from proto.messages import AfmScanline, Array
-from services.runtime.observer import Observer, known_name, message_fields
+from recording.tables import json_fields
+from services.runtime.observer import Observer, known_name
 
 
 @pytest.mark.parametrize(
@@ -34,7 +35,7 @@ def test_a_message_with_an_array_becomes_json() -> None:
         seq=0, t_ns=1, src="afm_node@slave", v=1, line=0, lines=1, direction="trace", start_m=(0.0, 0.0, 0.0),
         end_m=(1e-6, 0.0, 0.0), height_m=Array.from_numpy(np.array([1e-9, 2e-9])), amplitude_m=None, phase_rad=None,
     )  # fmt: skip
-    fields = json.loads(json.dumps(message_fields(line)))
+    fields = json.loads(json.dumps(json_fields(line)))
     assert fields["height_m"] == [1e-9, 2e-9]
     assert fields["end_m"] == [1e-6, 0.0, 0.0]
     assert fields["amplitude_m"] is None
