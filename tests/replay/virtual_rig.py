@@ -2,11 +2,13 @@
 
 Every delay comes from one seed: transit on a site, the link between them with its overtaking and repeated messages, and
 how late a loop wakes up. So a session of a second takes less than that, and gives the same file every time.
+With `constant_timing` nothing is random: the rig then runs on the grid that the lockstep loop assumes.
 """
 
 import heapq
 import random
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +19,8 @@ from proto.messages import InputHealth
 from proto.nodes import site_of
 from proto.sequence import Arrival, SequenceTracker
 from recording.writer import FileSettings, RecordingWriter
+from services.afm_node.__main__ import build as build_afm_node
 from services.afm_node.config import AfmConfig
-from services.afm_node.node import AfmNode
-from services.afm_node.sim import SimulatedAfm
 from services.controller.config import ControllerConfig
 from services.controller.node import half_of_site
 from services.haptic_node.config import HapticConfig
@@ -55,6 +56,41 @@ afm_node:
 """
 
 
+Range = tuple[int, int]
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Delays of the rig [ns], each drawn evenly from low <= delay < high, and shares of what happens now and then.
+
+    sending: from the start of a turn to a message; site: transit on a site; link: transit between the sites; start:
+    from one node to the next; wake: lateness of a loop; recorder: until the recorder hears a message. stall_share of
+    the turns are 3 ms late on top, repeat_share of the messages on the link come twice.
+    """
+
+    sending: Range = (0, 20_000)
+    site: Range = (10_000, 200_000)
+    link: Range = (1_000_000, 4_000_000)
+    start: Range = (100_000, 5_000_000)
+    wake: Range = (0, 60_000)
+    recorder: Range = (20_000, 400_000)
+    stall_share: float = 2e-3
+    repeat_share: float = 0.01
+
+
+def constant_timing(link_ns: int, site_ns: int = 1_000) -> Timing:
+    """Return a timing without jitter, lateness, stalls and repetitions: one delay of the link and one on a site [ns].
+
+    The delay on a site is more than zero, because it orders what happens within a tick. The recorder hears every
+    message as late as every other, and so in the order of sending.
+    """
+    site, link = (site_ns, site_ns + 1), (link_ns, link_ns + 1)
+    return Timing((0, 1), site, link, (10_000, 10_001), (0, 1), site, stall_share=0.0, repeat_share=0.0)
+
+
+RANDOM_TIMING = Timing()
+
+
 class QuietLog(StructuredLog):
     """Nothing of what the nodes log is of interest here."""
 
@@ -77,7 +113,7 @@ class VirtualBus:
         self._numbers[topic] = seq + 1
         model = TOPICS[topic].model
         # sent some time after the turn began, which no re-run knows
-        t_ns = self._rig.clock.now_ns() + self._rig.random.randrange(20_000)
+        t_ns = self._rig.clock.now_ns() + self._rig.random.randrange(*self._rig.timing.sending)
         message = model(seq=seq, t_ns=t_ns, src=self.key, v=model.version, **fields)
         self._rig.carry(topic, message)
         return message
@@ -112,15 +148,26 @@ class VirtualBus:
 
 
 class VirtualRig:
-    """Two sites, a link of random delay, and a recorder that hears everything a little later."""
+    """Two sites, a link of random delay, and a recorder that hears everything a little later.
 
-    def __init__(self, folder: Path, seed: int, settings: Sequence[str] = (), link_ms: tuple[float, float] = (1, 4)):
+    Parameters: settings, dotted flags on top of the scenario; scenario, as read from a file (none: a hand presses the
+    tip onto mica and lets go).
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        seed: int,
+        settings: Sequence[str] = (),
+        timing: Timing = RANDOM_TIMING,
+        scenario: Mapping[str, Any] | None = None,
+    ):
         self.random = random.Random(seed)
+        self.timing = timing
         self.clock = VirtualClock(start_ns=10**9, epoch_offset_ns=EPOCH_OFFSET_NS)
-        self._link_ns = [round(bound * 1e6) for bound in link_ms]
         self._order = 0
         self._heard: list[tuple[int, int, str, Message]] = []
-        document = merge(yaml.safe_load(_SCENARIO), flag_overrides(settings))
+        document = merge(scenario or yaml.safe_load(_SCENARIO), flag_overrides(settings))
         self._loaded = LoadedScenario(Scenario.model_validate(document), "virtual", document)
         self.writer = RecordingWriter.create(RECORDER, FileSettings(directory=folder))
         text = yaml.safe_dump(document).encode()
@@ -131,7 +178,7 @@ class VirtualRig:
         for key in NODES:
             node = self._node(NodeContext(key, self.clock, self.buses[key], QuietLog(key)))
             # nodes start one after the other
-            self.clock.advance_ns(self.random.randrange(100_000, 5_000_000))
+            self.clock.advance_ns(self.random.randrange(*timing.start))
             self.loops[key] = NodeLoop(node, self.buses[key], RealtimeStatus(fifo=True, memory_locked=False))
         self._started_ns = self.clock.monotonic_ns()
         self._launcher = VirtualBus(self, LAUNCHER)
@@ -153,7 +200,8 @@ class VirtualRig:
             self.clock.advance_ns(max(0, due_ns - self.clock.monotonic_ns()))
             self.loops[key].turn()
             # a loop wakes up late, and now and then very late
-            self._late_ns[key] = self.random.randrange(60_000) + 3_000_000 * (self.random.random() < 2e-3)
+            late_ns = self.random.randrange(*self.timing.wake)
+            self._late_ns[key] = late_ns + 3_000_000 * (self.random.random() < self.timing.stall_share)
 
     def finish(self) -> Path:
         """Stop the nodes and complete the file."""
@@ -174,16 +222,16 @@ class VirtualRig:
         site = site_of(message.src)
         self._record(message, site, message.t_ns)
         for bus in self._readers(topic, message, site):
-            self._deliver(bus, message, message.t_ns - EPOCH_OFFSET_NS + self.random.randrange(10_000, 200_000))
+            self._deliver(bus, message, message.t_ns - EPOCH_OFFSET_NS + self.random.randrange(*self.timing.site))
         bridged = TOPICS[topic].bridged
         if bridged not in ("both", "forward" if site == "master" else "backward"):
             return
         far = "slave" if site == "master" else "master"
-        for _ in range(1 + (self.random.random() < 0.01)):
-            arrives_ns = message.t_ns - EPOCH_OFFSET_NS + self.random.randrange(*self._link_ns)
+        for _ in range(1 + (self.random.random() < self.timing.repeat_share)):
+            arrives_ns = message.t_ns - EPOCH_OFFSET_NS + self.random.randrange(*self.timing.link)
             self._record(message, far, arrives_ns + EPOCH_OFFSET_NS)
             for bus in self._readers(topic, message, far):
-                self._deliver(bus, message, arrives_ns + self.random.randrange(10_000, 200_000))
+                self._deliver(bus, message, arrives_ns + self.random.randrange(*self.timing.site))
 
     def topic_of(self, message: Message) -> str:
         """Give the topic of a message: each has a model of its own."""
@@ -191,7 +239,7 @@ class VirtualRig:
 
     def _record(self, message: Message, site: str, sent_ns: int) -> None:
         self._order += 1
-        self._heard.append((sent_ns + self.random.randrange(20_000, 400_000), self._order, site, message))
+        self._heard.append((sent_ns + self.random.randrange(*self.timing.recorder), self._order, site, message))
 
     def _readers(self, topic: str, message: Message, site: str) -> list[VirtualBus]:
         return [
@@ -215,8 +263,7 @@ class VirtualRig:
         if name == "controller":
             return half_of_site(context, self._loaded.section("controller", ControllerConfig))
         if name == "afm_node":
-            afm = self._loaded.section("afm_node", AfmConfig)
-            return AfmNode(context, afm, SimulatedAfm(afm.to_params()))
+            return build_afm_node(context, self._loaded.section("afm_node", AfmConfig))
         hand = self._loaded.section("haptic_node", HapticConfig)
         return HapticNode(context, hand, SimulatedHaptic(hand.to_plant_params(), hand.device.start_position_m))
 
