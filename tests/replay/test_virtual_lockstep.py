@@ -16,6 +16,11 @@ says so. How the two are aligned:
 The arm is placed 1 ns before the second position command, so that the base moves for 1 ms - 1 ns and then 1 ns where
 lockstep makes one step of 1 ms. In the spring's environment the base does not move then; in the contact the sum
 of the two differs from the one step by rounding.
+
+Without any delay the first command of lockstep comes at the time at which its instrument starts, so that the step in
+which it is armed lasts 1 ns and its approach begins one tick late: 1e-5 of the force in the contact, whose approach is
+still decaying in the session, and nothing on the spring, where there is none. So the contact is compared over a link of
+4 ms, and the spring without delay.
 """
 
 import ast
