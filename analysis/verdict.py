@@ -81,7 +81,7 @@ def judge(
 
 
 def window_sizes(time_s: Series, force_n: Series) -> tuple[Series, Series]:
-    """Give the middle [s] of each window and the peak-to-peak [N] in it, shape (WINDOWS,) each."""
+    """Return the middle [s] of each window and the peak-to-peak [N] in it, shape (WINDOWS,) each."""
     edges = np.linspace(0, len(time_s), WINDOWS + 1).astype(int)
     parts = [slice(a, b) for a, b in pairwise(edges)]
     centres = np.array([0.5 * (time_s[part][0] + time_s[part][-1]) for part in parts])
@@ -89,7 +89,7 @@ def window_sizes(time_s: Series, force_n: Series) -> tuple[Series, Series]:
 
 
 def growth_rate(time_s: Series, size_n: Series, floor_n: float) -> tuple[float | None, float]:
-    """Give the slope [1/s] of log(size) over time, and how clear the trend is, -1 (falls throughout) to 1 (rises).
+    """Return the slope [1/s] of log(size) over time, and how clear the trend is, -1 (falls throughout) to 1 (rises).
 
     Parameters: time_s, size_n, shape (n,); sizes up to floor_n count as nothing. The slope is the median over all pairs
     (Theil and Sen), because a window may miss the one burst of a slow limit cycle; the trend is Kendall's tau. A motion

@@ -12,12 +12,12 @@ TWO_SITES_FILE = SITE_DIRECTORY / "two_sites.yaml"
 
 
 def known_scenarios() -> list[str]:
-    """Give the names of the scenarios that come with the project."""
+    """Return the names of the scenarios that come with the project."""
     return sorted(path.stem for path in SCENARIO_DIRECTORY.glob("*.yaml"))
 
 
 def find_scenario(name: str) -> Path:
-    """Give the file of a scenario named or given as a path; ConfigError lists the names known."""
+    """Return the file of a scenario named or given as a path; ConfigError lists the names known."""
     if name in known_scenarios():
         return SCENARIO_DIRECTORY / f"{name}.yaml"
     path = Path(name)
@@ -27,7 +27,7 @@ def find_scenario(name: str) -> Path:
 
 
 def site_file_named(given: Path | None) -> Path | None:
-    """Give the file of a site that comes with the project by its name, such as two_sites; a path stays as it is."""
+    """Return the file of a site that comes with the project by its name, such as two_sites; a path stays as it is."""
     if given is None or given.suffix or given.exists():
         return given
     packaged = SITE_DIRECTORY / f"{given}.yaml"

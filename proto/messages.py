@@ -78,7 +78,7 @@ class Array(Record):
         return cls.model_validate({"dtype": name, "shape": array.shape, "data": data})
 
     def to_numpy(self) -> npt.NDArray[np.generic]:
-        """Give the elements as a read-only numpy array of `shape`."""
+        """Return the elements as a read-only numpy array of `shape`."""
         array: npt.NDArray[np.generic] = np.frombuffer(self.data, dtype=_DTYPES[self.dtype]).reshape(self.shape)
         return array
 

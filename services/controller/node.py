@@ -137,9 +137,9 @@ class ControllerHalf(Node):
 
     @abstractmethod
     def energy_account(self) -> EnergyAccount:
-        """Give what this half of the law knows of energy."""
+        """Return what this half of the law knows of energy."""
 
-    def hear(self, message: TeleopForward | TeleopBackward, received_ns: int) -> bool:
+    def receive_signal(self, message: TeleopForward | TeleopBackward, received_ns: int) -> bool:
         """Take a signal of the other half; one of another law is not understood and counts as silence."""
         if message.law != self.law.name:
             return False
@@ -161,18 +161,18 @@ class ControllerHalf(Node):
         )
         return True
 
-    def heard(self) -> PortSignal:
-        """Give the newest signal with the time of silence since."""
+    def latest_signal(self) -> PortSignal:
+        """Return the newest signal with the time of silence since."""
         if self._signal_ns is None:
             return NO_SIGNAL
         return self.signal._replace(silence_s=self._silence_s(), round_trip_s=self.round_trip_s()[0])
 
     def round_trip_s(self) -> tuple[float, bool]:
-        """Give the age of the hand's sample that the newest answer descends from [s], and whether it is known."""
+        """Return the age of the hand's sample that the newest answer descends from [s], and whether it is known."""
         return _NEVER
 
     def elapsed_s(self, hand_t_ns: int, previous_ns: int) -> float | None:
-        """Give the whole periods between two hand samples [s]; None when the sequence starts anew.
+        """Return the whole periods between two hand samples [s]; None when the sequence starts anew.
 
         The hand's grid is absolute, so its stamps differ from whole periods by its lateness only; rounding keeps the
         law on that grid and makes a re-run from a recording exact.
@@ -183,7 +183,7 @@ class ControllerHalf(Node):
         return periods * self.config.period_s
 
     def wire(self, signal: PortSignal) -> dict[str, object]:
-        """Give the part of a teleop message that both directions share, without the force."""
+        """Return the part of a teleop message that both directions share, without the force."""
         return {
             "law": self.law.name,
             "active": signal.active,
@@ -267,7 +267,7 @@ class MasterController(ControllerHalf):
         if isinstance(message, HapticState):
             self._on_hand(message)
         elif isinstance(message, TeleopBackward):
-            if self.hear(message, received.received_ns) and self.switching:
+            if self.receive_signal(message, received.received_ns) and self.switching:
                 self._take_over()
             self._answered = (message.hand_seq, message.hand_t_ns)
             if self._command_due:
@@ -346,7 +346,8 @@ class MasterController(ControllerHalf):
         )
 
     def _received(self) -> MasterReference:
-        self.law_state, step = self.law.master_receive(self.params, self.law_state, self.hand, self.heard(), self._dt_s)
+        signal = self.latest_signal()
+        self.law_state, step = self.law.master_receive(self.params, self.law_state, self.hand, signal, self._dt_s)
         reference = cast(MasterReference, step)
         coupled = reference.active and self.hand.following
         count = energy.entered if coupled else energy.moved_to
@@ -354,7 +355,7 @@ class MasterController(ControllerHalf):
         return reference
 
     def _coasting(self) -> MasterReference:
-        """Give the reference while the other half is waited for: it comes to rest, and the force shown stays."""
+        """Return the reference while the other half is waited for: it comes to rest, and the force shown stays."""
         self._switch_s += self._dt_s
         last, fades = self.reference, math.exp(-self._dt_s / _COASTING_S)
         active = last.active and self._switch_s <= self.config.switch_limit_s
@@ -395,7 +396,7 @@ class SlaveController(ControllerHalf):
             self.law_state = self._standing()
 
     def _standing(self) -> Any:
-        """Give the state of a half that begins where the base was last told to be."""
+        """Return the state of a half that begins where the base was last told to be."""
         return self.law.slave_start(self.params, self.tip._replace(position_m=self.reference.position_m))
 
     def _on_forward(self, message: TeleopForward, received_ns: int) -> None:
@@ -405,14 +406,14 @@ class SlaveController(ControllerHalf):
             self._answer()
         elapsed = self.elapsed_s(message.hand_t_ns, self._hand[1])
         self._hand = (message.hand_seq, message.hand_t_ns)
-        if self.hear(message, received_ns) and message.active:
+        if self.receive_signal(message, received_ns) and message.active:
             self.switching = False
         if self.law_state is None or (elapsed is None and not self.switching):
             self.law_state = self.law.slave_start(self.params, self.tip)
         self._dt_s = elapsed if elapsed is not None else self.config.period_s
         if not self.switching:
             self.law_state, self.reference = self.law.slave_receive(
-                self.params, self.law_state, self.heard(), self.tip, self._dt_s
+                self.params, self.law_state, self.latest_signal(), self.tip, self._dt_s
             )
         mode: Literal["position", "hold"] = "position" if self.reference.active else "hold"
         command = self.publish(
@@ -475,6 +476,6 @@ class SlaveController(ControllerHalf):
 
 
 def half_of_site(context: NodeContext, config: ControllerConfig) -> ControllerHalf:
-    """Give the half of the law that belongs to the node's site."""
+    """Return the half of the law that belongs to the node's site."""
     half = MasterController if context.key.endswith("@master") else SlaveController
     return cast(ControllerHalf, half(context, config))
