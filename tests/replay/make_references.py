@@ -19,13 +19,13 @@ from recording.rewrite import filter_recording
 from services.controller.config import LAWS
 
 FOLDER = Path(__file__).resolve().parent
-DURATION_S = 1.2
+DURATION_S = 1.1
 # all that a node with a journal hears and says
 TOPICS = ("haptic/*", "teleop/*", "afm/*", "law/*", "clock/*", "session/control*", "session/event", "node/journal")
 # every message of the link twice, and the delay that a law has to bear
 DELAY_MS = "4"
 # more than a batch of the journal, at whose beginning a re-run starts
-BEFORE_S = 0.7
+BEFORE_S = 0.6
 
 
 def make(law: str) -> Path:

@@ -32,7 +32,7 @@ def reference() -> Recording:
 
 def test_there_is_a_reference_with_a_journal_for_each_law() -> None:
     assert {path.stem for path in REFERENCES} == set(LAWS)
-    assert all(path.stat().st_size < 1_500_000 for path in REFERENCES)
+    assert all(path.stat().st_size < 1_000_000 for path in REFERENCES)
     assert JOURNALLED, "recorded before nodes kept a journal: run python tests/replay/make_references.py"
 
 
