@@ -7,6 +7,7 @@ from fnmatch import fnmatchcase
 from typing import Protocol
 
 from proto.errors import ConfigError
+from proto.nodes import name_of
 
 Matcher = Callable[[str], bool]
 
@@ -35,7 +36,7 @@ def matcher(pattern: str) -> Matcher:
 def node_matcher(pattern: str) -> Matcher:
     """Return the predicate of a pattern of nodes: `node@site`, or `node` for all of that name."""
     test = matcher(pattern)
-    return lambda key: test(key) or test(key.partition("@")[0])
+    return lambda key: test(key) or test(name_of(key))
 
 
 @dataclass(frozen=True)

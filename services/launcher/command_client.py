@@ -12,7 +12,7 @@ import zmq
 
 from proto.errors import ConfigError, EndpointError, RigError
 from proto.messages import NodeHealth, Scalar, SessionEvent
-from proto.nodes import LINK, is_console, site_of
+from proto.nodes import LINK, is_console, name_of, site_of
 from services.launcher.pending_command import Command, PendingCommand
 from services.launcher.plan import Site
 from services.runtime.address_book import AddressBook
@@ -85,7 +85,7 @@ def addressed(book: AddressBook, target: str, site: Site = "master") -> list[str
 
 def _answers_nothing(node: str) -> bool:
     # the link's second socket belongs to the same process, which answers under the name of the first
-    return is_console(node) or node.partition("@")[0] == "launcher" or node == f"{LINK}@slave"
+    return is_console(node) or name_of(node) == "launcher" or node == f"{LINK}@slave"
 
 
 def console_of(book: AddressBook, site: Site) -> str:
@@ -108,7 +108,7 @@ def _machines_here(book: AddressBook) -> list[str] | None:
 
 
 def _is_meant(node: str, target: str) -> bool:
-    return fnmatchcase(node, target) or fnmatchcase(node.partition("@")[0], target)
+    return fnmatchcase(node, target) or fnmatchcase(name_of(node), target)
 
 
 def send_control(request: ControlRequest, heard: Callable[[SessionEvent], None]) -> dict[str, SessionEvent]:

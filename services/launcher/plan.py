@@ -9,7 +9,7 @@ import yaml
 
 from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE, find_scenario
 from proto.errors import ConfigError, RigError
-from proto.nodes import LAUNCHER, LINK, OPTIONAL_NODES, RECORDER, SERVICES, START_ORDER, site_of
+from proto.nodes import LAUNCHER, LINK, OPTIONAL_NODES, RECORDER, SERVICES, START_ORDER, name_of, site_of
 from services.runtime.address_book import AddressBook
 from services.runtime.config import layered, merge, validate
 from services.runtime.main import load_site, node_kind
@@ -187,9 +187,9 @@ def check_book(book: AddressBook, site_file: Path, request: UpRequest) -> None:
 def excluded_nodes(names: Sequence[str], known: Sequence[str] = START_ORDER) -> frozenset[str]:
     """Return the nodes that `node@site` or `node` names; ConfigError lists the known ones."""
     for name in names:
-        if not any(name in (node, node.partition("@")[0]) for node in known):
+        if not any(name in (node, name_of(node)) for node in known):
             raise ConfigError(f"--without {name}: no such node, known are {', '.join(known)}")
-    return frozenset(node for node in known if node in names or node.partition("@")[0] in names)
+    return frozenset(node for node in known if node in names or name_of(node) in names)
 
 
 def effective_scenario(path: Path, request: UpRequest, out: Path) -> LoadedScenario:

@@ -15,7 +15,7 @@ import zmq
 
 from proto.errors import ConfigError, RefusedError
 from proto.messages import Scalar, SessionControl
-from proto.nodes import LINK
+from proto.nodes import LINK, name_of
 from recording.channel_filter import Selection
 from recording.messages import RecordedChannel, RecordedMessage
 from recording.multi_file import RecordingSource
@@ -80,7 +80,7 @@ class ReplayPlan:
         Health is not, because the player publishes its own, nor a journal, because nobody takes those turns now.
         """
         node = node_of(channel)
-        name = node.partition("@")[0]
+        name = name_of(node)
         if not node or name in _EXCLUDED_NODES or channel.topic in _EXCLUDED_TOPICS:
             return False
         by_node = not self._selection.nodes or any(test(node) for test in self._selection.nodes)

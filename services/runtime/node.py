@@ -16,6 +16,7 @@ from typing import ClassVar, Literal, Protocol
 from proto import TOPICS
 from proto.errors import RefusedError, TelenanoError
 from proto.messages import MAX_TEXT, InputHealth, NodeHealth, Scalar, SessionControl
+from proto.nodes import name_of
 from proto.sequence import Arrival
 from services.runtime.bus import Bus, ConnectionEvent, Received
 from services.runtime.clock import Clock
@@ -137,7 +138,7 @@ class CommandHandler:
         Returns: whether the node was asked now, rather than its answer repeated.
         """
         key = self._node.context.key
-        name = key.partition("@")[0]
+        name = name_of(key)
         if not (fnmatchcase(key, control.target) or fnmatchcase(name, control.target)):
             return False
         wildcard = any(sign in control.target for sign in "*?[")

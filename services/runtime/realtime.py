@@ -12,6 +12,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from proto.errors import ConfigError
+from proto.nodes import name_of
 from services.runtime.log import StructuredLog
 
 _PR_SET_TIMERSLACK = 29
@@ -77,7 +78,7 @@ def processor_of(node: str, config: RealtimeConfig, permitted: Sequence[int]) ->
     processor.
     """
     if isinstance(config.cpus, dict):
-        return config.cpus.get(node, config.cpus.get(node.partition("@")[0]))
+        return config.cpus.get(node, config.cpus.get(name_of(node)))
     if config.cpus == "free" or len(permitted) < 2:
         return None
     # the last ones: the first tend to serve the machine's interrupts
