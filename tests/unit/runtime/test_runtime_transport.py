@@ -521,7 +521,8 @@ def test_a_key_revoked_while_it_is_connected_is_cut_off_and_the_others_come_back
     until(hears_more(master, AFM), *everybody)
     until(lambda: laptop.texts("refused"), *everybody)
     assert (laptop.heard_from(AFM), len(master.texts("up"))) == (cut, 2)
-    assert set(slave.network.rejected) == {"revoked"}
+    # a handshake that was under way when the connections were closed fails with them
+    assert {"revoked"} <= set(slave.network.rejected) <= {"revoked", "handshake"}
     assert slave.subscribers[0].tracker("afm/state", AFM).lost == 0
     assert len(slave.events) == 1
 
