@@ -3,11 +3,12 @@
 Every default is a value of Table 2 or, where the paper gives none, one that its Fig. 12 leaves untouched.
 """
 
+from functools import lru_cache
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from services.afm_node.cantilever import build_plant, volts_per_m
+from services.afm_node.cantilever import Plant, build_plant, volts_per_m
 from services.afm_node.capillary import meniscus_radius_m
 from services.afm_node.maugis_dugdale import reduced_modulus_pa
 from services.afm_node.safety import SafetyParams
@@ -145,7 +146,7 @@ class AfmConfig(Settings):
         return spring_params(guard, spring.stiffness_n_per_m, spring.rest_position_m, spring.bilateral)
 
     def to_params(self) -> AfmParams:
-        """Build the parameters of the pure step; the contact table is built once per set of its parameters.
+        """Build the parameters of the pure step; built once per set of its parameters.
 
         Raises: ValueError naming value and unit, where the values admit no model.
         """
@@ -164,7 +165,14 @@ class AfmConfig(Settings):
             reading=AS_PRINTED if self.mode == "as_printed" else CONSISTENT,
             meniscus=self.meniscus,
         )
-        tip = build_tip_sample(properties, _TABLE_REACH * s.force_limit_n)
         gain = volts_per_m(c.bridge_supply_v, c.amplifier_gain, c.sensitivity_per_m)
-        plant = build_plant(tip, c.stiffness_n_per_m, self.rest_distance_m, gain)
+        plant = _plant(properties, _TABLE_REACH * s.force_limit_n, c.stiffness_n_per_m, self.rest_distance_m, gain)
         return AfmParams(SafetyParams(**s.model_dump()), plant)
+
+
+# a configuration is built when it is read, and again by whoever runs it
+@lru_cache(maxsize=16)
+def _plant(
+    properties: TipSampleProperties, reach_n: float, stiffness_n_per_m: float, rest_m: float, volts: float
+) -> Plant:
+    return build_plant(build_tip_sample(properties, reach_n), stiffness_n_per_m, rest_m, volts)

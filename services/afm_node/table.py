@@ -124,7 +124,7 @@ def build_contact_table(contact: MaugisDugdale, largest_force_n: float) -> Conta
     while cells <= _LAST_CELLS:
         table = _tabulate(contact, end, start, span, cells)
         force_error, stiffness_error = _measured_errors(table, end, start, span, cells)
-        if force_error <= _MARGIN * FORCE_TOLERANCE and stiffness_error <= _MARGIN * STIFFNESS_TOLERANCE:
+        if _is_fine_enough(force_error, stiffness_error):
             return table._replace(force_error=force_error, stiffness_error=stiffness_error)
         cells *= 2
     raise ValueError(
@@ -176,17 +176,30 @@ def _direct(transition: float, end: float, start: float, u: npt.NDArray[np.float
 
 
 def _measured_errors(table: ContactTable, end: float, start: float, span: float, cells: int) -> tuple[float, float]:
+    """Return the largest relative errors of force and stiffness; of a table that is too coarse, the first too large."""
     unit_n, unit_m = table.contact.force_unit_n, table.contact.indentation_unit_m
     inside = (np.arange(cells)[:, None] + np.array(_PROBES)).ravel() / cells
-    u = span * (0.5 ** np.arange(_OCTAVES)[:, None] * 0.5 * (1.0 + inside)).ravel()
-    u = np.append(u, span * 0.5**_OCTAVES * np.array(_PROBES))
-    exact = _direct(table.contact.transition, end, start, u)
-    found = _look_up(table, (start + u * u) * unit_m) / np.array([unit_n, unit_n / unit_m])
-    force, stiffness = exact[:, 0], exact[:, 2]
-    force_errors = np.abs(found[:, 0] - force) / np.maximum(np.abs(force), FORCE_FLOOR)
-    stiffness_errors = np.abs(found[:, 1] - stiffness) / np.maximum(np.abs(stiffness), 1.0)
-    # The innermost cell holds its stiffness constant by definition; only its force is bounded.
-    return float(force_errors.max()), float(stiffness_errors[: -len(_PROBES)].max())
+    force_error = stiffness_error = 0.0
+    for octave in range(_OCTAVES + 1):
+        innermost = octave == _OCTAVES
+        x = 0.5**_OCTAVES * np.array(_PROBES) if innermost else 0.5**octave * 0.5 * (1.0 + inside)
+        u = span * x
+        exact = _direct(table.contact.transition, end, start, u)
+        found = _look_up(table, (start + u * u) * unit_m) / np.array([unit_n, unit_n / unit_m])
+        force, stiffness = exact[:, 0], exact[:, 2]
+        force_errors = np.abs(found[:, 0] - force) / np.maximum(np.abs(force), FORCE_FLOOR)
+        force_error = max(force_error, float(force_errors.max()))
+        # the innermost cell holds its stiffness constant by definition; only its force is bounded
+        if not innermost:
+            stiffness_errors = np.abs(found[:, 1] - stiffness) / np.maximum(np.abs(stiffness), 1.0)
+            stiffness_error = max(stiffness_error, float(stiffness_errors.max()))
+        if not _is_fine_enough(force_error, stiffness_error):
+            break
+    return force_error, stiffness_error
+
+
+def _is_fine_enough(force_error: float, stiffness_error: float) -> bool:
+    return force_error <= _MARGIN * FORCE_TOLERANCE and stiffness_error <= _MARGIN * STIFFNESS_TOLERANCE
 
 
 @compiled
