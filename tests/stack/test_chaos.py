@@ -58,10 +58,23 @@ def wreck(tmp_path_factory: pytest.TempPathFactory) -> Any:
             lambda: (rig.out / "session_1.mcap").exists() and len(rig.recording().messages("haptic/state")) > 1000,
             "a second of what the next recorder recorded",
         )
-        code, summary, err = rig.stop()
-        yield rig, kills, code, summary, err
+        exhausted = kill_again_and_again(rig, "delay_node@master")
+        code, _, err = rig.finish()
+        yield rig, kills, exhausted, code, err
     finally:
         rig.close()
+
+
+def kill_again_and_again(rig: Rig, node: str) -> int:
+    """Kill a node each time that it has come back until the rig has ended; give how often that was."""
+    killed: set[int] = set()
+    end = time.monotonic() + 60.0
+    while rig.process is not None and rig.process.poll() is None and time.monotonic() < end:
+        process_id = rig.process_of(node)
+        if process_id is not None and process_id not in killed:
+            killed.add(rig.kill(node))
+        time.sleep(0.05)
+    return len(killed)
 
 
 def states(path: Path, topic: str, first_ns: int, last_ns: int) -> list[Any]:
@@ -139,14 +152,6 @@ def test_killed_recording_is_readable_up_to_the_last_flush(wreck: Any) -> None:
     assert following.info().messages > 1000
 
 
-def test_interrupted_rig_stops_cleanly(wreck: Any) -> None:
-    rig, _, code, _, err = wreck
-    assert "Traceback" not in err
-    assert code in (0, 1), err
-    assert (rig.out / "session_1.mcap").exists()
-    assert rig.process_of("haptic_node@master") is None
-
-
 def after_ms(path: Path, topic: str, kill: Kill, mode: str) -> float | None:
     """Give the time from a kill until a device was in a mode [ms]."""
     for state in states(path, topic, kill.at_ns, kill.at_ns + LATER_NS):
@@ -176,25 +181,13 @@ def test_times_are_entered_in_the_table_of_faults(wreck: Any) -> None:
         enter(f"kill -9 of {kill.node}", "; ".join([*told, "restarted"]))
 
 
-def test_a_node_that_dies_again_and_again_ends_the_rig(tmp_path: Path) -> None:
-    rig = Rig(tmp_path)
-    try:
-        rig.start("--duration", "600")
-        rig.wait_until(rig.running, "a running session")
-        killed: set[int] = set()
-        end = time.monotonic() + 60.0
-        while rig.process is not None and rig.process.poll() is None and time.monotonic() < end:
-            process_id = rig.process_of("delay_node@master")
-            if process_id is not None and process_id not in killed:
-                killed.add(rig.kill("delay_node@master"))
-            time.sleep(0.05)
-        code, _, err = rig.finish()
-    finally:
-        rig.close()
+def test_a_node_that_dies_again_and_again_ends_the_rig(wreck: Any) -> None:
+    rig, _, killed, code, err = wreck
     assert code == 1
-    assert len(killed) == 5
-    assert "delay_node@master" in err
-    assert "5 times" in err
+    assert "Traceback" not in err
+    # five exits within half a minute, of which the kill before the others may be one
+    assert killed in (4, 5)
+    reported = next(line for line in err.splitlines() if "5 times" in line).removeprefix("telenano: ")
+    assert reported.startswith("delay_node@master")
     assert rig.process_of("haptic_node@master") is None
-    said = next(line for line in err.splitlines() if "5 times" in line).removeprefix("telenano: ")
-    enter("a node that dies again and again", f"exit code 1: {said}")
+    enter("a node that dies again and again", f"exit code 1: {reported}")

@@ -184,7 +184,7 @@ def rejected(rig: Rig, node: str) -> set[str]:
 
 
 def test_killed_recorders_leave_files_that_lack_no_more_than_a_flush(rig: Any) -> None:
-    check_killed(rig, kill_recorders(rig, 4))
+    check_killed(rig, kill_recorders(rig, 2))
 
 
 def test_after_all_of_it_the_rig_ends_in_order_and_nobody_was_started_again(rig: Any) -> None:
