@@ -52,7 +52,7 @@ def main(law: str) -> None:
     def turns() -> None:
         for _ in range(TURNS):
             journal.clock.time_ns = received.received_ns
-            journal.enter_message(received, asked=False)
+            journal.record_message(received, executed=False)
 
     def batch() -> None:
         turns()

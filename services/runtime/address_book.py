@@ -120,7 +120,7 @@ class AddressBook(Settings):
 
     @property
     def requires_keys(self) -> bool:
-        """Whether machines authenticate to one another: over a network, unless the file says `insecure`."""
+        """Whether machines authenticate to one another: over a network, unless the file has `insecure: true`."""
         return self.spans_machines and not self.insecure
 
     def machine_of(self, node: str) -> str:

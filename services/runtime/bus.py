@@ -21,7 +21,7 @@ from services.runtime.clock import Clock
 HIGH_WATER_MARK = 10_000
 # a frame above this is not even taken into memory: libzmq drops the connection that sent it
 _LARGEST_FRAME = 16 * MAX_MESSAGE_BYTES
-# what a subscriber says are names of topics
+# a subscriber sends nothing but names of topics
 _LARGEST_SUBSCRIPTION = 4096
 _RECONNECT_MS = 50
 # messages taken before a node looks at its deadline again, so that a flood cannot hold a loop
@@ -30,7 +30,7 @@ _BATCH = 256
 _FEW = 3
 # as plain numbers: the enumerations of the binding cost half as much again as the question itself
 _EVENTS, _READABLE, _DONTWAIT, _SNDMORE = int(zmq.EVENTS), int(zmq.POLLIN), int(zmq.DONTWAIT), int(zmq.SNDMORE)
-# sources heard on one node; a peer that makes up names must not fill the memory
+# sources that one node keeps account of; a peer that makes up names must not fill the memory
 _MOST_TRACKERS = 1024
 # how long a node that ends goes on sending what a reader that is behind has not yet taken, its recorder above all;
 # within the grace that a supervisor gives
@@ -145,7 +145,7 @@ class ZmqPublisher(_NumberingPublisher):
         kind: int = zmq.PUB,
         prepare: Callable[["zmq.Socket[bytes]"], None] = lambda socket: None,
     ) -> None:
-        """Bind an endpoint, with a socket that `prepare` was called with; EndpointError says why that fails."""
+        """Bind an endpoint, with a socket that `prepare` was called with; EndpointError if that fails."""
         super().__init__(clock, node)
         self._lock = hold_endpoint(endpoint)
         self.socket = context.socket(kind)
@@ -165,7 +165,7 @@ class ZmqPublisher(_NumberingPublisher):
         self.socket.send(payload)
 
     def also_bind(self, endpoint: str) -> None:
-        """Bind a further endpoint; EndpointError says why that fails, and everything is closed."""
+        """Bind a further endpoint; if that fails, everything is closed and EndpointError gives the reason."""
         try:
             bind(self.socket, endpoint, self.node)
         except EndpointError:
@@ -193,7 +193,7 @@ class Subscriber:
         """Connect to endpoints (keys) for topics (values).
 
         Parameters: connect, false when somebody else connects the socket later; permit, called with topic and source
-        of each message, raises WireError for what the peers of this socket may not say.
+        of each message, raises WireError for what the peers of this socket may not publish.
         """
         self._clock = clock
         self.permit = permit
@@ -238,12 +238,12 @@ class Subscriber:
     def receive(self) -> Iterator[Received]:
         """Return the messages that have arrived: valid, not repeated, and on `latest` topics not overtaken."""
         for frames, received_ns in self.receive_raw():
-            received = self.examine(frames, received_ns)
+            received = self.decode_and_track(frames, received_ns)
             if received is not None:
                 yield received
 
-    def examine(self, frames: Sequence[bytes], received_ns: int) -> Received | None:
-        """Decode and enter one message; None when it is refused or of no more use, which is then counted."""
+    def decode_and_track(self, frames: Sequence[bytes], received_ns: int) -> Received | None:
+        """Decode, validate and count one message; None when it is rejected, repeated or superseded."""
         try:
             topic, payload = split_frames(frames)
             message = decode(topic, payload)
@@ -265,10 +265,10 @@ class Subscriber:
         return bool(cast(int, self.socket.get(_EVENTS)) & _READABLE)
 
     def input_health(self) -> tuple[InputHealth, ...]:
-        """Return the account of every input; a topic that nobody was heard on has an empty source."""
+        """Return the account of every input; a topic on which nothing was received has an empty source."""
         now = self._clock.now_ns()
-        heard = {topic for topic, _ in self.trackers}
-        silent = [_health_of(topic, "", SequenceTracker(), now) for topic in self.topics if topic not in heard]
+        received = {topic for topic, _ in self.trackers}
+        silent = [_health_of(topic, "", SequenceTracker(), now) for topic in self.topics if topic not in received]
         return (*(_health_of(topic, src, t, now) for (topic, src), t in sorted(self.trackers.items())), *silent)
 
     def close(self) -> None:
@@ -276,7 +276,7 @@ class Subscriber:
         self.socket.close()
 
     def tracker(self, topic: str, src: str) -> SequenceTracker:
-        """Return the account of a topic from a source; WireError (`source`) when absurdly many have been heard."""
+        """Return the account of a topic from a source; WireError (`source`) when there are too many sources."""
         tracker = self.trackers.get((topic, src))
         if tracker is None:
             if len(self.trackers) >= _MOST_TRACKERS:
@@ -322,8 +322,8 @@ class ZmqBus:
     def wait(self, deadline_ns: int) -> None:
         """Wait until something has arrived or the monotonic clock has reached `deadline_ns`; it may end for nothing.
 
-        ZeroMQ's descriptor tells of changes only, those of connections among them: it may be waited for once all that
-        it told of has been taken.
+        ZeroMQ's descriptor is edge-triggered, by changes of connections too: it may be waited for once everything
+        that it signalled has been taken.
         """
         remaining = deadline_ns - self._clock.monotonic_ns()
         if remaining > 0 and not self._attend and all([subscriber.drained for subscriber in self.subscribers]):
@@ -332,7 +332,7 @@ class ZmqBus:
                 self._attend = not self._network_descriptors.isdisjoint(ready)
 
     def process_events(self, *, now: bool = False) -> Sequence[ConnectionEvent]:
-        """Look after network connections if there is cause, or `now`; return what happened to them."""
+        """Process events of network connections, if there may be any or `now`; return what happened to them."""
         if self._network is None or not (self._attend or now):
             return ()
         notices = self._network.process_events()
@@ -356,7 +356,7 @@ class ZmqBus:
 
 
 def split_frames(frames: Sequence[bytes]) -> tuple[str, bytes]:
-    """Return topic and payload of a two-frame message; WireError (`frames`, `topic`) says what is wrong."""
+    """Return topic and payload of a two-frame message; WireError (`frames`, `topic`) for any other."""
     if len(frames) != 2:
         raise WireError("frames", f"a message has 2 frames (topic, msgpack map), this one has {len(frames)}")
     try:
@@ -403,7 +403,7 @@ def hold_endpoint(endpoint: str) -> IO[str]:
 
 
 def _health_of(topic: str, src: str, tracker: SequenceTracker, now_ns: int) -> InputHealth:
-    heard = tracker.received > 0
+    received = tracker.received > 0
     return InputHealth(
         topic=topic,
         src=src,
@@ -413,6 +413,6 @@ def _health_of(topic: str, src: str, tracker: SequenceTracker, now_ns: int) -> I
         gaps=tracker.gaps,
         repeated=tracker.late + tracker.duplicates,
         restarts=tracker.restarts,
-        age_valid=heard,
-        age_s=(now_ns - tracker.last_t_ns) * 1e-9 if heard else 0.0,
+        age_valid=received,
+        age_s=(now_ns - tracker.last_t_ns) * 1e-9 if received else 0.0,
     )

@@ -39,21 +39,21 @@ class InputJournal:
         """A batch is complete."""
         return len(self._kind) >= _BATCH
 
-    def enter_deadline(self) -> None:
-        """Enter a deadline that was acted on at the time that the clock shows."""
+    def record_deadline(self) -> None:
+        """Record a deadline that was acted on at the time that the clock shows."""
         self._kind.append(DEADLINE)
         self._time_ns.append(self.clock.time_ns)
         self._input.append(-1)
         self._number.append(-1)
 
-    def enter_message(self, received: Received, *, asked: bool) -> None:
-        """Enter a message that was acted on when it was received; `asked`: the node carried out its command."""
+    def record_message(self, received: Received, *, executed: bool) -> None:
+        """Record a message that was acted on when it was received; `executed`: the node carried out its command."""
         message = received.message
         source = (received.topic, message.src)
         place = self._sources.get(source)
         if place is None:
             place = self._sources[source] = len(self._sources)
-        self._kind.append(COMMAND if asked else MESSAGE)
+        self._kind.append(COMMAND if executed else MESSAGE)
         self._time_ns.append(received.received_ns)
         self._input.append(place)
         self._number.append(message.seq)

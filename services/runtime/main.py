@@ -96,7 +96,7 @@ def load_site(path: Path) -> AddressBook:
 
 
 def run_node(kind: NodeKind[C], arguments: Sequence[str] | None = None) -> int:
-    """Run a node until it is told to stop; return the exit code, 2 when it could not start."""
+    """Run a node until it is stopped; return the exit code, 2 when it could not start."""
     given = parse_arguments(kind.name, kind.sites, arguments)
     configure_logging()
     log = StructuredLog(f"{kind.name}@{given.site}")

@@ -48,11 +48,11 @@ class NodeContext:
 
     def event(self, kind: str, level: str, text: str, *, answer_to: str = "", **data: bool | float | str) -> None:
         """Publish a session/event and write it to the log."""
-        self.tell(kind, level, text, data, answer_to)
+        self.publish_event(kind, level, text, data, answer_to)
 
-    def tell(self, kind: str, level: str, text: str, data: Mapping[str, Scalar], answer_to: str = "") -> None:
-        """Do the same with facts that were gathered elsewhere."""
-        # the text may repeat what a peer or a file name said: as much as the wire takes, in what it can hold
+    def publish_event(self, kind: str, level: str, text: str, data: Mapping[str, Scalar], answer_to: str = "") -> None:
+        """Publish and log an event whose data is already a mapping."""
+        # the text may quote a peer or a file name: cut to the length that the wire allows, and made encodable
         text = text[:MAX_TEXT].encode(errors="replace").decode()
         self.bus.publish("session/event", id=answer_to, kind=kind, level=level, text=text, data=data)
         self.log.write(level, text, kind=kind, **data)
@@ -97,7 +97,7 @@ class Node(ABC):
         """Act on a deadline that has come."""
 
     def on_control(self, control: SessionControl) -> str:
-        """Carry out a command and say in a sentence what came of it; RefusedError says why not."""
+        """Execute a command and return a sentence about the result; RefusedError gives the reason if it cannot."""
         raise RefusedError(f"{self.context.key} does not know {control.command}")
 
     def interrupt(self) -> None:
@@ -122,20 +122,20 @@ class AccountedBus(Bus, Protocol):
         """Return the seq of the next message on each topic."""
 
     def process_events(self, *, now: bool = False) -> Sequence[ConnectionEvent]:
-        """Look after network connections if there is cause, or `now`; gives what happened to them."""
+        """Process events of network connections, if there may be any or `now`; return what happened to them."""
 
 
 class CommandHandler:
-    """Takes session/control for a node: once per id, with the answer repeated to a command that is sent again."""
+    """Executes session/control for a node: once per id, with the answer repeated to a command that is sent again."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
         self._answers: OrderedDict[str, tuple[str, str, str]] = OrderedDict()
 
     def handle(self, control: SessionControl) -> bool:
-        """Carry out a command if it concerns this node, and answer with a session/event of the same id.
+        """Execute a command if it concerns this node, and answer with a session/event of the same id.
 
-        Returns: whether the node was asked now, rather than its answer repeated.
+        Returns: whether the node executed it now, rather than its answer repeated.
         """
         key = self._node.context.key
         name = name_of(key)
@@ -146,14 +146,14 @@ class CommandHandler:
             return False
         is_new = control.id not in self._answers
         if is_new:
-            self._answers[control.id] = self._carry_out(control)
+            self._answers[control.id] = self._execute(control)
             if len(self._answers) > _REMEMBERED_ANSWERS:
                 self._answers.popitem(last=False)
         kind, level, text = self._answers[control.id]
         self._node.event(kind, level, text, answer_to=control.id, command=control.command)
         return is_new
 
-    def _carry_out(self, control: SessionControl) -> tuple[str, str, str]:
+    def _execute(self, control: SessionControl) -> tuple[str, str, str]:
         try:
             return "ack", "info", self._node.on_control(control)
         except TelenanoError as error:
@@ -169,7 +169,7 @@ class NodeLoop:
         self._clock = node.context.clock
         self._realtime = realtime
         self._spin = SpinMargin(round(spin_s * 1e9))
-        self._desk = CommandHandler(node)
+        self._commands = CommandHandler(node)
         self._lateness = LatenessWindow()
         self._limited_log = RateLimitedLog(node.context.log, self._clock)
         self._started_ns = self.health_due_ns = self._last_health_ns = self._clock.monotonic_ns()
@@ -200,7 +200,7 @@ class NodeLoop:
         for received in self._bus.receive():
             self._dispatch(received)
             idle = False
-        self._tell(self._bus.process_events())
+        self._report_connections(self._bus.process_events())
         # a message may have moved the deadline
         deadline = self.node.deadline_ns()
         now = self._clock.monotonic_ns()
@@ -215,7 +215,7 @@ class NodeLoop:
                 journal.clock.time_ns = now + journal.clock.epoch_offset_ns
             self.node.on_deadline(now)
             if journal is not None:
-                journal.enter_deadline()
+                journal.record_deadline()
         if now >= self.health_due_ns:
             self.publish_health(now)
         elif self._journal is not None and self._journal.full:
@@ -223,7 +223,7 @@ class NodeLoop:
 
     def publish_health(self, now_ns: int) -> None:
         """Send node/health and what the journal holds, and start a new interval."""
-        self._tell(self._bus.process_events(now=True))
+        self._report_connections(self._bus.process_events(now=True))
         self._report_rejections()
         elapsed_s = max(now_ns - self._last_health_ns, 1) * 1e-9
         cpu_s = time.process_time()
@@ -262,14 +262,14 @@ class NodeLoop:
         if journal is not None:
             journal.clock.time_ns = received.received_ns
         self.node.on_message(received)
-        asked = isinstance(received.message, SessionControl) and self._desk.handle(received.message)
+        executed = isinstance(received.message, SessionControl) and self._commands.handle(received.message)
         # of the health of others only `admits` takes note, and what came of that is in the journal
         if journal is not None and not isinstance(received.message, NodeHealth):
-            journal.enter_message(received, asked=asked)
+            journal.record_message(received, executed=executed)
 
-    def _tell(self, notices: Sequence[ConnectionEvent]) -> None:
+    def _report_connections(self, notices: Sequence[ConnectionEvent]) -> None:
         for notice in notices:
-            self.node.context.tell("network", notice.level, notice.text, notice.data)
+            self.node.context.publish_event("network", notice.level, notice.text, notice.data)
 
     def _report_gap(self, received: Received) -> None:
         source = received.message.src

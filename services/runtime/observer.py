@@ -1,4 +1,4 @@
-"""`telenano topic`: what is said on the bus of a running rig, heard at every socket of it."""
+"""`telenano topic`: the messages of a running rig, received from every socket of it."""
 
 import contextlib
 import math
@@ -22,8 +22,8 @@ _WAIT_MS = 100
 
 
 @dataclass(frozen=True)
-class Heard:
-    """A message as an observer hears it; a copy that left the link at a site is named topic@site."""
+class ObservedMessage:
+    """A message as an observer receives it; a copy that left the link at a site is named topic@site."""
 
     name: str
     received: Received
@@ -56,15 +56,15 @@ class Observer:
         for subscriber in self.subscribers.values():
             self._poller.register(subscriber.socket, zmq.POLLIN)
 
-    def listen(self, duration_s: float | None) -> Iterator[Heard]:
-        """Return what is heard within a time [s], None for no end."""
+    def listen(self, duration_s: float | None) -> Iterator[ObservedMessage]:
+        """Return the messages received within a time [s], None for no end."""
         deadline = math.inf if duration_s is None else time.monotonic() + duration_s
         while time.monotonic() < deadline:
             self._poller.poll(_WAIT_MS)
             self.notices += self._network.process_events()
             for node, subscriber in self.subscribers.items():
                 for received in subscriber.receive():
-                    yield Heard(self.name(node, received.topic, received.message.src), received)
+                    yield ObservedMessage(self.name(node, received.topic, received.message.src), received)
 
     def tracker(self, name: str, src: str) -> SequenceTracker:
         """Return the account of a topic, or of its copy at a site, from a source."""
@@ -84,10 +84,10 @@ class Observer:
 
 
 def list_topics(observer: Observer, duration_s: float) -> list[dict[str, Any]]:
-    """Listen for a time [s] and return a row for each topic and source heard, and for each topic that was silent."""
+    """Listen for a time [s] and return a row for each topic and source received, and for each topic without any."""
     counts: dict[tuple[str, str], int] = {}
-    for heard in observer.listen(duration_s):
-        key = (heard.name, heard.received.message.src)
+    for observed in observer.listen(duration_s):
+        key = (observed.name, observed.received.message.src)
         counts[key] = counts.get(key, 0) + 1
     rows = [_topic_row(name, src, count) for (name, src), count in counts.items()]
     silent = [name for name in TOPICS if not any(row["topic"] == name for row in rows)]
@@ -103,9 +103,9 @@ def _topic_row(name: str, src: str, count: int) -> dict[str, Any]:
 def messages_of(observer: Observer, name: str, duration_s: float | None, count: int | None) -> Iterator[Received]:
     """Return the messages of a topic (topic@site: of its copy) until a number or a time [s] is over."""
     given = 0
-    for heard in observer.listen(duration_s):
-        if heard.name == name:
-            yield heard.received
+    for observed in observer.listen(duration_s):
+        if observed.name == name:
+            yield observed.received
             given += 1
             if count is not None and given >= count:
                 return
@@ -130,7 +130,7 @@ def _sampled(
         # Ctrl-C is how a person ends a measurement without a set length
         pass
     if max((len(s.arrivals_ns) for s in samples.values()), default=0) < least:
-        raise RigError(f"fewer than {least} messages were heard on {name}: is the rig running with this site file?")
+        raise RigError(f"fewer than {least} messages were received on {name}: is the rig running with this site file?")
     return samples
 
 

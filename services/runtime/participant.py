@@ -40,7 +40,7 @@ class Participant:
     resources: contextlib.ExitStack = field(default_factory=contextlib.ExitStack)
 
     def bind(self, key: str, kind: int = zmq.PUB) -> ZmqPublisher:
-        """Bind the endpoints of a node; EndpointError says why that fails."""
+        """Bind the endpoints of a node; EndpointError gives the reason if that fails."""
         return self.resources.enter_context(contextlib.closing(self.network.publisher(key, kind)))
 
     def subscribers(self, connections: Mapping[str, Sequence[str]], *, apart: bool = False) -> list[Subscriber]:
@@ -50,8 +50,8 @@ class Participant:
 
     def observe(self, wanted: Callable[[str, str], bool], sites: Sequence[str] = SITES) -> dict[str, Subscriber]:
         """Connect to each node at `sites` by a socket of its own, for the topics that are `wanted` of its site."""
-        heard = self.book.observed(self.network.machine, sites)
-        plan = {node: [topic for topic in topics if wanted(topic, site_of(node))] for node, topics in heard.items()}
+        topics_of = self.book.observed(self.network.machine, sites)
+        plan = {node: [topic for topic in topics if wanted(topic, site_of(node))] for node, topics in topics_of.items()}
         plan = {node: topics for node, topics in plan.items() if topics}
         return dict(zip(plan, self.subscribers(plan, apart=True), strict=True))
 

@@ -63,7 +63,7 @@ def apply_realtime(config: RealtimeConfig, log: StructuredLog, node: str) -> Rea
     libc.prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
     fifo = config.scheduler != "normal" and _set_fifo(config, log)
     cpu = processor_of(node, config, sorted(os.sched_getaffinity(0)))
-    # without SCHED_FIFO a process must be free to leave a processor that others keep busy, unless it was told to stay
+    # without SCHED_FIFO a process must be free to leave a processor that others keep busy, unless it was pinned there
     if cpu is not None and (fifo or isinstance(config.cpus, dict)):
         _stay_on(cpu)
     locked = config.memory_lock != "off" and _lock_memory(libc, config, log)

@@ -77,7 +77,7 @@ class Transport:
         return self._rejections.last_error
 
     def publisher(self, key: str, kind: int = zmq.PUB) -> ZmqPublisher:
-        """Bind the endpoints of a node; EndpointError says why that fails."""
+        """Bind the endpoints of a node; EndpointError gives the reason if that fails."""
         try:
             local, network = self._book.local_endpoint(key), self._book.bind_endpoint(key)
         except KeyError as error:

@@ -9,7 +9,7 @@ class AccessControl:
     """The keys of one machine in use; in a rig that requires none, every machine may do everything."""
 
     def __init__(self, machine: str, keyring: Keyring, *, requires_keys: bool) -> None:
-        """Read the keys of a machine if the rig requires keys; ConfigError says what is wrong with them."""
+        """Read the keys of a machine if the rig requires keys; ConfigError when they are missing or invalid."""
         self.machine = machine
         self.keyring = keyring
         self.requires_keys = requires_keys

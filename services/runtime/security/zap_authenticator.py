@@ -68,7 +68,7 @@ class ZapAuthenticator:
         if self._access_control.own is not None:
             socket.set(zmq.CURVE_SERVER, 1)
             socket.set(zmq.CURVE_SECRETKEY, self._access_control.own.secret)
-            # tells which endpoint a client connects to
+            # identifies the endpoint that a client connects to
             socket.set(zmq.ZAP_DOMAIN, node.encode())
             # without this libzmq accepts every client while no ZAP handler is bound, as when a process ends
             socket.set(zmq.ZAP_ENFORCE_DOMAIN, 1)

@@ -118,7 +118,7 @@ def deaf(context: Context) -> Iterator[Subscriber]:
 
 
 def hand(reader: Subscriber, seq: int, t_ns: int, topic: str = "haptic/state", src: str = "a@b") -> Received | None:
-    return reader.examine([topic.encode(), payload(topic, seq=seq, t_ns=t_ns, src=src)], 0)
+    return reader.decode_and_track([topic.encode(), payload(topic, seq=seq, t_ns=t_ns, src=src)], 0)
 
 
 # --- publishing ---
@@ -449,9 +449,9 @@ def test_the_accounts_of_several_subscribers_are_one(
     bus = ZmqBus(own, [reader, deaf], clock, wake[0])
     try:
         assert bus.rejections() == ({}, "")
-        reader.examine([b"one"], 0)
-        deaf.examine([b"one"], 0)
-        deaf.examine([b"haptic/state", b""], 0)
+        reader.decode_and_track([b"one"], 0)
+        deaf.decode_and_track([b"one"], 0)
+        deaf.decode_and_track([b"haptic/state", b""], 0)
         hand(deaf, 0, 0)
         counts, text = bus.rejections()
         assert counts == {"frames": 2, "malformed": 1}

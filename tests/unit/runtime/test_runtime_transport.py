@@ -1090,12 +1090,12 @@ def test_the_newest_refusal_is_the_one_that_is_told(world: Callable[..., list[Ma
     slave.subscribers.append(reader)
     bus = ZmqBus(slave.speaks(AFM).publishers[AFM], [reader], clock, -1, slave.network)
     rejections = slave.network._rejections
-    reader.examine([b"one"], 0)
+    reader.decode_and_track([b"one"], 0)
     assert bus.rejections()[1].startswith("a message has 2 frames")
     rejections.record("unlisted", "somebody at the port")
     assert bus.rejections() == ({"frames": 1, "unlisted": 1}, "somebody at the port")
     assert bus.rejections() == ({"frames": 1, "unlisted": 1}, "somebody at the port")
-    reader.examine([b"one"], 0)
+    reader.decode_and_track([b"one"], 0)
     assert bus.rejections()[1].startswith("a message has 2 frames")
 
 

@@ -26,7 +26,7 @@ from services.runtime.address_book import AddressBook
 from services.runtime.bus import ConnectionEvent, Received, ZmqPublisher
 from services.runtime.clock import SystemClock
 from services.runtime.main import load_site
-from services.runtime.observer import Heard, Observer
+from services.runtime.observer import ObservedMessage, Observer
 from telenano.app import app
 from telenano.commands import status
 
@@ -107,9 +107,9 @@ class FakeObserver:
         self.subscribers = dict.fromkeys(book.nodes)
         self.notices = [ConnectionEvent("warning", "slave is not reached", {})]
 
-    def listen(self, duration_s: float) -> Iterator[Heard]:
+    def listen(self, duration_s: float) -> Iterator[ObservedMessage]:
         for each in self.heard:
-            yield Heard("", Received("", each, b"", 0, Arrival.NEXT))
+            yield ObservedMessage("", Received("", each, b"", 0, Arrival.NEXT))
 
     def close(self) -> None:
         """Nothing is open."""
