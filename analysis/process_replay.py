@@ -1,4 +1,4 @@
-"""`telenano bag rerun`: a node driven once more by what its journal says it heard, its outputs compared.
+"""`telenano bag rerun`: a node run once more on the inputs of its journal, its outputs compared.
 
 A node writes down in which order it took its messages and deadlines, and what state it was in (`node/journal`,
 ADR 0012). The re-run builds the node, puts it into that state, and repeats the turns one by one.
@@ -32,9 +32,9 @@ from services.runtime.node_state import restore
 from services.runtime.scenario import LoadedScenario, Scenario
 
 JOURNAL = "node/journal"
-# what the loop around the node says as well, on the same numbers, is not compared
+# the loop around the node publishes on these too, with the same numbering: they are not compared
 _NOT_COMPARED = (JOURNAL, "node/health", "session/event")
-# the first parts of a journal may tell of what was heard before the recording began; later ones have to be whole
+# the first parts of a journal may name inputs from before the recording began; later ones have to be complete
 _LATEST_START_NS = 1_500_000_000
 
 
@@ -43,9 +43,9 @@ class RerunResult(BaseModel):
 
     `compared` counts recorded outputs met, by topic; `first_seq` is the number of the first of them. `left_out` counts
     recorded outputs that were not compared, because the journal or an input from before the first or after the last
-    compared turn is not in the recording. `difference` says in words what the first difference is, and is empty when
-    there is none; `topic`, `seq`, `time_s` (since the start of the recording) and `field` say where. `ended_early`
-    says why the comparison ended before the journal did.
+    compared turn is not in the recording. `difference` describes the first difference, and is empty when there is
+    none; `topic`, `seq`, `time_s` (since the start of the recording) and `field` are its place. `ended_early` is the
+    reason why the comparison ended before the journal did.
     """
 
     node: str
@@ -78,7 +78,7 @@ def rerun(
     settings: Sequence[str] = (),
     take: Callable[[str, Message], None] = lambda topic, message: None,
 ) -> RerunResult:
-    """Drive a node with what a recording says it heard and compare what it says.
+    """Run a node on its recorded inputs and compare its outputs with the recorded ones.
 
     Parameters: key, node@site; tolerances, none when None; settings, `section.key=value` over the recorded scenario;
     take, is given topic and message of each output that was met.
@@ -141,7 +141,7 @@ class Turn(NamedTuple):
 
 
 class _DifferenceError(Exception):
-    """The node says something else than what is recorded."""
+    """The node publishes something else than what is recorded."""
 
     def __init__(self, **facts: Any) -> None:
         super().__init__(facts["difference"])
@@ -149,11 +149,11 @@ class _DifferenceError(Exception):
 
 
 class _EndError(Exception):
-    """The recording lacks what would be needed to go on; the text says what."""
+    """The recording lacks what would be needed to go on; the text names it."""
 
 
 class _Recorded:
-    """The messages of a recording that one node heard and sent, by number."""
+    """The recorded inputs and outputs of one node, by number."""
 
     def __init__(self, recording: Recording, key: str, batches: Sequence[NodeJournal]) -> None:
         self.start_ns = recording.span_ns[0]
@@ -179,7 +179,7 @@ class _Recorded:
         return min(found, key=lambda message: abs(message.log_ns - turn.time_ns), default=None)
 
     def output(self, topic: str, seq: int, time_ns: int) -> RecordedMessage | None:
-        """Return what the node said under a number."""
+        """Return what the node published under a number."""
         found = self.outputs.get((topic, seq), ())
         return min(found, key=lambda message: abs(message.publish_ns - time_ns), default=None)
 
@@ -192,7 +192,7 @@ class _Recorded:
 
 
 class ReplayBus:
-    """A bus that compares what a node says with the recorded message of the same number."""
+    """A bus that compares what a node publishes with the recorded message of the same number."""
 
     def __init__(
         self,
@@ -277,7 +277,7 @@ def _take_turn(node: Node, clock: TurnClock, turn: Turn, recorded: _Recorded) ->
         return
     found = recorded.input(turn)
     if found is None:
-        raise _EndError(f"the recording lacks {turn.topic}, seq {turn.seq} of {turn.src}, which the node heard")
+        raise _EndError(f"the recording lacks {turn.topic}, seq {turn.seq} of {turn.src}, which the node received")
     message = cast(Message, found.decode())
     node.on_message(Received(turn.topic, message, found.payload, turn.time_ns, Arrival.NEXT))
     if turn.kind == COMMAND and isinstance(message, SessionControl):

@@ -229,7 +229,7 @@ def force_at(transition: float, indentation: float) -> tuple[float, float, float
     if indentation >= contact_at(transition, end).indentation:
         point = contact_at(transition, angle_at(transition, indentation, end))
         slope = point.indentation_slope
-        # On the fold itself the slope is zero up to rounding, and the stiffness as large as that says.
+        # On the fold itself the slope is zero up to rounding, and the stiffness accordingly large.
         slope = min(slope, -1e-150)
         return point.force, point.force_slope / slope, point.contact_radius
     if indentation >= cohesive_end(transition)[0]:

@@ -32,7 +32,7 @@ _ALARMING = (
 class AfmNode(Node):
     """The instrument: afm/command in, afm/state out, one state a command, and a thousand a second without any.
 
-    Whatever the controller says goes through the guard (`safety_step`) first; what the guard let through and the
+    Every command goes through the guard (`safety_step`) first; what the guard let through and the
     device really did is what is published.
     """
 
@@ -50,7 +50,7 @@ class AfmNode(Node):
         self._command: AfmCommand | None = None
         self._command_received_ns = 0
         self._force_n = 0.0
-        self._told = (self._guard.mode, self._guard.reason)
+        self._reported = (self._guard.mode, self._guard.reason)
         self.state = "safe"
         driver.open()
         # compile before the first command comes; dt and inputs change nothing in the retracted state
@@ -114,7 +114,7 @@ class AfmNode(Node):
         sample = self._driver.exchange(allowed.base_m)
         self._force_n = sample.force_n
         self._publish_state(allowed, sample, elapsed_s)
-        self._tell_changes(allowed)
+        self._report_changes(allowed)
         self.steps += 1
         return allowed
 
@@ -137,11 +137,10 @@ class AfmNode(Node):
             step_s=elapsed_s,
         )
 
-    def _tell_changes(self, allowed: safety.SafetyOutputs) -> None:
-        told = (allowed.mode, allowed.reason)
-        if told == self._told:
+    def _report_changes(self, allowed: safety.SafetyOutputs) -> None:
+        if (allowed.mode, allowed.reason) == self._reported:
             return
-        self._told = told
+        self._reported = (allowed.mode, allowed.reason)
         self.state = "running" if allowed.mode in (safety.MODE_FOLLOW, safety.MODE_HOLD) else "safe"
         mode, reason = safety.MODE_NAMES[allowed.mode], safety.REASON_NAMES[allowed.reason]
         self.event(

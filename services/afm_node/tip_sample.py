@@ -66,7 +66,7 @@ class TipSample(NamedTuple):
 def branch_force(tip: TipSample, distance_m: float, contact: bool, meniscus: bool) -> tuple[float, float]:
     """Force [N] on the tip, and gradient dF/dh [N/m], at h [m] on the branch (contact, meniscus).
 
-    `contact` selects Maugis-Dugdale (Eq. 7-11) instead of Lennard-Jones (Eq. 5); `meniscus` says that a bridge exists
+    `contact` selects Maugis-Dugdale (Eq. 7-11) instead of Lennard-Jones (Eq. 5); `meniscus`: a bridge exists
     (`consistent`) or that the retract law is in force (`as_printed`). Positive is repulsive.
     """
     if contact:

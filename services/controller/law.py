@@ -110,7 +110,7 @@ class Law:
     """A law of the table: its configuration and its compiled steps.
 
     - `master_start(params, hand) -> state` and `slave_start(params, tip) -> state`: at rest where the device is
-    - `master_resume(params, hand, tip_reference_m) -> state`: in motion where `hand` says, so that the first reference
+    - `master_resume(params, hand, tip_reference_m) -> state`: in motion as `hand` is, so that the first reference
       sent to the tip is tip_reference_m [m]; for taking over from another law
     - `master_send(params, state, hand, dt) -> (state, PortSignal)`
     - `master_receive(params, state, hand, signal, dt) -> (state, MasterReference)`
@@ -120,7 +120,7 @@ class Law:
 
     - `master_energy_account(params, state) -> EnergyAccount` and `slave_energy_account`: what the half knows of energy
 
-    `uses_waves` and `uses_energy` tell which optional parts of the wire message the law fills.
+    `uses_waves` and `uses_energy`: which optional parts of the wire message the law fills.
     """
 
     name: str

@@ -67,11 +67,11 @@ class ControllerHalf(Node):
     """What both halves share: the law, its parameters, and how both change at run time.
 
     A change of law. Both halves get the command, at different times, and each stands still from then on: the master
-    lets the hand's reference coast to rest within milliseconds, the slave keeps the base where it was last told to be,
-    and both speak the new law as halves that do not follow (`active` false). Signals of another law are silence. When
-    the master hears the slave in the new law it takes over from where the hand is, at the speed that it has, with the
-    tip's reference where the slave says that the base is; when the slave hears that the master follows, it goes on
-    from there. So neither device sees a jump, and neither moves against a half that runs another law.
+    lets the hand's reference coast to rest within milliseconds, the slave keeps the base at its last reference,
+    and both send the new law's signals as halves that do not follow (`active` false). Signals of another law are
+    ignored. When the master receives the slave in the new law it takes over from where the hand is, at the speed that
+    it has, with the tip's reference where the slave reports the base; when the slave receives that the master follows,
+    it goes on from there. So neither device sees a jump, and neither moves against a half that runs another law.
     """
 
     commands: ClassVar[tuple[str, ...]] = ("set",)
@@ -298,7 +298,7 @@ class MasterController(ControllerHalf):
         return self.law.master_resume(self.params, sample, tip_reference_m)
 
     def _take_over(self) -> None:
-        """Run the new law from where the hand is and from where the slave says that the base is."""
+        """Run the new law from the position of the hand and from where the slave reports the base."""
         self.switching = False
         tip_m = self.signal.position_m if self.signal.active else self._tip_reference_m
         self.law_state = self._resumed(self.reference, tip_m)
@@ -396,7 +396,7 @@ class SlaveController(ControllerHalf):
             self.law_state = self._standing()
 
     def _standing(self) -> Any:
-        """Return the state of a half that begins where the base was last told to be."""
+        """Return the state of a half that begins at the last reference of the base."""
         return self.law.slave_start(self.params, self.tip._replace(position_m=self.reference.position_m))
 
     def _on_forward(self, message: TeleopForward, received_ns: int) -> None:
@@ -428,7 +428,7 @@ class SlaveController(ControllerHalf):
         self.report(None)
 
     def _doubt_instrument(self) -> None:
-        """Take an instrument that has been silent for too long as one that does not follow, whatever it said last."""
+        """Mark an instrument that has been silent for too long as not following, whatever it published last."""
         silence_s = (self.clock.now_ns() - self._instrument_ns) * 1e-9
         if self.tip.following and silence_s > INSTRUMENT_DEADLINE_S:
             self.tip = self.tip._replace(following=False)

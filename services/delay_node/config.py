@@ -116,8 +116,8 @@ class Queue(Settings):
     limit_bytes: int | None = Field(default=None, ge=0, description="bytes that may wait, none: unlimited")
     drop: Literal["tail", "head", "random", "same_topic"] = Field(
         default="tail",
-        description="who is dropped when it is full: the newcomer, the oldest, any of those waiting, "
-        "the oldest of the newcomer's topic",
+        description="what is dropped when it is full: the arriving message, the oldest, any of those waiting, "
+        "the oldest of the same topic",
     )
 
 
@@ -213,7 +213,7 @@ class Impairment(Settings):
         if m.p13 + m.p14 > 1.0:
             yield "markov_loss.p13", f"p13 + p14 is {m.p13 + m.p14}, more than 1"
         if m.p31 + m.p32 > 1.0:
-            # The default leaves a burst at once, so a chain that uses p32 has to say p31 too.
+            # The default leaves a burst at once, so a chain that uses p32 needs p31 too.
             yield "markov_loss.p31", f"p31 + p32 is {m.p31 + m.p32}, more than 1 (p31 is 1 unless set)"
         if m.p13 > 0.0 and m.p31 + m.p32 == 0.0:
             yield "markov_loss.p31", "p31 + p32 is 0, a burst would never end; use loss.probability = 1 for that"

@@ -238,7 +238,7 @@ class DirectionEngine:
     def _schedule(self, message: InFlight, sent_ns: int, reached_ns: int, *, past_queue: bool = False) -> None:
         """Fix the release of a message sent at sent_ns; none that comes later can be sent before reached_ns.
 
-        `past_queue` says that it has left messages of its topic behind in the queue.
+        `past_queue`: it has left messages of its topic behind in the queue.
         """
         pipeline = message.pipeline
         release_ns = sent_ns + message.delay_ns

@@ -35,7 +35,7 @@ class Outlet(Protocol):
 
 
 class DelayNode(Node):
-    """Forwards messages between the sites when the engine says so, and reports on link/status."""
+    """Forwards messages between the sites when the engine releases them, and reports on link/status."""
 
     inputs = ("session/control",)
     commands: ClassVar[tuple[str, ...]] = ("set",)
@@ -115,7 +115,7 @@ class DelayNode(Node):
     def _publish_fates(self) -> None:
         self._unreported = 0
         for way, side in self._sides.items():
-            fates = tuple(_told(fate) for fate in side.take_fates())
+            fates = tuple(_link_fate(fate) for fate in side.take_fates())
             for first in range(0, len(fates), _MOST_FATES):
                 self.publish("link/fates", direction=way, fates=fates[first : first + _MOST_FATES])
 
@@ -141,7 +141,7 @@ def _clock(offset: Offset | None) -> LinkClock:
     )
 
 
-def _told(fate: Fate) -> LinkFate:
+def _link_fate(fate: Fate) -> LinkFate:
     return LinkFate(
         topic=fate.topic,
         seq=fate.seq,

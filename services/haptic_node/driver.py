@@ -1,7 +1,7 @@
 """What every haptic device driver is to the node: declared capabilities and five verbs.
 
 A driver obeys; it does not judge. The guard in `safety.py` stands in front of it, and what it still has to clip
-(supply, current, end stops) it says in its reading. Positions and forces are along the paper's axis x, towards the
+(supply, current, end stops) is part of its reading. Positions and forces are along the paper's axis x, towards the
 sample.
 """
 

@@ -119,7 +119,7 @@ def _coefficients(params: MotorParams, inputs: MotorInputs) -> _Servo:
     k = params.speed_gain_rad_per_s_v * params.screw_m_per_rad
     b = 1.0 / params.time_constant_s
     volts_per_torque = params.armature_resistance_ohm * params.speed_gain_rad_per_s_v  # R / K_t
-    # Off is a shorted motor: it brakes without the drive, so the current limit of the drive has no say in it.
+    # Off is a shorted motor: it brakes without the drive, so the current limit of the drive does not apply.
     max_torque = params.torque_limit_n_m if inputs.mode == MODE_POSITION else math.inf
     return _Servo(
         inputs.mode,

@@ -24,7 +24,7 @@ _NOT_RUNNING_S = -1.0
 class HapticNode(Node):
     """The operator's device on an absolute grid of 1 kHz: haptic/command in, haptic/state out.
 
-    Whatever the controller says goes through the guard (`safety.step`) first; what the guard let through and the
+    Every command goes through the guard (`safety.step`) first; what the guard let through and the
     device really did is what is published.
     """
 
@@ -48,7 +48,7 @@ class HapticNode(Node):
         self._estop_asked = False
         self._arm_asked = False
         self._session_ticks: int | None = None
-        self._told = (safety.MODE_OFF, safety.REASON_COMMAND_STALE)
+        self._reported = (safety.MODE_OFF, safety.REASON_COMMAND_STALE)
         device.open()
         # compile before the grid starts, not in its first tick
         self._guarded()
@@ -77,7 +77,7 @@ class HapticNode(Node):
         reading = self.device.read(self._session_s(), elapsed_s)
         self._position_m = reading.position_m
         self._publish_state(applied, reading, elapsed_s)
-        self._tell_changes(applied)
+        self._report_changes(applied)
         self.steps += 1
 
     def on_control(self, control: SessionControl) -> str:
@@ -138,13 +138,13 @@ class HapticNode(Node):
             step_s=elapsed_s,
         )
 
-    def _tell_changes(self, applied: safety.SafetyOutputs) -> None:
+    def _report_changes(self, applied: safety.SafetyOutputs) -> None:
         self.state = "running" if applied.mode != safety.MODE_OFF else "safe"
-        # a limit may come and go at every tick; it is published as `limited`, not told as an event
+        # a limit may come and go at every tick; it is published as `limited`, not as an event
         reason = safety.REASON_NONE if applied.reason in _LIMITS else applied.reason
-        if (applied.mode, reason) == self._told:
+        if (applied.mode, reason) == self._reported:
             return
-        self._told = (applied.mode, reason)
+        self._reported = (applied.mode, reason)
         self.event(
             "mode",
             "info" if reason == safety.REASON_NONE else "warning",

@@ -1,7 +1,7 @@
 """What stands between any command and any haptic driver: deadline, limits, latched e-stop.
 
 The guard decides from the command, its age and the present position alone, so that it is the same for the simulated
-device and for a real one. It never trusts the controller: what it lets through is what the driver is told.
+device and for a real one. It never trusts the controller: what it lets through is what the driver gets.
 
 No jump at the hand: whenever position control begins (at start, after a lost link, after an e-stop) the applied
 reference starts at the present position and moves towards the commanded one at no more than the speed limit. So

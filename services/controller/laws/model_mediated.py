@@ -19,7 +19,7 @@ tip are at one place (no delay, or a law taken up in contact) it begins where it
 master with its model is passive at all times and under any delay, jitter and loss: these decide how old the model is,
 no more.
 
-The slave goes after the reference it hears, but presses no harder than the hand does: its speed towards the sample is
+The slave follows the reference it receives, but presses no harder than the hand does: its speed towards the sample is
 at most (F_g - F_s) / B_g with F_g = max(F_m, 0) + F_0, at the hand's scale, so a model that is wrong, or a surface
 that has moved, costs accuracy and not the tip. The guard is a damper to the environment; it is passive.
 

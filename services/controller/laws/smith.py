@@ -19,8 +19,8 @@ answer, varying delay and loss are compensated like constant delay: a missing an
 promise of passivity.
 
 K_e is configured, or estimated from what comes back: the slope of F_s over x_ref(t - T) in contact, least squares with
-exponential forgetting, frozen while the motion in memory is too small to tell. Where adhesion makes the slope negative,
-or the tip jumps, a linear model is wrong and the estimate is held within its bounds.
+exponential forgetting, frozen while the motion in memory is too small to identify it. Where adhesion makes the slope
+negative, or the tip jumps, a linear model is wrong and the estimate is held within its bounds.
 """
 
 from typing import NamedTuple

@@ -9,7 +9,7 @@ from services.delay_node.random_streams import SMALLEST, Draw
 
 
 class Outages:
-    """Tells when the connection is down; `origin_ns` is the moment the settings came into force.
+    """When the connection is down; `origin_ns` is the moment the settings came into force.
 
     Random outages alternate exponential times up and down, starting up. They are drawn in the order of time, so
     the same seed gives the same outages whatever messages pass.

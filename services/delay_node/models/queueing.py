@@ -175,16 +175,16 @@ class ServedQueue(Generic[Item]):
             most_bytes is None or self._bytes + entry.size_bytes <= most_bytes
         )
 
-    def _victim(self, newcomer: Waiting[Item]) -> int | None:
-        """Return the place of the message to drop, or None for the newcomer."""
+    def _victim(self, arriving: Waiting[Item]) -> int | None:
+        """Return the place of the message to drop, or None for the arriving one."""
         most_bytes = self._limits.limit_bytes
-        if self._limits.drop == "tail" or (most_bytes is not None and newcomer.size_bytes > most_bytes):
+        if self._limits.drop == "tail" or (most_bytes is not None and arriving.size_bytes > most_bytes):
             return None
         places = [place for place, entry in enumerate(self._waiting) if not entry.reliable]
         if self._limits.drop == "same_topic":
-            places = [place for place in places if self._waiting[place].topic == newcomer.topic]
+            places = [place for place in places if self._waiting[place].topic == arriving.topic]
         if self._limits.drop == "random":
-            # The newcomer is one of those at risk.
+            # the arriving message is one of those at risk
             chosen = int(self._draw() * (len(places) + 1))
             return places[chosen] if chosen < len(places) else None
         return places[0] if places else None

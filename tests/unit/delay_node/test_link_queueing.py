@@ -67,7 +67,7 @@ def test_drop_at_the_head_moves_the_others_forward():
     assert drain(queue) == [(2, 200 * MS), (3, 300 * MS), (9, 400 * MS)]
 
 
-def test_random_drop_hits_all_alike_the_newcomer_too():
+def test_random_drop_hits_all_alike_the_arriving_message_too():
     queue = full(Queue(limit_messages=3, drop="random"))
     hits = dict.fromkeys(range(4), 0)
     held = [1, 2, 3]
@@ -78,7 +78,7 @@ def test_random_drop_hits_all_alike_the_newcomer_too():
     assert all(abs(count / 20000 - 0.25) < 4 * (0.1875 / 20000) ** 0.5 for count in hits.values())
 
 
-def test_byte_limit_drops_until_the_newcomer_fits():
+def test_byte_limit_drops_until_the_arriving_message_fits():
     queue = full(Queue(limit_messages=None, limit_bytes=300, drop="head"))
     assert queue.push(waiting(9, size=150)) == [1, 2]
     assert queue.push(waiting(10, size=301)) == [10]
