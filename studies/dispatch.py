@@ -21,7 +21,7 @@ Step = Callable[..., Any]
 
 
 def _laws_by_parameters() -> dict[type, Law]:
-    """Return the law of each class of parameters; two laws that share one class could not be told apart."""
+    """Return the law of each class of parameters; two laws must not share one."""
     table: dict[type, Law] = {}
     for name, law in LAWS.items():
         kind = type(ControllerConfig.model_validate({"law": name}).params())

@@ -217,7 +217,7 @@ def energy_figure(results: Sequence[LineResult]) -> "Figure":
     shown = [rows[-1] for rows in _by_law(results).values()]
     figure, axes = _panels(len(shown), 2.4)
     for axis, result in zip(axes, shown, strict=True):
-        for cell in telling_cells(result):
+        for cell in boundary_cells(result):
             course = trajectory_of(cell.cell)
             stored = energies_of(course, scales_of(cell.cell.controller())).stored_j
             label = f"{cell.cell.round_trip_ms:g} ms: {cell.verdict.replace('_', ' ')}"
@@ -230,7 +230,7 @@ def energy_figure(results: Sequence[LineResult]) -> "Figure":
     return figure
 
 
-def telling_cells(result: LineResult) -> list[CellResult]:
+def boundary_cells(result: LineResult) -> list[CellResult]:
     """Return the last cell before the first unstable one, and that one; the longest delay where all are stable."""
     unstable = [i for i, cell in enumerate(result.cells) if cell.verdict != "stable"]
     if not unstable:
@@ -296,7 +296,7 @@ def _page(results: Sequence[LineResult], images: dict[str, bytes], command: str)
             "off the surface [%]",
             "why",
         ),
-        [_energy_row(result, cell) for result in results for cell in telling_cells(result)],
+        [_energy_row(result, cell) for result in results for cell in boundary_cells(result)],
     )
     page.heading("Cells")
     delays = [f"{cell.cell.round_trip_ms:g}" for cell in results[0].cells]

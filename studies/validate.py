@@ -94,11 +94,13 @@ def _instrument_section(cell: Cell) -> dict[str, Any]:
     return {"environment": "spring", "spring": spring, "safety": {"retract_position_m": 0.0}}
 
 
-def validate_cells(cells: Sequence[Cell], bus: Bus, say: Callable[[str], None] = lambda text: None) -> list[Agreement]:
+def validate_cells(
+    cells: Sequence[Cell], bus: Bus, report: Callable[[str], None] = lambda text: None
+) -> list[Agreement]:
     """Run cells on the bus, one after the other, and compare. Raises StudyError for a rig that does not run."""
     agreements = []
     for number, cell in enumerate(cells, start=1):
-        say(f"{number}/{len(cells)}: {cell.law} at {cell.round_trip_ms:g} ms on real processes")
+        report(f"{number}/{len(cells)}: {cell.law} at {cell.round_trip_ms:g} ms on real processes")
         agreements.append(compare(cell, trajectory_of(cell), run_on_bus(cell, bus)))
     return agreements
 
@@ -128,7 +130,7 @@ def _reason(stdout: str, stderr: str) -> str:
     try:
         return str(json.loads(stdout)["error"])
     except (ValueError, KeyError):
-        return stderr.strip() or stdout.strip() or "it said nothing"
+        return stderr.strip() or stdout.strip() or "no output"
 
 
 _MODE_NUMBERS = {"retracted": 0, "follow": 1, "hold": 2, "retracting": 3, "estop": 4}

@@ -17,13 +17,13 @@ from telenano.tables import LEVEL_STYLES
 _REFRESH_TICKS = 5
 # how often a line repeats what is still waited for
 _REMIND_NS = 5_000_000_000
-_NEWS_SHOWN = 6
+_REPORTS_SHOWN = 6
 _STATE_STYLES = {"ready": "green", "running": "green", "safe": "yellow", "starting": "yellow", "stopping": "red"}
 _COLUMNS = ("state", "rate Hz", "late p99 ms", "input age ms", "lost", "refused", "CPU %", "MB", "restarts")
 
 
 class LineView(AbstractContextManager["LineView"]):
-    """One line for each change of phase and each piece of news, for logs and pipes."""
+    """One line for each change of phase and each report, for logs and pipes."""
 
     def __init__(self, console: Console, *, quiet: bool = False) -> None:
         self._console = console
@@ -36,13 +36,13 @@ class LineView(AbstractContextManager["LineView"]):
         """Do nothing: each line was printed as it came."""
 
     def observe(self, rig: RigNode) -> None:
-        """Print what is new: news, a phase, the nodes that are waited for."""
-        while rig.news:
-            self.say(rig.news.popleft())
+        """Print what is new: reports, a phase, the nodes that are waited for."""
+        while rig.reports:
+            self.show(rig.reports.popleft())
         if rig.phase != self._phase:
             self._phase = rig.phase
             self._reasons, self._reminded_ns = {}, rig.clock.monotonic_ns()
-            self.say(rig.status_line())
+            self.show(rig.status_line())
         elif isinstance(rig, SessionNode) and rig.waits_for_others and rig.phase == "starting":
             self._remind(rig)
 
@@ -50,9 +50,9 @@ class LineView(AbstractContextManager["LineView"]):
         now, reasons = session.clock.monotonic_ns(), session.causes()
         if reasons and reasons != self._reasons and now - self._reminded_ns >= _REMIND_NS:
             self._reasons, self._reminded_ns = reasons, now
-            self.say("still waiting: " + "; ".join(f"{node} {reason}" for node, reason in reasons.items()))
+            self.show("still waiting: " + "; ".join(f"{node} {reason}" for node, reason in reasons.items()))
 
-    def say(self, text: str) -> None:
+    def show(self, text: str) -> None:
         if not self._quiet:
             self._console.print(text, markup=False, highlight=False, soft_wrap=True)
 
@@ -80,12 +80,12 @@ class LiveView(AbstractContextManager["LiveView"]):
             self._last = rig_picture(rig)
             self._live.update(self._last, refresh=True)
 
-    def say(self, text: str) -> None:
+    def show(self, text: str) -> None:
         self._live.update(Group(*([self._last] if self._last else []), Text(text)), refresh=True)
 
 
 def rig_picture(rig: RigNode) -> Group:
-    """Draw a rig: nodes, phase, last news and events."""
+    """Draw a rig: nodes, phase, last reports and events."""
     parts: list[RenderableType] = [nodes_table(rig), Text(rig.status_line())]
     if rig.phase == "starting":
         parts += [Text(f"  {node} {reason}", "yellow") for node, reason in rig.causes().items()]
@@ -94,7 +94,7 @@ def rig_picture(rig: RigNode) -> Group:
         bar = Table.grid(padding=(0, 1))
         bar.add_row(ProgressBar(whole_s, done_s, width=50), f"{done_s:.1f} of {whole_s:g} s")
         parts.append(bar)
-    parts += [Text(text, "yellow", overflow="ellipsis", no_wrap=True) for text in list(rig.news)[-_NEWS_SHOWN:]]
+    parts += [Text(text, "yellow", overflow="ellipsis", no_wrap=True) for text in list(rig.reports)[-_REPORTS_SHOWN:]]
     for event in rig.events:
         text, style = f"{event.src}: {event.text}", LEVEL_STYLES[event.level]
         parts.append(Text(text, style, overflow="ellipsis", no_wrap=True))

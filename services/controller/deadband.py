@@ -2,8 +2,8 @@
 
 Force, velocity and wave are compared by Weber's law, |y - y_sent| > max(w |y_sent|, floor): people do not feel changes
 of less than about a tenth. A position is not perceived by its ratio to an arbitrary origin, so it has a resolution
-instead. Changes of contact or activity are always sent, and so is one after a time without any: silence
-(50 ms) is how the other side detects a dead link. Source: P. Hinterseer, S. Hirche, S. Chaudhuri, E. Steinbach, M. Buss,
+instead. Changes of contact or activity are always sent, and so is one after a time without any: by silence (50 ms) the
+other side detects a dead link. Source: P. Hinterseer, S. Hirche, S. Chaudhuri, E. Steinbach, M. Buss,
 "Perception-based data reduction and transmission of haptic data", IEEE Trans. Signal Processing 56 (2008).
 
 Passivity. The receiver holds the last value. For a force F held while it changes by at most w |F| the channel can make

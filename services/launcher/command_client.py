@@ -15,6 +15,7 @@ from proto.messages import NodeHealth, Scalar, SessionEvent
 from proto.nodes import LINK, is_console, name_of, site_of
 from services.launcher.pending_command import Command, PendingCommand
 from services.launcher.plan import Site
+from services.launcher.rig_status import RIG_HINT
 from services.runtime.address_book import AddressBook
 from services.runtime.bus import ZmqPublisher
 from services.runtime.clock import Clock
@@ -24,8 +25,8 @@ from services.runtime.security.keyring import MACHINE_VARIABLE, Keyring, this_ma
 
 _BIND_PATIENCE_NS = 2_000_000_000
 _RETRY_S = 0.1
-# every node is heard within two of its reports
-_CENSUS_NS = 1_200_000_000
+# every node that is alive has reported by then, twice
+_DISCOVERY_NS = 1_200_000_000
 # quiet after the last answer to a wildcard: whoever knows the command has answered
 _QUIET_NS = 500_000_000
 _POLL_MS = 20
@@ -78,7 +79,7 @@ def addressed(book: AddressBook, target: str, site: Site = "master") -> list[str
     meant = [n for n in within if _is_meant(n, target)]
     if not meant:
         beyond = [n for n in nodes if _is_meant(n, target)]
-        hint = f"; {', '.join(beyond)} is told at the master" if beyond else ""
+        hint = f"; {', '.join(beyond)} is commanded from the master's site" if beyond else ""
         raise ConfigError(f"no node is meant by target {target!r}: there are {', '.join(sorted(within))}{hint}")
     return meant
 
@@ -100,7 +101,7 @@ def console_of(book: AddressBook, site: Site) -> str:
 
 
 def _machines_here(book: AddressBook) -> list[str] | None:
-    """Return the machines in whose name this process may speak; None for all, where there are no keys."""
+    """Return the machines whose keys this process has; None for all, where there are no keys."""
     if not book.requires_keys:
         return None
     keyring = Keyring()
@@ -111,10 +112,10 @@ def _is_meant(node: str, target: str) -> bool:
     return fnmatchcase(node, target) or fnmatchcase(name_of(node), target)
 
 
-def send_control(request: ControlRequest, heard: Callable[[SessionEvent], None]) -> dict[str, SessionEvent]:
+def send_control(request: ControlRequest, on_answer: Callable[[SessionEvent], None]) -> dict[str, SessionEvent]:
     """Send a command to a running rig.
 
-    Parameters: request; heard, called with each answer when it comes.
+    Parameters: request; on_answer, called with each answer when it comes.
     Returns: the answers by node, refusals among them.
     Raises: RigError when nodes do not answer or no rig is there, EndpointError when another console is at work.
     """
@@ -129,7 +130,7 @@ def send_control(request: ControlRequest, heard: Callable[[SessionEvent], None])
         subscribers = participant.subscribers(book.sources(console, ["session/event", "node/health"]))
         exchange = Exchange(participant.clock, request, meant)
         while not exchange.done:
-            if _newcomers(publisher):
+            if _new_subscriptions(publisher):
                 exchange.pending.make_due()
             if exchange.pending.take_due():
                 publisher.publish("session/control", **exchange.pending.fields())
@@ -138,9 +139,9 @@ def send_control(request: ControlRequest, heard: Callable[[SessionEvent], None])
             for received in (message for subscriber in subscribers for message in subscriber.receive()):
                 message = received.message
                 if isinstance(message, NodeHealth):
-                    exchange.enter_health(message)
-                elif isinstance(message, SessionEvent) and exchange.enter_event(message):
-                    heard(message)
+                    exchange.record_health(message)
+                elif isinstance(message, SessionEvent) and exchange.record_event(message):
+                    on_answer(message)
         exchange.check()
     return exchange.pending.answers
 
@@ -148,8 +149,8 @@ def send_control(request: ControlRequest, heard: Callable[[SessionEvent], None])
 class Exchange:
     """When a command has been answered by all that concern it: pure bookkeeping on a clock.
 
-    Named nodes have to answer all. Of a wildcard nobody knows beforehand who knows the command, so the nodes that are
-    alive are heard for as long as one may be silent, and then until no more answers come.
+    All named nodes have to answer. Which nodes know the command of a wildcard is not known beforehand: it waits until
+    every node that is alive has reported, and then until no more answers come.
     """
 
     def __init__(self, clock: Clock, request: ControlRequest, meant: Sequence[str]) -> None:
@@ -161,10 +162,10 @@ class Exchange:
         self.pending = PendingCommand(clock, request.command, request.target, expected, request.parameters)
         self.alive: set[str] = set()
 
-    def enter_health(self, health: NodeHealth) -> None:
+    def record_health(self, health: NodeHealth) -> None:
         self.alive.add(health.src)
 
-    def enter_event(self, event: SessionEvent) -> bool:
+    def record_event(self, event: SessionEvent) -> bool:
         """Record an event; return whether it is a first answer."""
         new = self.pending.record(event)
         if new:
@@ -176,24 +177,22 @@ class Exchange:
         now = self._clock.monotonic_ns()
         if self.pending.expired or not self._wildcard:
             return self.pending.expired or self.pending.complete
-        settled = now - self._begun_ns >= _CENSUS_NS and now - self._last_answer_ns >= _QUIET_NS
+        settled = now - self._begun_ns >= _DISCOVERY_NS and now - self._last_answer_ns >= _QUIET_NS
         return settled and bool(self.pending.answers)
 
     def check(self) -> None:
         """Raise RigError when answers are missing."""
         command = self.pending.command
         if not self.pending.answers and not self.alive:
-            raise RigError(
-                f"{command} was not answered: no rig is heard, is `telenano up` running with this site file?"
-            )
+            raise RigError(f"{command} was not answered, no node reports: {RIG_HINT}")
         if self._wildcard and not self.pending.answers:
             raise RigError(f"no node answered {command}: {', '.join(sorted(self.alive))} do not know it")
         if not self._wildcard and self.pending.missing:
             raise RigError(f"{', '.join(self.pending.missing)} did not answer {command}")
 
 
-def _newcomers(publisher: ZmqPublisher) -> int:
-    """Count the readers of commands that have connected since the last call; nothing reaches them before that."""
+def _new_subscriptions(publisher: ZmqPublisher) -> int:
+    """Count the readers of commands that have subscribed since the last call; nothing reaches them before that."""
     count = 0
     while publisher.socket.poll(0):
         count += publisher.socket.recv() == _SUBSCRIBED

@@ -16,7 +16,7 @@ _ANSWER_NS = 5_000_000_000
 class ExternalRecording:
     """Which file a session goes to, learned from the recorder's events around the command to begin a new one.
 
-    `files` are those of the session, where the recorder is; `fault` says why there are none, empty while it records.
+    `files` are those of the session, where the recorder is; `fault`: why there are none, empty while it records.
     """
 
     def __init__(self, clock: Clock, recorder: str) -> None:
@@ -24,7 +24,7 @@ class ExternalRecording:
         self.recorder = recorder
         self._split = Step("set", recorder, (recorder,), {"record.split": True}, required=False, deadline_ns=_ANSWER_NS)
         self.files: list[str] = []
-        self.fault = "no recorder was heard"
+        self.fault = "no recorder reported"
         self._clock = clock
         self._newest = ""
         self._recorder_alive = False
@@ -52,7 +52,7 @@ class ExternalRecording:
                 self.fault = event.text
 
     def settled(self) -> bool:
-        """Return whether the recorder was heard, or the time to wait for it, from the first call on, is over."""
+        """Return whether the recorder is alive, or the time to wait for it, from the first call on, is over."""
         now = self._clock.monotonic_ns()
         if self._wait_until_ns is None:
             self._wait_until_ns = now + _RECORDER_WAIT_NS

@@ -15,10 +15,10 @@ _RETURN_GRACE_S = 20.0
 
 @dataclass(frozen=True)
 class Change:
-    """A node, or the site as a whole, fell silent or is heard again.
+    """A node, or the site as a whole, fell silent or is alive again.
 
-    `nodes` are those concerned; `first` marks a site that was never heard before. `since_ns` is when the subject was
-    heard last before the silence, on the clock of message headers; `silence_s` is how long the silence has lasted.
+    `nodes` are those concerned; `first` marks a site that was never alive before. `since_ns` is the time of the last
+    heartbeat before the silence, on the clock of message headers; `silence_s` is how long the silence has lasted.
     """
 
     subject: str
@@ -33,7 +33,7 @@ class LivenessMonitor:
     """Reports a liveness timeout once, and its end once. With a site, a timeout of all its nodes is reported as one."""
 
     def __init__(self, clock: Clock, nodes: Sequence[str], site: str = "") -> None:
-        """Monitor `nodes` from the first time that each is heard; `site` is the other site, where there is one."""
+        """Monitor `nodes` from the first heartbeat of each; `site` is the other site, where there is one."""
         self._clock = clock
         self._nodes = tuple(nodes)
         self.site = site
@@ -57,12 +57,12 @@ class LivenessMonitor:
 
     @property
     def site_silent(self) -> bool:
-        """Whether the other site as a whole was heard once and is silent."""
+        """Whether the other site as a whole was alive once and is silent."""
         return self.site_name in self._silent_ns
 
     @property
     def silent(self) -> list[str]:
-        """Nodes that were heard before and are silent, or the site as a whole."""
+        """Nodes that were alive before and are silent, or the site as a whole."""
         return list(self._silent_ns)
 
     def check(self) -> list[Change]:

@@ -25,7 +25,7 @@ def unmet(nodes: Iterable[str], health: Mapping[str, NodeHealth], *, inputs: boo
     for node in nodes:
         newest = health.get(node)
         if newest is None:
-            waiting[node] = "has not been heard"
+            waiting[node] = "has not reported yet"
         elif newest.state == "starting":
             waiting[node] = "is still starting"
         elif inputs and (silent := silent_inputs(newest)):

@@ -1,4 +1,4 @@
-"""The state of a running rig, from the messages heard for a moment: a summary of each node, and its problems."""
+"""The state of a running rig, from the messages of a moment: a summary of each node, and its problems."""
 
 from collections.abc import Collection, Iterable, Sequence
 from typing import Any, TypeVar
@@ -21,7 +21,10 @@ from services.runtime.observer import Observer
 
 M = TypeVar("M", bound=Message)
 
-# what the law sends at 1 kHz tells nothing here, and reading it would cost the rig processor time
+# what to check when nothing is received
+RIG_HINT = "is `telenano up` running with this site file?"
+
+# what the law sends at 1 kHz is not needed here, and reading it would cost the rig processor time
 NEEDED = ("node/health", "link/status", "law/status", "haptic/state", "afm/state", "session/event")
 _LINK = "delay_node@master"
 _HEALTH_FACTS = ("state", "uptime_s", "rate_hz", "overruns", "cpu_percent", "memory_bytes", "realtime", "memory_locked")
@@ -32,7 +35,7 @@ _EVENT_FACTS = ("src", "kind", "level", "text")
 
 
 class RigStatus:
-    """The messages heard of a rig: of each source the newest of a kind, of each node also its first health."""
+    """The messages received of a rig: of each source the newest of a kind, of each node also its first health."""
 
     def __init__(self) -> None:
         self.first: dict[str, NodeHealth] = {}
@@ -57,22 +60,22 @@ class RigStatus:
 
 
 def expected_nodes(nodes: Iterable[str], reachable: Collection[str]) -> list[str]:
-    """Return the nodes of a site file that report their health while a rig runs, and can be heard here.
+    """Return the nodes of a site file that report their health while a rig runs, and can be received here.
 
-    Parameters: reachable, nodes whose sockets this machine can hear; the link brings the health of the slave's site.
+    Parameters: reachable, nodes that this machine can connect to; the link brings the health of the slave's site.
     """
     reporting = [node for node in nodes if node in START_ORDER]
     return [node for node in reporting if node in reachable or (_LINK in reachable and site_of(node) == "slave")]
 
 
 def listen(observer: Observer, duration_s: float) -> RigStatus:
-    """Listen to a rig for a time [s]; RigError if no node is heard."""
+    """Listen to a rig for a time [s]; RigError if no node reports."""
     status = RigStatus()
-    for heard in observer.listen(duration_s):
-        status.record(heard.received.message)
+    for observed in observer.listen(duration_s):
+        status.record(observed.received.message)
     status.notices = [notice.text for notice in observer.notices]
     if not status.first:
-        raise RigError("no rig is heard, is `telenano up` running with this site file?")
+        raise RigError(f"no node reports: {RIG_HINT}")
     return status
 
 
@@ -87,7 +90,7 @@ def problems_of(status: RigStatus, expected: Sequence[str]) -> dict[str, str]:
         if health[node].state == "stopping":
             problems[node] = "is stopping"
         elif stalled := stalled_inputs(status.first[node], health[node]):
-            problems[node] = f"no longer hears {', '.join(stalled)}"
+            problems[node] = f"no longer receives {', '.join(stalled)}"
     return problems
 
 

@@ -28,8 +28,8 @@ Observer = Callable[[RigNode], None]
 class Outcome:
     """How a session ended.
 
-    `recording` is the file of the session, None where none can be read from here; `note` then says why, and where it
-    is. `restarts` counts how often each own node was started again.
+    `recording` is the file of the session, None where none can be read from here; `note` is then the reason, and where
+    it is. `restarts` counts how often each own node was started again.
     """
 
     failure: str
@@ -45,8 +45,8 @@ def default_folder(scenario: str, now: datetime) -> Path:
     return Path("sessions") / f"{Path(scenario).stem}-{now:%Y%m%d-%H%M%S}"
 
 
-def run_rig(plan: Plan, observe: Observer, say: Callable[[str], None]) -> Outcome:
-    """Run what a plan says from the first process to the last; TelenanoError says why it could not begin."""
+def run_rig(plan: Plan, observe: Observer, show: Callable[[str], None]) -> Outcome:
+    """Run a planned rig from the first process to the last; TelenanoError if it could not begin."""
     signals = StopSignals()
     with contextlib.ExitStack() as stack:
         participant = stack.enter_context(open_participant(plan.launcher, plan.book, signals.descriptor))
@@ -57,7 +57,7 @@ def run_rig(plan: Plan, observe: Observer, say: Callable[[str], None]) -> Outcom
         commands = {node: node_command(node, plan.site_file, plan.scenario_file) for node in plan.nodes}
         clock = participant.clock
         children = NodeProcesses(
-            commands, STOP_ORDER, log_directory, clock.epoch_offset_ns, lambda node: say(f"stopping {node}")
+            commands, STOP_ORDER, log_directory, clock.epoch_offset_ns, lambda node: show(f"stopping {node}")
         )
         stack.enter_context(own_log(log_directory / f"{plan.launcher}.log"))
         rig = make_rig(plan, participant.context(bus), Supervisor(clock, plan.nodes, children))
@@ -67,7 +67,7 @@ def run_rig(plan: Plan, observe: Observer, say: Callable[[str], None]) -> Outcom
 
 
 def make_rig(plan: Plan, context: NodeContext, supervisor: Supervisor) -> RigNode:
-    """Make the node that looks after what the plan says, and conducts its session unless another site does."""
+    """Make the node that supervises the processes of a plan, and conducts the session unless another site does."""
     if plan.site == "slave":
         return SiteNode(context, supervisor, link=f"{LINK}@slave", site="slave", other_site="master")
     return SessionNode(
@@ -122,11 +122,11 @@ def own_log(path: Path) -> Iterator[IO[str]]:
         try:
             yield log
         finally:
-            # what follows, such as the report, has no log: it speaks to the person through its result
+            # what follows, such as the report, has no log: its result is printed
             logging.getLogger().handlers.clear()
 
 
-def report_of(outcome: Outcome, plan: Plan, say: Callable[[str], None]) -> dict[str, Any] | None:
+def report_of(outcome: Outcome, plan: Plan, show: Callable[[str], None]) -> dict[str, Any] | None:
     """Make figure and summary of a session that ran; None where there is nothing to make them from.
 
     Raises: RecordingError when a session that did not fail left a recording that cannot be reported.
@@ -134,11 +134,11 @@ def report_of(outcome: Outcome, plan: Plan, say: Callable[[str], None]) -> dict[
     recording = outcome.recording
     if not outcome.ran or recording is None:
         return None
-    say(f"making figure and summary from {recording}" if plan.attach else "making figure and summary")
+    show(f"making figure and summary from {recording}" if plan.attach else "making figure and summary")
     try:
         return make_report(recording, plan.out)
     except RecordingError:
-        # the failure of the rig is the cause, and is what the person is told
+        # the failure of the rig is the cause, and is what is reported
         if outcome.failure:
             return None
         raise

@@ -33,7 +33,7 @@ BEGIN = (
 END = Step("stop", "*", (HAND,), required=False, deadline_ns=_STOP_ANSWER_NS)
 # where the nodes keep running without a session the tip must not stay on the sample without an operator
 RETRACT_TIP = Step("estop", "afm_node", (TIP,), required=False, deadline_ns=_STOP_ANSWER_NS)
-# what the operator has to do when a device was lost and is back; {at} says at which site, where there are two
+# what the operator has to do when a device was lost and is back; {at} is the option for the site, where there are two
 _RECOVERY_HINTS = {
     TIP: "a tip that has retracted stays retracted until `telenano session arm --target afm_node{at}`",
     HAND: "a haptic device that was restarted stays off until `telenano session arm --target haptic_node{at}`, "
@@ -68,7 +68,7 @@ class RigNode(Node):
         self.health: dict[str, NodeHealth] = {}
         self.events: deque[SessionEvent] = deque(maxlen=_EVENTS_KEPT)
         # sentences for the view, which removes what it has shown
-        self.news: deque[str] = deque(maxlen=64)
+        self.reports: deque[str] = deque(maxlen=64)
         self.phase: Phase = "starting"
         self.interrupted = False
         self.observe: Callable[[RigNode], None] = lambda node: None
@@ -98,7 +98,7 @@ class RigNode(Node):
 
     @abstractmethod
     def status_line(self) -> str:
-        """Return a line that says what the rig is doing."""
+        """Return a line about what the rig is doing."""
 
     @property
     def progress(self) -> tuple[float, float] | None:
@@ -143,8 +143,8 @@ class RigNode(Node):
         self.supervisor.stop()
 
     def report(self, level: str, text: str, **data: Scalar) -> None:
-        """Report about the rig: as an event, and as news for the view."""
-        self.news.append(text)
+        """Report about the rig: as an event, and as a line for the view."""
+        self.reports.append(text)
         self.event("node", level, text, answer_to="", **data)
 
     def _record_health(self, health: NodeHealth) -> None:
@@ -165,9 +165,9 @@ class RigNode(Node):
             text = f"{change.subject} is silent since {at:%H:%M:%S}"
             self.report("warning", text, about_node=change.subject, state="silent", silence_s=change.silence_s)
         elif change.first:
-            self.report("info", f"{change.subject} is heard", about_node=change.subject, state="heard")
+            self.report("info", f"{change.subject} is alive", about_node=change.subject, state="heard")
         else:
-            text = f"{change.subject} is heard again after {change.silence_s:.1f} s{self._hints(*change.nodes)}"
+            text = f"{change.subject} is alive again after {change.silence_s:.1f} s{self._hints(*change.nodes)}"
             self.report("info", text, about_node=change.subject, state="heard", silence_s=change.silence_s)
 
     def _hints(self, *nodes: str) -> str:
@@ -349,7 +349,7 @@ class SessionNode(RigNode):
 class SiteNode(RigNode):
     """Keeps the nodes of the slave's site running for a session that the master's conducts; arms and starts nothing."""
 
-    # clock/ping comes from the link itself, past its impairments: it says whether the master's machine is there
+    # clock/ping comes from the link itself, past its impairments: the heartbeat of the master's machine
     inputs: ClassVar[tuple[str, ...]] = (*RigNode.inputs, "clock/ping")
 
     def __init__(self, context: NodeContext, supervisor: Supervisor, *, link: str, site: str, other_site: str) -> None:
@@ -366,11 +366,11 @@ class SiteNode(RigNode):
             return "stopping" if self.phase == "ending" else "stopped"
         site = self.liveness.site_name
         if not self.liveness.any_alive:
-            silent = "is silent" if self.liveness.silent else "has not been heard yet"
+            silent = "is silent" if self.liveness.silent else "has not reported yet"
             return f"{site} {silent}, the nodes here wait for it; Ctrl-C stops them"
         if self.phase == "starting":
-            return f"waiting for {len(self.waiting())} of {len(self.nodes)} nodes to be ready, {site} is heard"
-        return f"running, {site} is heard and conducts; Ctrl-C stops the nodes here"
+            return f"waiting for {len(self.waiting())} of {len(self.nodes)} nodes to be ready, {site} is alive"
+        return f"running, {site} is alive and conducts; Ctrl-C stops the nodes here"
 
     def on_message(self, received: Received) -> None:
         super().on_message(received)

@@ -11,7 +11,7 @@ Report = Callable[..., None]
 
 
 class Supervisor:
-    """The nodes that are children of this process; `failure` says why the rig cannot go on, empty while it can."""
+    """The nodes that are children of this process; `failure`: why the rig cannot go on, empty while it can."""
 
     def __init__(self, clock: Clock, nodes: Sequence[str], children: Children) -> None:
         """Supervise `nodes`, in the order of their start; none where all of them run elsewhere."""

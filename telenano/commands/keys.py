@@ -77,7 +77,7 @@ def allow(
     role: Annotated[
         list[RoleName],
         typer.Option(
-            "--role", help="data: accept its messages; control: its commands; observe: let it hear (repeatable)."
+            "--role", help="data: accept its messages; control: its commands; observe: let it subscribe (repeatable)."
         ),
     ],
     folder: DirOption = None,

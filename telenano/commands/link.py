@@ -11,6 +11,7 @@ from proto.errors import RigError
 from proto.nodes import LINK
 from recording.tables import json_fields
 from services.delay_node.profiles import PROFILES
+from services.launcher.rig_status import RIG_HINT
 from services.runtime.observer import Observer, messages_of
 from telenano.commands.session import SessionCommand, send_command
 from telenano.commands.topic import open_observer
@@ -78,10 +79,10 @@ def _change(settings: Sequence[str], site_file: Path, *, as_json: bool) -> None:
 
 
 def current_status(observer: Observer) -> dict[str, Any]:
-    """Return the fields of the next link/status; RigError when no link is heard."""
+    """Return the fields of the next link/status; RigError when none is received."""
     for received in messages_of(observer, "link/status", _PATIENCE_S, 1):
         return json_fields(received.message)
-    raise RigError("no link is heard, is `telenano up` running with this site file?")
+    raise RigError(f"no link/status received: {RIG_HINT}")
 
 
 def status_rows(status: dict[str, Any]) -> list[dict[str, Any]]:

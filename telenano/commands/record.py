@@ -23,7 +23,7 @@ class RecordKeyBindings:
 
     def __init__(self, keys: RawKeyboard) -> None:
         self._keys = keys
-        self._said = _KEYS_TEXT
+        self._note = _KEYS_TEXT
 
     def __call__(self, node: RecorderNode) -> None:
         actions: dict[str, Callable[[], None]] = {
@@ -33,11 +33,11 @@ class RecordKeyBindings:
         }
         for key in self._keys.pressed():
             try:
-                self._said = _KEYS_TEXT if key in actions else f"unknown key {key!r}: {_KEYS_TEXT}"
+                self._note = _KEYS_TEXT if key in actions else f"unknown key {key!r}: {_KEYS_TEXT}"
                 actions.get(key, lambda: None)()
             except TelenanoError as error:
-                self._said = str(error)
-        self._keys.show(f"{node.status()} · {self._said}")
+                self._note = str(error)
+        self._keys.show(f"{node.status()} · {self._note}")
 
 
 def record(

@@ -26,15 +26,15 @@ class PlayerKeyBindings:
     def __init__(self, keys: RawKeyboard, step_topic: str) -> None:
         self._keys = keys
         self._step_topic = step_topic
-        self._said = ""
+        self._note = ""
 
     def __call__(self, player: PlayerNode) -> None:
         for key in self._keys.pressed():
             try:
-                self._said = self._press(player, key)
+                self._note = self._press(player, key)
             except TelenanoError as error:
-                self._said = str(error)
-        self._keys.show(player.status() + (f" · {self._said}" if self._said else ""))
+                self._note = str(error)
+        self._keys.show(player.status() + (f" · {self._note}" if self._note else ""))
 
     def _press(self, player: PlayerNode, key: str) -> str:
         playback, rate = player.playback, player.playback_clock.rate
@@ -102,7 +102,7 @@ def replay(
     site_file: SiteFileOption = DEFAULT_SITE_FILE,
     as_json: JsonOption = False,
 ) -> None:
-    """Play a recording in the place of nodes that do not run; the others hear no difference but the mark in health.
+    """Play a recording in the place of nodes that do not run; only node/health shows that it is a replay.
 
     Keys: space pause, . step, n step to the next message of --step-topic, e next event, arrows 1 s back and on,
     + and - rate, a and b the ends of a loop, l loop on and off, q end. The same by

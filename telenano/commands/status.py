@@ -1,4 +1,4 @@
-"""`telenano status`: the state of a running rig, heard for a moment at every socket of it."""
+"""`telenano status`: the state of a running rig, from the messages of a moment at every socket of it."""
 
 import contextlib
 from collections.abc import Iterator, Mapping, Sequence
@@ -39,17 +39,17 @@ _AFM_NOTES = {"in_contact": "in contact", "meniscus": "meniscus", "limited": "at
 def status(
     site_file: SiteFileOption = DEFAULT_SITE_FILE, duration: ListenOption = _DEFAULT_S, as_json: JsonOption = False
 ) -> None:
-    """Show the state of a running rig; exit code 1 if a node is not heard or waits for something."""
+    """Show the state of a running rig; exit code 1 if a node does not report or waits for something."""
     with report_errors(as_json):
         book = load_site(site_file)
         with contextlib.closing(Observer(book, NEEDED)) as observer:
-            heard = listen(observer, duration)
-    print_status(heard, expected_nodes(book.nodes, observer.subscribers), as_json=as_json)
+            rig_status = listen(observer, duration)
+    print_status(rig_status, expected_nodes(book.nodes, observer.subscribers), as_json=as_json)
 
 
-def print_status(heard: RigStatus, expected: Sequence[str], *, as_json: bool) -> None:
+def print_status(rig_status: RigStatus, expected: Sequence[str], *, as_json: bool) -> None:
     """Print the state of a rig and exit with 1 if a node has a problem."""
-    document = document_of(heard, expected)
+    document = document_of(rig_status, expected)
     if not as_json:
         console().print(status_tables(document))
     if document["problems"]:
@@ -58,7 +58,7 @@ def print_status(heard: RigStatus, expected: Sequence[str], *, as_json: bool) ->
     if as_json:
         print_json(document)
     else:
-        typer.echo("every node is heard and none waits for anything")
+        typer.echo("every node reports and none waits for anything")
 
 
 def status_tables(document: Mapping[str, Any]) -> Group:
@@ -68,7 +68,7 @@ def status_tables(document: Mapping[str, Any]) -> Group:
         # headings may wrap in a narrow terminal, names may not
         table.add_column(name, justify=justify, no_wrap=name == "node")
     for facts in document["nodes"]:
-        table.add_row(facts["node"], *(_cells(facts) if facts["heard"] else [Text("not heard", "red")]))
+        table.add_row(facts["node"], *(_cells(facts) if facts["heard"] else [Text("no report", "red")]))
     lines = Table.grid(padding=(0, 2))
     for facts in document["nodes"]:
         if facts["problem"]:
@@ -120,7 +120,7 @@ def _lines(document: Mapping[str, Any]) -> Iterator[tuple[str, Text]]:
         yield f"AFM {afm['src']}", Text(" · ".join([afm["mode"], *notes]), "red" if afm["mode"] == "estop" else "")
     for node in document["nodes"]:
         if node["node"].startswith("recorder@") and node["heard"]:
-            yield node["node"], Text(f"{node['state']} · {node['received']} messages heard · {node['lost']} lost")
+            yield node["node"], Text(f"{node['state']} · {node['received']} messages received · {node['lost']} lost")
     yield from (("connection", Text(text)) for text in document["connections"])
     for event in document["events"]:
         yield f"event {event['src']}", Text(event["text"], LEVEL_STYLES[event["level"]])
@@ -135,5 +135,6 @@ def _law_text(law: Mapping[str, Any]) -> Text:
     notes = [law["law"], "passive" if law["passive"] else "not passive"]
     notes += ["waits for the other half to switch"] if law["switching"] else []
     notes += [f"net energy {law['net_energy_j']:.3g} J"] if law["net_valid"] else []
-    heard = f"other half heard {law['silence_s'] * 1e3:.0f} ms ago" if law["heard"] else "other half never heard"
-    return Text(" · ".join([*notes, heard]), "" if law["passive"] and law["heard"] else "yellow")
+    ago = f"last signal received {law['silence_s'] * 1e3:.0f} ms ago"
+    notes.append(ago if law["heard"] else "no signal received yet")
+    return Text(" · ".join(notes), "" if law["passive"] and law["heard"] else "yellow")

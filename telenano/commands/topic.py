@@ -35,7 +35,7 @@ TopicArgument = Annotated[
 def list_all(
     site_file: SiteFileOption = DEFAULT_SITE_FILE, duration: ListenOption = _LIST_S, as_json: JsonOption = False
 ) -> None:
-    """List every topic: its publishers, its declared rate, and the number of messages heard."""
+    """List every topic: its publishers, its declared rate, and the number of messages received."""
     with report_errors(as_json), open_observer(site_file) as observer:
         rows = list_topics(observer, duration)
     if as_json:
@@ -108,7 +108,7 @@ def _measure(
 
 @contextlib.contextmanager
 def open_observer(site_file: Path, topic: str | None = None) -> Iterator[Observer]:
-    """Connect to the rig of a site file, to hear a topic or all of them; ConfigError for an unknown topic."""
+    """Connect to the rig of a site file, for one topic or all of them; ConfigError for an unknown topic."""
     book = load_site(site_file)
     with contextlib.closing(Observer(book, (known_name(topic)[0],)) if topic else Observer(book)) as observer:
         yield observer

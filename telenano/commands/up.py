@@ -92,9 +92,9 @@ def up(
         plan = make_plan(request, default_folder(scenario, datetime.now()))
         view = _open_view(live=not headless and not as_json, quiet=as_json)
         with view:
-            outcome = run_rig(plan, view.observe, view.say)
+            outcome = run_rig(plan, view.observe, view.show)
         _restore_default_signals()
-        summary = report_of(outcome, plan, view.say)
+        summary = report_of(outcome, plan, view.show)
     _print_outcome(outcome, summary, plan, as_json=as_json)
 
 

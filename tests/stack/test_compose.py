@@ -270,7 +270,7 @@ def test_recording_tells_of_the_restart(wreck: tuple[Kill, Path, Any]) -> None:
     kill, folder, _ = wreck
     told = [message.decode().text for message in of_kill(folder, "session/event", kill)]
     # which of both depends on how long the engine took
-    back = ("afm_node@slave was restarted", "afm_node@slave is heard again")
+    back = ("afm_node@slave was restarted", "afm_node@slave is alive again")
     assert any(text.startswith(back) for text in told), told
 
 

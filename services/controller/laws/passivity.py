@@ -150,10 +150,10 @@ class SlaveState(NamedTuple):
 @compiled
 def credited(account: Account, energy_j: float, cap_j: float) -> Account:
     """Add what the other side has put in since its last signal; what goes beyond the cap is dissipated."""
-    news = max(energy_j - account.received_j, 0.0)
-    left = min(account.left_j + news, cap_j)
-    lost = account.lost_j + (account.left_j + news - left)
-    return Account(account.in_j, account.received_j + news, left, lost)
+    added_j = max(energy_j - account.received_j, 0.0)
+    left = min(account.left_j + added_j, cap_j)
+    lost = account.lost_j + (account.left_j + added_j - left)
+    return Account(account.in_j, account.received_j + added_j, left, lost)
 
 
 @compiled

@@ -104,7 +104,7 @@ class Bench:
         self.children = FakeChildren()
         self.context = NodeContext(key, self.clock, self.bus, StructuredLog(key))
         # every line that the view has shown
-        self.news: list[str] = []
+        self.reports: list[str] = []
 
     def begin(self, node: RigNode) -> None:
         self.node = node
@@ -116,8 +116,8 @@ class Bench:
         return self.context.stop_requested
 
     def take_news(self, node: RigNode) -> None:
-        while node.news:
-            self.news.append(node.news.popleft())
+        while node.reports:
+            self.reports.append(node.reports.popleft())
 
     def receive(self, message: Message, topic: str) -> None:
         self.node.on_message(Received(topic, message, b"", self.clock.now_ns(), Arrival.NEXT))

@@ -83,7 +83,7 @@ def test_a_console_at_the_slave_reaches_the_nodes_there() -> None:
     assert set(addressed(book, "*", "slave")) == {"afm_node@slave", "controller@slave", "recorder@slave"}
     assert addressed(book, "controller", "slave") == ["controller@slave"]
     assert set(addressed(book, "controller")) == {"controller@master", "controller@slave"}
-    with pytest.raises(ConfigError, match=r"'haptic_node'.*haptic_node@master is told at the master"):
+    with pytest.raises(ConfigError, match=r"'haptic_node'.*haptic_node@master is commanded from the master"):
         addressed(book, "haptic_node", "slave")
 
 
@@ -106,16 +106,16 @@ def test_a_parameter_that_cannot_be_sent_is_named(pair: str) -> None:
 
 def test_named_nodes_must_all_answer() -> None:
     _, of = exchange("controller")
-    of.enter_event(answer(of, "controller@slave"))
+    of.record_event(answer(of, "controller@slave"))
     assert not of.done
-    of.enter_event(answer(of, "controller@master"))
+    of.record_event(answer(of, "controller@master"))
     assert of.done
     of.check()
 
 
 def test_a_named_node_that_is_silent_is_named_at_the_deadline() -> None:
     clock, of = exchange("controller")
-    of.enter_event(answer(of, "controller@slave"))
+    of.record_event(answer(of, "controller@slave"))
     clock.advance_ns(4999 * MS)
     assert not of.done
     clock.advance_ns(MS)
@@ -126,9 +126,9 @@ def test_a_named_node_that_is_silent_is_named_at_the_deadline() -> None:
 
 def test_a_pattern_is_done_after_the_census_and_a_quiet_time() -> None:
     clock, of = exchange("*")
-    of.enter_event(answer(of, "afm_node@slave"))
+    of.record_event(answer(of, "afm_node@slave"))
     clock.advance_ns(1000 * MS)
-    of.enter_event(answer(of, "haptic_node@master"))
+    of.record_event(answer(of, "haptic_node@master"))
     clock.advance_ns(499 * MS)
     assert not of.done
     clock.advance_ns(MS)
@@ -141,9 +141,9 @@ def test_no_rig_and_no_taker_are_told_apart() -> None:
     clock, of = exchange("*")
     clock.advance_ns(5000 * MS)
     assert of.done
-    with pytest.raises(RigError, match="no rig is heard"):
+    with pytest.raises(RigError, match="no node reports"):
         of.check()
-    of.enter_health(alive("recorder@master"))
+    of.record_health(alive("recorder@master"))
     with pytest.raises(RigError, match="recorder@master do not know it"):
         of.check()
 

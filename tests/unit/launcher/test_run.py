@@ -108,7 +108,7 @@ def test_a_recording_elsewhere_is_reported_with_the_command_that_reports_it(tmp_
     assert outcome.recording is None
     assert "recorder@master recorded the session to /elsewhere/session_1.mcap" in outcome.note
     session.recording.files = []
-    assert outcome_of(session, plan).note == "nothing was recorded: no recorder was heard"
+    assert outcome_of(session, plan).note == "nothing was recorded: no recorder reported"
 
 
 def test_a_report_is_made_of_a_session_that_ran(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -144,10 +144,10 @@ def test_attaching_to_no_nodes_gives_up_at_its_limit_and_leaves_a_log(tmp_path: 
     phases: list[str] = []
     outcome = run_rig(plan, lambda rig: phases.append(rig.phase), phases.append)
     assert outcome.failure.startswith("the rig was not ready within 0.2 s: ")
-    assert "haptic_node@master has not been heard" in outcome.failure
+    assert "haptic_node@master has not reported yet" in outcome.failure
     assert not outcome.ran
     assert phases[0] == "starting"
-    assert "has not been heard" not in phases
+    assert "has not reported yet" not in phases
     assert (plan.out / "logs" / "launcher@master.log").exists()
 
 

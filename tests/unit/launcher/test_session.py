@@ -155,7 +155,7 @@ def test_a_hand_that_is_gone_does_not_keep_the_rig_from_stopping() -> None:
 @pytest.mark.parametrize(
     ("node_health", "reason"),
     [
-        (None, "has not been heard"),
+        (None, "has not reported yet"),
         (health("recorder@master", "starting"), "is still starting"),
         (health("recorder@master", inputs=(row("haptic/state", received=False),)), "does not receive haptic/state"),
         # sent on change only: silence means nothing

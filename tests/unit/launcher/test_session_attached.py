@@ -88,7 +88,7 @@ def test_it_waits_without_a_limit_and_says_for_what() -> None:
     assert rig.session.phase == "starting"
     assert rig.session.causes() == {
         "afm_node@slave": "does not receive afm/command",
-        "haptic_node@master": "has not been heard",
+        "haptic_node@master": "has not reported yet",
     }
     assert rig.session.status_line() == "waiting for 2 of 3 nodes to be ready (without a limit, Ctrl-C gives up)"
     assert rig.bus.controls() == []
@@ -104,7 +104,7 @@ def test_a_limit_is_kept_and_names_who_was_missing() -> None:
     assert not rig.finished
     rig.tick(2)
     assert rig.finished
-    assert rig.session.failure == "the rig was not ready within 5 s: haptic_node@master has not been heard"
+    assert rig.session.failure == "the rig was not ready within 5 s: haptic_node@master has not reported yet"
 
 
 def test_without_a_recorder_the_session_runs_and_says_so() -> None:
@@ -113,7 +113,7 @@ def test_without_a_recorder_the_session_runs_and_says_so() -> None:
     assert rig.session.phase == "starting"
     rig.tick_alive(20)
     assert rig.session.phase == "running"
-    assert rig.news == ["the session is not recorded: no recorder was heard"]
+    assert rig.reports == ["the session is not recorded: no recorder reported"]
     rig.tick_alive(51)
     assert rig.finished
     assert ("set", RECORDER) not in commands(rig)
@@ -133,7 +133,7 @@ def test_a_recorder_that_cannot_is_no_reason_not_to_run(silent: bool, fault: str
     (rig.silent if silent else rig.refusing).add(RECORDER)
     rig.tick_alive(130)
     assert rig.session.ran
-    assert rig.news == [f"the session is not recorded: {fault}"]
+    assert rig.reports == [f"the session is not recorded: {fault}"]
 
 
 def test_a_file_that_follows_within_the_session_is_remembered() -> None:
@@ -160,11 +160,11 @@ def test_a_silent_node_is_reported_and_does_not_end_the_session() -> None:
         "silent"
     ]
     rig.tick_alive(1)
-    assert rig.news[-1].startswith("afm_node@slave is heard again after 4.")
-    assert rig.news[-1].endswith(
+    assert rig.reports[-1].startswith("afm_node@slave is alive again after 4.")
+    assert rig.reports[-1].endswith(
         "a tip that has retracted stays retracted until `telenano session arm --target afm_node`"
     )
-    assert "controller@master is heard again" in "\n".join(rig.news)
+    assert "controller@master is alive again" in "\n".join(rig.reports)
 
 
 def test_a_quick_restart_is_seen_by_the_uptime() -> None:
@@ -173,7 +173,7 @@ def test_a_quick_restart_is_seen_by_the_uptime() -> None:
     rig.receive_health("haptic_node@master", uptime_s=70.0)
     rig.receive_health("haptic_node@master", uptime_s=0.1)
     rig.tick()
-    assert rig.news[-1].startswith(
+    assert rig.reports[-1].startswith(
         "haptic_node@master was restarted; a haptic device that was restarted stays off until"
     )
     assert rig.bus.events()[-1].level == "warning"

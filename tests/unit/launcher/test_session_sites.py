@@ -50,12 +50,12 @@ def test_the_master_waits_for_the_slave_without_a_limit() -> None:
         rig.receive(WITHOUT_INPUT, "node/health")
         rig.tick()
     assert rig.session.phase == "starting"
-    assert rig.session.causes() == dict.fromkeys(SLAVE, "has not been heard")
+    assert rig.session.causes() == dict.fromkeys(SLAVE, "has not reported yet")
     assert "controller@master" in rig.session.waiting()
     assert "for the slave's site without a limit" in rig.session.status_line()
     rig.tick_alive(6)
     assert rig.session.phase == "running"
-    assert rig.news == ["the slave's site is heard"]
+    assert rig.reports == ["the slave's site is alive"]
 
 
 def test_own_nodes_have_their_limit_whether_the_slave_is_there_or_not() -> None:
@@ -64,7 +64,7 @@ def test_own_nodes_have_their_limit_whether_the_slave_is_there_or_not() -> None:
     rig.tick(DEADLINE_TICKS + 1)
     assert rig.finished
     assert rig.session.failure.startswith(
-        "the rig was not ready within 60 s: haptic_node@master has not been heard\nlast lines of haptic_node@master"
+        "the rig was not ready within 60 s: haptic_node@master has not reported yet\nlast lines of haptic_node@master"
     )
     assert "slave" not in rig.session.failure
 
@@ -103,15 +103,15 @@ def test_a_pulled_cable_is_reported_and_the_session_goes_on() -> None:
     rig.tick_alive(10)
     assert rig.session.phase == "running"
     for silence in (5, 60):
-        rig.news.clear()
+        rig.reports.clear()
         rig.tick_alive(20 * silence, missing=SLAVE)
-        assert [text[:32] for text in rig.news] == ["the slave's site is silent since"]
+        assert [text[:32] for text in rig.reports] == ["the slave's site is silent since"]
         assert rig.session.status_line().endswith("silent: the slave's site")
         assert rig.session.phase == "running"
         rig.tick_alive(5)
-        assert rig.news[1].startswith(f"the slave's site is heard again after {silence}.")
-        assert rig.news[1].endswith(f"{ARM}master`")
-        assert len(rig.news) == 2
+        assert rig.reports[1].startswith(f"the slave's site is alive again after {silence}.")
+        assert rig.reports[1].endswith(f"{ARM}master`")
+        assert len(rig.reports) == 2
     states = [event.data["state"] for event in rig.bus.events() if event.data.get("about_node") == "the slave's site"]
     assert states == ["heard", "silent", "heard", "silent", "heard"]
     # only the operator arms again
@@ -121,9 +121,9 @@ def test_a_pulled_cable_is_reported_and_the_session_goes_on() -> None:
 def test_one_node_of_the_slave_is_reported_by_its_name() -> None:
     rig = master(duration_s=100.0)
     rig.tick_alive(10)
-    rig.news.clear()
+    rig.reports.clear()
     rig.tick_alive(80, missing=["afm_node@slave"])
-    assert [text[:27] for text in rig.news] == ["afm_node@slave is silent si"]
+    assert [text[:27] for text in rig.reports] == ["afm_node@slave is silent si"]
 
 
 def test_the_end_stops_the_own_nodes_only() -> None:
@@ -138,16 +138,16 @@ def test_the_end_stops_the_own_nodes_only() -> None:
 def test_the_slave_keeps_its_nodes_and_conducts_nothing() -> None:
     rig = Slave()
     assert rig.children.started == list(SLAVE)
-    assert "has not been heard yet" in rig.site.status_line()
+    assert "has not reported yet" in rig.site.status_line()
     # a node is ready once it runs: its inputs come from the other site
     rig.receive(health("controller@slave", inputs=(row("teleop/forward", received=False),)), "node/health")
-    assert rig.site.waiting() == {"afm_node@slave": "has not been heard"}
+    assert rig.site.waiting() == {"afm_node@slave": "has not reported yet"}
     rig.receive_health("afm_node@slave")
     rig.tick()
-    assert (rig.site.phase, rig.news) == ("running", [])
+    assert (rig.site.phase, rig.reports) == ("running", [])
     rig.tick_linked(3 * DEADLINE_TICKS)
-    assert rig.news == ["the master's site is heard"]
-    assert rig.site.status_line() == "running, the master's site is heard and conducts; Ctrl-C stops the nodes here"
+    assert rig.reports == ["the master's site is alive"]
+    assert rig.site.status_line() == "running, the master's site is alive and conducts; Ctrl-C stops the nodes here"
     assert rig.bus.controls() == []
     rig.site.interrupt()
     rig.tick()
@@ -163,12 +163,12 @@ def test_the_slave_reports_the_masters_silence_and_return() -> None:
     rig.receive_health(*SLAVE)
     rig.tick_linked(5)
     rig.tick(20 * 60)
-    assert rig.news[-1].startswith("the master's site is silent since")
+    assert rig.reports[-1].startswith("the master's site is silent since")
     assert "is silent, the nodes here wait for it" in rig.site.status_line()
     rig.tick_linked(20)
-    assert rig.news[-1].startswith("the master's site is heard again after 60.")
-    assert rig.news[-1].endswith(f"{ARM}slave`")
-    assert len(rig.news) == 3
+    assert rig.reports[-1].startswith("the master's site is alive again after 60.")
+    assert rig.reports[-1].endswith(f"{ARM}slave`")
+    assert len(rig.reports) == 3
     assert not rig.finished
 
 
@@ -179,8 +179,8 @@ def test_the_slave_starts_what_died_again_and_gives_up_what_cannot_run() -> None
     rig.children.ended = {"afm_node@slave": -11}
     rig.tick(4)
     assert rig.children.started == [*SLAVE, "afm_node@slave"]
-    assert "afm_node@slave was killed by SIGSEGV" in rig.news[0]
-    assert rig.news[1] == "afm_node@slave was started again"
+    assert "afm_node@slave was killed by SIGSEGV" in rig.reports[0]
+    assert rig.reports[1] == "afm_node@slave was started again"
     rig.children.ended = {"controller@slave": 2}
     rig.tick()
     assert rig.finished
@@ -194,7 +194,7 @@ def test_the_slave_gives_its_own_nodes_a_limit() -> None:
     assert not rig.finished
     rig.tick_linked(2)
     assert rig.finished
-    assert rig.site.failure.startswith("the site was not ready within 60 s: afm_node@slave has not been heard\nlast")
+    assert rig.site.failure.startswith("the site was not ready within 60 s: afm_node@slave has not reported yet\nlast")
 
 
 def test_lines_show_news_and_missing_nodes() -> None:
@@ -207,9 +207,9 @@ def test_lines_show_news_and_missing_nodes() -> None:
         rig.tick()
     rig.tick_alive(6)
     lines = text.getvalue().splitlines()
-    assert lines[0] == "the slave's site is heard"
+    assert lines[0] == "the slave's site is alive"
     assert lines[1].startswith("waiting for 1 of 6 nodes to be ready (up to 60 s; ")
-    assert "still waiting: controller@slave has not been heard" in lines
+    assert "still waiting: controller@slave has not reported yet" in lines
     assert len([line for line in lines if line.startswith("still waiting")]) == 1
     assert lines[-1].startswith("running for 2 s")
 
@@ -219,8 +219,8 @@ def test_the_live_view_draws_a_site_without_a_session() -> None:
     rig.node.observe = lambda node: None
     text = StringIO()
     Console(file=text, width=200).print(rig_picture(rig.site))
-    assert "afm_node@slave has not been heard" in text.getvalue()
+    assert "afm_node@slave has not reported yet" in text.getvalue()
     rig.receive_health(*SLAVE)
     rig.tick_linked(1)
     Console(file=text, width=200).print(rig_picture(rig.site))
-    assert "the master's site is heard and conducts" in text.getvalue()
+    assert "the master's site is alive and conducts" in text.getvalue()

@@ -153,7 +153,7 @@ def test_a_rig_in_which_all_is_well() -> None:
 @pytest.mark.parametrize(
     ("newest", "words"),
     [
-        (None, "has not been heard"),
+        (None, "has not reported yet"),
         (health("afm_node@slave", state="starting"), "is still starting"),
         (health("afm_node@slave", state="stopping"), "is stopping"),
         (health("afm_node@slave", row("afm/command", received=0)), "does not receive afm/command"),
@@ -180,7 +180,7 @@ def test_an_input_that_fell_silent_while_listening() -> None:
     node = "controller@master"
     before = health(node, row("teleop/backward"), row("haptic/state"), t_s=1.0)
     after = health(node, row("teleop/backward"), row("haptic/state", received=11), t_s=2.0)
-    assert problems_of(status_of(before, after), [node]) == {node: "no longer hears teleop/backward"}
+    assert problems_of(status_of(before, after), [node]) == {node: "no longer receives teleop/backward"}
 
 
 @pytest.mark.parametrize(
@@ -253,9 +253,10 @@ def test_a_rig_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
     for words in (
         "haptic_node@master │ running", "1:02:05", "999.9", "0.210", "fifo, memory", "│ nothing", "launcher@master",
         "wan · delay 20.50 ms · dropped loss 3 · 2 in flight", "wan · no message · dropped 0",
-        "the slave's clock is 1.500 ms ahead, ± 0.100 ms", "net energy 0.0025 J · other half heard 2 ms ago",
-        "position · programme at 3.2 s", "follow · in contact", "running · 1234 messages heard · 0 lost",
-        "slave is not reached", "recording to x.mcap", "every node is heard and none waits for anything",
+        "the slave's clock is 1.500 ms ahead, ± 0.100 ms",
+        "net energy 0.0025 J · last signal received 2 ms ago",
+        "position · programme at 3.2 s", "follow · in contact", "running · 1234 messages received · 0 lost",
+        "slave is not reached", "recording to x.mcap", "every node reports and none waits for anything",
     ):  # fmt: skip
         assert words in out, words
 
@@ -297,8 +298,8 @@ def test_a_rig_in_trouble_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
         "recorder@master\n"
     )
     for words in (
-        "│ replay", "version 4", "not heard", "has not been heard", "does not receive haptic/state", "not passive",
-        "waits for the other half to switch", "other half never heard", "emergency stop is latched",
+        "│ replay", "version 4", "no report", "has not reported yet", "does not receive haptic/state", "not passive",
+        "waits for the other half to switch", "no signal received yet", "emergency stop is latched",
         "programme not running · at a limit", "estop · in contact · meniscus · at a limit",
     ):  # fmt: skip
         assert words in out, words
@@ -309,16 +310,16 @@ def test_a_rig_in_trouble_as_json(monkeypatch: pytest.MonkeyPatch) -> None:
     code, out, err = run(monkeypatch, *map(health, RIG[1:]), arguments=("--json",))
     document = json.loads(out)
     assert (code, document["ok"], out.count("\n")) == (1, False, 1)
-    assert document["problems"] == ["haptic_node@master has not been heard"]
+    assert document["problems"] == ["haptic_node@master has not reported yet"]
     assert err == f"telenano: {document['error']}\n"
-    assert document["nodes"][0] == {"node": "haptic_node@master", "heard": False, "problem": "has not been heard"}
+    assert document["nodes"][0] == {"node": "haptic_node@master", "heard": False, "problem": "has not reported yet"}
 
 
 def test_a_silent_rig_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TELENANO_RUNTIME_DIR", str(tmp_path / "run"))
     result = CliRunner().invoke(app, ["status", "--duration", "0", "--json"])
     assert result.exit_code == 1
-    assert "no rig is heard" in json.loads(result.stdout)["error"]
+    assert "no node reports" in json.loads(result.stdout)["error"]
 
 
 def test_it_listens_on_the_bus_and_only_to_what_it_needs(tmp_path: Path) -> None:
@@ -354,6 +355,6 @@ def test_it_listens_on_the_bus_and_only_to_what_it_needs(tmp_path: Path) -> None
 
 def test_nobody_speaks(tmp_path: Path) -> None:
     observer = Observer(AddressBook(nodes={"controller@master": f"ipc://{tmp_path}/node"}))
-    with pytest.raises(RigError, match="no rig is heard"):
+    with pytest.raises(RigError, match="no node reports"):
         listen(observer, 0.0)
     observer.close()
