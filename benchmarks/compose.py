@@ -4,7 +4,7 @@
 
 Runs the session of Fig. 12 in turn on the bare machine as it comes, on the bare machine without real time, and under
 `deploy/docker-compose.yml` with the images as they are (`make images`), and takes the medians over the rounds. The
-engine says by `node/health` whether it grants real time; where it does not, the second row is the fair baseline.
+engine reports in `node/health` whether it grants real time; where it does not, the second row is the fair baseline.
 """
 
 import argparse

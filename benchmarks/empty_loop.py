@@ -71,7 +71,7 @@ class EmptyLoops:
 
 
 def keep_deadlines(cpu: int, stop: Connection) -> None:
-    """Keep deadlines on one processor until told to stop, then send when they were missed."""
+    """Keep deadlines on one processor until stopped, then send when they were missed."""
     os.sched_setaffinity(0, {cpu})
     # where it is not permitted the rig has no real time either
     with contextlib.suppress(PermissionError):
@@ -102,7 +102,7 @@ def merged(stalls: Sequence[Stall]) -> list[Stall]:
 
 
 def main() -> None:
-    """Watch the machine for a time and say what it took away."""
+    """Watch the machine for a time and report how much time it took away."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--duration", type=float, default=10.0, help="time to watch [s]")
     duration_s = parser.parse_args().duration

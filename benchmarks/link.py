@@ -3,8 +3,8 @@
     python benchmarks/link.py [--duration S] [--json]
 
 A source sends teleop/forward and teleop/backward at 3 kHz each (as much as six topics at 1 kHz) through a real
-`delay_node` process; a sink hears both the source itself and the link. At 100 ms: the error of the delay, from the
-source's stamp to the sink's, less 100 ms, so it holds two hops as well. At 0 ms: the median latency through the link as
+`delay_node` process; a sink subscribes to the source itself and to the link. At 100 ms: the error of the delay, from
+the source's stamp to the sink's, less 100 ms, so it holds two hops as well. At 0 ms: the median latency through the link as
 a ratio to that of the direct subscription, message by message in the same run.
 """
 
@@ -119,10 +119,10 @@ def run(delay_s: float, duration_s: float) -> tuple[dict[str, np.ndarray], dict[
         link = subprocess.Popen(command, stderr=subprocess.DEVNULL)
         context = multiprocessing.get_context("spawn")
         pipes = [context.Pipe() for _ in range(3)]
-        talker = context.Process(target=source, args=(book, round(duration_s * 1000), pipes[0][1]))
-        hearer = context.Process(target=sink, args=(book, pipes[1][0], pipes[2][1]))
-        talker.start()
-        hearer.start()
+        sender = context.Process(target=source, args=(book, round(duration_s * 1000), pipes[0][1]))
+        receiver = context.Process(target=sink, args=(book, pipes[1][0], pipes[2][1]))
+        sender.start()
+        receiver.start()
         pipes[1][1].recv()
         time.sleep(2.0)
         pipes[0][0].send("go")
@@ -130,7 +130,7 @@ def run(delay_s: float, duration_s: float) -> tuple[dict[str, np.ndarray], dict[
         pipes[2][0].send("stop")
         ages, lost = pipes[1][1].recv()
         pipes[0][0].send("stop")
-        for process in (talker, hearer):
+        for process in (sender, receiver):
             process.join()
         link.terminate()
         link.wait()

@@ -2,7 +2,7 @@
 
     python benchmarks/network.py [--rounds N] [--messages N] [--json]
 
-Two processes play the two machines on this one. Each sends checked messages as the rig does, at 1 kHz: the first says
+Two processes play the two machines on this one. Each sends checked messages as the rig does, at 1 kHz: the first sends
 teleop/forward, the second answers each with teleop/backward, and the first takes the time from its send to the answer.
 The three ways alternate in short runs, so that what else the machine does falls on all alike. The processor time is
 that of both processes, their ZeroMQ threads included.
@@ -45,7 +45,7 @@ def book_of(way: str, folder: Path, ports: tuple[int, int]) -> AddressBook:
     return AddressBook(nodes=nodes, insecure=way == "plain")
 
 
-def talk(node: str, peer: str, book: AddressBook, messages: int, pipe: Connection) -> None:
+def exchange(node: str, peer: str, book: AddressBook, messages: int, pipe: Connection) -> None:
     """Be one of the two machines; gives the round trips [ns], none where it answers, and the processor time [s]."""
     own_cpu = RealtimeConfig(cpus={node: 0 if node == MASTER else os.cpu_count() - 1})
     apply_realtime(own_cpu, StructuredLog(node), node)
@@ -53,8 +53,8 @@ def talk(node: str, peer: str, book: AddressBook, messages: int, pipe: Connectio
         clock = SystemClock()
         network = Transport(context, clock, book, book.machine_of(node))
         publisher = network.publisher(node)
-        heard = "teleop/backward" if node == MASTER else "teleop/forward"
-        readers = [reader for reader in network.subscribers({peer: [heard]}) if reader.topics]
+        topic = "teleop/backward" if node == MASTER else "teleop/forward"
+        readers = [reader for reader in network.subscribers({peer: [topic]}) if reader.topics]
         poller = zmq.Poller()
         for descriptor in (*(reader.socket for reader in readers), *network.descriptors):
             poller.register(descriptor, zmq.POLLIN)
@@ -104,7 +104,7 @@ def run(way: str, folder: Path, messages: int) -> tuple[list[int], float]:
     pipes = [spawn.Pipe() for _ in (MASTER, SLAVE)]
     pairs = ((MASTER, SLAVE), (SLAVE, MASTER))
     processes = [
-        spawn.Process(target=talk, args=(node, peer, book, messages if node == MASTER else 1 << 40, end))
+        spawn.Process(target=exchange, args=(node, peer, book, messages if node == MASTER else 1 << 40, end))
         for (node, peer), (_, end) in zip(pairs, pipes, strict=True)
     ]
     for process in processes:

@@ -137,9 +137,9 @@ def timing(path: Path, site_file: Path) -> dict[str, Any]:
     # the two copies of what crosses the link are the same bytes and come in the order recorded
     times = [by_frame[frame].pop(0) for frame in frames]
     order = np.argsort(times, kind="stable")
-    recorded, heard = np.asarray(times)[order], arrivals[order]
-    interval = np.abs(np.diff(heard) - np.diff(recorded)) * 1e-9
-    lateness = (heard - heard[0]) - (recorded - recorded[0])
+    recorded, arrived = np.asarray(times)[order], arrivals[order]
+    interval = np.abs(np.diff(arrived) - np.diff(recorded)) * 1e-9
+    lateness = (arrived - arrived[0]) - (recorded - recorded[0])
     p50, p99 = np.percentile(interval, [50.0, 99.0])
     drift_s = float(np.median(lateness[-1000:]) - np.median(lateness[:1000])) * 1e-9
     return {

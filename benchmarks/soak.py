@@ -114,7 +114,7 @@ def run(duration_s: float, out: Path, settled_s: float) -> dict[str, Any]:
 
 
 def main() -> int:
-    """Run, print, and say by the exit code whether the bounds were kept."""
+    """Run, print, and return an exit code: whether the bounds were kept."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--duration", type=float, default=600.0, help="length of the session [s]")
     parser.add_argument("--out", type=Path, help="folder of the recording; default: one that is removed again")

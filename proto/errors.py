@@ -1,4 +1,4 @@
-"""The exceptions: whatever a user can cause raises one of these, with a sentence that says what is right."""
+"""The exceptions: whatever a user can cause raises one of these; the text names what would be right."""
 
 
 class TelenanoError(Exception):

@@ -120,7 +120,7 @@ class HapticCommand(Message, _HandSample):
 
 
 class _Teleop(Message, _HandSample):
-    """What the two halves of a law say to each other; a law that has no use for an optional part sends nil."""
+    """What the two halves of a law send to each other; a law that has no use for an optional part sends nil."""
 
     law: str = Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=32, description="Law that this message belongs to")
     active: bool = Field(description="The device of the sending site follows the law")
@@ -180,7 +180,7 @@ class AfmScanline(Message):
 
 
 class LawStatus(Message):
-    """How one half of the law is doing: energy, passivity, and what it hears; energies at the hand's scale."""
+    """State of one half of the law: energy, passivity, and what it receives; energies at the hand's scale."""
 
     law: str = Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=32, description="Law in force at this half")
     switching: bool = Field(description="The half waits for the other one to take up this law; its device stands still")
@@ -188,14 +188,14 @@ class LawStatus(Message):
     port_power_w: float = Field(description="Power entering at this port, mean since the last report [W]")
     net_valid: bool = Field(description="The energy of the other port is known too")
     net_energy_j: float = Field(description="Energy that has entered at both ports less what left [J]; stored or lost")
-    left_j: float = Field(description="Energy heard of the other half and not yet given out [J]; 0 if not counted")
+    left_j: float = Field(description="Energy reported by the other half and not yet given out [J]; 0 if not counted")
     dissipated_j: float = Field(description="Energy that the controller has taken out on purpose [J]; 0 if not counted")
     passive: bool = Field(description="Neither the net energy nor the energy left has shown that energy was made")
     saved_percent: Seconds = Field(
         description="Signals to the other half that the dead band kept back, since this law is in force [%]"
     )
-    heard: bool = Field(description="The other half has been heard in this law")
-    silence_s: Seconds = Field(description="Time since then [s]; 0 if never heard")
+    heard: bool = Field(description="A signal of the other half in this law has been received")
+    silence_s: Seconds = Field(description="Time since the last one [s]; 0 if never received")
     round_trip_valid: bool = Field(description="The round trip was measured; at the master only")
     round_trip_s: Seconds = Field(description="Age of the hand's sample that the newest answer descends from [s]")
 
@@ -303,13 +303,13 @@ class InputHealth(Record):
     """What a node knows of one topic from one source."""
 
     topic: Text = Field(description="Topic")
-    src: Text = Field(description="Publisher, node@site; empty when nothing was ever heard")
+    src: Text = Field(description="Publisher, node@site; empty when nothing was ever received")
     received: Count = Field(description="Messages accepted since the start")
     lost: Count = Field(description="Messages missing by sequence gaps since the start")
     gaps: Count = Field(description="Sequence gaps since the start")
     repeated: Count = Field(description="Messages that came twice or out of order since the start")
     restarts: Count = Field(description="Restarts of the publisher seen since the start")
-    age_valid: bool = Field(description="At least one message was heard")
+    age_valid: bool = Field(description="At least one message was received")
     age_s: float = Field(description="Time since the publisher sent the newest message [s], across two clocks")
 
 
@@ -337,7 +337,7 @@ class NodeHealth(Message):
 
 
 class JournalInput(Record):
-    """What a node hears: a topic from a source."""
+    """An input of a node: a topic from a source."""
 
     topic: Text = Field(description="Topic")
     src: Source = Field(description="Publisher, node@site")
@@ -362,5 +362,5 @@ class NodeJournal(Message):
     input: Array = Field(description="i2: which of `inputs` the message came from; -1 for a deadline")
     number: Array = Field(description="i8: seq of the message; -1 for a deadline")
     state: Array = Field(
-        description="u1: state of the node before the first turn, for the re-run only; empty when it cannot be told"
+        description="u1: state of the node before the first turn, for the re-run only; empty when it cannot be captured"
     )

@@ -108,7 +108,7 @@ def last_session(session_s: Column) -> npt.NDArray[np.intp]:
     """Return the indices of the last run of the operator's programme.
 
     Parameters: session_s of `haptic/state` [s], negative while no programme runs.
-    Returns: indices, fewer than two when there is no session to speak of.
+    Returns: indices, fewer than two when there is no session.
     """
     running = np.flatnonzero(session_s >= 0.0)
     # a programme that was started again begins at a lower time

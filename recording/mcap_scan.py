@@ -78,7 +78,7 @@ def describe_damage(damage: Iterable[Damage]) -> tuple[str, ...]:
 
 
 class DamagedBlockError(Exception):
-    """A chunk whose content cannot be read; the text says why."""
+    """A chunk whose content cannot be read; the text is the reason."""
 
 
 def scan(data: Bytes) -> Layout:

@@ -28,7 +28,7 @@ class RejectedRecord(Record):
 
     reason: Text = Field(description="One word for the reason: frames, topic, oversized, malformed, newer_version, ...")
     text: Text = Field(description="The same in a sentence")
-    publisher: Text = Field(description="Node at whose endpoint the frames were heard")
+    publisher: Text = Field(description="Node at whose endpoint the frames were received")
     size_bytes: Count = Field(description="Size of all frames together [bytes]")
     frames: tuple[bytes, ...] = Field(description="The first frames as they came, each cut at 1 MiB")
 

@@ -45,7 +45,7 @@ class Replayed:
 
 
 def run_replay(request: ReplayRequest, observe: Callable[[PlayerNode], None] = lambda player: None) -> Replayed:
-    """Play recordings into the rig of a site file until they end or the process is told to stop.
+    """Play recordings into the rig of a site file until they end or the process is stopped.
 
     Raises RecordingError, ConfigError, and EndpointError when a node that is to be played runs.
     """

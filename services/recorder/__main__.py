@@ -25,12 +25,12 @@ def build(wiring: Wiring, config: RecorderConfig) -> tuple[Node, AccountedBus]:
 def listeners(wiring: Wiring, config: RecorderConfig) -> list[Listener]:
     """Connect to each node for all that is to be recorded of it; at the slave to its own site only.
 
-    What the slave hears of the master's it hears through the link, and a network between is not asked to carry the
-    rest of it a second time.
+    What the slave receives of the master's comes through the link, and a network between must not carry it a second
+    time.
     """
     site = site_of(wiring.key)
-    heard = ("master", "slave") if site == "master" or not wiring.book.spans_machines else (site,)
-    return connect(wiring, heard, config.hears)
+    sites = ("master", "slave") if site == "master" or not wiring.book.spans_machines else (site,)
+    return connect(wiring, sites, config.subscribes)
 
 
 def begin(wiring: Wiring, config: RecorderConfig) -> Intake:

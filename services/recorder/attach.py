@@ -33,15 +33,14 @@ def run_record(
     duration_s: float | None = None,
     observe: Callable[[RecorderNode], None] = lambda node: None,
 ) -> Recorded:
-    """Record what is said in the rig of a site file until the time [s] is over or the process is told to stop.
+    """Record the messages of the rig of a site file until the time [s] is over or the process is stopped.
 
-    The process has no endpoint: it sends nothing, is in no one's list, and the rig does not know of it. `observe` is
-    called at each flush.
+    The process has no endpoint: it sends nothing, and no site file lists it. `observe` is called at each flush.
     """
     book, signals = load_site(site_file), StopSignals()
     with open_participant(OBSERVER, book, signals.descriptor, publisher=False) as participant:
         clock = participant.clock
-        listeners = connect(participant, hears=config.hears)
+        listeners = connect(participant, wanted=config.subscribes)
         intake = open_recording(OBSERVER, clock, config, site_file, scenario_file)
         publisher = NullPublisher(clock, OBSERVER)
         bus = RecorderBus(publisher, listeners, intake, clock, signals.descriptor, participant.network)

@@ -65,7 +65,7 @@ class RecorderConfig(FileSettings):
     def selection(self) -> Selection:
         return Selection.of(self.topics, self.exclude)
 
-    def hears(self, topic: str, site: str) -> bool:
+    def subscribes(self, topic: str, site: str) -> bool:
         """Return whether a bus topic is needed at a site: to be recorded, for its commands, or for a trigger."""
         needed = ("session/control",) if self.snapshot_s is None else ("session/control", "session/event", "afm/state")
         selection = self.selection()

@@ -49,7 +49,7 @@ class Listener:
 class Intake:
     """Records messages, and continues without recording once the file cannot be written.
 
-    `fault` then says why. Only the header of a message is validated here: a message with a valid header is recorded
+    `fault` is then the reason. Only the header of a message is validated here: one with a valid header is recorded
     as it came, whatever its fields. With `rotation` it begins new files on its own; with a snapshot buffer as well it
     writes only from a trigger on, beginning with the content of the buffer.
     """
@@ -65,7 +65,7 @@ class Intake:
         is_trigger: Trigger = _NEVER,
         after_s: float = 0.0,
     ) -> None:
-        """Record into a writer; without one and without a snapshot buffer nothing is recorded, `fault` says why."""
+        """Record into a writer; without one and without a snapshot buffer nothing is recorded, and `fault` is why."""
         self.writer = writer
         self.fault = fault
         self.received = 0
@@ -113,7 +113,7 @@ class Intake:
             self._stop(error)
 
     def split(self, now_ns: int) -> None:
-        """Continue in a new file; RecordingError says why that is not possible."""
+        """Continue in a new file; RecordingError gives the reason when that is not possible."""
         if self.writer is None or self.rotation is None:
             raise RecordingError(self.fault or "nothing is being written")
         self._next_file(self.rotation, self.writer, now_ns)

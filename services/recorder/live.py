@@ -20,18 +20,20 @@ _WAIT_MS = 100
 
 
 def connect(
-    participant: Participant, sites: Sequence[str] = SITES, hears: Callable[[str, str], bool] = lambda topic, site: True
+    participant: Participant,
+    sites: Sequence[str] = SITES,
+    wanted: Callable[[str, str], bool] = lambda topic, site: True,
 ) -> list[Listener]:
-    """Connect to each node at `sites` for every recorded topic that can be heard there.
+    """Subscribe at each node at `sites` to every recorded topic that it publishes.
 
-    `hears` says of a topic and a site whether it is wanted: what is not asked for is not even sent.
+    `wanted(topic, site)` selects among them: what is not subscribed to is not even sent.
     """
-    readers = participant.observe(lambda topic, site: TOPICS[topic].recorded and hears(topic, site), sites)
+    readers = participant.observe(lambda topic, site: TOPICS[topic].recorded and wanted(topic, site), sites)
     return [Listener(node, reader) for node, reader in readers.items()]
 
 
 class LiveRecording:
-    """What is said on the bus now, as `Recording` gives what was said.
+    """The messages on the bus now, with the interface of `Recording`.
 
     A context manager: `with LiveRecording(book) as live: for message in live.messages(["afm/state"]): ...`
     """

@@ -31,7 +31,7 @@ class FileRotation:
         self.dropped = 0
 
     def begin(self, now_ns: int) -> RecordingWriter:
-        """Create the next file; RecordingError says why that fails."""
+        """Create the next file; RecordingError gives the reason if that fails."""
         # numbers grow, also where the files of lower ones are gone
         writer = self._create_file(self.count)
         self._started_ns = now_ns
@@ -50,7 +50,7 @@ class FileRotation:
         return too_large or too_long
 
     def keep_quota(self, writer: RecordingWriter | None) -> None:
-        """Remove the oldest files until the quota holds, if the policy says so.
+        """Remove the oldest files until the quota holds, if that is the policy.
 
         Raises QuotaError under the policy `stop`, RecordingError when an old file cannot be removed.
         """

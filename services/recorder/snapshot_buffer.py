@@ -50,7 +50,7 @@ Trigger = Callable[[str, Fields], bool]
 
 
 def event_trigger(names: tuple[str, ...]) -> Trigger:
-    """Return the predicate that tells whether a message is one of the events that trigger a snapshot.
+    """Return the predicate: whether a message is one of the events that trigger a snapshot.
 
     `mode`: a device changed mode; `fault`: a node reported a fault; `contact`: the tip snaps into contact.
     """

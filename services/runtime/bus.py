@@ -86,7 +86,7 @@ class Attendant(Protocol):
         """What becomes readable when there is something to attend to."""
 
     def process_events(self) -> list[ConnectionEvent]:
-        """Process pending events, a bounded number; `has_pending` says whether more are left."""
+        """Process pending events, a bounded number; `has_pending`: whether more are left."""
 
 
 class Publisher(Protocol):

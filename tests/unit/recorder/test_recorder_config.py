@@ -32,18 +32,18 @@ def test_what_is_wrong_is_named(key: str, value: Any) -> None:
         validate(RecorderConfig, {key: value}, "rig.yaml", "recorder")
 
 
-def test_only_what_is_recorded_commands_or_triggers_is_heard() -> None:
+def test_only_what_is_recorded_commands_or_triggers_is_subscribed_to() -> None:
     lean = RecorderConfig(exclude=("afm/*", "teleop/forward@slave", "session/*"))
-    heard = {(topic, site): lean.hears(topic, site) for topic in TOPICS for site in ("master", "slave")}
-    assert {place for place, hears in heard.items() if not hears} == {
+    subscribed = {(topic, site): lean.subscribes(topic, site) for topic in TOPICS for site in ("master", "slave")}
+    assert {place for place, wanted in subscribed.items() if not wanted} == {
         *((topic, site) for topic in ("afm/command", "afm/state", "afm/scanline") for site in ("master", "slave")),
         ("session/event", "master"),
         ("session/event", "slave"),
     }
     # what was sent at this site, or out of the link: one of both is recorded
-    assert heard["teleop/forward", "slave"]
-    assert not RecorderConfig(topics=("haptic/*",)).hears("teleop/forward", "slave")
-    assert RecorderConfig(topics=("teleop/forward@slave",)).hears("teleop/forward", "slave")
-    assert not RecorderConfig(topics=("teleop/forward@slave",)).hears("teleop/forward", "master")
+    assert subscribed["teleop/forward", "slave"]
+    assert not RecorderConfig(topics=("haptic/*",)).subscribes("teleop/forward", "slave")
+    assert RecorderConfig(topics=("teleop/forward@slave",)).subscribes("teleop/forward", "slave")
+    assert not RecorderConfig(topics=("teleop/forward@slave",)).subscribes("teleop/forward", "master")
     # a trigger has to be seen whether it is recorded or not
-    assert RecorderConfig(topics=("haptic/*",), snapshot_s=1.0).hears("afm/state", "slave")
+    assert RecorderConfig(topics=("haptic/*",), snapshot_s=1.0).subscribes("afm/state", "slave")
