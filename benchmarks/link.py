@@ -4,8 +4,8 @@
 
 A source sends teleop/forward and teleop/backward at 3 kHz each (as much as six topics at 1 kHz) through a real
 `delay_node` process; a sink subscribes to the source itself and to the link. At 100 ms: the error of the delay, from
-the source's stamp to the sink's, less 100 ms, so it holds two hops as well. At 0 ms: the median latency through the link as
-a ratio to that of the direct subscription, message by message in the same run.
+the source's stamp to the sink's, less 100 ms, so it holds two hops as well. At 0 ms: the median latency through the
+link as a ratio to that of the direct subscription, message by message in the same run.
 """
 
 import argparse

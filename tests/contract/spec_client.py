@@ -51,7 +51,7 @@ def schemas() -> dict[str, dict[str, Any]]:
 
 
 def conforms(value: Any, schema: dict[str, Any], root: dict[str, Any]) -> bool:
-    """Say whether a value obeys a schema of the contract, by the keywords that the contract uses."""
+    """Return whether a value obeys a schema of the contract, by the keywords that the contract uses."""
     if "$ref" in schema:
         return conforms(value, root["$defs"][schema["$ref"].rpartition("/")[2]], root)
     if "anyOf" in schema:
@@ -82,7 +82,7 @@ class Account:
         self.missing: set[int] = set()
         self.lost = 0
 
-    def enter(self, seq: int, t_ns: int) -> str:
+    def record(self, seq: int, t_ns: int) -> str:
         """Give the row of the table that a message falls under."""
         if self.last is None or seq == self.last[0] + 1:
             self.last = (seq, t_ns)

@@ -63,7 +63,7 @@ def _fields() -> list[tuple[str, str, FieldInfo]]:
 
 
 def _is_numeric(annotation: object) -> bool:
-    """Say whether a number, or a tuple of numbers, stands in a field; maps carry the unit in their keys."""
+    """Return whether a number, or a tuple of numbers, stands in a field; maps carry the unit in their keys."""
     if annotation in (int, float):
         return True
     return typing.get_origin(annotation) is not dict and any(_is_numeric(a) for a in typing.get_args(annotation))

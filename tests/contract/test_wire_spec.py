@@ -71,7 +71,7 @@ def test_a_command_of_the_client_is_accepted() -> None:
 def test_the_sequence_table_is_what_our_readers_do(messages: list[tuple[int, int]]) -> None:
     account, tracker = spec_client.Account(), SequenceTracker()
     for seq, t_ns in messages:
-        assert ROW_OF[tracker.accept(seq, t_ns)] == account.enter(seq, t_ns)
+        assert ROW_OF[tracker.accept(seq, t_ns)] == account.record(seq, t_ns)
         assert tracker.lost >= 0
     # a restart forgets what is missing, but not that it was lost
     assert tracker.lost == account.lost

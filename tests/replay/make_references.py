@@ -20,7 +20,7 @@ from services.controller.config import LAWS
 
 FOLDER = Path(__file__).resolve().parent
 DURATION_S = 1.1
-# all that a node with a journal hears and says
+# all inputs and outputs of a node with a journal
 TOPICS = ("haptic/*", "teleop/*", "afm/*", "law/*", "clock/*", "session/control*", "session/event", "node/journal")
 # every message of the link twice, and the delay that a law has to bear
 DELAY_MS = "4"

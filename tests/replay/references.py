@@ -2,8 +2,9 @@
 
     python tests/replay/references.py FOLDER
 
-prints, for each recording of a folder and each node, a digest of the bits of all that the node says when the recording
-drives it. Neither BLAS nor our compiler may change it; only the C library may, where it has other instructions.
+prints, for each recording of a folder and each node, a digest of the bits of all that the node publishes when the
+recording drives it. Neither BLAS nor our compiler may change it; only the C library may, where it has other
+instructions.
 """
 
 import hashlib
@@ -44,7 +45,7 @@ def tolerances(recording: Recording, node: str) -> Tolerances:
 
 
 def rerun_digest(path: Path, node: str) -> tuple[RerunResult, str]:
-    """Run a node again within the tolerances, and give the digest of what it says this time."""
+    """Run a node again within the tolerances, and give the digest of what it publishes this time."""
     recording, digest = Recording(path), hashlib.sha256()
 
     def take(topic: str, message: Message) -> None:

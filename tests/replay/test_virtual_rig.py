@@ -68,10 +68,10 @@ def test_a_rerun_gives_the_same_bits(sessions: Callable[[str], Path], law: str, 
     assert result.left_out == 0
     assert set(result.compared) == COMPARED[node]
     for topic, count in result.compared.items():
-        said = [found for found in recording.messages([topic]) if found.src == node]
-        assert count == len(said)
+        published = [found for found in recording.messages([topic]) if found.src == node]
+        assert count == len(published)
         assert result.first_seq[topic] == 0
-        assert len(said) > (70 if topic == "law/status" else 500)
+        assert len(published) > (70 if topic == "law/status" else 500)
 
 
 def test_the_hand_touches_the_sample(sessions: Callable[[str], Path]) -> None:
@@ -167,12 +167,12 @@ def without(topic: str, src: str, seq: int) -> Callable[[RawMessage], bytes | No
 
 def test_a_lost_input_ends_the_comparison_with_its_name(sessions: Callable[[str], Path], tmp_path: Path) -> None:
     source = sessions("virtual_impedance")
-    heard = [found.fields()["command_seq"] for found in Recording(source).messages(["afm/state"])]
-    lost = heard[len(heard) * 2 // 3]
+    received = [found.fields()["command_seq"] for found in Recording(source).messages(["afm/state"])]
+    lost = received[len(received) * 2 // 3]
     cut = edited(source, tmp_path, without("afm/command", "controller@slave", lost))
     result = rerun(Recording(cut), "afm_node@slave")
     assert result.ended_early == (
-        f"the recording lacks afm/command, seq {lost} of controller@slave, which the node heard"
+        f"the recording lacks afm/command, seq {lost} of controller@slave, which the node received"
     )
     assert not result.identical
     assert result.compared["afm/state"] > 400

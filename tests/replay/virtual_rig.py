@@ -64,7 +64,7 @@ class Timing:
     """Delays of the rig [ns], each drawn evenly from low <= delay < high, and shares of what happens now and then.
 
     sending: from the start of a turn to a message; site: transit on a site; link: transit between the sites; start:
-    from one node to the next; wake: lateness of a loop; recorder: until the recorder hears a message. stall_share of
+    from one node to the next; wake: lateness of a loop; recorder: until the recorder receives a message. stall_share of
     the turns are 3 ms late on top, repeat_share of the messages on the link come twice.
     """
 
@@ -81,7 +81,7 @@ class Timing:
 def constant_timing(link_ns: int, site_ns: int = 1_000) -> Timing:
     """Return a timing without jitter, lateness, stalls and repetitions: one delay of the link and one on a site [ns].
 
-    The delay on a site is more than zero, because it orders what happens within a tick. The recorder hears every
+    The delay on a site is more than zero, because it orders what happens within a tick. The recorder gets every
     message as late as every other, and so in the order of sending.
     """
     site, link = (site_ns, site_ns + 1), (link_ns, link_ns + 1)
@@ -148,7 +148,7 @@ class VirtualBus:
 
 
 class VirtualRig:
-    """Two sites, a link of random delay, and a recorder that hears everything a little later.
+    """Two sites, a link of random delay, and a recorder that receives everything a little later.
 
     Parameters: settings, dotted flags on top of the scenario; scenario, as read from a file (none: a hand presses the
     tip onto mica and lets go).
@@ -166,7 +166,7 @@ class VirtualRig:
         self.timing = timing
         self.clock = VirtualClock(start_ns=10**9, epoch_offset_ns=EPOCH_OFFSET_NS)
         self._order = 0
-        self._heard: list[tuple[int, int, str, Message]] = []
+        self._received: list[tuple[int, int, str, Message]] = []
         document = merge(scenario or yaml.safe_load(_SCENARIO), flag_overrides(settings))
         self._loaded = LoadedScenario(Scenario.model_validate(document), "virtual", document)
         self.writer = RecordingWriter.create(RECORDER, FileSettings(directory=folder))
@@ -185,7 +185,7 @@ class VirtualRig:
         self._late_ns = dict.fromkeys(NODES, 0)
 
     def command(self, command: str, target: str, **parameters: Any) -> None:
-        """Send a command, and the same once more as a session does that has not heard the answer yet."""
+        """Send a command, and the same once more as a session does that has not received the answer yet."""
         name = f"{command}{self._order}"
         for _ in range(2):
             self._launcher.publish("session/control", id=name, command=command, target=target, parameters=parameters)
@@ -208,7 +208,7 @@ class VirtualRig:
         for loop in self.loops.values():
             loop.node.context.request_stop()
             loop.run()
-        for log_ns, _, site, message in sorted(self._heard, key=lambda entry: entry[:2]):
+        for log_ns, _, site, message in sorted(self._received, key=lambda entry: entry[:2]):
             topic = self.topic_of(message)
             place = (topic, message.src, site)
             if place not in self._channels:
@@ -239,7 +239,7 @@ class VirtualRig:
 
     def _record(self, message: Message, site: str, sent_ns: int) -> None:
         self._order += 1
-        self._heard.append((sent_ns + self.random.randrange(*self.timing.recorder), self._order, site, message))
+        self._received.append((sent_ns + self.random.randrange(*self.timing.recorder), self._order, site, message))
 
     def _readers(self, topic: str, message: Message, site: str) -> list[VirtualBus]:
         return [

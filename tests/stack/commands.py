@@ -66,7 +66,7 @@ COMMANDS = Commands()
 
 
 def serve() -> None:
-    """Fork a command for each line of standard input, and say its exit code."""
+    """Fork a command for each line of standard input, and print its exit code."""
     running: list[int] = []
 
     def end(number: int, frame: object) -> None:

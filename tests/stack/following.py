@@ -28,7 +28,7 @@ class Following:
         self._chunk = b""
         # by number of the channel: chunks and the places of its messages in them that nobody has asked for yet
         self._waiting: dict[int, list[tuple[bytes, bytes]]] = {}
-        self._heard: dict[str, list[RecordedMessage]] = {}
+        self._received: dict[str, list[RecordedMessage]] = {}
 
     def follow(self) -> "Following":
         """Read what has been added since the last call, up to the last whole record."""
@@ -39,7 +39,7 @@ class Following:
         while at + RECORD_HEAD.size <= len(added):
             opcode, length = RECORD_HEAD.unpack_from(added, at)
             start, end = at + RECORD_HEAD.size, at + RECORD_HEAD.size + length
-            # what follows the data is an index that says all once more
+            # what follows the data is an index that repeats everything
             if end > len(added) or opcode == Opcode.DATA_END:
                 break
             if opcode == Opcode.CHUNK:
@@ -52,20 +52,20 @@ class Following:
 
     def messages(self, channel_topic: str, since_ns: int = 0) -> list[RecordedMessage]:
         """Give what was recorded of a channel from a time of reception on [ns]."""
-        heard = self._heard.setdefault(channel_topic, [])
+        received = self._received.setdefault(channel_topic, [])
         for number, channel in self._channels.items():
             if channel.channel_topic == channel_topic:
                 waiting = self._waiting.pop(number, [])
                 # what is older than anybody wants waits on
                 self._waiting[number] = [row for row in waiting if _last_ns(row[1]) < since_ns]
-                heard += [
+                received += [
                     _message(_content(chunk), offset, channel)
                     for chunk, index in waiting
                     if _last_ns(index) >= since_ns
                     for _, offset in _INDEX_ENTRY.iter_unpack(index)
                 ]
-        heard.sort(key=lambda message: message.log_ns)
-        return heard[bisect_left(heard, since_ns, key=lambda message: message.log_ns) :]
+        received.sort(key=lambda message: message.log_ns)
+        return received[bisect_left(received, since_ns, key=lambda message: message.log_ns) :]
 
     def _enter_index(self, body: bytes) -> None:
         number, size = _INDEX_HEAD.unpack_from(body)

@@ -51,6 +51,6 @@ def check_killed(rig: Rig, killed: list[tuple[Path, int]]) -> None:
         if behind > FLUSH_NS:
             machine.note(f"the rig's own recorder was {behind * 1e-9:.2f} s behind when {path.stem} was killed")
         assert killed_ns - max(message.log_ns for message in recording.messages()) < FLUSH_NS + SLACK_NS + 2 * behind
-    verified = rig.tell("bag", "verify", str(killed[0][0]))
+    verified = rig.telenano("bag", "verify", str(killed[0][0]))
     assert verified.returncode == 1
     assert "the file was not closed" in verified.stdout

@@ -23,11 +23,11 @@ FAULTS = {
     "kill -9 of haptic_node@master": "tip holds, then withdraws; restarted with the motor off",
     "kill -9 of recorder@master": "at most a flush interval is lost, the rig goes on; a second file follows",
     "a node that dies again and again": "the rig is stopped with a summary of the deaths",
-    "the slave's site starts late": "the master waits, says for what, and begins by itself",
-    "the slave's address is not reached": "told after 5 s with what to look for, and again every minute",
-    "a key that is not listed": "hears nothing; counted, logged",
-    "a wrong server key": "hears nothing; counted, logged",
-    "no encryption": "hears nothing; counted, logged",
+    "the slave's site starts late": "the master waits, reports for what, and begins by itself",
+    "the slave's address is not reached": "reported after 5 s with what to look for, and again every minute",
+    "a key that is not listed": "receives nothing; counted, logged",
+    "a wrong server key": "receives nothing; counted, logged",
+    "no encryption": "receives nothing; counted, logged",
     "an observer that sends e-stop": "no node obeys; counted, logged",
     "a key revoked while it listens": "its connections are closed within seconds; the others come back",
     "500 half-open connections": "closed after 5 s, counted",
@@ -41,7 +41,7 @@ FAULTS = {
 }
 
 
-def enter(fault: str, happened: str) -> None:
+def record(fault: str, happened: str) -> None:
     """Enter what happened on a fault, where a run is to fill the table."""
     if fault not in FAULTS:
         raise KeyError(f"{fault} is not among the faults that are promised anything")

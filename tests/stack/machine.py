@@ -1,4 +1,4 @@
-"""What the machine gave and did not give while a test ran: said at the end, never passed over in silence."""
+"""What the machine gave and did not give while a test ran: printed at the end, never passed over in silence."""
 
 import os
 
@@ -9,7 +9,7 @@ _OURS = os.getpriority(os.PRIO_PROCESS, 0)
 
 
 def note(text: str) -> None:
-    """Say at the end of the run what could not be judged here, or only at less than was asked for."""
+    """Print at the end of the run what could not be judged here, or only at less than was asked for."""
     _NOTES.append(text)
 
 

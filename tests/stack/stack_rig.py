@@ -68,7 +68,7 @@ class Rig:
     def command(self, *arguments: str) -> list[str]:
         return [sys.executable, "-m", "telenano", *arguments]
 
-    def tell(self, *arguments: str, patience_s: float = 60.0) -> subprocess.CompletedProcess[str]:
+    def telenano(self, *arguments: str, patience_s: float = 60.0) -> subprocess.CompletedProcess[str]:
         """Run another telenano command beside the rig."""
         return COMMANDS.run(arguments, self.environment, patience_s)
 

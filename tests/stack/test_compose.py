@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import machine
 import pytest
-from ledger import enter
+from ledger import record
 
 from analysis.report import write_report
 from recording.messages import RecordedMessage
@@ -29,7 +29,7 @@ CRITICAL_MS, LATEST_SHARE = 51.0, 0.5
 
 
 def run(*command: str, timeout: float = PATIENCE_S, check: bool = True) -> subprocess.CompletedProcess[str]:
-    # what the caller's environment says of scenarios is not for these tests
+    # what the caller's environment sets for scenarios is not for these tests
     environment = {name: value for name, value in os.environ.items() if not name.startswith("TELENANO")}
     done = subprocess.run(
         command, cwd=DEPLOY, env=environment, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=timeout
@@ -93,7 +93,7 @@ class Composed:
     def logs(self, *services: str) -> str:
         return self.compose("logs", "--no-color", *services)
 
-    def tell(self, *arguments: str, check: bool = True) -> str:
+    def telenano(self, *arguments: str, check: bool = True) -> str:
         """Run a telenano command in a container beside the rig."""
         return self.compose("run", "--rm", "-T", "session", "telenano", *arguments, check=check)
 
@@ -153,13 +153,13 @@ def first(rig: Composed, tmp_path_factory: pytest.TempPathFactory) -> tuple[dict
 
 
 def undisturbed(summary: dict[str, Any], folder: Path) -> bool:
-    """Say whether the machine let a session be the experiment."""
+    """Return whether the machine let a session be the experiment."""
     in_time = summary["loop_age_ms"]["p99"] < LATEST_SHARE * CRITICAL_MS
     return in_time and coupled_throughout(folder / Path(summary["recording"]["file"]).name)
 
 
 def coupled_throughout(path: Path) -> bool:
-    """Say whether the tip followed from its first command to the end of a recording."""
+    """Return whether the tip followed from its first command to the end of a recording."""
     modes = [message.decode().mode for message in Recording(path).messages(["afm/state"])]
     return set(modes[modes.index("follow") :]) == {"follow"}
 
@@ -193,16 +193,16 @@ def test_recording_of_the_volume_says_the_same_here(first: tuple[dict[str, Any],
 
 def test_summary_and_nodes_are_in_the_logs(rig: Composed, first: tuple[dict[str, Any], Path]) -> None:
     assert "hold_ratio" in rig.logs("session")
-    told = rig.logs("afm_node")
-    assert "afm_node@slave: ready" in told
-    assert "armed: the tip follows fresh commands" in told
+    output = rig.logs("afm_node")
+    assert "afm_node@slave: ready" in output
+    assert "armed: the tip follows fresh commands" in output
 
 
 def test_what_is_not_granted_is_warned_of(rig: Composed) -> None:
     for service in NODES[:-1]:
-        told = rig.logs(service)
-        granted = "realtime=True memory_locked=True" in told
-        assert granted or "is not permitted" in told or "cannot be locked" in told, told
+        output = rig.logs(service)
+        granted = "realtime=True memory_locked=True" in output
+        assert granted or "is not permitted" in output or "cannot be locked" in output, output
 
 
 def test_containers_run_as_nobody_special(rig: Composed) -> None:
@@ -210,8 +210,8 @@ def test_containers_run_as_nobody_special(rig: Composed) -> None:
         "id -u; touch /opt/x 2>&- || echo read-only; grep -E 'CapEff|NoNewPrivs' /proc/self/status; ls /sys/class/net"
     )
     for service in NODES:
-        told = run("docker", "exec", rig.container(service), "sh", "-c", look).stdout.split()
-        assert told == ["10001", "read-only", "CapEff:", "0000000000000000", "NoNewPrivs:", "1", "lo"]
+        output = run("docker", "exec", rig.container(service), "sh", "-c", look).stdout.split()
+        assert output == ["10001", "read-only", "CapEff:", "0000000000000000", "NoNewPrivs:", "1", "lo"]
 
 
 @pytest.fixture(scope="module")
@@ -259,19 +259,19 @@ def test_recording_shows_the_safe_state(wreck: tuple[Kill, Path, Any]) -> None:
     assert back.seq < 1000
     assert back.mode == "retracted"
     off = next(message.publish_ns for message in hand if message.decode().mode == "off")
-    enter(
+    record(
         "the AFM's process is killed in its container",
         f"hand off after {(off - kill.at_ns) * 1e-6:.0f} ms; the tip was back, withdrawn, "
         f"{(silence[1].publish_ns - kill.at_ns) * 1e-9:.1f} s after the kill",
     )
 
 
-def test_recording_tells_of_the_restart(wreck: tuple[Kill, Path, Any]) -> None:
+def test_recording_has_the_restart(wreck: tuple[Kill, Path, Any]) -> None:
     kill, folder, _ = wreck
-    told = [message.decode().text for message in of_kill(folder, "session/event", kill)]
+    output = [message.decode().text for message in of_kill(folder, "session/event", kill)]
     # which of both depends on how long the engine took
     back = ("afm_node@slave was restarted", "afm_node@slave is alive again")
-    assert any(text.startswith(back) for text in told), told
+    assert any(text.startswith(back) for text in output), output
 
 
 def test_wrong_setting_does_not_loop_for_ever(rig: Composed) -> None:
@@ -288,9 +288,9 @@ def test_wrong_setting_does_not_loop_for_ever(rig: Composed) -> None:
         rig.wait_until(given_up, "an end of the restarts")
         state = json.loads(run("docker", "inspect", name).stdout)[0]["State"]
         assert state["ExitCode"] == 2
-        told = run("docker", "logs", name)
-        assert "controller.law" in told.stdout + told.stderr
-        assert "Traceback" not in told.stderr
+        output = run("docker", "logs", name)
+        assert "controller.law" in output.stdout + output.stderr
+        assert "Traceback" not in output.stderr
     finally:
         run("docker", "rm", "-f", name, check=False)
 

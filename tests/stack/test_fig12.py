@@ -77,7 +77,7 @@ def test_files_are_there_and_say_the_same(session: Any) -> None:
     assert json.loads((rig.out / "summary.json").read_text()) == summary
     assert (rig.out / "fig12.png").read_bytes().startswith(b"\x89PNG")
     again = rig.folder / "again"
-    done = rig.tell("report", str(rig.out / "session.mcap"), "--out", str(again), "--json")
+    done = rig.telenano("report", str(rig.out / "session.mcap"), "--out", str(again), "--json")
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout) == summary
 
@@ -94,9 +94,9 @@ def test_foreign_reader_opens_the_recording(session: Any) -> None:
     assert {"site.yaml", "scenario.yaml"} <= names
 
 
-def test_bag_info_speaks_json(session: Any) -> None:
+def test_bag_info_prints_json(session: Any) -> None:
     rig, _, _ = session
-    done = rig.tell("bag", "info", str(rig.out / "session.mcap"), "--json")
+    done = rig.telenano("bag", "info", str(rig.out / "session.mcap"), "--json")
     assert done.returncode == 0, done.stderr
     info = json.loads(done.stdout)
     assert info["complete"] is True
@@ -112,7 +112,7 @@ def test_every_message_decodes(session: Any) -> None:
 def test_forty_milliseconds_round_trip_stay_stable_and_without_the_meniscus_the_contact_is_nearer(rig: Any) -> None:
     summary = rig.run("--delay-ms", "20", "--set", "afm_node.meniscus=false")
     assert summary["contact_x_cm"] == pytest.approx(0.672, abs=0.010)
-    # what the loop takes by itself comes on top of the 40 ms that the link was told
+    # what the loop takes by itself comes on top of the 40 ms that are set for the link
     age_ms = summary["loop_age_ms"]["p50"]
     assert age_ms > 40.0
     if age_ms < BORNE_MS - 2.0:

@@ -15,7 +15,7 @@ ATTEMPTS = 3
 
 
 def fault_of(done: Any, ages: list[dict[str, float]]) -> str:
-    """Say in what the bus does not agree; empty when it does."""
+    """Return in what the bus does not agree; empty when it does."""
     if done.returncode != 0:
         return f"exit code {done.returncode}: {done.stderr}{done.stdout}"
     found = json.loads(done.stdout)
@@ -37,7 +37,7 @@ def test_bus_agrees_with_lockstep_on_both_sides_of_the_edge(rig: Any) -> None:
     spring = ("--environment", "spring", "--stiffness", "38", "--delay", delays)
     for attempt in range(ATTEMPTS):
         out: Path = rig.folder / f"study{attempt}"
-        done = rig.tell("study", "validate", *spring, "--out", str(out), "--json", patience_s=150.0)
+        done = rig.telenano("study", "validate", *spring, "--out", str(out), "--json", patience_s=150.0)
         ages = [json.loads(path.read_text())["loop_age_ms"] for path in out.glob("bus-*/summary.json")]
         fault = fault_of(done, ages)
         held_up_ms = max((age["max"] - age["p50"] for age in ages), default=0.0)
@@ -46,4 +46,4 @@ def test_bus_agrees_with_lockstep_on_both_sides_of_the_edge(rig: Any) -> None:
         # tried again on this ground alone
         assert held_up_ms > HELD_UP_MS, fault
         machine.note(f"the bus was compared with lockstep again: its loop was held up by {held_up_ms:.0f} ms ({fault})")
-    # no session went through undisturbed: that is the machine's, and has been said
+    # no session went through undisturbed: that is the machine's, and has been printed

@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
-from ledger import FAULTS, VARIABLE, enter, faults_of, main, table
+from ledger import FAULTS, VARIABLE, faults_of, main, record, table
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "reliability.md"
 
@@ -22,10 +22,10 @@ def test_a_run_replaces_what_it_entered_and_keeps_the_rest(tmp_path: Path, monke
     page.write_text(
         f"before\n<!-- faults begin -->\n{table({first: 'old', second: 'kept'})}\n<!-- faults end -->\nafter\n"
     )
-    enter(first, "nobody asked for a table")
+    record(first, "nobody asked for a table")
     assert not entered.exists()
     monkeypatch.setenv(VARIABLE, str(entered))
-    enter(first, "new")
+    record(first, "new")
     main(entered, page)
     text = page.read_text()
     assert f"| {first} | {FAULTS[first]} | new |" in text
@@ -37,4 +37,4 @@ def test_a_run_replaces_what_it_entered_and_keeps_the_rest(tmp_path: Path, monke
 
 def test_a_fault_without_a_promise_is_refused() -> None:
     with pytest.raises(KeyError, match="a meteorite is not among"):
-        enter("a meteorite", "crater")
+        record("a meteorite", "crater")

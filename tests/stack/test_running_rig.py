@@ -33,7 +33,7 @@ HOSTILE = {
     "frames": [b"session/control", b"", b""],
 }
 
-# those of the master's site hear the console directly
+# those of the master's site receive from the console directly
 READERS = ("haptic_node@master", "controller@master", "delay_node@master")
 
 
@@ -53,27 +53,27 @@ def newest(rig: Rig, topic: str) -> Any:
 
 
 def decoded(rig: Rig, topic: str, since_ns: int = 0) -> list[Any]:
-    return [heard.decode() for heard in rig.recording().messages(topic, since_ns)]
+    return [message.decode() for message in rig.recording().messages(topic, since_ns)]
 
 
 def test_topic_commands_look_at_a_running_rig(rig: Any) -> None:
-    listed = rig.tell("topic", "list", "--json")
+    listed = rig.telenano("topic", "list", "--json")
     assert listed.returncode == 0, listed.stderr
     assert "haptic/state" in listed.stdout
-    echoed = rig.tell("topic", "echo", "afm/state", "--count", "3")
+    echoed = rig.telenano("topic", "echo", "afm/state", "--count", "3")
     assert echoed.stdout.count("tip_force_n") == 3
-    rate = rig.tell("topic", "hz", "haptic/state", "--duration", "1", "--json")
+    rate = rig.telenano("topic", "hz", "haptic/state", "--duration", "1", "--json")
     assert rate.returncode == 0, rate.stderr
-    delay = rig.tell("topic", "delay", "teleop/forward@slave", "--duration", "1", "--json")
+    delay = rig.telenano("topic", "delay", "teleop/forward@slave", "--duration", "1", "--json")
     assert delay.returncode == 0, delay.stderr
 
 
-def test_second_rig_on_the_same_sockets_is_told_who_has_them(rig: Any, tmp_path: Any) -> None:
-    second = rig.tell("up", "--scenario", "fig12", "--out", str(tmp_path / "second"), "--json")
+def test_second_rig_on_the_same_sockets_names_who_has_them(rig: Any, tmp_path: Any) -> None:
+    second = rig.telenano("up", "--scenario", "fig12", "--out", str(tmp_path / "second"), "--json")
     assert second.returncode != 0
     assert "in use by process" in second.stderr
     assert second.stdout == "" or '"error"' in second.stdout
-    numbers = [heard.seq for heard in rig.recording().messages("session/event") if heard.src == "launcher@master"]
+    numbers = [message.seq for message in rig.recording().messages("session/event") if message.src == "launcher@master"]
     assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
 
 
@@ -81,7 +81,7 @@ def test_switching_the_law_moves_neither_tip_nor_hand(rig: Any) -> None:
     rig.wait_until(lambda: newest(rig, "afm/state").tip_force_n[2] > 5e-9, "a tip pressed onto the sample")
     begin_ns = time.time_ns()
     for law in ("wave", "virtual_impedance"):
-        switched = rig.tell("session", "set", f"law={law}", "--target", "controller")
+        switched = rig.telenano("session", "set", f"law={law}", "--target", "controller")
         assert switched.returncode == 0, switched.stdout + switched.stderr
         rig.wait_until(lambda law=law: newest(rig, "teleop/backward").law == law, f"{law} on the bus")
     time.sleep(0.5)
@@ -98,12 +98,12 @@ def test_switching_the_law_moves_neither_tip_nor_hand(rig: Any) -> None:
 
 def test_run_time_change_is_acknowledged_and_recorded(rig: Any) -> None:
     begin_ns = time.time_ns()
-    good = rig.tell("session", "set", "virtual_impedance.force_gain=10.0", "--target", "controller")
+    good = rig.telenano("session", "set", "virtual_impedance.force_gain=10.0", "--target", "controller")
     assert good.returncode == 0, good.stderr + good.stdout
-    bad = rig.tell("session", "set", "virtual_impedance.force_gain=-1.0", "--target", "controller")
+    bad = rig.telenano("session", "set", "virtual_impedance.force_gain=-1.0", "--target", "controller")
     assert bad.returncode == 1
     assert "force_gain" in bad.stdout + bad.stderr
-    link = rig.tell("session", "set", "forward.delay_s=0.005", "--target", "delay_node")
+    link = rig.telenano("session", "set", "forward.delay_s=0.005", "--target", "delay_node")
     assert link.returncode == 0, link.stderr
     expected = {
         ("controller@master", "ack"),
@@ -119,33 +119,33 @@ def test_run_time_change_is_acknowledged_and_recorded(rig: Any) -> None:
 
 def test_link_is_shown_changed_refused_and_cleared(rig: Any) -> None:
     begin_ns = time.time_ns()
-    assert rig.tell("link", "set", "forward.delay_s=0.004", "backward.loss.probability=0.1").returncode == 0
-    refused = rig.tell("link", "set", "forward.delay_s=-1.0")
+    assert rig.telenano("link", "set", "forward.delay_s=0.004", "backward.loss.probability=0.1").returncode == 0
+    refused = rig.telenano("link", "set", "forward.delay_s=-1.0")
     assert refused.returncode == 1
     assert "forward.delay_s" in refused.stdout
-    shown = json.loads(rig.tell("link", "show", "--json").stdout)
+    shown = json.loads(rig.telenano("link", "show", "--json").stdout)
     assert shown["forward"]["settings"]["delay_s"] == 0.004
     assert shown["clock"]["valid"]
     # one machine, one clock: the offset is nought within its own uncertainty
     assert abs(shown["clock"]["offset_s"]) <= shown["clock"]["uncertainty_s"]
-    assert rig.tell("link", "profile", "lan").returncode == 0
-    assert rig.tell("link", "clear").returncode == 0
+    assert rig.telenano("link", "profile", "lan").returncode == 0
+    assert rig.telenano("link", "clear").returncode == 0
     end_ns = time.time_ns()
     # everything that was sent until now is in the file once something later is
     for channel in ("teleop/backward", "teleop/backward@master", "link/fates"):
         rig.wait_until(lambda c=channel: rig.recording().messages(c)[-1].publish_ns > end_ns, f"{channel} recorded")
-    lost = [fate for told in decoded(rig, "link/fates", begin_ns) for fate in told.fates if fate.dropped]
+    lost = [fate for message in decoded(rig, "link/fates", begin_ns) for fate in message.fates if fate.dropped]
     assert {fate.dropped for fate in lost} == {"loss"}
     # what the ground truth calls lost is what did not come out at the other site
     sent, came = numbers(rig, "teleop/backward", begin_ns), numbers(rig, "teleop/backward@master", begin_ns)
-    told_lost = {fate.seq for fate in lost if fate.topic == "teleop/backward"}
+    reported_lost = {fate.seq for fate in lost if fate.topic == "teleop/backward"}
     first, last = min(came), max(came)
     inside = {seq for seq in sent if first < seq < last}
-    assert inside - came == told_lost & inside
+    assert inside - came == reported_lost & inside
 
 
 def numbers(rig: Rig, channel: str, since_ns: int) -> set[int]:
-    return {heard.seq for heard in rig.recording().messages(channel, since_ns)}
+    return {message.seq for message in rig.recording().messages(channel, since_ns)}
 
 
 def test_hostile_frames_are_counted_and_nobody_dies(rig: Any) -> None:
@@ -178,8 +178,8 @@ def test_hostile_frames_are_counted_and_nobody_dies(rig: Any) -> None:
 
 
 def rejected(rig: Rig, node: str) -> set[str]:
-    """Give the reasons for which a node says that it refused frames."""
-    health = [heard for heard in rig.recording().messages("node/health") if heard.src == node]
+    """Give the reasons for which a node reports that it refused frames."""
+    health = [message for message in rig.recording().messages("node/health") if message.src == node]
     return set(health[-1].fields()["rejected"]) if health else set()
 
 

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import machine
 import pytest
 from empty_loop import EmptyLoops
-from ledger import enter
+from ledger import record
 from stack_rig import CONSTANT_PUSH
 from two_sites import MASTER, ROOT, SLAVE, Site, TwoSites, needs_namespaces, sniff
 
@@ -21,7 +21,7 @@ NS_PER_S = 1_000_000_000
 LISTENED_S = 1.0
 # what every message of the loop would show to whoever listens
 IN_THE_CLEAR = (b"teleop/forward", b"virtual_impedance", b"position_m", b"afm/state")
-LINK_DOOR, CONTROLLER_DOOR, AFM_DOOR, HAND_DOOR = 5704, 5711, 5712, 5701
+LINK_PORT, CONTROLLER_PORT, AFM_PORT, HAND_PORT = 5704, 5711, 5712, 5701
 
 # a stranger's client: arguments are host, port, its own keys, the server's key, and how long it waits at most [s];
 # it prints how many messages it received and how long that took [s]
@@ -130,7 +130,7 @@ except TimeoutError:
 
 
 class Fault:
-    """What the recordings say of the time after a fault."""
+    """What the recordings have of the time after a fault."""
 
     def __init__(self, rig: TwoSites) -> None:
         self.rig = rig
@@ -162,25 +162,25 @@ def first(changes: list[tuple[float, str]], mode: str) -> float:
 
 
 def events(site: Site, since_ns: int) -> list[Any]:
-    return [heard.decode() for heard in site.recording().messages("session/event", since_ns)]
+    return [message.decode() for message in site.recording().messages("session/event", since_ns)]
 
 
 def lately_ns() -> int:
-    """Give a time from which on every node has said several times how it is [ns]."""
+    """Give a time from which on every node has reported its health several times [ns]."""
     return time.time_ns() - 10 * NS_PER_S
 
 
 def rejected(site: Site, node: str) -> dict[str, int]:
     """Give what a node has refused since its start, by reason."""
-    health = (heard for heard in reversed(site.recording().messages("node/health")) if heard.src == node)
+    health = (message for message in reversed(site.recording().messages("node/health")) if message.src == node)
     newest = next(health, None)
     return newest.fields()["rejected"] if newest else {}
 
 
 def recorded_until(site: Site, topic: str) -> int:
     """Give the time of the newest message of a topic in the recording of a site [ns]."""
-    heard = site.recording().messages(topic)
-    return heard[-1].publish_ns if heard else 0
+    received = site.recording().messages(topic)
+    return received[-1].publish_ns if received else 0
 
 
 def rates(site: Site, first_ns: int, last_ns: int, topics: tuple[str, ...]) -> dict[str, float]:
@@ -230,11 +230,11 @@ def take_up_again(rig: TwoSites) -> None:
 
 
 def refusals(rig: TwoSites, reason: str, node: str = "delay_node@master") -> int:
-    """Give how often a node says that it has refused something, once a report of after now is in the file."""
+    """Give how often a node reports that it has refused something, once a report of after now is in the file."""
     now_ns = time.time_ns()
 
     def reported() -> bool:
-        return any(heard.src == node for heard in rig.master.recording().messages("node/health", now_ns))
+        return any(message.src == node for message in rig.master.recording().messages("node/health", now_ns))
 
     rig.wait_until(reported, f"a report of {node}")
     return rejected(rig.master, node).get(reason, 0)
@@ -253,8 +253,8 @@ def client(rig: TwoSites, keys: tuple[str, str, str], port: int, patience_s: flo
 
 def clients(rig: TwoSites, known: tuple[str, str, str], *strangers: tuple[str, str, str]) -> tuple[int, list[int]]:
     """Return how many messages a known client receives, and strangers in twice the time that it took."""
-    received, took_s = client(rig, known, LINK_DOOR, PATIENT_S).communicate(timeout=60)[0].split()
-    trying = [client(rig, keys, LINK_DOOR, max(1.0, 2.0 * float(took_s))) for keys in strangers]
+    received, took_s = client(rig, known, LINK_PORT, PATIENT_S).communicate(timeout=60)[0].split()
+    trying = [client(rig, keys, LINK_PORT, max(1.0, 2.0 * float(took_s))) for keys in strangers]
     return int(received), [int(process.communicate(timeout=90)[0].split()[0]) for process in trying]
 
 
@@ -277,22 +277,22 @@ def test_a_listener_reads_what_is_not_encrypted(rig: TwoSites, tmp_path: Path) -
 
 def test_late_start_of_the_slave_is_waited_for(rig: TwoSites) -> None:
     rig.master.start("--duration", "3600", "--set", CONSTANT_PUSH)
-    told_s = rig.wait_until(
+    reported_s = rig.wait_until(
         lambda: rig.master.has_log("delay_node@master", "afm_node@slave has not been reached at tcp://"),
         "the word that the slave is not reached",
     )
-    enter("the slave's address is not reached", "told 5 s after the start of the link, with address and machine")
-    assert told_s > 4.0
+    record("the slave's address is not reached", "reported 5 s after the start of the link, with address and machine")
+    assert reported_s > 4.0
     assert not rig.running()
     assert "afm_node@slave" in rig.master.log.read_text()
     rig.slave.start()
     began_s = rig.wait_until(rig.running, "a session that begins by itself")
-    enter(
+    record(
         "the slave's site starts late", f"the session began by itself, {began_s:.0f} s after the slave's start command"
     )
 
 
-def test_who_is_not_known_hears_nothing(rig: TwoSites) -> None:
+def test_who_is_not_known_receives_nothing(rig: TwoSites) -> None:
     import zmq
 
     public, secret = (key.decode() for key in zmq.curve_keypair())
@@ -304,9 +304,9 @@ def test_who_is_not_known_hears_nothing(rig: TwoSites) -> None:
         "no encryption": ("handshake", ("", "", "")),
     }
     before = {reason: refusals(rig, reason) for reason, _ in strangers.values()}
-    heard, nothing = clients(rig, known, *(keys for _, keys in strangers.values()))
-    # the same client hears with a key that is listed
-    assert heard >= 10
+    received, nothing = clients(rig, known, *(keys for _, keys in strangers.values()))
+    # the same client receives with a key that is listed
+    assert received >= 10
     assert nothing == [0, 0, 0]
     for reason, at_least in (("unlisted", 1), ("handshake", 2)):
         # what is in the file may lag on a busy machine
@@ -315,7 +315,7 @@ def test_who_is_not_known_hears_nothing(rig: TwoSites) -> None:
         )
     for fault, (reason, _) in strangers.items():
         counted = refusals(rig, reason) - before[reason]
-        enter(fault, f"heard nothing, counted as `{reason}` ({counted}, all strangers together)")
+        record(fault, f"received nothing, counted as `{reason}` ({counted}, all strangers together)")
     # of several refusals in half a second the log has the last
     assert rig.master.has_log("delay_node@master", "refused: ")
 
@@ -331,7 +331,7 @@ def test_an_observer_observes_and_commands_nobody(rig: TwoSites) -> None:
     assert state["estop"] is False
     assert state["mode"] == "position"
     assert rig.master.has_log("haptic_node@master", "lacks the role control")
-    enter("an observer that sends e-stop", f"no node obeyed, the hand went on; counted as `role` ({refused})")
+    record("an observer that sends e-stop", f"no node obeyed, the hand went on; counted as `role` ({refused})")
     # and with the role it is obeyed, without a restart of anything
     rig.master.keyring.allow("guest", rig.keys["guest"], ["observe", "control"])
     rig.wait_until(
@@ -349,9 +349,9 @@ def test_a_key_revoked_while_it_listens_is_shut_out(rig: TwoSites) -> None:
     assert listener.stdout is not None
     try:
         assert "position_m" in listener.stdout.readline()
-        told = rig.master.tell_keys("revoke", "guest")
+        reported = rig.master.keys_command("revoke", "guest")
         revoked_ns = time.time_ns()
-        assert told.returncode == 0, told.stderr
+        assert reported.returncode == 0, reported.stderr
         rig.wait_until(
             lambda: rig.master.has_log("haptic_node@master", "the key of guest is no longer allowed"), "a closed door"
         )
@@ -362,12 +362,12 @@ def test_a_key_revoked_while_it_listens_is_shut_out(rig: TwoSites) -> None:
     finally:
         listener.kill()
         listener.communicate()
-    heard_on_s = (newest_ns - revoked_ns) / NS_PER_S
-    assert heard_on_s < 2.0
+    late_s = (newest_ns - revoked_ns) / NS_PER_S
+    assert late_s < 2.0
     guest = rig.guest.own("guest")
     keys = (guest.public.decode(), guest.secret.decode(), rig.keys["master"])
-    assert client(rig, keys, HAND_DOOR, 1.0).communicate(timeout=60)[0].split()[0] == "0"
-    enter("a key revoked while it listens", f"cut off {max(heard_on_s, 0.0):.1f} s after the command; the link went on")
+    assert client(rig, keys, HAND_PORT, 1.0).communicate(timeout=60)[0].split()[0] == "0"
+    record("a key revoked while it listens", f"cut off {max(late_s, 0.0):.1f} s after the command; the link went on")
 
 
 def drained(process: "subprocess.Popen[str]") -> list[str]:
@@ -421,8 +421,8 @@ def undisturbed(rig: TwoSites) -> dict[str, float]:
 
 def test_half_open_connections_are_closed_and_counted(rig: TwoSites) -> None:
     doors = (
-        (rig.master, "delay_node@master", rig.slave, MASTER, LINK_DOOR),
-        (rig.slave, "controller@slave", rig.master, SLAVE, CONTROLLER_DOOR),
+        (rig.master, "delay_node@master", rig.slave, MASTER, LINK_PORT),
+        (rig.slave, "controller@slave", rig.master, SLAVE, CONTROLLER_PORT),
     )
     start = {node: rejected(victim, node).get("handshake", 0) for victim, node, *_ in doors}
     opening = [attacker.python(HALF_OPEN, host, str(port), "500") for *_, attacker, host, port in doors]
@@ -433,7 +433,7 @@ def test_half_open_connections_are_closed_and_counted(rig: TwoSites) -> None:
             lambda v=victim, n=node: rejected(v, n).get("handshake", 0) - start[n] >= 500,
             "half-open ones to be counted",
         )
-    enter("500 half-open connections", "all closed after 5 s")
+    record("500 half-open connections", "all closed after 5 s")
 
 
 class Flood(NamedTuple):
@@ -454,8 +454,8 @@ def flooded(attacker: Site, host: str, port: int, node: str, per_s: int) -> Floo
 
 def test_strangers_do_not_slow_the_loop(rig: TwoSites) -> None:
     doors = (
-        (rig.slave, MASTER, LINK_DOOR, "delay_node@master"),
-        (rig.master, SLAVE, CONTROLLER_DOOR, "controller@slave"),
+        (rig.slave, MASTER, LINK_PORT, "delay_node@master"),
+        (rig.master, SLAVE, CONTROLLER_PORT, "controller@slave"),
     )
     victims = {"delay_node@master": rig.master, "controller@slave": rig.slave}
     start = {node: rejected(site, node).get("handshake", 0) for node, site in victims.items()}
@@ -471,14 +471,14 @@ def test_strangers_do_not_slow_the_loop(rig: TwoSites) -> None:
     assert min(share for share, _ in kept.values()) > 0.95, kept
     for flood in floods:
         counted = rejected(victims[flood.node], flood.node).get("handshake", 0) - start[flood.node]
-        enter(
+        record(
             "a flood of connections and garbage",
             f"{flood.made / FLOOD_S:.0f} a second at {flood.node}, {counted} refusals counted; {kept[flood.node][1]}",
         )
 
 
 def worst_of(rig: TwoSites, flood: Flood, before: dict[str, float], machine_loops: EmptyLoops) -> tuple[float, str]:
-    """Give the least share that a topic kept of its rate, of what the machine gave, and say it in words."""
+    """Give the least share that a topic kept of its rate, of what the machine gave, and describe it."""
     seen = rates_of_both(rig, flood.begin_ns, flood.end_ns)
     given = machine_loops.share(flood.begin_ns, flood.end_ns)
     worst = min(seen, key=lambda topic: seen[topic] / before[topic])
@@ -488,15 +488,15 @@ def worst_of(rig: TwoSites, flood: Flood, before: dict[str, float], machine_loop
 
 def test_a_huge_frame_takes_no_memory(rig: TwoSites) -> None:
     outs = []
-    for site, host, port in ((rig.slave, MASTER, LINK_DOOR), (rig.master, SLAVE, AFM_DOOR)):
+    for site, host, port in ((rig.slave, MASTER, LINK_PORT), (rig.master, SLAVE, AFM_PORT)):
         process = site.python(HUGE, host, str(port))
         outs.append(process.communicate(timeout=30)[0].strip())
     assert outs == ["closed", "closed"]
     time.sleep(1.2)
-    told = rig.master.recording().messages("node/health", lately_ns())
-    sizes = [message.fields()["memory_bytes"] for message in told]
+    reported = rig.master.recording().messages("node/health", lately_ns())
+    sizes = [message.fields()["memory_bytes"] for message in reported]
     assert max(sizes) < 1 << 30
-    enter("a frame of 1 GB announced", f"connection closed; no node above {max(sizes) / 1e6:.0f} MB")
+    record("a frame of 1 GB announced", f"connection closed; no node above {max(sizes) / 1e6:.0f} MB")
 
 
 @pytest.mark.parametrize("seconds", [5, pytest.param(60, marks=pytest.mark.endurance)])
@@ -507,34 +507,34 @@ def test_a_pulled_cable_leaves_both_sides_safe_and_comes_back(rig: TwoSites, sec
     time.sleep(seconds)
     rig.cable.plug()
     plugged_ns = time.time_ns()
-    rig.wait_until(lambda: heard_again(rig, plugged_ns) is not None, "the slave's site heard again")
-    back_s = heard_again(rig, plugged_ns)
+    rig.wait_until(lambda: first_received_s(rig, plugged_ns) is not None, "messages of the slave's site again")
+    back_s = first_received_s(rig, plugged_ns)
     take_up_again(rig)
     hand_s, (hold_s, gone_s) = fault.hand_off_s(), fault.tip_s()
     assert 0.0 <= hand_s < 1.0
     assert 0.0 <= hold_s < 1.0
     assert hold_s < gone_s < 2.0
-    told_of = {(node, kind) for node in ("delay_node@master", "controller@slave") for kind in ("down", "up")}
-    rig.wait_until(lambda: told_of <= connections(rig, fault.at_ns), "the word of both that they were parted")
-    told = (*events(rig.master, fault.at_ns), *events(rig.slave, fault.at_ns))
-    assert [event for event in told if "started again" in event.text] == []
-    enter(
+    expected_events = {(node, kind) for node in ("delay_node@master", "controller@slave") for kind in ("down", "up")}
+    rig.wait_until(lambda: expected_events <= connections(rig, fault.at_ns), "the word of both that they were parted")
+    reported = (*events(rig.master, fault.at_ns), *events(rig.slave, fault.at_ns))
+    assert [event for event in reported if "started again" in event.text] == []
+    record(
         f"the cable is pulled for {seconds} s",
         f"hand off after {hand_s * 1e3:.0f} ms, tip held after {hold_s * 1e3:.0f} ms, withdrawn after "
-        f"{gone_s * 1e3:.0f} ms; heard again {back_s:.1f} s after the cable was back",
+        f"{gone_s * 1e3:.0f} ms; received again {back_s:.1f} s after the cable was back",
     )
 
 
 def connections(rig: TwoSites, since_ns: int) -> set[tuple[str, Any]]:
-    """Give who has told what became of a connection since a time [ns]."""
-    told = (*events(rig.master, since_ns), *events(rig.slave, since_ns))
-    return {(event.src, event.data.get("connection")) for event in told if event.kind == "network"}
+    """Give which nodes reported which event of a connection since a time [ns]."""
+    reported = (*events(rig.master, since_ns), *events(rig.slave, since_ns))
+    return {(event.src, event.data.get("connection")) for event in reported if event.kind == "network"}
 
 
-def heard_again(rig: TwoSites, since_ns: int) -> float | None:
-    """Give when the slave's half was first heard through the link after a time [s from it]; None if it was not."""
-    heard = rig.master.recording().messages("teleop/backward@master", since_ns)
-    fresh = (message.log_ns for message in heard if message.publish_ns > since_ns)
+def first_received_s(rig: TwoSites, since_ns: int) -> float | None:
+    """Give when the slave's half was first received through the link after a time [s from it]; None if it was not."""
+    received = rig.master.recording().messages("teleop/backward@master", since_ns)
+    fresh = (message.log_ns for message in received if message.publish_ns > since_ns)
     return next(((at_ns - since_ns) / NS_PER_S for at_ns in fresh), None)
 
 
@@ -551,15 +551,15 @@ def test_the_slave_killed_and_started_again_is_taken_up(rig: TwoSites) -> None:
     time.sleep(2.0)
     rig.slave.start()
     started_ns = time.time_ns()
-    rig.wait_until(lambda: heard_again(rig, started_ns) is not None, "the slave heard again")
-    back_s = heard_again(rig, started_ns)
+    rig.wait_until(lambda: first_received_s(rig, started_ns) is not None, "messages of the slave again")
+    back_s = first_received_s(rig, started_ns)
     take_up_again(rig)
     hand_s = fault.hand_off_s()
     assert 0.0 <= hand_s < dead_s + 1.0
     assert first(Fault.changes(fault, rig.master, "haptic/state"), "position") > 0.0
-    enter(
+    record(
         "the slave's site is killed and started again",
-        f"hand off after {hand_s * 1e3:.0f} ms; heard again {back_s:.0f} s after its start, armed and going on",
+        f"hand off after {hand_s * 1e3:.0f} ms; received again {back_s:.0f} s after its start, armed and going on",
     )
 
 
@@ -574,7 +574,7 @@ def test_the_master_killed_and_started_again_begins_anew(rig: TwoSites) -> None:
     hold_s, gone_s = fault.tip_s()
     assert 0.0 <= hold_s < dead_s + 1.0
     assert hold_s < gone_s < dead_s + 2.0
-    enter(
+    record(
         "the master's site is killed and started again",
         f"tip held after {hold_s * 1e3:.0f} ms, withdrawn after {gone_s * 1e3:.0f} ms; a new session began by itself",
     )

@@ -35,7 +35,7 @@ _FOR_A_GUEST = {
 }
 
 
-# what a rig on two machines says that no fault is judged by: both machines, and the tests, are this one here
+# what a rig on two machines logs that no fault is judged by: both machines, and the tests, are this one here
 NOT_NEEDED = {
     "master": ["law/*", "link/fates", "afm/*", "teleop/forward", "teleop/forward@slave", "teleop/backward"],
     "slave": ["law/*", "teleop/*"],
@@ -43,7 +43,7 @@ NOT_NEEDED = {
 
 
 def why_not() -> str:
-    """Say why there can be no namespaces here; empty when there can."""
+    """Return why there can be no namespaces here; empty when there can."""
     if os.geteuid() != 0:
         return "network namespaces need root"
     if shutil.which("ip") is None:
@@ -143,12 +143,12 @@ class Site:
                 preexec_fn=machine.usual_priority,
             )
 
-    def tell(self, *arguments: str, patience_s: float = 60.0) -> "subprocess.CompletedProcess[str]":
+    def telenano(self, *arguments: str, patience_s: float = 60.0) -> "subprocess.CompletedProcess[str]":
         """Run another telenano command on this machine."""
         arguments = (*arguments, "--site-file", str(self.site_file))
         return COMMANDS.run(arguments, self.environment, patience_s, self.cable.names[self.name])
 
-    def tell_keys(self, *arguments: str) -> "subprocess.CompletedProcess[str]":
+    def keys_command(self, *arguments: str) -> "subprocess.CompletedProcess[str]":
         """Run `telenano keys` on this machine."""
         return COMMANDS.run(("keys", *arguments), self.environment, 60.0, self.cable.names[self.name])
 
@@ -165,12 +165,12 @@ class Site:
         )
 
     def has_log(self, node: str, text: str, times: int = 1) -> bool:
-        """Say whether a node of this site has written a text so many times."""
+        """Return whether a node of this site has written a text so many times."""
         path = self.out / "logs" / f"{node}.log"
         return path.exists() and path.read_text().count(text) >= times
 
     def logs(self) -> str:
-        """Give what was said at this machine last, for a failed test."""
+        """Give what was printed at this machine last, for a failed test."""
         tails = [self.log] if self.log.exists() else []
         tails += sorted((self.out / "logs").glob("*.log"))
         return "\n".join(f"== {path}\n{path.read_text()[-1500:]}" for path in tails)
@@ -259,7 +259,7 @@ class TwoSites:
         """Take the rig up again as the operator would, after the tip was withdrawn."""
         for device in ("afm_node", "haptic_node"):
             self.wait_until(
-                lambda target=device: self.master.tell("session", "arm", "--target", target).returncode == 0,
+                lambda target=device: self.master.telenano("session", "arm", "--target", target).returncode == 0,
                 f"an armed {device}",
             )
 

@@ -19,7 +19,7 @@ from services.runtime.node import NodeContext
 
 
 class Bench:
-    """The world of one node: what it publishes is kept, what it hears is made here."""
+    """The world of one node: what it publishes is kept, what it receives is made here."""
 
     def __init__(self, key: str) -> None:
         self.clock = VirtualClock(start_ns=10**9, epoch_offset_ns=10**18)
@@ -46,7 +46,7 @@ class Bench:
         header = {"seq": seq, "t_ns": self.clock.now_ns(), "src": src, "v": model.version}
         return model.model_validate({**header, **fields})
 
-    def heard(self, topic: str, src: str, **fields: Any) -> Received:
+    def received(self, topic: str, src: str, **fields: Any) -> Received:
         """Return a message of another node as the node would receive it now."""
         message = self.make(topic, src, **fields)
         return Received(topic, message, encode(message), self.clock.now_ns(), Arrival.NEXT)
@@ -74,7 +74,7 @@ def config(tmp_path: Path) -> RecorderConfig:
 
 @pytest.fixture
 def make_file(tmp_path: Path) -> Callable[..., Path]:
-    """Write a recording of two topics, the second one heard behind the link, in chunks of 10 ms."""
+    """Write a recording of two topics, the second one received behind the link, in chunks of 10 ms."""
 
     def make(messages: int = 40, *, finish: bool = True, **settings: Any) -> Path:
         writer = RecordingWriter.create(NODE, RecorderConfig(directory=tmp_path, **settings))

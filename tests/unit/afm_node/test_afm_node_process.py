@@ -21,7 +21,7 @@ class Instrument:
 
     def command(self, x_s_m: float = 0.0, mode: str = "position", hand_seq: int = 7) -> None:
         fields = {"mode": mode, "base_position_m": (0.0, 0.0, -x_s_m), "hand_seq": hand_seq, "hand_t_ns": 99}
-        self.node.on_message(self.bench.heard("afm/command", "controller@slave", **fields))
+        self.node.on_message(self.bench.received("afm/command", "controller@slave", **fields))
 
     def pass_ms(self, duration_ms: float, every_ms: float | None = None) -> None:
         """Let time pass, with a command every so often."""
@@ -137,7 +137,7 @@ def test_the_end_retracts(afm: Instrument) -> None:
 
 
 def test_the_clock_question_is_answered(afm: Instrument) -> None:
-    question = afm.bench.heard("clock/ping", "delay_node@slave")
+    question = afm.bench.received("clock/ping", "delay_node@slave")
     afm.node.on_message(question)
     (pong,) = afm.bench.take("clock/pong")
     assert pong.ping_t_ns == question.message.t_ns

@@ -43,7 +43,7 @@ def loop(
 ) -> Run:
     """Run a law; `forward(n)`, `backward(n)`: delay of the signal of tick n in ticks, or LOST.
 
-    `touches(force_n)` says whether the tip is in contact. A reader acts on what is newer than what it has, as the
+    `touches(force_n)`: whether the tip is in contact. A reader acts on what is newer than what it has, as the
     bus does. With no delay the answer is of the same tick.
     """
     law = LAWS[name]
@@ -54,7 +54,7 @@ def loop(
     master, slave = law.master_start(params, hand), law.slave_start(params, tip)
     out: list[tuple[int, int, Any]] = []
     back: list[tuple[int, int, Any]] = []
-    served, answered, heard_at, answer = -1, -1, -1, NO_SIGNAL
+    served, answered, received_at, answer = -1, -1, -1, NO_SIGNAL
     rows, masters, slaves, entered, left, x = [], [], [], 0.0, 0.0, 0.0
     for n in range(ticks):
         hand = HandSample(x, 0.0, hand_force(n), True)
@@ -75,12 +75,12 @@ def loop(
             slave, reply = law.slave_send(params, slave, tip, gap)
             if backward(n) != LOST:
                 back.append((n + backward(n), sent, reply))
-        news = [(sent, message) for arrives, sent, message in back if arrives <= n and sent > answered]
+        arrived = [(sent, message) for arrives, sent, message in back if arrives <= n and sent > answered]
         back = [entry for entry in back if entry[0] > n]
-        if news:
-            (answered, answer), heard_at = max(news, key=lambda pair: pair[0]), n
-        silence = (n - heard_at) * PERIOD_S if heard_at >= 0 else 1e9
-        age = (n - answered) * PERIOD_S if heard_at >= 0 else 0.0
+        if arrived:
+            (answered, answer), received_at = max(arrived, key=lambda pair: pair[0]), n
+        silence = (n - received_at) * PERIOD_S if received_at >= 0 else 1e9
+        age = (n - answered) * PERIOD_S if received_at >= 0 else 0.0
         signal = answer._replace(silence_s=silence, round_trip_s=age)
         master, reference = law.master_receive(params, master, hand, signal, PERIOD_S)
         entered += hand.force_n * (reference.position_m - x)

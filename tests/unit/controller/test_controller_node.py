@@ -1,4 +1,4 @@
-"""Both halves of a law as nodes: what they say, when, and what they refuse."""
+"""Both halves of a law as nodes: what they publish, when, and what they refuse."""
 
 from typing import Any
 
@@ -81,7 +81,7 @@ def slave(bench_of: Any) -> tuple[Any, SlaveController]:
 
 def tick(bench: Any, node: MasterController, force_n: float = 0.0, **changes: Any) -> Any:
     bench.clock.advance_ns(PERIOD_NS)
-    hand = bench.heard("haptic/state", "haptic_node@master", **{**hand_fields(force_n), **changes})
+    hand = bench.received("haptic/state", "haptic_node@master", **{**hand_fields(force_n), **changes})
     node.on_message(hand)
     return hand.message
 
@@ -92,7 +92,7 @@ def test_hand_sample_is_forwarded_at_once_and_commanded_when_answered(master: An
     (forward,) = bench.take("teleop/forward")
     assert (forward.hand_seq, forward.hand_t_ns) == (hand.seq, hand.t_ns)
     assert bench.take("haptic/command") == []
-    node.on_message(bench.heard("teleop/backward", "controller@slave", **answer_fields(2e-9, hand.seq, hand.t_ns)))
+    node.on_message(bench.received("teleop/backward", "controller@slave", **answer_fields(2e-9, hand.seq, hand.t_ns)))
     (command,) = bench.take("haptic/command")
     assert (command.hand_seq, command.hand_t_ns) == (hand.seq, hand.t_ns)
     assert command.force_n == (0.0, 0.0, 1e8 * 2e-9)
@@ -106,7 +106,8 @@ def test_one_command_a_tick_whatever_the_answers(master: Any) -> None:
     tick(bench, node)  # no answer came: the command of the first tick goes out now
     assert len(bench.take("haptic/command")) == 1
     for _ in range(3):  # a burst of answers belongs to one tick
-        node.on_message(bench.heard("teleop/backward", "controller@slave", **answer_fields(0.0, hand.seq, hand.t_ns)))
+        answer = answer_fields(0.0, hand.seq, hand.t_ns)
+        node.on_message(bench.received("teleop/backward", "controller@slave", **answer))
     assert len(bench.take("haptic/command")) == 1
     tick(bench, node)
     assert bench.take("haptic/command") == []
@@ -115,7 +116,7 @@ def test_one_command_a_tick_whatever_the_answers(master: Any) -> None:
 def test_silence_past_the_limit_lets_the_hand_go(master: Any) -> None:
     bench, node = master
     hand = tick(bench, node)
-    node.on_message(bench.heard("teleop/backward", "controller@slave", **answer_fields(0.0, hand.seq, hand.t_ns)))
+    node.on_message(bench.received("teleop/backward", "controller@slave", **answer_fields(0.0, hand.seq, hand.t_ns)))
     modes = []
     for _ in range(55):
         tick(bench, node)
@@ -129,7 +130,7 @@ def test_signal_of_another_law_counts_as_silence(master: Any) -> None:
     bench, node = master
     hand = tick(bench, node)
     other = answer_fields(1e-9, hand.seq, hand.t_ns, law="wave")
-    node.on_message(bench.heard("teleop/backward", "controller@slave", **other))
+    node.on_message(bench.received("teleop/backward", "controller@slave", **other))
     (command,) = bench.take("haptic/command")
     assert command.mode == "off"
 
@@ -143,7 +144,7 @@ def test_missed_ticks_are_bridged_by_their_number(master: Any, bench_of: Any) ->
             bench.clock.advance_ns((wait - 1) * PERIOD_NS)
             hand = tick(bench, node, 1.0)
             fields = answer_fields(0.0, hand.seq, hand.t_ns)
-            node.on_message(bench.heard("teleop/backward", "controller@slave", **fields))
+            node.on_message(bench.received("teleop/backward", "controller@slave", **fields))
         moved.append(node.law_state.position_m)
     assert moved[1] > 3.0 * moved[0]
 
@@ -157,7 +158,7 @@ def test_lateness_of_the_hand_does_not_enter_the_law(master: Any, bench_of: Any)
             bench.clock.advance_ns(late)
             hand = tick(bench, node, 1.0)
             fields = answer_fields(0.0, hand.seq, hand.t_ns)
-            node.on_message(bench.heard("teleop/backward", "controller@slave", **fields))
+            node.on_message(bench.received("teleop/backward", "controller@slave", **fields))
         positions.append(node.law_state.position_m)
     assert positions[0] == positions[1]
 
@@ -167,7 +168,7 @@ def pushed(bench: Any, node: MasterController) -> Any:
     for _ in range(200):
         hand = tick(bench, node, 1.0)
         fields = answer_fields(0.0, hand.seq, hand.t_ns)
-        node.on_message(bench.heard("teleop/backward", "controller@slave", **fields))
+        node.on_message(bench.received("teleop/backward", "controller@slave", **fields))
     last = bench.take("teleop/forward")[-1].position_m[2]
     assert last < -2e-9
     return last
@@ -190,7 +191,7 @@ def test_hand_that_was_restarted_is_joined_where_it_is_and_the_tip_stays(master:
     for _ in range(3):
         hand = tick(bench, node, 0.0, mode="off", position_m=(0.0, 0.0, -4e-3))
         fields = answer_fields(0.0, hand.seq, hand.t_ns)
-        node.on_message(bench.heard("teleop/backward", "controller@slave", **fields))
+        node.on_message(bench.received("teleop/backward", "controller@slave", **fields))
     assert node.law_state.position_m == 4e-3
     after = bench.take("teleop/forward")[-1].position_m[2]
     assert abs(before - after) < 32e-12
@@ -238,12 +239,12 @@ def forward_fields(position_m: float, seq: int, t_ns: int) -> dict[str, Any]:
 
 def test_slave_commands_at_once_and_answers_when_the_instrument_has(slave: Any) -> None:
     bench, node = slave
-    node.on_message(bench.heard("teleop/forward", "controller@master", **forward_fields(8e-9, 5, 50)))
+    node.on_message(bench.received("teleop/forward", "controller@master", **forward_fields(8e-9, 5, 50)))
     (command,) = bench.take("afm/command")
     assert command.base_position_m == (0.0, 0.0, -8e-9)
     assert (command.hand_seq, command.hand_t_ns, command.mode) == (5, 50, "position")
     assert bench.take("teleop/backward") == []
-    node.on_message(bench.heard("afm/state", "afm_node@slave", **tip_fields(-3e-9, command.seq)))
+    node.on_message(bench.received("afm/state", "afm_node@slave", **tip_fields(-3e-9, command.seq)))
     (backward,) = bench.take("teleop/backward")
     assert backward.force_n == (0.0, 0.0, -3e-9)
     assert (backward.hand_seq, backward.hand_t_ns, backward.active) == (5, 50, True)
@@ -251,12 +252,12 @@ def test_slave_commands_at_once_and_answers_when_the_instrument_has(slave: Any) 
 
 def test_state_that_answers_no_command_is_kept_for_the_next_answer(slave: Any) -> None:
     bench, node = slave
-    node.on_message(bench.heard("afm/state", "afm_node@slave", **tip_fields(-1e-9, 0, hand_t_ns=0)))
+    node.on_message(bench.received("afm/state", "afm_node@slave", **tip_fields(-1e-9, 0, hand_t_ns=0)))
     assert bench.take("teleop/backward") == []
-    node.on_message(bench.heard("teleop/forward", "controller@master", **forward_fields(8e-9, 5, 50)))
-    node.on_message(bench.heard("afm/state", "afm_node@slave", **tip_fields(-2e-9, 99)))
+    node.on_message(bench.received("teleop/forward", "controller@master", **forward_fields(8e-9, 5, 50)))
+    node.on_message(bench.received("afm/state", "afm_node@slave", **tip_fields(-2e-9, 99)))
     assert bench.take("teleop/backward") == []
-    node.on_message(bench.heard("teleop/forward", "controller@master", **forward_fields(8e-9, 6, 1_000_050)))
+    node.on_message(bench.received("teleop/forward", "controller@master", **forward_fields(8e-9, 6, 1_000_050)))
     (backward,) = bench.take("teleop/backward")
     assert backward.force_n == (0.0, 0.0, -2e-9)
     assert backward.hand_seq == 5
@@ -264,14 +265,14 @@ def test_state_that_answers_no_command_is_kept_for_the_next_answer(slave: Any) -
 
 def test_dead_instrument_lets_the_hand_go(slave: Any) -> None:
     bench, node = slave
-    node.on_message(bench.heard("teleop/forward", "controller@master", **forward_fields(8e-9, 0, 50)))
+    node.on_message(bench.received("teleop/forward", "controller@master", **forward_fields(8e-9, 0, 50)))
     (command,) = bench.take("afm/command")
-    node.on_message(bench.heard("afm/state", "afm_node@slave", **tip_fields(-1e-9, command.seq)))
+    node.on_message(bench.received("afm/state", "afm_node@slave", **tip_fields(-1e-9, command.seq)))
     active = []
     for n in range(1, 60):
         bench.advance_ms(1.0)
         fields = forward_fields(8e-9, n, 50 + n * PERIOD_NS)
-        node.on_message(bench.heard("teleop/forward", "controller@master", **fields))
+        node.on_message(bench.received("teleop/forward", "controller@master", **fields))
         active += [message.active for message in bench.take("teleop/backward")]
     # the first answer came from the instrument; those after it are made with its last sample, for 50 ms
     assert active[:50] == [True] * 50
@@ -281,9 +282,9 @@ def test_dead_instrument_lets_the_hand_go(slave: Any) -> None:
 
 def test_retracted_tip_is_not_active(slave: Any) -> None:
     bench, node = slave
-    node.on_message(bench.heard("teleop/forward", "controller@master", **forward_fields(8e-9, 5, 50)))
+    node.on_message(bench.received("teleop/forward", "controller@master", **forward_fields(8e-9, 5, 50)))
     (command,) = bench.take("afm/command")
-    node.on_message(bench.heard("afm/state", "afm_node@slave", **tip_fields(0.0, command.seq, mode="retracted")))
+    node.on_message(bench.received("afm/state", "afm_node@slave", **tip_fields(0.0, command.seq, mode="retracted")))
     (backward,) = bench.take("teleop/backward")
     assert not backward.active
     assert node.state == "safe"

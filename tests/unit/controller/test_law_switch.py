@@ -56,7 +56,7 @@ class Rig:
             self.send(self.slave, self.at_tip, "teleop/forward", message, self.delay)
         for message in self.at_tip.take("afm/command"):
             self.base = -message.base_position_m[2]
-            answer = self.at_tip.heard(
+            answer = self.at_tip.received(
                 "afm/state",
                 "afm_node@slave",
                 command_seq=message.seq,
@@ -92,7 +92,7 @@ class Rig:
             self.n += 1
             self.at_hand.clock.advance_ns(PERIOD_NS)
             self.at_tip.clock.advance_ns(PERIOD_NS)
-            hand = self.at_hand.heard(
+            hand = self.at_hand.received(
                 "haptic/state",
                 "haptic_node@master",
                 position_m=(0.0, 0.0, -self.x),
@@ -160,7 +160,7 @@ def test_half_that_waits_too_long_lets_the_hand_go(bench_of: Any) -> None:
     assert rig.rows[-1][3] == "position"
     rig.tick(20)
     assert rig.rows[-1][3] == "off"
-    # the slave hears late that the law has changed: the pair comes back by itself
+    # the slave learns late that the law has changed: the pair comes back by itself
     rig.set(rig.slave, law="wave")
     rig.tick(50)
     assert rig.rows[-1][3] == "position"
@@ -187,7 +187,7 @@ def test_law_and_its_parameters_change_in_one_command(bench_of: Any) -> None:
     assert rig.master.params.impedance_n_s_per_m == 50.0
 
 
-def test_status_tells_energy_passivity_and_round_trip(bench_of: Any) -> None:
+def test_status_reports_energy_passivity_and_round_trip(bench_of: Any) -> None:
     rig = Rig(bench_of, "wave", delay=30)
     rig.tick(2000)
     assert len(rig.statuses) == pytest.approx(200, abs=1)

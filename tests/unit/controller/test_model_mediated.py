@@ -124,7 +124,7 @@ def test_guard_takes_long_gaps_without_pressing_through() -> None:
     assert 20.0 * (state.position_m - 9e-9) <= 1e-8
 
 
-def test_uncoupled_tip_stays_and_a_retracted_one_is_told_the_reference() -> None:
+def test_uncoupled_tip_stays_and_a_retracted_one_gets_the_reference() -> None:
     tip = TipSample(9e-9, 0.0, 0.0, False, True, True)
     signal = NO_SIGNAL._replace(position_m=15e-9, silence_s=0.0)
     assert slave_receive(PARAMS, slave_start(PARAMS, tip), signal, tip, T)[1].position_m == 9e-9

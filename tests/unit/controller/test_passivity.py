@@ -100,8 +100,8 @@ def test_channel_is_passive_whatever_hand_tip_and_link_do(ticks: list[tuple[floa
         master, signal = master_send(PARAMS, master, hand, T)
         sent.append(signal)
         # some signals are lost, and an old one may come again
-        heard = sent[max(0, n - delay - lost)]
-        slave, wanted = slave_receive(PARAMS, slave, heard._replace(silence_s=0.0), tip, T)
+        received = sent[max(0, n - delay - lost)]
+        slave, wanted = slave_receive(PARAMS, slave, received._replace(silence_s=0.0), tip, T)
         tip = TipSample(wanted.position_m, tip_force, 0.0, False, True, True)
         slave, reply = slave_send(PARAMS, slave, tip, T)
         replies.append(reply)

@@ -67,7 +67,7 @@ def test_rescaled_keeps_the_tip() -> None:
 @pytest.mark.parametrize(
     ("active", "silence_s", "coupled"), [(True, 0.05, True), (True, 0.0501, False), (False, 0.0, False)]
 )
-def test_coupling_needs_a_tip_that_follows_and_is_heard(active: bool, silence_s: float, coupled: bool) -> None:
+def test_coupling_needs_a_tip_that_follows_and_sends(active: bool, silence_s: float, coupled: bool) -> None:
     assert is_coupled(PARAMS, NO_SIGNAL._replace(active=active, silence_s=silence_s)) is coupled
 
 

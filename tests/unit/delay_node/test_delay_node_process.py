@@ -1,4 +1,4 @@
-"""The link as a node: what it forwards and when, what it says of it, what it refuses, and the other site's clock."""
+"""The link as a node: what it forwards and when, what it reports of it, what it refuses, and the other site's clock."""
 
 from pathlib import Path
 from typing import Any
@@ -52,8 +52,8 @@ class Link:
         self.to_slave, self.to_master = Outlet(bench), Outlet(bench)
         self.node = DelayNode(bench.context, settings, self.to_slave, self.to_master, Path())
 
-    def hear(self, topic: str, src: str, **fields: Any) -> bytes:
-        received = self.bench.heard(topic, src, **fields)
+    def receive(self, topic: str, src: str, **fields: Any) -> bytes:
+        received = self.bench.received(topic, src, **fields)
         self.node.on_message(received)
         return bytes(received.payload)
 
@@ -77,16 +77,16 @@ def link_of(bench_of: Any) -> Any:
 
 def test_clean_link_sends_the_very_bytes_at_once(link_of: Any) -> None:
     link = link_of()
-    payload = link.hear("teleop/forward", "controller@master", **HALF)
+    payload = link.receive("teleop/forward", "controller@master", **HALF)
     assert link.delivered(link.to_slave) == [payload]
     assert link.delivered(link.to_master) == []
 
 
 def test_each_direction_has_its_delay(link_of: Any) -> None:
     link = link_of(forward={"delay_s": 0.020}, backward={"delay_s": 0.005})
-    there = link.hear("teleop/forward", "controller@master", **HALF)
+    there = link.receive("teleop/forward", "controller@master", **HALF)
     known = {"separation_m": 0.0, "separation_valid": False, "in_contact": False}
-    back = link.hear("teleop/backward", "controller@slave", **HALF, **known)
+    back = link.receive("teleop/backward", "controller@slave", **HALF, **known)
     link.pass_ms(4.999)
     assert link.delivered(link.to_master) == []
     link.pass_ms(0.002)
@@ -96,10 +96,10 @@ def test_each_direction_has_its_delay(link_of: Any) -> None:
     assert link.delivered(link.to_slave) == [there]
 
 
-def test_ground_truth_of_every_message_is_told(link_of: Any) -> None:
+def test_ground_truth_of_every_message_is_published(link_of: Any) -> None:
     link = link_of(seed=3, forward={"delay_s": 0.002, "topics": {"teleop/*": {"loss": {"probability": 0.5}}}})
     for _ in range(200):
-        link.hear("teleop/forward", "controller@master", **HALF)
+        link.receive("teleop/forward", "controller@master", **HALF)
         link.pass_ms(1.0)
     link.pass_ms(200.0)
     fates = [fate for message in link.bench.take("link/fates") for fate in message.fates]
@@ -113,7 +113,7 @@ def test_ground_truth_of_every_message_is_told(link_of: Any) -> None:
 def test_status_has_settings_and_figures(link_of: Any) -> None:
     link = link_of(forward={"delay_s": 0.010})
     for _ in range(50):
-        link.hear("teleop/forward", "controller@master", **HALF)
+        link.receive("teleop/forward", "controller@master", **HALF)
         link.pass_ms(1.0)
     link.pass_ms(100.0)
     status = link.bench.take("link/status")[-1]
@@ -130,9 +130,9 @@ def control(link: Link, **parameters: Any) -> Any:
 
 def test_settings_change_for_what_comes_after(link_of: Any) -> None:
     link = link_of(forward={"delay_s": 0.010})
-    first = link.hear("teleop/forward", "controller@master", **HALF)
+    first = link.receive("teleop/forward", "controller@master", **HALF)
     link.node.on_control(control(link, **{"forward.delay_s": 0.001}))
-    second = link.hear("teleop/forward", "controller@master", **HALF)
+    second = link.receive("teleop/forward", "controller@master", **HALF)
     link.pass_ms(2.0)
     assert link.delivered(link.to_slave) == [second]
     link.pass_ms(9.0)
@@ -173,13 +173,13 @@ def test_offset_of_the_other_clock_is_measured_with_its_uncertainty(
         ping = next(payload for topic, payload in reversed(link.to_slave.sent) if topic == "clock/ping")
         link.bench.advance_ms(there_ms)
         far.clock.advance_ns(link.bench.clock.monotonic_ns() + skew - far.clock.monotonic_ns())
-        question = far.heard("clock/ping", "delay_node@slave")
+        question = far.received("clock/ping", "delay_node@slave")
         stamp = int(_field(ping, "t_ns"))
         instrument.on_message(_with_stamp(question, stamp))
         (pong,) = far.take("clock/pong")
         link.bench.advance_ms(back_ms)
         answer = {"ping_t_ns": pong.ping_t_ns, "received_ns": pong.received_ns}
-        received = link.bench.heard("clock/pong", "afm_node@slave", **answer)
+        received = link.bench.received("clock/pong", "afm_node@slave", **answer)
         link.node.on_message(_with_stamp(received, pong.t_ns))
     link.pass_ms(100.0)
     clock = link.bench.take("link/status")[-1].clock

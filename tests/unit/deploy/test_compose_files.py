@@ -51,7 +51,7 @@ def compose(path: Path) -> dict[str, Any]:
 
 
 def effective(path: Path) -> dict[str, dict[str, Any]]:
-    """Give the services of a file with what they extend; of lists and mappings what both say."""
+    """Give the services of a file with what they extend; of lists and mappings what both have."""
     services = {}
     for name, service in compose(path)["services"].items():
         base = (
@@ -254,7 +254,7 @@ def test_scenario_in_force_is_one_file_and_the_environment_is_spent(
     assert loaded.delay_node == {"trace": {"file": str(tmp_path / "t.csv")}}
 
 
-def test_wrong_node_and_scenario_are_told(
+def test_wrong_node_and_scenario_are_reported(
     entrypoint: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))

@@ -32,7 +32,7 @@ class Hand:
             "hand_t_ns": 1,
             **changes,
         }
-        self.node.on_message(self.bench.heard("haptic/command", "controller@master", **fields))
+        self.node.on_message(self.bench.received("haptic/command", "controller@master", **fields))
 
     def tick(self, count: int = 1, commanded: bool = False, late_ns: int = 0) -> None:
         for _ in range(count):

@@ -126,7 +126,7 @@ class Bench:
         for node in nodes:
             self.receive(health(node, **fields), "node/health")
 
-    def receive_event(self, src: str, kind: Any, text: str = "said", answer_to: str = "", **data: Any) -> None:
+    def receive_event(self, src: str, kind: Any, text: str = "reason", answer_to: str = "", **data: Any) -> None:
         event = SessionEvent(seq=0, t_ns=0, src=src, v=1, id=answer_to, kind=kind, level="info", text=text, data=data)
         self.receive(event, "session/event")
 

@@ -137,7 +137,7 @@ def test_a_pattern_is_done_after_the_census_and_a_quiet_time() -> None:
     assert set(of.pending.answers) == {"afm_node@slave", "haptic_node@master"}
 
 
-def test_no_rig_and_no_taker_are_told_apart() -> None:
+def test_no_rig_and_no_taker_are_distinguished() -> None:
     clock, of = exchange("*")
     clock.advance_ns(5000 * MS)
     assert of.done

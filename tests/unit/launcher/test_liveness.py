@@ -21,7 +21,7 @@ def reported(changes: list[Change]) -> list[tuple[str, bool]]:
     return [(change.subject, change.silent) for change in changes]
 
 
-def test_a_node_never_heard_is_not_reported_as_silent() -> None:
+def test_a_node_that_never_reported_is_not_reported_as_silent() -> None:
     clock, monitor = monitored()
     pass_s(clock, 100.0)
     assert monitor.check() == []

@@ -34,7 +34,7 @@ def test_every_packaged_scenario_is_sound(tmp_path: Path) -> None:
 def test_the_packaged_site_has_the_whole_rig() -> None:
     assert set(load_site(DEFAULT_SITE_FILE).nodes) >= {LAUNCHER, *START_ORDER}
     assert set(STOP_ORDER) == {*START_ORDER, *OPTIONAL_NODES}
-    # the recorders hear the others come and go
+    # the recorders receive from the others as they come and go
     assert START_ORDER[0] == RECORDER
     assert set(STOP_ORDER[-2:]) == {RECORDER, "recorder@slave"}
 

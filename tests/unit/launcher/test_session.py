@@ -52,7 +52,7 @@ def test_a_refusal_ends_the_rig_with_its_reason() -> None:
     assert not rig.finished
     rig.tick(30)
     assert rig.finished
-    assert rig.session.failure == "afm_node@slave refused arm: said"
+    assert rig.session.failure == "afm_node@slave refused arm: reason"
 
 
 def test_a_device_that_becomes_able_is_asked_again() -> None:

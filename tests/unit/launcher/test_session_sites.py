@@ -69,7 +69,7 @@ def test_own_nodes_have_their_limit_whether_the_slave_is_there_or_not() -> None:
     assert "slave" not in rig.session.failure
 
 
-def test_inputs_have_their_limit_from_when_the_slave_is_heard() -> None:
+def test_inputs_have_their_limit_from_the_first_report_of_the_slave() -> None:
     rig = master()
     rig.receive_health(*MASTER)
     rig.tick(3 * DEADLINE_TICKS)

@@ -33,7 +33,7 @@ def health(bench: Any, src: str) -> Any:
     )
     counts = dict.fromkeys(("pid", "overruns", "memory_bytes"), 0)
     flags = {"realtime": False, "memory_locked": False, "replay": True}
-    return bench.heard("node/health", src, state="running", rejected={}, inputs=(), **zeros, **counts, **flags)
+    return bench.received("node/health", src, state="running", rejected={}, inputs=(), **zeros, **counts, **flags)
 
 
 @pytest.mark.parametrize("allow", [False, True])
@@ -49,8 +49,8 @@ def test_a_device_obeys_a_recording_only_where_that_is_allowed(bench_of: Any, ke
         fields |= {"mode": "hold", "base_position_m": zero}
     else:
         fields |= {"mode": "off", "position_m": zero, "velocity_m_per_s": zero, "force_n": zero}
-    assert node.admits(bench.heard(topic, src, **fields))
+    assert node.admits(bench.received(topic, src, **fields))
     assert node.admits(health(bench, src))
-    assert node.admits(bench.heard(topic, src, **fields)) is allow
+    assert node.admits(bench.received(topic, src, **fields)) is allow
     assert len([event for event in bench.take("session/event") if event.kind == "fault"]) == (not allow)
     node.make_safe()

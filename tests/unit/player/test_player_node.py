@@ -88,11 +88,11 @@ class Stage:
             self.player.on_deadline(self.clock.monotonic_ns())
         self.clock.advance_ns(max(0, end - self.clock.monotonic_ns()))
 
-    def heard(self, count: int) -> list[tuple[str, bytes]]:
+    def received(self, count: int) -> list[tuple[str, bytes]]:
         frames = [self.reader.recv_multipart() for _ in range(count)]
         return [(topic.decode(), payload) for topic, payload in frames]
 
-    def heard_states(self, count: int) -> list[HapticState]:
+    def received_states(self, count: int) -> list[HapticState]:
         """Return the next `count` states, skipping other messages."""
         found: list[HapticState] = []
         while len(found) < count:
@@ -143,7 +143,7 @@ def test_the_bytes_are_those_of_the_recording_on_the_endpoint_of_their_node(
     expected = {(m.topic, m.payload) for m in Recording(path).messages()}
     got: set[tuple[str, bytes]] = set()
     while got != expected:
-        topic, payload = rig.heard(1)[0]
+        topic, payload = rig.received(1)[0]
         if topic != "node/health":
             got.add((topic, payload))
     assert rig.player.sent == 80
@@ -154,7 +154,7 @@ def test_health_says_that_it_is_a_replay_before_anything_else(stage: Callable[..
     rig = stage(make_file())
     rig.listen([HAND])
     rig.run_ms(100)
-    topic, payload = rig.heard(1)[0]
+    topic, payload = rig.received(1)[0]
     assert topic == "node/health"
     health = decode(topic, payload)
     assert isinstance(health, NodeHealth)
@@ -206,25 +206,25 @@ def test_pause_step_and_step_to_a_topic(stage: Callable[..., Stage], make_file: 
     assert rig.player.finished
 
 
-def test_after_a_seek_the_state_is_told_and_numbers_go_on(stage: Callable[..., Stage], make_file: MakeFile) -> None:
+def test_after_a_seek_the_state_is_sent_and_numbers_go_on(stage: Callable[..., Stage], make_file: MakeFile) -> None:
     rig = stage(make_file())
     rig.listen([HAND], "haptic/state")
     rig.run_ms(10.2)
-    assert [state.seq for state in rig.heard_states(11)] == list(range(11))
+    assert [state.seq for state in rig.received_states(11)] == list(range(11))
     rig.command(**{"player.seek_s": 0.0305, "player.pause": True})
     rig.run_ms(60)
-    (state,) = rig.heard_states(1)
+    (state,) = rig.received_states(1)
     # the hand as it was at 30 ms, its own time kept, its number the next that readers expect
     assert (state.seq, state.t_ns) == (11, haptic_state(30).t_ns)
     rig.command(**{"player.pause": False})
     rig.run_ms(5)
-    assert [(s.seq, s.t_ns) for s in rig.heard_states(2)] == [
+    assert [(s.seq, s.t_ns) for s in rig.received_states(2)] == [
         (12, haptic_state(31).t_ns),
         (13, haptic_state(32).t_ns),
     ]
     rig.command(**{"player.skip_s": -0.020})
     rig.run_ms(60)
-    times = [state.t_ns for state in rig.heard_states(6)]
+    times = [state.t_ns for state in rig.received_states(6)]
     assert any(later < earlier for earlier, later in pairwise(times))
 
 
@@ -234,7 +234,7 @@ def test_a_loop_between_two_points_goes_round_without_a_gap_in_the_numbers(
     rig = stage(make_file(), span=Span(0.010, 0.020, loop=True))
     rig.listen([HAND], "haptic/state")
     rig.run_ms(35)
-    states = rig.heard_states(30)
+    states = rig.received_states(30)
     assert [state.seq for state in states] == list(range(states[0].seq, states[0].seq + 30))
     places = {round((state.t_ns - EPOCH_NS) / MILLISECOND_NS) for state in states}
     assert places == set(range(9, 20))
@@ -302,7 +302,7 @@ def test_topics_and_nodes_can_be_renamed(stage: Callable[..., Stage], make_file:
     assert rig.plan.nodes == ["controller@master"]
     rig.listen(["controller@master"], "haptic/ghost")
     rig.run_ms(60)
-    assert rig.heard(1)[0] == ("haptic/ghost", encode(haptic_state(0)))
+    assert rig.received(1)[0] == ("haptic/ghost", encode(haptic_state(0)))
 
 
 def test_the_recorders_own_words_and_recorded_health_are_not_played(tmp_path: Path, book: AddressBook) -> None:

@@ -23,14 +23,14 @@ def events(tmp_path: Path) -> Path:
     writer = RecordingWriter.create(NODE, RecorderConfig(directory=tmp_path))
     hand = writer.channel("haptic/state", "haptic_node@master", "master")
     link = writer.channel("link/status", "delay_node@master", "master")
-    said = writer.channel("session/event", "afm_node@slave", "slave")
+    event = writer.channel("session/event", "afm_node@slave", "slave")
     for seq in range(100):
         log_ns = EPOCH_NS + seq * MILLISECOND_NS
         writer.write(hand, log_ns, log_ns, seq, encode(haptic_state(seq)))
         if seq == 5:
             writer.write(link, log_ns, log_ns, 0, encode(sample("link/status", 0, src="delay_node@master")))
         if seq in (30, 60):
-            writer.write(said, log_ns, log_ns, seq, encode(sample("session/event", seq, src="afm_node@slave")))
+            writer.write(event, log_ns, log_ns, seq, encode(sample("session/event", seq, src="afm_node@slave")))
         if seq % 10 == 9:
             writer.flush()
     writer.finish()
@@ -51,8 +51,8 @@ def hands(path: Path, start_s: float = 0.0, end_s: float | None = None) -> Playb
 def test_everything_is_played_once_in_order(make_file: MakeFile) -> None:
     path = make_file()
     playback = Playback(Recording(path), ALL, Span())
-    heard = [(message.channel_topic, message.seq) for message in iter(lambda: playback.peek() and playback.pop(), None)]
-    assert heard == [(message.channel_topic, message.seq) for message in Recording(path).messages()]
+    played = [(each.channel_topic, each.seq) for each in iter(lambda: playback.peek() and playback.pop(), None)]
+    assert played == [(message.channel_topic, message.seq) for message in Recording(path).messages()]
     with pytest.raises(RecordingError, match="there is no message after"):
         playback.pop()
 

@@ -59,7 +59,7 @@ def refused(topic: str, payload: bytes) -> WireError:
     return caught.value
 
 
-# --- whatever msgpack can say, and what it cannot ---
+# --- whatever msgpack can express, and what it cannot ---
 
 _scalar = st.one_of(
     st.none(),
@@ -413,14 +413,14 @@ def test_every_valid_message_comes_back_the_same(topic: str, data: st.DataObject
     message = TOPICS[topic].model.model_validate(data.draw(VALID[topic]))
     payload = encode(message)
     again = decode(topic, payload)
-    # repr tells -0.0 from 0.0, 1 from 1.0 and from True
+    # repr distinguishes -0.0 from 0.0, 1 from 1.0 and from True
     assert repr(again) == repr(message)
     assert encode(again) == payload
     # the order of keys is free: the canonical one is the model's
     assert encode(decode(topic, msgpack.packb(dict(reversed(msgpack.unpackb(payload).items()))))) == payload
 
 
-# --- the sender hears of what cannot be sent ---
+# --- the sender gets an error for what cannot be sent ---
 
 
 def _control(**parameters: Any) -> SessionControl:

@@ -118,7 +118,7 @@ def test_an_endpoint_belongs_to_a_node_of_the_rig() -> None:
     assert {name_of(row.key) for row in NODES if row.part == "endpoint"} <= set(SERVICES)
 
 
-def test_visitors_are_told_from_the_rig_by_name() -> None:
+def test_visitors_are_known_by_name() -> None:
     assert {row.key for row in NODES if is_visitor(row.key)} == {row.key for row in NODES if row.part == "visitor"}
     assert is_console("console_desk@master")
     assert not is_console(LAUNCHER)

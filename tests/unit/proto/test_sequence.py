@@ -10,7 +10,7 @@ from proto.sequence import Arrival, SequenceTracker
 
 
 class Reference:
-    """Every life of the publisher as the whole set of numbers heard in it; lost is what is missing in between."""
+    """Every life of the publisher as the whole set of numbers received in it; lost is what is missing in between."""
 
     def __init__(self) -> None:
         self.lives: list[list[int]] = []
@@ -73,12 +73,12 @@ def test_any_messages_give_the_account_of_the_reference(messages: list[tuple[int
 def test_a_bad_link_and_restarts(seed: int, lives: int) -> None:
     """Numbers from 0 with rising stamps, each life dropped, doubled and shuffled within a window, lives in order."""
     rng = random.Random(seed)
-    heard: list[tuple[int, int]] = []
+    received: list[tuple[int, int]] = []
     for life in range(lives):
         sent = [(seq, 1000 * life + seq) for seq in range(rng.randint(5, 80))]
         kept = [m for m in sent for _ in range(rng.choice((0, 1, 1, 1, 2)))]
-        heard += sorted(kept, key=lambda m: m[1] + rng.randint(0, 5))
-    tracker = agree(heard)
+        received += sorted(kept, key=lambda m: m[1] + rng.randint(0, 5))
+    tracker = agree(received)
     assert 0 <= tracker.restarts < lives
 
 

@@ -57,14 +57,14 @@ def recorded(intake: Intake) -> Recording:
     return Recording(intake.writer.path)
 
 
-def test_the_place_where_a_message_was_heard_names_the_channel(intake: Intake, listen: MakeListener) -> None:
+def test_the_place_where_a_message_was_received_names_the_channel(intake: Intake, listen: MakeListener) -> None:
     near, far = listen("controller@master"), listen("delay_node@slave")
     for listener in (near, far):
         intake.record(listener, frames("teleop/forward", teleop_forward(0)), EPOCH_NS)
     link = sample("link/status", 0, src="delay_node@slave")
     intake.record(far, frames("link/status", link), EPOCH_NS)
-    heard = [(m.channel_topic, m.site, m.via, m.src) for m in recorded(intake).messages()]
-    assert heard == [
+    found = [(m.channel_topic, m.site, m.via, m.src) for m in recorded(intake).messages()]
+    assert found == [
         ("teleop/forward", "master", "direct", "controller@master"),
         ("teleop/forward@slave", "slave", "link", "controller@master"),
         ("link/status", "slave", "direct", "delay_node@slave"),
@@ -94,15 +94,15 @@ def test_a_gap_is_written_where_it_happened(intake: Intake, listen: MakeListener
     listener = listen("haptic_node@master")
     for seq in (0, 1, 5, 6):
         intake.record(listener, frames("haptic/state", haptic_state(seq)), EPOCH_NS + seq)
-    heard = list(recorded(intake).messages())
-    assert [(m.topic, m.log_ns - EPOCH_NS) for m in heard] == [
+    found = list(recorded(intake).messages())
+    assert [(m.topic, m.log_ns - EPOCH_NS) for m in found] == [
         ("haptic/state", 0),
         ("haptic/state", 1),
         (GAP_TOPIC, 5),
         ("haptic/state", 5),
         ("haptic/state", 6),
     ]
-    assert heard[2].decode() == GapRecord(
+    assert found[2].decode() == GapRecord(
         channel_topic="haptic/state", src="haptic_node@master", first_missing=2, last_missing=4, count=3
     )
     assert (intake.gaps, intake.lost, intake.lossless_lost) == (1, 3, 0)
@@ -125,7 +125,7 @@ def test_repetitions_and_late_messages_are_recorded_as_they_come(intake: Intake,
     assert [m.seq for m in recorded(intake).messages(["haptic/state"])] == [0, 2, 1, 1]
 
 
-def test_only_a_command_heard_at_its_publisher_is_given_back(intake: Intake, listen: MakeListener) -> None:
+def test_only_a_command_received_from_its_publisher_is_given_back(intake: Intake, listen: MakeListener) -> None:
     command = session_control(0)
     near = intake.record(listen("launcher@master"), frames("session/control", command), EPOCH_NS)
     far = intake.record(listen("delay_node@slave"), frames("session/control", command), EPOCH_NS)
@@ -186,7 +186,7 @@ def test_a_flood_of_made_up_sources_ends_in_rejections(intake: Intake, listen: M
     assert len(listener.streams) == 1024
 
 
-def test_what_a_machine_may_not_say_is_kept_apart_and_not_acted_on(intake: Intake, listen: MakeListener) -> None:
+def test_what_a_machine_may_not_send_is_kept_apart_and_not_acted_on(intake: Intake, listen: MakeListener) -> None:
     listener = listen("afm_node@slave")
     permissions = listener.subscriber.permit = MessagePermissions("slave", ["afm_node@slave"], ["observe"])
     command = frames("session/control", sample("session/control", 0, src="afm_node@slave"))
@@ -213,7 +213,7 @@ def test_what_a_machine_may_not_say_is_kept_apart_and_not_acted_on(intake: Intak
 
 
 class BreakingFile(io.BytesIO):
-    """A file that cannot be written any more once told so."""
+    """A file that cannot be written any more once that is set."""
 
     broken = False
 
@@ -248,7 +248,7 @@ def test_a_write_error_ends_the_recording_and_nothing_else(listen: MakeListener,
         intake.finish()
     assert intake.writer is None
     assert intake.fault == "x.mcap: cannot be written: Input/output error"
-    # whatever comes now is heard, counted and answered all the same
+    # whatever comes now is received, counted and answered all the same
     lost = intake.lost
     intake.record(listener, frames("haptic/state", haptic_state(100)), EPOCH_NS)
     intake.record(listener, [b"haptic/state"], EPOCH_NS)

@@ -24,7 +24,7 @@ def test_a_live_rig_is_read_like_a_recording(tmp_path: Path) -> None:
     with zmq.Context() as context:
         publishers = [ZmqPublisher(context, SystemClock(), node, book.endpoint(node)) for node in (HAND, FAR)]
 
-        def speak() -> None:
+        def publish() -> None:
             seq = 0
             while not done.wait(0.002):
                 publishers[0].send("haptic/state", encode(haptic_state(seq)))
@@ -32,7 +32,7 @@ def test_a_live_rig_is_read_like_a_recording(tmp_path: Path) -> None:
                 publishers[1].send("teleop/forward", encode(teleop_forward(seq)))
                 seq += 1
 
-        thread = threading.Thread(target=speak)
+        thread = threading.Thread(target=publish)
         thread.start()
         try:
             with LiveRecording(book) as live:
@@ -54,7 +54,7 @@ def test_a_live_rig_is_read_like_a_recording(tmp_path: Path) -> None:
     assert (forward.site, forward.via, forward.src) == ("slave", "link", "controller@master")
 
 
-def test_a_rig_with_keys_is_not_heard_without_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_rig_with_keys_is_not_received_without_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TELENANO_KEYS_DIR", str(tmp_path))
     monkeypatch.setenv("TELENANO_MACHINE", "laptop")
     with pytest.raises(ConfigError, match="`telenano keys new laptop` creates one"):

@@ -35,17 +35,17 @@ PATIENCE_S = 30.0
 
 
 class QuietBus:
-    """A bus on which nothing is said but by the node, and commands of the test are heard."""
+    """A bus on which only the node publishes, and which delivers the commands of the test."""
 
     def __init__(self, clock: VirtualClock) -> None:
         self.clock = clock
-        self.said: list[tuple[str, Message]] = []
+        self.published: list[tuple[str, Message]] = []
         self.waiting: list[Received] = []
 
     def publish(self, topic: str, **fields: Any) -> Message:
         model = TOPICS[topic].model
-        message = model(seq=len(self.said), t_ns=self.clock.now_ns(), src=NODE, v=model.version, **fields)
-        self.said.append((topic, message))
+        message = model(seq=len(self.published), t_ns=self.clock.now_ns(), src=NODE, v=model.version, **fields)
+        self.published.append((topic, message))
         return message
 
     def receive(self) -> Iterator[Received]:
@@ -71,7 +71,7 @@ class QuietBus:
         pass
 
     def events(self) -> list[SessionEvent]:
-        return [message for _, message in self.said if isinstance(message, SessionEvent)]
+        return [message for _, message in self.published if isinstance(message, SessionEvent)]
 
 
 class Rig:
@@ -104,7 +104,7 @@ def test_flushes_come_at_the_interval_of_the_configuration(rig: Rig) -> None:
     assert flushed_at == [200_000_000, 400_000_000, 600_000_000, 800_000_000, 1_000_000_000]
 
 
-def test_the_start_is_said_once_after_the_first_flush(rig: Rig, tmp_path: Path) -> None:
+def test_the_start_is_reported_once_after_the_first_flush(rig: Rig, tmp_path: Path) -> None:
     assert rig.bus.events() == []
     for _ in range(4):
         rig.loop.turn()
@@ -124,7 +124,7 @@ def test_the_end_completes_the_file_and_says_what_is_in_it(rig: Rig) -> None:
     info = Recording(str(finished.data["path"])).info()
     assert info.complete
     assert info.size_bytes == finished.data["size_bytes"]
-    assert rig.bus.said[-1][0] == "node/health"
+    assert rig.bus.published[-1][0] == "node/health"
 
 
 def test_a_folder_that_cannot_be_written_is_an_event_and_the_node_goes_on(config: RecorderConfig) -> None:
@@ -156,7 +156,7 @@ def test_a_disk_that_fails_later_is_one_event(rig: Rig) -> None:
     assert [event.data["state"] for event in rig.bus.events()] == ["started", "failed"]
 
 
-def test_a_mark_is_acknowledged_and_its_parameters_are_told(rig: Rig) -> None:
+def test_a_mark_is_acknowledged_and_its_parameters_are_published(rig: Rig) -> None:
     # keys that are also names of arguments within the node must do no harm
     rig.command(session_control(0, id="m1", parameters={"note": "snap-in", "kind": "x", "text": "y", "answer_to": "z"}))
     rig.loop.turn()
@@ -182,12 +182,12 @@ def test_lost_commands_and_events_are_a_fault(rig: Rig) -> None:
     assert fault.data["missing"] == 3
 
 
-def test_health_counts_the_messages_heard(rig: Rig) -> None:
+def test_health_counts_the_messages_received(rig: Rig) -> None:
     rig.loop.turn()
     rig.intake.received = 1000
     for _ in range(3):
         rig.loop.turn()
-    rates = [message.rate_hz for topic, message in rig.bus.said if topic == "node/health"]
+    rates = [message.rate_hz for topic, message in rig.bus.published if topic == "node/health"]
     # the first one is sent at the start
     assert rates == [0.0, pytest.approx(2000.0, rel=1e-9, abs=0)]
 
@@ -226,14 +226,14 @@ def scenario_file(tmp_path: Path) -> Path:
 
 
 class Stage:
-    """Every other node of the rig, as far as the recorder can tell."""
+    """Every other node of the rig, as far as the recorder can see."""
 
     def __init__(self, context: zmq.Context, site_file: Path, nodes: Sequence[str]) -> None:
         book = AddressBook.model_validate(yaml.safe_load(site_file.read_text()))
         self.publishers = {node: ZmqPublisher(context, SystemClock(), node, book.endpoint(node)) for node in nodes}
         self.sent = 0
 
-    def say_all(self) -> None:
+    def publish_all(self) -> None:
         """One message of each kind: at its publisher, and behind the link."""
         forward = encode(teleop_forward(self.sent))
         self.publishers["haptic_node@master"].send("haptic/state", encode(haptic_state(self.sent)))
@@ -260,7 +260,7 @@ def stage(site_file: Path) -> Iterator[Callable[..., Stage]]:
             each.close()
 
 
-def test_everything_on_real_sockets_is_heard_at_its_place(
+def test_everything_on_real_sockets_is_received_at_its_place(
     site_file: Path, scenario_file: Path, config: RecorderConfig, stage: Callable[..., Stage]
 ) -> None:
     clock = SystemClock()
@@ -292,7 +292,7 @@ def test_everything_on_real_sockets_is_heard_at_its_place(
         wanted = {"haptic/state", "teleop/forward", "teleop/forward@slave", "node/health", "session/event"}
         found: set[str] = set()
         while not wanted <= found and time.monotonic() < end:
-            others.say_all()
+            others.publish_all()
             others.publishers["launcher@master"].send("session/control", encode(session_control(others.sent)))
             loop.turn()
             found = {stream.channel_topic for each in bus._listeners.values() for stream in each.streams.values()}
@@ -324,25 +324,25 @@ def started(site_file: Path, scenario_file: Path) -> "subprocess.Popen[bytes]":
     return subprocess.Popen([sys.executable, "-m", "services.recorder", *arguments], stderr=subprocess.PIPE)
 
 
-def say_until(others: Stage, path: Path, size_bytes: int) -> None:
-    """Say things at about 3 kHz until the recording has a size."""
+def publish_until(others: Stage, path: Path, size_bytes: int) -> None:
+    """Publish at about 3 kHz until the recording has a size."""
     end = time.monotonic() + PATIENCE_S
     next_s = time.monotonic()
     while not path.exists() or path.stat().st_size < size_bytes:
         assert time.monotonic() < end, f"{path} did not reach {size_bytes} bytes"
-        others.say_all()
+        others.publish_all()
         next_s += 1e-3
         while time.monotonic() < next_s:
             pass
 
 
-def test_a_process_that_is_told_to_stop_completes_its_file(
+def test_a_process_that_is_stopped_completes_its_file(
     site_file: Path, scenario_file: Path, tmp_path: Path, stage: Callable[..., Stage]
 ) -> None:
     others = stage([key for key in NODES if key != NODE])
     path = tmp_path / "out" / "session.mcap"
     with started(site_file, scenario_file) as process:
-        say_until(others, path, 20_000)
+        publish_until(others, path, 20_000)
         process.send_signal(signal.SIGTERM)
         _, errors = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0, errors
@@ -359,15 +359,15 @@ def test_a_killed_process_loses_no_more_than_an_interval(
     for name in ("session.mcap", "session_1.mcap", "session_2.mcap"):
         path = tmp_path / "out" / name
         with started(site_file, scenario_file) as process:
-            say_until(others, path, random_source.randrange(20_000, 60_000))
+            publish_until(others, path, random_source.randrange(20_000, 60_000))
             killed_ns = SystemClock().now_ns()
             process.kill()
         recording = Recording(path)
-        heard = list(recording.messages(["haptic/state"]))
+        states = list(recording.messages(["haptic/state"]))
         assert not recording.complete
-        assert [m.seq for m in heard] == list(range(heard[0].seq, heard[-1].seq + 1))
+        assert [m.seq for m in states] == list(range(states[0].seq, states[-1].seq + 1))
         # the interval is 0.1 s; the rest is for a busy machine
-        assert killed_ns - heard[-1].log_ns < 250_000_000
+        assert killed_ns - states[-1].log_ns < 250_000_000
 
 
 def test_a_process_that_may_not_write_runs_and_says_so(site_file: Path, scenario_file: Path, tmp_path: Path) -> None:
@@ -386,8 +386,8 @@ def test_a_process_that_may_not_write_runs_and_says_so(site_file: Path, scenario
 
 def test_a_sample_of_each_topic_can_be_recorded_and_decoded(config: RecorderConfig) -> None:
     writer = RecordingWriter.create(NODE, config)
-    said = [(topic, sample(topic, 0)) for topic in TOPICS]
-    for topic, message in said:
+    published = [(topic, sample(topic, 0)) for topic in TOPICS]
+    for topic, message in published:
         writer.write(writer.channel(topic, message.src, "master"), EPOCH_NS, EPOCH_NS, 0, encode(message))
     writer.finish()
-    assert [message.decode() for message in Recording(writer.path).messages()] == [message for _, message in said]
+    assert [message.decode() for message in Recording(writer.path).messages()] == [message for _, message in published]

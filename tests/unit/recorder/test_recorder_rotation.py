@@ -27,7 +27,7 @@ from services.runtime.node import NodeContext
 SECOND_NS = 1_000_000_000
 
 
-class Desk:
+class RecorderRig:
     """A recorder without a bus: frames and time come from the test."""
 
     def __init__(self, folder: Path, context: "zmq.Context[Any]", **settings: Any) -> None:
@@ -51,13 +51,13 @@ class Desk:
             self.events.append(message)
         return message
 
-    def hear(self, topic: str, message: Message) -> None:
+    def receive(self, topic: str, message: Message) -> None:
         self.intake.record(self.listener, [topic.encode(), encode(message)], self.clock.now_ns())
 
-    def hear_states(self, first: int, count: int) -> None:
+    def receive_states(self, first: int, count: int) -> None:
         for seq in range(first, first + count):
             self.clock.advance_ns(MILLISECOND_NS)
-            self.hear("haptic/state", haptic_state(seq))
+            self.receive("haptic/state", haptic_state(seq))
 
     def flush(self) -> None:
         self.node.on_deadline(self.clock.monotonic_ns())
@@ -74,12 +74,12 @@ class Desk:
 
 
 @pytest.fixture
-def desk(tmp_path: Path) -> Iterator[Callable[..., Desk]]:
-    made: list[Desk] = []
+def make_rig(tmp_path: Path) -> Iterator[Callable[..., RecorderRig]]:
+    made: list[RecorderRig] = []
     with zmq.Context() as context:
 
-        def make(**settings: Any) -> Desk:
-            made.append(Desk(tmp_path / "out", context, **settings))
+        def make(**settings: Any) -> RecorderRig:
+            made.append(RecorderRig(tmp_path / "out", context, **settings))
             return made[-1]
 
         yield make
@@ -92,21 +92,21 @@ def seqs(path: Path, topic: str = "haptic/state") -> list[int]:
     return [message.seq for message in Recording(path).messages([topic])]
 
 
-def test_only_the_chosen_channels_are_written(desk: Callable[..., Desk]) -> None:
-    rig = desk(topics=("haptic/*",), exclude=("/command/",))
-    rig.hear_states(0, 3)
-    rig.hear("teleop/forward", teleop_forward(0))
-    rig.hear("haptic/command", sample("haptic/command", 0, src="controller@master"))
+def test_only_the_chosen_channels_are_written(make_rig: Callable[..., RecorderRig]) -> None:
+    rig = make_rig(topics=("haptic/*",), exclude=("/command/",))
+    rig.receive_states(0, 3)
+    rig.receive("teleop/forward", teleop_forward(0))
+    rig.receive("haptic/command", sample("haptic/command", 0, src="controller@master"))
     rig.intake.finish()
     assert {channel.channel_topic for channel in Recording(rig.files()[0]).channels} == {"haptic/state"}
     assert rig.intake.received == 5
     assert rig.intake.written == 3
 
 
-def test_a_new_file_begins_after_the_time_and_nothing_is_lost_between(desk: Callable[..., Desk]) -> None:
-    rig = desk(split_interval_s=1.0)
+def test_a_new_file_begins_after_the_time_and_nothing_is_lost_between(make_rig: Callable[..., RecorderRig]) -> None:
+    rig = make_rig(split_interval_s=1.0)
     for second in range(3):
-        rig.hear_states(second * 1000, 1000)
+        rig.receive_states(second * 1000, 1000)
         rig.flush()
     rig.intake.finish()
     assert len(rig.files()) == 4
@@ -117,29 +117,29 @@ def test_a_new_file_begins_after_the_time_and_nothing_is_lost_between(desk: Call
     assert [event.data["path"] for event in rig.events] == [str(path) for path in rig.files()]
 
 
-def test_a_new_file_begins_at_the_size(desk: Callable[..., Desk]) -> None:
-    rig = desk(split_size_bytes=65_536, compression="none")
+def test_a_new_file_begins_at_the_size(make_rig: Callable[..., RecorderRig]) -> None:
+    rig = make_rig(split_size_bytes=65_536, compression="none")
     for turn in range(6):
-        rig.hear_states(turn * 100, 100)
+        rig.receive_states(turn * 100, 100)
         rig.flush()
     assert len(rig.files()) > 1
     # kept to within one flush
     assert all(path.stat().st_size < 65_536 + 80_000 for path in rig.files())
 
 
-def test_a_new_file_begins_on_demand_and_none_is_overwritten(desk: Callable[..., Desk]) -> None:
-    rig = desk()
-    rig.hear_states(0, 5)
+def test_a_new_file_begins_on_demand_and_none_is_overwritten(make_rig: Callable[..., RecorderRig]) -> None:
+    rig = make_rig()
+    rig.receive_states(0, 5)
     assert "session_1.mcap" in rig.command(**{"record.split": True})
-    rig.hear_states(5, 5)
+    rig.receive_states(5, 5)
     rig.intake.finish()
     assert [seqs(path) for path in rig.files()] == [[0, 1, 2, 3, 4], [5, 6, 7, 8, 9]]
 
 
-def test_at_the_quota_recording_stops_with_a_finished_file(desk: Callable[..., Desk]) -> None:
-    rig = desk(quota_bytes=65_536, compression="none")
+def test_at_the_quota_recording_stops_with_a_finished_file(make_rig: Callable[..., RecorderRig]) -> None:
+    rig = make_rig(quota_bytes=65_536, compression="none")
     for turn in range(6):
-        rig.hear_states(turn * 100, 100)
+        rig.receive_states(turn * 100, 100)
         rig.flush()
     (path,) = rig.files()
     assert Recording(path).complete
@@ -147,15 +147,15 @@ def test_at_the_quota_recording_stops_with_a_finished_file(desk: Callable[..., D
     (failed,) = [event for event in rig.events if event.data.get("state") == "failed"]
     assert failed.level == "error"
     assert rig.node.state == "safe"
-    # the rig goes on and is heard
-    rig.hear_states(600, 1)
+    # the rig goes on and is received
+    rig.receive_states(600, 1)
     assert rig.intake.received == 601
 
 
-def test_at_the_quota_the_oldest_file_goes(desk: Callable[..., Desk]) -> None:
-    rig = desk(quota_bytes=300_000, quota_policy="drop_oldest", split_size_bytes=65_536, compression="none")
+def test_at_the_quota_the_oldest_file_goes(make_rig: Callable[..., RecorderRig]) -> None:
+    rig = make_rig(quota_bytes=300_000, quota_policy="drop_oldest", split_size_bytes=65_536, compression="none")
     for turn in range(20):
-        rig.hear_states(turn * 100, 100)
+        rig.receive_states(turn * 100, 100)
         rig.flush()
     rig.intake.finish()
     assert rig.intake.fault == ""
@@ -168,20 +168,20 @@ def test_at_the_quota_the_oldest_file_goes(desk: Callable[..., Desk]) -> None:
     assert any("removed to keep the quota" in event.text for event in rig.events)
 
 
-def test_a_snapshot_holds_what_came_before_its_trigger(desk: Callable[..., Desk]) -> None:
-    rig = desk(snapshot_s=0.5, snapshot_after_s=0.2)
+def test_a_snapshot_holds_what_came_before_its_trigger(make_rig: Callable[..., RecorderRig]) -> None:
+    rig = make_rig(snapshot_s=0.5, snapshot_after_s=0.2)
     for turn in range(10):
-        rig.hear_states(turn * 100, 100)
+        rig.receive_states(turn * 100, 100)
         rig.flush()
     assert rig.files() == []
     assert "waiting for a trigger" in rig.node.status()
     rig.command(**{"record.snapshot": True})
     for turn in range(10, 16):
-        rig.hear_states(turn * 100, 100)
+        rig.receive_states(turn * 100, 100)
         rig.flush()
     (path,) = rig.files()
     assert Recording(path).complete
-    # half a second before the flush that wrote it, and what was heard up to the first flush 0.2 s later
+    # half a second before the flush that wrote it, and what was received up to the first flush 0.2 s later
     assert seqs(path) == list(range(599, 1300))
 
 
@@ -198,24 +198,24 @@ def test_a_snapshot_holds_what_came_before_its_trigger(desk: Callable[..., Desk]
     ],
 )
 def test_an_event_triggers_a_snapshot(
-    desk: Callable[..., Desk], cause: str, topic: str, messages: list[Message]
+    make_rig: Callable[..., RecorderRig], cause: str, topic: str, messages: list[Message]
 ) -> None:
-    rig = desk(snapshot_s=1.0, snapshot_on=(cause,))
-    rig.hear_states(0, 10)
+    rig = make_rig(snapshot_s=1.0, snapshot_on=(cause,))
+    rig.receive_states(0, 10)
     rig.flush()
     assert rig.files() == []
     for message in messages:
-        rig.hear(topic, message)
+        rig.receive(topic, message)
     rig.flush()
     rig.intake.finish()
     (path,) = rig.files()
     assert seqs(path) == list(range(10))
 
 
-def test_contact_from_the_start_is_no_snap(desk: Callable[..., Desk]) -> None:
-    rig = desk(snapshot_s=1.0, snapshot_on=("contact",))
+def test_contact_from_the_start_is_no_snap(make_rig: Callable[..., RecorderRig]) -> None:
+    rig = make_rig(snapshot_s=1.0, snapshot_on=("contact",))
     for seq in range(3):
-        rig.hear("afm/state", sample("afm/state", seq, src="afm_node@master", in_contact=True))
+        rig.receive("afm/state", sample("afm/state", seq, src="afm_node@master", in_contact=True))
     rig.flush()
     assert rig.files() == []
 
@@ -230,20 +230,20 @@ def test_the_snapshot_buffer_drops_by_time_and_by_size() -> None:
     assert (len(buffer), buffer.size_bytes) == (10, 1000)
 
 
-def test_the_recorder_says_how_it_does(desk: Callable[..., Desk]) -> None:
-    rig = desk()
-    rig.hear_states(0, 1000)
+def test_the_recorder_says_how_it_does(make_rig: Callable[..., RecorderRig]) -> None:
+    rig = make_rig()
+    rig.receive_states(0, 1000)
     rig.flush()
     status = rig.command(**{"record.status": True})
     assert "1000 messages/s" in status
     assert "1000 written" in status
     assert "0 lost" in status
-    rig.hear_states(1005, 1)
+    rig.receive_states(1005, 1)
     assert "5 lost" in rig.node.status()
 
 
-def test_orders_that_make_no_sense_are_refused(desk: Callable[..., Desk]) -> None:
-    rig = desk()
+def test_orders_that_make_no_sense_are_refused(make_rig: Callable[..., RecorderRig]) -> None:
+    rig = make_rig()
     with pytest.raises(RefusedError, match=r"settable are record\.split"):
         rig.command(**{"record.splt": True})
     with pytest.raises(RefusedError, match=r"record\.split must be true"):

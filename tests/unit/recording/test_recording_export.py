@@ -43,8 +43,8 @@ def rich(tmp_path: Path) -> Path:
         writer.write(forward, EPOCH_NS + seq, message.t_ns, seq, encode(message))
         scan = sample("afm/scanline", seq, src="afm_node@slave", height_m=Array.from_numpy(HEIGHTS * seq))
         writer.write(lines, EPOCH_NS + seq, scan.t_ns, seq, encode(scan))
-        said = sample("session/event", seq, src="afm_node@slave", data={"force_n": 1.5, f"k{seq}": "x"})
-        writer.write(event, EPOCH_NS + seq, said.t_ns, seq, encode(said))
+        message = sample("session/event", seq, src="afm_node@slave", data={"force_n": 1.5, f"k{seq}": "x"})
+        writer.write(event, EPOCH_NS + seq, message.t_ns, seq, encode(message))
     rejected = RejectedRecord(
         reason="malformed", text="t", publisher="afm_node@slave", size_bytes=2, frames=(b"\x00\xff",)
     )

@@ -22,7 +22,7 @@ from services.recorder.config import RecorderConfig
 MakeFile = Callable[..., Path]
 
 
-def said(recording: Recording) -> list[tuple[int, bytes]]:
+def messages_in(recording: Recording) -> list[tuple[int, bytes]]:
     return [(message.log_ns, message.payload) for message in recording.messages()]
 
 
@@ -30,11 +30,11 @@ def said(recording: Recording) -> list[tuple[int, bytes]]:
 @pytest.mark.parametrize("finish", [True, False])
 def test_what_was_written_is_read(make_file: MakeFile, compression: str, finish: bool) -> None:
     recording = Recording(make_file(40, finish=finish, compression=compression))
-    heard = list(recording.messages())
+    found = list(recording.messages())
     assert recording.complete is finish
-    assert len(heard) == 80
-    assert [message.log_ns for message in heard] == sorted(message.log_ns for message in heard)
-    first, second = heard[0], heard[1]
+    assert len(found) == 80
+    assert [message.log_ns for message in found] == sorted(message.log_ns for message in found)
+    first, second = found[0], found[1]
     assert (first.channel_topic, first.topic, first.site, first.via) == (
         "haptic/state",
         "haptic/state",
@@ -50,7 +50,7 @@ def test_what_was_written_is_read(make_file: MakeFile, compression: str, finish:
     assert (first.log_ns, first.publish_ns, first.seq, first.src) == (EPOCH_NS + 100, EPOCH_NS, 0, "haptic_node@master")
     assert first.payload == encode(haptic_state(0))
     assert first.decode() == haptic_state(0)
-    assert heard[-1].decode() == teleop_forward(39)
+    assert found[-1].decode() == teleop_forward(39)
     assert [channel.channel_topic for channel in recording.channels] == ["haptic/state", "teleop/forward@slave"]
     assert recording.channels[0].rate_hz == 1000.0
     assert recording.attachments == {"site.yaml": b"nodes: {}\n"}
@@ -60,8 +60,8 @@ def test_what_was_written_is_read(make_file: MakeFile, compression: str, finish:
 def test_topics_and_times_select(make_file: MakeFile) -> None:
     recording = Recording(make_file(40))
     start, end = EPOCH_NS + 5 * MILLISECOND_NS + 200, EPOCH_NS + 9 * MILLISECOND_NS + 200
-    heard = list(recording.messages(["teleop/forward@slave"], start, end))
-    assert [message.seq for message in heard] == [5, 6, 7, 8]
+    found = list(recording.messages(["teleop/forward@slave"], start, end))
+    assert [message.seq for message in found] == [5, 6, 7, 8]
     assert list(recording.messages(["teleop/forward"])) == []
     assert list(recording.messages([])) == []
 
@@ -143,8 +143,8 @@ def test_a_recording_that_grows_is_read_as_far_as_it_was_when_opened(config: Rec
     early = Recording(writer.path)
     writer.write(channel, 2, 2, 1, encode(haptic_state(1)))
     writer.finish()
-    assert len(said(early)) == 1
-    assert len(said(Recording(writer.path))) == 2
+    assert len(messages_in(early)) == 1
+    assert len(messages_in(Recording(writer.path))) == 2
 
 
 @pytest.mark.parametrize("use_chunking", [True, False])
@@ -169,7 +169,7 @@ def test_a_file_cut_off_anywhere_gives_a_beginning_that_grows_with_it(
     make_file: MakeFile, compression: str, step: int
 ) -> None:
     path = make_file(20, compression=compression)
-    whole = said(Recording(path))
+    whole = messages_in(Recording(path))
     fewest = len(whole)
     last_error = -1
     sizes = sorted({*range(0, path.stat().st_size, step), *range(100)}, reverse=True)
@@ -180,11 +180,11 @@ def test_a_file_cut_off_anywhere_gives_a_beginning_that_grows_with_it(
         except RecordingError:
             last_error = max(last_error, size)
             continue
-        heard = said(recording)
+        found = messages_in(recording)
         assert not recording.complete
-        assert heard == whole[: len(heard)]
-        assert len(heard) <= fewest
-        fewest = len(heard)
+        assert found == whole[: len(found)]
+        assert len(found) <= fewest
+        fewest = len(found)
     assert fewest == 0
     # only a file without the whole of its first eight bytes is beyond reading
     assert last_error == len(MAGIC) - 1
@@ -209,7 +209,7 @@ def test_the_end_that_is_cut_off_is_accounted_for(make_file: MakeFile) -> None:
 def test_one_wrong_byte_costs_one_chunk_at_most(make_file: MakeFile, tmp_path: Path, compression: str) -> None:
     path = make_file(40, compression=compression)
     content = path.read_bytes()
-    whole = said(Recording(path))
+    whole = messages_in(Recording(path))
     damaged = tmp_path / "damaged.mcap"
     random_source = random.Random(20)
     for _ in range(400):
@@ -217,12 +217,12 @@ def test_one_wrong_byte_costs_one_chunk_at_most(make_file: MakeFile, tmp_path: P
         wrong = content[position] ^ random_source.randrange(1, 256)
         damaged.write_bytes(content[:position] + bytes([wrong]) + content[position + 1 :])
         recording = Recording(damaged)
-        heard = said(recording)
+        found = messages_in(recording)
         info = recording.info()
-        assert set(heard) <= set(whole), position
-        assert len(heard) >= len(whole) - 20, position
-        assert info.messages == len(heard)
-        if len(heard) < len(whole):
+        assert set(found) <= set(whole), position
+        assert len(found) >= len(whole) - 20, position
+        assert info.messages == len(found)
+        if len(found) < len(whole):
             assert info.skipped_bytes > 0, position
 
 

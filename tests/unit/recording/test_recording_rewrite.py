@@ -120,7 +120,7 @@ def test_what_two_recordings_attach_under_one_name_is_kept_apart(tmp_path: Path)
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_what_a_cut_leaves_is_recovered_and_said(make_file: MakeFile, tmp_path: Path, seed: int) -> None:
+def test_what_a_cut_leaves_is_recovered_and_reported(make_file: MakeFile, tmp_path: Path, seed: int) -> None:
     source = make_file()
     data = source.read_bytes()
     cut = random.Random(seed).randrange(len(MAGIC) + 1, len(data))

@@ -40,12 +40,12 @@ def test_the_reference_reader_alone_understands_a_recording(make_file: Callable[
     with path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
         header, summary = reader.get_header(), reader.get_summary()
-        heard = list(reader.iter_messages())
+        found = list(reader.iter_messages())
         attachments = {attachment.name: attachment.data for attachment in reader.iter_attachments()}
         metadata = {record.name: record.metadata for record in reader.iter_metadata()}
     assert header.profile == "telenano"
     assert summary is not None and summary.statistics is not None
-    assert summary.statistics.message_count == len(heard) == 80
+    assert summary.statistics.message_count == len(found) == 80
     assert {chunk.compression for chunk in summary.chunk_indexes} == {"" if compression == "none" else compression}
     assert attachments == {"site.yaml": b"nodes: {}\n"}
     assert metadata == {"versions": {"python": "3"}}
@@ -61,7 +61,7 @@ def test_the_reference_reader_alone_understands_a_recording(make_file: Callable[
     }
     assert channels["teleop/forward@slave"].metadata["via"] == "link"
     assert channels["teleop/forward@slave"].metadata["site"] == "slave"
-    schema, _, message = heard[0]
+    schema, _, message = found[0]
     assert schema is not None and schema.encoding == "jsonschema"
     assert json.loads(schema.data) == HapticState.model_json_schema()
     assert (message.log_time, message.publish_time, message.sequence) == (EPOCH_NS + 100, EPOCH_NS, 0)

@@ -22,7 +22,7 @@ PATIENCE_S = 30.0
 TURN_NS = 20_000_000
 AFM, CONTROLLER, LINK = "afm_node@slave", "controller@slave", "delay_node@slave"
 BOTH: tuple[Role, ...] = ("data", "control")
-# what each node says in every turn
+# what each node publishes in every turn
 TOPIC_OF = {AFM: "afm/state", CONTROLLER: "teleop/backward", LINK: "teleop/forward"}
 SOURCE_OF = {LINK: "controller@master"}
 
@@ -39,7 +39,7 @@ def free_ports(count: int) -> list[int]:
 
 
 def two_machine_book(folder: Path, **more: Any) -> AddressBook:
-    """Three nodes that are heard over a network: the link at the master, two at the slave."""
+    """Three nodes that publish over a network: the link at the master, two at the slave."""
     hosts = {AFM: "slave", CONTROLLER: "slave", LINK: "master"}
     nodes = {
         node: {"local": f"ipc://{folder}/{node}", "network": f"tcp://{{{host}}}:{port}"}
@@ -93,17 +93,17 @@ class Machine:
         self.network = Transport(self.context, self.clock, self.book, self.name, self.ring)
         return self
 
-    def speaks(self, *nodes: str) -> "Machine":
+    def bind(self, *nodes: str) -> "Machine":
         self.publishers |= {node: self.network.publisher(node) for node in nodes}
         return self
 
-    def hears(self, sources: Mapping[str, Sequence[str]] | None = None, *, apart: bool = False) -> "Machine":
+    def subscribe(self, sources: Mapping[str, Sequence[str]] | None = None, *, apart: bool = False) -> "Machine":
         plan = sources or {AFM: ["afm/state"], CONTROLLER: ["teleop/backward"]}
         self.subscribers += self.network.subscribers(plan, apart=apart)
         return self
 
     def turn(self) -> None:
-        """Say one message at each publisher, look after the network and take what has come."""
+        """Publish one message at each publisher, process connection events and take what has come."""
         self.clock.advance_ns(TURN_NS)
         for node, publisher in self.publishers.items():
             topic = TOPIC_OF.get(node, "session/event")
@@ -113,12 +113,12 @@ class Machine:
         for subscriber in self.subscribers:
             self.received += subscriber.receive()
 
-    def heard_from(self, src: str) -> int:
-        """Return how many messages of a source have been heard."""
+    def received_from(self, src: str) -> int:
+        """Return how many messages of a source have been received."""
         return sum(received.message.src == src for received in self.received)
 
     def texts(self, connection: str, peer: str | None = None) -> list[str]:
-        """Return what was told of a kind of event on connections."""
+        """Return the texts of a kind of event on connections."""
         return [
             n.text for n in self.events if n.data.get("connection") == connection and peer in (None, n.data["peer"])
         ]
@@ -153,10 +153,10 @@ def until(condition: Callable[[], object], *machines: Machine) -> None:
         _pause(machines)
 
 
-def hears_more(machine: Machine, src: str, count: int = 5) -> Callable[[], bool]:
-    """Return the condition that a machine hears more of a source than it has so far."""
-    before = machine.heard_from(src)
-    return lambda: machine.heard_from(src) >= before + count
+def receives_more(machine: Machine, src: str, count: int = 5) -> Callable[[], bool]:
+    """Return the condition that a machine receives more of a source than it has so far."""
+    before = machine.received_from(src)
+    return lambda: machine.received_from(src) >= before + count
 
 
 def _pause(machines: Sequence[Machine]) -> None:

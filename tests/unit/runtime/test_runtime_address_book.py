@@ -56,7 +56,7 @@ def test_nobody_connects_to_the_other_site_or_to_itself() -> None:
             assert publisher != reader
 
 
-def test_what_does_not_cross_the_link_is_not_to_be_heard_on_the_other_side() -> None:
+def test_what_does_not_cross_the_link_is_not_expected_on_the_other_side() -> None:
     assert book().sources("controller@slave", ["haptic/state", "haptic/command", "teleop/backward"]) == {}
     assert book().sources("controller@master", ["afm/state", "afm/command", "afm/scanline"]) == {}
 
@@ -65,8 +65,8 @@ def test_commands_go_forward_and_events_come_back() -> None:
     rig = book()
     assert rig.sources("afm_node@slave", ["session/control"]) == {"delay_node@slave": ["session/control"]}
     assert rig.sources("haptic_node@master", ["session/control"]) == {"launcher@master": ["session/control"]}
-    heard = rig.sources("launcher@master", ["session/event"])
-    assert heard == {n: ["session/event"] for n in NODES if site_of(n) == "master" and n != "launcher@master"}
+    sources = rig.sources("launcher@master", ["session/event"])
+    assert sources == {n: ["session/event"] for n in NODES if site_of(n) == "master" and n != "launcher@master"}
     assert "delay_node@master" not in rig.sources("controller@slave", ["session/event"])
 
 
@@ -226,14 +226,14 @@ def test_two_sites_are_locked_and_the_link_runs_at_the_operators() -> None:
     assert {rig.machine_of(node) == site_of(node) for node in others} == {True}
 
 
-def test_two_sites_are_heard_nearby_over_ipc_and_from_afar_over_tcp(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_two_sites_are_reached_nearby_over_ipc_and_from_afar_over_tcp(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TELENANO_RUNTIME_DIR", "/run/rig")
     monkeypatch.setenv("TELENANO_HOST_MASTER", "10.0.0.1")
     monkeypatch.setenv("TELENANO_HOST_SLAVE", "10.0.0.2")
     rig = two_sites()
     near = {node: rig.endpoint(node, rig.machine_of(node)) for node in rig.nodes}
     assert near == {node: f"ipc:///run/rig/{node}" for node in rig.nodes}
-    # whoever does not say where it is, is where the node is
+    # a machine that is not named is that of the node
     assert near == {node: rig.endpoint(node) for node in rig.nodes}
     afar = {
         "delay_node@slave": "tcp://10.0.0.1:5704",
@@ -271,7 +271,7 @@ def test_two_sites_are_one_rig_to_those_who_read_and_bridge() -> None:
         node: ["session/control"] for node in ("delay_node@slave", "launcher@slave", "console@slave")
     }
     assert rig.sources("controller@master", ["teleop/backward"]) == {"delay_node@master": ["teleop/backward"]}
-    # the link, on the operator's machine, cannot hear a console that has no port there
+    # the link, on the operator's machine, cannot reach a console that has no port there
     assert set(rig.bridged_from("slave")) == {"controller@slave", "afm_node@slave", "recorder@slave", "launcher@slave"}
     assert set(rig.bridged_from("master")) == {"controller@master", "launcher@master", "console@master"}
 
@@ -374,7 +374,7 @@ def test_a_node_may_run_on_a_third_machine() -> None:
     nodes = {"recorder@master": {"network": "tcp://{archive}:5705", "machine": "archive"}, "afm_node@slave": "ipc:///a"}
     rig = validate(AddressBook, {"machines": {"archive": "10.0.0.9"}, "nodes": nodes}, "site.yaml")
     assert rig.machine_of("recorder@master") == "archive"
-    # nobody on that machine hears a node that has no port
+    # nobody on that machine reaches a node that has no port
     assert rig.sources("recorder@master", ["afm/state"]) == {}
     assert rig.endpoint("recorder@master", "master") == "tcp://10.0.0.9:5705"
 

@@ -41,7 +41,7 @@ def endpoint(tmp_path: Path) -> str:
 
 
 class Sender:
-    """A bare socket that says what no node of ours would say."""
+    """A bare socket that sends what no node would send."""
 
     def __init__(self, context: Context, endpoint: str) -> None:
         self.socket = context.socket(zmq.XPUB)
@@ -110,7 +110,7 @@ def reader(context: Context, sender: Sender, endpoint: str) -> Iterator[Subscrib
 
 
 @pytest.fixture
-def deaf(context: Context) -> Iterator[Subscriber]:
+def unconnected(context: Context) -> Iterator[Subscriber]:
     """Give a subscriber without connection: its messages are handed to it."""
     reader = Subscriber(context, VirtualClock(epoch_offset_ns=10**9), {})
     yield reader
@@ -232,9 +232,9 @@ def test_frames_are_split_or_say_why_not() -> None:
 # --- what is accounted for ---
 
 
-def test_a_latest_topic_drops_what_was_overtaken_and_a_lossless_one_does_not(deaf: Subscriber) -> None:
+def test_a_latest_topic_drops_what_was_overtaken_and_a_lossless_one_does_not(unconnected: Subscriber) -> None:
     for topic, late_is_taken in (("haptic/state", False), ("session/control", True)):
-        arrivals = [hand(deaf, seq, t_ns=seq, topic=topic) for seq in (0, 1, 4, 2, 2, 4, 5)]
+        arrivals = [hand(unconnected, seq, t_ns=seq, topic=topic) for seq in (0, 1, 4, 2, 2, 4, 5)]
         assert [r.arrival if r else None for r in arrivals] == [
             Arrival.NEXT,
             Arrival.NEXT,
@@ -244,17 +244,17 @@ def test_a_latest_topic_drops_what_was_overtaken_and_a_lossless_one_does_not(dea
             None,
             Arrival.NEXT,
         ]
-        tracker = deaf.trackers[topic, "a@b"]
+        tracker = unconnected.trackers[topic, "a@b"]
         assert (tracker.received, tracker.lost, tracker.gaps, tracker.late, tracker.duplicates) == (5, 1, 1, 1, 2)
 
 
-def test_every_source_has_its_own_account(deaf: Subscriber) -> None:
+def test_every_source_has_its_own_account(unconnected: Subscriber) -> None:
     for seq in range(3):
-        assert hand(deaf, seq, seq, src="haptic_node@master")
-    received = hand(deaf, 50, 50, src="haptic_node@slave")
+        assert hand(unconnected, seq, seq, src="haptic_node@master")
+    received = hand(unconnected, 50, 50, src="haptic_node@slave")
     assert received is not None
     assert received.arrival is Arrival.NEXT
-    assert all(tracker.lost == 0 for tracker in deaf.trackers.values())
+    assert all(tracker.lost == 0 for tracker in unconnected.trackers.values())
 
 
 def test_the_account_of_every_input_is_reported(context: Context, endpoint: str) -> None:
@@ -269,32 +269,33 @@ def test_the_account_of_every_input_is_reported(context: Context, endpoint: str)
         for seq, t_ns in ((0, 1), (3, 2), (2, 1), (2, 1), (0, 10**9)):
             hand(reader, seq, t_ns)
         clock.advance_ns(250_000_000)
-        heard, still_silent = reader.input_health()
+        hand_row, still_silent = reader.input_health()
     finally:
         reader.close()
-    assert (heard.topic, heard.src, heard.received, heard.lost, heard.gaps) == ("haptic/state", "a@b", 4, 1, 1)
-    assert (heard.repeated, heard.restarts, heard.age_valid, heard.age_s) == (2, 1, True, 0.25)
+    assert (hand_row.topic, hand_row.src) == ("haptic/state", "a@b")
+    assert (hand_row.received, hand_row.lost, hand_row.gaps) == (4, 1, 1)
+    assert (hand_row.repeated, hand_row.restarts, hand_row.age_valid, hand_row.age_s) == (2, 1, True, 0.25)
     assert still_silent.topic == "session/control"
 
 
-def test_invented_numbers_do_not_break_the_report(deaf: Subscriber) -> None:
+def test_invented_numbers_do_not_break_the_report(unconnected: Subscriber) -> None:
     t_ns = 0
     for _ in range(3):
         for seq in (0, 2**63 - 1):
             t_ns += 1
-            hand(deaf, seq, t_ns)
-    assert deaf.input_health()[0].lost == 2**63 - 1
+            hand(unconnected, seq, t_ns)
+    assert unconnected.input_health()[0].lost == 2**63 - 1
 
 
-def test_invented_sources_do_not_fill_the_memory(deaf: Subscriber) -> None:
+def test_invented_sources_do_not_fill_the_memory(unconnected: Subscriber) -> None:
     for number in range(MOST_TRACKERS + 10):
-        hand(deaf, 0, 0, src=f"n{number}@b")
-    assert len(deaf.trackers) == MOST_TRACKERS
-    assert deaf.rejected == {"source": 10}
-    assert f"the {MOST_TRACKERS} kept account of" in deaf.last_error
-    # those who were there before are still heard
-    assert hand(deaf, 1, 1, src="n5@b") is not None
-    assert len(deaf.input_health()) == MOST_TRACKERS
+        hand(unconnected, 0, 0, src=f"n{number}@b")
+    assert len(unconnected.trackers) == MOST_TRACKERS
+    assert unconnected.rejected == {"source": 10}
+    assert f"the {MOST_TRACKERS} kept account of" in unconnected.last_error
+    # sources that were there before are still received
+    assert hand(unconnected, 1, 1, src="n5@b") is not None
+    assert len(unconnected.input_health()) == MOST_TRACKERS
 
 
 def test_a_flood_is_taken_a_bounded_part_at_a_time(context: Context) -> None:
@@ -442,17 +443,17 @@ def test_a_wait_ends_with_a_message_a_signal_or_its_deadline(
 
 
 def test_the_accounts_of_several_subscribers_are_one(
-    context: Context, reader: Subscriber, deaf: Subscriber, tmp_path: Path, wake: tuple[int, int]
+    context: Context, reader: Subscriber, unconnected: Subscriber, tmp_path: Path, wake: tuple[int, int]
 ) -> None:
     clock = SystemClock()
     own = ZmqPublisher(context, clock, "n@master", f"ipc://{tmp_path}/own")
-    bus = ZmqBus(own, [reader, deaf], clock, wake[0])
+    bus = ZmqBus(own, [reader, unconnected], clock, wake[0])
     try:
         assert bus.rejections() == ({}, "")
         reader.decode_and_track([b"one"], 0)
-        deaf.decode_and_track([b"one"], 0)
-        deaf.decode_and_track([b"haptic/state", b""], 0)
-        hand(deaf, 0, 0)
+        unconnected.decode_and_track([b"one"], 0)
+        unconnected.decode_and_track([b"haptic/state", b""], 0)
+        hand(unconnected, 0, 0)
         counts, text = bus.rejections()
         assert counts == {"frames": 2, "malformed": 1}
         assert "not msgpack" in text

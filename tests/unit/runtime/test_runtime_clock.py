@@ -37,7 +37,7 @@ def test_the_epoch_is_read_once(monkeypatch: pytest.MonkeyPatch) -> None:
     assert clock.now_ns() == 1_700_000_000_000_000_500
 
 
-def test_virtual_time_passes_only_when_told() -> None:
+def test_virtual_time_passes_only_when_advanced() -> None:
     clock = VirtualClock(start_ns=5, epoch_offset_ns=100)
     assert (clock.monotonic_ns(), clock.now_ns()) == (5, 105)
     clock.advance_ns(0)

@@ -78,7 +78,7 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("spring: {stiffness", "is not valid YAML: .*line 1"),
         ("a: b: c", "is not valid YAML: .*line 1"),
@@ -90,8 +90,8 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
         ("a: \x00", "is not valid YAML"),
     ],
 )
-def test_what_is_not_a_mapping_in_yaml_is_refused_with_its_file(tmp_path: Path, text: str, said: str) -> None:
-    with pytest.raises(ConfigError, match=rf"rig\.yaml: {said}") as caught:
+def test_what_is_not_a_mapping_in_yaml_is_refused_with_its_file(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=rf"rig\.yaml: {message}") as caught:
         read_yaml(written(tmp_path, text))
     assert "\n" not in str(caught.value)
 
@@ -152,7 +152,7 @@ def test_an_unknown_key_lists_the_known_ones() -> None:
 
 
 @pytest.mark.parametrize(
-    ("value", "said"),
+    ("value", "message"),
     [
         (0.0, "Input should be greater than 0, got 0.0"),
         (-1.0, "greater than 0, got -1.0"),
@@ -165,10 +165,10 @@ def test_an_unknown_key_lists_the_known_ones() -> None:
         ([1.0], "valid number"),
     ],
 )
-def test_a_value_out_of_range_or_of_a_wrong_kind_is_named(value: object, said: str) -> None:
+def test_a_value_out_of_range_or_of_a_wrong_kind_is_named(value: object, message: str) -> None:
     text = error_of(Rig, {"spring": {"stiffness_n_per_m": value}}, "haptic_node")
     assert text.startswith("rig.yaml: haptic_node.spring.stiffness_n_per_m: ")
-    assert said in text
+    assert message in text
 
 
 def test_nan_is_refused_where_no_range_would_do_it() -> None:

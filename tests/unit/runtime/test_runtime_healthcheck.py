@@ -31,7 +31,7 @@ def sockets(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.Monkey
 
 
 @pytest.fixture
-def says(sockets: Path) -> Iterator[Any]:
+def publish(sockets: Path) -> Iterator[Any]:
     """Publish frames at the node's socket, over and over, until the test is over."""
     over = Event()
     threads = []
@@ -57,15 +57,15 @@ def says(sockets: Path) -> Iterator[Any]:
 @pytest.mark.parametrize(
     ("state", "code"), [("running", 0), ("ready", 0), ("safe", 0), ("starting", 1), ("stopping", 1)]
 )
-def test_state_decides(says: Any, capsys: pytest.CaptureFixture[str], state: str, code: int) -> None:
-    says(frames(state=state))
+def test_state_decides(publish: Any, capsys: pytest.CaptureFixture[str], state: str, code: int) -> None:
+    publish(frames(state=state))
     assert healthcheck.main([NODE]) == code
     assert capsys.readouterr().out == f"afm_node@slave is {state} at 1000 Hz, up for 12 s\n"
 
 
-def test_reports_of_other_nodes_do_not_count(says: Any, capsys: pytest.CaptureFixture[str]) -> None:
+def test_reports_of_other_nodes_do_not_count(publish: Any, capsys: pytest.CaptureFixture[str]) -> None:
     # the link carries those of the other site out of its own socket
-    says(frames(src="controller@master"), frames(state="safe", rate_hz=1))
+    publish(frames(src="controller@master"), frames(state="safe", rate_hz=1))
     assert healthcheck.main([NODE]) == 0
     assert "is safe at 1 Hz" in capsys.readouterr().out
 
@@ -99,16 +99,16 @@ def test_silence_is_not_waited_for_longer_than_asked(sockets: Path, capsys: pyte
     assert capsys.readouterr().out == f"afm_node@slave sent no node/health at ipc://{sockets}/{NODE} within 0.2 s\n"
 
 
-def test_a_flood_of_other_messages_ends_in_time(says: Any, capsys: pytest.CaptureFixture[str]) -> None:
-    says(*[frames(src="controller@master")] * 100)
+def test_a_flood_of_other_messages_ends_in_time(publish: Any, capsys: pytest.CaptureFixture[str]) -> None:
+    publish(*[frames(src="controller@master")] * 100)
     assert healthcheck.main([NODE, "--within", "0.3"]) == 1
     assert "sent no node/health" in capsys.readouterr().out
 
 
 def test_environment_names_the_node(
-    says: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    publish: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    says(frames())
+    publish(frames())
     monkeypatch.setenv(healthcheck.NODE_VARIABLE, NODE)
     assert healthcheck.main([]) == 0
     assert NODE in capsys.readouterr().out
@@ -122,7 +122,7 @@ def test_site_file_says_where(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     assert healthcheck.endpoint_of(NODE, None) == f"ipc:///run/rig/{NODE}"
 
 
-def test_what_cannot_be_asked_is_said(
+def test_what_cannot_be_asked_is_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.delenv(healthcheck.RUNTIME_DIRECTORY_VARIABLE, raising=False)

@@ -87,7 +87,7 @@ def arguments(tmp_path: Path) -> list[str]:
     return ["--site-file", str(site), "--scenario", str(scenario)]
 
 
-def test_a_node_runs_until_it_is_told_to_stop(arguments: list[str], capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_node_runs_until_it_is_stopped(arguments: list[str], capfd: pytest.CaptureFixture[str]) -> None:
     assert run_node(KIND, [*arguments, "--set", "controller.gain=3.0"]) == 0
     assert Mortal.ended == ["controller@master gain 3.0"]
     log = capfd.readouterr().err
@@ -96,7 +96,7 @@ def test_a_node_runs_until_it_is_told_to_stop(arguments: list[str], capfd: pytes
 
 
 @pytest.mark.parametrize(
-    ("more", "said"),
+    ("more", "message"),
     [
         (["--set", "controller.gain=11.0"], "controller.gain: Input should be less than or equal to 10, got 11.0"),
         (["--set", "controller.gian=1.0"], "controller.gian: unknown key, known are gain"),
@@ -108,11 +108,11 @@ def test_a_node_runs_until_it_is_told_to_stop(arguments: list[str], capfd: pytes
     ],
 )
 def test_a_bad_start_is_one_clear_line_and_an_exit_code(
-    arguments: list[str], more: list[str], said: str, capfd: pytest.CaptureFixture[str]
+    arguments: list[str], more: list[str], message: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
     assert run_node(KIND, [*arguments, *more]) == EXIT_BAD_START
     (line,) = capfd.readouterr().err.splitlines()
-    assert said in line
+    assert message in line
     assert '"level": "error"' in line
     assert Mortal.ended == []
 

@@ -85,8 +85,8 @@ class FakeBus:
 
     def process_events(self, *, now: bool = False) -> list[ConnectionEvent]:
         self.attended.append(now)
-        told, self.notices = self.notices, []
-        return told
+        turns_of, self.notices = self.notices, []
+        return turns_of
 
     def close(self) -> None:
         self.sent.clear()
@@ -331,7 +331,7 @@ def test_connections_are_looked_after_in_every_turn_and_in_any_case_with_every_r
     assert rig.bus.attended.count(False) == len(rig.bus.waits)
 
 
-def test_what_is_said_of_connections_at_the_very_end_is_told_too() -> None:
+def test_connection_events_at_the_very_end_are_published_too() -> None:
     rig = Rig(period_ns=MS)
     rig.node.context.request_stop()
     rig.bus.notices = [ConnectionEvent("info", "it is back", {})]
@@ -339,7 +339,7 @@ def test_what_is_said_of_connections_at_the_very_end_is_told_too() -> None:
     assert [e.text for e in rig.events] == ["it is back"]
 
 
-def test_a_command_reaches_the_node_and_its_desk() -> None:
+def test_a_command_reaches_the_node_and_its_command_handler() -> None:
     rig = Rig()
     rig.bus.arrives(10 * MS, "session/control", id="x1", command="set", target="controller", parameters={"gain": 2.0})
     rig.run_until(20 * MS)
@@ -527,7 +527,7 @@ def journalled_rig(period_ns: int = 0, spin_s: float = 0.0) -> Rig:
     return rig
 
 
-def told(journal: Any) -> list[tuple[int, ...]]:
+def turns_of(journal: Any) -> list[tuple[int, ...]]:
     arrays = (journal.kind, journal.time_ns, journal.input, journal.number)
     return list(zip(*(found.to_numpy().tolist() for found in arrays), strict=True))
 
@@ -547,8 +547,8 @@ def test_a_turn_has_one_time_that_the_journal_has_too() -> None:
     assert journal.first_turn == 0
     assert journal.epoch_offset_ns == epoch
     assert [(found.topic, found.src) for found in journal.inputs] == [("haptic/state", "haptic_node@master")]
-    assert told(journal) == [(1, 30 * MS + epoch, 0, 4), *((0, tick + epoch, -1, -1) for tick in ticks)]
-    # what a turn says goes out before the journal of it
+    assert turns_of(journal) == [(1, 30 * MS + epoch, 0, 4), *((0, tick + epoch, -1, -1) for tick in ticks)]
+    # what a turn publishes goes out before the journal of it
     assert rig.bus.sent[-1] is journal
 
 
@@ -557,10 +557,10 @@ def test_a_late_deadline_has_the_time_after_the_wait() -> None:
     rig.bus.oversleep_ns = 3 * MS
     rig.run_until(520 * MS)
     (journal,) = rig.bus.of(NodeJournal)
-    assert {turn[1] - 10**18 - 8 * MS for turn in told(journal)} <= {tick * 100 * MS for tick in range(1, 6)}
+    assert {turn[1] - 10**18 - 8 * MS for turn in turns_of(journal)} <= {tick * 100 * MS for tick in range(1, 6)}
 
 
-def test_the_journal_tells_which_command_was_carried_out() -> None:
+def test_the_journal_records_which_command_was_carried_out() -> None:
     rig = journalled_rig()
     for at_ms, name in ((10, "one"), (20, "one"), (30, "two")):
         target = "*" if name == "one" else "afm_node"
@@ -570,7 +570,7 @@ def test_the_journal_tells_which_command_was_carried_out() -> None:
         )
     rig.run_until(510 * MS)
     (journal,) = rig.bus.of(NodeJournal)
-    assert [(kind, number) for kind, _, _, number in told(journal)] == [(2, 10), (1, 20), (1, 30)]
+    assert [(kind, number) for kind, _, _, number in turns_of(journal)] == [(2, 10), (1, 20), (1, 30)]
 
 
 def test_the_journal_numbers_its_turns_and_the_outputs_so_far() -> None:
@@ -579,7 +579,7 @@ def test_the_journal_numbers_its_turns_and_the_outputs_so_far() -> None:
     journals = rig.bus.of(NodeJournal)
     assert len(journals) == 3
     assert [found.first_turn for found in journals[1:]] == [
-        sum(len(told(found)) for found in journals[:count]) for count in (1, 2)
+        sum(len(turns_of(found)) for found in journals[:count]) for count in (1, 2)
     ]
     assert journals[1].outputs == {"haptic/state": rig.bus.sent.index(journals[0]) + 1}
 
@@ -590,7 +590,7 @@ def test_a_flood_makes_a_batch_before_the_half_second() -> None:
     for seq in range(3000):
         rig.bus.arrives(6 * MS + seq * 100, "haptic/state", seq=seq)
     rig.run_until(400 * MS)
-    assert len(told(rig.bus.of(NodeJournal)[0])) >= 2048
+    assert len(turns_of(rig.bus.of(NodeJournal)[0])) >= 2048
 
 
 def test_the_health_of_others_is_no_turn_and_an_idle_node_writes_nothing() -> None:
@@ -610,7 +610,7 @@ def test_the_rest_of_the_journal_is_sent_at_the_end_and_making_safe_is_no_turn()
     assert node.clock is rig.clock
     assert node.read[-1][0] == rig.clock.monotonic_ns()
     (journal,) = rig.bus.of(NodeJournal)
-    assert len(told(journal)) == len(node.read) - 1
+    assert len(turns_of(journal)) == len(node.read) - 1
 
 
 def test_a_node_without_a_journal_reads_the_clock_itself() -> None:

@@ -38,7 +38,7 @@ class Stateful(Node):
         self.table = np.arange(3.0)
         self.sample: Any = None
         self.command: HapticCommand | None = None
-        self.told: Any = ("off", 1)
+        self.reported: Any = ("off", 1)
         self.seen: set[str] = set()
         self.handle: Any = None
 
@@ -55,7 +55,7 @@ def test_a_node_goes_on_from_the_state_of_another() -> None:
     node.grid.advance(9100)
     node.sample = HandSample(1.0 / 3.0, -0.0, float("inf"), True)
     node.command = COMMAND
-    node.told = ("force", (2, None))
+    node.reported = ("force", (2, None))
     node.seen.update({"b@s", "a@s"})
     node.steps = 7
     other = Stateful(VirtualClock(0))
@@ -65,7 +65,7 @@ def test_a_node_goes_on_from_the_state_of_another() -> None:
     assert type(other.sample) is HandSample
     assert repr(other.sample) == repr(node.sample)
     assert other.command == COMMAND
-    assert other.told == ("force", (2, None))
+    assert other.reported == ("force", (2, None))
     assert other.seen == {"a@s", "b@s"}
     assert other.steps == 7
     assert other.clock is not node.clock

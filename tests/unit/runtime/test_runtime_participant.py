@@ -95,8 +95,8 @@ def test_a_node_needs_a_place_in_the_site_file_and_an_observer_none(book: Addres
             open_participant("afm_node@slave", book):  # fmt: skip
         pass
     with open_participant(OBSERVER, book, publisher=False) as observer:
-        heard = observer.observe(lambda topic, site: topic == "haptic/state" and site == "master")
-        assert {node: reader.topics for node, reader in heard.items()} == {HAND: ["haptic/state"]}
+        readers = observer.observe(lambda topic, site: topic == "haptic/state" and site == "master")
+        assert {node: reader.topics for node, reader in readers.items()} == {HAND: ["haptic/state"]}
         assert observer.observe(lambda topic, site: True, ["slave"]) == {}
 
 

@@ -31,7 +31,7 @@ NODE = "test@master"
 
 
 class FakeMachine:
-    """Grants what it is told to grant and remembers what it was asked."""
+    """Grants what the test sets and records what was requested."""
 
     def __init__(self, *, permitted: bool) -> None:
         self.permitted = permitted
@@ -108,7 +108,7 @@ def test_all_is_asked_for_and_granted(monkeypatch: pytest.MonkeyPatch) -> None:
     ]
 
 
-def test_what_is_not_permitted_is_said_once_with_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_not_permitted_is_reported_once_with_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
     machine(monkeypatch, permitted=False)
     log = ListLog()
     status = apply_realtime(RealtimeConfig(), log, NODE)
@@ -126,17 +126,17 @@ def test_what_is_not_wanted_is_not_asked_for(monkeypatch: pytest.MonkeyPatch) ->
 
 
 @pytest.mark.parametrize(
-    ("config", "said"),
+    ("config", "message"),
     [
         (RealtimeConfig(scheduler="fifo"), "realtime.scheduler: fifo is not permitted"),
         (RealtimeConfig(scheduler="normal", memory_lock="on"), "realtime.memory_lock: memory cannot be locked"),
     ],
 )
 def test_what_was_demanded_and_is_not_permitted_is_an_error(
-    monkeypatch: pytest.MonkeyPatch, config: RealtimeConfig, said: str
+    monkeypatch: pytest.MonkeyPatch, config: RealtimeConfig, message: str
 ) -> None:
     machine(monkeypatch, permitted=False)
-    with pytest.raises(ConfigError, match=said):
+    with pytest.raises(ConfigError, match=message):
         apply_realtime(config, ListLog(), NODE)
 
 

@@ -36,27 +36,27 @@ def bench(bench_of: Any) -> Any:
 
 
 def command(bench: Any) -> Any:
-    return bench.heard("afm/command", SOURCE, **COMMAND)
+    return bench.received("afm/command", SOURCE, **COMMAND)
 
 
 def control(bench: Any, name: str, src: str = "launcher@master") -> Any:
-    return bench.heard("session/control", src, id="1", command=name, target="*", parameters={})
+    return bench.received("session/control", src, id="1", command=name, target="*", parameters={})
 
 
 def test_commands_of_a_source_marked_replay_are_refused_until_it_is_live_again(bench: Any) -> None:
     guard = ReplayGuard(bench.context, allow=False)
     assert guard.admits(command(bench))
-    assert guard.admits(bench.heard("node/health", SOURCE, replay=True, **HEALTH))
+    assert guard.admits(bench.received("node/health", SOURCE, replay=True, **HEALTH))
     assert not guard.admits(command(bench))
     assert not guard.admits(command(bench))
-    assert guard.admits(bench.heard("afm/command", "controller@master", **COMMAND))
-    guard.admits(bench.heard("node/health", SOURCE, replay=False, **HEALTH))
+    assert guard.admits(bench.received("afm/command", "controller@master", **COMMAND))
+    guard.admits(bench.received("node/health", SOURCE, replay=False, **HEALTH))
     assert guard.admits(command(bench))
 
 
-def test_the_refusal_is_told_once(bench: Any) -> None:
+def test_the_refusal_is_reported_once(bench: Any) -> None:
     guard = ReplayGuard(bench.context, allow=False)
-    guard.admits(bench.heard("node/health", SOURCE, replay=True, **HEALTH))
+    guard.admits(bench.received("node/health", SOURCE, replay=True, **HEALTH))
     for _ in range(5):
         guard.admits(command(bench))
     (event,) = bench.take("session/event")
@@ -66,13 +66,13 @@ def test_the_refusal_is_told_once(bench: Any) -> None:
 
 def test_replayed_commands_are_obeyed_where_that_is_allowed(bench: Any) -> None:
     guard = ReplayGuard(bench.context, allow=True)
-    guard.admits(bench.heard("node/health", SOURCE, replay=True, **HEALTH))
+    guard.admits(bench.received("node/health", SOURCE, replay=True, **HEALTH))
     assert guard.admits(command(bench))
 
 
 def test_a_replayed_session_arms_nothing_but_may_stop_everything(bench: Any) -> None:
     guard = ReplayGuard(bench.context, allow=False)
-    guard.admits(bench.heard("node/health", "launcher@master", replay=True, **HEALTH))
+    guard.admits(bench.received("node/health", "launcher@master", replay=True, **HEALTH))
     assert not guard.admits(control(bench, "arm"))
     assert guard.admits(control(bench, "estop"))
 
@@ -84,7 +84,7 @@ def filled(count: int, t_ns: int = 100 * SECOND_NS) -> SequenceTracker:
     return tracker
 
 
-def test_a_recording_played_after_its_publisher_was_heard_is_a_restart() -> None:
+def test_a_recording_played_after_its_publisher_was_received_is_a_restart() -> None:
     tracker = filled(5000)
     arrivals = [tracker.accept(seq, 5 * SECOND_NS + seq) for seq in range(100)]
     assert arrivals[:7] == [Arrival.DUPLICATE] * 7

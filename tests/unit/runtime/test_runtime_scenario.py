@@ -55,7 +55,7 @@ def test_flags_and_environment_reach_a_section(path: Path, monkeypatch: pytest.M
 
 
 @pytest.mark.parametrize(
-    ("flag", "said"),
+    ("flag", "message"),
     [
         ("duration_s=0.0", "duration_s: Input should be greater than 0, got 0.0"),
         ("duration_s=.nan", "duration_s: "),
@@ -68,25 +68,25 @@ def test_flags_and_environment_reach_a_section(path: Path, monkeypatch: pytest.M
         ("afm_node=3", "afm_node: "),
     ],
 )
-def test_a_wrong_scenario_names_file_and_key(path: Path, flag: str, said: str) -> None:
+def test_a_wrong_scenario_names_file_and_key(path: Path, flag: str, message: str) -> None:
     with pytest.raises(ConfigError) as caught:
         load_scenario(path, [flag])
-    assert str(caught.value).startswith(f"{path} + --set: {said}")
+    assert str(caught.value).startswith(f"{path} + --set: {message}")
 
 
 @pytest.mark.parametrize(
-    ("flag", "said"),
+    ("flag", "message"),
     [
         ("afm_node.gap_m=10.0", "afm_node.gap_m: Input should be less than or equal to 1, got 10.0"),
         ("afm_node.gap_m=.nan", "afm_node.gap_m: "),
         ("afm_node.gap_nm=10", "afm_node.gap_nm: unknown key, known are gap_m, ambient"),
     ],
 )
-def test_a_wrong_section_names_file_section_and_key(path: Path, flag: str, said: str) -> None:
+def test_a_wrong_section_names_file_section_and_key(path: Path, flag: str, message: str) -> None:
     loaded = load_scenario(path, [flag])
     with pytest.raises(ConfigError) as caught:
         loaded.section("afm_node", Section)
-    assert str(caught.value).startswith(f"{path} + --set: {said}")
+    assert str(caught.value).startswith(f"{path} + --set: {message}")
 
 
 def test_a_missing_section_is_an_empty_one(path: Path) -> None:

@@ -389,7 +389,7 @@ def test_the_list_is_read_again_when_it_has_changed(access: AccessControl, ring:
 
 
 @pytest.mark.parametrize("harm", ["gone", "broken", "folder gone"])
-def test_a_list_that_breaks_leaves_the_old_one_in_force_and_is_told_once(
+def test_a_list_that_breaks_leaves_the_old_one_in_force_and_is_reported_once(
     access: AccessControl, ring: Keyring, harm: str
 ) -> None:
     good = ring.allowed_path.read_bytes()
@@ -440,7 +440,7 @@ NODES = {
 }
 
 
-def test_what_a_machine_lacks_is_said_with_the_commands_that_help(ring: Keyring) -> None:
+def test_what_a_machine_lacks_is_reported_with_the_commands_that_help(ring: Keyring) -> None:
     book = AddressBook.model_validate({"nodes": NODES})
     assert "`telenano keys new slave` creates one" in refusal_of(check_keys, book, "slave", ring)
     ring.create("slave")

@@ -1,4 +1,4 @@
-"""Two machines over CURVE: who is heard, who is refused and how that is told, and what comes back by itself."""
+"""Two machines over CURVE: whose messages arrive, who is refused, how that is reported, and what recovers by itself."""
 
 import contextlib
 import os
@@ -22,9 +22,9 @@ from network_bench import (
     PATIENCE_S,
     Machine,
     free_ports,
-    hears_more,
     payload,
     port_of,
+    receives_more,
     turns,
     two_machine_book,
     until,
@@ -54,7 +54,7 @@ def _no_address_of_this_machine(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def world(tmp_path: Path) -> Iterator[Callable[..., list[Machine]]]:
-    """Make machines, master and slave and more by name, that know one another unless told otherwise."""
+    """Make machines, master and slave and more by name, that know one another unless `strangers`."""
     made: list[Machine] = []
 
     def make(*names: str, book: AddressBook | None = None, strangers: bool = False) -> list[Machine]:
@@ -90,15 +90,17 @@ def is_closed(raw: socket.socket) -> bool:
         return True
 
 
-# --- who is heard ---
+# --- whose messages arrive ---
 
 
-def test_listed_machines_hear_one_another(world: Callable[..., list[Machine]]) -> None:
+def test_listed_machines_receive_from_one_another(world: Callable[..., list[Machine]]) -> None:
     master, slave = world()
-    master.open().speaks(LINK).hears()
-    slave.open().speaks(AFM, CONTROLLER).hears({LINK: ["teleop/forward"]})
+    master.open().bind(LINK).subscribe()
+    slave.open().bind(AFM, CONTROLLER).subscribe({LINK: ["teleop/forward"]})
     until(
-        lambda: master.heard_from(AFM) and master.heard_from(CONTROLLER) and slave.heard_from(OPERATOR), master, slave
+        lambda: master.received_from(AFM) and master.received_from(CONTROLLER) and slave.received_from(OPERATOR),
+        master,
+        slave,
     )
     endpoint = master.book.network_endpoint(AFM)
     (up,) = [event for event in master.events if event.data.get("peer") == AFM]
@@ -110,14 +112,14 @@ def test_listed_machines_hear_one_another(world: Callable[..., list[Machine]]) -
 
 def test_one_socket_is_plain_nearby_and_locked_afar(world: Callable[..., list[Machine]]) -> None:
     master, slave = world()
-    slave.open().speaks(AFM).hears({AFM: ["afm/state"]})
-    master.open().hears({AFM: ["afm/state"]})
+    slave.open().bind(AFM).subscribe({AFM: ["afm/state"]})
+    master.open().subscribe({AFM: ["afm/state"]})
     # a program that knows nothing of keys
     plain = master.context.socket(zmq.SUB)
     plain.subscribe(b"")
     plain.connect(slave.book.local_endpoint(AFM))
     try:
-        until(lambda: slave.heard_from(AFM) and master.heard_from(AFM) and plain.poll(0), master, slave)
+        until(lambda: slave.received_from(AFM) and master.received_from(AFM) and plain.poll(0), master, slave)
     finally:
         plain.close()
     assert slave.publishers[AFM].socket.get(zmq.MECHANISM) == zmq.CURVE
@@ -128,22 +130,22 @@ def test_one_socket_is_plain_nearby_and_locked_afar(world: Callable[..., list[Ma
 def test_nodes_with_a_port_alone_are_locked_on_their_own_machine_too(world: Callable[..., list[Machine]]) -> None:
     (port,) = free_ports(1)
     (slave,) = world("slave", book=AddressBook.model_validate({"nodes": {AFM: f"tcp://127.0.0.1:{port}"}}))
-    slave.open().speaks(AFM).hears({AFM: ["afm/state"]})
-    until(lambda: slave.heard_from(AFM), slave)
+    slave.open().bind(AFM).subscribe({AFM: ["afm/state"]})
+    until(lambda: slave.received_from(AFM), slave)
     assert slave.publishers[AFM].socket.get(zmq.MECHANISM) == zmq.CURVE
-    # what is said here is believed here, whatever the list says
+    # what is sent here is accepted here, whatever is in the list
     assert slave.ring.allowed().keys == ()
 
 
 def test_readers_are_one_to_a_machine_or_one_to_a_node(world: Callable[..., list[Machine]]) -> None:
     master, _ = world()
     plan = {AFM: ["afm/state"], LINK: ["teleop/forward"], CONTROLLER: ["teleop/backward"]}
-    master.open().hears(plan)
+    master.open().subscribe(plan)
     assert [subscriber.topics for subscriber in master.subscribers] == [
         ["teleop/forward"],
         ["afm/state", "teleop/backward"],
     ]
-    master.hears(plan, apart=True)
+    master.subscribe(plan, apart=True)
     assert [subscriber.topics for subscriber in master.subscribers[2:]] == list(plan.values())
 
 
@@ -153,13 +155,13 @@ def test_an_address_may_be_a_name_or_of_ipv6(world: Callable[..., list[Machine]]
         pytest.skip("this machine has no IPv6 on its loopback interface")
     hosts = {"master": host, "slave": host}
     master, slave = world(book=two_machine_book(tmp_path, machines=hosts))
-    slave.open().speaks(AFM)
-    master.open().hears({AFM: ["afm/state"]})
-    until(hears_more(master, AFM), master, slave)
+    slave.open().bind(AFM)
+    master.open().subscribe({AFM: ["afm/state"]})
+    until(receives_more(master, AFM), master, slave)
     until(lambda: master.texts("up"), master, slave)
     slave.close()
     until(lambda: master.texts("down"), master)
-    slave.open().speaks(AFM)
+    slave.open().bind(AFM)
     until(lambda: len(master.texts("up")) == 2, master, slave)
 
 
@@ -168,12 +170,12 @@ def test_a_name_that_is_known_to_the_library_alone_is_followed_too(
 ) -> None:
     monkeypatch.setattr(AddressBook, "connect_endpoint", AddressBook.endpoint)
     master, slave = world(book=two_machine_book(tmp_path, machines={"master": "localhost", "slave": "localhost"}))
-    slave.open().speaks(AFM, CONTROLLER)
-    master.open().hears()
+    slave.open().bind(AFM, CONTROLLER)
+    master.open().subscribe()
     until(lambda: master.texts("up", AFM) and master.texts("up", CONTROLLER), master, slave)
     slave.close()
     until(lambda: master.texts("down", AFM) and master.texts("down", CONTROLLER), master)
-    slave.open().speaks(AFM, CONTROLLER)
+    slave.open().bind(AFM, CONTROLLER)
     until(lambda: len(master.texts("up")) == 4, master, slave)
     assert len(master.texts("up", AFM)) == 2
     slave.ring.revoke("master")
@@ -205,11 +207,11 @@ def test_without_a_network_there_is_nothing_to_look_after(tmp_path: Path) -> Non
             each.close()
 
 
-def test_plain_tcp_is_heard_where_locks_are_waived(world: Callable[..., list[Machine]], tmp_path: Path) -> None:
+def test_plain_tcp_is_received_where_locks_are_waived(world: Callable[..., list[Machine]], tmp_path: Path) -> None:
     master, slave = world(book=two_machine_book(tmp_path, insecure=True))
-    slave.open().speaks(AFM, CONTROLLER)
-    master.open().hears()
-    until(lambda: master.heard_from(AFM) and master.heard_from(CONTROLLER), master, slave)
+    slave.open().bind(AFM, CONTROLLER)
+    master.open().subscribe()
+    until(lambda: master.received_from(AFM) and master.received_from(CONTROLLER), master, slave)
     until(lambda: len(master.texts("up")) == 2, master, slave)
     assert slave.publishers[AFM].socket.get(zmq.MECHANISM) == zmq.NULL
     assert not master.ring.folder.exists()
@@ -240,48 +242,48 @@ def test_what_cannot_be_bound_is_named(world: Callable[..., list[Machine]], tmp_
         ):
             slave.network.publisher(AFM)
     # neither the socket nor its place nearby is kept
-    slave.speaks(AFM)
+    slave.bind(AFM)
 
 
 # --- who is refused ---
 
 
-def test_an_unlisted_machine_is_refused_told_and_let_in_once_it_is_listed(world: Callable[..., list[Machine]]) -> None:
+def test_an_unlisted_machine_is_refused_reported_and_let_in_once_listed(world: Callable[..., list[Machine]]) -> None:
     master, slave, laptop = world("master", "slave", "laptop", strangers=True)
     master.knows(slave)
     laptop.knows(slave)
     slave.knows(laptop, ["observe"])
-    slave.open().speaks(AFM)
-    master.open().hears({AFM: ["afm/state"]})
-    laptop.open().hears({AFM: ["afm/state"]})
-    until(lambda: master.texts("refused") and laptop.heard_from(AFM), master, slave, laptop)
+    slave.open().bind(AFM)
+    master.open().subscribe({AFM: ["afm/state"]})
+    laptop.open().subscribe({AFM: ["afm/state"]})
+    until(lambda: master.texts("refused") and laptop.received_from(AFM), master, slave, laptop)
     endpoint = slave.book.network_endpoint(AFM)
     assert master.texts("refused") == [
         f"slave rejects the key of master at {AFM} ({endpoint}): on slave, run "
         f"`telenano keys allow master '{master.key}' --role ...`"
     ]
     assert slave.network.rejected == {"unlisted": 1}
-    told = f"an unknown machine (127.0.0.1) at {AFM}: the key {master.key} is not in the list"
-    assert slave.network.last_error == told
-    # it goes on asking, is told so once, and nobody else hears less
+    reported = f"an unknown machine (127.0.0.1) at {AFM}: the key {master.key} is not in the list"
+    assert slave.network.last_error == reported
+    # it goes on trying, it is reported once, and nobody else receives less
     until(lambda: slave.network.rejected["unlisted"] >= 3, master, slave, laptop)
-    until(hears_more(laptop, AFM), master, slave, laptop)
+    until(receives_more(laptop, AFM), master, slave, laptop)
     assert len(master.texts("refused")) == 1
     # both count the same rejections, each in its own time
     until(lambda: master.network.rejected == {"handshake": slave.network.rejected["unlisted"]}, master, slave, laptop)
     assert master.network.last_error == f"{AFM} at {endpoint}: the key was rejected"
-    assert (master.heard_from(AFM), master.texts("up")) == (0, [])
+    assert (master.received_from(AFM), master.texts("up")) == (0, [])
     assert laptop.network.rejected == {}
     slave.knows(master, ["observe"])
-    until(hears_more(master, AFM), master, slave, laptop)
+    until(receives_more(master, AFM), master, slave, laptop)
     assert master.texts("up") == [f"{AFM} is connected ({endpoint})"]
 
 
 def test_a_revoked_key_is_refused_by_name(world: Callable[..., list[Machine]]) -> None:
     master, slave = world()
     slave.ring.revoke("master")
-    slave.open().speaks(AFM, CONTROLLER)
-    master.open().hears()
+    slave.open().bind(AFM, CONTROLLER)
+    master.open().subscribe()
     until(lambda: master.texts("refused", AFM) and master.texts("refused", CONTROLLER), master, slave)
     assert slave.network.rejected["revoked"] >= 2
     assert set(slave.network.rejected) == {"revoked"}
@@ -299,10 +301,10 @@ def test_another_key_of_the_server_than_the_listed_one_is_no_connection_until_th
     slave.ring.create("slave", replace=True)
     laptop.ring.revoke("slave")
     laptop.knows(slave)
-    slave.open().speaks(AFM)
-    master.open().hears({AFM: ["afm/state"]})
-    laptop.open().hears({AFM: ["afm/state"]})
-    until(lambda: master.texts("refused") and laptop.heard_from(AFM), master, slave, laptop)
+    slave.open().bind(AFM)
+    master.open().subscribe({AFM: ["afm/state"]})
+    laptop.open().subscribe({AFM: ["afm/state"]})
+    until(lambda: master.texts("refused") and laptop.received_from(AFM), master, slave, laptop)
     endpoint = slave.book.network_endpoint(AFM)
     assert master.texts("refused") == [
         f"the handshake with {AFM} ({endpoint}) keeps failing: is the key of slave in {master.ring.allowed_path} the "
@@ -314,14 +316,14 @@ def test_another_key_of_the_server_than_the_listed_one_is_no_connection_until_th
     # both in one go, as a script would
     master.ring.revoke("slave")
     master.knows(slave)
-    until(hears_more(master, AFM), master, slave, laptop)
+    until(receives_more(master, AFM), master, slave, laptop)
 
 
 def test_a_new_key_of_the_server_ends_what_the_old_one_began(world: Callable[..., list[Machine]]) -> None:
     master, slave = world()
-    slave.open().speaks(AFM)
-    master.open().hears({AFM: ["afm/state"]})
-    until(hears_more(master, AFM), master, slave)
+    slave.open().bind(AFM)
+    master.open().subscribe({AFM: ["afm/state"]})
+    until(receives_more(master, AFM), master, slave)
     until(lambda: master.texts("up"), master, slave)
     old = slave.key
     slave.ring.create("slave", replace=True)
@@ -333,12 +335,12 @@ def test_a_new_key_of_the_server_ends_what_the_old_one_began(world: Callable[...
     assert master.texts("down") == [
         f"the connection to {AFM} ({endpoint}) was closed: the key of slave that it used is no longer allowed"
     ]
-    before = master.heard_from(AFM)
+    before = master.received_from(AFM)
     until(lambda: master.network.rejected.get("handshake", 0) >= 3, master, slave)
-    assert (master.heard_from(AFM), slave.key != old) == (before, True)
+    assert (master.received_from(AFM), slave.key != old) == (before, True)
     slave.close()
-    slave.open().speaks(AFM)
-    until(hears_more(master, AFM), master, slave)
+    slave.open().bind(AFM)
+    until(receives_more(master, AFM), master, slave)
 
 
 def test_a_server_without_a_listed_key_is_not_connected_to_until_it_has_one(
@@ -346,8 +348,8 @@ def test_a_server_without_a_listed_key_is_not_connected_to_until_it_has_one(
 ) -> None:
     master, slave = world(strangers=True)
     slave.knows(master)
-    slave.open().speaks(AFM)
-    master.open().hears({AFM: ["afm/state"]})
+    slave.open().bind(AFM)
+    master.open().subscribe({AFM: ["afm/state"]})
     until(lambda: master.texts("unreached"), master, slave)
     assert master.texts("unreached") == [
         f"{AFM} is not connected, no valid key of slave is in {master.ring.allowed_path}: "
@@ -355,20 +357,20 @@ def test_a_server_without_a_listed_key_is_not_connected_to_until_it_has_one(
     ]
     assert (master.network.rejected, slave.network.rejected, master.received) == ({}, {}, [])
     master.knows(slave)
-    until(hears_more(master, AFM), master, slave)
+    until(receives_more(master, AFM), master, slave)
 
 
-def test_a_plain_peer_hears_nothing(world: Callable[..., list[Machine]]) -> None:
+def test_a_plain_peer_receives_nothing(world: Callable[..., list[Machine]]) -> None:
     master, slave = world()
-    slave.open().speaks(AFM)
-    master.open().hears({AFM: ["afm/state"]})
-    until(hears_more(master, AFM), master, slave)
+    slave.open().bind(AFM)
+    master.open().subscribe({AFM: ["afm/state"]})
+    until(receives_more(master, AFM), master, slave)
     plain = master.context.socket(zmq.SUB)
     plain.subscribe(b"")
     plain.connect(slave.book.network_endpoint(AFM))
     try:
         until(lambda: slave.network.rejected.get("handshake"), master, slave)
-        until(hears_more(master, AFM), master, slave)
+        until(receives_more(master, AFM), master, slave)
         assert not plain.poll(0)
     finally:
         plain.close()
@@ -381,13 +383,13 @@ def zmtp_greeting(mechanism: bytes) -> bytes:
 
 
 @pytest.mark.parametrize(
-    ("said", "counted"),
+    ("sent", "counted"),
     [
         pytest.param(zmtp_greeting(b"NULL"), True, id="plain"),
         pytest.param(zmtp_greeting(b"PLAIN"), True, id="password"),
         pytest.param(zmtp_greeting(b"CURVE") + b"\x00\x05hello", True, id="message before handshake"),
         pytest.param(zmtp_greeting(b"CURVE") + b"\x04\xc8\x05HELLO" + bytes(194), True, id="empty handshake"),
-        # libzmq closes these too, but says nothing of it that could be told from a peer that leaves
+        # libzmq closes these too, but reports it as it reports a peer that leaves
         pytest.param(b"GET / HTTP/1.1\r\nHost: afm\r\n\r\n" * 8, False, id="web"),
         pytest.param(bytes(range(256)) * 16, False, id="noise"),
         pytest.param(zmtp_greeting(b"CURVE") + b"\x02" + struct.pack(">Q", 2**62), False, id="endless message"),
@@ -395,16 +397,16 @@ def zmtp_greeting(mechanism: bytes) -> bytes:
     ],
 )
 def test_garbage_on_the_port_is_refused_and_disturbs_nobody(
-    world: Callable[..., list[Machine]], said: bytes, counted: bool
+    world: Callable[..., list[Machine]], sent: bytes, counted: bool
 ) -> None:
     master, slave = world()
-    slave.open().speaks(AFM)
-    master.open().hears({AFM: ["afm/state"]})
-    until(hears_more(master, AFM), master, slave)
+    slave.open().bind(AFM)
+    master.open().subscribe({AFM: ["afm/state"]})
+    until(receives_more(master, AFM), master, slave)
     with raw_connection(slave.book) as raw:
-        raw.sendall(said)
+        raw.sendall(sent)
         until(lambda: is_closed(raw), master, slave)
-    until(hears_more(master, AFM), master, slave)
+    until(receives_more(master, AFM), master, slave)
     assert not master.texts("down")
     if counted:
         until(lambda: slave.network.rejected == {"handshake": 1}, master, slave)
@@ -416,12 +418,12 @@ def test_connections_without_a_word_are_closed_and_disturb_nobody(
 ) -> None:
     monkeypatch.setattr(transport, "_HANDSHAKE_MS", 300)
     master, slave = world()
-    slave.open().speaks(AFM)
-    master.open().hears({AFM: ["afm/state"]})
-    until(hears_more(master, AFM), master, slave)
+    slave.open().bind(AFM)
+    master.open().subscribe({AFM: ["afm/state"]})
+    until(receives_more(master, AFM), master, slave)
     with contextlib.ExitStack() as stack:
         silent = [stack.enter_context(raw_connection(slave.book)) for _ in range(100)]
-        until(hears_more(master, AFM, 20), master, slave)
+        until(receives_more(master, AFM, 20), master, slave)
         until(lambda: slave.network.rejected == {"handshake": 100}, master, slave)
         until(lambda: all(is_closed(raw) for raw in silent), master, slave)
     assert not master.texts("down")
@@ -432,10 +434,10 @@ def test_a_frame_that_no_subscription_needs_closes_the_connection_of_its_sender_
     world: Callable[..., list[Machine]],
 ) -> None:
     master, slave, laptop = world("master", "slave", "laptop")
-    slave.open().speaks(AFM)
-    master.open().hears({AFM: ["afm/state"]})
+    slave.open().bind(AFM)
+    master.open().subscribe({AFM: ["afm/state"]})
     laptop.open()
-    until(hears_more(master, AFM), master, slave)
+    until(receives_more(master, AFM), master, slave)
     sender = laptop.context.socket(zmq.XSUB)
     sender.set(zmq.LINGER, 0)
     own = laptop.ring.own("laptop")
@@ -452,7 +454,7 @@ def test_a_frame_that_no_subscription_needs_closes_the_connection_of_its_sender_
     finally:
         sender.close()
         watch.close()
-    until(hears_more(master, AFM), master, slave)
+    until(receives_more(master, AFM), master, slave)
     assert not master.texts("down")
 
 
@@ -460,16 +462,16 @@ def test_a_message_that_nobody_may_send_closes_the_connection_of_its_sender_alon
     world: Callable[..., list[Machine]],
 ) -> None:
     master, slave = world()
-    slave.open().speaks(AFM, CONTROLLER)
-    master.open().hears()
-    until(lambda: master.heard_from(AFM) and master.heard_from(CONTROLLER), master, slave)
+    slave.open().bind(AFM, CONTROLLER)
+    master.open().subscribe()
+    until(lambda: master.received_from(AFM) and master.received_from(CONTROLLER), master, slave)
     until(lambda: len(master.texts("up")) == 2, master, slave)
     slave.publishers[AFM].send("afm/state", bytes(17 << 20))
     until(lambda: master.texts("down"), master, slave)
     assert set(event.data["peer"] for event in master.events if event.data["connection"] == "down") == {AFM}
     until(lambda: len(master.texts("up", AFM)) == 2, master, slave)
-    until(hears_more(master, CONTROLLER), master, slave)
-    until(hears_more(master, AFM), master, slave)
+    until(receives_more(master, CONTROLLER), master, slave)
+    until(receives_more(master, AFM), master, slave)
     tracker = master.subscribers[-1].tracker("teleop/backward", CONTROLLER)
     assert tracker.lost == 0
 
@@ -479,9 +481,9 @@ def test_nobody_is_accepted_while_no_authenticator_is_bound(
 ) -> None:
     monkeypatch.setattr(transport, "_HANDSHAKE_MS", 300)
     master, slave = world()
-    slave.open().speaks(AFM)
+    slave.open().bind(AFM)
     slave.network.close()
-    master.open().hears({AFM: ["afm/state"]})
+    master.open().subscribe({AFM: ["afm/state"]})
     end = time.monotonic() + PATIENCE_S
     while not master.network.rejected.get("handshake"):
         assert time.monotonic() < end
@@ -502,11 +504,11 @@ def test_a_key_revoked_while_it_is_connected_is_cut_off_and_the_others_come_back
     book = two_machine_book(tmp_path, bind={"slave": bind})
     master, slave, laptop = world("master", "slave", "laptop", book=book)
     # nearby, a program that nothing of this may disturb
-    slave.open().speaks(AFM).hears({AFM: ["afm/state"]})
-    master.open().hears({AFM: ["afm/state"]})
-    laptop.open().hears({AFM: ["afm/state"]})
+    slave.open().bind(AFM).subscribe({AFM: ["afm/state"]})
+    master.open().subscribe({AFM: ["afm/state"]})
+    laptop.open().subscribe({AFM: ["afm/state"]})
     everybody = (master, slave, laptop)
-    until(lambda: all(machine.heard_from(AFM) for machine in everybody), *everybody)
+    until(lambda: all(machine.received_from(AFM) for machine in everybody), *everybody)
     until(lambda: laptop.texts("up") and master.texts("up"), *everybody)
     slave.ring.revoke("laptop")
     until(lambda: laptop.texts("down") and master.texts("down"), *everybody)
@@ -517,10 +519,10 @@ def test_a_key_revoked_while_it_is_connected_is_cut_off_and_the_others_come_back
         f"the key of laptop is no longer allowed: all network connections at {AFM} were closed",
     )
     assert event.data == {"endpoint": endpoint, "connection": "revoked"}
-    cut = laptop.heard_from(AFM)
-    until(hears_more(master, AFM), *everybody)
+    cut = laptop.received_from(AFM)
+    until(receives_more(master, AFM), *everybody)
     until(lambda: laptop.texts("refused"), *everybody)
-    assert (laptop.heard_from(AFM), len(master.texts("up"))) == (cut, 2)
+    assert (laptop.received_from(AFM), len(master.texts("up"))) == (cut, 2)
     # a handshake that was under way when the connections were closed fails with them
     assert {"revoked"} <= set(slave.network.rejected) <= {"revoked", "handshake"}
     assert slave.subscribers[0].tracker("afm/state", AFM).lost == 0
@@ -529,9 +531,9 @@ def test_a_key_revoked_while_it_is_connected_is_cut_off_and_the_others_come_back
 
 def test_a_revocation_is_seen_at_the_next_look_which_every_report_is(world: Callable[..., list[Machine]]) -> None:
     master, slave = world()
-    slave.open().speaks(AFM)
-    master.open().hears({AFM: ["afm/state"]})
-    until(hears_more(master, AFM), master, slave)
+    slave.open().bind(AFM)
+    master.open().subscribe({AFM: ["afm/state"]})
+    until(receives_more(master, AFM), master, slave)
     slave.clock.advance_ns(transport._CHECK_NS)
     assert slave.network.process_events() == []
     slave.ring.revoke("master")
@@ -546,9 +548,9 @@ def test_a_revocation_is_seen_at_the_next_look_which_every_report_is(world: Call
 
 def test_a_key_taken_off_the_list_is_cut_off_too(world: Callable[..., list[Machine]]) -> None:
     master, slave = world()
-    slave.open().speaks(AFM)
-    master.open().hears({AFM: ["afm/state"]})
-    until(hears_more(master, AFM), master, slave)
+    slave.open().bind(AFM)
+    master.open().subscribe({AFM: ["afm/state"]})
+    until(receives_more(master, AFM), master, slave)
     slave.ring.allowed_path.write_text("keys: []\n")
     until(lambda: master.texts("refused"), master, slave)
     assert slave.events[0].text.startswith("the key of a machine removed from the list is no longer allowed: ")
@@ -557,8 +559,8 @@ def test_a_key_taken_off_the_list_is_cut_off_too(world: Callable[..., list[Machi
 
 def test_a_change_that_concerns_nobody_here_disturbs_nobody(world: Callable[..., list[Machine]]) -> None:
     master, slave = world()
-    slave.open().speaks(AFM)
-    master.open().hears({AFM: ["afm/state"]})
+    slave.open().bind(AFM)
+    master.open().subscribe({AFM: ["afm/state"]})
     until(lambda: master.texts("up"), master, slave)
     for ring in (slave.ring, master.ring):
         ring.allow("laptop", zmq.curve_keypair()[0].decode(), ["observe"])
@@ -570,22 +572,22 @@ def test_a_change_that_concerns_nobody_here_disturbs_nobody(world: Callable[...,
 
 def test_a_machine_that_revokes_the_key_of_another_stops_listening_to_it(world: Callable[..., list[Machine]]) -> None:
     master, slave = world()
-    slave.open().speaks(AFM, CONTROLLER)
-    master.open().hears()
+    slave.open().bind(AFM, CONTROLLER)
+    master.open().subscribe()
     until(lambda: len(master.texts("up")) == 2, master, slave)
     master.ring.revoke("slave")
     until(lambda: len(master.texts("down")) == 2, master, slave)
     assert all(text.endswith("the key of slave that it used is no longer allowed") for text in master.texts("down"))
-    heard = len(master.received)
+    count = len(master.received)
     until(lambda: len(master.texts("unreached")) == 2, master, slave)
-    assert (len(master.received), master.subscribers[-1].rejected) == (heard, {})
+    assert (len(master.received), master.subscribers[-1].rejected) == (count, {})
     assert all("no valid key of slave is in" in text for text in master.texts("unreached"))
 
 
-def test_a_list_that_breaks_is_told_once_and_changes_nothing(world: Callable[..., list[Machine]]) -> None:
+def test_a_list_that_breaks_is_reported_once_and_changes_nothing(world: Callable[..., list[Machine]]) -> None:
     master, slave = world()
-    slave.open().speaks(AFM)
-    master.open().hears({AFM: ["afm/state"]})
+    slave.open().bind(AFM)
+    master.open().subscribe({AFM: ["afm/state"]})
     until(lambda: master.texts("up"), master, slave)
     good = slave.ring.allowed_path.read_text()
     slave.ring.allowed_path.write_text("keys: [")
@@ -596,8 +598,8 @@ def test_a_list_that_breaks_is_told_once_and_changes_nothing(world: Callable[...
     assert event.text.startswith(f"the list of keys was not reloaded: {slave.ring.allowed_path}: is not valid YAML")
     slave.ring.allowed_path.unlink()
     until(lambda: len(slave.events) == 2, master, slave)
-    told = f"the list of keys was not reloaded: {slave.ring.allowed_path}: no longer exists"
-    assert slave.events[1].text.startswith(told)
+    reported = f"the list of keys was not reloaded: {slave.ring.allowed_path}: no longer exists"
+    assert slave.events[1].text.startswith(reported)
     slave.ring.allowed_path.write_text(good)
     slave.ring.revoke("master")
     until(lambda: master.texts("refused"), master, slave)
@@ -650,15 +652,15 @@ def test_an_endpoint_that_cannot_be_bound_again_is_reported_and_retried_without_
         authenticator.endpoints.remove(bound)
 
 
-# --- what may be said ---
+# --- what may be sent ---
 
 
 def test_a_role_that_a_machine_lacks_is_what_its_messages_are_refused_for(world: Callable[..., list[Machine]]) -> None:
     master, slave = world(strangers=True)
     slave.knows(master)
     master.knows(slave, ["observe"])
-    slave.open().speaks(AFM)
-    master.open().hears({AFM: ["afm/state", "session/control"]})
+    slave.open().bind(AFM)
+    master.open().subscribe({AFM: ["afm/state", "session/control"]})
     (_, subscriber) = master.subscribers
     sent = 0
 
@@ -667,7 +669,7 @@ def test_a_role_that_a_machine_lacks_is_what_its_messages_are_refused_for(world:
         slave.publishers[AFM].send("session/control", payload("session/control", AFM, sent))
         sent += 1
 
-    def until_heard(topic: str) -> None:
+    def until_received(topic: str) -> None:
         before = len(master.received)
         until(lambda: command() or topic in {r.topic for r in master.received[before:]}, master, slave)
 
@@ -678,26 +680,26 @@ def test_a_role_that_a_machine_lacks_is_what_its_messages_are_refused_for(world:
         for topic, role in (("afm/state", "data"), ("session/control", "control"))
     ]
     master.knows(slave, ["data"])
-    until_heard("afm/state")
+    until_received("afm/state")
     assert {received.topic for received in master.received} == {"afm/state"}
     refused = subscriber.rejected["role"]
     until(lambda: command() or subscriber.rejected["role"] > refused + 5, master, slave)
     master.knows(slave, ["control", "data"])
-    until_heard("session/control")
+    until_received("session/control")
     master.knows(slave, ["control"])
     refused = subscriber.rejected["role"]
     until(lambda: subscriber.rejected["role"] > refused + 5, master, slave)
     assert subscriber.last_error == f"afm/state of {AFM}: the machine slave lacks the role data, it has control"
-    until_heard("session/control")
+    until_received("session/control")
     # roles are no reason to end a connection
     assert len(master.texts("up")) == 1
     assert not master.texts("down")
 
 
-def test_a_machine_speaks_for_its_own_nodes(world: Callable[..., list[Machine]]) -> None:
+def test_a_machine_sends_for_its_own_nodes(world: Callable[..., list[Machine]]) -> None:
     master, slave = world()
-    slave.open().speaks(AFM, CONTROLLER)
-    master.open().hears({AFM: ["afm/state"], CONTROLLER: ["teleop/backward"]})
+    slave.open().bind(AFM, CONTROLLER)
+    master.open().subscribe({AFM: ["afm/state"], CONTROLLER: ["teleop/backward"]})
     (_, subscriber) = master.subscribers
 
     def pretend(src: str) -> None:
@@ -705,23 +707,23 @@ def test_a_machine_speaks_for_its_own_nodes(world: Callable[..., list[Machine]])
 
     until(lambda: pretend("haptic_node@master") or subscriber.rejected.get("source", 0) > 3, master, slave)
     assert subscriber.last_error == "afm/state: the machine slave may not send messages of haptic_node@master"
-    assert master.heard_from("haptic_node@master") == 0
+    assert master.received_from("haptic_node@master") == 0
     # within a machine no wall is claimed
     until(lambda: pretend(CONTROLLER) or "afm/state" in _topics(master, CONTROLLER), master, slave)
 
 
-def test_a_reader_to_each_node_lets_each_speak_for_itself_alone(world: Callable[..., list[Machine]]) -> None:
+def test_a_reader_to_each_node_lets_each_send_for_itself_alone(world: Callable[..., list[Machine]]) -> None:
     master, slave = world()
-    slave.open().speaks(AFM)
-    master.open().hears({AFM: ["afm/state"], CONTROLLER: ["teleop/backward"]}, apart=True)
+    slave.open().bind(AFM)
+    master.open().subscribe({AFM: ["afm/state"], CONTROLLER: ["teleop/backward"]}, apart=True)
     rejected = master.subscribers[0].rejected
 
     def pretend() -> None:
         slave.publishers[AFM].send("afm/state", payload("afm/state", CONTROLLER, 0))
 
     until(lambda: pretend() or rejected.get("source", 0) > 3, master, slave)
-    assert master.heard_from(CONTROLLER) == 0
-    until(hears_more(master, AFM), master, slave)
+    assert master.received_from(CONTROLLER) == 0
+    until(receives_more(master, AFM), master, slave)
 
 
 def _topics(machine: Machine, src: str) -> set[str]:
@@ -730,13 +732,13 @@ def _topics(machine: Machine, src: str) -> set[str]:
 
 def test_the_link_carries_what_comes_from_the_other_site(world: Callable[..., list[Machine]]) -> None:
     master, slave = world()
-    master.open().speaks(LINK)
-    slave.open().hears({LINK: ["teleop/forward"]})
-    until(hears_more(slave, OPERATOR), master, slave)
+    master.open().bind(LINK)
+    slave.open().subscribe({LINK: ["teleop/forward"]})
+    until(receives_more(slave, OPERATOR), master, slave)
     master.publishers[LINK].send("teleop/forward", payload("teleop/forward", CONTROLLER, 0))
     (_, subscriber) = slave.subscribers
     until(lambda: subscriber.rejected == {"source": 1}, master, slave)
-    assert slave.heard_from(CONTROLLER) == 0
+    assert slave.received_from(CONTROLLER) == 0
 
 
 def test_rights_are_remembered_to_a_bound(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -761,10 +763,10 @@ def test_rights_are_remembered_to_a_bound(monkeypatch: pytest.MonkeyPatch) -> No
 # --- what goes and comes back ---
 
 
-def test_a_server_that_goes_away_and_comes_back_is_told_of(world: Callable[..., list[Machine]]) -> None:
+def test_a_server_that_goes_away_and_comes_back_is_reported(world: Callable[..., list[Machine]]) -> None:
     master, slave = world()
-    slave.open().speaks(AFM, CONTROLLER)
-    master.open().hears()
+    slave.open().bind(AFM, CONTROLLER)
+    master.open().subscribe()
     until(lambda: len(master.texts("up")) == 2, master, slave)
     master.events.clear()
     slave.close()
@@ -776,26 +778,26 @@ def test_a_server_that_goes_away_and_comes_back_is_told_of(world: Callable[..., 
     gone_ns = master.clock.monotonic_ns()
     master.clock.advance_ns(2_000_000_000)
     # the other one stays away
-    slave.open().speaks(AFM)
-    until(hears_more(master, AFM), master, slave)
+    slave.open().bind(AFM)
+    until(receives_more(master, AFM), master, slave)
     (up,) = [event for event in master.events if event.data["connection"] == "up"]
     assert 2.0 <= up.data["gone_s"] <= (master.clock.monotonic_ns() - gone_ns) * 1e-9 + 1.0
     assert up.text == f"{AFM} is connected again after {up.data['gone_s']:.1f} s ({endpoint})"
     assert (up.level, master.texts("up", CONTROLLER)) == ("info", [])
 
 
-def test_what_is_not_reached_is_told_after_5_s_and_every_minute(world: Callable[..., list[Machine]]) -> None:
+def test_what_is_not_reached_is_reported_after_5_s_and_every_minute(world: Callable[..., list[Machine]]) -> None:
     master, _ = world()
-    master.open().hears({AFM: ["afm/state"]})
+    master.open().subscribe({AFM: ["afm/state"]})
     began = master.clock.monotonic_ns()
-    told: list[tuple[float, str]] = []
+    reported: list[tuple[float, str]] = []
     while master.clock.monotonic_ns() < began + 130e9:
         master.clock.advance_ns(100_000_000)
         now_s = (master.clock.monotonic_ns() - began) * 1e-9
-        told += [(now_s, event.text) for event in master.network.process_events()]
-    assert [round(at_s) for at_s, _ in told] == [5, 65, 125]
+        reported += [(now_s, event.text) for event in master.network.process_events()]
+    assert [round(at_s) for at_s, _ in reported] == [5, 65, 125]
     endpoint = master.book.network_endpoint(AFM)
-    for at_s, text in told:
+    for at_s, text in reported:
         assert 0.0 <= at_s % 60.0 - 5.0 < 1.0
         assert text == (
             f"{AFM} has not been reached at {endpoint} for {at_s:.0f} s: is slave running, is the address right, does "
@@ -808,12 +810,12 @@ def test_who_comes_and_goes_with_a_command_is_not_missed(world: Callable[..., li
     book = two_machine_book(tmp_path)
     nodes = {console: book.nodes[AFM]}
     master, slave = world(book=AddressBook.model_validate({"machines": book.machines, "nodes": nodes}))
-    master.open().hears({console: ["session/event"]})
+    master.open().subscribe({console: ["session/event"]})
     for _ in range(200):
         master.clock.advance_ns(transport._CHECK_NS)
         assert master.network.process_events() == []
-    slave.open().speaks(console)
-    until(lambda: master.texts("up") and master.heard_from(console), master, slave)
+    slave.open().bind(console)
+    until(lambda: master.texts("up") and master.received_from(console), master, slave)
     slave.close()
     until(lambda: master.texts("down"), master)
     assert {event.level for event in master.events} == {"info"}
@@ -822,32 +824,32 @@ def test_who_comes_and_goes_with_a_command_is_not_missed(world: Callable[..., li
 def test_what_is_reached_but_refuses_is_reminded_of_as_that(world: Callable[..., list[Machine]]) -> None:
     master, slave = world(strangers=True)
     master.knows(slave)
-    slave.open().speaks(AFM)
-    master.open().hears({AFM: ["afm/state"]})
+    slave.open().bind(AFM)
+    master.open().subscribe({AFM: ["afm/state"]})
     until(lambda: master.texts("unreached"), master, slave)
     assert master.texts("unreached")[0].endswith(" s: the key was rejected")
 
 
-def test_a_port_that_speaks_something_else_is_asked_again_until_the_right_program_is_there(
+def test_a_port_with_another_protocol_is_asked_again_until_the_right_program_is_there(
     world: Callable[..., list[Machine]],
 ) -> None:
     master, slave = world()
     with socket.create_server(("127.0.0.1", port_of(master.book, AFM))) as wrong:
-        master.open().hears({AFM: ["afm/state"]})
+        master.open().subscribe({AFM: ["afm/state"]})
         for _ in range(2):
             until(lambda: select.select([wrong], (), (), 0)[0], master)
             with wrong.accept()[0] as connection:
                 connection.sendall(b"SSH-2.0-OpenSSH_9.2\r\n" * 10)
                 until(partial(is_closed, connection), master)
-    slave.open().speaks(AFM)
-    until(hears_more(master, AFM), master, slave)
+    slave.open().bind(AFM)
+    until(receives_more(master, AFM), master, slave)
 
 
-def test_what_was_said_before_a_connection_was_lost_is_still_heard(world: Callable[..., list[Machine]]) -> None:
+def test_what_was_sent_before_a_connection_was_lost_is_still_received(world: Callable[..., list[Machine]]) -> None:
     master, slave = world()
-    slave.open().speaks(AFM)
-    master.open().hears({AFM: ["afm/state"]})
-    until(lambda: master.texts("up") and master.heard_from(AFM), master, slave)
+    slave.open().bind(AFM)
+    master.open().subscribe({AFM: ["afm/state"]})
+    until(lambda: master.texts("up") and master.received_from(AFM), master, slave)
     master.clock.advance_ns(transport._CHECK_NS)
     master.network.process_events()
     # more than a reader takes in a turn, and then the end
@@ -916,9 +918,9 @@ def test_a_pulled_cable_is_noticed_and_what_was_sent_into_it_does_not_come_out_l
     master, slave = world(book=book)
     master.book = AddressBook.model_validate({"nodes": nodes})
     try:
-        slave.open().speaks(AFM)
-        master.open().hears({AFM: ["afm/state"]})
-        until(lambda: master.texts("up") and master.heard_from(AFM), master, slave)
+        slave.open().bind(AFM)
+        master.open().subscribe({AFM: ["afm/state"]})
+        until(lambda: master.texts("up") and master.received_from(AFM), master, slave)
         cable.pulled.set()
         until(lambda: master.texts("down"), master, slave)
         first_after = slave.sent
@@ -926,12 +928,12 @@ def test_a_pulled_cable_is_noticed_and_what_was_sent_into_it_does_not_come_out_l
         cable.pulled.clear()
         again = slave.sent
         until(lambda: len(master.texts("up")) == 2, master, slave)
-        until(hears_more(master, AFM), master, slave)
+        until(receives_more(master, AFM), master, slave)
     finally:
         slave.close()
         cable.close()
-    heard = [received.message.seq for received in master.received]
-    assert not [seq for seq in heard if first_after <= seq < again]
+    count = [received.message.seq for received in master.received]
+    assert not [seq for seq in count if first_after <= seq < again]
 
 
 # --- the turn of a loop ---
@@ -939,7 +941,7 @@ def test_a_pulled_cable_is_noticed_and_what_was_sent_into_it_does_not_come_out_l
 
 def test_strangers_are_answered_a_few_at_a_time(world: Callable[..., list[Machine]]) -> None:
     _, slave = world()
-    slave.open().speaks(AFM)
+    slave.open().bind(AFM)
     requests = 3 * zap_authenticator._BATCH + 1
     flood = slave.context.socket(zmq.DEALER)
     flood.set(zmq.LINGER, 0)
@@ -974,7 +976,7 @@ def test_strangers_are_answered_a_few_at_a_time(world: Callable[..., list[Machin
 
 def test_an_answer_names_the_machine_to_the_socket(world: Callable[..., list[Machine]]) -> None:
     master, slave = world()
-    slave.open().speaks(AFM)
+    slave.open().bind(AFM)
     with contextlib.closing(slave.context.socket(zmq.DEALER)) as asking:
         asking.connect("inproc://zeromq.zap.01")
         asking.send_multipart(
@@ -1007,12 +1009,12 @@ def test_events_of_connections_are_taken_a_few_at_a_time() -> None:
 
 
 def test_every_rejected_connection_ends_a_wait_however_often(world: Callable[..., list[Machine]]) -> None:
-    """ZeroMQ's descriptors tell of changes only: none may be missed, the first one before the first wait included."""
+    """ZeroMQ's descriptors signal changes only: none may be missed, the first one before the first wait included."""
     _, slave = world()
     slave.open()
     clock = SystemClock()
     wake = os.pipe()
-    bus = ZmqBus(slave.speaks(AFM).publishers[AFM], [], clock, wake[0], slave.network)
+    bus = ZmqBus(slave.bind(AFM).publishers[AFM], [], clock, wake[0], slave.network)
     try:
         for number in range(1, 31):
             with raw_connection(slave.book) as raw:
@@ -1066,7 +1068,7 @@ def test_a_bus_that_has_more_to_process_does_not_wait(tmp_path: Path) -> None:
                 # would take an hour
                 bus.wait(clock.monotonic_ns() + 3_600_000_000_000)
                 bus.process_events()
-            # quiet now: asked for only when its descriptor speaks, or in so many words
+            # quiet now: processed only when its descriptor is ready, or with `now`
             bus.wait(clock.monotonic_ns() + 1_000_000)
             bus.process_events()
             assert handler.calls == 5
@@ -1082,13 +1084,13 @@ def test_a_bus_that_has_more_to_process_does_not_wait(tmp_path: Path) -> None:
         os.close(end_of_pipe)
 
 
-def test_the_newest_refusal_is_the_one_that_is_told(world: Callable[..., list[Machine]]) -> None:
+def test_the_newest_refusal_is_the_one_that_is_reported(world: Callable[..., list[Machine]]) -> None:
     _, slave = world()
     slave.open()
     clock = SystemClock()
     reader = Subscriber(slave.context, clock, {})
     slave.subscribers.append(reader)
-    bus = ZmqBus(slave.speaks(AFM).publishers[AFM], [reader], clock, -1, slave.network)
+    bus = ZmqBus(slave.bind(AFM).publishers[AFM], [reader], clock, -1, slave.network)
     rejections = slave.network._rejections
     reader.decode_and_track([b"one"], 0)
     assert bus.rejections()[1].startswith("a message has 2 frames")
@@ -1101,10 +1103,10 @@ def test_the_newest_refusal_is_the_one_that_is_told(world: Callable[..., list[Ma
 
 def test_an_end_in_the_middle_of_a_handshake_is_no_hang(world: Callable[..., list[Machine]]) -> None:
     master, slave, laptop = world("master", "slave", "laptop")
-    slave.open().speaks(AFM, CONTROLLER)
+    slave.open().bind(AFM, CONTROLLER)
     slave.ring.revoke("laptop")
     for machine in (master, laptop):
-        machine.open().hears()
+        machine.open().subscribe()
     with raw_connection(slave.book), raw_connection(slave.book, CONTROLLER):
         # they ask to be authenticated, and nobody answers
         assert select.select([slave.network._authenticator.socket.fileno()], (), (), PATIENCE_S)[0]

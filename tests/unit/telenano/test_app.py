@@ -176,7 +176,7 @@ def test_an_error_with_json_is_one_object_on_stdout_and_a_sentence_on_stderr(arg
     assert err == f"telenano: {error}\n"
 
 
-def test_a_listing_with_json_is_one_object_even_where_nobody_speaks() -> None:
+def test_a_listing_with_json_is_one_object_even_where_nobody_publishes() -> None:
     code, out, err = run("topic", "list", "--duration", "0", "--json")
     assert (code, err) == (0, "")
     assert {row["heard"] for row in json.loads(out)["topics"]} == {0}

@@ -135,6 +135,6 @@ def test_renaming_is_read_and_wrong_ones_are_refused() -> None:
         parse_remap(["a/b"])
 
 
-def test_keys_of_a_terminal_are_told_apart() -> None:
+def test_keys_of_a_terminal_are_distinguished() -> None:
     assert split_keys(b" \x1b[C.\x1b[Dq") == ["space", "right", ".", "left", "q"]
     assert haptic_state(0).seq == 0

@@ -91,16 +91,16 @@ def health(node: str, *inputs: InputHealth, t_s: float = 1.0, **changes: Any) ->
 
 
 def status_of(*messages: Message) -> RigStatus:
-    heard = RigStatus()
+    received = RigStatus()
     for each in messages:
-        heard.record(each)
-    return heard
+        received.record(each)
+    return received
 
 
 class FakeObserver:
-    """Hears what it is given."""
+    """Receives what it is given."""
 
-    heard: tuple[Message, ...] = ()
+    messages: tuple[Message, ...] = ()
 
     def __init__(self, book: AddressBook, wanted: Collection[str] = TOPICS) -> None:
         self.book = book
@@ -108,7 +108,7 @@ class FakeObserver:
         self.notices = [ConnectionEvent("warning", "slave is not reached", {})]
 
     def listen(self, duration_s: float) -> Iterator[ObservedMessage]:
-        for each in self.heard:
+        for each in self.messages:
             yield ObservedMessage("", Received("", each, b"", 0, Arrival.NEXT))
 
     def close(self) -> None:
@@ -117,7 +117,7 @@ class FakeObserver:
 
 def run(monkeypatch: pytest.MonkeyPatch, *messages: Message, arguments: tuple[str, ...] = ()) -> tuple[int, str, str]:
     monkeypatch.setattr(status, "Observer", FakeObserver)
-    monkeypatch.setattr(FakeObserver, "heard", messages)
+    monkeypatch.setattr(FakeObserver, "messages", messages)
     result = CliRunner().invoke(app, ["status", *arguments])
     assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
     return result.exit_code, result.stdout, result.stderr
@@ -130,7 +130,7 @@ def test_the_nodes_that_report_while_a_rig_runs() -> None:
     assert expected_nodes([*nodes, "recorder@slave", "launcher@slave"], [*nodes, "recorder@slave"]) == RIG
 
 
-def test_what_a_machine_cannot_hear_is_not_expected_of_it() -> None:
+def test_what_a_machine_cannot_reach_is_not_expected_of_it() -> None:
     nodes = load_site(DEFAULT_SITE_FILE).nodes
     assert expected_nodes(nodes, ["delay_node@slave", "afm_node@slave"]) == ["afm_node@slave"]
     # the link brings the health of the slave's nodes to the master
@@ -141,9 +141,9 @@ def test_what_a_machine_cannot_hear_is_not_expected_of_it() -> None:
 def test_the_newest_counts_and_a_copy_out_of_the_link_is_no_second_event() -> None:
     old, new = health("afm_node@slave", t_s=1.0, pid=3), health("afm_node@slave", t_s=2.0, pid=4)
     event = message("session/event", "afm_node@slave", **EVENT)
-    heard = status_of(new, old, event, event)
-    assert heard.newest(NodeHealth) == {"afm_node@slave": new}
-    assert len(heard.events) == 1
+    received = status_of(new, old, event, event)
+    assert received.newest(NodeHealth) == {"afm_node@slave": new}
+    assert len(received.events) == 1
 
 
 def test_a_rig_in_which_all_is_well() -> None:
@@ -160,8 +160,8 @@ def test_a_rig_in_which_all_is_well() -> None:
     ],
 )
 def test_what_is_wrong_with_a_node(newest: NodeHealth | None, words: str) -> None:
-    heard = [health(node) for node in RIG if node != "afm_node@slave"] + ([newest] if newest else [])
-    assert problems_of(status_of(*heard), RIG) == {"afm_node@slave": words}
+    received = [health(node) for node in RIG if node != "afm_node@slave"] + ([newest] if newest else [])
+    assert problems_of(status_of(*received), RIG) == {"afm_node@slave": words}
 
 
 @pytest.mark.parametrize("state", ["safe", "ready"])
@@ -169,11 +169,12 @@ def test_a_device_that_waits_for_its_operator_is_no_problem(state: str) -> None:
     assert problems_of(status_of(health("afm_node@slave", state=state)), ["afm_node@slave"]) == {}
 
 
-def test_the_launcher_is_judged_where_it_is_heard_and_a_console_is_not() -> None:
-    heard = [*map(health, RIG), health("console@master", state="stopping"), health("player@master", state="stopping")]
-    assert problems_of(status_of(*heard), RIG) == {}
-    heard.append(health("launcher@master", state="starting"))
-    assert problems_of(status_of(*heard), RIG) == {"launcher@master": "is still starting"}
+def test_the_launcher_is_judged_where_it_reports_and_a_console_is_not() -> None:
+    visitors = [health("console@master", state="stopping"), health("player@master", state="stopping")]
+    received = [*map(health, RIG), *visitors]
+    assert problems_of(status_of(*received), RIG) == {}
+    received.append(health("launcher@master", state="starting"))
+    assert problems_of(status_of(*received), RIG) == {"launcher@master": "is still starting"}
 
 
 def test_an_input_that_fell_silent_while_listening() -> None:
@@ -279,7 +280,7 @@ def test_a_rig_as_json(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_rig_in_trouble_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
-    heard = [
+    received = [
         health("haptic_node@master", replay=True, rejected={"version": 4}),
         health("controller@master", row("haptic/state", received=0)),
         message(
@@ -291,7 +292,7 @@ def test_a_rig_in_trouble_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
         message("haptic/state", "haptic_node@master", **{**HAND, "estop": True, "limited": True, "session_s": -1.0}),
         message("afm/state", "afm_node@slave", **{**AFM, "mode": "estop", "limited": True, "meniscus": True}),
     ]  # fmt: skip
-    code, out, err = run(monkeypatch, *heard)
+    code, out, err = run(monkeypatch, *received)
     assert code == 1
     assert err == (
         "telenano: nodes with a problem: controller@master, delay_node@master, controller@slave, afm_node@slave, "
@@ -327,7 +328,7 @@ def test_it_listens_on_the_bus_and_only_to_what_it_needs(tmp_path: Path) -> None
     book = AddressBook(nodes={node: f"ipc://{tmp_path}/node"})
     over = threading.Event()
 
-    def speak() -> None:
+    def publish() -> None:
         with zmq.Context[zmq.Socket[bytes]]() as context:
             publisher = ZmqPublisher(context, SystemClock(), node, book.endpoint(node))
             template = health(node).model_dump(exclude={"seq", "t_ns", "src", "v"})
@@ -338,22 +339,22 @@ def test_it_listens_on_the_bus_and_only_to_what_it_needs(tmp_path: Path) -> None
                                   velocity_m_per_s=ZERO, force_n=ZERO)  # fmt: skip
             publisher.close()
 
-    speaker = threading.Thread(target=speak)
-    speaker.start()
+    thread = threading.Thread(target=publish)
+    thread.start()
     observer = Observer(book, NEEDED)
     try:
-        heard = listen(observer, 0.5)
+        received = listen(observer, 0.5)
         topics = {topic for topic, _ in observer.subscribers[node].trackers}
     finally:
         over.set()
-        speaker.join()
+        thread.join()
         observer.close()
-    assert set(heard.newest(NodeHealth)) == {node}
-    assert heard.events
+    assert set(received.newest(NodeHealth)) == {node}
+    assert received.events
     assert topics == {"node/health", "session/event"}
 
 
-def test_nobody_speaks(tmp_path: Path) -> None:
+def test_nobody_publishes(tmp_path: Path) -> None:
     observer = Observer(AddressBook(nodes={"controller@master": f"ipc://{tmp_path}/node"}))
     with pytest.raises(RigError, match="no node reports"):
         listen(observer, 0.0)

@@ -1,4 +1,4 @@
-"""The command line of the studies: what it reads, what it refuses and how it says so."""
+"""The command line of the studies: what it reads, what it refuses and with which message."""
 
 import json
 import subprocess
