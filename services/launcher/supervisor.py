@@ -54,7 +54,7 @@ class Supervisor:
         return process_id
 
     def _handle_exit(self, ended: ProcessExit, report: Report) -> None:
-        text = f"{ended.node} {_in_words(ended)}: {ended.verdict}"
+        text = f"{ended.node} {_exit_text(ended)}: {ended.verdict}"
         level = "error" if ended.given_up else "warning"
         report(level, text, about_node=ended.node, exit_code=ended.exit_code, life_s=ended.life_s)
         if ended.given_up and not self.failure:
@@ -64,12 +64,12 @@ class Supervisor:
     def _history(self, ended: ProcessExit) -> list[str]:
         """Return how the node ended before, and which others did: a common cause shows in several."""
         exits = self._tracker.exits(ended.node)
-        lines = [f"its last {len(exits)} exits: {', '.join(map(_in_words, exits))}"] if len(exits) > 1 else []
+        lines = [f"its last {len(exits)} exits: {', '.join(map(_exit_text, exits))}"] if len(exits) > 1 else []
         others = [f"{node} ({count})" for node, count in self.restarts().items() if count and node != ended.node]
         if others:
             lines.append(f"other nodes that were started again: {', '.join(others)}")
         return lines
 
 
-def _in_words(ended: ProcessExit) -> str:
+def _exit_text(ended: ProcessExit) -> str:
     return f"{describe_exit(ended.exit_code)} after {ended.life_s:.1f} s"

@@ -10,7 +10,7 @@ from proto.errors import RefusedError
 from proto.messages import SessionControl
 from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake, Listener
-from services.runtime.bus import Attendant, Publisher, Received, ZmqBus
+from services.runtime.bus import NetworkEvents, Publisher, Received, ZmqBus
 from services.runtime.clock import Clock
 from services.runtime.deadlines import PeriodicDeadline
 from services.runtime.node import Node, NodeContext
@@ -36,7 +36,7 @@ class RecorderBus(ZmqBus):
         intake: Intake,
         clock: Clock,
         wake_descriptor: int,
-        network: Attendant | None = None,
+        network: NetworkEvents | None = None,
     ) -> None:
         super().__init__(publisher, [listener.subscriber for listener in listeners], clock, wake_descriptor, network)
         self._intake = intake
@@ -74,9 +74,9 @@ class RecorderBus(ZmqBus):
         self._batch_start_ns = now_ns
         remaining_ns = max(0, deadline_ns - now_ns)
         # rounded up, because waking a little early would only mean to wait once more
-        self._ready = self._poller.poll(0 if self._attend else -(-remaining_ns // 1_000_000))
+        self._ready = self._poller.poll(0 if self._events_pending else -(-remaining_ns // 1_000_000))
         if self._network_descriptors:
-            self._attend = self._attend or any(socket in self._network_descriptors for socket, _ in self._ready)
+            self._events_pending |= any(socket in self._network_descriptors for socket, _ in self._ready)
 
 
 class RecorderNode(Node):

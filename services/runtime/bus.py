@@ -68,7 +68,7 @@ class ConnectionEvent(NamedTuple):
     data: dict[str, bool | float | str]
 
 
-class Attendant(Protocol):
+class NetworkEvents(Protocol):
     """What looks after the network connections of a bus."""
 
     has_pending: bool
@@ -83,7 +83,7 @@ class Attendant(Protocol):
 
     @property
     def descriptors(self) -> Sequence[int]:
-        """What becomes readable when there is something to attend to."""
+        """What becomes readable when there is something to process."""
 
     def process_events(self) -> list[ConnectionEvent]:
         """Process pending events, a bounded number; `has_pending`: whether more are left."""
@@ -296,7 +296,7 @@ class ZmqBus:
         subscribers: Sequence[Subscriber],
         clock: Clock,
         wake_descriptor: int,
-        network: Attendant | None = None,
+        network: NetworkEvents | None = None,
     ) -> None:
         self.subscribers = list(subscribers)
         self._clock = clock
@@ -305,10 +305,10 @@ class ZmqBus:
         # a rig on one machine has no network to look after
         self._network_descriptors = frozenset(self._network.descriptors if self._network is not None else ())
         self._descriptors += self._network_descriptors
-        self._attend = self._network is not None
+        self._events_pending = self._network is not None
         self.publish = publisher.publish
         self.sequence_numbers = publisher.sequence_numbers
-        self._accounts: list[Subscriber | Attendant] = [*self.subscribers]
+        self._accounts: list[Subscriber | NetworkEvents] = [*self.subscribers]
         if self._network is not None:
             self._accounts.append(self._network)
         self._counted = [0] * len(self._accounts)
@@ -326,17 +326,17 @@ class ZmqBus:
         that it signalled has been taken.
         """
         remaining = deadline_ns - self._clock.monotonic_ns()
-        if remaining > 0 and not self._attend and all([subscriber.drained for subscriber in self.subscribers]):
+        if remaining > 0 and not self._events_pending and all([subscriber.drained for subscriber in self.subscribers]):
             ready, _, _ = select.select(self._descriptors, (), (), remaining * 1e-9)
             if self._network_descriptors:
-                self._attend = not self._network_descriptors.isdisjoint(ready)
+                self._events_pending = not self._network_descriptors.isdisjoint(ready)
 
     def process_events(self, *, now: bool = False) -> Sequence[ConnectionEvent]:
         """Process events of network connections, if there may be any or `now`; return what happened to them."""
-        if self._network is None or not (self._attend or now):
+        if self._network is None or not (self._events_pending or now):
             return ()
         notices = self._network.process_events()
-        self._attend = self._network.has_pending
+        self._events_pending = self._network.has_pending
         return notices
 
     def input_health(self) -> tuple[InputHealth, ...]:

@@ -853,15 +853,15 @@ def test_what_was_sent_before_a_connection_was_lost_is_still_received(world: Cal
     master.clock.advance_ns(transport._CHECK_NS)
     master.network.process_events()
     # more than a reader takes in a turn, and then the end
-    last_words = 3000
-    for seq in range(slave.sent, slave.sent + last_words):
+    last_messages = 3000
+    for seq in range(slave.sent, slave.sent + last_messages):
         slave.publishers[AFM].send("afm/state", payload("afm/state", AFM, seq))
     slave.close()
     # a slow reader, who comes to look after the connection before all is taken
     until(lambda: master.clock.advance_ns(3_000_000_000) or master.texts("down"), master)
-    assert len(master.received) < last_words
-    until(lambda: master.clock.advance_ns(3_000_000_000) or len(master.received) >= last_words, master)
-    assert master.received[-1].message.seq == slave.sent + last_words - 1
+    assert len(master.received) < last_messages
+    until(lambda: master.clock.advance_ns(3_000_000_000) or len(master.received) >= last_messages, master)
+    assert master.received[-1].message.seq == slave.sent + last_messages - 1
     assert master.subscribers[-1].tracker("afm/state", AFM).lost == 0
 
 
