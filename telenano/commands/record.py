@@ -12,8 +12,9 @@ from services.recorder.attach import run_record
 from services.recorder.config import RecorderConfig
 from services.recorder.node import RecorderNode
 from services.runtime.config import validate
+from telenano.keyboard import RawKeyboard
 from telenano.options import ExcludeOption, JsonOption, SiteFileOption, TopicsOption
-from telenano.output import RawKeyboard, fail, print_json, report_errors
+from telenano.output import fail, print_json, report_errors
 
 _KEYS_TEXT = "s new file · t snapshot · q end"
 

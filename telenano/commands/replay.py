@@ -11,8 +11,9 @@ from proto.errors import ConfigError, TelenanoError
 from services.player.node import PlayerNode, PlaySettings
 from services.player.playback import Span
 from services.player.run import ReplayRequest, run_replay
+from telenano.keyboard import RawKeyboard
 from telenano.options import ExcludeOption, JsonOption, SiteFileOption, TopicsOption
-from telenano.output import RawKeyboard, print_json, report_errors
+from telenano.output import print_json, report_errors
 
 _RATE_STEP = 1.25
 _KEYS_TEXT = (

@@ -7,7 +7,6 @@ from typing import Any
 
 import pytest
 import typer
-from recorder_samples import haptic_state
 from typer.testing import CliRunner
 
 from analysis.plot import Trace, draw
@@ -16,7 +15,6 @@ from recording.reader import Recording
 from telenano.commands.bag import app
 from telenano.commands.record import record
 from telenano.commands.replay import parse_remap, replay
-from telenano.output import split_keys
 
 MakeFile = Callable[..., Path]
 commands = typer.Typer()
@@ -133,8 +131,3 @@ def test_renaming_is_read_and_wrong_ones_are_refused() -> None:
     assert parse_remap(["a/b=c/d", "x@master=y@master"]) == {"a/b": "c/d", "x@master": "y@master"}
     with pytest.raises(ConfigError, match="OLD=NEW"):
         parse_remap(["a/b"])
-
-
-def test_keys_of_a_terminal_are_distinguished() -> None:
-    assert split_keys(b" \x1b[C.\x1b[Dq") == ["space", "right", ".", "left", "q"]
-    assert haptic_state(0).seq == 0
