@@ -9,17 +9,15 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from proto.messages import NodeHealth
-from services.launcher.readiness import oldest_input_s
+from services.launcher.rig_status import node_facts
 from services.launcher.session import Phase, RigNode, SessionNode
-from telenano.tables import LEVEL_STYLES
+from telenano.tables import LEVEL_STYLES, health_cells
 
 _REFRESH_TICKS = 5
 # how often a line repeats what is still waited for
 _REMIND_NS = 5_000_000_000
 _REPORTS_SHOWN = 6
-_STATE_STYLES = {"ready": "green", "running": "green", "safe": "yellow", "starting": "yellow", "stopping": "red"}
-_COLUMNS = ("state", "rate Hz", "late p99 ms", "input age ms", "lost", "refused", "CPU %", "MB", "restarts")
+_COLUMNS = ("state", "rate Hz", "late p99 ms", "input age ms", "lost", "refused", "CPU %", "MB")
 
 
 class LineView(AbstractContextManager["LineView"]):
@@ -103,30 +101,13 @@ def rig_picture(rig: RigNode) -> Group:
 
 def nodes_table(rig: RigNode) -> Table:
     """Draw the table of nodes from their last health; restarts are known of own nodes only."""
-    table = Table("node", *_COLUMNS)
+    table = Table("node", *_COLUMNS, "restarts")
     for column in table.columns[2:]:
         column.justify = "right"
     restarts = rig.supervisor.restarts()
     for node in rig.nodes:
         health = rig.health.get(node)
-        cells = _cells(health) if health else [Text("-", "dim")] + [Text("")] * (len(_COLUMNS) - 2)
+        found = health_cells(node_facts(node, health, None)) if health else {"state": Text("-", "dim")}
+        cells = [found.get(column, Text("")) for column in _COLUMNS]
         table.add_row(node, *cells, Text(str(restarts.get(node, "-"))))
     return table
-
-
-def _cells(health: NodeHealth) -> list[Text]:
-    age_s = oldest_input_s(health)
-    return [
-        Text(health.state, _STATE_STYLES[health.state]),
-        Text(f"{health.rate_hz:.1f}"),
-        Text(f"{health.lateness_p99_s * 1e3:.3f}" if health.period_s else "-"),
-        Text("-" if age_s is None else f"{age_s * 1e3:.1f}"),
-        _alarming(sum(row.lost for row in health.inputs)),
-        _alarming(sum(health.rejected.values())),
-        Text(f"{health.cpu_percent:.0f}"),
-        Text(f"{health.memory_bytes / 1e6:.0f}"),
-    ]
-
-
-def _alarming(count: int) -> Text:
-    return Text(str(count), "red" if count else "")

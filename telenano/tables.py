@@ -8,11 +8,37 @@ from rich.table import Table
 from rich.text import Text
 
 LEVEL_STYLES = {"info": "", "warning": "yellow", "error": "red"}
+_STATE_STYLES = {"ready": "green", "running": "green", "safe": "yellow", "starting": "yellow"}
 
 
 def counts_text(counts: Mapping[str, int]) -> str:
     """Return counts with their names in one line; 0 when there are none."""
     return ", ".join(f"{name} {count}" for name, count in counts.items()) or "0"
+
+
+def health_cells(facts: Mapping[str, Any]) -> dict[str, Text]:
+    """Draw the health of a node, as `node_facts` gives it: a cell for each heading."""
+    state = "replay" if facts["replay"] else facts["state"]
+    late_s, age_s = facts["lateness_p99_s"], facts["oldest_input_s"]
+    minutes, seconds = divmod(round(facts["uptime_s"]), 60)
+    granted = [name for name, key in (("fifo", "realtime"), ("memory", "memory_locked")) if facts[key]]
+    return {
+        "state": Text(state, _STATE_STYLES.get(state, "red")),
+        "up": Text(f"{minutes // 60}:{minutes % 60:02}:{seconds:02}"),
+        "rate Hz": Text(f"{facts['rate_hz']:.1f}"),
+        "late p99 ms": Text("-" if late_s is None else f"{late_s * 1e3:.3f}"),
+        "overruns": _alarming(facts["overruns"], str(facts["overruns"])),
+        "input age ms": Text("-" if age_s is None else f"{age_s * 1e3:.1f}"),
+        "lost": _alarming(facts["lost"], str(facts["lost"])),
+        "refused": _alarming(sum(facts["refused"].values()), counts_text(facts["refused"])),
+        "CPU %": Text(f"{facts['cpu_percent']:.0f}"),
+        "MB": Text(f"{facts['memory_bytes'] / 1e6:.0f}"),
+        "granted": Text(", ".join(granted) or "nothing"),
+    }
+
+
+def _alarming(count: int, text: str) -> Text:
+    return Text(text, "red" if count else "")
 
 
 def summary_tables(summary: Mapping[str, Any], title: str) -> Group:

@@ -127,7 +127,7 @@ def document_of(status: RigStatus, expected: Sequence[str]) -> dict[str, Any]:
     return {
         "ok": not problems,
         "problems": [f"{node} {what}" for node, what in problems.items()],
-        "nodes": [_node_facts(node, health.get(node), problems.get(node)) for node in shown],
+        "nodes": [node_facts(node, health.get(node), problems.get(node)) for node in shown],
         "link": _link_facts(links[0]) if links else None,
         "laws": [_facts(law, _LAW_FACTS) for _, law in sorted(status.newest(LawStatus).items())],
         "hand": [_facts(hand, _HAND_FACTS) for hand in status.newest(HapticState).values()],
@@ -141,7 +141,8 @@ def _facts(message: Message, names: Iterable[str]) -> dict[str, Any]:
     return {name: getattr(message, name) for name in names}
 
 
-def _node_facts(node: str, health: NodeHealth | None, problem: str | None) -> dict[str, Any]:
+def node_facts(node: str, health: NodeHealth | None, problem: str | None) -> dict[str, Any]:
+    """Return the health of a node as JSON can hold it; without any, only that there is none."""
     facts: dict[str, Any] = {"node": node, "heard": health is not None, "problem": problem}
     if health is None:
         return facts

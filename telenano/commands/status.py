@@ -15,10 +15,9 @@ from services.runtime.main import load_site
 from services.runtime.observer import Observer
 from telenano.options import JsonOption, ListenOption, SiteFileOption
 from telenano.output import console, fail, print_json, report_errors
-from telenano.tables import LEVEL_STYLES, counts_text
+from telenano.tables import LEVEL_STYLES, counts_text, health_cells
 
 _DEFAULT_S = 1.5
-_STATE_STYLES = {"ready": "green", "running": "green", "safe": "yellow", "starting": "yellow"}
 _COLUMNS: dict[str, Literal["left", "right"]] = {
     "node": "left",
     "state": "left",
@@ -68,7 +67,8 @@ def status_tables(document: Mapping[str, Any]) -> Group:
         # headings may wrap in a narrow terminal, names may not
         table.add_column(name, justify=justify, no_wrap=name == "node")
     for facts in document["nodes"]:
-        table.add_row(facts["node"], *(_cells(facts) if facts["heard"] else [Text("no report", "red")]))
+        cells = health_cells(facts) if facts["heard"] else {"state": Text("no report", "red")}
+        table.add_row(facts["node"], *(cells.get(name, Text("")) for name in list(_COLUMNS)[1:]))
     lines = Table.grid(padding=(0, 2))
     for facts in document["nodes"]:
         if facts["problem"]:
@@ -76,30 +76,6 @@ def status_tables(document: Mapping[str, Any]) -> Group:
     for what, text in _lines(document):
         lines.add_row(what, text)
     return Group(table, lines)
-
-
-def _cells(facts: Mapping[str, Any]) -> list[Text]:
-    state = "replay" if facts["replay"] else facts["state"]
-    late_s, age_s = facts["lateness_p99_s"], facts["oldest_input_s"]
-    minutes, seconds = divmod(round(facts["uptime_s"]), 60)
-    granted = [name for name, key in (("fifo", "realtime"), ("memory", "memory_locked")) if facts[key]]
-    return [
-        Text(state, _STATE_STYLES.get(state, "red")),
-        Text(f"{minutes // 60}:{minutes % 60:02}:{seconds:02}"),
-        Text(f"{facts['rate_hz']:.1f}"),
-        Text("-" if late_s is None else f"{late_s * 1e3:.3f}"),
-        _alarming(facts["overruns"]),
-        Text("-" if age_s is None else f"{age_s * 1e3:.1f}"),
-        _alarming(facts["lost"]),
-        Text(counts_text(facts["refused"]), "red" if facts["refused"] else ""),
-        Text(f"{facts['cpu_percent']:.0f}"),
-        Text(f"{facts['memory_bytes'] / 1e6:.0f}"),
-        Text(", ".join(granted) or "nothing"),
-    ]
-
-
-def _alarming(count: int) -> Text:
-    return Text(str(count), "red" if count else "")
 
 
 def _lines(document: Mapping[str, Any]) -> Iterator[tuple[str, Text]]:

@@ -1,9 +1,12 @@
+from io import StringIO
+
 import pytest
 from launcher_bench import NODES, SECOND_NS, TICK_NS, Rig, health, row
+from rich.console import Console
 
 from proto.messages import NodeHealth
 from services.launcher.readiness import READY_DEADLINE_S, oldest_input_s, silent_inputs, unmet
-from telenano.live_view import rig_picture
+from telenano.live_view import nodes_table, rig_picture
 
 
 def test_a_whole_session() -> None:
@@ -195,3 +198,19 @@ def test_the_live_view_draws_every_phase() -> None:
         rig.tick(4)
     assert texts[0].startswith("waiting for 3 of 3 nodes")
     assert "running for 2 s" in texts[2]
+
+
+def test_the_live_view_has_the_health_of_each_node_under_its_heading() -> None:
+    rig = Rig()
+    found = health("afm_node@slave", "safe", inputs=(row("afm/command", "a@b", age_s=0.5),), uptime_s=3.0)
+    rig.receive(found.model_copy(update={"rejected": {"source": 3}, "memory_bytes": 57_000_000}), "node/health")
+    text = StringIO()
+    Console(file=text, width=140).print(nodes_table(rig.session))
+    cells = [[cell.strip() for cell in line.strip("┃│").split(line[0])] for line in text.getvalue().splitlines()]
+    headings = next(line for line in cells if line[0] == "node")
+    rows = {line[0]: dict(zip(headings, line, strict=False)) for line in cells}
+    assert rows["afm_node@slave"] == {
+        "node": "afm_node@slave", "state": "safe", "rate Hz": "1000.0", "late p99 ms": "0.000", "input age ms": "500.0",
+        "lost": "0", "refused": "source 3", "CPU %": "1", "MB": "57", "restarts": "0",
+    }  # fmt: skip
+    assert rows["haptic_node@master"]["state"] == "-"
