@@ -1,5 +1,6 @@
 """`telenano bag plot`: fields of a recording over time, as PNG or drawn with characters on the terminal."""
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -73,19 +74,27 @@ def draw(trace: Trace, width: int, height: int) -> str:
     if not finite.any():
         return f"{trace.name}: no value"
     time_s, values = trace.time_s[finite], trace.values[finite]
-    inner = max(8, width - _LABEL_COLUMNS - 1)
+    highest, lowest = _distinct(values.max(), values.min())
+    margin = max(_LABEL_COLUMNS, len(highest), len(lowest))
+    inner = max(8, width - margin - 1)
     grid = np.zeros((height * 4, inner * 2), dtype=bool)
     across = _cells(time_s, inner * 2)
     down = height * 4 - 1 - _cells(values, height * 4)
     grid[down, across] = True
     blocks = grid.reshape(height, 4, inner, 2).transpose(0, 2, 1, 3)
     codes = (blocks * _DOTS).sum(axis=(2, 3)) + _BRAILLE
-    labels = [""] * height
-    labels[0], labels[-1] = f"{values.max():.4g}", f"{values.min():.4g}"
-    lines = [f"{label:>{_LABEL_COLUMNS}} {''.join(map(chr, row))}" for label, row in zip(labels, codes, strict=True)]
+    labels = [highest, *[""] * (height - 2), lowest]
+    lines = [f"{label:>{margin}} {''.join(map(chr, row))}" for label, row in zip(labels, codes, strict=True)]
     left, right = f"{time_s.min():.3f} s", f"{time_s.max():.3f} s"
-    axis = " " * (_LABEL_COLUMNS + 1) + left + right.rjust(max(1, inner - len(left)))
+    axis = " " * (margin + 1) + left + right.rjust(max(1, inner - len(left)))
     return "\n".join([trace.name, *lines, axis])
+
+
+def _distinct(high: float, low: float) -> tuple[str, str]:
+    """Return two numbers with as many digits as tell them apart: a base at 1 µm may move by 1 pm."""
+    span = high - low
+    digits = 4 if span == 0.0 else max(4, 2 + math.ceil(math.log10(max(abs(high), abs(low)) / span)))
+    return f"{high:.{digits}g}", f"{low:.{digits}g}"
 
 
 def _cells(values: Floats, count: int) -> npt.NDArray[np.int64]:

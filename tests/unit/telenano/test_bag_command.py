@@ -109,6 +109,21 @@ def test_a_rising_line_is_drawn_rising() -> None:
     assert draw(flat, 60, 5) == "flat: no value"
 
 
+@pytest.mark.parametrize(
+    ("offset", "span", "highest", "lowest"),
+    [(1e-6, 1e-12, "1.000001e-06", "1e-06"), (0.0, 1e-9, "1e-09", "0"), (1.7e18, 6e9, "1.700000006e+18", "1.7e+18")],
+)
+def test_a_small_motion_is_drawn_at_any_offset(offset: float, span: float, highest: str, lowest: str) -> None:
+    import numpy as np
+
+    time_s = np.linspace(0.0, 1.0, 500)
+    lines = draw(Trace("base", time_s, offset + span * time_s), 60, 5).splitlines()
+    rows = [line.rpartition(" ") for line in lines[1:6]]
+    assert (rows[0][0].strip(), rows[-1][0].strip()) == (highest, lowest)
+    assert all(set(drawn) - {"\u2800"} for _, _, drawn in rows)
+    assert {len(line) for line in lines[1:]} == {60}
+
+
 def test_replay_and_record_refuse_what_cannot_be(make_file: MakeFile, tmp_path: Path) -> None:
     site = tmp_path / "site.yaml"
     site.write_text(f"nodes: {{haptic_node@master: 'ipc://{tmp_path}/h', player@master: 'ipc://{tmp_path}/p'}}\n")
