@@ -91,7 +91,7 @@ def draw(trace: Trace, width: int, height: int) -> str:
 
 
 def _distinct(high: float, low: float) -> tuple[str, str]:
-    """Return two numbers with as many digits as tell them apart: a base at 1 µm may move by 1 pm."""
+    """Return two numbers with as many digits as distinguish them: a base at 1 µm may move by 1 pm."""
     span = high - low
     digits = 4 if span == 0.0 else max(4, 2 + math.ceil(math.log10(max(abs(high), abs(low)) / span)))
     return f"{high:.{digits}g}", f"{low:.{digits}g}"

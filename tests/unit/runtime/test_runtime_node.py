@@ -1,4 +1,4 @@
-"""The loop of a node in virtual time, and the desk that takes its commands."""
+"""The loop of a node in virtual time, and the handler of its commands."""
 
 import json
 import logging
@@ -146,7 +146,7 @@ class Rig:
         self.bus = FakeBus(self.clock)
         self.node = Probe(NodeContext(key, self.clock, self.bus, StructuredLog(key)), period_ns)
         self.loop = NodeLoop(self.node, self.bus, GRANTED, spin_s=spin_s)
-        self.desk = CommandHandler(self.node)
+        self.commands = CommandHandler(self.node)
 
     def run_until(self, t_ns: int) -> None:
         while self.clock.monotonic_ns() < t_ns:
@@ -155,7 +155,7 @@ class Rig:
     def command(self, command: str = "set", target: str = "*", identifier: str = "a", **parameters: Any) -> None:
         fields = {"id": identifier, "command": command, "target": target, "parameters": parameters}
         header = {"seq": 0, "t_ns": 0, "src": "launcher@master", "v": 1}
-        self.desk.handle(SessionControl.model_validate({**header, **fields}))
+        self.commands.handle(SessionControl.model_validate({**header, **fields}))
 
     @property
     def events(self) -> list[SessionEvent]:
@@ -347,7 +347,7 @@ def test_a_command_reaches_the_node_and_its_command_handler() -> None:
     assert [(e.id, e.kind, e.text) for e in rig.events] == [("x1", "ack", "gain is 2.0")]
 
 
-# --- the desk ---
+# --- the handler of commands ---
 
 
 @pytest.mark.parametrize(
