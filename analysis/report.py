@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
-from analysis.stability import judge_holds
+from analysis.stability import Instrument, judge_holds, verdict_of
 from proto import TOPICS
 from proto.errors import RecordingError
 from recording.arrays import columns, last_session, replay_shifts
@@ -25,6 +25,7 @@ Series = npt.NDArray[Any]
 
 HOLD_WINDOW_S = (2.2, 2.5)
 RELEASE_WINDOW_S = 1.0
+_TIP_FIELDS = ("tip_force_n.2", "separation_m", "in_contact", "mode")
 
 
 @dataclass(frozen=True)
@@ -115,7 +116,7 @@ def read_session(recording: Recording) -> Session:
         end_ns=end_ns,
         hand={name: values[running] for name, values in hand.items()},
         command=_within(_series(recording, "haptic/command", ("position_m.2", "force_n.2"), shifts), start_ns, end_ns),
-        tip=_within(_series(recording, "afm/state", ("tip_force_n.2", "separation_m"), shifts), start_ns, end_ns),
+        tip=_within(_series(recording, "afm/state", _TIP_FIELDS, shifts), start_ns, end_ns),
         force_scale=_force_scale(recording, document),
         scenario=document.name,
     )
@@ -125,12 +126,16 @@ def summarise(session: Session, info: RecordingInfo, traffic: Traffic) -> dict[s
     """Return the summary of a session; what the session does not show is null."""
     series = session.series()
     scaled = session.force_scale * series.tip_force_n
-    holds = judge_holds(series.hand_time_s, series.hand_force_n, series.tip_time_s, scaled)
+    tip = Instrument(np.isin(session.tip["mode"], ("follow", "hold")), session.tip["in_contact"].astype(bool))
+    holds = judge_holds(series.hand_time_s, series.hand_force_n, series.tip_time_s, scaled, tip)
+    verdict, reason = verdict_of(holds)
     last_s = session.duration_s - RELEASE_WINDOW_S
     return {
         "scenario": session.scenario,
         "duration_s": round(session.duration_s, 3),
-        "stable": bool(holds) and all(hold.verdict == "stable" for hold in holds),
+        "stable": verdict == "stable",
+        "verdict": verdict,
+        "reason": reason,
         "hold_ratio": _hold_ratio(series),
         "contact_x_cm": _mean(100.0 * series.reference_m[series.reference_time_s >= last_s]),
         "release_force_nn": _mean(1e9 * series.tip_force_n[series.tip_time_s >= last_s]),

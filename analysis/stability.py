@@ -5,7 +5,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from analysis.verdict import WINDOWS, Kind, judge
+from analysis.modes import LEAST_SAMPLES
+from analysis.verdict import Circumstances, Kind, judge
 
 Series = npt.NDArray[np.float64]
 
@@ -14,6 +15,8 @@ SHORTEST_HOLD_S = 0.5
 # the first part of a hold shows the answer to the step before it
 SETTLING_SHARE = 0.2
 _HAND_STEADY_SHARE = 0.01
+# of the greatest force: below it the hand has let go
+_PRESSING_SHARE = 0.05
 
 
 class Hold(NamedTuple):
@@ -25,6 +28,15 @@ class Hold(NamedTuple):
     verdict: Kind
     growth_per_s: float | None
     peak_to_peak_n: float
+    noise_n: float
+    reason: str
+
+
+class Instrument(NamedTuple):
+    """What the instrument says at the tip's times: whether it follows commands, and whether the tip touches."""
+
+    following: npt.NDArray[np.bool_]
+    in_contact: npt.NDArray[np.bool_]
 
 
 def constant_stretches(time_s: Series, force_n: Series, tolerance_n: float) -> list[tuple[float, float]]:
@@ -40,21 +52,46 @@ def constant_stretches(time_s: Series, force_n: Series, tolerance_n: float) -> l
     return stretches
 
 
-def judge_holds(hand_time_s: Series, hand_force_n: Series, tip_time_s: Series, scaled_force_n: Series) -> list[Hold]:
+def judge_holds(
+    hand_time_s: Series,
+    hand_force_n: Series,
+    tip_time_s: Series,
+    scaled_force_n: Series,
+    tip: Instrument | None = None,
+) -> list[Hold]:
     """Judge every hold of a session, each without its first fifth, as the studies judge theirs.
 
     Small is what is small beside the greatest force of the hand in the session, so that the holds share one measure; a
-    trend has to be a factor of two to be believed, because messages on a real bus come when they come.
+    trend has to be a factor of two to be believed, because messages on a real bus come when they come. Where the hand
+    presses, the tip has to press with the same force, and to touch.
 
-    Parameters: times [s], F_m [N] at the hand's times, alpha_f F_s [N] at the tip's times; one dimension each.
+    Parameters: times [s], F_m [N] at the hand's times, alpha_f F_s [N] at the tip's times, and what the instrument says
+    then; one dimension each.
     """
     greatest = float(np.abs(hand_force_n).max(initial=0.0))
     holds = []
     for start, end in constant_stretches(hand_time_s, hand_force_n, _HAND_STEADY_SHARE * greatest):
         judged = (tip_time_s >= start + SETTLING_SHARE * (end - start)) & (tip_time_s < end)
-        if greatest == 0.0 or judged.sum() < 2 * WINDOWS:
+        if greatest == 0.0 or judged.sum() < LEAST_SAMPLES:
             continue
         force = float(np.interp(0.5 * (start + end), hand_time_s, hand_force_n))
-        verdict = judge(tip_time_s[judged], scaled_force_n[judged], greatest, noisy=True)
+        presses = abs(force) > _PRESSING_SHARE * greatest
+        known = Circumstances(noisy=True, expected_n=force if presses else None)
+        if tip is not None:
+            lost = judged & ~tip.following
+            later = judged & (tip_time_s >= 0.5 * (start + end))
+            if lost.any():
+                judged = judged & (tip_time_s < tip_time_s[int(np.argmax(lost))])
+            touching = float(tip.in_contact[later].mean()) if presses and later.any() else None
+            known = known._replace(guarded=bool(lost.any()), touching=touching)
+        verdict = judge(tip_time_s[judged], scaled_force_n[judged], greatest, known)
         holds.append(Hold(start, end, force, *verdict))
     return holds
+
+
+def verdict_of(holds: list[Hold]) -> tuple[Kind, str]:
+    """Return the verdict on a session and the reason: that of the first hold which is not stable, or of the last."""
+    if not holds:
+        return "cannot_say", "the hand never stood still for long enough"
+    told = next((hold for hold in holds if hold.verdict != "stable"), holds[-1])
+    return told.verdict, told.reason

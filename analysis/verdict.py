@@ -1,91 +1,275 @@
-"""Stable, limit cycle or diverged: judged by what the tip's force does while the hand's force stands still.
+"""What became of a hold: judged by what the tip's force does while the hand's force stands still.
 
-A hold is cut into windows of equal length. The peak-to-peak of alpha_f F_s in each of them is the size of the motion,
-and the slope of its logarithm over time is the growth rate: the real part of the loop's slowest mode while the loop is
-linear, near zero for an oscillation that feeds itself.
+One function decides, for recordings, maps and the check of the bus against lockstep. In this order:
 
-- diverged: a guard ended the hold, or the motion still grows at the end of it;
-- limit cycle: it neither grows nor dies out, and is larger than a twentieth of the hand's force;
-- stable: all else.
+- guarded, diverged: the instrument's guard ended the hold, diverged if the force was large or growing then;
+- cannot_say: the hold is too short for its slowest motion, or noise hides whether it grows;
+- diverged: a mode of the motion grows (`analysis.modes`), or the motion begins in the last eighth of the hold;
+- drifting: the force goes on in one direction without coming to rest;
+- limit_cycle: the motion neither grows nor dies out and is larger than a twentieth of the hand's force;
+- contact_lost: the tip does not touch although the hand presses;
+- wrong_force: the tip's force differs from the hand's by more than a tenth;
+- stable: none of these.
 
-Over a link with jitter or loss, a motion that the link itself keeps up by its randomness is neither growing nor dying
-out, and counts as a limit cycle too; a trend has to be stronger there, because it may be chance.
+A growth rate counts where it exceeds three of its standard errors and changes the motion by more than a tenth over the
+later part of the hold. Over a link with jitter or loss a motion that the link's randomness keeps up is a limit cycle
+too, and a trend has to be a factor of two, because it may be chance. White noise of the read-out is estimated from the
+data and is no motion.
 """
 
+import math
+from collections.abc import Sequence
 from itertools import combinations, pairwise
 from typing import Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from analysis.modes import LEAST_SAMPLES, Mode, modes_of, noise_floor
+
 Series = npt.NDArray[np.float64]
-Kind = Literal["stable", "limit_cycle", "diverged"]
-KINDS: tuple[Kind, ...] = ("stable", "limit_cycle", "diverged")
+Kind = Literal["stable", "limit_cycle", "diverged", "drifting", "wrong_force", "contact_lost", "guarded", "cannot_say"]
+KINDS: tuple[Kind, ...] = (
+    "stable",
+    "limit_cycle",
+    "diverged",
+    "drifting",
+    "wrong_force",
+    "contact_lost",
+    "guarded",
+    "cannot_say",
+)
 
 WINDOWS = 8
-# the windows that the growth rate is taken from: the first show the answer to the step before them
+# the windows that a trend is taken from: the first show the answer to the step before them
 _LATE_WINDOWS = 6
 # of the hand's force
 SMALL_SHARE = 0.05
-# below this share of the hand's force nothing is left to fit a slope to
+FORCE_ERROR_SHARE = 0.1
+# a read-out noisier than this, as a standard deviation, is taken for motion
+MOST_NOISE_SHARE = 0.08
+# below this share of the hand's force nothing is left to fit
 _FLOOR_SHARE = 1e-7
-# a motion that changes by less than a tenth over the fitted windows neither grows nor dies out; where chance has a hand
-# in it, by less than a factor of two
-_SUSTAINED_CHANGE, _NOISY_CHANGE = 0.1, 0.7
+# a motion that changes by less than a tenth neither grows nor dies out; where chance has a hand in it, by less than a
+# factor of two; over this share of the hold
+_SUSTAINED_CHANGE, _NOISY_CHANGE, _SPAN = 0.1, 0.7, 0.7
+_SURE_ERRORS = 3.0
 # 14 of the 15 pairs of six windows in the same order: by chance that happens once in 60 times, either way
 _CLEAR_TREND = 0.85
+# the last window against the greatest before it
+_LATE_ONSET = 4.0
+# cycles in a hold below which a motion is a drift and no swing; and below which noise makes its growth uncertain
+_DRIFT_CYCLES = 0.25
 
 
 class Verdict(NamedTuple):
-    """What became of a hold: growth_per_s of the motion [1/s], None where nothing moves; its last peak-to-peak [N]."""
+    """What became of a hold.
+
+    growth_per_s: of the mode that decides [1/s], None where nothing moves; peak_to_peak_n: of the motion at its end,
+    without noise [N]; noise_n: standard deviation of the read-out's noise [N]; reason: the verdict in words.
+    """
 
     kind: Kind
     growth_per_s: float | None
     peak_to_peak_n: float
+    noise_n: float
+    reason: str
 
 
-def judge(
-    time_s: Series, force_n: Series, hand_force_n: float, *, ended_early: bool = False, noisy: bool = False
-) -> Verdict:
+class Circumstances(NamedTuple):
+    """What else is known of a hold.
+
+    guarded: the instrument's guard ended it; noisy: the link is random; touching: share of the later half in which the
+    tip was in contact, None where contact is not asked for; expected_n: what the tip should press with [N], if known.
+    """
+
+    guarded: bool = False
+    noisy: bool = False
+    touching: float | None = None
+    expected_n: float | None = None
+
+
+NOTHING_ELSE = Circumstances()
+
+
+class _Motion(NamedTuple):
+    """The sizes of the motion in the windows [N], its modes, and the trend of the sizes."""
+
+    length_s: float
+    sizes_n: Series
+    modes: list[Mode]
+    growth_per_s: float | None
+    change: float
+    trend: float
+
+
+def judge(time_s: Series, force_n: Series, hand_force_n: float, known: Circumstances = NOTHING_ELSE) -> Verdict:
     """Judge one hold.
 
     Parameters: time_s, force_n: the hold, from its start (or the end of the transient that is to be left out) to where
-    it ended, alpha_f F_s [N], shape (n,); hand_force_n: what the hand presses with [N], > 0; ended_early: a guard ended
-    it; noisy: the link is random, so a trend has to be a factor of two to be believed.
-    Raises: ValueError if the hold has fewer than two samples a window, or the hand's force is not positive.
+    it ended, alpha_f F_s [N], shape (n,); hand_force_n: what is large beside it [N], > 0: the hand's greatest force.
+    Raises: ValueError if the hand's force is not positive.
     """
     if not hand_force_n > 0.0:
         raise ValueError(f"the hand's force in a hold is {hand_force_n} N, it must be > 0 N")
     finite = np.isfinite(force_n)
     if not finite.all():
-        ended_early = True
-        last = int(np.argmin(finite))
-        time_s, force_n = time_s[:last], force_n[:last]
-    if ended_early and len(time_s) < 2 * WINDOWS:
-        return Verdict("diverged", None, float(np.ptp(force_n)) if len(force_n) else 0.0)
-    if len(time_s) < 2 * WINDOWS:
-        raise ValueError(f"a hold of {len(time_s)} samples is too short to be judged, {2 * WINDOWS} are needed")
-    centres, sizes = window_sizes(time_s, force_n)
+        size = float(np.ptp(force_n[finite])) if finite.any() else 0.0
+        return Verdict("diverged", None, size, 0.0, "the force is no number from some time on")
+    if len(time_s) < LEAST_SAMPLES:
+        size = float(np.ptp(force_n)) if len(force_n) else 0.0
+        kind: Kind = "guarded" if known.guarded else "cannot_say"
+        words = "the instrument's guard acted" if known.guarded else f"{LEAST_SAMPLES} are needed to judge it"
+        return Verdict(kind, None, size, 0.0, f"the hold has {len(time_s)} samples: {words}")
+    values, period_s = _even(time_s, force_n)
+    noise = noise_floor(values)
+    noise = noise if noise <= MOST_NOISE_SHARE * hand_force_n else 0.0
+    motion = _motion(values, period_s, noise, _FLOOR_SHARE * hand_force_n)
+    small = SMALL_SHARE * hand_force_n
+    size = float(
+        max(motion.sizes_n[-1], max((2.0 * m.end_n for m in motion.modes if m.frequency_hz > 0.0), default=0.0))
+    )
+    kind, growth, reason = _decided(values, motion, hand_force_n, small, known)
+    return Verdict(kind, growth, min(size, float(np.ptp(values))), noise, reason)
+
+
+def _decided(
+    values: Series, motion: _Motion, hand_force_n: float, small_n: float, known: Circumstances
+) -> tuple[Kind, float | None, str]:
+    least = _NOISY_CHANGE if known.noisy else _SUSTAINED_CHANGE
+    span_s = _SPAN * motion.length_s
+    large = [mode for mode in motion.modes if _reach(mode) > small_n]
+    growing = [mode for mode in motion.modes if _sure(mode, 1.0, span_s, least) and (mode.explained or not known.noisy)]
+    leading = max(large or motion.modes, key=lambda mode: mode.growth_per_s, default=None)
+    rate = leading.growth_per_s if leading is not None and leading.explained else motion.growth_per_s
+    if growing:
+        fastest = max(growing, key=lambda mode: mode.end_n)
+        rate = fastest.growth_per_s
+    late = float(motion.sizes_n[-1])
+    begins = late > small_n and late > _LATE_ONSET * float(motion.sizes_n[-_LATE_WINDOWS:-1].max())
+    trend_up = motion.change > least and motion.trend >= _CLEAR_TREND and late > small_n
+    if known.guarded:
+        if growing or begins or trend_up or float(np.ptp(values)) > 0.5 * hand_force_n:
+            return "diverged", rate, "the motion grew until the instrument's guard acted"
+        return "guarded", rate, "the instrument's guard acted"
+    if growing:
+        mode = max(growing, key=lambda mode: mode.end_n)
+        return "diverged", rate, f"a motion of {_words(mode)} grows by {mode.growth_per_s:.3g}/s"
+    if begins:
+        return "diverged", rate, f"a motion of {late:.3g} N begins in the last eighth of the hold"
+    if trend_up and not large:
+        return "diverged", motion.growth_per_s, f"the motion grows by {motion.growth_per_s:.3g}/s"
+    lasting = [mode for mode in large if not _sure(mode, -1.0, span_s, least)]
+    moving = float(motion.sizes_n[WINDOWS // 2 :].max()) > small_n
+    falls = motion.change < -least and motion.trend <= -_CLEAR_TREND
+    dies_out = not lasting and (falls or bool(large and all(mode.explained for mode in large)))
+    if (moving or lasting) and not dies_out:
+        return _lasting(motion, lasting, small_n, rate, known)
+    return _steady(values, hand_force_n, motion, rate, known)
+
+
+def _lasting(
+    motion: _Motion, lasting: list[Mode], small_n: float, rate: float | None, known: Circumstances
+) -> tuple[Kind, float | None, str]:
+    """Name a motion that neither grows for sure nor dies out."""
+    slowest = min(lasting, key=lambda mode: mode.frequency_hz, default=None)
+    if slowest is not None and slowest.frequency_hz * motion.length_s < 2.0:
+        unsure = _SURE_ERRORS * slowest.error_per_s * _SPAN * motion.length_s
+        if slowest.frequency_hz * motion.length_s < _DRIFT_CYCLES:
+            return "drifting", rate, f"the force drifts: {slowest.end_n:.3g} N in the hold"
+        if unsure > _NOISY_CHANGE and not known.noisy:
+            words = f"the hold of {motion.length_s:.3g} s is too short for a swing at {slowest.frequency_hz:.3g} Hz"
+            return "cannot_say", rate, words
+    size = float(motion.sizes_n[WINDOWS // 2 :].max())
+    kept = max(lasting, key=lambda mode: mode.end_n, default=None)
+    if kept is not None and 2.0 * kept.end_n > small_n and kept.frequency_hz > 0.0:
+        words = f"a motion of {_words(kept)} neither grows nor dies out"
+    else:
+        words = f"a motion of {size:.3g} N from peak to peak goes on irregularly"
+    if known.touching is not None and known.touching < 1.0:
+        words += ", and takes the tip off the surface"
+    return "limit_cycle", rate, words
+
+
+def _steady(
+    values: Series, hand_force_n: float, motion: _Motion, rate: float | None, known: Circumstances
+) -> tuple[Kind, float | None, str]:
+    """Ask of a hold that stands still whether it is the right one."""
+    later = values[len(values) // 2 :]
+    mean = float(np.cumsum(later)[-1]) / len(later)
+    if known.touching is not None and known.touching < 1.0:
+        share = 100.0 * (1.0 - known.touching)
+        return "contact_lost", rate, f"the tip is off the surface for {share:.3g} % of the later half of the hold"
+    if known.expected_n is not None and abs(mean - known.expected_n) > FORCE_ERROR_SHARE * max(
+        abs(known.expected_n), SMALL_SHARE * hand_force_n
+    ):
+        return "wrong_force", rate, f"the tip presses with {mean:.3g} N, the hand with {known.expected_n:.3g} N"
+    size = float(motion.sizes_n[-1])
+    if rate is not None and rate < 0.0 and size > 0.0:
+        return "stable", rate, f"the motion dies out by {-rate:.3g}/s, {size:.2g} N are left"
+    return "stable", rate, f"what moves, {size:.2g} N, is less than {100.0 * SMALL_SHARE:g} % of the hand's force"
+
+
+def _sure(mode: Mode, sign: float, span_s: float, least: float) -> bool:
+    """Return whether a mode grows (sign 1) or dies out (-1) beyond its error, by more than the least change."""
+    rate = sign * mode.growth_per_s
+    return rate > _SURE_ERRORS * mode.error_per_s and rate * span_s > least
+
+
+def _reach(mode: Mode) -> float:
+    """Return what a mode still moves at the end [N]: from peak to peak, or, without frequency, its way."""
+    return 2.0 * mode.end_n if mode.frequency_hz > 0.0 else mode.end_n
+
+
+def _words(mode: Mode) -> str:
+    return f"{2.0 * mode.end_n:.3g} N from peak to peak at {mode.frequency_hz:.3g} Hz"
+
+
+def _even(time_s: Series, force_n: Series) -> tuple[Series, float]:
+    """Return the force on an even grid of as many samples, and its period [s]; messages come when they come."""
+    grid = np.linspace(time_s[0], time_s[-1], len(time_s))
+    period_s = float(time_s[-1] - time_s[0]) / (len(time_s) - 1)
+    if float(np.abs(time_s - grid).max()) <= 1e-6 * period_s:
+        return np.asarray(force_n, dtype=np.float64), period_s
+    return np.interp(grid, time_s, force_n), period_s
+
+
+def _motion(values: Series, period_s: float, noise_n: float, floor_n: float) -> _Motion:
+    length_s = period_s * len(values)
+    times = period_s * np.arange(len(values))
+    centres, sizes = window_sizes(times, values, noise_n)
+    if float(np.ptp(values)) <= floor_n:
+        return _Motion(length_s, sizes, [], None, 0.0, 0.0)
     late = slice(WINDOWS - _LATE_WINDOWS, None)
-    growth, trend = growth_rate(centres[late], sizes[late], _FLOOR_SHARE * hand_force_n)
-    last_size = float(sizes[-1])
-    if ended_early:
-        # it may have ended before the windows held a period each: then their sizes show a part of a swing
-        return Verdict("diverged", growth if growth is not None and growth > 0.0 else None, last_size)
+    growth, trend = growth_rate(centres[late], sizes[late], floor_n)
     change = growth * float(centres[-1] - centres[WINDOWS - _LATE_WINDOWS]) if growth is not None else 0.0
-    clear = abs(change) > (_NOISY_CHANGE if noisy else _SUSTAINED_CHANGE) and abs(trend) >= _CLEAR_TREND
-    if clear and change > 0.0:
-        return Verdict("diverged", growth, last_size)
-    dies_out = clear or growth is None or last_size <= SMALL_SHARE * hand_force_n
-    return Verdict("stable" if dies_out else "limit_cycle", growth, last_size)
+    return _Motion(length_s, sizes, modes_of(values, period_s, noise_n, floor_n), growth, change, trend)
 
 
-def window_sizes(time_s: Series, force_n: Series) -> tuple[Series, Series]:
-    """Return the middle [s] of each window and the peak-to-peak [N] in it, shape (WINDOWS,) each."""
+def window_sizes(time_s: Series, force_n: Series, noise_n: float = 0.0) -> tuple[Series, Series]:
+    """Return the middle [s] of each window and how far the force moves in it [N], shape (WINDOWS,) each.
+
+    Peak to peak less what white noise of standard deviation noise_n reaches in so many samples; also of means over an
+    eighth of the window, in which there is less noise, and the larger of the two.
+    """
     edges = np.linspace(0, len(time_s), WINDOWS + 1).astype(int)
     parts = [slice(a, b) for a, b in pairwise(edges)]
     centres = np.array([0.5 * (time_s[part][0] + time_s[part][-1]) for part in parts])
-    return centres, np.array([np.ptp(force_n[part]) for part in parts])
+    return centres, np.array([_size(force_n[part], noise_n) for part in parts])
+
+
+def _size(values: Series, noise_n: float) -> float:
+    found = float(np.ptp(values)) - _reached_by_noise(noise_n, len(values))
+    block = max(1, len(values) // WINDOWS)
+    if noise_n > 0.0 and block > 1:
+        means = np.diff(np.cumsum(values)[block - 1 :: block]) / block
+        found = max(found, float(np.ptp(means)) - _reached_by_noise(noise_n / math.sqrt(block), len(means)))
+    return max(found, 0.0)
+
+
+def _reached_by_noise(noise_n: float, samples: int) -> float:
+    """Return a peak-to-peak [N] that white noise of so many samples exceeds once in some thousand times."""
+    return 2.0 * noise_n * (math.sqrt(2.0 * math.log(max(samples, 2))) + 1.0)
 
 
 def growth_rate(time_s: Series, size_n: Series, floor_n: float) -> tuple[float | None, float]:
@@ -102,3 +286,8 @@ def growth_rate(time_s: Series, size_n: Series, floor_n: float) -> tuple[float |
         return None, 0.0
     slope = float(np.median([rise / run for rise, run in rises]))
     return slope, float(np.mean([np.sign(rise) for rise, _ in rises]))
+
+
+def worst(kinds: Sequence[Kind]) -> Kind:
+    """Return stable if all are, or else the first that is not."""
+    return next((kind for kind in kinds if kind != "stable"), "stable")

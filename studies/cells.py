@@ -16,8 +16,8 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from analysis import verdict
-from analysis.verdict import judge
+from analysis import modes, verdict
+from analysis.verdict import Circumstances, judge
 from proto.errors import ConfigError
 from services.afm_node.config import AfmConfig, CantileverConfig, SafetyConfig
 from services.afm_node.safety import MODE_FOLLOW, MODE_HOLD, SafetyParams
@@ -117,8 +117,8 @@ class CellResult:
     verdict: see `verdict`; growth_per_s [1/s] or None; peak_to_peak_n of alpha_f F_s at the end of the hold [N];
     out_of_contact_share: part of the judged hold that the tip was off the surface; hold_ratio: F_m / (alpha_f F_s) on
     average, None if the tip was not pressed; lowest_energy_j: the least that the hand had put into the two-port more
-    than it gave to the tip, at the hand's scale [J]: below zero the two-port has made energy; guard: the mode in
-    which the instrument's safety chain ended, if it did not follow to the end.
+    than it gave to the tip, at the hand's scale [J]: below zero the two-port has made energy; guarded:
+    whether the instrument's safety chain ended the session; reason: the verdict in words.
     """
 
     cell: Cell
@@ -129,6 +129,7 @@ class CellResult:
     hold_ratio: float | None
     lowest_energy_j: float
     guarded: bool
+    reason: str = ""
 
     def as_dict(self) -> dict[str, Any]:
         """Return the result as plain data; `from_dict` is the inverse."""
@@ -182,13 +183,18 @@ def judged(cell: Cell, course: Trajectory) -> CellResult:
         # what a guard ended early is looked at from the beginning of the hold
         first = int(np.searchsorted(course.time_s, start_s))
     hold = slice(min(first, ended), ended)
+    later = slice((hold.start + hold.stop) // 2, hold.stop)
     force = scales.force_scale * course.tip_force_n
     found = judge(
         course.time_s[hold],
         force[hold],
         _LEVELS_N[cell.environment][-1],
-        ended_early=ended < len(lost),
-        noisy=cell.jitter_ms > 0.0 or cell.loss > 0.0,
+        Circumstances(
+            guarded=ended < len(lost),
+            noisy=cell.jitter_ms > 0.0 or cell.loss > 0.0,
+            touching=float(course.in_contact[later].mean()) if later.stop > later.start else None,
+            expected_n=float(course.hand_force_n[later].mean()) if later.stop > later.start else None,
+        ),
     )
     pressed = force[hold] > 0.0
     return CellResult(
@@ -200,6 +206,7 @@ def judged(cell: Cell, course: Trajectory) -> CellResult:
         float(np.mean(course.hand_force_n[hold] / force[hold])) if pressed.size and pressed.all() else None,
         float(energies_of(course, scales).stored_j.min()),
         ended < len(lost),
+        found.reason,
     )
 
 
@@ -250,4 +257,5 @@ def rig_of(cell: Cell, hand_points: Sequence[tuple[float, float]]) -> Rig:
 @functools.lru_cache(maxsize=1)
 def _sources() -> str:
     # the verdict is no model, but what a cell is called depends on it
-    return source_digest() + hashlib.sha256(Path(verdict.__file__).read_bytes()).hexdigest()[:16]
+    files = b"".join(Path(str(module.__file__)).read_bytes() for module in (verdict, modes))
+    return source_digest() + hashlib.sha256(files).hexdigest()[:16]

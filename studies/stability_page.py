@@ -18,16 +18,27 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes as PlotAxes
     from matplotlib.figure import Figure
 
-COLOURS = {"stable": "#2a9d5c", "limit_cycle": "#e9a820", "diverged": "#d1495b"}
+# of Okabe and Ito, which also the colour-blind tell apart
+COLOURS = {
+    "stable": "#009e73",
+    "limit_cycle": "#e69f00",
+    "diverged": "#d55e00",
+    "drifting": "#f0e442",
+    "wrong_force": "#cc79a7",
+    "contact_lost": "#56b4e9",
+    "guarded": "#0072b2",
+    "cannot_say": "#999999",
+}
 # growth rates are drawn on a scale that is linear near zero, where the edge is
 _LINEAR_PER_S = 0.5
 _RATES_PER_S = (-10.0, -1.0, 0.0, 1.0, 10.0)
 
 VERDICTS = (
     "Stable: the motion of the tip's force dies out while the hand's force stands still, or is smaller than a"
-    " twentieth of it. Limit cycle: it neither grows nor dies out (over a link with jitter or loss, a motion that the"
-    " link's randomness keeps up is one too). Diverged: it still grows when the hold ends, or a guard of the instrument"
-    " ended it. The growth rate is the slope of the logarithm of the motion's size."
+    " twentieth of it, and the tip touches and presses with what the hand presses with, to a tenth. Limit cycle: the"
+    " motion neither grows nor dies out (over a link with jitter or loss, a motion that the link's randomness keeps up"
+    " is one too). Diverged: a mode of it grows. Drifting: the force goes on in one direction. Wrong force, contact"
+    " lost, guarded: it stands still, but not as it should. The growth rate is that of the mode that decides."
 )
 SAMPLE_PERIOD = (
     "The sample period adds its own delay. A constant delay of the link acts in whole samples, and the law holds the "
@@ -125,7 +136,8 @@ def map_figure(results: Sequence[LineResult]) -> "Figure":
         axis.set_ylim(-0.6, len(rows) - 0.4)
         axis.set_title(law.replace("_", " "), loc="left", fontsize="medium")
     axes[-1].set_xlabel("round trip of the link [ms]")
-    handles = [_patch(COLOURS[kind], kind.replace("_", " ")) for kind in KINDS]
+    shown = {cell.verdict for result in results for cell in result.cells}
+    handles = [_patch(COLOURS[kind], kind.replace("_", " ")) for kind in KINDS if kind in shown]
     found = axes[0].plot([], [], "k-", linewidth=2, label="edge, lockstep")
     theory = axes[0].plot([], [], "w--", linewidth=2, label="edge, theory (sampled loop)")
     figure.legend(

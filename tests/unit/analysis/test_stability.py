@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from analysis.stability import SETTLING_SHARE, constant_stretches, judge_holds
+from analysis.stability import SETTLING_SHARE, Instrument, constant_stretches, judge_holds, verdict_of
 
 TIME_S = np.arange(9000) * 1e-3
 # at rest, pressed with 1 N, pressed with 2 N; the steps between them are ramps of half a second
@@ -54,3 +54,29 @@ def test_a_session_without_force_or_samples_has_no_holds() -> None:
     assert judge_holds(TIME_S, HAND_N, TIME_S[:10], HAND_N[:10]) == []
     empty = np.array([])
     assert judge_holds(empty, empty, empty, empty) == []
+
+
+def instrument(following: np.ndarray | None = None, touching: np.ndarray | None = None) -> Instrument:
+    yes = np.ones(len(TIME_S), dtype=bool)
+    return Instrument(yes if following is None else following, HAND_N > 0.0 if touching is None else touching)
+
+
+def test_a_tip_that_the_guard_tore_off_is_not_stable() -> None:
+    # as the force limit does it: in the first press, and never armed again
+    following = TIME_S < 1.3
+    torn = np.where(following, HAND_N, 0.0)
+    holds = judge_holds(TIME_S, HAND_N, TIME_S, torn, instrument(following, following & (HAND_N > 0.0)))
+    assert [hold.verdict for hold in holds] == ["stable", "guarded", "guarded"]
+    assert verdict_of(holds) == ("guarded", "the hold has 0 samples: the instrument's guard acted")
+
+
+def test_the_tip_has_to_touch_and_press_as_the_hand_does() -> None:
+    assert verdict_of(judge_holds(TIME_S, HAND_N, TIME_S, HAND_N, instrument()))[0] == "stable"
+    away = judge_holds(TIME_S, HAND_N, TIME_S, np.zeros_like(TIME_S), instrument(touching=np.zeros(9000, dtype=bool)))
+    assert [hold.verdict for hold in away] == ["stable", "contact_lost", "contact_lost"]
+    wrong = judge_holds(TIME_S, HAND_N, TIME_S, 4.0 * HAND_N, instrument())
+    assert [hold.verdict for hold in wrong] == ["stable", "wrong_force", "wrong_force"]
+
+
+def test_a_session_without_holds_cannot_be_called_stable() -> None:
+    assert verdict_of([])[0] == "cannot_say"

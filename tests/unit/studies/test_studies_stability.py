@@ -236,7 +236,7 @@ def test_scheduler_that_is_not_there_is_named(tmp_path: Path, monkeypatch: pytes
         Sweep(Journal(tmp_path / "journal.jsonl"), 1, "tcp://h:1").run([cell])
 
 
-@pytest.mark.parametrize(("mode", "verdict"), [(MODE_HOLD, "stable"), (MODE_RETRACTING, "diverged")])
+@pytest.mark.parametrize(("mode", "verdict"), [(MODE_HOLD, "stable"), (MODE_RETRACTING, "guarded")])
 def test_pause_in_the_commands_is_no_verdict_but_a_retraction_is(mode: int, verdict: str) -> None:
     cell = Cell(law="virtual_impedance", environment="contact", round_trip_ms=20.0, stiffness_n_per_m=40.0)
     course = trajectory_of(cell)
