@@ -1,6 +1,7 @@
 """Stability maps: which delay each law bears, on a grid and to a fraction of a sample, beside what theory predicts."""
 
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -87,7 +88,8 @@ class LineResult:
 
     critical_delay_ms: round trip of the loop that is neutral, the half period of the hold included: what compares with
     T_c of the theory; critical_link_ms: what the link alone may add. Both are None when no cell up to the longest delay
-    is unstable. theory_ms, theory_link_ms: T_c and T_d, None where the law has no such loop.
+    is unstable. theory_ms, theory_link_ms: T_c and T_d, None where the law has no such loop, and where no delay makes
+    it neutral (`theory_unlimited`).
     """
 
     line: Line
@@ -96,6 +98,7 @@ class LineResult:
     critical_link_ms: float | None
     theory_ms: float | None
     theory_link_ms: float | None
+    theory_unlimited: bool = False
 
     def as_dict(self) -> dict[str, Any]:
         line = self.line
@@ -110,6 +113,7 @@ class LineResult:
             "critical_link_delay_ms": self.critical_link_ms,
             "theory_delay_ms": self.theory_ms,
             "theory_link_delay_ms": self.theory_link_ms,
+            "theory_unlimited": self.theory_unlimited,
             "longest_delay_ms": max(line.axes.delays_ms),
             "verdicts": {f"{cell.cell.round_trip_ms:g}": cell.verdict for cell in self.cells},
         }
@@ -123,7 +127,7 @@ def run_stability(axes: Axes, sweep: Sweep) -> list[LineResult]:
     results = sweep.run(grid)
     rows = [tuple(results[i : i + len(delays)]) for i in range(0, len(results), len(delays))]
     edges = find_edges(lines, rows, sweep)
-    return [_line_result(line, row, edge) for line, row, edge in zip(lines, rows, edges, strict=True)]
+    return [line_result(line, row, edge) for line, row, edge in zip(lines, rows, edges, strict=True)]
 
 
 @dataclass(frozen=True)
@@ -185,16 +189,20 @@ def _ms(line: Line, samples: int) -> float:
     return samples * line.cell(0.0).controller().period_s * 1e3
 
 
-def _line_result(line: Line, cells: tuple[CellResult, ...], link_ms: float | None) -> LineResult:
+def line_result(line: Line, cells: tuple[CellResult, ...], link_ms: float | None) -> LineResult:
+    """Put a line, its cells and the edge that was found [ms] beside what theory says."""
     theory_s, theory_link_s = theory_of(line)
+    # the loop's gain never reaches 1: no delay makes it neutral
+    unlimited = theory_s is not None and math.isinf(theory_s)
     hold_ms = 0.5 * _ms(line, 1)
     return LineResult(
         line,
         cells,
         link_ms + hold_ms if link_ms is not None else None,
         link_ms,
-        theory_s * 1e3 if theory_s is not None else None,
-        theory_link_s * 1e3 if theory_link_s is not None else None,
+        theory_s * 1e3 if theory_s is not None and math.isfinite(theory_s) else None,
+        theory_link_s * 1e3 if theory_link_s is not None and math.isfinite(theory_link_s) else None,
+        unlimited,
     )
 
 

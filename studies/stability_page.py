@@ -281,7 +281,8 @@ def _page(results: Sequence[LineResult], images: dict[str, bytes], command: str)
         [_row(result) for result in results],
     )
     page.paragraph(
-        "A dash in the columns of theory: the law's loop is not linear with a constant delay. A dash under lockstep:"
+        "A dash in the columns of theory: the law's loop is not linear with a constant delay; any: its gain stays"
+        " below 1, so no delay makes it neutral. A dash under lockstep:"
         f" no cell up to {max(results[0].line.axes.delays_ms):g} ms was unstable."
     )
     page.paragraph(SAMPLE_PERIOD)
@@ -323,7 +324,10 @@ def _row(result: LineResult) -> tuple[Any, ...]:
     found, theory = result.critical_delay_ms, result.theory_ms
     difference = 100.0 * (found / theory - 1.0) if found is not None and theory is not None else None
     values = (theory, found, difference, result.theory_link_ms, result.critical_link_ms)
-    return (result.line.law, result.line.label, *(None if v is None else f"{v:.2f}" for v in values))
+    words = [None if v is None else f"{v:.2f}" for v in values]
+    if result.theory_unlimited:
+        words[0] = words[3] = "any"
+    return (result.line.law, result.line.label, *words)
 
 
 def _energy_row(result: LineResult, cell: CellResult) -> tuple[Any, ...]:

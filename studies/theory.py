@@ -18,7 +18,9 @@ environment if and only if Re h11 >= 0, Re h22 >= 0 and 2 Re h11 Re h22 - Re(h12
 It is passive if and only if the norm of its scattering matrix is at most 1, which asks for more.
 """
 
+import cmath
 import math
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,6 +29,9 @@ from pydantic import BaseModel
 
 Complex = npt.NDArray[np.complex128]
 Series = npt.NDArray[np.float64]
+
+# where crossovers are looked for [rad/s], and on how many points a decade
+_LOWEST_RAD_PER_S, _HIGHEST_RAD_PER_S, _GRID = 1e-4, 1e6, 40
 
 
 class Margin(NamedTuple):
@@ -44,6 +49,21 @@ class LoopModel(NamedTuple):
     mass_kg: float
     damping_n_s_per_m: float
     stiffness_n_per_m: float
+
+
+class Arm(NamedTuple):
+    """A passive arm about its intended path: Z_a = m s^2 + b s + k."""
+
+    stiffness_n_per_m: float
+    damping_n_s_per_m: float
+    mass_kg: float
+
+
+class Device(NamedTuple):
+    """The position servo of Eq. 2: a^2 [1/s^2] and b_d [1/s]."""
+
+    square: float
+    damping_per_s: float
 
 
 def loop_model(law: str, parameters: BaseModel, stiffness_n_per_m: float) -> LoopModel | None:
@@ -78,18 +98,51 @@ def sampled_loop(loop: Any, period_s: float) -> Any:
 
 
 def delay_margin(loop: Any) -> Margin:
-    """Return the smallest delay that makes a stable loop neutral, over all frequencies at which its gain is 1."""
-    import control
+    """Return the smallest delay that makes a stable loop neutral, over all frequencies at which its gain is 1.
 
-    # of a sampled loop the crossover is found on its frequency response: its polynomials cancel near z = 1
-    method = "frd" if loop.isdtime(strict=True) else "best"
-    _, phases_deg, _, _, crossovers, _ = control.stability_margins(loop, returnall=True, method=method)
-    margins = [
-        Margin(float(math.radians(phase) % (2.0 * math.pi) / omega), math.radians(phase), float(omega))
-        for phase, omega in zip(np.atleast_1d(phases_deg), np.atleast_1d(crossovers), strict=True)
-        if omega > 0.0
-    ]
+    The frequencies are the roots of |L| = 1 on (0, pi/Ts) of a sampled loop and on (0, inf) of a continuous one,
+    bracketed on a grid of _GRID a decade. The margin is infinite, and the crossover not a number, where there is none.
+    """
+    if loop.isdtime(strict=True):
+        return margin_of(lambda omega: complex(loop(np.exp(1j * omega * loop.dt))), math.pi / loop.dt * (1.0 - 1e-9))
+    return margin_of(lambda omega: complex(loop(1j * omega)))
+
+
+def margin_of(response: Callable[[float], complex], highest_rad_per_s: float = _HIGHEST_RAD_PER_S) -> Margin:
+    """Return the delay margin of a loop given by L(j omega) at T = 0, as `delay_margin` does."""
+    from scipy.optimize import brentq
+
+    def log_gain(log_omega: float) -> float:
+        return math.log(max(abs(response(math.exp(log_omega))), 1e-300))
+
+    bottom, top = math.log(_LOWEST_RAD_PER_S), math.log(highest_rad_per_s)
+    grid = np.linspace(bottom, top, math.ceil(_GRID * (top - bottom) / math.log(10.0)))
+    gains = [log_gain(float(at)) for at in grid]
+    margins = []
+    for low, high, before, after in zip(grid[:-1], grid[1:], gains[:-1], gains[1:], strict=True):
+        if before * after <= 0.0 and before != after:
+            omega = math.exp(brentq(log_gain, low, high, xtol=1e-14, rtol=1e-14))
+            phase = (cmath.phase(response(omega)) + math.pi) % (2.0 * math.pi)
+            margins.append(Margin(phase / omega, phase, omega))
     return min(margins, default=Margin(math.inf, math.inf, math.nan))
+
+
+def arm_response(loop: LoopModel, hand_gain: float, arm: Arm, device: Device) -> Callable[[float], complex]:
+    """Return L(j omega) at T = 0 with an arm on the device in place of a hand of constant force.
+
+    The arm holds x_m against its intended path with F_m = -Z_a x_m, Z_a = m s^2 + b s + k, and the device is where
+    x_m = D x_mr, D = a^2 / (s^2 + b_d s + a^2) (Eq. 2). With Z_v x = g F_m - G F_s / K, where g is `hand_gain` (K_f, or
+    1 for direct reflection) and G the gain of the loop, L = G / (Z_v + g Z_a D).
+    """
+
+    def response(omega: float) -> complex:
+        s = 1j * omega
+        virtual = loop.mass_kg * s * s + loop.damping_n_s_per_m * s + loop.stiffness_n_per_m
+        held = arm.mass_kg * s * s + arm.damping_n_s_per_m * s + arm.stiffness_n_per_m
+        servo = device.square / (s * s + device.damping_per_s * s + device.square)
+        return loop.gain_n_per_m / (virtual + hand_gain * held * servo)
+
+    return response
 
 
 def critical_delay_s(loop: LoopModel) -> float:

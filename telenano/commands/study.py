@@ -117,7 +117,13 @@ def stability(
         summary = write_stability(results, out, _command())
         head = ("law", "conditions", "theory [ms]", "lockstep [ms]", "link alone [ms]")
         rows = [
-            (r.line.law, r.line.label, _ms(r.theory_ms), _ms(r.critical_delay_ms), _ms(r.critical_link_ms))
+            (
+                r.line.law,
+                r.line.label,
+                "any" if r.theory_unlimited else _ms(r.theory_ms),
+                _ms(r.critical_delay_ms),
+                _ms(r.critical_link_ms),
+            )
             for r in results
         ]
         _print_result(summary, head, rows, out / "stability.html", as_json=as_json)

@@ -12,7 +12,7 @@ from proto.errors import ConfigError
 from services.afm_node.safety import MODE_HOLD, MODE_RETRACTING
 from studies import sweep as sweep_module
 from studies.cells import Cell, CellResult, judged, run_cell, trajectory_of
-from studies.stability import Axes, Edge, Jitter, LineResult, find_edges, neutral, run_stability
+from studies.stability import Axes, Edge, Jitter, LineResult, find_edges, line_result, neutral, run_stability
 from studies.stability_page import broken_assumption, summarise, write_stability
 from studies.sweep import Journal, Sweep
 
@@ -194,6 +194,17 @@ def test_summary_of_several_laws_is_by_law(results: list[LineResult]) -> None:
     summary = summarise([*results, LineResult(other, results[0].cells, None, None, None, None)])
     assert summary["critical_delay_ms"]["wave"] == {"10": None}
     assert summary["critical_delay_ms"]["virtual_impedance"]["10"] == results[0].critical_delay_ms
+
+
+def test_loop_that_no_delay_makes_neutral_is_said_as_such() -> None:
+    # a virtual spring so stiff that the loop's gain stays below 1
+    held = axes(settings=(("virtual_impedance.stiffness_n_per_m", 1e6),), stiffnesses_n_per_m=(5.0,))
+    result = line_result(held.lines()[0], (), None)
+    assert (result.theory_ms, result.theory_link_ms, result.theory_unlimited) == (None, None, True)
+    assert json.loads(json.dumps(result.as_dict(), allow_nan=False))["theory_unlimited"] is True
+    soft = line_result(axes(stiffnesses_n_per_m=(5.0,)).lines()[0], (), None)
+    assert soft.theory_link_ms == pytest.approx(194.124, rel=1e-5, abs=0.0)
+    assert not soft.theory_unlimited
 
 
 def test_page_says_which_assumption_broke(results: list[LineResult]) -> None:

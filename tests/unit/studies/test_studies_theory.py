@@ -9,8 +9,13 @@ import pytest
 from services.controller.laws.position_force import PositionForceConfig
 from services.controller.laws.virtual_impedance import VirtualImpedanceConfig
 from services.controller.laws.wave import WaveConfig
+from services.haptic_node.config import DeviceConfig
+from services.haptic_node.motor import closed_loop_coefficients
 from studies.theory import (
+    Arm,
+    Device,
     LoopModel,
+    arm_response,
     critical_delay_s,
     critical_link_delay_s,
     delay_margin,
@@ -18,6 +23,7 @@ from studies.theory import (
     hybrid_of,
     llewellyn,
     loop_model,
+    margin_of,
     sampled_loop,
     transfer_function,
     wave_hybrid,
@@ -156,3 +162,46 @@ def test_passive_is_absolutely_stable_but_not_the_other_way_round() -> None:
 def test_law_without_the_hands_say_has_no_hybrid_form() -> None:
     with pytest.raises(ValueError, match="K_f = 0"):
         hybrid_of("virtual_impedance", VirtualImpedanceConfig(force_gain=0.0), 0.0, OMEGA)
+
+
+@pytest.mark.parametrize(("stiffness", "delay_ms"), [(5.0, 194.1236), (10.0, 94.5512), (38.0, 21.9442)])
+def test_margin_of_the_sampled_loop_is_found_however_slow_its_crossover_is(stiffness: float, delay_ms: float) -> None:
+    # independent roots of |L(e^(j w Ts))| = 1 on (0, pi/Ts)
+    assert 1e3 * critical_link_delay_s(paper_loop(stiffness), PERIOD_S) == pytest.approx(delay_ms, rel=5e-6, abs=0.0)
+
+
+@pytest.mark.parametrize("law", ["virtual_impedance", "position_force"])
+def test_no_margin_of_an_integrating_loop_is_infinite(law: str) -> None:
+    config = {"virtual_impedance": VirtualImpedanceConfig(), "position_force": PositionForceConfig()}[law]
+    for stiffness in (0.5, 1.0, 2.0, 3.0, 6.0, 200.0):
+        model = loop_model(law, config, stiffness)
+        assert model is not None
+        continuous, sampled = critical_delay_s(model), critical_link_delay_s(model, PERIOD_S)
+        assert continuous - sampled == pytest.approx(0.5 * PERIOD_S, rel=0.1, abs=0.0)
+
+
+# K [N/m], arm, delay [ms] that the paper's law bears with it and the 30 Hz device in the loop
+ARMS = {
+    "constant force": (0.0, 0.0, 0.0),
+    "soft": (50.0, 5.0, 0.15),
+    "ordinary": (300.0, 5.0, 0.15),
+    "stiff": (1000.0, 20.0, 0.15),
+}
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "arm", "delay_ms"),
+    [
+        (10.0, "constant force", 95.05),
+        (5.0, "ordinary", 267.0),
+        (10.0, "ordinary", 110.0),
+        (38.0, "ordinary", 23.9),
+        (10.0, "stiff", 197.1),
+        (5.0, "stiff", math.inf),
+    ],
+)
+def test_an_arm_bears_more_delay_than_a_hand_of_constant_force(stiffness: float, arm: str, delay_ms: float) -> None:
+    config = VirtualImpedanceConfig()
+    device = Device(*closed_loop_coefficients(DeviceConfig().to_params()))
+    response = arm_response(paper_loop(stiffness), config.force_gain, Arm(*ARMS[arm]), device)
+    assert 1e3 * margin_of(response).delay_s == pytest.approx(delay_ms, rel=5e-3, abs=0.0)
