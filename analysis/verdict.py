@@ -236,7 +236,7 @@ def _even(time_s: Series, force_n: Series) -> tuple[Series, float]:
 
 def _motion(values: Series, period_s: float, noise_n: float, floor_n: float) -> _Motion:
     length_s = period_s * len(values)
-    times = period_s * np.arange(len(values))
+    times: Series = period_s * np.arange(len(values), dtype=np.float64)
     centres, sizes = window_sizes(times, values, noise_n)
     if float(np.ptp(values)) <= floor_n:
         return _Motion(length_s, sizes, [], None, 0.0, 0.0)

@@ -226,11 +226,11 @@ def scales_of(controller: ControllerConfig) -> Scales:
 def energies_of(course: Trajectory, scales: Scales) -> Energies:
     """Return the energy that crossed the two ports of the law since the session began, by the trapezoidal rule.
 
-    The hand's port is F_m with the reference x_mr that the law gives the device; the tip's is F_s with the base x_s.
+    The hand's port is F_m with the position x_m of the device, its servo included; the tip's is F_s with the base x_s.
     """
     to_hand = scales.force_scale / scales.position_scale
     tip_j = to_hand * _work(course.tip_force_n, course.base_position_m)
-    return Energies(_work(course.hand_force_n, course.reference_m), tip_j)
+    return Energies(_work(course.hand_force_n, course.hand_position_m), tip_j)
 
 
 def _work(force_n: Series, position_m: Series) -> Series:

@@ -9,7 +9,9 @@ The steps are those that the nodes call, and the order is that of the bus. At th
 4. what reaches its end of the link before the next tick acts in the order of arrival. A forward signal goes through the
    slave half, the instrument and the slave half again, and its answer enters the link. The first backward signal of the
    tick is received by the master half, which integrates one period; a later one is kept for the next.
-   An instrument that receives nothing for a period and a half steps by itself, and its guard judges the silence.
+   An instrument that receives nothing for a period and a half steps by itself, and its guard judges the silence; the
+   slave half of a law with a local loop steps with it, with the newest signal and the force measured last, for as long
+   as the silence limit.
 
 So a signal released between two ticks acts in the tick in which it arrives, as on the bus: a constant round trip of T
 delays the loop by floor(T/Ts) Ts, and the hold of the law's integration adds half a period to that (`theory`).
@@ -25,9 +27,10 @@ from services.afm_node import safety as afm_safety
 from services.afm_node.spring import SpringParams
 from services.afm_node.spring import initial_state as initial_spring_state
 from services.afm_node.step import LONGEST_STEP_NS, AfmInputs, AfmOutputs, AfmParams, initial_afm_state, patience_ns
+from services.controller.clamp import ClampParams, clamped
 from services.controller.config import ControllerConfig
 from services.controller.deadband import DeadbandParams, deadband, fresh
-from services.controller.law import LONGEST_BRIDGED_PERIODS, NO_SIGNAL, HandSample, PortSignal, TipSample
+from services.controller.law import NO_SIGNAL, HandSample, PortSignal, TipSample, longest_pause_periods
 from services.haptic_node import safety as haptic_safety
 from services.haptic_node.config import HapticConfig
 from services.haptic_node.step import HapticInputs, HapticParams
@@ -65,12 +68,22 @@ COLUMNS = (
 )
 
 
+class SlaveLoop(NamedTuple):
+    """The clamp behind the slave half; whether the half goes on between signals, and for how long [ns, periods]."""
+
+    clamp: ClampParams
+    local: bool
+    longest_ns: int
+    longest_periods: int
+
+
 @dataclass(frozen=True)
 class Rig:
     """What is coupled, ready to run: constants of law, dead band, haptic site, instrument; made by `build_rig`."""
 
     law: Any
     band: DeadbandParams
+    slave: "SlaveLoop"
     haptic: HapticParams
     haptic_start: HapticChainState
     instrument: AfmParams | SpringParams
@@ -81,10 +94,16 @@ class Rig:
 def build_rig(controller: ControllerConfig, haptic: HapticConfig, instrument: AfmParams | SpringParams) -> Rig:
     """Prepare a rig: the hand where its configuration puts it and off, the instrument retracted."""
     start = initial_spring_state(instrument) if isinstance(instrument, SpringParams) else initial_afm_state(instrument)
-    period_s = controller.period_s
+    period_s, silence_s = controller.period_s, controller.section().silence_limit_s
     return Rig(
         controller.params(),
         controller.deadband.to_params(),
+        SlaveLoop(
+            controller.clamp_params(),
+            controller.local_loop,
+            round(silence_s * 1e9),
+            longest_pause_periods(silence_s, period_s),
+        ),
         haptic.to_params(),
         haptic.initial_state(),
         instrument,
@@ -143,6 +162,7 @@ def simulate(rig: Rig, schedule: Schedule, session_tick: int) -> Trajectory:
         rig.haptic,
         rig.law,
         rig.band,
+        rig.slave,
         rig.instrument,
         rig.haptic_start,
         rig.instrument_start,
@@ -191,6 +211,7 @@ def _run(
     haptic: HapticParams,
     law: Any,
     band: DeadbandParams,
+    loop: SlaveLoop,
     instrument: Any,
     haptic_state: HapticChainState,
     instrument_state: Any,
@@ -221,7 +242,7 @@ def _run(
 
     tip = TipSample(0.0, 0.0, 0.0, False, False, False)
     slave = slave_start(law, tip)
-    slave_tick = -1
+    slave_tick, heard, heard_ns = -1, NO_SIGNAL, -1
     action, base_reference_m, base_command_ns = afm_safety.ACTION_HOLD, 0.0, -1
     armed = False
     instrument_ns, own_ns = 0, period_ns
@@ -285,12 +306,16 @@ def _run(
             if commanded:
                 tick = forward_of[f]
                 elapsed = tick - slave_tick
-                if slave_tick < 0 or elapsed > LONGEST_BRIDGED_PERIODS:
+                if slave_tick < 0 or elapsed > loop.longest_periods:
                     slave, elapsed = slave_start(law, tip), 1
-                slave_tick = tick
-                slave, wanted = slave_receive(
-                    law, slave, _as_received(forward[tick & mask], 0.0, 0.0), tip, elapsed * dt
-                )
+                slave_tick, heard, heard_ns = tick, forward[tick & mask], event_ns
+            # what the instrument steps by itself, the slave half goes along with, while its last signal counts
+            local = loop.local and not commanded and heard_ns >= 0 and event_ns - heard_ns <= loop.longest_ns
+            local = local and heard.active and tip.following
+            if commanded or local:
+                present = _as_received(heard, (event_ns - heard_ns) * 1e-9, 0.0)
+                slave, wanted = slave_receive(law, slave, present, tip, dt)
+                wanted = clamped(loop.clamp, wanted, present, tip)
                 action = afm_safety.ACTION_POSITION if wanted.active else afm_safety.ACTION_HOLD
                 base_reference_m, base_command_ns = wanted.position_m, event_ns
             # the operator arms the instrument once, when commands are there; a guard that trips later stays tripped
@@ -306,14 +331,13 @@ def _run(
             tip = _tip_of(felt_tip)
             mode = felt_tip.mode
             armed = armed or mode == afm_safety.MODE_FOLLOW
+            own_ns = event_ns + (patience_ns(period_ns) if commanded or local else period_ns)
+            if commanded or local:
+                slave, signal = slave_send(law, slave, tip, dt)
             if commanded:
-                own_ns = event_ns + patience_ns(period_ns)
-                slave, signal = slave_send(law, slave, tip, elapsed * dt)
                 backward[f & mask] = signal
                 slave_band, sent_backward[f & mask] = deadband(band, slave_band, signal, elapsed * dt)
                 f += 1
-            else:
-                own_ns = event_ns + period_ns
         row = rows[n]
         row[0], row[1], row[2], row[3] = session_s, hand.force_n, hand.position_m, command_m
         row[4], row[5], row[6], row[7] = rendered_n, tip.position_m, tip.force_n, tip.separation_m

@@ -4,6 +4,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
+from services.controller.clamp import ClampConfig, ClampParams
 from services.controller.deadband import DeadbandConfig
 from services.controller.law import Law
 from services.controller.laws.model_mediated import MODEL_MEDIATED, ModelMediatedConfig
@@ -31,6 +32,7 @@ class ControllerConfig(Settings):
         default=2.0, description="Longest wait for the other half when the law changes; then the hand is let go [s]"
     )
     deadband: DeadbandConfig = Field(default=DeadbandConfig(), description="Dead band in front of any law")
+    clamp: ClampConfig = Field(default=ClampConfig(), description="Force clamp of the slave, for any law")
     virtual_impedance: VirtualImpedanceConfig = Field(
         default=VirtualImpedanceConfig(), description="Parameters of the paper's law"
     )
@@ -49,4 +51,15 @@ class ControllerConfig(Settings):
         return getattr(self, self.law)
 
     def params(self) -> Any:
-        return self.section().to_params(self.period_s)
+        return self.clamp.applied_to(self.section().to_params(self.period_s))
+
+    def clamp_params(self) -> ClampParams:
+        """Return the constants of the clamp behind the slave half."""
+        section = self.section()
+        scales = section.position_scale, section.force_scale
+        return self.clamp.to_params(section.to_params(self.period_s), *scales, self.period_s)
+
+    @property
+    def local_loop(self) -> bool:
+        """Whether the slave half goes on between signals, on the instrument's clock."""
+        return LAWS[self.law].local_loop or self.clamp_params().enabled

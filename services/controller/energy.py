@@ -1,8 +1,9 @@
 """What enters a law at a port: the work of F dx at the hand's scale, counted while the rig runs.
 
-At the master the operator's force F_m is held over a period in which the reference goes from x to x', so the work is
-F_m (x' - x), exactly. At the slave the base goes from x_s to x_s' and the force from F_s to F_s'; the work that the law
-gives out is alpha_f / alpha_p times the mean force times the way (trapezoid: exact on a spring). With both,
+At the master the work is counted at the device, with the force and the position that it measures: F_m of a sample acted
+over the way from the sample before to it, F_m (x_m' - x_m). So what the servo of the device makes is in the sum. At the
+slave the base goes from x_s to x_s' and the force from F_s to F_s'; the work that the law gives out is alpha_f /
+alpha_p times the mean force times the way (trapezoid: exact on a spring). With both,
 
     E_net = int F_m dx_m - int alpha_f F_s dx_s / alpha_p
 

@@ -93,6 +93,13 @@ class EnergyAccount(NamedTuple):
 
 # time without a message after which a half starts anew, instead of bridging it by many steps [periods]
 LONGEST_BRIDGED_PERIODS = 50
+
+
+def longest_pause_periods(silence_limit_s: float, period_s: float) -> int:
+    """Return the longest pause of signals, in periods, after which a slave half does not start anew."""
+    return max(LONGEST_BRIDGED_PERIODS, round(silence_limit_s / period_s))
+
+
 NO_SIGNAL = PortSignal(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, False, False, False, 1e9, 0.0)
 
 # Params and states are NamedTuples of the law's own, so the table of laws cannot name them: each law's module does.
@@ -120,6 +127,10 @@ class Law:
 
     - `master_energy_account(params, state) -> EnergyAccount` and `slave_energy_account`: what the half knows of energy
 
+    The slave half steps by one period a call: on each signal, and, where `local_loop` is set, also each time that the
+    instrument has stepped by itself, with the newest signal and the time since; what `slave_send` returns then is not
+    sent. So its local loop goes on with the measured force while nothing arrives.
+
     `uses_waves` and `uses_energy`: which optional parts of the wire message the law fills.
     """
 
@@ -137,3 +148,4 @@ class Law:
     slave_energy_account: Steps = no_energy_account
     uses_waves: bool = False
     uses_energy: bool = False
+    local_loop: bool = False

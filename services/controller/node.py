@@ -17,6 +17,7 @@ from proto.messages import (
     TeleopForward,
 )
 from services.controller import energy
+from services.controller.clamp import clamped
 from services.controller.config import LAWS, ControllerConfig
 from services.controller.deadband import deadband, fresh
 from services.controller.law import (
@@ -29,7 +30,9 @@ from services.controller.law import (
     PortSignal,
     SlaveReference,
     TipSample,
+    longest_pause_periods,
 )
+from services.controller.warm_up import warm_up
 from services.runtime.bus import Received
 from services.runtime.config import merge, nested, validate
 from services.runtime.frames import across, along
@@ -45,33 +48,13 @@ _COASTING_S = 0.005
 _NEVER = (0.0, False)
 
 
-def warm_up(law: Law, params: Any, config: ControllerConfig) -> None:
-    """Compile the steps of a law before the first tick needs them."""
-    period_s = config.period_s
-    hand, tip = HandSample(0.0, 0.0, 0.0, False), TipSample(0.0, 0.0, 0.0, False, False, False)
-    state = law.master_resume(params, hand, 0.0)
-    state, signal = law.master_send(params, law.master_start(params, hand), hand, period_s)
-    state, _ = law.master_receive(params, state, hand, signal, period_s)
-    law.master_energy_account(params, state)
-    slave, _ = law.slave_receive(params, law.slave_start(params, tip), signal, tip, period_s)
-    slave, _ = law.slave_send(params, slave, tip, period_s)
-    energy.is_passive(0.0, False, law.slave_energy_account(params, slave))
-    law.retune(params, params, state)
-    deadband(config.deadband.to_params(), fresh(signal), signal, period_s)
-    port = energy.moved_to(energy.opened(0.0, 0.0), 0.0, 0.0)
-    energy.entered(port, 0.0, 0.0)
-    energy.left(port, 0.0, 0.0)
-
-
 class ControllerHalf(Node):
     """What both halves share: the law, its parameters, and how both change at run time.
 
-    A change of law. Both halves get the command, at different times, and each stands still from then on: the master
-    lets the hand's reference coast to rest within milliseconds, the slave keeps the base at its last reference,
-    and both send the new law's signals as halves that do not follow (`active` false). Signals of another law are
-    ignored. When the master receives the slave in the new law it takes over from where the hand is, at the speed that
-    it has, with the tip's reference where the slave reports the base; when the slave receives that the master follows,
-    it goes on from there. So neither device sees a jump, and neither moves against a half that runs another law.
+    A change of law reaches the halves at different times, and each stands still from then on: the reference of the hand
+    coasts to rest, that of the base stays, and both send the new law's signals without following. Signals of another law are
+    ignored. The master takes over from where the hand is when it receives the slave in the new law, with the tip's
+    reference where the slave reports the base; the slave goes on when it receives that the master follows.
     """
 
     commands: ClassVar[tuple[str, ...]] = ("set",)
@@ -93,8 +76,7 @@ class ControllerHalf(Node):
         self._reported_j = 0.0
         self._band = config.deadband.to_params()
         self._band_state = fresh(NO_SIGNAL)
-        # every law, because a change of law is no time to compile
-        for law in LAWS.values():
+        for law in LAWS.values():  # a change of law is no time to compile
             changed = config.model_copy(update={"law": law.name})
             warm_up(law, changed.params(), changed)
 
@@ -178,9 +160,12 @@ class ControllerHalf(Node):
         law on that grid and makes a re-run from a recording exact.
         """
         periods = round((hand_t_ns - previous_ns) / self._period_ns)
-        if previous_ns == 0 or not 0 < periods <= LONGEST_BRIDGED_PERIODS:
+        if previous_ns == 0 or not 0 < periods <= self.longest_pause_periods():
             return None
         return periods * self.config.period_s
+
+    def longest_pause_periods(self) -> int:
+        return LONGEST_BRIDGED_PERIODS
 
     def wire(self, signal: PortSignal) -> dict[str, object]:
         """Return the part of a teleop message that both directions share, without the force."""
@@ -308,6 +293,7 @@ class MasterController(ControllerHalf):
             self._command()
         elapsed = self.elapsed_s(message.t_ns, self._hand[1])
         self._hand = (message.seq, message.t_ns)
+        following = self.hand.following
         self.hand = HandSample(
             along(message.position_m),
             along(message.velocity_m_per_s),
@@ -318,6 +304,10 @@ class MasterController(ControllerHalf):
             self.law_state = self.law.master_start(self.params, self.hand)
         if elapsed is None:
             self.port = energy.opened(self.hand.position_m, self.hand.force_n)
+        # the sample's force acted over the way to the sample's position
+        counts = elapsed is not None and following and self.hand.following and self.reference.active
+        count = energy.entered if counts and not self.switching else energy.moved_to
+        self.port = count(self.port, self.hand.position_m, self.hand.force_n)
         # after a pause the law goes on from its own state: a hand that was restarted is off, and a law stays with an
         # off hand, while one that was only held up finds its reference where it was
         self._dt_s = elapsed if elapsed is not None else self.config.period_s
@@ -348,11 +338,7 @@ class MasterController(ControllerHalf):
     def _received(self) -> MasterReference:
         signal = self.latest_signal()
         self.law_state, step = self.law.master_receive(self.params, self.law_state, self.hand, signal, self._dt_s)
-        reference = cast(MasterReference, step)
-        coupled = reference.active and self.hand.following
-        count = energy.entered if coupled else energy.moved_to
-        self.port = count(self.port, reference.position_m, self.hand.force_n)
-        return reference
+        return cast(MasterReference, step)
 
     def _coasting(self) -> MasterReference:
         """Return the reference while the other half is waited for: it comes to rest, and the force shown stays."""
@@ -363,7 +349,6 @@ class MasterController(ControllerHalf):
         if self.hand.following:
             position_m = last.position_m + _COASTING_S * (1.0 - fades) * last.velocity_m_per_s
             velocity_m_per_s = fades * last.velocity_m_per_s
-        self.port = energy.moved_to(self.port, position_m, self.hand.force_n)
         return MasterReference(position_m, velocity_m_per_s, last.force_n, active)
 
 
@@ -378,6 +363,10 @@ class SlaveController(ControllerHalf):
         self.reference = SlaveReference(0.0, True)
         self._dt_s = config.period_s
         self._awaited: int | None = None
+        self._answers = True  # whether the awaited command belongs to a signal, and not to the local loop
+        self._commanded: int | None = None
+        self._clamp = config.clamp_params()
+        self._local = config.local_loop
         self._instrument_ns = 0
 
     def on_message(self, received: Received) -> None:
@@ -389,6 +378,15 @@ class SlaveController(ControllerHalf):
 
     def energy_account(self) -> EnergyAccount:
         return cast(EnergyAccount, self.law.slave_energy_account(self.params, self.law_state))
+
+    def on_control(self, control: SessionControl) -> str:
+        done = super().on_control(control)
+        self._clamp, self._local = self.config.clamp_params(), self.config.local_loop
+        return done
+
+    def longest_pause_periods(self) -> int:
+        """Return what the last signal counts for: until then the half has gone on by itself."""
+        return longest_pause_periods(self.config.section().silence_limit_s, self.config.period_s)
 
     def _switch(self) -> None:
         super()._switch()
@@ -412,9 +410,19 @@ class SlaveController(ControllerHalf):
             self.law_state = self.law.slave_start(self.params, self.tip)
         self._dt_s = elapsed if elapsed is not None else self.config.period_s
         if not self.switching:
-            self.law_state, self.reference = self.law.slave_receive(
-                self.params, self.law_state, self.latest_signal(), self.tip, self._dt_s
-            )
+            self._receive(self.latest_signal())
+        self._command(answers=True)
+        self.steps += 1
+        self.report(None)
+
+    def _receive(self, signal: PortSignal) -> None:
+        """Step the half by one period, whatever time has passed: the force is measured once a period."""
+        self.law_state, wanted = self.law.slave_receive(
+            self.params, self.law_state, signal, self.tip, self.config.period_s
+        )
+        self.reference = clamped(self._clamp, wanted, signal, self.tip)
+
+    def _command(self, *, answers: bool) -> None:
         mode: Literal["position", "hold"] = "position" if self.reference.active else "hold"
         command = self.publish(
             "afm/command",
@@ -423,9 +431,8 @@ class SlaveController(ControllerHalf):
             hand_seq=self._hand[0],
             hand_t_ns=self._hand[1],
         )
-        self.steps += 1
-        self._awaited = command.seq
-        self.report(None)
+        self._awaited = self._commanded = command.seq
+        self._answers = answers
 
     def _doubt_instrument(self) -> None:
         """Mark an instrument that has been silent for too long as not following, whatever it published last."""
@@ -450,6 +457,17 @@ class SlaveController(ControllerHalf):
         self._count()
         if self._awaited is not None and message.command_seq == self._awaited and message.hand_t_ns > 0:
             self._answer()
+        elif self._awaited is None and message.command_seq == self._commanded:
+            self._step_locally()
+
+    def _step_locally(self) -> None:
+        """Go on with the force of a step that the instrument made by itself, while the last signal still counts."""
+        if not self._local or self.switching or self.law_state is None or self._signal_ns is None:
+            return
+        signal = self.latest_signal()
+        if signal.active and signal.silence_s <= self.config.section().silence_limit_s and self.tip.following:
+            self._receive(signal)
+            self._command(answers=False)
 
     def _count(self) -> None:
         section = self.config.section()
@@ -459,11 +477,12 @@ class SlaveController(ControllerHalf):
         )
 
     def _answer(self) -> None:
+        """Let the half account for what its command did, and send the answer if it was to a signal."""
         self._awaited = None
         if self.switching:
             self.law_state = self._standing()
-        self.law_state, signal = self.law.slave_send(self.params, self.law_state, self.tip, self._dt_s)
-        if not self.passes_deadband(signal, self._dt_s):
+        self.law_state, signal = self.law.slave_send(self.params, self.law_state, self.tip, self.config.period_s)
+        if not self._answers or not self.passes_deadband(signal, self._dt_s):
             return
         self.publish(
             "teleop/backward",

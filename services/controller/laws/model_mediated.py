@@ -81,7 +81,6 @@ class ModelMediatedParams(NamedTuple):
     force_step_n: float
     cap_j: float
     guard_n_s_per_m: float
-    guard_n_per_m: float
     margin_n: float
 
 
@@ -129,7 +128,6 @@ class ModelMediatedConfig(SteeredConfig):
             force_step_n=self.update_force_n_per_s * period_s,
             cap_j=self.energy_cap_j,
             guard_n_s_per_m=self.guard_damping_n_s_per_m,
-            guard_n_per_m=self.guard_at_hand_n_per_m(),
             margin_n=self.force_margin_n,
         )
 
@@ -290,10 +288,7 @@ def slave_receive(
     if not is_coupled(p, signal):
         return state, SlaveReference(state.position_m, True)
     allowed = max(p.force_scale * signal.force_n, 0.0) + params.margin_n - p.force_scale * tip.force_n
-    reach = 0.0
-    for _ in range(periods_in(dt, p.period_s)):
-        # over the periods of a gap the force is not measured: it is taken to grow with the way
-        reach += (allowed - params.guard_n_per_m * reach) / params.guard_n_s_per_m * p.period_s
+    reach = allowed / params.guard_n_s_per_m * p.period_s
     base = state.position_m + min(signal.position_m - state.position_m, p.position_scale * reach)
     return SlaveState(base), SlaveReference(base, True)
 
@@ -332,4 +327,5 @@ MODEL_MEDIATED = Law(
     slave_send=slave_send,
     retune=retune,
     master_energy_account=master_energy_account,
+    local_loop=True,
 )

@@ -27,16 +27,20 @@ velocity, so there is nothing to cap and no force spike; the strongest it can do
   speed limit: so positions do not drift apart, and the make-up is itself inside the inequality.
 - At the master a cut would also hold an operator who pulls back by himself. Motion that the mass makes without
   the force costs the channel nothing; it is always allowed, and the force counts as zero over it.
-- The slave never presses harder than the hand does, by the last signal, and a margin: F_c <= max(F_m, 0) + F_0.
-  Without that, a channel that has run out of energy would hold hand and tip where they are, pressed together, after the
-  hand has let go. Giving way is motion at the port like any other: it is counted, and returns the contact's energy.
+- The slave never presses harder than the hand does, by the last signal, and a margin: F_c <= max(F_m, 0) + F_0 (the
+  force clamp, which can be switched off). Without that, a channel that has run out of energy would hold hand and tip
+  where they are, pressed together, after the hand has let go. Giving way is motion at the port like any other: it is
+  counted, and returns the contact's energy. The limit follows a falling F_m with a time constant tau_c only, while the
+  hand presses at all. At once, the hand would feel exactly its own force whenever it presses less than before, nothing
+  would bring it back, and with each swing it would walk on; it returns if tau_c is longer than B_v over the stiffness
+  it feels, and the round trip.
 - A half that is taken up while the tip presses begins with the coupling stretched by that force, F_c = F_s, and keeps
   the stretch as an offset between x_d and x_ref: so the tip is not let off when the law or a hand comes back.
 - E_left is capped (the rest is dissipated): a great store, gathered long ago, would let an instability grow first.
 
 The inequalities use counters that only grow, so they hold under constant and varying delay, loss, reordering and
 repetition alike: what has not arrived cannot be spent. Loss and jitter cost motion, not stability: while nothing
-arrives the reference stands.
+arrives the reference stands, and the coupling goes on against the force that the instrument measures.
 """
 
 import math
@@ -74,17 +78,14 @@ from services.runtime.compiled import compiled
 
 
 class PassivityParams(NamedTuple):
-    """Constants of the law; `relaxed` is the share of the way to its rest that the base goes in a period.
-
-    guard_n_per_m: stiffness assumed of the environment within a gap, at the hand's scale.
-    """
+    """Constants of the law; `relaxed` is the share of the way to its rest that the base goes in a period."""
 
     mass: MassParams
     coupling_n_per_m: float
-    guard_n_per_m: float
     relaxed: float
     step_m: float
     margin_n: float
+    release: float
     start_j: float
     cap_j: float
 
@@ -100,6 +101,9 @@ class PassivityConfig(SteeredConfig):
     force_margin_n: NotNegative = Field(
         default=0.0, description="Force by which the slave may press harder than the hand, at the hand's scale F_0 [N]"
     )
+    clamp_release_s: Positive = Field(
+        default=4.0, description="Time constant with which the clamp follows a hand that presses less tau_c [s]; > 0"
+    )
     start_energy_j: NotNegative = Field(
         default=1e-3, description="Energy that each side may spend at the start E_0 [J]"
     )
@@ -107,15 +111,14 @@ class PassivityConfig(SteeredConfig):
 
     def to_params(self, period_s: float) -> PassivityParams:
         """Return the constants of the compiled steps for a period [s] of the hand."""
-        guard = self.guard_at_hand_n_per_m()
-        rate = (self.coupling_stiffness_n_per_m + guard) / self.coupling_damping_n_s_per_m
+        rate = self.coupling_stiffness_n_per_m / self.coupling_damping_n_s_per_m
         return PassivityParams(
             mass=self.mass_params(period_s),
             coupling_n_per_m=self.coupling_stiffness_n_per_m,
-            guard_n_per_m=guard,
             relaxed=approach(rate * period_s),
             step_m=self.speed_limit_m_per_s * period_s,
             margin_n=self.force_margin_n,
+            release=approach(period_s / self.clamp_release_s),
             start_j=min(self.start_energy_j, self.energy_cap_j),
             cap_j=self.energy_cap_j,
         )
@@ -138,11 +141,15 @@ class MasterState(NamedTuple):
 
 
 class SlaveState(NamedTuple):
-    """The base reference [m], the coupling's stretch x_d - x_s and offset x_d - x_ref [m, hand's scale], account."""
+    """The base reference [m], the coupling's stretch x_d - x_s and offset x_d - x_ref [m, hand's scale], and more.
+
+    limit_n: the clamp's limit without its margin [N].
+    """
 
     position_m: float
     stretch_m: float
     lead_m: float
+    limit_n: float
     account: Account
     coupled: bool
 
@@ -242,7 +249,7 @@ def master_receive(
 def slave_start(params: PassivityParams, tip: TipSample) -> SlaveState:
     """Start at the position of the base."""
     stretch = params.mass.force_scale * tip.force_n / params.coupling_n_per_m
-    return SlaveState(tip.position_m, stretch, stretch, Account(0.0, 0.0, params.start_j, 0.0), False)
+    return SlaveState(tip.position_m, stretch, stretch, 0.0, Account(0.0, 0.0, params.start_j, 0.0), False)
 
 
 @compiled
@@ -263,7 +270,7 @@ def paid_stretch(stretch_m: float, motion_m: float, stiffness_n_per_m: float, le
 def slave_receive(
     params: PassivityParams, state: SlaveState, signal: PortSignal, tip: TipSample, dt: float
 ) -> tuple[SlaveState, SlaveReference]:
-    """Make the base follow the reference, within the energy that the channel has.
+    """Make the base follow the reference for a period, within the energy that the channel has.
 
     While the tip does not follow, the reference is the master's; while the master does not, the base stays.
     """
@@ -273,24 +280,23 @@ def slave_receive(
         base = state.position_m if tip.following else signal.position_m
         account = received_anew(state.account, signal.energy_j)
         stretch = p.force_scale * tip.force_n / k if tip.following else 0.0
-        return SlaveState(base, stretch, stretch, account, False), SlaveReference(base, True)
+        return SlaveState(base, stretch, stretch, 0.0, account, False), SlaveReference(base, True)
     account = credited(state.account, signal.energy_j, params.cap_j)
-    base, stretch, way = state.position_m, state.stretch_m, 0.0
-    force = p.force_scale * tip.force_n
-    most = (max(p.force_scale * signal.force_n, 0.0) + params.margin_n) / k
-    for _ in range(periods_in(dt, p.period_s)):
-        due = (signal.position_m - base) / p.position_scale + state.lead_m - stretch
-        wanted = min(max(min(due, most - stretch), -params.step_m), params.step_m)
-        motion, work = paid_stretch(stretch, wanted, k, account.left_j)
-        refused = k * wanted * (stretch + 0.5 * wanted) + work
-        account = charged(account, work, refused if motion != wanted else 0.0)
-        stretch += motion
-        # the base comes to rest where the coupling balances the force, which grows with its way since it was measured
-        slid = params.relaxed * (k * stretch - force - params.guard_n_per_m * way) / (k + params.guard_n_per_m)
-        stretch -= slid
-        way += slid
-        base += p.position_scale * slid
-    return SlaveState(base, stretch, state.lead_m, account, True), SlaveReference(base, True)
+    base, stretch = state.position_m, state.stretch_m
+    pressed = max(p.force_scale * signal.force_n, 0.0)
+    limit = max(pressed, state.limit_n + params.release * (pressed - state.limit_n)) if pressed > 0.0 else 0.0
+    most = (limit + params.margin_n) / k
+    due = (signal.position_m - base) / p.position_scale + state.lead_m - stretch
+    wanted = min(max(min(due, most - stretch), -params.step_m), params.step_m)
+    motion, work = paid_stretch(stretch, wanted, k, account.left_j)
+    refused = k * wanted * (stretch + 0.5 * wanted) + work
+    account = charged(account, work, refused if motion != wanted else 0.0)
+    stretch += motion
+    # the base goes to where the coupling balances the force that was measured
+    slid = params.relaxed * (k * stretch - p.force_scale * tip.force_n) / k
+    stretch -= slid
+    base += p.position_scale * slid
+    return SlaveState(base, stretch, state.lead_m, limit, account, True), SlaveReference(base, True)
 
 
 @compiled
@@ -345,4 +351,5 @@ PASSIVITY = Law(
     master_energy_account=master_energy_account,
     slave_energy_account=slave_energy_account,
     uses_energy=True,
+    local_loop=True,
 )

@@ -81,16 +81,12 @@ class MassConfig(ScaledConfig):
 
 
 class SteeredConfig(MassConfig):
-    """A law whose slave half moves the base against the force by itself, also over the periods that a gap leaves."""
+    """A law whose slave half moves the base against the force by itself, on the instrument's clock."""
 
     guard_stiffness_n_per_m: NotNegative = Field(
         default=20.0,
-        description="Stiffness at the tip that is assumed over the periods in which no force was measured [N/m]; >= 0",
+        description="Without effect: the force is measured in every period. Accepted for scenarios made before [N/m]",
     )
-
-    def guard_at_hand_n_per_m(self) -> float:
-        """Return the guard stiffness at the hand's scale [N/m]."""
-        return self.guard_stiffness_n_per_m * self.force_scale * self.position_scale
 
 
 @compiled

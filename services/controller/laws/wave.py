@@ -12,9 +12,10 @@ Sources: G. Niemeyer and J.-J. E. Slotine, "Stable adaptive teleoperation", IEEE
 "Telemanipulation with time delays", Int. J. Robotics Research 23 (2004), for waves, matching and filter; the same,
 "Towards force-reflecting teleoperation over the Internet", ICRA 1998, for the integrals of wave and wave energy.
 
-A line that is taken up while the tip presses begins under the force F_0 that it finds: both halves take F - F_0 for F,
-and F_0 fades with tau_0 as the waves take over. So the tip is not let off when the law or a hand comes back. The energy
-of F_0 (its work at the two ports) is what the line is granted; it is zero where the tip starts free.
+A line that is taken up for the first time while the tip presses begins under the force F_0 that it finds: both halves
+take F - F_0 for F, and F_0 fades with tau_0 as the waves take over. So the tip is not let off when the law comes into
+force. The energy of F_0 (its work at the two ports) is what the line is granted; it is zero where the tip starts free,
+and after a silence of the link nothing is granted again.
 
 What crosses the link are counters, not samples: X = sqrt(2/b) int u dt = x + int F dt / b as `position_m`, and
 E = int u^2/2 dt as `energy_j` (and w likewise). The receiver rebuilds its wave from what is still due,
@@ -79,14 +80,21 @@ class WaveParams(NamedTuple):
     mass: MassParams
     impedance_n_s_per_m: float
     share: float
-    guard_n_per_m: float
     fade: float
+    bridge_s: float
+    clamped: bool
+    margin_n: float
 
 
 class WaveConfig(SteeredConfig):
     """Section `controller.wave`."""
 
     impedance_n_s_per_m: Positive = Field(default=100.0, description="Impedance of the line b [N s/m]; > 0")
+    silence_limit_s: Positive = Field(
+        default=0.5,
+        description="Time without a signal from the other half after which the hand is let go [s]; > 0: waves die out"
+        " with filter_s by themselves, and a line that is taken up anew has lost what was on its way",
+    )
     filter_s: NotNegative = Field(default=0.02, description="Time constant of the wave filter tau_f [s]; 0 = none")
 
     fade_s: Positive = Field(
@@ -98,7 +106,7 @@ class WaveConfig(SteeredConfig):
         b = self.impedance_n_s_per_m
         share = 1.0 if self.filter_s == 0.0 else approach(period_s / self.filter_s)
         fade = decay(period_s / self.fade_s)
-        return WaveParams(self.mass_params(period_s, b), b, share, self.guard_at_hand_n_per_m(), fade)
+        return WaveParams(self.mass_params(period_s, b), b, share, fade, max(self.filter_s, period_s), False, 0.0)
 
 
 class Inbox(NamedTuple):
@@ -120,6 +128,7 @@ class MasterState(NamedTuple):
     wave_sqrt_w: float
     bias_n: float
     granted_j: float
+    begun: bool
 
 
 class SlaveState(NamedTuple):
@@ -141,6 +150,7 @@ class SlaveState(NamedTuple):
     bias_n: float
     granted_j: float
     coupled: bool
+    begun: bool
 
 
 @compiled
@@ -173,13 +183,13 @@ def emptied(position_m: float, energy_j: float) -> Inbox:
 @compiled
 def master_start(params: WaveParams, hand: HandSample) -> MasterState:
     """Start with the virtual mass at rest at the hand's position."""
-    return MasterState(at_rest(hand.position_m), emptied(0.0, 0.0), 0.0, 0.0, 0.0, 0.0, 0.0)
+    return MasterState(at_rest(hand.position_m), emptied(0.0, 0.0), 0.0, 0.0, 0.0, 0.0, 0.0, False)
 
 
 @compiled
 def master_resume(params: WaveParams, hand: HandSample, tip_reference_m: float) -> MasterState:
     """Continue with the hand's motion and the tip's reference."""
-    return MasterState(resumed(params.mass, hand, tip_reference_m), emptied(0.0, 0.0), 0.0, 0.0, 0.0, 0.0, 0.0)
+    return MasterState(resumed(params.mass, hand, tip_reference_m), emptied(0.0, 0.0), 0.0, 0.0, 0.0, 0.0, 0.0, False)
 
 
 @compiled
@@ -205,12 +215,13 @@ def master_receive(
     coupled = is_coupled(p, signal)
     if not (coupled and hand.following):
         inbox = emptied(position, signal.energy_j)
-        state = MasterState(let_go(p, state.mass, hand), inbox, 0.0, state.sent_j, 0.0, 0.0, state.granted_j)
+        free, granted, begun = let_go(p, state.mass, hand), state.granted_j, state.begun
+        state = MasterState(free, inbox, 0.0, state.sent_j, 0.0, 0.0, granted, begun)
         return state, MasterReference(hand.position_m, 0.0, 0.0, coupled)
     # what was sent before the tip was felt is no wave: start to count here
     inbox = state.inbox if state.mass.coupled else emptied(position, signal.energy_j)
     inbox = received(inbox, position, signal.energy_j)
-    bias = state.bias_n if state.mass.coupled else p.force_scale * signal.force_n
+    bias = state.bias_n if state.mass.coupled else (0.0 if state.begun else p.force_scale * signal.force_n)
     mass, impulse, sent, force, out = state.mass, state.impulse_m, state.sent_j, 0.0, 0.0
     granted = state.granted_j
     root, period = math.sqrt(2.0 * b), p.period_s
@@ -227,7 +238,7 @@ def master_receive(
         granted += abs(bias * velocity) * period
         force += bias
         bias *= params.fade
-    state = MasterState(mass, inbox, impulse, sent, out, bias, granted)
+    state = MasterState(mass, inbox, impulse, sent, out, bias, granted, True)
     return state, MasterReference(mass.position_m, mass.velocity_m_per_s, force, True)
 
 
@@ -236,7 +247,7 @@ def slave_start(params: WaveParams, tip: TipSample) -> SlaveState:
     """Start at the position of the base."""
     force = params.mass.force_scale * tip.force_n
     return SlaveState(
-        tip.position_m, emptied(0.0, 0.0), 0.0, 0.0, 0.0, 0.0, 0.0, tip.position_m, force, 0.0, 0.0, False
+        tip.position_m, emptied(0.0, 0.0), 0.0, 0.0, 0.0, 0.0, 0.0, tip.position_m, force, 0.0, 0.0, False, False
     )
 
 
@@ -255,20 +266,25 @@ def slave_receive(
         base = state.position_m if tip.following else signal.position_m
         inbox = emptied(position, signal.energy_j)
         last_m, last_n, granted = state.last_m, state.last_n, state.granted_j
-        state = SlaveState(base, inbox, base, 0.0, state.sent_j, 0.0, 0.0, last_m, last_n, 0.0, granted, False)
+        begun = state.begun
+        state = SlaveState(base, inbox, base, 0.0, state.sent_j, 0.0, 0.0, last_m, last_n, 0.0, granted, False, begun)
         return state, SlaveReference(base, True)
     # a reference of the master's own that came before is no wave: start to count here
     inbox = state.inbox if state.coupled else emptied(position, signal.energy_j)
     inbox = received(inbox, position, signal.energy_j)
     anchor = state.anchor_m if state.coupled else state.position_m
     last_n = state.last_n if state.coupled else p.force_scale * tip.force_n
-    bias = state.bias_n if state.coupled else last_n
-    way, reserve, period = 0.0, state.reserve_j, p.period_s
-    for _ in range(periods_in(dt, period)):
-        inbox, wave = drawn(inbox, params.share, b, period)
-        # over the periods of a gap the force is not measured: it is taken to grow with the way
-        way += (math.sqrt(2.0 * b) * wave - (last_n - bias) - params.guard_n_per_m * way) / b * period
-        reserve += 0.5 * wave * wave * period
+    bias = state.bias_n if state.coupled else (0.0 if state.begun else last_n)
+    inbox, wave = drawn(inbox, params.share, b, p.period_s)
+    way = (math.sqrt(2.0 * b) * wave - (last_n - bias)) / b * p.period_s
+    if signal.silence_s > params.bridge_s:
+        # all waves have died out, and to give way to the force would let the tip off: it stands
+        way = 0.0
+    elif params.clamped:
+        # the wave that goes back is made of the motion that there was, so what the clamp refuses is reflected
+        allowed = max(p.force_scale * signal.force_n, 0.0) + params.margin_n - last_n
+        way = min(way, allowed / b * p.period_s)
+    reserve = state.reserve_j + 0.5 * wave * wave * p.period_s
     base = state.position_m + p.position_scale * way
     state = SlaveState(
         base,
@@ -282,6 +298,7 @@ def slave_receive(
         last_n,
         bias,
         state.granted_j,
+        True,
         True,
     )
     return state, SlaveReference(base, True)
@@ -298,8 +315,7 @@ def slave_send(params: WaveParams, state: SlaveState, tip: TipSample, dt: float)
         moved_m = (tip.position_m - state.last_m) / p.position_scale
         mean = 0.5 * (force + state.last_n) - bias
         granted += abs(bias * moved_m)
-        for _ in range(periods_in(dt, p.period_s)):
-            bias *= params.fade
+        bias *= params.fade
         reserve -= mean * moved_m
         wave = (b * moved_m / dt - mean) / math.sqrt(2.0 * b)
         most = math.sqrt(2.0 * max(reserve, 0.0) / dt)
@@ -320,6 +336,7 @@ def slave_send(params: WaveParams, state: SlaveState, tip: TipSample, dt: float)
         bias,
         granted,
         state.coupled,
+        state.begun,
     )
     position = state.anchor_m + p.position_scale * sent_m if state.coupled else state.position_m
     return state, PortSignal(
@@ -350,6 +367,7 @@ def retune(old: WaveParams, new: WaveParams, state: MasterState) -> MasterState:
         state.wave_sqrt_w,
         state.bias_n,
         state.granted_j,
+        state.begun,
     )
 
 
@@ -380,4 +398,5 @@ WAVE = Law(
     slave_energy_account=slave_energy_account,
     uses_waves=True,
     uses_energy=True,
+    local_loop=True,
 )

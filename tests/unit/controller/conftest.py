@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from services.controller.clamp import ClampConfig, clamped
 from services.controller.config import LAWS, ControllerConfig
 from services.controller.law import NO_SIGNAL, HandSample, TipSample
 
@@ -39,6 +40,7 @@ def loop(
     forward: Callable[[int], int] = lambda n: 0,
     backward: Callable[[int], int] = lambda n: 0,
     touches: Callable[[float], bool] = lambda force_n: force_n != 0.0,
+    clamp: ClampConfig = ClampConfig(),  # noqa: B008
     **parameters: Any,
 ) -> Run:
     """Run a law; `forward(n)`, `backward(n)`: delay of the signal of tick n in ticks, or LOST.
@@ -47,7 +49,8 @@ def loop(
     bus does. With no delay the answer is of the same tick.
     """
     law = LAWS[name]
-    params = ControllerConfig.model_validate({"law": name, name: parameters}).params()
+    config = ControllerConfig.model_validate({"law": name, name: parameters, "clamp": clamp.model_dump()})
+    params, behind = config.params(), config.clamp_params()
     scales = getattr(params, "mass", getattr(params, "impedance", params))
     hand = HandSample(0.0, 0.0, 0.0, True)
     tip = TipSample(0.0, environment(0.0), 0.0, False, touches(environment(0.0)), True)
@@ -55,6 +58,7 @@ def loop(
     out: list[tuple[int, int, Any]] = []
     back: list[tuple[int, int, Any]] = []
     served, answered, received_at, answer = -1, -1, -1, NO_SIGNAL
+    last, last_at = NO_SIGNAL, -1
     rows, masters, slaves, entered, left, x = [], [], [], 0.0, 0.0, 0.0
     for n in range(ticks):
         hand = HandSample(x, 0.0, hand_force(n), True)
@@ -64,17 +68,21 @@ def loop(
         due = [(sent, message) for arrives, sent, message in out if arrives <= n and sent > served]
         out = [entry for entry in out if entry[0] > n]
         if due:
-            sent, message = max(due, key=lambda pair: pair[0])
-            gap = (sent - served) * PERIOD_S if served >= 0 else PERIOD_S
-            served = sent
-            slave, wanted = law.slave_receive(params, slave, message._replace(silence_s=0.0), tip, gap)
+            served, last = max(due, key=lambda pair: pair[0])
+            last_at = n
+        # the instrument steps by itself when nothing comes, and the slave half with it
+        local = config.local_loop and last_at >= 0 and last.active and n - last_at <= 50
+        if due or local:
+            silence = (n - last_at) * PERIOD_S
+            slave, wanted = law.slave_receive(params, slave, last._replace(silence_s=silence), tip, PERIOD_S)
+            wanted = clamped(behind, wanted, last, tip)
             force = environment(wanted.position_m)
             before, tip = tip, TipSample(wanted.position_m, force, 0.0, False, touches(force), True)
             way = (tip.position_m - before.position_m) / scales.position_scale
             left += 0.5 * (before.force_n + tip.force_n) * scales.force_scale * way
-            slave, reply = law.slave_send(params, slave, tip, gap)
-            if backward(n) != LOST:
-                back.append((n + backward(n), sent, reply))
+            slave, reply = law.slave_send(params, slave, tip, PERIOD_S)
+            if due and backward(n) != LOST:
+                back.append((n + backward(n), served, reply))
         arrived = [(sent, message) for arrives, sent, message in back if arrives <= n and sent > answered]
         back = [entry for entry in back if entry[0] > n]
         if arrived:

@@ -294,3 +294,98 @@ def test_each_site_gets_its_half(bench_of: Any) -> None:
     config = ControllerConfig()
     assert isinstance(half_of_site(bench_of("controller@master").context, config), MasterController)
     assert isinstance(half_of_site(bench_of("controller@slave").context, config), SlaveController)
+
+
+def heard_forward(bench: Any, node: SlaveController, law: str, seq: int, position_m: float) -> None:
+    fields = forward_fields(position_m, seq, 50 + seq * PERIOD_NS) | {"law": law, "force_n": (0.0, 0.0, -1e-8)}
+    fields |= {"wave_sqrt_w": ZERO if law == "wave" else None, "energy_j": 0.0 if law != "model_mediated" else None}
+    node.on_message(bench.heard("teleop/forward", "controller@master", **fields))
+
+
+@pytest.mark.parametrize("law", ["passivity", "model_mediated", "wave"])
+def test_local_loop_goes_on_with_the_instruments_own_steps(bench_of: Any, law: str) -> None:
+    bench = bench_of("controller@slave")
+    node = SlaveController(bench.context, ControllerConfig(law=law))
+    for seq in range(3):
+        heard_forward(bench, node, law, seq, 1e-8)
+        (command,) = bench.take("afm/command")
+        node.on_message(bench.heard("afm/state", "afm_node@slave", **tip_fields(2e-8, command.seq)))
+        bench.advance_ms(1.0)
+    bench.take("teleop/backward")
+    # nothing comes any more, but the instrument steps by itself and says what it measures
+    commands = 0
+    for _ in range(2000):
+        bench.advance_ms(1.5)
+        node.on_message(bench.heard("afm/state", "afm_node@slave", **tip_fields(2e-8, command.seq)))
+        news = bench.take("afm/command")
+        if not news:
+            break
+        (command,) = news
+        commands += 1
+        assert command.hand_seq == 2
+        # what a command of its own did is accounted for, and not sent
+        node.on_message(bench.heard("afm/state", "afm_node@slave", **tip_fields(2e-8, command.seq)))
+    # for as long as the last signal counts, then it stands, so that the guard of the instrument judges the silence
+    assert commands == int((node.config.section().silence_limit_s - 1e-3) / 1.5e-3)
+    assert bench.take("teleop/backward") == []
+
+
+def test_law_without_a_local_loop_waits_for_signals_and_gets_one_with_the_clamp(bench_of: Any) -> None:
+    for enabled in (False, True):
+        bench = bench_of("controller@slave")
+        config = ControllerConfig.model_validate({"law": "position_force", "clamp": {"enabled": enabled}})
+        node = SlaveController(bench.context, config)
+        heard_forward(bench, node, "position_force", 0, 5e-8)
+        (command,) = bench.take("afm/command")
+        # the tip was not following before, so that the clamp did not act
+        assert command.base_position_m[2] == -5e-8
+        for _ in range(2):
+            node.on_message(bench.heard("afm/state", "afm_node@slave", **tip_fields(2e-8, command.seq)))
+        news = bench.take("afm/command")
+        assert len(news) == enabled
+        # 2 N at the tip for 1 N of the hand: the base, at 9 nm, gives way
+        assert all(message.base_position_m[2] > -9e-9 for message in news)
+
+
+def test_energy_is_counted_at_the_device_and_a_law_that_makes_some_is_not_passive(bench_of: Any) -> None:
+    bench = bench_of("controller@master")
+    node = MasterController(bench.context, ControllerConfig(law="position_force"))
+    position_m, expected_j = 0.0, 0.0
+    for n in range(40):
+        # the device is driven back against the hand that presses it
+        step_m = 1e-5 if n < 10 else -1e-5
+        force_n = 0.5 if n < 10 else 1.0
+        if n > 1:
+            expected_j += force_n * step_m
+        position_m += step_m
+        bench.advance_ms(1.0)
+        hand = bench.heard("haptic/state", "haptic_node@master", **hand_fields(force_n, position_m=position_m))
+        node.on_message(hand)
+        fields = answer_fields(1.5e-8, hand.message.seq, hand.message.t_ns, law="position_force")
+        node.on_message(bench.heard("teleop/backward", "controller@slave", **fields))
+        far = status_fields(0.0)
+        node.on_message(bench.heard("law/status", "controller@slave", **far))
+    last = bench.take("law/status")[-1]
+    assert last.port_energy_j == pytest.approx(expected_j, rel=0.4)
+    assert last.port_energy_j < -1e-4
+    assert last.net_valid
+    assert not last.passive
+
+
+def status_fields(port_energy_j: float) -> dict[str, Any]:
+    return {
+        "law": "position_force",
+        "switching": False,
+        "port_energy_j": port_energy_j,
+        "port_power_w": 0.0,
+        "net_valid": False,
+        "net_energy_j": 0.0,
+        "left_j": 0.0,
+        "dissipated_j": 0.0,
+        "passive": True,
+        "saved_percent": 0.0,
+        "heard": True,
+        "silence_s": 0.0,
+        "round_trip_valid": False,
+        "round_trip_s": 0.0,
+    }

@@ -1,0 +1,67 @@
+"""Force clamp of the slave: the tip presses no harder than the hand does, by the last signal, and a margin.
+
+    x_s' <= (max(F_m, 0) + F_0 - F_s) / B_g   at the hand's scale
+
+towards the sample; away from it nothing is limited. It is a local force servo to F_m(t - T), closed by the instrument
+with the force that it measures, so no loop of it passes the link. What it costs: where the hand's own arm relaxes, the
+force follows, and the positions of hand and tip part. `passivity`, `model_mediated` and `wave` have it in their own
+slave half, because they count what it refuses; the others get it here, behind theirs.
+"""
+
+from typing import Annotated, Any, NamedTuple
+
+from pydantic import Field
+
+from services.controller.law import PortSignal, SlaveReference, TipSample
+from services.runtime.compiled import compiled
+from services.runtime.config import Settings
+
+# the margin of a clamp that is off [N]
+NO_LIMIT_N = 1e9
+
+
+class ClampParams(NamedTuple):
+    """Whether it acts, and on what: reach_m_per_n, way of the base in a period for a newton at the hand [m/N]."""
+
+    enabled: bool
+    force_scale: float
+    reach_m_per_n: float
+    margin_n: float
+
+
+class ClampConfig(Settings):
+    """Section `controller.clamp`."""
+
+    enabled: bool | None = Field(
+        default=None, description="Whether the slave presses no harder than the hand; none: as the law has it"
+    )
+    force_margin_n: Annotated[float, Field(ge=0.0)] = Field(
+        default=0.1, description="Force by which the tip may press harder than the hand, at the hand's scale F_0 [N]"
+    )
+    damping_n_s_per_m: Annotated[float, Field(gt=0.0)] = Field(
+        default=30.0, description="Damper B_g of the clamp, at the hand's scale [N s/m]; > 0"
+    )
+
+    def applied_to(self, params: Any) -> Any:
+        """Return the constants of a law with its own clamp switched; others unchanged."""
+        if self.enabled is None or not hasattr(params, "margin_n"):
+            return params
+        if hasattr(params, "clamped"):
+            return params._replace(clamped=self.enabled, margin_n=self.force_margin_n)
+        return params if self.enabled else params._replace(margin_n=NO_LIMIT_N)
+
+    def to_params(self, law_params: Any, position_scale: float, force_scale: float, period_s: float) -> ClampParams:
+        """Return the constants of the clamp behind a law that has none of its own."""
+        enabled = bool(self.enabled) and not hasattr(law_params, "margin_n")
+        reach = position_scale * period_s / self.damping_n_s_per_m
+        return ClampParams(enabled, force_scale, reach, self.force_margin_n)
+
+
+@compiled
+def clamped(params: ClampParams, wanted: SlaveReference, signal: PortSignal, tip: TipSample) -> SlaveReference:
+    """Return the reference of the base that the clamp lets through in a period."""
+    if not (params.enabled and tip.following and signal.active):
+        return wanted
+    allowed = max(params.force_scale * signal.force_n, 0.0) + params.margin_n - params.force_scale * tip.force_n
+    most = tip.position_m + params.reach_m_per_n * allowed
+    return SlaveReference(min(wanted.position_m, most), wanted.active)
