@@ -205,7 +205,7 @@ def _steady(
     ):
         return "wrong_force", rate, f"the tip presses with {mean:.3g} N, the hand with {known.expected_n:.3g} N"
     size = float(motion.sizes_n[-1])
-    if rate is not None and rate < 0.0 and size > 0.0:
+    if rate is not None and rate * motion.length_s < -_SUSTAINED_CHANGE and size > 0.0:
         return "stable", rate, f"the motion dies out by {-rate:.3g}/s, {size:.2g} N are left"
     return "stable", rate, f"what moves, {size:.2g} N, is less than {100.0 * SMALL_SHARE:g} % of the hand's force"
 

@@ -24,24 +24,34 @@ from services.afm_node.safety import MODE_FOLLOW, MODE_HOLD, SafetyParams
 from services.afm_node.spring import SpringParams, spring_params
 from services.afm_node.step import AfmParams
 from services.controller.config import LAWS, ControllerConfig
-from services.haptic_node.config import ForcePoint, ForceProfileConfig, HapticConfig
+from services.haptic_node.config import ARMS, HapticConfig
 from services.runtime.compiled import source_digest
 from services.runtime.config import Settings, merge, nested, validate
 from studies.link import schedule_of, symmetric_link
 from studies.lockstep import Rig, Series, Trajectory, build_rig, simulate
 
-Environment = Literal["spring", "contact"]
-ENVIRONMENTS: tuple[Environment, ...] = ("spring", "contact")
+Environment = Literal["spring", "wall", "contact"]
+ENVIRONMENTS: tuple[Environment, ...] = ("spring", "wall", "contact")
+# a hand of constant force, or one of the arms of `services.haptic_node.config.ARMS`
+Hand = Literal["force", "soft", "ordinary", "stiff"]
 # K of the theory's examples; in the contact it is the cantilever's k of Table 2
-DEFAULT_STIFFNESS: dict[str, tuple[float, ...]] = {"spring": (10.0, 20.0, 38.0), "contact": (40.0,)}
+DEFAULT_STIFFNESS: dict[str, tuple[float, ...]] = {
+    "spring": (10.0, 20.0, 38.0),
+    "wall": (10.0, 38.0),
+    "contact": (40.0,),
+}
 
-_LEVELS_N: dict[str, tuple[float, ...]] = {"spring": (1.0,), "contact": (1.0, 2.0)}
+_LEVELS_N: dict[str, tuple[float, ...]] = {"spring": (1.0,), "wall": (1.0,), "contact": (1.0, 2.0)}
+# the wall only pushes, and is met from here [m]
+WALL_DISTANCE_M = 3e-9
+# where a steady contact with the sample of Table 2 begins, and how far the base goes on for a newton at the hand [m]
+_CONTACT_M, _CONTACT_M_PER_N = 1.05e-8, 0.65e-9
 _QUIET_S = 0.2
 _RAMP_S = 0.4
 # every time of a cell grows with the round trip, so that a slow loop is given as many of its own periods
 _APPROACH_S, _APPROACH_ROUND_TRIPS = 2.4, 10.0
 # near its onset a limit cycle of the contact takes seconds to reach its size
-_HOLD_S: dict[str, float] = {"spring": 6.0, "contact": 12.0}
+_HOLD_S: dict[str, float] = {"spring": 6.0, "wall": 6.0, "contact": 12.0}
 _HOLD_ROUND_TRIPS = 40.0
 _SETTLE_S, _SETTLE_ROUND_TRIPS = 0.3, 4.0
 # the first part of a hold is the answer to the step before it
@@ -53,7 +63,10 @@ class Cell(Settings):
     """What one cell runs. `settings` are dotted keys of the section `controller` that differ from their defaults."""
 
     law: str = Field(description="Name of the law")
-    environment: Environment = Field(description="spring: F = K (x_s - L); contact: the tip-sample force")
+    environment: Environment = Field(
+        description="spring: F = K (x_s - L); wall: the same, but only pushing, met from 3 nm; contact: tip and sample"
+    )
+    hand: Hand = Field(default="force", description="force: constant force; else an arm on its way along a path")
     round_trip_ms: float = Field(ge=0.0, le=1e5, description="Round trip of the link [ms], half of it each way; >= 0")
     stiffness_n_per_m: float = Field(gt=0.0, le=1e6, description="K of the spring or k of the cantilever [N/m]; > 0")
     gain: float | None = Field(default=None, ge=0.0, description="Force gain K_f; none: the law's own")
@@ -109,16 +122,38 @@ class Cell(Settings):
             before = level
         return tuple(points)
 
+    def operator(self, points: Sequence[tuple[float, float]]) -> dict[str, Any]:
+        """Return the section `haptic_node.operator` of a programme: corners (time [s], force [N]).
+
+        An arm goes where it would press with that force if hand and sample were one.
+        """
+        if self.hand == "force":
+            return {"kind": "force_profile", "points": [{"time_s": time, "force_n": force} for time, force in points]}
+        scales = scales_of(self.controller())
+        first_m, per_newton_m = 0.0, 1.0 / (scales.force_scale * self.stiffness_n_per_m)
+        if self.environment == "wall":
+            first_m = WALL_DISTANCE_M
+        elif self.environment == "contact":
+            first_m, per_newton_m = _CONTACT_M, _CONTACT_M_PER_N
+        arm_m_per_n = 1.0 / ARMS[self.hand].stiffness_n_per_m
+        path = []
+        for time, force in points:
+            tip_m = first_m + force * per_newton_m if force > 0.0 else 0.0
+            path.append({"time_s": time, "position_m": tip_m / scales.position_scale + force * arm_m_per_n})
+        return {"kind": "impedance", "arm": self.hand, "path": path}
+
 
 @dataclass(frozen=True)
 class CellResult:
     """What became of a cell.
 
-    verdict: see `verdict`; growth_per_s [1/s] or None; peak_to_peak_n of alpha_f F_s at the end of the hold [N];
-    out_of_contact_share: part of the judged hold that the tip was off the surface; hold_ratio: F_m / (alpha_f F_s) on
-    average, None if the tip was not pressed; lowest_energy_j: the least that the hand had put into the two-port more
-    than it gave to the tip, at the hand's scale [J]: below zero the two-port has made energy; guarded:
-    whether the instrument's safety chain ended the session; reason: the verdict in words.
+    verdict: see `analysis.verdict`, with its reason in words; growth_per_s [1/s] or None; peak_to_peak_n of alpha_f F_s
+    at the end of the hold [N]; out_of_contact_share: part of the judged hold that the tip was off the surface;
+    hold_ratio: F_m / (alpha_f F_s) on average, None if the tip was not pressed; lowest_energy_j: the least that the
+    hand had put into the two-port, at its device, more than it gave to the tip, at the hand's scale [J]: below zero
+    two-port and device have made energy; guarded: whether the instrument's safety chain ended the session; peak_n:
+    greatest alpha_f F_s of the session [N]. In the later half of the hold, on average: tip_n, alpha_f F_s [N]; hand_n,
+    F_m [N]; apart_m, how far the hand is ahead of the tip, x_m - x_s / alpha_p [m]. hand_work_j: work of the hand [J].
     """
 
     cell: Cell
@@ -130,6 +165,11 @@ class CellResult:
     lowest_energy_j: float
     guarded: bool
     reason: str = ""
+    peak_n: float | None = None
+    tip_n: float | None = None
+    hand_n: float | None = None
+    apart_m: float | None = None
+    hand_work_j: float | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Return the result as plain data; `from_dict` is the inverse."""
@@ -207,7 +247,19 @@ def judged(cell: Cell, course: Trajectory) -> CellResult:
         float(energies_of(course, scales).stored_j.min()),
         ended < len(lost),
         found.reason,
+        float(force[:ended].max(initial=0.0)),
+        *_held(course, scales, later),
+        float(course.hand_energy_j[-1] - course.hand_energy_j[0]),
     )
+
+
+def _held(course: Trajectory, scales: "Scales", part: slice) -> tuple[float | None, float | None, float | None]:
+    """Return the means of alpha_f F_s [N], F_m [N] and x_m - x_s / alpha_p [m] over a part of the session."""
+    if part.stop <= part.start:
+        return None, None, None
+    apart = course.hand_position_m[part] - course.base_position_m[part] / scales.position_scale
+    tip_n = scales.force_scale * float(course.tip_force_n[part].mean())
+    return tip_n, float(course.hand_force_n[part].mean()), float(apart.mean())
 
 
 class Scales(NamedTuple):
@@ -244,13 +296,14 @@ def _instrument(environment: Environment, stiffness_n_per_m: float) -> AfmParams
         return AfmConfig(cantilever=CantileverConfig(stiffness_n_per_m=stiffness_n_per_m)).to_params()
     # The spring also pulls, so it is met at its rest position and not from a retracted base.
     safety = SafetyParams(**SafetyConfig(retract_position_m=0.0).model_dump())
+    if environment == "wall":
+        return spring_params(safety, stiffness_n_per_m, WALL_DISTANCE_M, False)
     return spring_params(safety, stiffness_n_per_m, 0.0, True)
 
 
 def rig_of(cell: Cell, hand_points: Sequence[tuple[float, float]]) -> Rig:
     """Prepare the rig of a cell and its hand. Raises ConfigError for one that cannot be built."""
-    points = tuple(ForcePoint(time_s=time, force_n=force) for time, force in hand_points)
-    haptic = HapticConfig(operator=ForceProfileConfig(kind="force_profile", points=points))
+    haptic = validate(HapticConfig, {"operator": cell.operator(hand_points)}, "--hand", "haptic_node")
     return build_rig(cell.controller(), haptic, _instrument(cell.environment, cell.stiffness_n_per_m))
 
 

@@ -173,10 +173,10 @@ def write_transparency(page: Page, rows: Sequence[Transparency]) -> None:
     """Add the table of transparency and what its columns mean."""
     page.table(
         ("law", "round trip [ms]", "verdict", "tracking error [%]", "true stiffness [N/m]", "rendered [N/m]",
-         "perceived delay [ms]", "free |Z| [N s/m]", "Z-width [dB]"),
+         "perceived delay [ms]", "free |Z| [N s/m]", "contrast [dB]"),
         [
             (t.law, t.round_trip_ms, t.verdict, t.tracking_error_percent, t.true_stiffness_n_per_m,
-             t.rendered_stiffness_n_per_m, t.perceived_delay_ms, t.free_impedance_n_s_per_m, t.z_width_db)
+             t.rendered_stiffness_n_per_m, t.perceived_delay_ms, t.free_impedance_n_s_per_m, t.contrast_db)
             for t in rows
         ],
     )  # fmt: skip

@@ -7,6 +7,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from analysis.verdict import KINDS
 from services.runtime.config import flatten
 
 if TYPE_CHECKING:
@@ -21,7 +22,9 @@ table { border-collapse: collapse; font-size: .92rem; display: block; overflow-x
 th, td { padding: .25rem .7rem; border-bottom: 1px solid var(--line); text-align: right; white-space: nowrap; }
 th:first-child, td:first-child { text-align: left; }
 code { background: var(--soft); padding: .1rem .3rem; }
-.stable { background: #2a9d5c55; } .limit_cycle { background: #e9a82055; } .diverged { background: #d1495b55; }
+.stable { background: #009e7355; } .limit_cycle { background: #e69f0055; } .diverged { background: #d55e0055; }
+.drifting { background: #f0e44255; } .wrong_force { background: #cc79a755; } .contact_lost { background: #56b4e955; }
+.guarded { background: #0072b255; } .cannot_say { background: #99999955; }
 """
 _DPI = 140
 
@@ -72,7 +75,7 @@ class Page:
 
 
 def _cell(value: Any) -> str:
-    verdict = value if value in ("stable", "limit_cycle", "diverged") else ""
+    verdict = value if value in KINDS else ""
     words = text(value).replace("_", " ") if verdict else text(value)
     return f'<td class="{verdict}">{escape(words)}</td>' if verdict else f"<td>{escape(words)}</td>"
 

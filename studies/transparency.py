@@ -7,8 +7,8 @@ nothing. After the transient the fundamental of each signal is taken over whole 
 - rendered stiffness: Re(F_m / X_m), what the hand feels of a spring [N/m], against the true alpha_f alpha_p K
 - perceived delay: the time by which the force that the law renders lags behind the hand's motion,
   arg(X_m / F_r) / omega
-- Z-width: |F_m / V_m| on the spring over that on nothing, in dB: the range of impedances between free and hard
-  (Colgate and Brown 1994, at one frequency)
+- contrast: |F_m / V_m| on the spring over that on nothing, in dB. It is no Z-width: that is the range of impedances
+  that a device can render passively (Colgate and Brown 1994), and a hand that is stuck has the greatest contrast
 
 What is unstable has no such numbers: they are None.
 """
@@ -45,7 +45,7 @@ class Transparency:
     rendered_stiffness_n_per_m: float | None
     perceived_delay_ms: float | None
     free_impedance_n_s_per_m: float | None
-    z_width_db: float | None
+    contrast_db: float | None
 
 
 class _Tones(NamedTuple):

@@ -23,7 +23,7 @@ from proto.errors import ConfigError, TelenanoError
 from recording.arrays import columns, last_session
 from recording.reader import Recording
 from services.afm_node.config import AfmConfig
-from studies.cells import Cell, judged, scales_of, trajectory_of
+from studies.cells import WALL_DISTANCE_M, Cell, judged, scales_of, trajectory_of
 from studies.lockstep import Trajectory
 
 Series = npt.NDArray[np.float64]
@@ -73,12 +73,11 @@ def scenario_of(cell: Cell) -> dict[str, Any]:
         direction["jitter"] = {"scale_s": cell.jitter_ms * 1e-3, "distribution": "uniform"}
     if cell.loss:
         direction["loss"] = {"probability": cell.loss}
-    points = [{"time_s": time, "force_n": force} for time, force in cell.hand_points()]
     return {
         "name": f"validate-{cell.key[:12]}",
         "description": f"{cell.law} at {cell.round_trip_ms:g} ms, {cell.environment} {cell.stiffness_n_per_m:g} N/m",
         "duration_s": cell.hold_s()[1],
-        "haptic_node": {"operator": {"kind": "force_profile", "points": points}},
+        "haptic_node": {"operator": cell.operator(cell.hand_points())},
         "controller": cell.controller().model_dump(mode="json", exclude_unset=True),
         "delay_node": {"seed": cell.seed, "forward": direction, "backward": direction},
         "afm_node": _instrument_section(cell),
@@ -90,7 +89,9 @@ def _instrument_section(cell: Cell) -> dict[str, Any]:
         return {"cantilever": {"stiffness_n_per_m": cell.stiffness_n_per_m}}
     if "environment" not in AfmConfig.model_fields:
         raise ConfigError("--environment spring: the AFM node of this version cannot simulate a spring; give contact")
-    spring = {"stiffness_n_per_m": cell.stiffness_n_per_m, "rest_position_m": 0.0, "bilateral": True}
+    one_sided = cell.environment == "wall"
+    rest_m = WALL_DISTANCE_M if one_sided else 0.0
+    spring = {"stiffness_n_per_m": cell.stiffness_n_per_m, "rest_position_m": rest_m, "bilateral": not one_sided}
     return {"environment": "spring", "spring": spring, "safety": {"retract_position_m": 0.0}}
 
 

@@ -1,7 +1,7 @@
 """Configuration of the haptic node: device, guard and simulated hand, with the presets of the paper."""
 
 import math
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -192,8 +192,27 @@ class ForceProfileConfig(Settings):
         return OperatorParams(FORCE_PROFILE, times, forces, 0.0, 0.0, 0.0, 0.0, 0.0, self.max_force_n)
 
 
+class ArmConstants(NamedTuple):
+    """k [N/m], b [N s/m] and m [kg] of an arm about its intended path."""
+
+    stiffness_n_per_m: float
+    damping_n_s_per_m: float
+    mass_kg: float
+
+
+ArmName = Literal["soft", "ordinary", "stiff"]
+# Stiffness at the hand in a posture is 100 to 700 N/m (F. A. Mussa-Ivaldi, N. Hogan, E. Bizzi, J. Neuroscience 5, 1985;
+# T. Tsuji et al., Biological Cybernetics 72, 1995), that of a finger that presses with 2 to 20 N is 200 to 1000 N/m
+# (A. Z. Hajian, R. D. Howe, J. Biomechanical Engineering 119, 1997). The values are our own choice, which spans these.
+ARMS: dict[ArmName, ArmConstants] = {
+    "soft": ArmConstants(50.0, 5.0, 0.15),
+    "ordinary": ArmConstants(300.0, 5.0, 0.15),
+    "stiff": ArmConstants(1000.0, 20.0, 0.15),
+}
+
+
 class ImpedanceConfig(Settings):
-    """A hand with mass, damper and spring on its way along an intended path; constants of the usual size, our own."""
+    """A hand with mass, damper and spring on its way along an intended path."""
 
     kind: Literal["impedance"] = Field(description="Selects this model of the hand")
     path: tuple[PathPoint, ...] = Field(
@@ -201,9 +220,19 @@ class ImpedanceConfig(Settings):
         max_length=10_000,
         description="Corners of the intended path: linear between, the end values held outside",
     )
-    stiffness_n_per_m: float = Field(default=300.0, ge=0.0, le=1e6, description="Spring k of the arm [N/m]; [0, 1e6]")
-    damping_n_s_per_m: float = Field(default=5.0, ge=0.0, le=1e5, description="Damper b of the arm [N s/m]; [0, 1e5]")
-    mass_kg: float = Field(default=0.15, ge=0.0, le=100.0, description="Moving mass m of the hand [kg]; [0, 100]")
+    arm: ArmName = Field(default="ordinary", description="Arm whose constants hold where none are given here")
+    stiffness_n_per_m: float | None = Field(
+        default=None, ge=0.0, le=1e6, description="Spring k of the arm [N/m]; [0, 1e6]; none: that of the named arm"
+    )
+    damping_n_s_per_m: float | None = Field(
+        default=None, ge=0.0, le=1e5, description="Damper b of the arm [N s/m]; [0, 1e5]; none: that of the named arm"
+    )
+    mass_kg: float | None = Field(
+        default=None,
+        ge=0.0,
+        le=100.0,
+        description="Moving mass m of the hand [kg]; [0, 100]; none: the named arm's",
+    )
     pad_stiffness_n_per_m: float = Field(
         default=5000.0, gt=0.0, le=1e7, description="Finger pad between mass and device, spring k_p [N/m]; (0, 1e7]"
     )
@@ -218,13 +247,15 @@ class ImpedanceConfig(Settings):
         return self
 
     def to_params(self) -> OperatorParams:
+        arm = ARMS[self.arm]
+        k, b, m = self.stiffness_n_per_m, self.damping_n_s_per_m, self.mass_kg
         return OperatorParams(
             kind=IMPEDANCE,
             times_s=np.array([point.time_s for point in self.path]),
             values=np.array([point.position_m for point in self.path]),
-            stiffness_n_per_m=self.stiffness_n_per_m,
-            damping_n_s_per_m=self.damping_n_s_per_m,
-            mass_kg=self.mass_kg,
+            stiffness_n_per_m=arm.stiffness_n_per_m if k is None else k,
+            damping_n_s_per_m=arm.damping_n_s_per_m if b is None else b,
+            mass_kg=arm.mass_kg if m is None else m,
             pad_stiffness_n_per_m=self.pad_stiffness_n_per_m,
             pad_damping_n_s_per_m=self.pad_damping_n_s_per_m,
             max_force_n=self.max_force_n,

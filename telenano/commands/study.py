@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 from rich.console import Console
@@ -32,6 +32,9 @@ _LONGEST_MS = 10_000.0
 _STIFFEST_N_PER_M = 1e5
 _PIPE_COLUMNS = 160
 
+# that of `studies.cells`, which imports numba
+Environment = Literal["spring", "wall", "contact"]
+
 app = command_group()
 
 
@@ -39,13 +42,28 @@ class EnvironmentName(StrEnum):
     """The environment that the tip touches."""
 
     SPRING = "spring"
+    WALL = "wall"
     CONTACT = "contact"
+
+
+class SampleName(StrEnum):
+    """A sample in words, and its stiffness."""
+
+    SOFT = "soft"
+    ORDINARY = "ordinary"
+    STIFF = "stiff"
+
+
+_SAMPLES_N_PER_M = {SampleName.SOFT: 5.0, SampleName.ORDINARY: 20.0, SampleName.STIFF: 80.0}
 
 
 LawOption = Annotated[str, typer.Option("--law", metavar="LAW[,LAW]|all", help="Laws to study.")]
 EnvironmentOption = Annotated[
     EnvironmentName,
-    typer.Option("--environment", help="spring: F = K (x_s - L), linear; contact: the tip-sample force of Table 2."),
+    typer.Option(
+        "--environment",
+        help="spring: F = K (x_s - L); wall: the same, but only pushing; contact: the tip-sample force of Table 2.",
+    ),
 ]
 StiffnessOption = Annotated[
     str | None,
@@ -141,7 +159,7 @@ def transparency(
     settings: SetOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Measure tracking error, rendered stiffness, Z-width and perceived delay of each law on a spring."""
+    """Measure tracking error, rendered stiffness, contrast and perceived delay of each law on a spring."""
     with report_errors(as_json, _INTERRUPTED):
         from studies.compare import measure_all, write_transparency
 
@@ -157,10 +175,10 @@ def transparency(
         write_parquet(out / "transparency.parquet", records)
         summary = {"study": "transparency", "rows": records}
         (out / "transparency.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
-        head = ("law", "delay [ms]", "verdict", "tracking [%]", "rendered [N/m]", "perceived [ms]", "Z-width [dB]")
+        head = ("law", "delay [ms]", "verdict", "tracking [%]", "rendered [N/m]", "perceived [ms]", "contrast [dB]")
         _print_result(summary, head, [
             (r.law, r.round_trip_ms, r.verdict, r.tracking_error_percent, r.rendered_stiffness_n_per_m,
-             r.perceived_delay_ms, r.z_width_db) for r in rows
+             r.perceived_delay_ms, r.contrast_db) for r in rows
         ], out / "transparency.html", as_json=as_json)  # fmt: skip
 
 
@@ -203,6 +221,65 @@ def compare(
             (name, *(_ms(v) for v in found["critical_delay_ms"].values()), _ms(found["critical_delay_contact_ms"]))
             for name, found in summary["laws"].items()
         ], out / "compare.html", as_json=as_json)  # fmt: skip
+
+
+@app.command()
+def advise(
+    delay: Annotated[float, typer.Option("--delay", metavar="MS", min=0.0, help="Round trip of the network [ms].")],
+    out: Annotated[
+        Path, typer.Option("--out", metavar="DIR", help="Folder for page, table and journal; resumes a journal.")
+    ] = Path("advice"),
+    loss: Annotated[str, typer.Option("--loss", metavar="SHARE", help="Messages lost each way, 0 to 1, or n%.")] = "0",
+    jitter: Annotated[
+        str,
+        typer.Option("--jitter", metavar="MS", help="Half-width of uniform jitter each way [ms], or n% of the delay."),
+    ] = "0",
+    sample: Annotated[
+        SampleName, typer.Option("--sample", help="soft: 5 N/m, ordinary: 20 N/m, stiff: 80 N/m at the tip.")
+    ] = SampleName.ORDINARY,
+    stiffness: Annotated[
+        float | None, typer.Option("--stiffness", metavar="N/M", help="Stiffness at the tip, in place of --sample.")
+    ] = None,
+    environment: EnvironmentOption = EnvironmentName.WALL,
+    seeds: Annotated[int, typer.Option("--seeds", min=1, max=1000, help="Seeds of a random network.")] = 3,
+    workers: WorkersOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Say which law to take for a network and a sample: every law, tuned for them, tried with a force and with arms."""
+    with report_errors(as_json, _INTERRUPTED):
+        from studies import values
+        from studies.advice import Question, in_words
+        from studies.advice import advise as find
+
+        k = stiffness if stiffness is not None else _SAMPLES_N_PER_M[sample]
+        if not 0.0 < k <= _STIFFEST_N_PER_M:
+            raise ConfigError(f"--stiffness: {k:g} N/m is outside 0 to {_STIFFEST_N_PER_M:g} N/m")
+        if delay > _LONGEST_MS:
+            raise ConfigError(f"--delay: {delay:g} ms is outside 0 to {_LONGEST_MS:g} ms")
+        kind: Environment = environment.value
+        question = Question(delay, values.jitters(jitter)[0], values.losses(loss)[0], kind, k, seeds)
+        with _sweep(out, workers, None, shown=not as_json) as sweep:
+            candidates = find(question, sweep)
+        words = in_words(question, candidates)
+        records = [candidate.as_dict() for candidate in candidates]
+        summary = {"study": "advise", "take": records[0]["law"] if records[0]["suited"] else None, "advice": words,
+                   "candidates": records}  # fmt: skip
+        (out / "advise.json").write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        head = ("law", "stable runs", "force in a hold", "peak force", "free [N s/m]", "least energy [mJ]", "price")
+        rows = [
+            (c.name, f"{r['stable_runs']}/{r['runs']}", r["force_share"], r["peak_share"], r["free_n_s_per_m"],
+             1e3 * r["lowest_energy_j"], r["price"]) for c, r in zip(candidates, records, strict=True)
+        ]  # fmt: skip
+        page = Page("Which law to take")
+        page.code(_command())
+        for sentence in words:
+            page.paragraph(sentence)
+        page.table(head, rows)
+        page.write(out / "advise.html")
+        if not as_json:
+            for sentence in words:
+                typer.echo(sentence)
+        _print_result(summary, head, rows, out / "advise.html", as_json=as_json)
 
 
 @app.command()
@@ -288,13 +365,13 @@ class _Given:
         from studies.cells import DEFAULT_STIFFNESS
         from studies.stability import Axes
 
-        name = self.environment.value
+        name: Environment = self.environment.value
         if self.duration is not None and not 0.0 < self.duration <= 3600.0:
             raise ConfigError(f"--duration: {self.duration:g} s is outside 0 to 3600 s")
         stiffness = self.stiffness or ",".join(f"{k:g}" for k in DEFAULT_STIFFNESS[name])
         axes = Axes(
             values.laws(self.law),
-            "spring" if self.environment is EnvironmentName.SPRING else "contact",
+            name,
             values.numbers("--delay", delay, 0.0, _LONGEST_MS, "ms"),
             values.numbers("--stiffness", stiffness, 1e-3, _STIFFEST_N_PER_M, "N/m"),
             (None,) if self.gain is None else values.numbers("--gain", self.gain, 0.0, 1e6, ""),

@@ -139,3 +139,9 @@ def test_bandwidths_in_the_readme_are_the_computed_ones():
     text = README.read_text(encoding="utf-8")
     for preset in SERVO_GAINS_V_PER_M:
         assert f"{motor.bandwidth_hz(DeviceConfig(preset=preset).to_params()):.3f} Hz" in text
+
+
+def test_named_arm_gives_what_is_not_given():
+    hand = {"kind": "impedance", "path": [{"time_s": 0, "position_m": 0}], "arm": "stiff", "mass_kg": 0.5}
+    params = load({"operator": hand}).to_params().plant.operator
+    assert (params.stiffness_n_per_m, params.damping_n_s_per_m, params.mass_kg) == (1000.0, 20.0, 0.5)

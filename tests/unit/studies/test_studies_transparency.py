@@ -23,7 +23,7 @@ def test_numbers_of_the_papers_law_without_delay() -> None:
     assert found.rendered_stiffness_n_per_m == pytest.approx(1.05 * 1500.0, rel=0.02, abs=0.0)
     assert found.free_impedance_n_s_per_m == pytest.approx(2000.0 / 20.0, rel=0.01, abs=0.0)
     pressed = abs(complex(1.05 * 1500.0, 100.0 * omega)) / omega
-    assert found.z_width_db == pytest.approx(20.0 * math.log10(pressed / 100.0), rel=0.01, abs=0.0)
+    assert found.contrast_db == pytest.approx(20.0 * math.log10(pressed / 100.0), rel=0.01, abs=0.0)
 
 
 def test_perceived_delay_grows_by_the_round_trip() -> None:
@@ -45,7 +45,7 @@ def test_what_is_unstable_has_no_numbers() -> None:
     found = measure(cell(200.0))
     assert found.verdict != "stable"
     assert found.rendered_stiffness_n_per_m is None
-    assert found.z_width_db is None
+    assert found.contrast_db is None
 
 
 def test_programme_is_a_sine_on_a_ramp() -> None:

@@ -10,8 +10,11 @@ from typer.testing import CliRunner
 
 from proto.errors import ConfigError
 from services.controller.config import LAWS
-from studies import values
+from studies import advice, values
+from studies.advice import Candidate, Question, cells_of
+from studies.cells import CellResult
 from studies.stability import Jitter
+from studies.sweep import Sweep
 from telenano.commands.study import app
 
 RUN = CliRunner()
@@ -136,3 +139,42 @@ def test_help_is_there_at_once() -> None:
     assert done.stdout.strip() == "[]"
     for command in ("stability", "transparency", "compare", "validate"):
         assert RUN.invoke(app, [command, "--help"]).exit_code == 0
+
+
+def test_advise_answers_in_sentences_and_leaves_a_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def told(question: Question, sweep: Sweep) -> list[Candidate]:
+        asked.append(question)
+        found = []
+        for law, verdict in (("model_mediated", "stable"), ("smith", "diverged")):
+            settings, cells = cells_of(question, law, clamp=False)
+            held = ("it grows", 1.1, 0.97, 1.0, 0.0, 0.0)
+            results = [CellResult(cell, verdict, None, 0.0, 0.0, 1.0, 0.0, False, *held) for cell in cells]
+            found.append(Candidate(law, False, settings, tuple(results)))
+        return found
+
+    asked: list[Question] = []
+    monkeypatch.setattr(advice, "advise", told)
+    network = ["advise", "--delay", "120", "--loss", "3%", "--sample", "stiff", "--out", str(tmp_path)]
+    result = RUN.invoke(app, network)
+    assert result.exit_code == 0, result.output
+    assert asked == [Question(120.0, Jitter(), 0.03, "wall", 80.0, 3)]
+    assert result.stdout.startswith("120 ms, 3 % loss, wall of 80 N/m: take model_mediated; all of its 12 runs held")
+    assert "Not suited: smith (it grows)." in result.stdout
+    summary = json.loads((tmp_path / "advise.json").read_text())
+    assert summary["take"] == "model_mediated"
+    assert summary["candidates"][1]["price"] is None
+    assert "take model_mediated" in (tmp_path / "advise.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--delay", "120", "--stiffness", "-3"], "--stiffness: -3 N/m is outside"),
+        (["--delay", "1e9"], "--delay: 1e+09 ms is outside"),
+        (["--delay", "5", "--loss", "3"], "a share of the messages"),
+    ],
+)
+def test_advise_refuses_what_is_no_network(tmp_path: Path, options: list[str], words: str) -> None:
+    result = RUN.invoke(app, ["advise", *options, "--out", str(tmp_path)])
+    assert result.exit_code != 0
+    assert words in result.output
