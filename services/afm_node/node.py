@@ -59,6 +59,8 @@ class AfmNode(Node):
         driver.exchange(self._guard.base_m)
         self._stepped_ns = self.clock.monotonic_ns()
         self._due_ns = self._stepped_ns + _PERIOD_NS
+        if config.environment != "spring" and (doubts := config.doubts()):
+            self.event("fault", "warning", doubts)
 
     def admits(self, received: Received) -> bool:
         return self._replay_guard.admits(received)

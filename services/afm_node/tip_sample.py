@@ -150,12 +150,43 @@ def _hand_over(p: TipSampleProperties, table: ContactTable, a0: float) -> tuple[
         raise ValueError(
             f"no hand-over from Lennard-Jones to Maugis-Dugdale: the two forces cross nowhere between the contact "
             f"point and pull-off for lambda = {table.contact.transition:.6g}, H = {p.hamaker_j:.6g} J, "
-            f"omega = {p.work_of_adhesion_j_per_m2:.6g} J/m^2; raise H, lower omega, or use the reading as_printed"
+            f"omega = {p.work_of_adhesion_j_per_m2:.6g} J/m^2; {_remedy(p, table, a0)} lower omega, or use the "
+            f"reading as_printed"
         )
     folded = table.contact.transition > FOLD_TRANSITION
     if folded and _difference(p, table, a0, math.nextafter(contact_end, 0.0)) > 0.0:
         return hand_over, contact_end
     return hand_over, hand_over
+
+
+def hamaker_of(work_of_adhesion_j_per_m2: float) -> float:
+    """Return the Hamaker constant [J] of two surfaces with this work of adhesion: H = 12 pi D_0^2 omega.
+
+    D_0 = 0.165 nm (J. N. Israelachvili, Intermolecular and Surface Forces). H and omega are two measures of one
+    attraction, so values that are far from this belong to different materials, or to different surroundings.
+    """
+    return 12.0 * math.pi * 0.165e-9**2 * work_of_adhesion_j_per_m2
+
+
+def _remedy(p: TipSampleProperties, table: ContactTable, a0: float) -> str:
+    """Say which H would do, and which belongs to omega; the table does not depend on H."""
+
+    def crosses(hamaker_j: float) -> bool:
+        other = p._replace(hamaker_j=hamaker_j)
+        return _outermost_crossing(other, table, a0, a0, a0 - table.cohesive_end_m) is not None
+
+    low, high = p.hamaker_j, p.hamaker_j
+    for _ in range(12):
+        low, high = high, 2.0 * high
+        if crosses(high):
+            break
+    else:
+        return "no H within reach helps:"
+    for _ in range(12):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if crosses(middle) else (middle, high)
+    belongs = hamaker_of(p.work_of_adhesion_j_per_m2)
+    return f"raise H to {high:.3g} J or more ({belongs:.3g} J belongs to this omega by H = 12 pi D0^2 omega),"
 
 
 def _outermost_crossing(

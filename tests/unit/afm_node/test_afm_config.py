@@ -85,3 +85,22 @@ def test_the_readme_shows_every_key_with_its_default():
     assert defaults["tip_sample"].pop("relative_humidity") is None
     assert shown == defaults
     assert AfmConfig.model_validate(shown).to_params().safety == AfmConfig().to_params().safety
+
+
+def test_material_that_contradicts_itself_is_doubted_and_table_2_is_not():
+    assert AfmConfig().doubts() == ""
+    # metal in H, polymer in omega: 1.89e-19 J beside 0.01 J/m^2, to which 1.03e-20 J belongs
+    doubts = AfmConfig(tip_sample=TipSampleConfig(work_of_adhesion_j_per_m2=0.01)).doubts()
+    assert "by a factor of 18" in doubts
+    assert "belongs to 1.03e-20 J" in doubts
+
+
+def test_material_without_a_hand_over_says_which_hamaker_constant_would_do():
+    with pytest.raises(ValidationError, match="raise H to") as caught:
+        AfmConfig(tip_sample=TipSampleConfig(hamaker_j=1e-20))
+    told = float(str(caught.value).split("raise H to ")[1].split(" J")[0])
+    assert "0.072 J/m^2" in str(caught.value)
+    assert 1e-20 < told < 1e-17
+    AfmConfig(tip_sample=TipSampleConfig(hamaker_j=1.02 * told))
+    with pytest.raises(ValidationError):
+        AfmConfig(tip_sample=TipSampleConfig(hamaker_j=0.97 * told))
