@@ -52,8 +52,8 @@ class ControllerHalf(Node):
     """What both halves share: the law, its parameters, and how both change at run time.
 
     A change of law reaches the halves at different times, and each stands still from then on: the reference of the hand
-    coasts to rest, that of the base stays, and both send the new law's signals without following. Signals of another law are
-    ignored. The master takes over from where the hand is when it receives the slave in the new law, with the tip's
+    coasts to rest, that of the base stays, and both send the new law's signals without following; those of another law
+    are ignored. The master takes over from where the hand is when it receives the slave in the new law, with the tip's
     reference where the slave reports the base; the slave goes on when it receives that the master follows.
     """
 

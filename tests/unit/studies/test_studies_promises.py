@@ -1,4 +1,4 @@
-"""The promise of docs/laws.md over bad links: passivity control holds every spring and makes no energy at the device."""
+"""The promise of docs/laws.md over bad links: passivity control holds every spring and makes no energy."""
 
 import pytest
 
