@@ -299,7 +299,7 @@ def test_each_site_gets_its_half(bench_of: Any) -> None:
 def heard_forward(bench: Any, node: SlaveController, law: str, seq: int, position_m: float) -> None:
     fields = forward_fields(position_m, seq, 50 + seq * PERIOD_NS) | {"law": law, "force_n": (0.0, 0.0, -1e-8)}
     fields |= {"wave_sqrt_w": ZERO if law == "wave" else None, "energy_j": 0.0 if law != "model_mediated" else None}
-    node.on_message(bench.heard("teleop/forward", "controller@master", **fields))
+    node.on_message(bench.received("teleop/forward", "controller@master", **fields))
 
 
 @pytest.mark.parametrize("law", ["passivity", "model_mediated", "wave"])
@@ -309,14 +309,14 @@ def test_local_loop_goes_on_with_the_instruments_own_steps(bench_of: Any, law: s
     for seq in range(3):
         heard_forward(bench, node, law, seq, 1e-8)
         (command,) = bench.take("afm/command")
-        node.on_message(bench.heard("afm/state", "afm_node@slave", **tip_fields(2e-8, command.seq)))
+        node.on_message(bench.received("afm/state", "afm_node@slave", **tip_fields(2e-8, command.seq)))
         bench.advance_ms(1.0)
     bench.take("teleop/backward")
     # nothing comes any more, but the instrument steps by itself and says what it measures
     commands = 0
     for _ in range(2000):
         bench.advance_ms(1.5)
-        node.on_message(bench.heard("afm/state", "afm_node@slave", **tip_fields(2e-8, command.seq)))
+        node.on_message(bench.received("afm/state", "afm_node@slave", **tip_fields(2e-8, command.seq)))
         news = bench.take("afm/command")
         if not news:
             break
@@ -324,7 +324,7 @@ def test_local_loop_goes_on_with_the_instruments_own_steps(bench_of: Any, law: s
         commands += 1
         assert command.hand_seq == 2
         # what a command of its own did is accounted for, and not sent
-        node.on_message(bench.heard("afm/state", "afm_node@slave", **tip_fields(2e-8, command.seq)))
+        node.on_message(bench.received("afm/state", "afm_node@slave", **tip_fields(2e-8, command.seq)))
     # for as long as the last signal counts, then it stands, so that the guard of the instrument judges the silence
     assert commands == int((node.config.section().silence_limit_s - 1e-3) / 1.5e-3)
     assert bench.take("teleop/backward") == []
@@ -340,7 +340,7 @@ def test_law_without_a_local_loop_waits_for_signals_and_gets_one_with_the_clamp(
         # the tip was not following before, so that the clamp did not act
         assert command.base_position_m[2] == -5e-8
         for _ in range(2):
-            node.on_message(bench.heard("afm/state", "afm_node@slave", **tip_fields(2e-8, command.seq)))
+            node.on_message(bench.received("afm/state", "afm_node@slave", **tip_fields(2e-8, command.seq)))
         news = bench.take("afm/command")
         assert len(news) == enabled
         # 2 N at the tip for 1 N of the hand: the base, at 9 nm, gives way
@@ -359,12 +359,12 @@ def test_energy_is_counted_at_the_device_and_a_law_that_makes_some_is_not_passiv
             expected_j += force_n * step_m
         position_m += step_m
         bench.advance_ms(1.0)
-        hand = bench.heard("haptic/state", "haptic_node@master", **hand_fields(force_n, position_m=position_m))
+        hand = bench.received("haptic/state", "haptic_node@master", **hand_fields(force_n, position_m=position_m))
         node.on_message(hand)
         fields = answer_fields(1.5e-8, hand.message.seq, hand.message.t_ns, law="position_force")
-        node.on_message(bench.heard("teleop/backward", "controller@slave", **fields))
+        node.on_message(bench.received("teleop/backward", "controller@slave", **fields))
         far = status_fields(0.0)
-        node.on_message(bench.heard("law/status", "controller@slave", **far))
+        node.on_message(bench.received("law/status", "controller@slave", **far))
     last = bench.take("law/status")[-1]
     assert last.port_energy_j == pytest.approx(expected_j, rel=0.4)
     assert last.port_energy_j < -1e-4
