@@ -1,30 +1,34 @@
 """`telenano bag rerun`: a node run once more on the inputs of its journal, its outputs compared.
 
 A node writes down in which order it took its messages and deadlines, and what state it was in (`node/journal`,
-ADR 0012). The re-run builds the node, puts it into that state, and repeats the turns one by one.
+ADR 0012). The re-run builds the node, puts it into that state, and repeats the turns one by one. What the link sends
+on beside that is compared with what came out of it at either site (ADR 0019).
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
 import yaml
+import zmq
 from pydantic import BaseModel
 
+from analysis.forwarded import Forwarded, compare_forwarded
 from proto import TOPICS, Message, encode
 from proto.errors import ConfigError, RecordingError, TelenanoError
 from proto.messages import NodeJournal, SessionControl
-from proto.nodes import START_ORDER, name_of, site_of
+from proto.nodes import LINK, RERUN_NODES, endpoints_of, name_of, no_rerun_reason, site_of
 from proto.sequence import Arrival
 from recording.messages import RecordedChannel, RecordedMessage
 from recording.reader import Recording
+from recording.records import REJECTED_TOPIC, RejectedRecord
 from recording.tolerance import Tolerances, first_difference
 from services.runtime.address_book import AddressBook
-from services.runtime.bus import Received, ZmqBus
+from services.runtime.bus import Publisher, Received, Subscriber, ZmqBus, ZmqPublisher
 from services.runtime.clock import TurnClock
 from services.runtime.config import flag_overrides, merge, validate
-from services.runtime.journal import COMMAND, DEADLINE
+from services.runtime.journal import COMMAND, DEADLINE, MESSAGE
 from services.runtime.log import StructuredLog
 from services.runtime.main import Wiring, node_kind
 from services.runtime.node import Node
@@ -41,7 +45,8 @@ _LATEST_START_NS = 1_500_000_000
 class RerunResult(BaseModel):
     """What came of a re-run.
 
-    `compared` counts recorded outputs met, by topic; `first_seq` is the number of the first of them. `left_out` counts
+    `compared` counts recorded outputs met, by topic, with `@site` for what a link sent on there; `first_seq` is the
+    number of the first of them. `left_out` counts
     recorded outputs that were not compared, because the journal or an input from before the first or after the last
     compared turn is not in the recording. `difference` describes the first difference, and is empty when there is
     none; `topic`, `seq`, `time_s` (since the start of the recording) and `field` are its place. `ended_early` is the
@@ -85,9 +90,8 @@ def rerun(
     Raises ConfigError when the node is not one that can be re-run or the scenario is wrong, RecordingError when the
     recording lacks the scenario, the journal or the inputs of the node.
     """
-    known = [node for node in START_ORDER if name_of(node) in TOPICS[JOURNAL].publishers]
-    if key not in known:
-        raise ConfigError(f"node {key}: cannot be re-run, it keeps no journal; those that can are {', '.join(known)}")
+    if reason := no_rerun_reason(key):
+        raise ConfigError(f"node {key}: cannot be run again: {reason}; those that can are {', '.join(RERUN_NODES)}")
     batches = [cast(NodeJournal, found.decode()) for found in recording.messages([JOURNAL]) if found.src == key]
     if not batches:
         raise RecordingError(
@@ -95,16 +99,11 @@ def rerun(
             "or before nodes kept a journal; it can still be read, replayed, compared and plotted"
         )
     recorded = _Recorded(recording, key, batches)
-    first_ns = int(batches[0].time_ns.to_numpy()[0])
-    early = [batch for batch in batches if int(batch.time_ns.to_numpy()[0]) - first_ns <= _LATEST_START_NS]
-    begun = next((n for n, batch in enumerate(early) if batch.state.data and not recorded.missing(batch)), None)
-    if begun is None:
-        missing = next((found for found in map(recorded.missing, batches) if found), "the node's state")
-        raise RecordingError(f"{recording.path}: has no part of the journal of {key} with all inputs: lacks {missing}")
-    clock = TurnClock(int(batches[begun].time_ns.to_numpy()[0]), batches[begun].epoch_offset_ns)
+    begun = _begin(recorded, batches)
+    clock = TurnClock(_start_ns(batches[begun]), batches[begun].epoch_offset_ns)
     bus = ReplayBus(key, clock, recorded, tolerances or Tolerances(), take)
     node = _build(recording, key, clock, bus, settings)
-    restore(node, batches[begun].state.data)
+    restore(node, batches[begun].state.data, recorded.payload)
     bus.numbers = dict(batches[begun].outputs)
     facts: dict[str, Any] = {}
     try:
@@ -118,7 +117,9 @@ def rerun(
         facts = error.facts
     except _EndError as error:
         facts = {"ended_early": str(error)}
-    total = sum(len(found) for found in recorded.outputs.values())
+    if "difference" not in facts:
+        facts |= bus.compare_forwarded()
+    total = sum(map(len, recorded.outputs.values())) + sum(map(len, recorded.forwarded.values()))
     compared = {topic: count for topic, count in bus.compared.items() if count}
     return RerunResult(
         node=key,
@@ -156,27 +157,58 @@ class _Recorded:
     """The recorded inputs and outputs of one node, by number."""
 
     def __init__(self, recording: Recording, key: str, batches: Sequence[NodeJournal]) -> None:
+        self.path, self.key = recording.path, key
         self.start_ns = recording.span_ns[0]
         self.outputs: dict[tuple[str, int], list[RecordedMessage]] = {}
+        # by endpoint
+        self.forwarded: dict[str, list[Forwarded]] = {}
         self._inputs: dict[tuple[str, str, int], list[RecordedMessage]] = {}
+        # when the recorder first received from a source
+        self._first_received_ns: dict[tuple[str, str], int] = {}
         sources = {(source.topic, source.src) for batch in batches for source in batch.inputs}
+        endpoints, is_link = endpoints_of(key), name_of(key) == LINK
 
         def is_input(channel: RecordedChannel) -> bool:
-            return (channel.topic, channel.src) in sources and channel.site == site_of(key)
+            # the link is connected to the publishers of both sites
+            received = channel.via == "direct" if is_link else channel.site == site_of(key)
+            return received and (channel.topic, channel.src) in sources
 
         def is_output(channel: RecordedChannel) -> bool:
-            return channel.src == key and channel.via == "direct" and channel.topic not in _NOT_COMPARED
+            return channel.src in endpoints and channel.via == "direct" and channel.topic not in _NOT_COMPARED
 
-        for found in recording.select(lambda channel: is_input(channel) or is_output(channel)):
+        def is_forwarded(channel: RecordedChannel) -> bool:
+            return is_link and (channel.via == "link" or channel.topic == REJECTED_TOPIC)
+
+        tests = (is_input, is_output, is_forwarded)
+        for found in recording.select(lambda channel: any(test(channel) for test in tests)):
             if is_input(found.channel):
                 self._inputs.setdefault((found.topic, found.src, found.seq), []).append(found)
+                self._first_received_ns.setdefault((found.topic, found.src), found.log_ns)
             if is_output(found.channel):
                 self.outputs.setdefault((found.topic, found.seq), []).append(found)
+            if is_forwarded(found.channel):
+                self._add_forwarded(found)
+
+    def _add_forwarded(self, found: RecordedMessage) -> None:
+        endpoint, topic, payload = f"{LINK}@{found.site}", found.topic, found.payload
+        if topic == REJECTED_TOPIC:
+            # what flipped bits have left without a header
+            rejected = cast(RejectedRecord, found.decode())
+            if name_of(rejected.publisher) != LINK or len(rejected.frames) != 2:
+                return
+            endpoint, (frame, payload) = rejected.publisher, rejected.frames
+            topic = frame.decode(errors="replace")
+        self.forwarded.setdefault(endpoint, []).append(Forwarded(topic, payload, found.log_ns))
 
     def input(self, turn: Turn) -> RecordedMessage | None:
         """Return the message of a turn; of those with one number, from before and after a restart, the nearest."""
         found = self._inputs.get((turn.topic, turn.src, turn.seq), ())
         return min(found, key=lambda message: abs(message.log_ns - turn.time_ns), default=None)
+
+    def payload(self, topic: str, src: str, seq: int, arrived_ns: int, size_bytes: int) -> bytes:
+        """Return the bytes of an input, zeros when it is not in the recording."""
+        found = self.input(Turn(MESSAGE, arrived_ns, topic, src, seq))
+        return bytes(size_bytes) if found is None else found.payload
 
     def output(self, topic: str, seq: int, time_ns: int) -> RecordedMessage | None:
         """Return what the node published under a number."""
@@ -185,10 +217,16 @@ class _Recorded:
 
     def missing(self, batch: NodeJournal) -> str:
         """Name the first input of a batch that is not there; empty when all are."""
-        for turn in _turns(batch):
-            if turn.kind != DEADLINE and self.input(turn) is None:
-                return f"{turn.topic}, seq {turn.seq} of {turn.src}"
-        return ""
+        found = next(self._missing(batch), None)
+        return "" if found is None else f"{found.topic}, seq {found.seq} of {found.src}"
+
+    def is_early(self, batch: NodeJournal) -> bool:
+        """Return whether a batch has an input from before the recorder was connected to its publisher."""
+        missing = ((turn.time_ns, self._first_received_ns.get((turn.topic, turn.src))) for turn in self._missing(batch))
+        return any(first_ns is not None and time_ns < first_ns for time_ns, first_ns in missing)
+
+    def _missing(self, batch: NodeJournal) -> Iterator[Turn]:
+        return (turn for turn in _turns(batch) if turn.kind != DEADLINE and self.input(turn) is None)
 
 
 class ReplayBus:
@@ -205,6 +243,7 @@ class ReplayBus:
         self.numbers: dict[str, int] = {}
         self.compared: dict[str, int] = {}
         self.first_seq: dict[str, int] = {}
+        self._forwarded: dict[str, list[Forwarded]] = {}
         self._key = key
         self._clock = clock
         self._recorded = recorded
@@ -212,18 +251,40 @@ class ReplayBus:
         self._take = take
 
     def publish(self, topic: str, **fields: Any) -> Message:
-        """Compare a message, whose `t_ns`, the time of sending, is that of the recorded one."""
+        """Compare a message of the node."""
+        return self.publish_as(self._key, topic, fields)
+
+    def publish_as(self, src: str, topic: str, fields: Mapping[str, Any]) -> Message:
+        """Compare a message of one of the node's endpoints; its `t_ns`, the time of sending, is the recorded one."""
         model, seq = TOPICS[topic].model, self.numbers.get(topic, 0)
         self.numbers[topic] = seq + 1
         recorded = None if topic in _NOT_COMPARED else self._recorded.output(topic, seq, self._clock.time_ns)
         t_ns = self._clock.time_ns if recorded is None else recorded.publish_ns
-        message = model(seq=seq, t_ns=t_ns, src=self._key, v=model.version, **fields)
+        message = model(seq=seq, t_ns=t_ns, src=src, v=model.version, **fields)
         if recorded is not None:
             self._compare(message, recorded)
             self.compared[topic] = self.compared.get(topic, 0) + 1
             self.first_seq.setdefault(topic, seq)
             self._take(topic, message)
         return message
+
+    def forward(self, endpoint: str, topic: str, payload: bytes) -> None:
+        """Keep a message that was sent on, for the comparison at the end."""
+        self.numbers[endpoint] = self.numbers.get(endpoint, 0) + 1
+        self._forwarded.setdefault(endpoint, []).append(Forwarded(topic, payload, self._clock.time_ns))
+
+    def compare_forwarded(self) -> dict[str, Any]:
+        """Compare what was sent on, in its order; return the facts of the first difference."""
+        for endpoint, sent in self._forwarded.items():
+            found = compare_forwarded(sent, self._recorded.forwarded.get(endpoint, ()))
+            for topic, count in found.compared.items():
+                name = f"{topic}@{site_of(endpoint)}"
+                self.compared[name], self.first_seq[name] = count, found.first_seq[topic]
+            if found.difference:
+                message = sent[found.place]
+                text = f"forwarded at {endpoint}: {found.difference}"
+                return self._difference(message.topic, message.number[0], message.time_ns, found.field, text).facts
+        return {}
 
     def receive(self) -> Iterator[Received]:
         """Return nothing: the re-run hands the messages over itself."""
@@ -237,7 +298,7 @@ class ReplayBus:
         for topic in {*self.numbers, *batch.outputs} - set(_NOT_COMPARED):
             sent, expected = self.numbers.get(topic, 0), batch.outputs.get(topic, 0)
             if sent != expected:
-                text = f"the node sends {sent} messages up to here, recorded are {expected}"
+                text = f"the node sends {sent} messages up to here, its journal counts {expected}"
                 raise self._difference(topic, min(sent, expected), int(batch.time_ns.to_numpy()[0]), "", text)
 
     def _compare(self, message: Message, recorded: RecordedMessage) -> None:
@@ -253,6 +314,48 @@ class ReplayBus:
         time_s = (t_ns - self._recorded.start_ns) * 1e-9
         place = f"{topic}, seq {seq}, {time_s:.6f} s after the start"
         return _DifferenceError(difference=f"{place}: {text}", topic=topic, seq=seq, time_s=time_s, field=field)
+
+
+class ReplayOutlet:
+    """A further endpoint of a node, where it publishes and sends on what others published."""
+
+    def __init__(self, bus: ReplayBus, endpoint: str) -> None:
+        self.node = endpoint
+        self._bus = bus
+
+    def publish(self, topic: str, **fields: Any) -> Message:
+        """Compare a message of the endpoint."""
+        return self._bus.publish_as(self.node, topic, fields)
+
+    def send(self, topic: str, payload: bytes) -> None:
+        """Keep what is sent on for the comparison."""
+        self._bus.forward(self.node, topic, payload)
+
+    def sequence_numbers(self) -> dict[str, int]:
+        """Return nothing: the numbers are those of the bus of the re-run."""
+        return {}
+
+
+def _begin(recorded: _Recorded, batches: Sequence[NodeJournal]) -> int:
+    """Return the batch that a re-run begins with: the first with a state and all inputs.
+
+    Inputs may lack from before the recorder was connected to their publisher, and some time after the first of the
+    others. Raises RecordingError when no such batch is whole.
+    """
+    first = 1 + max((place for place, batch in enumerate(batches) if recorded.is_early(batch)), default=-1)
+    for place in range(first, len(batches)):
+        if _start_ns(batches[place]) - _start_ns(batches[first]) > _LATEST_START_NS:
+            break
+        if batches[place].state.data and not recorded.missing(batches[place]):
+            return place
+    missing = next((found for found in map(recorded.missing, batches) if found), "the node's state")
+    raise RecordingError(
+        f"{recorded.path}: has no part of the journal of {recorded.key} with all inputs: lacks {missing}"
+    )
+
+
+def _start_ns(batch: NodeJournal) -> int:
+    return int(batch.time_ns.to_numpy()[0])
 
 
 def _turns(batch: NodeJournal) -> Iterator[Turn]:
@@ -300,7 +403,8 @@ def _build(recording: Recording, key: str, clock: TurnClock, bus: ReplayBus, set
         key=key,
         book=AddressBook(nodes={}),
         site_file=Path(),
-        scenario_file=Path(),
+        # where traces of the link are sought whose names are relative
+        scenario_file=Path(recording.metadata.get("recording", {}).get("scenario_file", "")),
         clock=clock,
         log=_NoLog(key),
         # nothing is connected: `bus` is all that a node with a journal asks of its wiring
@@ -326,5 +430,17 @@ class _ReplayWiring(Wiring):
     replay_bus: ReplayBus
 
     def bus(self, topics: Sequence[str]) -> ZmqBus:
+        """Return the bus of the re-run."""
+        return cast(ZmqBus, self.replay_bus)
+
+    def bind(self, key: str, kind: int = zmq.PUB) -> ZmqPublisher:
+        """Return an endpoint of the node."""
+        return cast(ZmqPublisher, ReplayOutlet(self.replay_bus, key))
+
+    def subscribers(self, connections: Mapping[str, Sequence[str]], *, apart: bool = False) -> list[Subscriber]:
+        """Return none: the re-run hands the messages over itself."""
+        return []
+
+    def bus_of(self, publisher: Publisher, subscribers: Sequence[Subscriber]) -> ZmqBus:
         """Return the bus of the re-run."""
         return cast(ZmqBus, self.replay_bus)

@@ -11,29 +11,39 @@ class NodeRow:
     `part`: `rig`, a process of its own that the launcher starts and stops; `endpoint`, a further endpoint of such a
     process; `launcher`, which supervises the others; `visitor`, which comes and goes with a command. The rows stand in
     the order in which a rig is started; `stop` is the place in the order in which it is stopped. A session waits for
-    the nodes that are `required`; a site may have the others.
+    the nodes that are `required`; a site may have the others. `no_rerun` says why a re-run of the node from recorded
+    inputs has no meaning; it is empty for those that keep a journal of their inputs.
     """
 
     key: str
     part: Literal["rig", "endpoint", "launcher", "visitor"]
     stop: int = 0
     required: bool = True
+    no_rerun: str = ""
 
+
+_RECORDS = "the recording is what it makes of its inputs: `telenano bag verify` says whether it is whole"
+_SUPERVISES = "it acts on processes and on time, which are not in a recording, and publishes nothing else"
 
 # the recorders start first and stop last, to record the others start and stop; the devices are made safe first
 NODES = (
-    NodeRow("recorder@slave", "rig", stop=7, required=False),
-    NodeRow("recorder@master", "rig", stop=6),
+    NodeRow("recorder@slave", "rig", stop=7, required=False, no_rerun=_RECORDS),
+    NodeRow("recorder@master", "rig", stop=6, no_rerun=_RECORDS),
     NodeRow("delay_node@master", "rig", stop=5),
-    NodeRow("delay_node@slave", "endpoint"),
+    NodeRow("delay_node@slave", "endpoint", no_rerun="it is an endpoint of delay_node@master: run that again"),
     NodeRow("afm_node@slave", "rig", stop=4),
     NodeRow("controller@slave", "rig", stop=3),
     NodeRow("controller@master", "rig", stop=2),
     NodeRow("haptic_node@master", "rig", stop=1),
-    NodeRow("launcher@master", "launcher", required=False),
-    NodeRow("launcher@slave", "launcher", required=False),
-    NodeRow("console@master", "visitor", required=False),
-    NodeRow("player@master", "visitor", required=False),
+    NodeRow("launcher@master", "launcher", required=False, no_rerun=_SUPERVISES),
+    NodeRow("launcher@slave", "launcher", required=False, no_rerun=_SUPERVISES),
+    NodeRow("console@master", "visitor", required=False, no_rerun="its commands are those that a person typed"),
+    NodeRow(
+        "player@master",
+        "visitor",
+        required=False,
+        no_rerun="it repeats the messages of another recording: `telenano bag diff` compares the two",
+    ),
 )
 
 HAND, TIP = "haptic_node@master", "afm_node@slave"
@@ -47,6 +57,8 @@ _RIG = tuple(row for row in NODES if row.part == "rig")
 START_ORDER = tuple(row.key for row in _RIG if row.required)
 OPTIONAL_NODES = tuple(row.key for row in _RIG if not row.required)
 STOP_ORDER = tuple(row.key for row in sorted(_RIG, key=lambda row: row.stop))
+# they keep a journal of their inputs and are run again from it
+RERUN_NODES = tuple(row.key for row in _RIG if not row.no_rerun)
 
 
 def name_of(node: str) -> str:
@@ -76,3 +88,16 @@ def is_console(node: str) -> bool:
 def is_visitor(node: str) -> bool:
     """Return whether a node comes and goes with a command: its absence is not reported."""
     return is_console(node) or any(name_of(row.key) == name_of(node) and row.part == "visitor" for row in NODES)
+
+
+def endpoints_of(node: str) -> tuple[str, ...]:
+    """Return the endpoints of the process that a node is, its own first."""
+    return (node, *(row.key for row in NODES if row.part == "endpoint" and name_of(row.key) == name_of(node)))
+
+
+def no_rerun_reason(node: str) -> str:
+    """Return why a node cannot be run again, in words; empty when it can."""
+    if is_console(node):
+        node = f"console@{site_of(LAUNCHER)}"
+    known = {row.key: row.no_rerun for row in NODES}
+    return known.get(node, "it is not in the table of nodes")

@@ -44,7 +44,15 @@ _ROWS = (
     Topic("session/control", m.SessionControl, ("launcher", "console", "console_*"), "lossless", None, None, "forward"),
     Topic("session/event", m.SessionEvent, ("*",), "lossless", None, None, "backward"),
     Topic("node/health", m.NodeHealth, ("*",), "latest", 2.0, 2.0, "backward"),
-    Topic("node/journal", m.NodeJournal, ("haptic_node", "controller", "afm_node"), "lossless", None, None, None),
+    Topic(
+        "node/journal",
+        m.NodeJournal,
+        ("haptic_node", "controller", "afm_node", "delay_node@master"),
+        "lossless",
+        None,
+        None,
+        None,
+    ),
 )
 
 TOPICS: dict[str, Topic] = {row.name: row for row in _ROWS}

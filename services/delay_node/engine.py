@@ -5,14 +5,16 @@ is decided by the settings, the seed and the sequence of (arrival time, topic, s
 for what is due. The order of the stages: outage, loss, corruption, duplication, queue and rate, delay, order, slots.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from heapq import heappop, heappush
 from pathlib import Path
+from typing import Any
 
-from services.delay_node.config import DirectionSettings, LinkSettings
+from services.delay_node.config import DirectionSettings, LinkSettings, parse_settings
 from services.delay_node.fate import Direction, DirectionStats, Fate, Figures, Release
 from services.delay_node.models.queueing import ServedQueue, Waiting
 from services.delay_node.pipeline import Files, InFlight, Pipeline, TopicPipeline, read_files
+from services.runtime.node_state import FindInput
 
 
 class DirectionEngine:
@@ -49,7 +51,7 @@ class DirectionEngine:
         self._topic_pipelines: dict[str, TopicPipeline] = {}
         self._queues = self._all_queues()
 
-    def submit(self, now_ns: int, topic: str, payload: bytes, seq: int) -> Sequence[Release]:
+    def submit(self, now_ns: int, topic: str, payload: bytes, seq: int, src: str = "") -> Sequence[Release]:
         """Accept a message that arrived at now_ns [ns] and return all that is due now, in order."""
         if now_ns < self._now_ns:
             now_ns = self._now_ns
@@ -61,8 +63,8 @@ class DirectionEngine:
         if self._queues:
             self._advance(now_ns)
         if pipeline.constant_ns is None:
-            self._impair(pipeline, now_ns, payload, seq)
-        elif (release := self._delay(pipeline, now_ns, payload, seq)) is not None:
+            self._impair(pipeline, now_ns, payload, seq, src)
+        elif (release := self._delay(pipeline, now_ns, payload, seq, src)) is not None:
             return (release,)
         heap = self._heap
         return self.due(now_ns) if heap and heap[0][0] <= now_ns else ()
@@ -115,7 +117,9 @@ class DirectionEngine:
         self._advance(now_ns)
         old = self._pipeline.blocks
         self._pipeline.adopt(settings, files, now_ns)
-        self._topic_pipelines = {}
+        # opened again at once: what a topic has after a change follows from the settings and from what it had before
+        self._topic_pipelines = {topic: self._pipeline.of_topic(topic) for topic in self._topic_pipelines}
+        self._pipeline.forget_unused()
         self._queues = self._all_queues()
         for pattern, block in old.items():
             if block.queue is not None and all(block.queue is not queue for queue in self._queues):
@@ -123,6 +127,73 @@ class DirectionEngine:
                 follower = self._pipeline.blocks[pattern].queue if pattern in self._pipeline.blocks else None
                 if follower is not None:
                     follower.wait_until(block.queue.free_ns)
+
+    def capture_state(self) -> dict[str, Any]:
+        """Return all that has changed since the engine was built for its settings, as plain values.
+
+        Of a message in flight it has the name and not the payload, unless bits of that were flipped. Raises TypeError
+        while a message waits that came under an order or slots no longer in force.
+        """
+        return {
+            "now_ns": self._now_ns,
+            "arrivals": self._arrivals,
+            "pushed": self._pushed,
+            "figures": self._figures.capture_state(),
+            "topics": list(self._topic_pipelines),
+            "pipeline": self._pipeline.capture_state(),
+            "fates": list(map(tuple, self._fates or ())),
+            "in_flight": [
+                (release_ns, pushed, release.payload if release.fate.corrupted else b"", *release.fate)
+                for release_ns, pushed, release in self._heap
+            ],
+            "waiting": {
+                pattern: [self._captured(entry.item) for entry in block.queue.waiting]
+                for pattern, block in self._pipeline.blocks.items()
+                if block.queue is not None
+            },
+        }
+
+    def restore_state(self, state: Mapping[str, Any], settings: LinkSettings, find: FindInput) -> None:
+        """Put an engine that was just built into a captured state, which had these settings.
+
+        Raises: ConfigError for a file that cannot be used, KeyError, ValueError or TypeError when the state is not one
+        of this engine.
+        """
+        files = self.files_of(settings)
+        pipeline = self._pipeline = Pipeline(self._direction, settings, files, 0)
+        for topic in state["topics"]:
+            pipeline.of_topic(topic)
+        pipeline.restore_state(state["pipeline"], settings, files)
+        self._topic_pipelines = {topic: pipeline.of_topic(topic) for topic in state["topics"]}
+        self._queues = self._all_queues()
+        self._now_ns, self._arrivals, self._pushed = state["now_ns"], state["arrivals"], state["pushed"]
+        self._figures.restore_state(state["figures"])
+        self._fates = [Fate(*fate) for fate in state["fates"]]
+        # in the order of the heap that it was
+        self._heap = []
+        for release_ns, pushed, damaged, *facts in state["in_flight"]:
+            fate = Fate(*facts)
+            payload = damaged or find(fate.topic, fate.src, fate.seq, fate.arrived_ns, fate.size_bytes)
+            self._heap.append((release_ns, pushed, Release(fate.topic, payload, fate)))
+        for pattern, waiting in state["waiting"].items():
+            queue = pipeline.blocks[pattern].queue
+            if queue is None:
+                raise ValueError(f"{pattern or 'the direction'} has no queue")
+            queue.refill(_waiting(self._restored(message, find)) for message in waiting)
+
+    def _captured(self, message: InFlight) -> list[Any]:
+        pipeline, order, seq, copy, payload, *rest = message
+        topic, now = pipeline.topic, self._topic_pipelines[pipeline.topic]
+        # all that its way from the queue on depends on
+        if (pipeline.ordered, pipeline.block.gate) != (now.ordered, now.block.gate):
+            raise TypeError(f"a message on {topic} waits under an order or slots that are no longer in force")
+        return [topic, len(payload), order, seq, copy, payload if message.corrupted else b"", *rest]
+
+    def _restored(self, captured: Sequence[Any], find: FindInput) -> InFlight:
+        topic, size_bytes, *rest = captured
+        message = InFlight(self._topic_pipelines[topic], *rest)
+        payload = message.payload or find(topic, message.src, message.seq, message.arrived_ns, size_bytes)
+        return message._replace(payload=payload)
 
     def _empty(self, queue: ServedQueue[InFlight], now_ns: int) -> None:
         """Decide the fate of all that waits in a queue which new settings have replaced."""
@@ -137,7 +208,7 @@ class DirectionEngine:
         pipeline = self._topic_pipelines[topic] = self._pipeline.of_topic(topic)
         return pipeline
 
-    def _delay(self, pipeline: TopicPipeline, now_ns: int, payload: bytes, seq: int) -> Release | None:
+    def _delay(self, pipeline: TopicPipeline, now_ns: int, payload: bytes, seq: int, src: str) -> Release | None:
         """Pass a message through a constant delay; return it if that is zero and nothing is due before it.
 
         The case of a plain bridge, kept short: it has to carry 6000 messages a second.
@@ -155,7 +226,7 @@ class DirectionEngine:
         size_bytes = len(payload)
         fate = Fate(
             self._direction, pipeline.topic, seq, 0, size_bytes, now_ns, release_ns, delay_ns, 0, 0, "", False,
-            reordered, False,
+            reordered, False, src,
         )  # fmt: skip
         if self._fates is not None:
             self._fates.append(fate)
@@ -168,7 +239,7 @@ class DirectionEngine:
         heappush(heap, (release_ns, self._pushed, release))
         return None
 
-    def _impair(self, pipeline: TopicPipeline, now_ns: int, payload: bytes, seq: int) -> None:
+    def _impair(self, pipeline: TopicPipeline, now_ns: int, payload: bytes, seq: int, src: str) -> None:
         # All draws come first: whether one model draws may not depend on what another has decided.
         applies = pipeline.applies is None or pipeline.applies()
         lost_by = pipeline.lost_by()
@@ -180,7 +251,7 @@ class DirectionEngine:
         copy_ns = _random_delay_ns(fixed_ns, pipeline.copy_jitter)
 
         block = pipeline.block
-        message = InFlight(pipeline, self._arrivals, seq, 0, payload, now_ns, now_ns, 0, False, False, False)
+        message = InFlight(pipeline, self._arrivals, seq, 0, payload, now_ns, now_ns, 0, False, False, False, src)
         if not applies:
             self._enqueue(message, bypass=True)
             return
@@ -215,9 +286,7 @@ class DirectionEngine:
             past_queue = queue is not None and queue.holds_before(pipeline.topic, message.order)
             self._schedule(message, message.ready_ns, message.arrived_ns, past_queue=past_queue)
             return
-        topic, reliable = pipeline.topic, pipeline.reliable
-        entry = Waiting(message.ready_ns, len(message.payload), topic, reliable, message.order, message)
-        for dropped in queue.push(entry):
+        for dropped in queue.push(_waiting(message)):
             self._drop(dropped, "queue")
         self._advance(message.arrived_ns)
 
@@ -281,6 +350,8 @@ class LinkEngine:
         Raises: ConfigError naming file and line, for a file that cannot be used.
         """
         self.settings = settings
+        # of the settings in force, None for those that it was built with: to write them down takes longer than to ask
+        self._changed_settings: dict[str, Any] | None = None
         self.forward = DirectionEngine("forward", settings, start_ns, folder=folder, keep_fates=keep_fates)
         self.backward = DirectionEngine("backward", settings, start_ns, folder=folder, keep_fates=keep_fates)
 
@@ -293,6 +364,24 @@ class LinkEngine:
         for engine, read in files:
             engine.adopt(settings, read, now_ns)
         self.settings = settings
+        self._changed_settings = settings.model_dump(exclude_unset=True)
+
+    def capture_state(self) -> dict[str, Any]:
+        """Return all that has changed since the engine was built, as plain values."""
+        ways = {"forward": self.forward.capture_state(), "backward": self.backward.capture_state()}
+        return {"settings": self._changed_settings, **ways}
+
+    def restore_state(self, state: Mapping[str, Any], find: FindInput) -> None:
+        """Put an engine that was just built into a captured state; `find` gives the payloads of what is in flight.
+
+        Raises: ConfigError for a file that cannot be used, KeyError, ValueError or TypeError when the state is not one
+        of this engine.
+        """
+        self._changed_settings = state["settings"]
+        if self._changed_settings is not None:
+            self.settings = parse_settings(self._changed_settings, "the settings in the journal")
+        for name, engine in (("forward", self.forward), ("backward", self.backward)):
+            engine.restore_state(state[name], self.settings, find)
 
     def next_release_ns(self) -> int | None:
         """Return when to call `due` of a direction next, or None if nothing is in flight."""
@@ -336,6 +425,11 @@ def _random_delay_ns(fixed_ns: int, jitter: Callable[[], float] | None) -> int:
     return fixed_ns if jitter is None else max(0, round(fixed_ns + jitter()))
 
 
+def _waiting(message: InFlight) -> Waiting[InFlight]:
+    topic, reliable = message.pipeline.topic, message.pipeline.reliable
+    return Waiting(message.ready_ns, len(message.payload), topic, reliable, message.order, message)
+
+
 def _fate(direction: Direction, message: InFlight) -> Fate:
     """Return what is known of a message before its release is decided."""
     return Fate(
@@ -353,4 +447,5 @@ def _fate(direction: Direction, message: InFlight) -> Fate:
         duplicated=message.duplicated,
         reordered=False,
         corrupted=message.corrupted,
+        src=message.src,
     )

@@ -1,6 +1,7 @@
 """What the engine reports about messages: ground truth of each, live figures of all."""
 
-from typing import Literal, NamedTuple
+from collections.abc import Mapping
+from typing import Any, Literal, NamedTuple
 
 Direction = Literal["forward", "backward"]
 
@@ -24,6 +25,7 @@ class Fate(NamedTuple):
     duplicated: bool  # a copy was made of this message
     reordered: bool  # released before a message of its topic that had arrived earlier
     corrupted: bool  # bits were flipped
+    src: str = ""  # publisher of the message, where it was given
 
 
 class Release(NamedTuple):
@@ -66,6 +68,15 @@ class Figures:
         self.duplicated = self.reordered = self.corrupted = 0
         self.dropped = dict.fromkeys(CAUSES, 0)
         self._count = self._sum_ns = self._shortest_ns = self._longest_ns = 0
+
+    def capture_state(self) -> dict[str, Any]:
+        """Return all counters as plain values."""
+        return {name: getattr(self, name) for name in self.__slots__}
+
+    def restore_state(self, state: Mapping[str, Any]) -> None:
+        """Set all counters; KeyError when one is missing."""
+        for name in self.__slots__:
+            setattr(self, name, state[name])
 
     def count_release(self, delay_ns: int, size_bytes: int) -> None:
         self.messages_out += 1

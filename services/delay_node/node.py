@@ -2,15 +2,16 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import ClassVar, Protocol
+from typing import ClassVar, NamedTuple, Protocol
 
 from proto import TOPICS
 from proto.errors import ConfigError, RefusedError
 from proto.messages import ClockPong, LinkClock, LinkDirection, LinkFate, Message, SessionControl
+from proto.nodes import LINK
 from services.delay_node.clock_offset import Exchange, Offset, OffsetFilter
-from services.delay_node.config import LinkSettings, changed, flattened
+from services.delay_node.config import LinkSettings, Setting, changed, flattened
 from services.delay_node.engine import DirectionEngine, LinkEngine
-from services.delay_node.fate import DirectionStats, Fate, Release
+from services.delay_node.fate import Direction, Fate, Release
 from services.runtime.bus import Received
 from services.runtime.deadlines import PeriodicDeadline
 from services.runtime.node import Node, NodeContext
@@ -25,7 +26,7 @@ _MOST_FATES = 1000
 
 
 class Outlet(Protocol):
-    """A socket that sends bytes as they are."""
+    """The endpoint at a site: sends bytes as they are."""
 
     def send(self, topic: str, payload: bytes) -> None:
         """Send a message with the header of its first publisher."""
@@ -33,12 +34,26 @@ class Outlet(Protocol):
     def publish(self, topic: str, **fields: object) -> Message:
         """Send a message of the link's own."""
 
+    def sequence_numbers(self) -> dict[str, int]:
+        """Return the seq of the link's next message on each topic."""
+
+
+class Way(NamedTuple):
+    """A direction of the link; a tuple, which is no state of the node (the engine captures its own)."""
+
+    name: Direction
+    engine: DirectionEngine
+    endpoint: str
+    outlet: Outlet
+
 
 class DelayNode(Node):
     """Forwards messages between the sites when the engine releases them, and reports on link/status."""
 
     inputs = ("session/control",)
     commands: ClassVar[tuple[str, ...]] = ("set",)
+    journalled = True
+    acts_on_health = True
     period_s = 0.0
 
     def __init__(
@@ -49,10 +64,11 @@ class DelayNode(Node):
         Raises ConfigError naming file and line, for a trace that cannot be used.
         """
         super().__init__(context)
-        self._outlets = {"forward": to_slave, "backward": to_master}
         self.engine = LinkEngine(settings, self.clock.now_ns(), folder=folder, keep_fates=True)
-        self._sides: dict[str, DirectionEngine] = {"forward": self.engine.forward, "backward": self.engine.backward}
-        self._to_slave = to_slave
+        self._forward = Way("forward", self.engine.forward, f"{LINK}@slave", to_slave)
+        self._backward = Way("backward", self.engine.backward, f"{LINK}@master", to_master)
+        self._ways = (self._forward, self._backward)
+        self._forwarded = {way.endpoint: 0 for way in self._ways}
         self._offset = OffsetFilter(_CLOCK_WINDOW)
         self._unreported = 0
         self._status = PeriodicDeadline(self.clock.monotonic_ns(), STATUS_PERIOD_NS)
@@ -71,9 +87,13 @@ class DelayNode(Node):
         direction = TOPICS[received.topic].bridged
         if direction is None:
             return
-        for way in ("forward", "backward") if direction == "both" else (direction,):
-            due = self._sides[way].submit(received.received_ns, received.topic, received.payload, received.message.seq)
-            self._send(way, due)
+        message = received.message
+        for way in self._ways:
+            if direction in (way.name, "both"):
+                due = way.engine.submit(
+                    received.received_ns, received.topic, received.payload, message.seq, message.src
+                )
+                self._send(way, due)
         self.steps += 1
         self._unreported += 1
         # after a backward message, when a tick has passed through and the next is some time away
@@ -82,13 +102,17 @@ class DelayNode(Node):
 
     def on_deadline(self, now_ns: int) -> None:
         epoch_ns = now_ns + self.clock.epoch_offset_ns
-        for way, side in self._sides.items():
-            self._send(way, side.due(epoch_ns))
+        for way in self._ways:
+            self._send(way, way.engine.due(epoch_ns))
         if now_ns >= self._status.deadline_ns:
             self._status.advance(now_ns)
             self._publish_fates()
             self._report()
-            self._to_slave.publish("clock/ping")
+            self._forward.outlet.publish("clock/ping")
+
+    def further_outputs(self) -> dict[str, int]:
+        """Return the count of messages forwarded at each endpoint, by its name, and the numbers of the slave's."""
+        return {**self._forward.outlet.sequence_numbers(), **self._forwarded}
 
     def on_control(self, control: SessionControl) -> str:
         """Change the settings for the messages that arrive from now on; those in flight keep their fate."""
@@ -107,24 +131,26 @@ class DelayNode(Node):
     def make_safe(self) -> None:
         """Do nothing: a link that stands still makes the devices safe by its silence."""
 
-    def _send(self, way: str, releases: Sequence[Release]) -> None:
-        outlet = self._outlets[way]
+    def _send(self, way: Way, releases: Sequence[Release]) -> None:
+        if not releases:
+            return
         for release in releases:
-            outlet.send(release.topic, release.payload)
+            way.outlet.send(release.topic, release.payload)
+        self._forwarded[way.endpoint] += len(releases)
 
     def _publish_fates(self) -> None:
         self._unreported = 0
-        for way, side in self._sides.items():
-            fates = tuple(_link_fate(fate) for fate in side.take_fates())
+        for way in self._ways:
+            fates = tuple(_link_fate(fate) for fate in way.engine.take_fates())
             for first in range(0, len(fates), _MOST_FATES):
-                self.publish("link/fates", direction=way, fates=fates[first : first + _MOST_FATES])
+                self.publish("link/fates", direction=way.name, fates=fates[first : first + _MOST_FATES])
 
     def _report(self) -> None:
-        settings = flattened(self.engine.settings, only_set=True)
+        settings, profile = flattened(self.engine.settings, only_set=True), self.engine.settings.profile
         self.publish(
             "link/status",
-            forward=_direction(self._sides["forward"].stats(), settings, "forward", self.engine.settings.profile),
-            backward=_direction(self._sides["backward"].stats(), settings, "backward", self.engine.settings.profile),
+            forward=_direction(self._forward, settings, profile),
+            backward=_direction(self._backward, settings, profile),
             clock=_clock(self._offset.estimate()),
         )
 
@@ -157,10 +183,8 @@ def _link_fate(fate: Fate) -> LinkFate:
     )
 
 
-def _direction(
-    stats: DirectionStats, settings: dict[str, float | int | str | bool], way: str, profile: str
-) -> LinkDirection:
-    prefix = way + "."
+def _direction(way: Way, settings: dict[str, Setting], profile: str) -> LinkDirection:
+    stats, prefix = way.engine.stats(), way.name + "."
     return LinkDirection(
         profile=profile,
         settings={key.removeprefix(prefix): value for key, value in settings.items() if key.startswith(prefix)},

@@ -17,6 +17,7 @@ from services.delay_node.models.jitter import JitterSource
 from services.delay_node.models.loss import GilbertElliottChain, MarkovLossChain
 from services.delay_node.models.outages import Outages
 from services.delay_node.models.queueing import DeliveryServer, RateServer, ServedQueue, Server, SlotGate
+from services.delay_node.models.state import capture_model, restore_model
 from services.delay_node.models.traces import (
     DelayCourse,
     delay_at,
@@ -25,7 +26,7 @@ from services.delay_node.models.traces import (
     parse_jitter_table,
     read_text,
 )
-from services.delay_node.random_streams import Draw, Occurrence, stream
+from services.delay_node.random_streams import Occurrence, RandomStream, stream
 
 Model = TypeVar("Model")
 NS_PER_S = 1_000_000_000
@@ -107,6 +108,7 @@ class InFlight(NamedTuple):
     gated: bool
     duplicated: bool
     corrupted: bool
+    src: str
 
 
 def read_files(settings: DirectionSettings, folder: Path, prefix: str) -> dict[str, Files]:
@@ -145,8 +147,9 @@ class Pipeline:
 
     def __init__(self, direction: Direction, settings: LinkSettings, files: dict[str, Files], now_ns: int) -> None:
         self._direction: Direction = direction
-        self._streams: dict[tuple[str, ...], Draw] = {}
+        self._streams: dict[tuple[str, ...], RandomStream] = {}
         self._models: dict[tuple[str, ...], tuple[object, Any]] = {}
+        self._used: set[tuple[str, ...]] = set()
         self._progress: dict[tuple[str, str], Progress] = {}
         self.blocks: dict[str, Block] = {}
         self._adopt(settings, files, now_ns)
@@ -159,7 +162,42 @@ class Pipeline:
         if tuple(files) != tuple(self.blocks):
             # Topics may move between queues: none is kept, so that what waits goes first and order holds.
             self._models = {key: model for key, model in self._models.items() if key[:2] != ("shared", "queue")}
+        self._used.clear()
         self._adopt(settings, files, now_ns)
+
+    def forget_unused(self) -> None:
+        """Forget the models that the settings in force, and the topics opened under them, do not have."""
+        self._models = {key: model for key, model in self._models.items() if key in self._used}
+
+    def capture_state(self) -> dict[str, Any]:
+        """Return what has changed since the pipeline was built for its settings, as plain values."""
+        return {
+            "streams": [(list(names), stream.drawn) for names, stream in self._streams.items() if stream.drawn],
+            "models": [
+                (list(key), model if isinstance(model, int) else capture_model(model))
+                for key, (_, model) in self._models.items()
+            ],
+            "progress": [(list(key), found.latest_ns, found.order) for key, found in self._progress.items()],
+        }
+
+    def restore_state(self, state: dict[str, Any], settings: LinkSettings, files: dict[str, Files]) -> None:
+        """Return to a captured state, with the topics open that were; those have to be opened again afterwards.
+
+        Raises: KeyError, ValueError or TypeError when it is not one of a pipeline with these settings and topics.
+        """
+        for names, drawn in state["streams"]:
+            self._stream(*names).advance_to(drawn)
+        for key, captured in state["models"]:
+            definition, model = self._models[tuple(key)]
+            if isinstance(model, int):
+                self._models[tuple(key)] = (definition, captured)
+            else:
+                restore_model(model, captured)
+        for (kind, name), latest_ns, order in state["progress"]:
+            found = self._progress.setdefault((kind, name), Progress())
+            found.latest_ns, found.order = latest_ns, order
+        # what a block has of its models by value
+        self._adopt(settings, files, 0)
 
     def _adopt(self, settings: LinkSettings, files: dict[str, Files], now_ns: int) -> None:
         self._seed = settings.seed
@@ -191,13 +229,14 @@ class Pipeline:
         )
         return pipeline._replace(constant_ns=pipeline.fixed_ns) if _is_constant(pipeline) else pipeline
 
-    def _stream(self, *names: str) -> Draw:
+    def _stream(self, *names: str) -> RandomStream:
         if names not in self._streams:
             self._streams[names] = stream(self._seed, self._direction, *names)
         return self._streams[names]
 
     def _kept(self, key: tuple[str, ...], definition: object, make: Callable[[], Model]) -> Model:
         """Return the model of this key, the same one as long as what defines it stays the same."""
+        self._used.add(key)
         known = self._models.get(key)
         if known is None or known[0] != definition:
             known = self._models[key] = (definition, make())

@@ -17,10 +17,32 @@ SMALLEST = 2.0**-54
 LARGEST = 1.0 - 2.0**-53
 
 
-def stream(seed: int, *names: str) -> Draw:
+class RandomStream:
+    """A stream that counts its numbers: with what it was made of, the count is its whole state."""
+
+    __slots__ = ("_draw", "drawn")
+
+    def __init__(self, draw: Draw) -> None:
+        self._draw = draw
+        self.drawn = 0
+
+    def __call__(self) -> float:
+        self.drawn += 1
+        return self._draw()
+
+    def advance_to(self, drawn: int) -> None:
+        """Draw until so many numbers have been drawn in all; ValueError if more have been already."""
+        if drawn < self.drawn:
+            raise ValueError(f"drawn is {drawn}, {self.drawn} numbers have been drawn already")
+        for _ in range(drawn - self.drawn):
+            self._draw()
+        self.drawn = drawn
+
+
+def stream(seed: int, *names: str) -> RandomStream:
     """Return the uniform [0, 1) stream that belongs to the names; other names give an independent one."""
     digest = hashlib.sha256("\n".join((str(seed), *names)).encode()).digest()
-    return random.Random(int.from_bytes(digest)).random
+    return RandomStream(random.Random(int.from_bytes(digest)).random)
 
 
 class Occurrence:
@@ -31,6 +53,7 @@ class Occurrence:
     """
 
     __slots__ = ("_after_event", "_after_none", "_draw", "_threshold")
+    state_fields = ("_threshold",)
 
     def __init__(self, probability: float, correlation: float, draw: Draw) -> None:
         self._draw = draw
@@ -52,6 +75,7 @@ class CorrelatedUniform:
     """
 
     __slots__ = ("_draw", "_fresh", "_inverse", "_rho", "_score")
+    state_fields = ("_score",)
 
     def __init__(self, correlation: float, draw: Draw, normal_score: Callable[[float], float]) -> None:
         self._draw = draw

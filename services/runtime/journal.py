@@ -12,8 +12,8 @@ from services.runtime.clock import TurnClock
 from services.runtime.node_state import StateSnapshot
 
 DEADLINE, MESSAGE, COMMAND = 0, 1, 2
-# turns in one message: some 50 kB, and below what is allowed however many sources there are
-_BATCH = 2048
+# turns in one message: some 80 kB, and below what is allowed however many sources there are
+_BATCH = 4096
 
 
 class InputJournal:
@@ -81,5 +81,5 @@ class InputJournal:
         self._sources: dict[tuple[str, str], int] = {}
         self._kind, self._time_ns = array("B"), array("q")
         self._input, self._number = array("h"), array("q")
-        self._outputs = self._sequence_numbers()
+        self._outputs = {**self._sequence_numbers(), **self._node.further_outputs()}
         self._state = self._snapshot.capture()

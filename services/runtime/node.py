@@ -69,6 +69,8 @@ class Node(ABC):
     replay: ClassVar[bool] = False
     # its inputs are written to node/journal, and during a turn its clock stands still
     journalled: ClassVar[bool] = False
+    # node/health of others is a turn as well, and not only for `admits`
+    acts_on_health: ClassVar[bool] = False
     period_s: float = 0.0
     state: NodeState = "ready"
 
@@ -87,6 +89,10 @@ class Node(ABC):
     def admits(self, received: Received) -> bool:
         """Return whether a message may be acted on; device nodes keep out what comes from a recording."""
         return True
+
+    def further_outputs(self) -> Mapping[str, int]:
+        """Return the number of the next output by each way past the node's own bus, for the journal."""
+        return {}
 
     def deadline_ns(self) -> int:
         """Return the monotonic time [ns] at which `on_deadline` is wanted."""
@@ -263,8 +269,8 @@ class NodeLoop:
             journal.clock.time_ns = received.received_ns
         self.node.on_message(received)
         executed = isinstance(received.message, SessionControl) and self._commands.handle(received.message)
-        # of the health of others only `admits` takes note, and what came of that is in the journal
-        if journal is not None and not isinstance(received.message, NodeHealth):
+        # of the health of others as a rule only `admits` takes note, and what came of that is in the journal
+        if journal is not None and (self.node.acts_on_health or not isinstance(received.message, NodeHealth)):
             journal.record_message(received, executed=executed)
 
     def _report_connections(self, notices: Sequence[ConnectionEvent]) -> None:

@@ -1,19 +1,23 @@
 """The state of a node as bytes: what has changed since it was built, to build it again and go on from there."""
 
 import importlib
-from collections.abc import Mapping
+from collections import deque
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import msgpack
 import numpy as np
 from pydantic import BaseModel
 
-from proto.errors import RecordingError
+from proto.errors import ConfigError, RecordingError
 
 _PLAIN = (type(None), bool, int, float, str, bytes)
 _PACKAGES = ("proto.", "services.")
 # half of what a message may hold
 _LARGEST = 1 << 19
+
+# payload of an input by topic, source, seq, time of arrival [ns] and size [bytes]
+FindInput = Callable[[str, str, int, int, int], bytes]
 
 
 class StateSnapshot:
@@ -21,7 +25,8 @@ class StateSnapshot:
 
     State is every plain value, NamedTuple, message, configuration and array that hangs on the node or on an object of
     this project that the node was built with; what was not replaced since then, such as parameters and tables, is left
-    out: building the node again gives it. The context of the node belongs to the world, not to the node.
+    out: building the node again gives it. The context of the node belongs to the world, not to the node. An object
+    whose state has other forms has `capture_state`, which gives plain values, and `restore_state`.
     """
 
     def __init__(self, node: Any) -> None:
@@ -41,7 +46,7 @@ class StateSnapshot:
     def _remember(self, path: tuple[str, ...], owner: Any) -> None:
         self._built[path] = dict(vars(owner))
         for name, value in vars(owner).items():
-            if self._is_owner(value):
+            if self._is_owner(value) and not hasattr(value, "capture_state"):
                 self._remember((*path, name), value)
 
     def _is_owner(self, value: Any) -> bool:
@@ -60,16 +65,26 @@ class StateSnapshot:
                 changed[name] = ["parts", self._changed((*path, name), value)]
             elif name == "clock" and not path:
                 continue
-            elif value is not built.get(name) or isinstance(value, set | list | dict):
+            elif hasattr(value, "capture_state") and name in built and value is built[name]:
+                changed[name] = ["own", value.capture_state()]
+            elif value is not built.get(name) or isinstance(value, set | list | dict | deque):
                 changed[name] = _packed(value)
         return changed
 
 
-def restore(node: Any, state: bytes) -> None:
-    """Put a node that was just built into a captured state; RecordingError when that is not one of this node."""
+def _zeros(topic: str, src: str, seq: int, arrived_ns: int, size_bytes: int) -> bytes:
+    return bytes(size_bytes)
+
+
+def restore(node: Any, state: bytes, find: FindInput = _zeros) -> None:
+    """Put a node that was just built into a captured state; RecordingError when that is not one of this node.
+
+    `find` gives the payloads of messages that the node had received and not yet forwarded: the state has their names.
+    """
     try:
-        _restore_parts(node, msgpack.unpackb(state, strict_map_key=False))
+        _restore_parts(node, msgpack.unpackb(state, strict_map_key=False), find)
     except (
+        ConfigError,
         ValueError,
         TypeError,
         KeyError,
@@ -81,10 +96,12 @@ def restore(node: Any, state: bytes) -> None:
         raise RecordingError(f"{node.context.key}: its state in the journal does not fit this code: {error}") from error
 
 
-def _restore_parts(owner: Any, parts: Mapping[str, Any]) -> None:
+def _restore_parts(owner: Any, parts: Mapping[str, Any], find: FindInput) -> None:
     for name, value in parts.items():
         if isinstance(value, list) and value[0] == "parts":
-            _restore_parts(vars(owner)[name], value[1])
+            _restore_parts(vars(owner)[name], value[1], find)
+        elif isinstance(value, list) and value[0] == "own":
+            vars(owner)[name].restore_state(value[1], find)
         else:
             setattr(owner, name, _unpacked(value))
 
@@ -101,6 +118,8 @@ def _packed(value: Any) -> Any:
         return ["array", value.dtype.str, list(value.shape), value.tobytes()]
     if isinstance(value, list):
         return ["list", [_packed(part) for part in value]]
+    if isinstance(value, deque):
+        return ["deque", value.maxlen, [_packed(part) for part in value]]
     if isinstance(value, set | frozenset):
         return [type(value).__name__, [_packed(part) for part in sorted(value)]]
     if isinstance(value, dict):
@@ -122,6 +141,8 @@ def _unpacked(value: Any) -> Any:
         return np.frombuffer(rest[2], dtype=rest[0]).reshape(rest[1]).copy()
     if form == "dict":
         return {_unpacked(name): _unpacked(part) for name, part in rest[0]}
+    if form == "deque":
+        return deque(map(_unpacked, rest[1]), rest[0])
     kinds: dict[str, Any] = {"list": list, "set": set, "frozenset": frozenset}
     return kinds[form](_unpacked(part) for part in rest[0])
 

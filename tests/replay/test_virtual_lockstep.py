@@ -33,7 +33,7 @@ import numpy.typing as npt
 import pytest
 from virtual_rig import EPOCH_OFFSET_NS, VirtualRig, constant_timing
 
-from proto import Message
+from proto import Message, encode
 from proto.messages import AfmCommand, SessionControl, TeleopForward
 from services.afm_node import node as afm_node
 from services.afm_node.safety import MODE_FOLLOW, MODE_HOLD
@@ -91,8 +91,9 @@ class ConstantRig(VirtualRig):
         super().carry(topic, message)
         if isinstance(message, AfmCommand) and message.mode == "position" and not self._armed:
             self._armed = True
-            arrives_ns = message.t_ns - EPOCH_OFFSET_NS + self.timing.site[0] + PERIOD_NS - 1
-            self._deliver(self.buses["afm_node@slave"], _arm(message.t_ns), arrives_ns)
+            arm = _arm(message.t_ns)
+            sent_ns = message.t_ns - EPOCH_OFFSET_NS + PERIOD_NS - 1
+            self._deliver("afm_node@slave", "session/control", arm, encode(arm), sent_ns)
 
 
 def _arm(t_ns: int) -> SessionControl:

@@ -1,8 +1,9 @@
 """The nodes of the rig on a bus in virtual time, recorded to a file: real nodes, real loops, and no process.
 
-Every delay comes from one seed: transit on a site, the link between them with its overtaking and repeated messages, and
-how late a loop wakes up. So a session of a second takes less than that, and gives the same file every time.
-With `constant_timing` nothing is random: the rig then runs on the grid that the lockstep loop assumes.
+Every delay comes from one seed: transit on a site and how late a loop wakes up; between the sites stands the link, with
+the impairments of the scenario. So a session of a second takes less than that, and gives the same file every time.
+With `constant_timing` nothing is random, and a constant delay stands for the link: the rig then runs on the grid that
+the lockstep loop assumes.
 """
 
 import heapq
@@ -14,15 +15,18 @@ from typing import Any
 
 import yaml
 
-from proto import TOPICS, Message, encode
+from proto import TOPICS, Message, WireError, decode, decode_header, encode
 from proto.messages import InputHealth
-from proto.nodes import site_of
+from proto.nodes import LINK, name_of, site_of
 from proto.sequence import Arrival, SequenceTracker
+from recording.records import RejectedRecord
 from recording.writer import FileSettings, RecordingWriter
 from services.afm_node.__main__ import build as build_afm_node
 from services.afm_node.config import AfmConfig
 from services.controller.config import ControllerConfig
 from services.controller.node import half_of_site
+from services.delay_node.config import LinkSettings
+from services.delay_node.node import DelayNode
 from services.haptic_node.config import HapticConfig
 from services.haptic_node.node import HapticNode
 from services.haptic_node.sim import SimulatedHaptic
@@ -37,6 +41,7 @@ from services.runtime.scenario import LoadedScenario, Scenario
 EPOCH_OFFSET_NS = 1_750_000_000_000_000_000
 LAUNCHER = "launcher@master"
 RECORDER = "recorder@master"
+LINK_NODE, LINK_ENDPOINT = "delay_node@master", "delay_node@slave"
 NODES = ("afm_node@slave", "controller@slave", "controller@master", "haptic_node@master")
 ARMED_S, STARTED_S = 0.15, 0.3
 _SCENARIO = """
@@ -63,19 +68,18 @@ Range = tuple[int, int]
 class Timing:
     """Delays of the rig [ns], each drawn evenly from low <= delay < high, and shares of what happens now and then.
 
-    sending: from the start of a turn to a message; site: transit on a site; link: transit between the sites; start:
-    from one node to the next; wake: lateness of a loop; recorder: until the recorder receives a message. stall_share of
-    the turns are 3 ms late on top, repeat_share of the messages on the link come twice.
+    sending: from the start of a turn to a message; site: transit on a site; link: transit between the sites, None where
+    the link is a node of its own; start: from one node to the next; wake: lateness of a loop; recorder: until the
+    recorder receives a message. stall_share of the turns are 3 ms late on top.
     """
 
     sending: Range = (0, 20_000)
     site: Range = (10_000, 200_000)
-    link: Range = (1_000_000, 4_000_000)
+    link: Range | None = None
     start: Range = (100_000, 5_000_000)
     wake: Range = (0, 60_000)
     recorder: Range = (20_000, 400_000)
     stall_share: float = 2e-3
-    repeat_share: float = 0.01
 
 
 def constant_timing(link_ns: int, site_ns: int = 1_000) -> Timing:
@@ -85,7 +89,7 @@ def constant_timing(link_ns: int, site_ns: int = 1_000) -> Timing:
     message as late as every other, and so in the order of sending.
     """
     site, link = (site_ns, site_ns + 1), (link_ns, link_ns + 1)
-    return Timing((0, 1), site, link, (10_000, 10_001), (0, 1), site, stall_share=0.0, repeat_share=0.0)
+    return Timing((0, 1), site, link, (10_000, 10_001), (0, 1), site, stall_share=0.0)
 
 
 RANDOM_TIMING = Timing()
@@ -103,7 +107,7 @@ class VirtualBus:
 
     def __init__(self, rig: "VirtualRig", key: str) -> None:
         self.key = key
-        self.inbox: list[tuple[int, int, Message]] = []
+        self.inbox: list[tuple[int, int, str, Message, bytes]] = []
         self._rig = rig
         self._numbers: dict[str, int] = {}
         self._trackers: dict[tuple[str, str], SequenceTracker] = {}
@@ -118,15 +122,17 @@ class VirtualBus:
         self._rig.carry(topic, message)
         return message
 
+    def send(self, topic: str, payload: bytes) -> None:
+        self._rig.forward(self.key, topic, payload)
+
     def receive(self) -> Iterator[Received]:
         while self.inbox and self.inbox[0][0] <= self._rig.clock.monotonic_ns():
-            _, _, message = heapq.heappop(self.inbox)
-            topic = self._rig.topic_of(message)
+            _, _, topic, message, payload = heapq.heappop(self.inbox)
             tracker = self._trackers.setdefault((topic, message.src), SequenceTracker())
             arrival = tracker.accept(message.seq, message.t_ns)
             if arrival is Arrival.DUPLICATE or (arrival is Arrival.LATE and TOPICS[topic].delivery == "latest"):
                 continue
-            yield Received(topic, message, encode(message), self._rig.clock.now_ns(), arrival)
+            yield Received(topic, message, payload, self._rig.clock.now_ns(), arrival)
 
     def wait(self, deadline_ns: int) -> None:
         """The rig has let the time pass."""
@@ -148,7 +154,7 @@ class VirtualBus:
 
 
 class VirtualRig:
-    """Two sites, a link of random delay, and a recorder that receives everything a little later.
+    """Two sites, the link between them, and a recorder that receives everything a little later.
 
     Parameters: settings, dotted flags on top of the scenario; scenario, as read from a file (none: a hand presses the
     tip onto mica and lets go).
@@ -166,23 +172,26 @@ class VirtualRig:
         self.timing = timing
         self.clock = VirtualClock(start_ns=10**9, epoch_offset_ns=EPOCH_OFFSET_NS)
         self._order = 0
-        self._received: list[tuple[int, int, str, Message]] = []
+        self._received: list[tuple[int, int, str, str, bytes]] = []
+        # a recorder receives from an endpoint in the order of sending
+        self._received_ns: dict[str, int] = {}
         document = merge(scenario or yaml.safe_load(_SCENARIO), flag_overrides(settings))
         self._loaded = LoadedScenario(Scenario.model_validate(document), "virtual", document)
         self.writer = RecordingWriter.create(RECORDER, FileSettings(directory=folder))
         text = yaml.safe_dump(document).encode()
         self.writer.attach("scenario.yaml", "application/yaml", text, self.clock.now_ns())
         self._channels: dict[tuple[str, str, str], int] = {}
-        self.buses = {key: VirtualBus(self, key) for key in NODES}
-        self.loops = {}
-        for key in NODES:
+        self.nodes = NODES if timing.link is not None else (LINK_NODE, *NODES)
+        self.buses = {key: VirtualBus(self, key) for key in self.nodes}
+        self.loops: dict[str, NodeLoop] = {}
+        for key in self.nodes:
             node = self._node(NodeContext(key, self.clock, self.buses[key], QuietLog(key)))
             # nodes start one after the other
             self.clock.advance_ns(self.random.randrange(*timing.start))
             self.loops[key] = NodeLoop(node, self.buses[key], RealtimeStatus(fifo=True, memory_locked=False))
         self._started_ns = self.clock.monotonic_ns()
         self._launcher = VirtualBus(self, LAUNCHER)
-        self._late_ns = dict.fromkeys(NODES, 0)
+        self._late_ns = dict.fromkeys(self.nodes, 0)
 
     def command(self, command: str, target: str, **parameters: Any) -> None:
         """Send a command, and the same once more as a session does that has not received the answer yet."""
@@ -194,7 +203,7 @@ class VirtualRig:
         """Let the nodes take their turns until a time since the start [s]."""
         end_ns = self._started_ns + round(time_s * 1e9)
         while True:
-            due_ns, key = min((self._due_ns(key), key) for key in NODES)
+            due_ns, key = min((self._due_ns(key), key) for key in self.nodes)
             if due_ns > end_ns:
                 break
             self.clock.advance_ns(max(0, due_ns - self.clock.monotonic_ns()))
@@ -208,49 +217,63 @@ class VirtualRig:
         for loop in self.loops.values():
             loop.node.context.request_stop()
             loop.run()
-        for log_ns, _, site, message in sorted(self._received, key=lambda entry: entry[:2]):
-            topic = self.topic_of(message)
-            place = (topic, message.src, site)
+        for log_ns, _, endpoint, topic, payload in sorted(self._received):
+            try:
+                (seq, t_ns, src), _ = decode_header(topic, payload)
+            except WireError:
+                self.writer.write_rejected(log_ns, _rejected(endpoint, topic, payload))
+                continue
+            place = (topic, src, site_of(endpoint))
             if place not in self._channels:
                 self._channels[place] = self.writer.channel(*place)
-            self.writer.write(self._channels[place], log_ns, message.t_ns, message.seq, encode(message))
+            self.writer.write(self._channels[place], log_ns, t_ns, seq, payload)
         self.writer.finish()
         return self.writer.path
 
     def carry(self, topic: str, message: Message) -> None:
-        """Bring a message to those who listen, on its own site and behind the link."""
-        site = site_of(message.src)
-        self._record(message, site, message.t_ns)
-        for bus in self._readers(topic, message, site):
-            self._deliver(bus, message, message.t_ns - EPOCH_OFFSET_NS + self.random.randrange(*self.timing.site))
-        bridged = TOPICS[topic].bridged
-        if bridged not in ("both", "forward" if site == "master" else "backward"):
-            return
-        far = "slave" if site == "master" else "master"
-        for _ in range(1 + (self.random.random() < self.timing.repeat_share)):
+        """Bring a message to those who listen, on its own site and through the link."""
+        site, payload = site_of(message.src), encode(message)
+        self._record(message.src, topic, payload, message.t_ns)
+        for key in self._readers(topic, message, site):
+            self._deliver(key, topic, message, payload, message.t_ns - EPOCH_OFFSET_NS)
+        crosses = TOPICS[topic].bridged in ("both", "forward" if site == "master" else "backward")
+        if self.timing.link is not None and crosses:
+            far = LINK_ENDPOINT if site == "master" else LINK_NODE
             arrives_ns = message.t_ns - EPOCH_OFFSET_NS + self.random.randrange(*self.timing.link)
-            self._record(message, far, arrives_ns + EPOCH_OFFSET_NS)
-            for bus in self._readers(topic, message, far):
-                self._deliver(bus, message, arrives_ns + self.random.randrange(*self.timing.site))
+            self._bring(far, topic, message, payload, arrives_ns)
+        elif self.timing.link is None and name_of(message.src) != LINK and (crosses or topic == "clock/pong"):
+            self._deliver(LINK_NODE, topic, message, payload, message.t_ns - EPOCH_OFFSET_NS)
 
-    def topic_of(self, message: Message) -> str:
-        """Give the topic of a message: each has a model of its own."""
-        return next(topic.name for topic in TOPICS.values() if topic.model is type(message))
+    def forward(self, endpoint: str, topic: str, payload: bytes) -> None:
+        """Bring a message that left the link to those who listen there; they refuse what is none, the recorder not."""
+        sent_ns = self.clock.monotonic_ns() + self.random.randrange(*self.timing.sending)
+        try:
+            self._bring(endpoint, topic, decode(topic, payload), payload, sent_ns)
+        except WireError:
+            self._record(endpoint, topic, payload, sent_ns + EPOCH_OFFSET_NS)
 
-    def _record(self, message: Message, site: str, sent_ns: int) -> None:
+    def _bring(self, endpoint: str, topic: str, message: Message, payload: bytes, sent_ns: int) -> None:
+        self._record(endpoint, topic, payload, sent_ns + EPOCH_OFFSET_NS)
+        for key in self._readers(topic, message, site_of(endpoint)):
+            self._deliver(key, topic, message, payload, sent_ns)
+
+    def _record(self, endpoint: str, topic: str, payload: bytes, sent_ns: int) -> None:
         self._order += 1
-        self._received.append((sent_ns + self.random.randrange(*self.timing.recorder), self._order, site, message))
+        log_ns = max(sent_ns + self.random.randrange(*self.timing.recorder), self._received_ns.get(endpoint, 0))
+        self._received_ns[endpoint] = log_ns
+        self._received.append((log_ns, self._order, endpoint, topic, payload))
 
-    def _readers(self, topic: str, message: Message, site: str) -> list[VirtualBus]:
+    def _readers(self, topic: str, message: Message, site: str) -> list[str]:
         return [
-            self.buses[key]
+            key
             for key, loop in self.loops.items()
-            if topic in loop.node.inputs and site_of(key) == site and key != message.src
+            if topic in loop.node.inputs and site_of(key) == site and key not in (message.src, LINK_NODE)
         ]
 
-    def _deliver(self, bus: VirtualBus, message: Message, arrives_ns: int) -> None:
+    def _deliver(self, key: str, topic: str, message: Message, payload: bytes, sent_ns: int) -> None:
         self._order += 1
-        heapq.heappush(bus.inbox, (arrives_ns, self._order, message))
+        arrives_ns = sent_ns + self.random.randrange(*self.timing.site)
+        heapq.heappush(self.buses[key].inbox, (arrives_ns, self._order, topic, message, payload))
 
     def _due_ns(self, key: str) -> int:
         loop, inbox = self.loops[key], self.buses[key].inbox
@@ -264,8 +287,19 @@ class VirtualRig:
             return half_of_site(context, self._loaded.section("controller", ControllerConfig))
         if name == "afm_node":
             return build_afm_node(context, self._loaded.section("afm_node", AfmConfig))
+        if name == LINK:
+            settings = self._loaded.section(LINK, LinkSettings)
+            return DelayNode(context, settings, VirtualBus(self, LINK_ENDPOINT), self.buses[LINK_NODE], Path())
         hand = self._loaded.section("haptic_node", HapticConfig)
         return HapticNode(context, hand, SimulatedHaptic(hand.to_plant_params(), hand.device.start_position_m))
+
+
+def _rejected(endpoint: str, topic: str, payload: bytes) -> RejectedRecord:
+    frames = (topic.encode(), payload)
+    size_bytes = sum(map(len, frames))
+    return RejectedRecord(
+        reason="malformed", text="flipped bits", publisher=endpoint, size_bytes=size_bytes, frames=frames
+    )
 
 
 def record_session(folder: Path, seed: int, settings: Sequence[str] = (), duration_s: float = 1.5) -> Path:

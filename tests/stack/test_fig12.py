@@ -26,7 +26,7 @@ HOLDS = ("--duration", "4.7")
 BORNE_MS = 51.2
 # more than this beyond the median, and the loop stood still for a moment: that is a blow to a loop at its edge
 HELD_UP_MS = 15.0
-NODES = ("controller@master", "controller@slave", "afm_node@slave", "haptic_node@master")
+NODES = ("controller@master", "controller@slave", "afm_node@slave", "haptic_node@master", "delay_node@master")
 
 
 @pytest.fixture(scope="module")

@@ -33,6 +33,8 @@ class Overtaking:
     """
 
     __slots__ = ("_gap", "_happens", "_since")
+    # the occurrence is a model of its own
+    state_fields = ("_since",)
 
     def __init__(self, happens: Occurrence, gap: int) -> None:
         self._happens = happens

@@ -51,13 +51,17 @@ def table_quantile(samples: Sequence[float]) -> Callable[[float], float]:
 class JitterSource:
     """Random delays [ns, may be negative], one for each message."""
 
-    __slots__ = ("_draws", "_scale_ns")
+    __slots__ = ("_draws", "_scale_ns", "_uniforms")
+    state_fields = ("_uniforms",)
 
     def __init__(self, settings: Jitter, samples: Sequence[float], streams: Callable[[str], Draw]) -> None:
         self._scale_ns = settings.scale_s * 1e9
+        parts = _parts(settings, samples)
+        self._uniforms = tuple(
+            CorrelatedUniform(settings.correlation, streams(name), normal_quantile) for _, name, _ in parts
+        )
         self._draws = [
-            (weight, quantile, CorrelatedUniform(settings.correlation, streams(name), normal_quantile))
-            for weight, name, quantile in _parts(settings, samples)
+            (weight, quantile, uniform) for (weight, _, quantile), uniform in zip(parts, self._uniforms, strict=True)
         ]
 
     def __call__(self) -> float:

@@ -15,6 +15,7 @@ class MarkovLossChain:
     """
 
     __slots__ = ("_draw", "_settings", "state")
+    state_fields = ("state",)
 
     def __init__(self, settings: MarkovLoss, draw: Draw) -> None:
         self._settings = settings
@@ -44,6 +45,7 @@ class GilbertElliottChain:
     """
 
     __slots__ = ("_decide", "_settings", "_step", "bad")
+    state_fields = ("bad",)
 
     def __init__(self, settings: GilbertElliott, step: Draw, decide: Draw) -> None:
         self._settings = settings

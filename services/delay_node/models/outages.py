@@ -16,6 +16,7 @@ class Outages:
     """
 
     __slots__ = ("_down_ns", "_draw", "_origin_ns", "_period_ns", "_random", "_schedule", "_up_ns")
+    state_fields = ("_origin_ns", "_random")
 
     def __init__(self, settings: Outage, origin_ns: int, draw: Draw) -> None:
         self._origin_ns = origin_ns

@@ -2,6 +2,7 @@
 
 from bisect import bisect_left
 from collections import Counter, deque
+from collections.abc import Iterable, Sequence
 from typing import Generic, NamedTuple, Protocol, TypeVar
 
 from services.delay_node.config import Queue
@@ -34,6 +35,7 @@ class RateServer:
     """Sends at a constant rate: start = max(ready, free), finish = start + size/rate."""
 
     __slots__ = ("_free_ns", "_ns_per_byte", "_overhead_bytes")
+    state_fields = ("_free_ns",)
 
     def __init__(self, rate_bytes_per_s: float, overhead_bytes: int) -> None:
         self._ns_per_byte = 1e9 / rate_bytes_per_s
@@ -60,6 +62,7 @@ class DeliveryServer:
     """
 
     __slots__ = ("_bytes", "_index", "_left", "_origin_ns", "_times_ns")
+    state_fields = ("_origin_ns", "_index", "_left")
 
     def __init__(self, times_ns: tuple[int, ...], bytes_per_opportunity: int | None, origin_ns: int) -> None:
         self._times_ns = times_ns
@@ -119,6 +122,9 @@ class ServedQueue(Generic[Item]):
     What the server is sending has left the queue. Reliable messages wait beyond the limits and are never dropped.
     """
 
+    # what waits is captured by who knows the items
+    state_fields = ("_server", "free_ns")
+
     def __init__(self, limits: Queue, server: Server, draw: Draw) -> None:
         self._limits = limits
         self._server = server
@@ -130,6 +136,16 @@ class ServedQueue(Generic[Item]):
 
     def __len__(self) -> int:
         return len(self._waiting)
+
+    @property
+    def waiting(self) -> Sequence[Waiting[Item]]:
+        return tuple(self._waiting)
+
+    def refill(self, waiting: Iterable[Waiting[Item]]) -> None:
+        """Let exactly these wait, whatever the limits."""
+        self._waiting = deque(waiting)
+        self._bytes = sum(entry.size_bytes for entry in self._waiting)
+        self._update_leave_time()
 
     def holds_before(self, topic: str, order: int) -> bool:
         """Return whether a message of the topic waits that arrived before the one of this order."""
@@ -204,6 +220,8 @@ class SlotGate:
     a whole slot takes a slot alone.
     """
 
+    state_fields = ("_times_ns", "_messages", "_bytes")
+
     def __init__(
         self,
         interval_ns: tuple[int, int],
@@ -226,7 +244,7 @@ class SlotGate:
 
         Returns: the time of the slot, >= release_ns.
         """
-        if len(self._times_ns) > 4096 and self._times_ns[2048] < now_ns:
+        if len(self._times_ns) > 512 and self._times_ns[256] < now_ns:
             self._forget(now_ns)
         place = bisect_left(self._times_ns, release_ns)
         while self._is_full(time_ns := self._slot(place), release_ns, size_bytes):

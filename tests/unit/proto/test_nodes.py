@@ -20,14 +20,17 @@ from proto.nodes import (
     OPTIONAL_NODES,
     PLAYER,
     RECORDER,
+    RERUN_NODES,
     SERVICES,
     START_ORDER,
     STOP_ORDER,
     TIP,
     NodeRow,
+    endpoints_of,
     is_console,
     is_visitor,
     name_of,
+    no_rerun_reason,
     site_of,
     sites_of,
 )
@@ -127,6 +130,23 @@ def test_visitors_are_known_by_name() -> None:
 def test_publishers_of_topics_are_rows() -> None:
     named = {publisher for topic in TOPICS.values() for publisher in topic.publishers if "*" not in publisher}
     assert {name for name in named if name not in KEYS | {name_of(key) for key in KEYS}} == set()
+
+
+def test_a_node_keeps_a_journal_or_its_row_says_why_it_is_not_run_again() -> None:
+    publishers = TOPICS["node/journal"].publishers
+    for row in NODES:
+        assert (row.key in publishers or name_of(row.key) in publishers) == (not row.no_rerun), row.key
+        assert no_rerun_reason(row.key) == row.no_rerun
+    modules = {name: vars(importlib.import_module(f"services.{name}.node")) for name in folders()}
+    classes = {name: [value for value in found.values() if isinstance(value, type)] for name, found in modules.items()}
+    journalled = {name for name, found in classes.items() if any(getattr(kind, "journalled", False) for kind in found)}
+    assert journalled == {name_of(key) for key in RERUN_NODES}
+    assert set(RERUN_NODES) <= set(START_ORDER)
+
+
+def test_the_endpoints_of_the_link_are_at_both_sites() -> None:
+    assert endpoints_of(f"{LINK}@master") == (f"{LINK}@master", f"{LINK}@slave")
+    assert endpoints_of(TIP) == (TIP,)
 
 
 def test_the_scenario_has_a_section_for_each_node() -> None:

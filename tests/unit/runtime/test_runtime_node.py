@@ -17,6 +17,7 @@ from proto.contract import examples
 from proto.errors import ConfigError, RefusedError
 from proto.messages import MAX_TEXT, InputHealth, NodeHealth, NodeJournal, SessionControl, SessionEvent
 from proto.sequence import Arrival
+from services.runtime import journal
 from services.runtime.bus import ConnectionEvent, Received
 from services.runtime.clock import VirtualClock
 from services.runtime.deadlines import PeriodicDeadline
@@ -584,13 +585,14 @@ def test_the_journal_numbers_its_turns_and_the_outputs_so_far() -> None:
     assert journals[1].outputs == {"haptic/state": rig.bus.sent.index(journals[0]) + 1}
 
 
-def test_a_flood_makes_a_batch_before_the_half_second() -> None:
+def test_a_flood_makes_a_batch_before_the_half_second(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(journal, "_BATCH", 100)
     rig = journalled_rig()
     rig.loop.turn()
-    for seq in range(3000):
+    for seq in range(150):
         rig.bus.arrives(6 * MS + seq * 100, "haptic/state", seq=seq)
     rig.run_until(400 * MS)
-    assert len(turns_of(rig.bus.of(NodeJournal)[0])) >= 2048
+    assert len(turns_of(rig.bus.of(NodeJournal)[0])) >= 100
 
 
 def test_the_health_of_others_is_no_turn_and_an_idle_node_writes_nothing() -> None:
@@ -598,6 +600,22 @@ def test_the_health_of_others_is_no_turn_and_an_idle_node_writes_nothing() -> No
     rig.bus.arrives(10 * MS, "node/health")
     rig.run_until(1100 * MS)
     assert rig.bus.of(NodeJournal) == []
+
+
+def test_the_health_of_others_is_a_turn_of_who_acts_on_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Journalled, "acts_on_health", True)
+    rig = journalled_rig()
+    rig.bus.arrives(10 * MS, "node/health", src="afm_node@slave", seq=3)
+    rig.run_until(510 * MS)
+    (found,) = rig.bus.of(NodeJournal)
+    assert [(kind, number) for kind, _, _, number in turns_of(found)] == [(1, 3)]
+
+
+def test_the_journal_counts_what_goes_past_the_bus(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Journalled, "further_outputs", lambda node: {"delay_node@slave": len(node.read)})
+    rig = journalled_rig(period_ns=100 * MS)
+    rig.run_until(1100 * MS)
+    assert [found.outputs["delay_node@slave"] for found in rig.bus.of(NodeJournal)] == [0, 5]
 
 
 def test_the_rest_of_the_journal_is_sent_at_the_end_and_making_safe_is_no_turn() -> None:

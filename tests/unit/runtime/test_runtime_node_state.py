@@ -1,5 +1,6 @@
 """The state of a node as bytes, and a node that was just built put into it."""
 
+from collections import deque
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
@@ -14,7 +15,7 @@ from services.runtime.clock import VirtualClock
 from services.runtime.deadlines import PeriodicDeadline
 from services.runtime.log import StructuredLog
 from services.runtime.node import Node, NodeContext
-from services.runtime.node_state import StateSnapshot, restore
+from services.runtime.node_state import FindInput, StateSnapshot, restore
 
 COMMAND = HapticCommand(
     seq=3, t_ns=4, src="a@b", v=1, mode="off", position_m=(0.0, -0.0, 1e-300), velocity_m_per_s=(0.0, 0.0, 0.0),
@@ -26,6 +27,21 @@ class Stranger(NamedTuple):
     """A kind of value that is not of the project's packages."""
 
     value: float
+
+
+class Engine:
+    """A part whose state has a form of its own: the names of messages that it holds."""
+
+    __module__ = "services.delay_node.engine"
+
+    def __init__(self) -> None:
+        self.held: list[tuple[str, str, int, bytes]] = []
+
+    def capture_state(self) -> Any:
+        return [(*name, len(payload)) for *name, payload in self.held]
+
+    def restore_state(self, state: Any, find: FindInput) -> None:
+        self.held = [(topic, src, seq, find(topic, src, seq, 0, size)) for topic, src, seq, size in state]
 
 
 class Stateful(Node):
@@ -40,6 +56,8 @@ class Stateful(Node):
         self.command: HapticCommand | None = None
         self.reported: Any = ("off", 1)
         self.seen: set[str] = set()
+        self.last: deque[Any] = deque(maxlen=3)
+        self.engine = Engine()
         self.handle: Any = None
 
     def on_message(self, received: Any) -> None: ...
@@ -57,16 +75,23 @@ def test_a_node_goes_on_from_the_state_of_another() -> None:
     node.command = COMMAND
     node.reported = ("force", (2, None))
     node.seen.update({"b@s", "a@s"})
+    node.last.extend([1, (2, "b"), HandSample(0.0, 1.0, 2.0, False), COMMAND])
+    node.engine.held = [("afm/state", "a@b", 4, b"xyz"), ("afm/state", "a@b", 5, b"1")]
     node.steps = 7
     other = Stateful(VirtualClock(0))
     state = snapshot.capture()
-    restore(other, state)
+    found = {4: b"xyz"}
+    restore(other, state, lambda topic, src, seq, arrived_ns, size_bytes: found.get(seq, bytes(size_bytes)))
     assert (other.grid.deadline_ns, other.grid.overruns) == (10_000, 3)
     assert type(other.sample) is HandSample
     assert repr(other.sample) == repr(node.sample)
     assert other.command == COMMAND
     assert other.reported == ("force", (2, None))
     assert other.seen == {"a@s", "b@s"}
+    assert other.last == node.last
+    assert other.last.maxlen == 3
+    assert type(other.last[1]) is HandSample
+    assert other.engine.held == [("afm/state", "a@b", 4, b"xyz"), ("afm/state", "a@b", 5, b"\0")]
     assert other.steps == 7
     assert other.clock is not node.clock
     # what was not replaced is built again, not sent

@@ -1,0 +1,143 @@
+"""The state of the engine: what was captured in the middle of a session goes on as the engine itself does."""
+
+import random
+from typing import Any
+
+import msgpack
+import pytest
+
+from services.delay_node.config import changed, parse_settings
+from services.delay_node.engine import LinkEngine
+from services.delay_node.random_streams import stream
+
+MS = 1_000_000
+START = 1_700_000_000_000_000_000
+SOURCES = (("teleop/forward", "controller@master"), ("session/control", "launcher@master"), ("law/status", "a@b"))
+QUEUE = {"rate": {"rate_bytes_per_s": 5e5}, "queue": {"limit_messages": 6}}
+
+MODELS: dict[str, dict[str, Any]] = {
+    "clean": {},
+    "constant": {"delay_s": 0.01},
+    "jitter": {"delay_s": 0.01, "jitter": {"scale_s": 0.004, "correlation": 0.9}, "order": "topic"},
+    "pareto_normal": {"delay_s": 0.01, "jitter": {"scale_s": 0.004, "distribution": "pareto_normal"}},
+    "loss": {"loss": {"probability": 0.3, "correlation": 0.8}, "apply_probability": 0.8},
+    "markov_loss": {"markov_loss": {"p13": 0.2, "p31": 0.3, "p32": 0.3, "p23": 0.4, "p14": 0.1}},
+    "gilbert_elliott": {"gilbert_elliott": {"p": 0.1, "r": 0.2, "loss_in_bad": 0.8, "loss_in_good": 0.1}},
+    "corruption": {"delay_s": 0.01, "corruption": {"probability": 0.5, "bits": 3}},
+    "duplication": {"jitter": {"scale_s": 0.01}, "duplication": {"probability": 0.4}},
+    "reordering": {"delay_s": 0.02, "reordering": {"probability": 0.3, "gap": 4}},
+    "rate": {**QUEUE, "delay_s": 0.005, "order": "link"},
+    "rate_random_drop": {"rate": QUEUE["rate"], "queue": {"limit_bytes": 900, "drop": "random"}},
+    "rate_corruption": {
+        **QUEUE,
+        "corruption": {"probability": 0.5},
+        "topics": {"law/*": {"rate": {"overhead_bytes": 9}}},
+    },
+    "delivery": {"delivery_trace": {"file": "delivery.txt", "bytes_per_opportunity": 400}},
+    "delay_trace": {"delay_trace": {"file": "course.txt"}},
+    "slots": {"slots": {"min_interval_s": 0.002, "max_interval_s": 0.009, "max_messages": 4, "max_bytes": 900}},
+    "outage": {"outage": {"mean_up_s": 0.03, "mean_down_s": 0.02, "mode": "hold"}},
+    "outage_schedule": {"outage": {"schedule": [[0.01, 0.02]], "period_s": 0.05}, "delay_s": 0.004},
+}
+
+
+class Traffic:
+    """Messages of three publishers, one after the other, the same for every engine that they are given to."""
+
+    def __init__(self, count: int) -> None:
+        draw = random.Random(5)
+        self.messages = []
+        self.payloads: dict[tuple[str, str, int], bytes] = {}
+        now_ns = START
+        for seq in range(count):
+            now_ns += draw.randrange(1_200_000)
+            topic, src = SOURCES[draw.randrange(3)]
+            payload = draw.randbytes(draw.randrange(1, 400))
+            self.payloads[topic, src, seq] = payload
+            self.messages.append((now_ns, topic, payload, seq, src))
+
+    def find(self, topic: str, src: str, seq: int, arrived_ns: int, size_bytes: int) -> bytes:
+        payload = self.payloads[topic, src, seq]
+        assert len(payload) == size_bytes
+        return payload
+
+
+def give(link: LinkEngine, messages: list[Any]) -> list[Any]:
+    """Submit messages to both directions and return what comes out forward, message by message."""
+    released = []
+    for message in messages:
+        released.append(list(link.forward.submit(*message)))
+        link.backward.submit(*message)
+    return released
+
+
+@pytest.mark.parametrize("change", [None, {"forward.delay_s": 0.003}, {"forward.loss.probability": 0.1, "seed": 9}])
+@pytest.mark.parametrize("models", MODELS)
+def test_an_engine_goes_on_from_a_captured_state(tmp_path: Any, models: str, change: dict[str, Any] | None) -> None:
+    (tmp_path / "course.txt").write_text("0 0.001\n0.02 0.006\n0.05 0.002\n")
+    (tmp_path / "delivery.txt").write_text("1\n3\n4\n9\n")
+    settings = parse_settings({"seed": 3, "forward": MODELS[models]})
+    traffic = Traffic(200)
+    link = LinkEngine(settings, START, folder=tmp_path)
+    released, states = [], {}
+    for place, message in enumerate(traffic.messages):
+        if place == 100 and change is not None:
+            link.reconfigure(changed(link.settings, change), message[0])
+        if place % 40 == 20:
+            states[place] = msgpack.packb(link.capture_state())
+        released += give(link, [message])
+    assert sum(map(len, released)) > 50
+    stats, fates, last = link.forward.stats(), link.take_fates(), msgpack.packb(link.capture_state())
+    for place, state in states.items():
+        # built as the node builds it for a re-run: at another time, with the settings of the scenario
+        other = LinkEngine(settings, START + 10**9, folder=tmp_path)
+        other.restore_state(msgpack.unpackb(state, strict_map_key=False), traffic.find)
+        assert give(other, traffic.messages[place:100]) == released[place:100]
+        if place <= 100 and change is not None:
+            other.reconfigure(changed(other.settings, change), traffic.messages[100][0])
+        assert give(other, traffic.messages[max(place, 100) :]) == released[max(place, 100) :]
+        assert other.settings == link.settings
+        assert other.forward.stats() == stats
+        assert other.take_fates() == fates
+        assert msgpack.packb(other.capture_state()) == last
+
+
+def test_a_message_that_waits_under_former_settings_has_no_form_until_it_has_gone() -> None:
+    link = LinkEngine(parse_settings({"forward": {"rate": {"rate_bytes_per_s": 1e5}}}), START)
+    for seq in range(4):
+        link.forward.submit(START, "teleop/forward", bytes(100), seq)
+    link.reconfigure(changed(link.settings, {"forward.delay_s": 0.001}), START)
+    assert link.capture_state()
+    link.reconfigure(changed(link.settings, {"forward.order": "topic"}), START)
+    with pytest.raises(TypeError, match="a message on teleop/forward waits under an order or slots"):
+        link.capture_state()
+    link.forward.due(START + 10 * MS)
+    assert link.capture_state()
+
+
+def test_the_state_has_the_names_of_what_is_in_flight_and_the_bytes_only_where_bits_were_flipped() -> None:
+    for probability in (0.0, 1.0):
+        tree = {"delay_s": 1.0, "corruption": {"probability": probability}}
+        link = LinkEngine(parse_settings({"forward": tree}), START)
+        give(link, [(START + seq, "teleop/forward", bytes(5000), seq, "a@b") for seq in range(10)])
+        assert (len(msgpack.packb(link.capture_state())) > 50_000) == (probability == 1.0)
+
+
+def test_a_model_that_was_switched_off_starts_anew() -> None:
+    """So a model is what the settings in force and the messages since then make of it, and a state can have all."""
+    link = LinkEngine(parse_settings({"forward": {"outage": {"schedule": [[0.0, 0.01]]}}}), START)
+    assert not link.forward.submit(START + MS, "a", b"1", 0)
+    link.reconfigure(changed(link.settings, {"forward.outage.schedule": ""}), START + 20 * MS)
+    assert link.forward.submit(START + 21 * MS, "a", b"1", 1)
+    link.reconfigure(changed(link.settings, {"forward.outage.schedule": "0:0.01"}), START + 30 * MS)
+    assert not link.forward.submit(START + 31 * MS, "a", b"1", 2)
+
+
+def test_a_stream_is_advanced_to_a_count() -> None:
+    first, second = stream(7, "a"), stream(7, "a")
+    numbers = [first() for _ in range(20)]
+    second.advance_to(12)
+    assert [second() for _ in range(8)] == numbers[12:]
+    assert second.drawn == first.drawn == 20
+    with pytest.raises(ValueError, match="20 numbers have been drawn already"):
+        second.advance_to(19)
