@@ -4,44 +4,27 @@ import math
 import os
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from fnmatch import fnmatchcase
+from dataclasses import replace
 from pathlib import Path
 
 import zmq
 
 from proto.errors import ConfigError, EndpointError, RigError
-from proto.messages import NodeHealth, Scalar, SessionEvent
+from proto.messages import Scalar, SessionEvent
 from proto.nodes import LINK, is_console, name_of, site_of
-from services.launcher.pending_command import Command, PendingCommand
 from services.launcher.plan import Site
 from services.launcher.rig_status import RIG_HINT
 from services.runtime.address_book import AddressBook
 from services.runtime.bus import ZmqPublisher
-from services.runtime.clock import Clock
+from services.runtime.commands import Command, CommandClient, is_meant, is_pattern
 from services.runtime.main import load_site
 from services.runtime.participant import Participant, open_participant
 from services.runtime.security.keyring import MACHINE_VARIABLE, Keyring, this_machine
 
 _BIND_PATIENCE_NS = 2_000_000_000
 _RETRY_S = 0.1
-# every node that is alive has reported by then, twice
-_DISCOVERY_NS = 1_200_000_000
-# quiet after the last answer to a wildcard: whoever knows the command has answered
-_QUIET_NS = 500_000_000
 _POLL_MS = 20
 _SUBSCRIBED = b"\x01session/control"
-
-
-@dataclass(frozen=True)
-class ControlRequest:
-    """A command as it was typed."""
-
-    command: Command
-    target: str
-    parameters: dict[str, Scalar]
-    site_file: Path
-    site: Site = "master"
 
 
 def parse_parameters(pairs: Sequence[str]) -> dict[str, Scalar]:
@@ -76,9 +59,9 @@ def addressed(book: AddressBook, target: str, site: Site = "master") -> list[str
     """
     nodes = [n for n in book.nodes if not _answers_nothing(n)]
     within = [n for n in nodes if site == "master" or site_of(n) == site]
-    meant = [n for n in within if _is_meant(n, target)]
+    meant = [n for n in within if is_meant(n, target)]
     if not meant:
-        beyond = [n for n in nodes if _is_meant(n, target)]
+        beyond = [n for n in nodes if is_meant(n, target)]
         hint = f"; {', '.join(beyond)} is commanded from the master's site" if beyond else ""
         raise ConfigError(f"no node is meant by target {target!r}: there are {', '.join(sorted(within))}{hint}")
     return meant
@@ -108,87 +91,44 @@ def _machines_here(book: AddressBook) -> list[str] | None:
     return [this_machine(keyring)] if MACHINE_VARIABLE in os.environ else keyring.names()
 
 
-def _is_meant(node: str, target: str) -> bool:
-    return fnmatchcase(node, target) or fnmatchcase(name_of(node), target)
+def send_control(
+    command: Command, site_file: Path, site: Site, on_answer: Callable[[SessionEvent], None]
+) -> dict[str, SessionEvent]:
+    """Send a command to a running rig; which nodes have to answer follows from its target and the site file.
 
-
-def send_control(request: ControlRequest, on_answer: Callable[[SessionEvent], None]) -> dict[str, SessionEvent]:
-    """Send a command to a running rig.
-
-    Parameters: request; on_answer, called with each answer when it comes.
+    Parameters: command; site_file; site, at which it is typed; on_answer, called with each answer when it comes.
     Returns: the answers by node, refusals among them.
     Raises: RigError when nodes do not answer or no rig is there, EndpointError when another console is at work.
     """
-    book = load_site(request.site_file)
-    meant = addressed(book, request.target, request.site)
+    book = load_site(site_file)
+    meant = addressed(book, command.target, site)
     try:
-        console = console_of(book, request.site)
+        console = console_of(book, site)
     except ConfigError as error:
-        raise ConfigError(f"{request.site_file}: {error}") from error
+        raise ConfigError(f"{site_file}: {error}") from error
     with open_participant(console, book) as participant:
         publisher = _bind(participant)
         subscribers = participant.subscribers(book.sources(console, ["session/event", "node/health"]))
-        exchange = Exchange(participant.clock, request, meant)
-        while not exchange.done:
+        expected = () if is_pattern(command.target) else tuple(meant)
+        client = CommandClient(participant.clock, publisher.publish, [replace(command, expected=expected)])
+        alive: set[str] = set()
+        while not client.advance():
             if _new_subscriptions(publisher):
-                exchange.pending.make_due()
-            if exchange.pending.take_due():
-                publisher.publish("session/control", **exchange.pending.fields())
+                client.make_due()
             zmq.select([subscriber.socket for subscriber in subscribers], [], [], _POLL_MS * 1e-3)
             participant.network.process_events()
             for received in (message for subscriber in subscribers for message in subscriber.receive()):
                 message = received.message
-                if isinstance(message, NodeHealth):
-                    exchange.record_health(message)
-                elif isinstance(message, SessionEvent) and exchange.record_event(message):
+                alive.add(message.src)
+                if isinstance(message, SessionEvent) and client.on_event(message):
                     on_answer(message)
-        exchange.check()
-    return exchange.pending.answers
-
-
-class Exchange:
-    """When a command has been answered by all that concern it: pure bookkeeping on a clock.
-
-    All named nodes have to answer. Which nodes know the command of a wildcard is not known beforehand: it waits until
-    every node that is alive has reported, and then until no more answers come.
-    """
-
-    def __init__(self, clock: Clock, request: ControlRequest, meant: Sequence[str]) -> None:
-        self._clock = clock
-        self._begun_ns = self._last_answer_ns = clock.monotonic_ns()
-        self._wildcard = any(sign in request.target for sign in "*?[")
-        # a wildcard is complete by the rule above; until then somebody who never answers keeps it open
-        expected = ("nobody",) if self._wildcard else meant
-        self.pending = PendingCommand(clock, request.command, request.target, expected, request.parameters)
-        self.alive: set[str] = set()
-
-    def record_health(self, health: NodeHealth) -> None:
-        self.alive.add(health.src)
-
-    def record_event(self, event: SessionEvent) -> bool:
-        """Record an event; return whether it is a first answer."""
-        new = self.pending.record(event)
-        if new:
-            self._last_answer_ns = self._clock.monotonic_ns()
-        return new
-
-    @property
-    def done(self) -> bool:
-        now = self._clock.monotonic_ns()
-        if self.pending.expired or not self._wildcard:
-            return self.pending.expired or self.pending.complete
-        settled = now - self._begun_ns >= _DISCOVERY_NS and now - self._last_answer_ns >= _QUIET_NS
-        return settled and bool(self.pending.answers)
-
-    def check(self) -> None:
-        """Raise RigError when answers are missing."""
-        command = self.pending.command
-        if not self.pending.answers and not self.alive:
-            raise RigError(f"{command} was not answered, no node reports: {RIG_HINT}")
-        if self._wildcard and not self.pending.answers:
-            raise RigError(f"no node answered {command}: {', '.join(sorted(self.alive))} do not know it")
-        if not self._wildcard and self.pending.missing:
-            raise RigError(f"{', '.join(self.pending.missing)} did not answer {command}")
+    if not alive:
+        raise RigError(f"{client.failure}; no node reports: {RIG_HINT}")
+    if not client.answers and not expected:
+        raise RigError(f"{client.failure}: {', '.join(sorted(alive))} do not know it")
+    if not set(expected) <= set(client.answers):
+        raise RigError(client.failure)
+    return client.answers
 
 
 def _new_subscriptions(publisher: ZmqPublisher) -> int:

@@ -5,12 +5,11 @@ from pathlib import Path
 from proto.errors import RecordingError
 from proto.messages import NodeHealth, SessionControl, SessionEvent
 from recording.reader import Recording
-from services.launcher.command_sequence import Step
 from services.runtime.clock import Clock
+from services.runtime.commands import Command
 
 # time for the recorder's first report once everything else is ready: it reports twice a second
 _RECORDER_WAIT_NS = 3_000_000_000
-_ANSWER_NS = 5_000_000_000
 
 
 class ExternalRecording:
@@ -22,7 +21,7 @@ class ExternalRecording:
     def __init__(self, clock: Clock, recorder: str) -> None:
         """Prepare the command for `recorder` (node@site)."""
         self.recorder = recorder
-        self._split = Step("set", recorder, (recorder,), {"record.split": True}, required=False, deadline_ns=_ANSWER_NS)
+        self._split = Command("set", recorder, (recorder,), {"record.split": True}, required=False)
         self.files: list[str] = []
         self.fault = "no recorder reported"
         self._clock = clock
@@ -58,7 +57,7 @@ class ExternalRecording:
             self._wait_until_ns = now + _RECORDER_WAIT_NS
         return self._recorder_alive or now >= self._wait_until_ns
 
-    def begin_steps(self) -> tuple[Step, ...]:
+    def begin_steps(self) -> tuple[Command, ...]:
         """Return the command to begin a new file; none without a recorder."""
         return (self._split,) if self._recorder_alive else ()
 
@@ -70,7 +69,7 @@ class ExternalRecording:
         elif self._recorder_alive:
             self.fault = failure or f"{self.recorder} did not report which file it began"
 
-    def end_steps(self) -> tuple[Step, ...]:
+    def end_steps(self) -> tuple[Command, ...]:
         """Return the command that completes the session's file; none where there is no such file."""
         steps = self.begin_steps() if self._recording else ()
         self._recording = False

@@ -8,12 +8,12 @@ from typing import ClassVar, Literal
 
 from proto.messages import ClockPing, NodeHealth, Scalar, SessionEvent
 from proto.nodes import HAND, TIP
-from services.launcher.command_sequence import CommandSequence, Step
 from services.launcher.external_recording import ExternalRecording
 from services.launcher.liveness import Change, LivenessMonitor
 from services.launcher.readiness import READY_DEADLINE_S, ReadinessGate, unmet
 from services.launcher.supervisor import Supervisor
 from services.runtime.bus import Received
+from services.runtime.commands import Command, CommandClient
 from services.runtime.deadlines import PeriodicDeadline
 from services.runtime.node import Node, NodeContext
 
@@ -23,16 +23,18 @@ TICK_S = 0.05
 # how long a stopping rig waits for the answer to `stop`; the devices make themselves safe on SIGTERM in any case
 _STOP_ANSWER_NS = 2_000_000_000
 _EVENTS_KEPT = 8
+# a refused command is tried anew for so long
+_REFUSAL_RETRY_NS = 5_000_000_000
 
 # the AFM before the haptic device, so that the hand never moves a reference that nothing follows
 BEGIN = (
-    Step("arm", "afm_node", (TIP,)),
-    Step("arm", "haptic_node", (HAND,)),
-    Step("start", "*", (HAND,)),
+    Command("arm", "afm_node", (TIP,)),
+    Command("arm", "haptic_node", (HAND,)),
+    Command("start", "*", (HAND,)),
 )
-END = Step("stop", "*", (HAND,), required=False, deadline_ns=_STOP_ANSWER_NS)
+END = Command("stop", "*", (HAND,), required=False, deadline_ns=_STOP_ANSWER_NS)
 # where the nodes keep running without a session the tip must not stay on the sample without an operator
-RETRACT_TIP = Step("estop", "afm_node", (TIP,), required=False, deadline_ns=_STOP_ANSWER_NS)
+RETRACT_TIP = Command("estop", "afm_node", (TIP,), required=False, deadline_ns=_STOP_ANSWER_NS)
 # what the operator has to do when a device was lost and is back; {at} is the option for the site, where there are two
 _RECOVERY_HINTS = {
     TIP: "a tip that has retracted stays retracted until `telenano session arm --target afm_node{at}`",
@@ -207,7 +209,7 @@ class SessionNode(RigNode):
         self._others = tuple(others)
         self._wait_s = wait_s
         self._readiness = ReadinessGate(context.clock, supervisor.nodes, others, wait_s)
-        self._sequence: CommandSequence | None = None
+        self._commands: CommandClient | None = None
         self._running_ns: int | None = None
 
     @property
@@ -266,8 +268,8 @@ class SessionNode(RigNode):
     def on_event(self, event: SessionEvent) -> None:
         if self.recording is not None:
             self.recording.on_event(event)
-        if self._sequence is not None:
-            self._sequence.on_event(event)
+        if self._commands is not None:
+            self._commands.on_event(event)
 
     def advance(self) -> None:
         if self.phase in ("starting", "arming", "running") and (self.failure or self.interrupted):
@@ -302,27 +304,27 @@ class SessionNode(RigNode):
         steps = [step for step in BEGIN if set(step.expected) <= set(self._needed)]
         if self.recording is not None:
             steps = [*self.recording.begin_steps(), *steps]
-        self._sequence = CommandSequence(self.clock, self.publish, steps)
+        self._commands = CommandClient(self.clock, self.publish, steps, retry_ns=_REFUSAL_RETRY_NS)
         self._advance_arming()
 
     def _advance_arming(self) -> None:
         if any(node not in self.health for node in self._others):
             # a node was lost while the devices were armed: it is waited for as at the start
-            self.phase, self._sequence = "starting", None
+            self.phase, self._commands = "starting", None
             self._readiness.reset()
-        elif (sequence := self._sequence) is not None and sequence.advance():
-            if sequence.failure:
-                self._fail(sequence.failure)
+        elif (commands := self._commands) is not None and commands.advance():
+            if commands.failure:
+                self._fail(commands.failure)
             else:
-                self._run(sequence)
+                self._run(commands)
 
-    def _run(self, sequence: CommandSequence) -> None:
+    def _run(self, commands: CommandClient) -> None:
         self._running_ns = self.clock.monotonic_ns()
         self.phase = "running"
         self.state = "running"
-        self.start_id = sequence.ids.get("start", "")
+        self.start_id = commands.ids.get("start", "")
         if self.recording is not None:
-            self.recording.confirm_start(sequence.tolerated_failures.get(self.recording.recorder))
+            self.recording.confirm_start(commands.tolerated_failures.get(self.recording.recorder))
             if self.recording.fault:
                 self.report("warning", f"the session is not recorded: {self.recording.fault}")
         self.event("node", "info", "the session is running", answer_to="", duration_s=self.duration_s)
@@ -330,16 +332,16 @@ class SessionNode(RigNode):
     def _end(self) -> None:
         """Command the end of the operator's programme, where one is running and can still be commanded."""
         self.phase = "ending"
-        steps: list[Step] = []
+        steps: list[Command] = []
         if self.ran and not self.failure:
             steps += [END] if set(END.expected) <= set(self._needed) else []
             steps += self.recording.end_steps() if self.recording is not None else []
             steps += [RETRACT_TIP] if self.attached and TIP in self._needed else []
-        self._sequence = CommandSequence(self.clock, self.publish, steps)
+        self._commands = CommandClient(self.clock, self.publish, steps, retry_ns=_REFUSAL_RETRY_NS)
         self._advance_end()
 
     def _advance_end(self) -> None:
-        if self._sequence is None or self._sequence.advance():
+        if self._commands is None or self._commands.advance():
             ends = "the nodes keep running" if self.attached else "the nodes are stopped"
             text = f"the session is over, {ends}"
             self.event("node", "info", text, answer_to="", interrupted=self.interrupted)

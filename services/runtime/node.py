@@ -5,21 +5,19 @@ import signal
 import socket
 import time
 from abc import ABC, abstractmethod
-from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from fnmatch import fnmatchcase
 from pathlib import Path
 from types import FrameType
 from typing import ClassVar, Literal, Protocol
 
 from proto import TOPICS
-from proto.errors import RefusedError, TelenanoError
+from proto.errors import RefusedError
 from proto.messages import MAX_TEXT, InputHealth, NodeHealth, Scalar, SessionControl
-from proto.nodes import name_of
 from proto.sequence import Arrival
 from services.runtime.bus import Bus, ConnectionEvent, Received
 from services.runtime.clock import Clock
+from services.runtime.commands import CommandHandler
 from services.runtime.deadlines import LatenessWindow, SpinMargin
 from services.runtime.journal import InputJournal
 from services.runtime.log import RateLimitedLog, StructuredLog
@@ -27,7 +25,6 @@ from services.runtime.realtime import RealtimeStatus
 
 NodeState = Literal["starting", "ready", "running", "safe", "stopping"]
 HEALTH_PERIOD_NS = 500_000_000
-_REMEMBERED_ANSWERS = 256
 _FAR_FUTURE_NS = 2**62
 _STATM = Path("/proc/self/statm")
 
@@ -131,41 +128,6 @@ class AccountedBus(Bus, Protocol):
         """Process events of network connections, if there may be any or `now`; return what happened to them."""
 
 
-class CommandHandler:
-    """Executes session/control for a node: once per id, with the answer repeated to a command that is sent again."""
-
-    def __init__(self, node: Node) -> None:
-        self._node = node
-        self._answers: OrderedDict[str, tuple[str, str, str]] = OrderedDict()
-
-    def handle(self, control: SessionControl) -> bool:
-        """Execute a command if it concerns this node, and answer with a session/event of the same id.
-
-        Returns: whether the node executed it now, rather than its answer repeated.
-        """
-        key = self._node.context.key
-        name = name_of(key)
-        if not (fnmatchcase(key, control.target) or fnmatchcase(name, control.target)):
-            return False
-        wildcard = any(sign in control.target for sign in "*?[")
-        if wildcard and control.command not in self._node.commands:
-            return False
-        is_new = control.id not in self._answers
-        if is_new:
-            self._answers[control.id] = self._execute(control)
-            if len(self._answers) > _REMEMBERED_ANSWERS:
-                self._answers.popitem(last=False)
-        kind, level, text = self._answers[control.id]
-        self._node.event(kind, level, text, answer_to=control.id, command=control.command)
-        return is_new
-
-    def _execute(self, control: SessionControl) -> tuple[str, str, str]:
-        try:
-            return "ack", "info", self._node.on_control(control)
-        except TelenanoError as error:
-            return "refused", "warning", str(error)
-
-
 class NodeLoop:
     """The loop of a node: messages as they come, deadlines when they come, health twice a second."""
 
@@ -175,7 +137,7 @@ class NodeLoop:
         self._clock = node.context.clock
         self._realtime = realtime
         self._spin = SpinMargin(round(spin_s * 1e9))
-        self._commands = CommandHandler(node)
+        self._commands = CommandHandler(node.context.key, node.commands, node.on_control, node.event)
         self._lateness = LatenessWindow()
         self._limited_log = RateLimitedLog(node.context.log, self._clock)
         self._started_ns = self.health_due_ns = self._last_health_ns = self._clock.monotonic_ns()

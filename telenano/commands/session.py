@@ -9,7 +9,8 @@ import typer
 
 from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE
 from proto.messages import SessionEvent
-from services.launcher.command_client import ControlRequest, parse_parameters, send_control
+from services.launcher.command_client import parse_parameters, send_control
+from services.runtime.commands import Command
 from telenano.options import JsonOption, RigFileOption, Site
 from telenano.output import EXIT_FAILED, print_json, report_errors
 
@@ -57,8 +58,8 @@ def send_command(
     with report_errors(as_json):
         book_file = site_file or (DEFAULT_SITE_FILE if site is None else TWO_SITES_FILE)
         at: Literal["master", "slave"] = "master" if site is None else site.value
-        request = ControlRequest(command.value, target, parse_parameters(parameters), book_file, at)
-        answers = send_control(request, lambda event: None if as_json else _print_answer(event))
+        wanted = Command(command.value, target, parameters=parse_parameters(parameters))
+        answers = send_control(wanted, book_file, at, lambda event: None if as_json else _print_answer(event))
     if as_json:
         rows = {src: {"kind": event.kind, "text": event.text} for src, event in sorted(answers.items())}
         print_json({"command": command.value, "target": target, "answers": rows})

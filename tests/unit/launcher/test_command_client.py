@@ -5,58 +5,13 @@ from typing import Any
 import pytest
 
 from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE
-from proto.errors import ConfigError, RigError
-from proto.messages import NodeHealth, SessionEvent
-from services.launcher.command_client import (
-    ControlRequest,
-    Exchange,
-    addressed,
-    console_of,
-    parse_parameters,
-    send_control,
-)
+from proto.errors import ConfigError
+from services.launcher.command_client import addressed, console_of, parse_parameters, send_control
 from services.runtime.address_book import AddressBook
-from services.runtime.clock import VirtualClock
+from services.runtime.commands import Command
 from services.runtime.config import validate
 from services.runtime.main import load_site
 from services.runtime.security.keyring import Keyring
-
-MS = 1_000_000
-
-
-def exchange(target: str) -> tuple[VirtualClock, Exchange]:
-    clock = VirtualClock()
-    request = ControlRequest("arm", target, {}, Path())
-    return clock, Exchange(clock, request, addressed(load_site(DEFAULT_SITE_FILE), target))
-
-
-def answer(of: Exchange, node: str) -> SessionEvent:
-    return SessionEvent(seq=0, t_ns=0, src=node, v=1, id=of.pending.id, kind="ack", level="info", text="done", data={})
-
-
-def alive(node: str) -> NodeHealth:
-    return NodeHealth(
-        seq=0,
-        t_ns=0,
-        src=node,
-        v=1,
-        pid=1,
-        state="ready",
-        uptime_s=0.0,
-        rate_hz=0.0,
-        period_s=0.0,
-        lateness_p50_s=0.0,
-        lateness_p99_s=0.0,
-        lateness_max_s=0.0,
-        overruns=0,
-        rejected={},
-        cpu_percent=0.0,
-        memory_bytes=0,
-        realtime=False,
-        memory_locked=False,
-        replay=False,
-        inputs=(),
-    )
 
 
 @pytest.mark.parametrize(
@@ -89,7 +44,7 @@ def test_a_console_at_the_slave_reaches_the_nodes_there() -> None:
 
 def test_a_site_file_without_a_console_at_the_site_is_named() -> None:
     with pytest.raises(ConfigError, match="a console@slave of this machine is missing"):
-        send_control(ControlRequest("estop", "*", {}, DEFAULT_SITE_FILE, "slave"), lambda event: None)
+        send_control(Command("estop", "*"), DEFAULT_SITE_FILE, "slave", lambda event: None)
 
 
 def test_parameters_are_flags_numbers_or_text() -> None:
@@ -102,50 +57,6 @@ def test_parameters_are_flags_numbers_or_text() -> None:
 def test_a_parameter_that_cannot_be_sent_is_named(pair: str) -> None:
     with pytest.raises(ConfigError, match="^" + re.escape(pair)):
         parse_parameters([pair])
-
-
-def test_named_nodes_must_all_answer() -> None:
-    _, of = exchange("controller")
-    of.record_event(answer(of, "controller@slave"))
-    assert not of.done
-    of.record_event(answer(of, "controller@master"))
-    assert of.done
-    of.check()
-
-
-def test_a_named_node_that_is_silent_is_named_at_the_deadline() -> None:
-    clock, of = exchange("controller")
-    of.record_event(answer(of, "controller@slave"))
-    clock.advance_ns(4999 * MS)
-    assert not of.done
-    clock.advance_ns(MS)
-    assert of.done
-    with pytest.raises(RigError, match=r"^controller@master did not answer arm$"):
-        of.check()
-
-
-def test_a_pattern_is_done_after_the_census_and_a_quiet_time() -> None:
-    clock, of = exchange("*")
-    of.record_event(answer(of, "afm_node@slave"))
-    clock.advance_ns(1000 * MS)
-    of.record_event(answer(of, "haptic_node@master"))
-    clock.advance_ns(499 * MS)
-    assert not of.done
-    clock.advance_ns(MS)
-    assert of.done
-    of.check()
-    assert set(of.pending.answers) == {"afm_node@slave", "haptic_node@master"}
-
-
-def test_no_rig_and_no_taker_are_distinguished() -> None:
-    clock, of = exchange("*")
-    clock.advance_ns(5000 * MS)
-    assert of.done
-    with pytest.raises(RigError, match="no node reports"):
-        of.check()
-    of.record_health(alive("recorder@master"))
-    with pytest.raises(RigError, match="recorder@master do not know it"):
-        of.check()
 
 
 def test_commands_are_typed_at_the_console_of_ones_own_machine(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
