@@ -31,8 +31,11 @@ def encode(message: Message) -> bytes:
     Raises WireError (`oversized`) above MAX_MESSAGE_BYTES, so that the publisher gets the error and not every reader,
     and (`malformed`) for text that is not Unicode or an integer beyond 64 bits.
     """
+    fields = message.__dict__
+    if message.additions:
+        fields = {key: value for key, value in fields.items() if value is not None or key not in message.additions}
     try:
-        payload: bytes = msgpack.packb(message.__dict__, default=_fields_of)
+        payload: bytes = msgpack.packb(fields, default=_fields_of)
     except (TypeError, ValueError, OverflowError) as error:
         raise WireError("malformed", f"{type(message).__name__} cannot be sent: {error}") from error
     if len(payload) > MAX_MESSAGE_BYTES:

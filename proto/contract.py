@@ -23,6 +23,8 @@ from proto.topics import TOPICS, Topic
 FOLDER = Path(__file__).parent
 TABLE_START, TABLE_END = "<!-- topics: written by proto.contract -->", "<!-- end of topics -->"
 
+WITH_ADDITIONS = "_with_additions"
+
 # strings whose pattern a made-up text would not match
 _PATTERNED = {"id": "7f3a-01", "law": "virtual_impedance"}
 _ELEMENT_TYPES = ("f8", "u1", "i2", "i4", "f4")
@@ -78,12 +80,16 @@ def schema_of(topic: Topic) -> dict[str, Any]:
 
 
 def examples(topic: Topic) -> dict[str, Message]:
-    """Return one valid message a case, by the name of the case; the same ones every time."""
+    """Return one valid message a case, by the name of the case; the same ones every time.
+
+    Where keys are optional each case is there without them, as before they were added, and then once more with them.
+    """
     schema = topic.model.model_json_schema()
     made = {}
-    for case in CASES:
-        fields = _Filler(topic, schema.get("$defs", {}), case).fill(schema)
-        made[case.name] = topic.model.model_validate(fields)
+    for suffix, keys in (("", schema["required"]), (WITH_ADDITIONS, list(schema["properties"]))):
+        for case in CASES if topic.model.additions or not suffix else ():
+            fields = _Filler(topic, schema.get("$defs", {}), case).fill(schema, keys)
+            made[case.name + suffix] = topic.model.model_validate(fields)
     return made
 
 
@@ -175,14 +181,13 @@ class _Filler:
         self._case = case
         self._numbers: Iterator[float] = cycle(case.numbers)
 
-    def fill(self, schema: dict[str, Any]) -> dict[str, Any]:
-        return {name: self._field(name, field) for name, field in schema["properties"].items()}
+    def fill(self, schema: dict[str, Any], keys: Sequence[str]) -> dict[str, Any]:
+        filled = {name: self._field(name, field) for name, field in schema["properties"].items() if name in keys}
+        return {**filled, "v": self._topic.model.version_of(keys)} if "v" in filled else filled
 
     def _field(self, name: str, schema: dict[str, Any]) -> Any:
         if name == "src":
             return _a_source(self._topic)
-        if name == "v":
-            return self._topic.model.version
         return _PATTERNED[name] if name in _PATTERNED else self._value(schema)
 
     def _value(self, schema: dict[str, Any]) -> Any:
@@ -195,7 +200,10 @@ class _Filler:
         return getattr(self, f"_{schema['type']}")(schema)
 
     def _record(self, name: str) -> Any:
-        return self._numeric_array() if name == Array.__name__ else self.fill(self._definitions[name])
+        return self._numeric_array() if name == Array.__name__ else self._whole(self._definitions[name])
+
+    def _whole(self, schema: dict[str, Any]) -> dict[str, Any]:
+        return self.fill(schema, list(schema["properties"]))
 
     def _numeric_array(self) -> dict[str, Any]:
         kind = _ELEMENT_TYPES[self._case.choice % len(_ELEMENT_TYPES)]

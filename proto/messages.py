@@ -6,11 +6,20 @@ paper's one-dimensional symbols are x_m = -z of the hand, F_m = -F_z on the devi
 """
 
 import math
+from collections.abc import Collection, Mapping
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, FailFast, Field, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    FailFast,
+    Field,
+    SerializerFunctionWrapHandler,
+    model_serializer,
+    model_validator,
+)
 
 # far above what any message needs: without them a megabyte of empty maps costs gigabytes and a minute to refuse
 MAX_ITEMS = 4096
@@ -41,11 +50,21 @@ class Message(Record):
     """The header that every message carries."""
 
     version: ClassVar[int] = 1
+    # optional keys, with the version that added each: None stands for a key that is absent on the wire
+    additions: ClassVar[Mapping[str, int]] = {}
 
     seq: Count = Field(description="Number of this message on its topic from this source, counted from 0")
     t_ns: Count = Field(description="Publisher's clock [ns]: Unix epoch at its start, advanced by the monotonic clock")
     src: Source = Field(description="Publisher, node@site")
     v: int = Field(ge=1, description="Schema version of this message")
+
+    @classmethod
+    def version_of(cls, keys: Collection[str]) -> int:
+        """Return the version of a message with these keys: older readers take one without the newer keys."""
+        if not cls.additions:
+            return cls.version
+        first = min(cls.additions.values()) - 1
+        return max((added for key, added in cls.additions.items() if key in keys), default=first)
 
 
 class Array(Record):
@@ -277,6 +296,9 @@ class ClockPong(Message):
 class SessionControl(Message):
     """A command to the nodes of a session; each node it concerns answers with a session/event of the same id."""
 
+    version: ClassVar[int] = 2
+    additions: ClassVar[Mapping[str, int]] = {"validity_s": 2, "node_t_ns": 2}
+
     id: str = Field(pattern=r"^[A-Za-z0-9_-]{1,64}$", description="Identifier that the answers repeat")
     command: Literal["start", "stop", "arm", "estop", "set", "mark"] = Field(
         description="start or stop the operator's programme; arm the devices; stop at once and latch; "
@@ -284,6 +306,18 @@ class SessionControl(Message):
     )
     target: str = Field(max_length=64, description="Nodes concerned: node@site, node, or *; wildcards as in file names")
     parameters: Facts = Field(description="What the command needs, by dotted key; units in the names")
+    validity_s: Seconds | None = Field(
+        default=None, description="Time after t_ns for which it may be carried out [s]; 1 s if absent"
+    )
+    node_t_ns: Counts | None = Field(
+        default=None,
+        description="By node@site: t_ns of the newest message received from it, on the clock of that node [ns]",
+    )
+
+    @model_serializer(mode="wrap")
+    def _present(self, serialize: SerializerFunctionWrapHandler) -> dict[str, object]:
+        fields: dict[str, object] = serialize(self)
+        return {key: value for key, value in fields.items() if value is not None or key not in self.additions}
 
 
 class SessionEvent(Message):

@@ -1,7 +1,8 @@
 """The player: takes the place of nodes on their own endpoints and publishes their recorded messages again.
 
 The bytes are sent as they were recorded, times and `seq` included. Only after a jump (seek, loop) the `seq` of each
-message is shifted so that it continues: readers would take an old number for a repetition and a gap for a loss.
+message is shifted so that it continues: readers would take an old number for a repetition and a gap for a loss. And a
+command has the time at which it is played: with its own it would have expired.
 """
 
 import os
@@ -148,16 +149,19 @@ class SequenceShift:
         """Record that the next message of each channel does not follow its last one."""
         self._jumped = set(self._last)
 
-    def payload(self, message: RecordedMessage) -> bytes:
-        """Return the bytes to send: the recorded ones, unless there was a jump."""
+    def payload(self, message: RecordedMessage, now_ns: int) -> bytes:
+        """Return the bytes to send: the recorded ones, unless there was a jump or it is a command, sent at `now_ns`."""
         channel = message.channel
         if channel in self._jumped:
             self._offsets[channel] = self._last[channel] + 1 - message.seq
         offset = self._offsets.get(channel, 0)
-        if offset == 0:
+        is_command = channel.topic == "session/control"
+        if offset == 0 and not is_command:
             return message.payload
         fields = message.fields()
         fields["seq"] = message.seq + offset
+        if is_command:
+            fields["t_ns"] = now_ns
         packed: bytes = msgpack.packb(fields)
         return packed
 
@@ -333,7 +337,7 @@ class PlayerNode(Node):
     def _send(self, message: RecordedMessage) -> bool:
         channel = message.channel
         publisher = self._publishers[self._plan.node(channel)]
-        payload = self._sequence_shift.payload(message)
+        payload = self._sequence_shift.payload(message, self.clock.now_ns())
         self.blocked = not publisher.send(self._plan.topics[channel], payload)
         if self.blocked:
             self._retry_ns = self.clock.monotonic_ns() + _RETRY_NS

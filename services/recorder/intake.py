@@ -193,7 +193,7 @@ class Intake:
             self._write(stream, received_ns, t_ns, seq, payload)
         if self.snapshot_buffer is not None and stream.direct and self._is_trigger(topic, fields):
             self._triggered = True
-        if topic == "session/control" and stream.direct and arrival is not Arrival.DUPLICATE:
+        if topic == "session/control" and stream.direct:
             return Received(topic, decode(topic, payload), payload, received_ns, arrival)
         return None
 

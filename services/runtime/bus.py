@@ -112,7 +112,7 @@ class _NumberingPublisher(ABC):
         """
         seq = self._sequence.get(topic, 0)
         model = TOPICS[topic].model
-        message = model(seq=seq, t_ns=self._clock.now_ns(), src=self.node, v=model.version, **fields)
+        message = model(seq=seq, t_ns=self._clock.now_ns(), src=self.node, v=model.version_of(fields), **fields)
         self.send(topic, encode(message))
         self._sequence[topic] = seq + 1
         return message
@@ -236,7 +236,7 @@ class Subscriber:
             yield frames, self._clock.now_ns()
 
     def receive(self) -> Iterator[Received]:
-        """Return the messages that have arrived: valid, not repeated, and on `latest` topics not overtaken."""
+        """Return the messages that have arrived: valid, not overtaken on `latest` topics, repeated only if commands."""
         for frames, received_ns in self.receive_raw():
             received = self.decode_and_track(frames, received_ns)
             if received is not None:
@@ -255,7 +255,9 @@ class Subscriber:
             self.last_error = str(error)
             return None
         arrival = tracker.accept(message.seq, message.t_ns)
-        if arrival is Arrival.DUPLICATE or (arrival is Arrival.LATE and TOPICS[topic].delivery == "latest"):
+        overtaken = arrival is Arrival.LATE and TOPICS[topic].delivery == "latest"
+        # a repeated command is known by its id; its number depends on the clock of who sent commands before
+        if overtaken or (arrival is Arrival.DUPLICATE and topic != "session/control"):
             return None
         return Received(topic, message, payload, received_ns, arrival)
 

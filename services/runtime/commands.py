@@ -2,8 +2,14 @@
 
 A command is a `session/control`, its answers are `session/event`s of the same id. The client sends it again with the
 same id until all have answered; a node carries an id out once and answers each time that it receives it.
+
+A command expires: it is refused when it cannot be shown to be younger than its validity (ADR 0014). Its age follows
+from `t_ns` where the clock of the sender can agree with that of the node. Where it cannot, or the node itself was held
+up, only a command is fresh that quotes a recent time of the node's own clock. The refusal says that time, and a client
+that is still there sends the command once more with it. What only stops something is obeyed at any age.
 """
 
+import math
 import os
 from collections import OrderedDict, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -21,16 +27,25 @@ CommandName = Literal["start", "stop", "arm", "estop", "set", "mark"]
 RESEND_NS = 200_000_000
 DEADLINE_NS = 5_000_000_000
 _RETRY_PERIOD_NS = 300_000_000
-# every node is heard within two of its reports
-_CENSUS_NS = 1_200_000_000
+# every node that is alive has reported by then, twice
+_DISCOVERY_NS = 1_200_000_000
 # quiet after the last answer to a pattern: whoever knows the command has answered
 _QUIET_NS = 500_000_000
 _REMEMBERED_ANSWERS = 256
 
+DEFAULT_VALIDITY_S = 1.0
+_LONGEST_VALIDITY_S = 60.0
+# it takes a device to its safe side, or ends a motion
+_OBEYED_AT_ANY_AGE = ("estop", "stop")
+# from further ahead than two clocks that agree ever are: the age cannot be told
+_CLOCKS_AGREE_S = 0.1
+# after a node was held up for as long as a command is valid, what it finds in its queues may have waited as long
+HELD_UP_NS = round(DEFAULT_VALIDITY_S * 1e9)
+
 
 @dataclass(frozen=True)
 class Command:
-    """A command and the nodes (node@site) that have to answer it; without any, whoever of a pattern knows it answers.
+    """A command and the nodes (node@site) that have to answer it; none for a pattern, where those that know it answer.
 
     What is not `required` may fail, and the next command follows all the same.
     """
@@ -46,8 +61,8 @@ class Command:
 class CommandClient:
     """Sends commands one after the other, each until it is answered, refused for good, or out of time.
 
-    Of a pattern nobody knows beforehand who knows the command: answers are awaited for as long as a node that is alive
-    may be silent, and then until no more come.
+    Which nodes a pattern concerns is not known beforehand: answers are awaited until every node that is alive has
+    reported, and then until no more come.
 
     `failure` says why a required command failed, `tolerated_failures` holds by target the reasons of the others.
     `answers` are those of the last command by node, refusals among them; `ids` has the id of each answered command.
@@ -70,30 +85,38 @@ class CommandClient:
         self._issued = 0
         self._command: Command | None = None
         self._id = ""
-        self._begun_ns = self._issued_ns = self._next_ns = self._last_answer_ns = 0
+        self._begun_ns = self._issued_ns = self._next_ns = self._last_answer_ns = self._deadline_ns = 0
+        # refusals of the current command as expired by node, and their least round trip
+        self._expired: dict[str, SessionEvent] = {}
+        self._round_trip_s = math.inf
 
     def advance(self) -> bool:
         """Send what is due; return whether every command is over, or a required one has failed."""
         while not self.failure:
-            if self._command is None:
+            command = self._command
+            if command is None:
                 if not self._commands:
                     return True
                 self._begun_ns = self._clock.monotonic_ns()
-                self._issue(self._commands.popleft())
-            if not self._advance(self._command):
+                command = self._commands.popleft()
+                self._issue(command)
+            if not self._advance(command):
                 return False
         return True
 
     def on_event(self, event: SessionEvent) -> bool:
-        """Record an event; return whether it is a node's first answer to the command in hand."""
+        """Record an event; return whether it is a node's first answer to the current command."""
         if event.id != self._id or event.kind not in ("ack", "refused") or event.src in self.answers:
+            return False
+        if event.data.get("expired") is True:
+            self._record_expired(event)
             return False
         self.answers[event.src] = event
         self._last_answer_ns = self._clock.monotonic_ns()
         return True
 
     def make_due(self) -> None:
-        """Send the command in hand again at once: a new reader has connected."""
+        """Send the current command again at once: a new reader has connected."""
         self._next_ns = self._clock.monotonic_ns()
 
     @property
@@ -104,13 +127,33 @@ class CommandClient:
         self._command, self._id, self.answers = command, f"{self._sender}-{self._issued}", {}
         self._issued += 1
         self._issued_ns = self._next_ns = self._last_answer_ns = self._clock.monotonic_ns()
+        self._deadline_ns = self._issued_ns + command.deadline_ns
+        self._expired, self._round_trip_s = {}, math.inf
 
-    def _advance(self, command: Command | None) -> bool:
-        """Return whether the command in hand is over."""
-        if command is None:
-            return True
+    def _record_expired(self, event: SessionEvent) -> None:
+        """Quote the time of a refusal from now on, and allow for the way there and back."""
+        if not self._expired and self._command is not None:
+            # the node is alive, and may need as long again to answer
+            self._deadline_ns = self._clock.monotonic_ns() + self._command.deadline_ns
+        self._expired[event.src] = event
+        sent_t_ns = event.data.get("sent_t_ns")
+        if isinstance(sent_t_ns, int):
+            self._round_trip_s = min(self._round_trip_s, (self._clock.now_ns() - sent_t_ns) * 1e-9)
+
+    def _freshness(self) -> dict[str, Any]:
+        """Return the keys of a session/control that show a node that it is fresh; none until one asked for them."""
+        if not self._expired:
+            return {}
+        round_trip_s = self._round_trip_s if math.isfinite(self._round_trip_s) else 0.0
+        return {
+            "validity_s": DEFAULT_VALIDITY_S + max(0.0, round_trip_s),
+            "node_t_ns": {node: event.t_ns for node, event in self._expired.items()},
+        }
+
+    def _advance(self, command: Command) -> bool:
+        """Return whether the current command is over."""
         now = self._clock.monotonic_ns()
-        if self._answered(command, now) or now - self._issued_ns >= command.deadline_ns:
+        if self._answered(command, now) or now >= self._deadline_ns:
             return self._conclude(command, now)
         if now >= self._next_ns:
             self._next_ns = now + RESEND_NS
@@ -120,13 +163,14 @@ class CommandClient:
                 command=command.name,
                 target=command.target,
                 parameters=dict(command.parameters),
+                **self._freshness(),
             )
         return False
 
     def _answered(self, command: Command, now_ns: int) -> bool:
         if command.expected:
             return set(command.expected) <= set(self.answers)
-        settled = now_ns - self._issued_ns >= _CENSUS_NS and now_ns - self._last_answer_ns >= _QUIET_NS
+        settled = now_ns - self._issued_ns >= _DISCOVERY_NS and now_ns - self._last_answer_ns >= _QUIET_NS
         return settled and bool(self.answers)
 
     def _conclude(self, command: Command, now_ns: int) -> bool:
@@ -148,47 +192,67 @@ class CommandClient:
 
     def _reason(self, command: Command) -> str:
         """Return why a command failed, as a sentence; empty when it did not."""
-        missing = sorted(set(command.expected) - set(self.answers))
-        reasons = [f"{event.src} refused {command.name}: {event.text}" for event in self.refusals]
+        expired = {node: event for node, event in self._expired.items() if node not in self.answers}
+        missing = sorted(set(command.expected) - {*self.answers, *expired})
+        refusals = [*self.refusals, *expired.values()]
+        reasons = [f"{event.src} refused {command.name}: {event.text}" for event in refusals]
         if missing:
             reasons.append(f"{', '.join(missing)} did not answer {command.name} in time")
-        elif not self.answers:
+        elif not self.answers and not expired:
             reasons.append(f"no node answered {command.name}")
         return "; ".join(reasons)
 
 
 class CommandHandler:
-    """Takes session/control for a node: once per id, with the answer repeated to a command that is sent again."""
+    """Takes session/control for a node: once per id, with the answer repeated to a command that is sent again.
+
+    An emergency stop is executed each time that it comes.
+    """
 
     def __init__(
         self,
         node: str,
         known: Sequence[str],
-        carry_out: Callable[[SessionControl], str],
+        execute: Callable[[SessionControl], str],
         event: Callable[..., None],
     ) -> None:
         """Take commands for `node` (node@site).
 
-        Parameters: known, commands that it answers when a pattern matches it; carry_out, returns a sentence for the
+        Parameters: known, commands that it answers when a pattern matches it; execute, returns a sentence for the
         answer or raises RefusedError; event, publishes a session/event.
         """
         self._node = node
         self._known = frozenset(known)
-        self._carry_out = carry_out
+        self._execute = execute
         self._event = event
         self._answers: OrderedDict[str, tuple[str, str, str]] = OrderedDict()
+        self._held_up_s = 0.0
+        self._distrust_until_ns = 0
 
-    def handle(self, control: SessionControl) -> bool:
-        """Carry out a command if it concerns this node, and answer with a session/event of the same id.
+    def note_held_up(self, now_ns: int, duration_ns: int) -> None:
+        """Record that the node did nothing for `duration_ns` until now, both on the clock of `handle` [ns].
 
-        Returns: whether the node was asked now, rather than its answer repeated.
+        What waited for it meanwhile comes within the next second, and may carry the time of a clock that is ahead.
+        """
+        self._held_up_s = duration_ns * 1e-9
+        self._distrust_until_ns = now_ns + HELD_UP_NS
+
+    def handle(self, control: SessionControl, now_ns: int) -> bool:
+        """Execute a command if it concerns this node, and answer with a session/event of the same id.
+
+        Parameters: control; now_ns, on the clock that stamps the node's messages [ns].
+        Returns: whether the node executed it now, rather than repeated its answer or refused it as expired.
         """
         if not is_meant(self._node, control.target):
             return False
         if is_pattern(control.target) and control.command not in self._known:
             return False
-        is_new = control.id not in self._answers
+        is_new = control.id not in self._answers or control.command == "estop"
         if is_new:
+            if expiry := self._expiry(control, now_ns):
+                facts = {"command": control.command, "expired": True, "sent_t_ns": control.t_ns}
+                self._event("refused", "warning", expiry, answer_to=control.id, **facts)
+                return False
             self._answers[control.id] = self._answer(control)
             if len(self._answers) > _REMEMBERED_ANSWERS:
                 self._answers.popitem(last=False)
@@ -196,9 +260,27 @@ class CommandHandler:
         self._event(kind, level, text, answer_to=control.id, command=control.command)
         return is_new
 
+    def _expiry(self, control: SessionControl, now_ns: int) -> str:
+        """Return why a command is too old to be executed, or cannot be shown not to be; empty when it is fresh."""
+        if control.command in _OBEYED_AT_ANY_AGE:
+            return ""
+        valid_s = DEFAULT_VALIDITY_S if control.validity_s is None else min(control.validity_s, _LONGEST_VALIDITY_S)
+        quoted_ns = (control.node_t_ns or {}).get(self._node)
+        if quoted_ns is not None and 0.0 <= (now_ns - quoted_ns) * 1e-9 <= valid_s:
+            return ""
+        age_s = (now_ns - control.t_ns) * 1e-9
+        if age_s > valid_s:
+            return f"{control.command} expired: it was sent {age_s:.1f} s ago and valid for {valid_s:.1f} s"
+        if age_s < -_CLOCKS_AGREE_S:
+            return f"{control.command} cannot be shown to be fresh: the clock of {control.src} is {-age_s:.1f} s ahead"
+        if now_ns < self._distrust_until_ns:
+            held_up = f"this node was held up for {self._held_up_s:.1f} s"
+            return f"{control.command} cannot be shown to be fresh: {held_up}, during which it may have waited"
+        return ""
+
     def _answer(self, control: SessionControl) -> tuple[str, str, str]:
         try:
-            return "ack", "info", self._carry_out(control)
+            return "ack", "info", self._execute(control)
         except TelenanoError as error:
             return "refused", "warning", str(error)
 

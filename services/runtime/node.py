@@ -17,7 +17,7 @@ from proto.messages import MAX_TEXT, InputHealth, NodeHealth, Scalar, SessionCon
 from proto.sequence import Arrival
 from services.runtime.bus import Bus, ConnectionEvent, Received
 from services.runtime.clock import Clock
-from services.runtime.commands import CommandHandler
+from services.runtime.commands import HELD_UP_NS, CommandHandler
 from services.runtime.deadlines import LatenessWindow, SpinMargin
 from services.runtime.journal import InputJournal
 from services.runtime.log import RateLimitedLog, StructuredLog
@@ -140,7 +140,7 @@ class NodeLoop:
         self._commands = CommandHandler(node.context.key, node.commands, node.on_control, node.event)
         self._lateness = LatenessWindow()
         self._limited_log = RateLimitedLog(node.context.log, self._clock)
-        self._started_ns = self.health_due_ns = self._last_health_ns = self._clock.monotonic_ns()
+        self._started_ns = self._awake_ns = self.health_due_ns = self._last_health_ns = self._clock.monotonic_ns()
         self._journal = InputJournal(node, bus.sequence_numbers) if node.journalled else None
         self._last_cpu_s = time.process_time()
         self._last_steps = 0
@@ -163,7 +163,7 @@ class NodeLoop:
         """Wait for the next message or deadline and act on it."""
         wanted = self.node.deadline_ns() - self._spin.ns
         self._bus.wait(min(wanted, self.health_due_ns))
-        woken = self._clock.monotonic_ns()
+        woken = self._note_awake()
         idle = True
         for received in self._bus.receive():
             self._dispatch(received)
@@ -221,6 +221,14 @@ class NodeLoop:
         if self._journal is not None:
             self._journal.publish()
 
+    def _note_awake(self) -> int:
+        """Return the monotonic time [ns], and note it if the process did nothing for longer than a command is valid."""
+        now = self._clock.monotonic_ns()
+        if now - self._awake_ns > HELD_UP_NS:
+            self._commands.note_held_up(self._clock.now_ns(), now - self._awake_ns)
+        self._awake_ns = now
+        return now
+
     def _dispatch(self, received: Received) -> None:
         if received.arrival is Arrival.AFTER_GAP and TOPICS[received.topic].delivery == "lossless":
             self._report_gap(received)
@@ -230,7 +238,10 @@ class NodeLoop:
         if journal is not None:
             journal.clock.time_ns = received.received_ns
         self.node.on_message(received)
-        executed = isinstance(received.message, SessionControl) and self._commands.handle(received.message)
+        executed = False
+        if isinstance(received.message, SessionControl):
+            self._note_awake()
+            executed = self._commands.handle(received.message, self.node.clock.now_ns())
         # of the health of others as a rule only `admits` takes note, and what came of that is in the journal
         if journal is not None and (self.node.acts_on_health or not isinstance(received.message, NodeHealth)):
             journal.record_message(received, executed=executed)

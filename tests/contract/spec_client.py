@@ -109,7 +109,7 @@ def _object_conforms(value: dict[str, Any], schema: dict[str, Any], root: dict[s
     unknown = [key for key in value if key not in known]
     if unknown and (extra is False or not all(conforms(value[key], extra, root) for key in unknown)):
         return False
-    return all(conforms(value[key], part, root) for key, part in known.items())
+    return all(conforms(value[key], part, root) for key, part in known.items() if key in value)
 
 
 def _with_elements(value: Any) -> Any:

@@ -40,7 +40,7 @@ def test_the_client_reads_what_we_write(topic: str) -> None:
     for message in examples(TOPICS[topic]).values():
         name, fields = spec_client.read([topic.encode(), encode(message)])
         assert name == topic
-        assert fields == {key: _plain(value) for key, value in message}
+        assert fields == {key: _plain(getattr(message, key)) for key in message.model_dump()}
 
 
 def test_the_client_reads_the_elements_of_an_array() -> None:

@@ -305,6 +305,24 @@ def test_topics_and_nodes_can_be_renamed(stage: Callable[..., Stage], make_file:
     assert rig.received(1)[0] == ("haptic/ghost", encode(haptic_state(0)))
 
 
+def test_a_recorded_command_is_sent_as_one_of_now(stage: Callable[..., Stage], tmp_path: Path) -> None:
+    writer = RecordingWriter.create(NODE, RecorderConfig(directory=tmp_path))
+    channel = writer.channel("session/control", "launcher@master", "slave")
+    for seq in range(2):
+        at_ns = EPOCH_NS + seq * MILLISECOND_NS
+        writer.write(channel, at_ns, at_ns, seq, encode(session_control(seq)))
+    writer.finish()
+    rig = stage(writer.path, Selection())
+    rig.listen([FAR], "session/control")
+    rig.run_ms(60)
+    sent = [decode(topic, payload) for topic, payload in rig.heard(2)]
+    assert [message.seq for message in sent] == [0, 1]
+    # with their own times they would have expired
+    assert all(0 <= rig.clock.now_ns() - message.t_ns <= 60 * MILLISECOND_NS for message in sent)
+    played = [message.model_copy(update={"t_ns": 0}) for message in sent]
+    assert played == [session_control(seq).model_copy(update={"t_ns": 0}) for seq in range(2)]
+
+
 def test_the_recorders_own_words_and_recorded_health_are_not_played(tmp_path: Path, book: AddressBook) -> None:
     writer = RecordingWriter.create(NODE, RecorderConfig(directory=tmp_path))
     for topic, src in (("session/event", NODE), ("node/health", HAND), ("haptic/state", HAND)):

@@ -5,11 +5,12 @@ from typing import Any, Literal
 import pytest
 
 from proto.errors import RefusedError
-from proto.messages import SessionControl, SessionEvent
+from proto.messages import Scalar, SessionControl, SessionEvent
 from services.runtime.clock import VirtualClock
 from services.runtime.commands import Command, CommandClient, CommandHandler
 
 MS = 1_000_000
+SECOND = 1_000_000_000
 BOTH = ("afm_node@slave", "haptic_node@master")
 ARM = Command("arm", "*", BOTH)
 
@@ -174,10 +175,11 @@ class Receiver:
         self.carried_out: list[str] = []
         self.answers: list[tuple[str, str, str]] = []
         self.data: list[dict[str, Any]] = []
+        self.header: dict[str, Any] = {}
         self.handler = CommandHandler(node, ("set", "estop"), self.carry_out, self.event)
 
     def carry_out(self, control: SessionControl) -> str:
-        if control.command not in ("set", "estop", "arm"):
+        if control.command not in ("set", "estop", "arm", "stop"):
             raise RefusedError(f"controller@master does not know {control.command}")
         if control.command == "set" and "gain" not in control.parameters:
             raise RefusedError(f"set needs gain, not {', '.join(control.parameters)}")
@@ -191,7 +193,8 @@ class Receiver:
     def take(self, command: str = "set", target: str = "*", identifier: str = "a", **parameters: Any) -> bool:
         fields = {"id": identifier, "command": command, "target": target, "parameters": parameters}
         header = {"seq": 0, "t_ns": self.clock.now_ns(), "src": "console@master", "v": 1}
-        return self.handler.handle(SessionControl.model_validate({**header, **fields}))
+        control = SessionControl.model_validate({**header, **fields, **self.header})
+        return self.handler.handle(control, self.clock.now_ns())
 
 
 @pytest.mark.parametrize(
@@ -254,3 +257,203 @@ def test_answers_are_remembered_to_a_bound() -> None:
     node.take(identifier="n0", gain=1.0)
     assert node.carried_out[-1] == "n0"
     assert len(node.carried_out) == 258
+
+
+# --- expiry ---
+
+
+def sent(node: Receiver, age_s: float, **keys: Any) -> None:
+    """Have what follows be sent `age_s` before it is taken, by the clock of its sender."""
+    node.header = {"t_ns": node.clock.now_ns() - round(age_s * SECOND), **keys}
+
+
+@pytest.mark.parametrize(
+    ("age_s", "keys", "obeyed"),
+    [
+        (0.0, {}, True),
+        (0.99, {}, True),
+        (1.01, {}, False),
+        (4.0, {}, False),
+        (4.0, {"validity_s": 5.0}, True),
+        (0.3, {"validity_s": 0.2}, False),
+        # nobody may ask for a command that is good for an hour
+        (100.0, {"validity_s": 3600.0}, False),
+        # a clock that is ahead by as little as two that agree may be, and by more
+        (-0.09, {}, True),
+        (-0.2, {}, False),
+        (-3600.0, {}, False),
+    ],
+)
+def test_a_command_is_obeyed_while_it_is_valid(age_s: float, keys: dict[str, Any], obeyed: bool) -> None:
+    node = Receiver()
+    sent(node, age_s, **keys)
+    assert node.take("arm", target="controller") == obeyed
+    assert node.carried_out == ["a"] * obeyed
+    ((identifier, kind, text),) = node.answers
+    assert (identifier, kind) == ("a", "ack" if obeyed else "refused")
+    if not obeyed:
+        assert ("expired: it was sent" in text) == (age_s > 0.0)
+        assert ("cannot be shown to be fresh: the clock of console@master" in text) == (age_s < 0.0)
+        assert node.data == [{"command": "arm", "expired": True, "sent_t_ns": node.header["t_ns"]}]
+
+
+@pytest.mark.parametrize("command", ["start", "set", "arm", "mark"])
+def test_every_command_that_begins_something_expires(command: str) -> None:
+    node = Receiver()
+    sent(node, 4.0)
+    node.take(command, target="controller", gain=1.0)
+    assert [(kind, data["expired"]) for (_, kind, _), data in zip(node.answers, node.data, strict=True)] == [
+        ("refused", True)
+    ]
+    assert node.carried_out == []
+
+
+@pytest.mark.parametrize("age_s", [0.0, 4.0, -3600.0, 1e6])
+def test_an_emergency_stop_is_obeyed_at_any_age_and_each_time(age_s: float) -> None:
+    node = Receiver()
+    node.handler.note_held_up(node.clock.now_ns(), 4 * SECOND)
+    for _ in range(3):
+        sent(node, age_s)
+        assert node.take("estop", identifier="e")
+    assert node.carried_out == ["e"] * 3
+    assert [kind for _, kind, _ in node.answers] == ["ack"] * 3
+
+
+def test_the_end_of_a_motion_is_commanded_at_any_age() -> None:
+    node = Receiver()
+    sent(node, 4.0)
+    assert node.take("stop", target="controller")
+    assert node.carried_out == ["a"]
+
+
+@pytest.mark.parametrize("age_s", [3600.0, -3600.0])
+def test_a_sender_whose_clock_disagrees_is_believed_when_it_quotes_the_clock_of_the_node(age_s: float) -> None:
+    node = Receiver()
+    heard_ns = node.clock.now_ns()
+    node.clock.advance_ns(900 * MS)
+    sent(node, age_s, node_t_ns={"controller@master": heard_ns, "afm_node@slave": 5})
+    assert node.take("arm", target="controller")
+    node.clock.advance_ns(200 * MS)
+    sent(node, age_s, node_t_ns={"controller@master": heard_ns})
+    assert not node.take("arm", target="controller", identifier="b")
+    # a time that has not come yet is no proof
+    sent(node, age_s, node_t_ns={"controller@master": node.clock.now_ns() + 1})
+    assert not node.take("arm", target="controller", identifier="c")
+    assert node.carried_out == ["a"]
+
+
+def test_after_it_was_held_up_a_node_believes_no_foreign_clock_for_a_while() -> None:
+    node = Receiver()
+    node.handler.note_held_up(node.clock.now_ns(), 4 * SECOND)
+    # 4 s old, from a clock that is 4 s ahead
+    sent(node, 0.0)
+    assert not node.take("arm", target="controller")
+    assert "held up for 4.0 s" in node.answers[-1][2]
+    sent(node, 0.0, node_t_ns={"controller@master": node.clock.now_ns()})
+    assert node.take("arm", target="controller")
+    node.clock.advance_ns(SECOND)
+    sent(node, 0.0)
+    assert node.take("arm", target="controller", identifier="later")
+
+
+def test_a_command_that_was_carried_out_is_answered_again_however_old_the_repetition() -> None:
+    node = Receiver()
+    node.take("arm", target="controller")
+    sent(node, 4.0)
+    assert not node.take("arm", target="controller")
+    assert node.answers == [("a", "ack", "arm is done")] * 2
+    assert node.carried_out == ["a"]
+
+
+class Conversation:
+    """A client and a node with a way of `way_s` each way between them, and clocks of their own."""
+
+    def __init__(self, command: Command, way_s: float = 0.0, ahead_s: float = 0.0) -> None:
+        self.way_ns = round(way_s * SECOND)
+        self.time_ns = 0
+        self.node = Receiver("afm_node@slave")
+        self.node_clock = self.node.clock
+        self.client_clock = VirtualClock(epoch_offset_ns=10**18 + round(ahead_s * SECOND))
+        self.forward: list[tuple[int, SessionControl]] = []
+        self.backward: list[tuple[int, SessionEvent]] = []
+        self.client = CommandClient(self.client_clock, self.publish, [command])
+        self.node.handler = CommandHandler("afm_node@slave", ("arm",), self.node.carry_out, self.event)
+        self.stopped = False
+
+    def publish(self, topic: str, **fields: Any) -> None:
+        header = {"seq": 0, "t_ns": self.client_clock.now_ns(), "src": "console@master", "v": 2}
+        self.forward.append((self.time_ns + self.way_ns, SessionControl.model_validate({**header, **fields})))
+
+    def event(self, kind: Any, level: Any, text: str, *, answer_to: str = "", **data: Scalar) -> None:
+        self.node.event(kind, level, text, answer_to=answer_to, **data)
+        t_ns = self.node_clock.now_ns()
+        event = SessionEvent(
+            seq=0, t_ns=t_ns, src="afm_node@slave", v=1, id=answer_to, kind=kind, level=level, text=text, data=data
+        )
+        self.backward.append((self.time_ns + self.way_ns, event))
+
+    def run_s(self, duration_s: float) -> bool:
+        """Let time pass until the command is over or `duration_s` [s] are."""
+        end_ns = self.time_ns + round(duration_s * SECOND)
+        while self.time_ns < end_ns:
+            if self.client is not None and self.client.advance():
+                return True
+            self.pass_on()
+            for clock in (self.node_clock, self.client_clock):
+                clock.advance_ns(10 * MS)
+            self.time_ns += 10 * MS
+        return False
+
+    def pass_on(self) -> None:
+        while not self.stopped and self.forward and self.forward[0][0] <= self.time_ns:
+            self.node.handler.handle(self.forward.pop(0)[1], self.node_clock.now_ns())
+        while self.backward and self.backward[0][0] <= self.time_ns:
+            self.client.on_event(self.backward.pop(0)[1])
+
+
+ARM_AFM = Command("arm", "afm_node", ("afm_node@slave",))
+
+
+@pytest.mark.parametrize("ahead_s", [0.0, 3.0, -3.0, 3600.0, -3600.0])
+@pytest.mark.parametrize("way_s", [0.0, 0.3, 1.3])
+def test_a_command_arrives_over_any_way_and_between_clocks_that_disagree(way_s: float, ahead_s: float) -> None:
+    talk = Conversation(ARM_AFM, way_s, ahead_s)
+    assert talk.run_s(12.0)
+    assert talk.client.failure == ""
+    assert len(talk.node.carried_out) == 1
+
+
+@pytest.mark.parametrize("ahead_s", [0.0, 3.5, -3.5])
+def test_what_nobody_waits_for_any_more_is_not_carried_out_by_a_node_that_wakes_up(ahead_s: float) -> None:
+    talk = Conversation(ARM_AFM, 0.0, ahead_s)
+    talk.stopped = True
+    assert not talk.run_s(1.0)
+    talk.node_clock.advance_ns(4 * SECOND)
+    talk.node.handler.note_held_up(talk.node_clock.now_ns(), 5 * SECOND)
+    talk.stopped = False
+    talk.pass_on()
+    assert talk.node.carried_out == []
+    assert {kind for _, kind, _ in talk.node.answers} == {"refused"}
+    assert len(talk.node.answers) == 5, "every repetition is answered"
+
+
+def test_a_client_that_still_waits_is_obeyed_by_a_node_that_wakes_up() -> None:
+    talk = Conversation(ARM_AFM)
+    talk.stopped = True
+    assert not talk.run_s(4.0)
+    talk.node.handler.note_held_up(talk.node_clock.now_ns(), 4 * SECOND)
+    talk.stopped = False
+    assert talk.run_s(2.0)
+    assert talk.client.failure == ""
+    assert len(talk.node.carried_out) == 1
+    assert talk.node.answers[0][1] == "refused"
+
+
+def test_a_command_that_stays_expired_fails_with_the_words_of_the_node() -> None:
+    sender = Sender(Command("arm", "afm_node", BOTH[:1]))
+    sender.run_ms(1)
+    sender.answer(BOTH[0], "refused", expired=True, sent_t_ns=sender.clock.now_ns())
+    assert sender.client.answers == {}
+    # a sign of life: it has as long again
+    assert sender.run_ms(5002)
+    assert sender.client.failure == "afm_node@slave refused arm: afm_node@slave says refused"

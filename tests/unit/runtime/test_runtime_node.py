@@ -57,7 +57,11 @@ class FakeBus:
         return message
 
     def arrives(self, at_ns: int, topic: str, arrival: Arrival = Arrival.NEXT, **changed: object) -> None:
-        fields = {**examples(TOPICS[topic])["ordinary"].model_dump(), **changed}
+        fields = examples(TOPICS[topic])["ordinary"].model_dump()
+        if topic == "session/control":
+            # old commands have expired
+            fields["t_ns"] = at_ns + self.clock.epoch_offset_ns
+        fields |= changed
         message = TOPICS[topic].model.model_validate(fields)
         self.coming.append((at_ns, Received(topic, message, encode(message), at_ns, arrival)))
 
@@ -153,7 +157,7 @@ class Rig:
 
     def command(self, command: str = "set", target: str = "*", identifier: str = "a", **parameters: Any) -> None:
         fields = {"id": identifier, "command": command, "target": target, "parameters": parameters}
-        header = {"seq": 0, "t_ns": 0, "src": "launcher@master", "v": 1}
+        header = {"seq": 0, "t_ns": self.clock.now_ns(), "src": "launcher@master", "v": 1}
         message = SessionControl.model_validate({**header, **fields})
         self.bus.coming.append((0, Received("session/control", message, encode(message), 0, Arrival.NEXT)))
         self.loop.turn()
@@ -379,6 +383,25 @@ def test_no_command_can_stop_a_node(target: str, key: str) -> None:
     assert rig.events[-1].id == "b"
 
 
+@pytest.mark.parametrize("stopped_s", [0.9, 4.0])
+def test_a_node_that_was_stopped_does_not_obey_what_waited_for_it(stopped_s: float) -> None:
+    rig = Rig(period_ns=MS)
+    rig.run_until(100 * MS)
+    # the clock of the sender is ahead by as much as the command is old
+    fields = {"command": "set", "target": "controller", "parameters": {"gain": 2.0}}
+    t_ns = rig.clock.now_ns() + round(stopped_s * 1e9)
+    rig.bus.arrives(100 * MS, "session/control", id="waited", t_ns=t_ns, **fields)
+    rig.clock.advance_ns(round(stopped_s * 1e9))
+    rig.loop.turn()
+    assert rig.node.carried_out == (["waited"] if stopped_s < 1.0 else [])
+    assert [e.kind for e in rig.events] == (["ack"] if stopped_s < 1.0 else ["refused"])
+    # a second later it trusts the clocks of others again
+    rig.run_until(rig.clock.monotonic_ns() + 1001 * MS)
+    rig.bus.arrives(rig.clock.monotonic_ns() + MS, "session/control", id="later", **fields)
+    rig.run_until(rig.clock.monotonic_ns() + 2 * MS)
+    assert rig.node.carried_out[-1] == "later"
+
+
 # --- signals and memory ---
 
 
@@ -499,10 +522,8 @@ def test_the_journal_records_which_command_was_carried_out() -> None:
     rig = journalled_rig()
     for at_ms, name in ((10, "one"), (20, "one"), (30, "two")):
         target = "*" if name == "one" else "afm_node"
-        parameters = {"gain": 1}
-        rig.bus.arrives(
-            at_ms * MS, "session/control", id=name, command="set", target=target, parameters=parameters, seq=at_ms
-        )
+        fields = {"id": name, "command": "set", "target": target, "parameters": {"gain": 1}, "t_ns": at_ms * MS}
+        rig.bus.arrives(at_ms * MS, "session/control", seq=at_ms, **fields)
     rig.run_until(510 * MS)
     (journal,) = rig.bus.of(NodeJournal)
     assert [(kind, number) for kind, _, _, number in turns_of(journal)] == [(2, 10), (1, 20), (1, 30)]
