@@ -11,9 +11,9 @@ import yaml
 import presets
 from proto.errors import ConfigError
 from services.launcher.plan import anchored
-from services.runtime.address_book import runtime_directory
 from services.runtime.clock import EPOCH_OFFSET_VARIABLE
 from services.runtime.config import ENVIRONMENT_PREFIX, layered
+from services.runtime.local_endpoint import runtime_directory
 from services.runtime.main import EXIT_BAD_START
 
 # the cache that the build filled; the image is read-only, and a study compiles more

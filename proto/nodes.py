@@ -1,15 +1,15 @@
 """The table of nodes: which processes take part in the bus, at which site, and what part each has in a rig."""
 
-from dataclasses import dataclass
-from typing import Literal
+from fnmatch import fnmatchcase
+from typing import Literal, NamedTuple
 
 
-@dataclass(frozen=True)
-class NodeRow:
+class NodeRow(NamedTuple):
     """One row of the table: a node, as `name@site`.
 
     `part`: `rig`, a process of its own that the launcher starts and stops; `endpoint`, a further endpoint of such a
-    process; `launcher`, which supervises the others; `visitor`, which comes and goes with a command. The rows stand in
+    process; `launcher`, which supervises the others; `visitor`, which comes and goes with a command. An emergency stop
+    connects to the nodes, and so needs no endpoint. The rows stand in
     the order in which a rig is started; `stop` is the place in the order in which it is stopped. A session waits for
     the nodes that are `required`; a site may have the others. `no_rerun` says why a re-run of the node from recorded
     inputs has no meaning; it is empty for those that keep a journal of their inputs.
@@ -23,6 +23,7 @@ class NodeRow:
 
 
 _RECORDS = "the recording is what it makes of its inputs: `telenano bag verify` says whether it is whole"
+_BY_HAND = "its commands are those that a person typed"
 _SUPERVISES = "it acts on processes and on time, which are not in a recording, and publishes nothing else"
 
 # the recorders start first and stop last, to record the others start and stop; the devices are made safe first
@@ -37,16 +38,20 @@ NODES = (
     NodeRow("haptic_node@master", "rig", stop=1),
     NodeRow("launcher@master", "launcher", required=False, no_rerun=_SUPERVISES),
     NodeRow("launcher@slave", "launcher", required=False, no_rerun=_SUPERVISES),
-    NodeRow("console@master", "visitor", required=False, no_rerun="its commands are those that a person typed"),
+    NodeRow("console@master", "visitor", required=False, no_rerun=_BY_HAND),
     NodeRow(
         "player@master",
         "visitor",
         required=False,
         no_rerun="it repeats the messages of another recording: `telenano bag diff` compares the two",
     ),
+    NodeRow("estop@master", "visitor", required=False, no_rerun=_BY_HAND),
+    NodeRow("estop@slave", "visitor", required=False, no_rerun=_BY_HAND),
 )
 
 HAND, TIP = "haptic_node@master", "afm_node@slave"
+# what an emergency stop stops
+DEVICES = (HAND, TIP)
 LAUNCHER = "launcher@master"
 PLAYER = "player@master"
 RECORDER = "recorder@master"
@@ -83,6 +88,21 @@ def is_console(node: str) -> bool:
     """Return whether commands are typed at a node: console@site, or console_NAME@site on a further machine."""
     name = name_of(node)
     return name == "console" or name.startswith("console_")
+
+
+def is_estop(node: str) -> bool:
+    """Return whether a node is a sender of emergency stops."""
+    return name_of(node) == "estop"
+
+
+def is_meant(node: str, target: str) -> bool:
+    """Return whether a target means a node (node@site): by its full name, its name at every site, or a pattern."""
+    return fnmatchcase(node, target) or fnmatchcase(name_of(node), target)
+
+
+def is_pattern(target: str) -> bool:
+    """Return whether a target is a pattern: a node that one matches keeps silent about commands it does not know."""
+    return any(sign in target for sign in "*?[")
 
 
 def is_visitor(node: str) -> bool:

@@ -28,6 +28,7 @@ class Topic:
     recorded: bool = True
 
 
+_COMMANDERS = ("launcher", "console", "console_*", "estop")
 _ROWS = (
     Topic("haptic/state", m.HapticState, ("haptic_node",), "latest", 1000.0, 0.05, None),
     Topic("haptic/command", m.HapticCommand, ("controller@master",), "latest", 1000.0, 0.05, None),
@@ -41,7 +42,7 @@ _ROWS = (
     Topic("link/fates", m.LinkFates, ("delay_node@master",), "lossless", None, None, None),
     Topic("clock/ping", m.ClockPing, ("delay_node@slave",), "latest", 10.0, 0.5, None),
     Topic("clock/pong", m.ClockPong, ("afm_node",), "latest", 10.0, 0.5, None),
-    Topic("session/control", m.SessionControl, ("launcher", "console", "console_*"), "lossless", None, None, "forward"),
+    Topic("session/control", m.SessionControl, _COMMANDERS, "lossless", None, None, "forward"),
     Topic("session/event", m.SessionEvent, ("*",), "lossless", None, None, "backward"),
     Topic("node/health", m.NodeHealth, ("*",), "latest", 2.0, 2.0, "backward"),
     Topic(

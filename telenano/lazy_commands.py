@@ -18,6 +18,7 @@ class LazyCommand(NamedTuple):
 LAZY_COMMANDS = {
     "up": LazyCommand("telenano.commands.up", "up", "Run a scenario on a rig, record it, write figure and summary."),
     "session": LazyCommand("telenano.commands.session", "session", "Send a command to a running rig."),
+    "estop": LazyCommand("telenano.commands.estop", "estop", "Stop the devices at once, whoever else sends commands."),
     "status": LazyCommand("telenano.commands.status", "status", "Show the state of a running rig."),
     "topic": LazyCommand("telenano.commands.topic", "app", "Inspect the messages of a running rig."),
     "link": LazyCommand("telenano.commands.link", "app", "Show and change the link of a running rig."),

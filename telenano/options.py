@@ -34,6 +34,13 @@ RigFileOption = Annotated[
         help="Address book of the rig (YAML); default: all on this machine, with --site two of them.",
     ),
 ]
+TargetOption = Annotated[
+    str, typer.Option("--target", metavar="NODES", help="Nodes meant: node@site, node, or a pattern such as '*'.")
+]
+SiteOption = Annotated[
+    Site | None,
+    typer.Option("--site", help="Site of two at which this is typed: from the slave the nodes there are reached."),
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print exactly one JSON object on stdout, nothing else.")]
 CountOption = Annotated[
     int | None, typer.Option("--count", min=1, metavar="N", help="End after this number of messages; default: no end.")

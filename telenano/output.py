@@ -11,10 +11,9 @@ import typer
 from rich.console import Console
 
 from proto.errors import ConfigError, TelenanoError
+from telenano.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED
 from telenano.tables import rows_table, summary_tables
 
-EXIT_FAILED = 1
-EXIT_BAD_CONFIGURATION = 2
 _PIPE_COLUMNS = 140
 
 

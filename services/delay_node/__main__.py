@@ -17,7 +17,7 @@ def build(wiring: Wiring, settings: LinkSettings) -> tuple[Node, AccountedBus]:
     for answering, topics in wiring.book.sources("delay_node@slave", ["clock/pong"]).items():
         connections[1].setdefault(answering, []).extend(topics)
     listeners = [listener for plan in connections for listener in wiring.subscribers(plan)]
-    bus = wiring.bus_of(to_master, listeners)
+    bus = wiring.bus_of(to_master, [*listeners, *wiring.estop_inlet()])
     try:
         node = DelayNode(wiring.context(bus), settings, to_slave, to_master, wiring.scenario_file.parent)
     except ConfigError as error:

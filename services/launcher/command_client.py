@@ -11,12 +11,12 @@ import zmq
 
 from proto.errors import ConfigError, EndpointError, RigError
 from proto.messages import Scalar, SessionEvent
-from proto.nodes import LINK, is_console, name_of, site_of
+from proto.nodes import LINK, is_console, is_estop, is_meant, is_pattern, name_of, site_of
 from services.launcher.plan import Site
 from services.launcher.rig_status import RIG_HINT
 from services.runtime.address_book import AddressBook
 from services.runtime.bus import ZmqPublisher
-from services.runtime.commands import Command, CommandClient, is_meant, is_pattern
+from services.runtime.commands import Command, CommandClient
 from services.runtime.main import load_site
 from services.runtime.participant import Participant, open_participant
 from services.runtime.security.keyring import MACHINE_VARIABLE, Keyring, this_machine
@@ -69,7 +69,7 @@ def addressed(book: AddressBook, target: str, site: Site = "master") -> list[str
 
 def _answers_nothing(node: str) -> bool:
     # the link's second socket belongs to the same process, which answers under the name of the first
-    return is_console(node) or name_of(node) == "launcher" or node == f"{LINK}@slave"
+    return is_console(node) or is_estop(node) or name_of(node) == "launcher" or node == f"{LINK}@slave"
 
 
 def console_of(book: AddressBook, site: Site) -> str:

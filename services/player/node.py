@@ -26,8 +26,9 @@ from services.runtime.bus import ZmqPublisher
 from services.runtime.clock import Clock
 from services.runtime.node import HEALTH_PERIOD_NS, Node, NodeContext, resident_bytes
 
-# the recorder, the observer `telenano record` and the player itself are not part of the rig that is played
-_EXCLUDED_NODES = ("recorder", "player", "record")
+# the recorder, the observer `telenano record` and the player itself are not part of the rig that is played, and an
+# emergency stop has no endpoint that could be taken
+_EXCLUDED_NODES = ("recorder", "player", "record", "estop")
 _EXCLUDED_TOPICS = ("node/health", "node/journal")
 _TICK_NS = 50_000_000
 _PROGRESS_NS = 1_000_000_000

@@ -30,7 +30,7 @@ def listeners(wiring: Wiring, config: RecorderConfig) -> list[Listener]:
     """
     site = site_of(wiring.key)
     sites = ("master", "slave") if site == "master" or not wiring.book.spans_machines else (site,)
-    return connect(wiring, sites, config.subscribes)
+    return [*connect(wiring, sites, config.subscribes), *(Listener("estop", inlet) for inlet in wiring.estop_inlet())]
 
 
 def begin(wiring: Wiring, config: RecorderConfig) -> Intake:

@@ -39,7 +39,10 @@ class Stream:
 
 @dataclass
 class Listener:
-    """Connection to one publisher: what comes through it was received at that publisher's site."""
+    """Connection to one publisher: what comes through it was received at that publisher's site.
+
+    A `publisher` without a site stands for many, each of which is received at its own.
+    """
 
     publisher: str
     subscriber: Subscriber
@@ -206,7 +209,7 @@ class Intake:
             self._store(Entry(received_ns, t_ns, seq, payload, stream, None))
 
     def _open_stream(self, listener: Listener, frame: bytes, row: Topic, src: str) -> Stream:
-        site = site_of(listener.publisher)
+        site = site_of(listener.publisher) or site_of(src)
         if not (_SOURCE.match(src) and len(src) <= _MAX_SOURCE_LENGTH):
             raise WireError("schema", f"{row.name}: src: {src[:80]!r} is not of the form node@site")
         tracker = listener.subscriber.tracker(row.name, src)

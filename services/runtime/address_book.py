@@ -5,10 +5,8 @@ import ipaddress
 import os
 import re
 import socket
-import tempfile
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
-from pathlib import Path
 from typing import Annotated, Self
 
 from pydantic import BeforeValidator, Field, model_validator
@@ -18,10 +16,10 @@ from proto.messages import SOURCE_PATTERN
 from proto.nodes import LINK, name_of, site_of
 from proto.topics import TOPICS, Topic
 from services.runtime.config import Settings
+from services.runtime.local_endpoint import estop_endpoint, local_endpoint
 
 # the machine that the link runs on, with its endpoints for both sites
 LINK_MACHINE = "master"
-RUNTIME_DIRECTORY_VARIABLE = "TELENANO_RUNTIME_DIR"
 BIND_ADDRESS_VARIABLE = "TELENANO_BIND_ADDRESS"
 HOST_VARIABLE_PREFIX = "TELENANO_HOST_"
 MACHINE_PATTERN = r"^[a-z][a-z0-9_]{0,31}$"
@@ -33,17 +31,6 @@ _LONGEST_IPC_PATH = 107
 
 NodeKey = Annotated[str, Field(pattern=SOURCE_PATTERN)]
 MachineName = Annotated[str, Field(pattern=MACHINE_PATTERN)]
-
-
-def runtime_directory() -> Path:
-    """Return the private folder of ipc sockets: TELENANO_RUNTIME_DIR, or one of this user's own."""
-    named = os.environ.get(RUNTIME_DIRECTORY_VARIABLE)
-    if named:
-        return Path(named)
-    user_directory = os.environ.get("XDG_RUNTIME_DIR")
-    if user_directory:
-        return Path(user_directory) / "telenano"
-    return Path(tempfile.gettempdir()) / f"telenano-{os.getuid()}"
 
 
 class NodeEntry(Settings):
@@ -133,7 +120,13 @@ class AddressBook(Settings):
     def local_endpoint(self, node: str) -> str | None:
         """Return the ipc endpoint of a node, None if it has none."""
         local = self._entry(node).local
-        return None if local is None else local.replace("{runtime}", str(runtime_directory()))
+        return None if local is None else local_endpoint(local)
+
+    def estop_endpoint(self, node: str) -> str | None:
+        """Return where a node takes emergency stops; None without an ipc endpoint, or with one that is too long."""
+        local = self.local_endpoint(node)
+        endpoint = "" if local is None else estop_endpoint(local)
+        return endpoint if 0 < len(os.fsencode(endpoint.removeprefix("ipc://"))) <= _LONGEST_IPC_PATH else None
 
     def network_endpoint(self, node: str) -> str | None:
         """Return the tcp endpoint at which other machines reach a node, None if it has none."""

@@ -14,12 +14,11 @@ import os
 from collections import OrderedDict, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from fnmatch import fnmatchcase
 from typing import Any, Literal
 
 from proto.errors import TelenanoError
 from proto.messages import Scalar, SessionControl, SessionEvent
-from proto.nodes import name_of
+from proto.nodes import is_estop, is_meant, is_pattern
 from services.runtime.clock import Clock
 
 CommandName = Literal["start", "stop", "arm", "estop", "set", "mark"]
@@ -247,6 +246,9 @@ class CommandHandler:
             return False
         if is_pattern(control.target) and control.command not in self._known:
             return False
+        if is_estop(control.src) and control.command != "estop":
+            # whoever could connect to the node may stop it, and no more
+            return False
         is_new = control.id not in self._answers or control.command == "estop"
         if is_new:
             if expiry := self._expiry(control, now_ns):
@@ -283,13 +285,3 @@ class CommandHandler:
             return "ack", "info", self._execute(control)
         except TelenanoError as error:
             return "refused", "warning", str(error)
-
-
-def is_meant(node: str, target: str) -> bool:
-    """Return whether a target means a node (node@site): by its full name, its name at every site, or a pattern."""
-    return fnmatchcase(node, target) or fnmatchcase(name_of(node), target)
-
-
-def is_pattern(target: str) -> bool:
-    """Return whether a target is a pattern: a node that one matches keeps silent about commands it does not know."""
-    return any(sign in target for sign in "*?[")

@@ -15,8 +15,9 @@ from typing import Any
 import msgpack
 import zmq
 
+from services.runtime.local_endpoint import RUNTIME_DIRECTORY_VARIABLE
+
 NODE_VARIABLE = "TELENANO_NODE"
-RUNTIME_DIRECTORY_VARIABLE = "TELENANO_RUNTIME_DIR"
 TOPIC = b"node/health"
 UNHEALTHY_STATES = ("starting", "stopping")
 # node/health comes twice a second

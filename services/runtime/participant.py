@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import zmq
 
 from proto.errors import EndpointError
-from proto.nodes import site_of
+from proto.nodes import DEVICES, site_of
 from services.runtime.address_book import AddressBook
 from services.runtime.bus import Bus, Publisher, Subscriber, ZmqBus, ZmqPublisher
 from services.runtime.clock import Clock, SystemClock
@@ -59,7 +59,13 @@ class Participant:
         """Open the bus of an ordinary node: its own endpoint and connections for its inputs."""
         # the publisher first: it is what may fail, and nothing is open yet
         publisher = self.bind(self.key)
-        return self.bus_of(publisher, self.subscribers(self.book.sources(self.key, topics)))
+        subscribers = self.subscribers(self.book.sources(self.key, topics))
+        return self.bus_of(publisher, [*subscribers, *(self.estop_inlet() if self.key in DEVICES else ())])
+
+    def estop_inlet(self) -> list[Subscriber]:
+        """Open the inlet for emergency stops; without an ipc endpoint there is none, and a console has to send them."""
+        inlet = self.network.estop_inlet(self.key)
+        return [] if inlet is None else [self.resources.enter_context(contextlib.closing(inlet))]
 
     def bus_of(self, publisher: Publisher, subscribers: Sequence[Subscriber]) -> ZmqBus:
         """Make one bus of sockets that were opened before."""

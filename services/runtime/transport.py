@@ -13,6 +13,7 @@ from proto.errors import ConfigError, EndpointError
 from services.runtime.address_book import AddressBook
 from services.runtime.bus import ConnectionEvent, Subscriber, ZmqPublisher
 from services.runtime.clock import Clock
+from services.runtime.estop_inlet import EstopInlet
 from services.runtime.security.access_control import AccessControl
 from services.runtime.security.keyring import Keyring
 from services.runtime.security.peer_connections import PeerConnections
@@ -111,6 +112,11 @@ class Transport:
             near = self._book.endpoint(node, self.machine).startswith("ipc://")
             groups.setdefault("" if near else self._book.machine_of(node), {})[node] = topics
         return [self._reader(plan, _LOOP_SILENCE_MS) for plan in groups.values()]
+
+    def estop_inlet(self, key: str) -> EstopInlet | None:
+        """Bind where a node takes emergency stops; None where it has no ipc endpoint."""
+        endpoint = self._book.estop_endpoint(key)
+        return None if endpoint is None else EstopInlet(self._context, self._clock, key, endpoint)
 
     def process_events(self) -> list[ConnectionEvent]:
         """Process authentication requests and connection events, and reload the list of keys if it has changed."""

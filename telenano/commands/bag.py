@@ -22,8 +22,9 @@ from recording.rewrite import filter_recording, merge_recordings, split_recordin
 from recording.tables import line, plain
 from recording.tolerance import Tolerances
 from recording.verify import verify as check
+from telenano.exit_codes import EXIT_FAILED
 from telenano.options import CountOption, ExcludeOption, JsonOption, TopicsOption, command_group
-from telenano.output import EXIT_FAILED, console, print_document, print_json, print_rows, report_errors
+from telenano.output import console, print_document, print_json, print_rows, report_errors
 
 _CHANNEL_COLUMNS = ("channel_topic", "src", "messages", "rate_hz", "gaps", "lost", "restarts")
 _PLOT_SIZE = (100, 12)

@@ -11,8 +11,10 @@ from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE
 from proto.messages import SessionEvent
 from services.launcher.command_client import parse_parameters, send_control
 from services.runtime.commands import Command
-from telenano.options import JsonOption, RigFileOption, Site
-from telenano.output import EXIT_FAILED, print_json, report_errors
+from telenano.estop_command import EstopRequest, run_estop
+from telenano.exit_codes import EXIT_FAILED
+from telenano.options import JsonOption, RigFileOption, Site, SiteOption, TargetOption
+from telenano.output import print_json, report_errors
 
 
 class SessionCommand(StrEnum):
@@ -31,17 +33,14 @@ def session(
     parameters: Annotated[
         list[str] | None, typer.Argument(metavar="[KEY=VALUE]...", help="Parameters by dotted key, units in the names.")
     ] = None,
-    target: Annotated[
-        str, typer.Option("--target", metavar="NODES", help="Nodes meant: node@site, node, or a pattern such as '*'.")
-    ] = "*",
-    site: Annotated[
-        Site | None,
-        typer.Option("--site", help="Site of two at which this is typed: from the slave the nodes there are reached."),
-    ] = None,
+    target: TargetOption = "*",
+    site: SiteOption = None,
     site_file: RigFileOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Send a command to a running rig and wait for the answers; exit code 1 if one is refused or missing."""
+    if command is SessionCommand.ESTOP:
+        raise typer.Exit(run_estop(EstopRequest(target, "" if site is None else site.value, site_file, as_json)))
     send_command(command, parameters or (), target, site_file, site, as_json=as_json)
 
 

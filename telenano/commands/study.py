@@ -20,8 +20,9 @@ from rich.table import Table
 
 from proto.errors import ConfigError
 from studies.page import Page, text, write_parquet
+from telenano.exit_codes import EXIT_FAILED
 from telenano.options import JsonOption, command_group
-from telenano.output import EXIT_FAILED, console, print_json, report_errors
+from telenano.output import console, print_json, report_errors
 
 if TYPE_CHECKING:
     from studies.stability import Axes

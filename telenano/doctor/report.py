@@ -117,7 +117,7 @@ def rig(site_file: Path) -> list[Finding]:
     """Check what a rig of this site file uses; ImportError if a package that every process needs is missing."""
     import zmq
 
-    from services.runtime.address_book import runtime_directory
+    from services.runtime.local_endpoint import runtime_directory
     from services.runtime.main import load_site
 
     findings = [

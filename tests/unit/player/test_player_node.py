@@ -325,7 +325,8 @@ def test_a_recorded_command_is_sent_as_one_of_now(stage: Callable[..., Stage], t
 
 def test_the_recorders_own_words_and_recorded_health_are_not_played(tmp_path: Path, book: AddressBook) -> None:
     writer = RecordingWriter.create(NODE, RecorderConfig(directory=tmp_path))
-    for topic, src in (("session/event", NODE), ("node/health", HAND), ("haptic/state", HAND)):
+    played = {"session/event": NODE, "node/health": HAND, "haptic/state": HAND, "session/control": "estop@master"}
+    for topic, src in played.items():
         channel = writer.channel(topic, src, "master")
         writer.write(channel, EPOCH_NS, EPOCH_NS, 0, encode(sample(topic, 0, src=src)))
     writer.finish()

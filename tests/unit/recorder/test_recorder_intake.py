@@ -11,6 +11,7 @@ import zmq
 from recorder_samples import EPOCH_NS, NODE, haptic_state, sample, session_control, teleop_forward
 
 from proto import MAX_MESSAGE_BYTES, Message, encode
+from proto.messages import SessionControl
 from recording.reader import Recording
 from recording.records import GAP_TOPIC, REJECTED_TOPIC, GapRecord, RejectedRecord
 from recording.writer import RecordingWriter
@@ -132,6 +133,21 @@ def test_only_a_command_received_from_its_publisher_is_given_back(intake: Intake
     assert near is not None and near.message == command
     assert far is None
     assert intake.record(listen("haptic_node@master"), frames("haptic/state", haptic_state(0)), EPOCH_NS) is None
+
+
+def test_an_emergency_stop_at_the_inlet_is_recorded_at_the_site_of_its_sender(
+    intake: Intake, listen: MakeListener
+) -> None:
+    inlet = listen("estop")
+    for site in ("master", "slave"):
+        fields = {**session_control(0).model_dump(), "src": f"estop@{site}", "command": "estop"}
+        stop = SessionControl.model_validate(fields)
+        assert intake.record(inlet, frames("session/control", stop), EPOCH_NS) is not None
+    channels = recorded(intake).channels
+    assert [(c.channel_topic, c.src, c.site, c.via) for c in channels] == [
+        ("session/control", "estop@master", "master", "direct"),
+        ("session/control", "estop@slave", "slave", "direct"),
+    ]
 
 
 def header(**changes: Any) -> bytes:

@@ -11,8 +11,8 @@ import typer
 from typer.testing import CliRunner
 
 from presets import TWO_SITES_FILE, site_file_named
-from telenano.app import app
 from telenano.lazy_commands import LAZY_COMMANDS, load
+from telenano.root import app
 
 DOCUMENTATION = Path(__file__).parents[3] / "docs" / "cli.md"
 RUNNER = CliRunner()

@@ -14,10 +14,10 @@ from typer.testing import CliRunner
 from presets import DEFAULT_SITE_FILE
 from services.runtime.address_book import AddressBook, NodeEntry
 from services.runtime.security.keyring import Keyring
-from telenano.app import app
 from telenano.doctor import checks
 from telenano.doctor import report as doctor
 from telenano.doctor.checks import Endpoint, Finding, KernelClock
+from telenano.root import app
 
 REQUIRES = [
     "msgpack>=1.1",

@@ -27,8 +27,8 @@ from services.runtime.bus import ConnectionEvent, Received, ZmqPublisher
 from services.runtime.clock import SystemClock
 from services.runtime.main import load_site
 from services.runtime.observer import ObservedMessage, Observer
-from telenano.app import app
 from telenano.commands import status
+from telenano.root import app
 
 RIG = [
     "haptic_node@master",

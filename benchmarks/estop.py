@@ -1,0 +1,148 @@
+"""From the start of `telenano estop` to the AFM's emergency stop, as a ratio to the start of the interpreter.
+
+    python benchmarks/estop.py [--rounds N] [--command "session estop"] [--json]
+
+A rig runs (`telenano up --scenario fig12`). In each round the devices are armed and the command is started as a process
+of its own; the clock runs from before its start to the `t_ns` of the first afm/state that is in emergency stop, and on
+until the command has ended. The baseline is `python -c pass`, from before its start to its end, in the same round.
+Half of the rounds are on the machine as it is, the other half beside one busy process for each processor.
+"""
+
+import argparse
+import contextlib
+import json
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import zmq
+
+from presets import DEFAULT_SITE_FILE
+from proto.errors import TelenanoError
+from services.launcher.command_client import send_control
+from services.runtime.commands import Command
+from services.runtime.main import load_site
+
+AFM = "afm_node@slave"
+# how msgpack writes the mode of an afm/state
+STOPPED, FOLLOWS = b"\xa4mode\xa5estop", b"\xa4mode\xa6follow"
+PATIENCE_S = 90.0
+
+
+@contextlib.contextmanager
+def running_rig(folder: Path) -> Iterator[None]:
+    """Run a rig whose files are in `folder`, until the block ends."""
+    arguments = ["up", "--scenario", "fig12", "--duration", "600", "--out", str(folder / "out"), "--json"]
+    with subprocess.Popen([sys.executable, "-m", "telenano", *arguments], stdout=subprocess.DEVNULL) as rig:
+        try:
+            yield
+        finally:
+            rig.terminate()
+
+
+@contextlib.contextmanager
+def busy_processors() -> Iterator[None]:
+    """Keep every processor busy until the block ends."""
+    spinning = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(os.cpu_count() or 1)]
+    try:
+        yield
+    finally:
+        for process in spinning:
+            process.kill()
+            process.wait()
+
+
+class Afm:
+    """The states of the AFM of a running rig."""
+
+    def __init__(self, context: "zmq.Context[zmq.Socket[bytes]]") -> None:
+        self._socket = context.socket(zmq.SUB)
+        self._socket.subscribe(b"afm/state")
+        self._socket.connect(load_site(DEFAULT_SITE_FILE).endpoint(AFM))
+
+    def wait_for(self, mode: bytes) -> int:
+        """Wait for a state in a mode, as it is on the wire; return its t_ns. SystemExit when there is none."""
+        end = time.monotonic() + PATIENCE_S
+        while time.monotonic() < end:
+            if self._socket.poll(1000):
+                payload = self._socket.recv_multipart()[1]
+                if mode in payload:
+                    # {"seq": ..., "t_ns": uint 64
+                    at = payload.index(b"\xa4t_ns\xcf") + 6
+                    return int.from_bytes(payload[at : at + 8], "big")
+        raise SystemExit(f"no afm/state with {mode!r} within {PATIENCE_S:g} s")
+
+    def discard(self) -> None:
+        while self._socket.poll(0):
+            self._socket.recv_multipart()
+
+    def close(self) -> None:
+        self._socket.close(linger=0)
+
+
+def arm() -> None:
+    """Arm both devices, which may need a moment of fresh commands."""
+    end = time.monotonic() + PATIENCE_S
+    for device in ("haptic_node", "afm_node"):
+        while time.monotonic() < end:
+            with contextlib.suppress(TelenanoError):
+                answers = send_control(Command("arm", device), DEFAULT_SITE_FILE, "master", lambda event: None)
+                if all(event.kind == "ack" for event in answers.values()):
+                    break
+
+
+def one_round(afm: Afm, command: list[str]) -> dict[str, float]:
+    """Return the time to the stop, to the end of the command, and that of the baseline [s]."""
+    arm()
+    afm.wait_for(FOLLOWS)
+    begun = time.monotonic()
+    subprocess.run([sys.executable, "-c", "pass"], check=True)
+    baseline_s = time.monotonic() - begun
+    afm.discard()
+    begun_ns, begun = time.time_ns(), time.monotonic()
+    process = subprocess.Popen([sys.executable, "-m", "telenano", *command], stdout=subprocess.DEVNULL)
+    stopped_ns = afm.wait_for(STOPPED)
+    if process.wait() != 0:
+        raise SystemExit(f"telenano {' '.join(command)} ended with {process.returncode}")
+    return {"stop": (stopped_ns - begun_ns) * 1e-9, "end": time.monotonic() - begun, "interpreter": baseline_s}
+
+
+def summary(rounds: list[dict[str, float]]) -> dict[str, float]:
+    """Return p50 and max of each time [s], and the ratio of the medians of stop and baseline."""
+    found = {}
+    for name in rounds[0]:
+        values = [each[name] for each in rounds]
+        found[f"{name}_p50_s"], found[f"{name}_max_s"] = statistics.median(values), max(values)
+    found["ratio_p50"] = found["stop_p50_s"] / found["interpreter_p50_s"]
+    return found
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description="Time of an emergency stop from the shell.")
+    parser.add_argument("--rounds", type=int, default=20, help="rounds idle, and as many beside busy processors")
+    parser.add_argument("--command", default="estop", help='"estop" or "session estop"')
+    parser.add_argument("--json", action="store_true")
+    given = parser.parse_args()
+    results = {}
+    with tempfile.TemporaryDirectory() as folder, zmq.Context() as context:
+        os.environ["TELENANO_RUNTIME_DIR"] = f"{folder}/run"
+        with running_rig(Path(folder)), contextlib.closing(Afm(context)) as afm:
+            afm.wait_for(FOLLOWS)
+            results["idle"] = summary([one_round(afm, given.command.split()) for _ in range(given.rounds)])
+            with busy_processors():
+                results["busy"] = summary([one_round(afm, given.command.split()) for _ in range(given.rounds)])
+    if given.json:
+        print(json.dumps(results))
+        return
+    for name, row in results.items():
+        print(f"{name}: " + ", ".join(f"{key} {value:.3f}" for key, value in row.items()))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,216 @@
+"""An emergency stop for the devices of this machine: at once, whoever else is sending commands.
+
+It connects to the inlet that each device, the link and the recorders bind (ADR 0014), so it needs neither an endpoint
+nor a lock. It imports no model: those of all messages would take longer than everything else together.
+"""
+
+import os
+import socket
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack, closing
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgpack
+import zmq
+
+from proto.errors import RigError
+from proto.nodes import DEVICES, LINK, NODES, RECORDER, is_meant, name_of, site_of
+from services.runtime.clock import SystemClock
+from services.runtime.local_endpoint import estop_endpoint, local_endpoint
+
+_DEADLINE_S = 5.0
+_RESEND_S = 0.05
+# a recorder gets the stop as well, but is not waited for as long as a device
+_RECORDERS_S = 0.3
+_LINGER_MS = 200
+_SUBSCRIBED = b"\x01session/control"
+_TOPIC, _ANSWERS = b"session/control", b"session/event"
+_SCHEMA_VERSION = 1
+_LINK = f"{LINK}@master"
+
+
+class Answer(NamedTuple):
+    """What a node answered: `kind` is ack or refused."""
+
+    node: str
+    kind: str
+    text: str
+
+
+class Reach(NamedTuple):
+    """The devices that are meant, by the way to them: own inlet, link, console; `absent` are those that do not run."""
+
+    direct: tuple[str, ...]
+    by_link: tuple[str, ...]
+    by_console: tuple[str, ...]
+    absent: tuple[str, ...]
+
+
+class LocalRig:
+    """The ipc endpoints of a site file, and which processes have them."""
+
+    def __init__(self, nodes: Mapping[str, Any]) -> None:
+        """Take the entries `nodes` of a site file as they are."""
+        entries = {node: entry if isinstance(entry, dict) else {"local": entry} for node, entry in nodes.items()}
+        self.nodes = frozenset(entries)
+        self._networked = {node for node, entry in entries.items() if "network" in entry}
+        local = {node: str(entry.get("local")) for node, entry in entries.items()}
+        self.endpoints = {node: local_endpoint(text) for node, text in local.items() if text.startswith("ipc://")}
+
+    @classmethod
+    def packaged(cls, *, two_machines: bool) -> "LocalRig":
+        """Return what the site files of the project say of the devices; to read YAML would take as long as the stop."""
+        network = {"network": ""} if two_machines else {}
+        entries = {row.key: {"local": f"ipc://{{runtime}}/{row.key}"} for row in NODES}
+        return cls({node: entry | network if site_of(node) == "slave" else entry for node, entry in entries.items()})
+
+    @classmethod
+    def read(cls, site_file: Path) -> "LocalRig":
+        """Read a site file; one that is wrong has no nodes here, and is read again where errors are reported."""
+        import yaml
+
+        try:
+            return cls(yaml.safe_load(site_file.read_text(encoding="utf-8"))["nodes"])
+        except (OSError, ValueError, TypeError, KeyError, AttributeError, yaml.YAMLError):
+            return cls({})
+
+    def has_inlet(self, node: str) -> bool:
+        """Return whether a node runs here and takes emergency stops."""
+        return node in self.endpoints and _is_bound(estop_endpoint(self.endpoints[node]))
+
+    def reach(self, target: str, site: str) -> Reach:
+        """Return the way to each device that a target means, from one site, or as empty text from both at once."""
+        has_link = site != "slave" and self.has_inlet(_LINK)
+        found: dict[str, list[str]] = {way: [] for way in Reach._fields}
+        for device in (device for device in DEVICES if device in self.nodes and is_meant(device, target)):
+            here = site in ("", site_of(device))
+            # what another machine can reach may run there
+            only_here = device in self.endpoints and device not in self._networked
+            if here and self.has_inlet(device):
+                found["direct"].append(device)
+            elif has_link and site_of(device) == "slave" and not (here and only_here):
+                found["by_link"].append(device)
+            elif here and only_here and not _is_bound(self.endpoints[device]):
+                found["absent"].append(device)
+            elif here or site == "master":
+                found["by_console"].append(device)
+        return Reach(**{way: tuple(devices) for way, devices in found.items()})
+
+
+class _Sender:
+    """Sends the stop of one site to the inlets that it is connected to."""
+
+    def __init__(self, context: "zmq.Context[zmq.Socket[bytes]]", site: str, identifier: str, target: str) -> None:
+        self._fields = {"src": f"estop@{site}", "v": _SCHEMA_VERSION, "id": identifier, "command": "estop"}
+        self._fields |= {"target": target, "parameters": {}}
+        self._clock = SystemClock()
+        self._sent = 0
+        self.connected = 0
+        self.subscribed = 0
+        self.socket = context.socket(zmq.XPUB)
+        # every inlet that is ready counts
+        self.socket.set(zmq.XPUB_VERBOSE, 1)
+        self.socket.set(zmq.LINGER, _LINGER_MS)
+
+    def connect(self, endpoint: str) -> None:
+        self.socket.connect(estop_endpoint(endpoint))
+        self.connected += 1
+
+    def close(self) -> None:
+        self.socket.close()
+
+    def send(self) -> None:
+        header = {"seq": self._sent, "t_ns": self._clock.now_ns()}
+        self.socket.send_multipart([_TOPIC, msgpack.packb({**header, **self._fields})])
+        self._sent += 1
+
+    def read_subscriptions(self) -> int:
+        """Return how many inlets have become ready since the last call: nothing reaches them before that."""
+        count = 0
+        while self.socket.poll(0):
+            count += self.socket.recv() == _SUBSCRIBED
+        self.subscribed += count
+        return count
+
+
+def emergency_stop(rig: LocalRig, reach: Reach, target: str, on_answer: Callable[[Answer], None]) -> dict[str, Answer]:
+    """Stop the devices that are reached directly or through the link, and wait until all of them have answered.
+
+    Parameters: rig; reach, the way to each device; target, as in a session/control; on_answer, called with each answer.
+    Returns: the answers by node. Raises RigError naming the devices that did not answer.
+    """
+    expected = {*reach.direct, *reach.by_link}
+    answers: dict[str, Answer] = {}
+    with ExitStack() as stack:
+        context = stack.enter_context(zmq.Context[zmq.Socket[bytes]]())
+        reader = stack.enter_context(closing(context.socket(zmq.SUB)))
+        reader.set(zmq.LINGER, 0)
+        reader.subscribe(_ANSWERS)
+        for node in (*reach.direct, *([_LINK] if reach.by_link else [])):
+            reader.connect(rig.endpoints[node])
+        # random, with no time in it: ids of two senders differ whatever their clocks say
+        identifier = os.urandom(12).hex()
+        senders = []
+        for site, nodes in _inlets(rig, reach).items():
+            sender = stack.enter_context(closing(_Sender(context, site, identifier, target)))
+            senders.append(sender)
+            for node in nodes:
+                sender.connect(rig.endpoints[node])
+        begun_s = next_s = now_s = time.monotonic()
+        while now_s - begun_s < _DEADLINE_S and not (expected <= set(answers) and _recorded(senders, now_s - begun_s)):
+            due = now_s >= next_s
+            for sender in senders:
+                if sender.read_subscriptions() or due:
+                    sender.send()
+            next_s = now_s + _RESEND_S if due else next_s
+            zmq.select([reader, *(sender.socket for sender in senders)], [], [], max(0.0, next_s - time.monotonic()))
+            while reader.poll(0):
+                answer = _answer(reader.recv_multipart(), identifier)
+                if answer is not None and answer.node not in answers:
+                    answers[answer.node] = answer
+                    on_answer(answer)
+            now_s = time.monotonic()
+    missing = sorted(expected - set(answers))
+    if missing:
+        raise RigError(f"{', '.join(missing)} did not answer estop within {_DEADLINE_S:g} s")
+    return answers
+
+
+def _inlets(rig: LocalRig, reach: Reach) -> dict[str, list[str]]:
+    """Return for each site that devices are stopped from the nodes to connect to, recorders always included."""
+    sites: dict[str, list[str]] = {}
+    for node in (*reach.direct, *([_LINK] if reach.by_link else [])):
+        sites.setdefault(site_of(node), []).append(node)
+    recorders = [node for node in rig.endpoints if name_of(node) == name_of(RECORDER) and rig.has_inlet(node)]
+    return {site: [*nodes, *recorders] for site, nodes in sites.items()}
+
+
+def _recorded(senders: Sequence[_Sender], waited_s: float) -> bool:
+    """Return whether the stop was sent to every inlet, those of recorders included, or that has been waited for."""
+    return waited_s >= _RECORDERS_S or all(sender.subscribed >= sender.connected for sender in senders)
+
+
+def _answer(frames: list[bytes], identifier: str) -> Answer | None:
+    """Return the answer in the frames of a session/event, None where there is none to this stop."""
+    try:
+        fields = msgpack.unpackb(frames[-1])
+        found = Answer(str(fields["src"]), str(fields["kind"]), str(fields["text"]))
+        return found if fields["id"] == identifier and found.kind in ("ack", "refused") else None
+    except (ValueError, TypeError, KeyError, msgpack.exceptions.UnpackException):
+        return None
+
+
+def _is_bound(endpoint: str) -> bool:
+    """Return whether a process has an ipc endpoint: a socket that a killed one left behind does not answer."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+        probe.setblocking(False)
+        try:
+            probe.connect(endpoint.removeprefix("ipc://"))
+        except BlockingIOError:
+            # somebody has it and is not fast enough to take all that connect
+            return True
+        except OSError:
+            return False
+    return True

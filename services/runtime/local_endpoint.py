@@ -1,0 +1,31 @@
+"""Where the sockets of a rig are on this machine. It imports nothing: an emergency stop has no time for models."""
+
+import os
+from pathlib import Path
+
+RUNTIME_DIRECTORY_VARIABLE = "TELENANO_RUNTIME_DIR"
+_RUNTIME_PLACEHOLDER = "{runtime}"
+_ESTOP_SUFFIX = ".estop"
+
+
+def runtime_directory() -> Path:
+    """Return the private folder of ipc sockets: TELENANO_RUNTIME_DIR, or one of this user's own."""
+    named = os.environ.get(RUNTIME_DIRECTORY_VARIABLE)
+    if named:
+        return Path(named)
+    user_directory = os.environ.get("XDG_RUNTIME_DIR")
+    if user_directory:
+        return Path(user_directory) / "telenano"
+    import tempfile
+
+    return Path(tempfile.gettempdir()) / f"telenano-{os.getuid()}"
+
+
+def local_endpoint(text: str) -> str:
+    """Return the ipc endpoint that a site file gives as `text`."""
+    return text.replace(_RUNTIME_PLACEHOLDER, str(runtime_directory()))
+
+
+def estop_endpoint(endpoint: str) -> str:
+    """Return where the node with an ipc endpoint takes emergency stops, from any number of senders."""
+    return endpoint + _ESTOP_SUFFIX

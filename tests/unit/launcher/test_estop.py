@@ -1,0 +1,316 @@
+"""Emergency stops on real sockets, with devices that answer in threads of their own."""
+
+import itertools
+import json
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zmq
+
+from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE
+from proto import decode, encode
+from proto.contract import examples
+from proto.errors import EndpointError
+from proto.messages import SessionControl
+from proto.nodes import DEVICES
+from proto.topics import TOPICS
+from services.launcher.estop import LocalRig, Reach, _answer, _Sender
+from services.runtime.address_book import AddressBook
+from services.runtime.bus import ZmqPublisher
+from services.runtime.clock import SystemClock
+from services.runtime.commands import CommandHandler
+from services.runtime.estop_inlet import EstopInlet
+from telenano.estop_command import EstopRequest, read_arguments, run_estop
+
+HAND, TIP, LINK, RECORDER = "haptic_node@master", "afm_node@slave", "delay_node@master", "recorder@master"
+
+
+class Device(threading.Thread):
+    """A process that takes emergency stops; `takes` are the nodes in whose name it answers, itself by default."""
+
+    def __init__(self, folder: Path, node: str, *takes: str) -> None:
+        super().__init__(daemon=True)
+        self.node = node
+        self.endpoint = f"ipc://{folder}/{node}"
+        self.taken: list[SessionControl] = []
+        self.ready = threading.Event()
+        self.ended = threading.Event()
+        self.takes = takes or (node,)
+
+    def run(self) -> None:
+        clock = SystemClock()
+        with zmq.Context() as context, closing(ZmqPublisher(context, clock, self.node, self.endpoint)) as publisher:
+            handlers = [
+                CommandHandler(node, ("estop",), self.execute, self.answers(publisher, node)) for node in self.takes
+            ]
+            with closing(EstopInlet(context, clock, self.node, f"{self.endpoint}.estop")) as inlet:
+                self.ready.set()
+                while not self.ended.is_set():
+                    inlet.socket.poll(20)
+                    for received in inlet.receive():
+                        assert isinstance(received.message, SessionControl)
+                        for handler in handlers:
+                            handler.handle(received.message, clock.now_ns())
+
+    def execute(self, control: SessionControl) -> str:
+        self.taken.append(control)
+        return "stopped"
+
+    def answers(self, publisher: ZmqPublisher, node: str) -> Callable[..., None]:
+        def event(kind: str, level: str, text: str, *, answer_to: str = "", **data: Any) -> None:
+            # what the link carries has the name of the node that it comes from
+            publisher.node = node
+            publisher.publish("session/event", id=answer_to, kind=kind, level=level, text=text, data=data)
+
+        return event
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Iterator[Callable[..., Device]]:
+    devices: list[Device] = []
+
+    def start(node: str, *takes: str) -> Device:
+        device = Device(tmp_path, node, *takes)
+        devices.append(device)
+        device.start()
+        assert device.ready.wait(10)
+        return device
+
+    yield start
+    for device in devices:
+        device.ended.set()
+    for device in devices:
+        device.join()
+
+
+@pytest.fixture
+def site_file(tmp_path: Path) -> Path:
+    path = tmp_path / "site.yaml"
+    nodes = (HAND, TIP, LINK, "delay_node@slave", RECORDER, "console@master", "controller@master")
+    path.write_text(json.dumps({"nodes": {node: f"ipc://{tmp_path}/{node}" for node in nodes}}))
+    return path
+
+
+def test_both_devices_are_stopped_each_under_the_name_of_its_site(
+    run: Callable[..., Device], site_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    hand, tip, recorder = run(HAND), run(TIP), run(RECORDER)
+    assert run_estop(EstopRequest(site_file=site_file)) == 0
+    assert sorted(capsys.readouterr().out.splitlines()) == [f"{TIP} ack: stopped", f"{HAND} ack: stopped"]
+    assert {control.src for control in hand.taken} == {"estop@master"}
+    assert {control.src for control in tip.taken} == {"estop@slave"}
+    # the recorder, which is not meant to answer in a rig, has the stop of either site
+    assert {control.src for control in recorder.taken} == {"estop@master", "estop@slave"}
+    assert len({control.id for control in (*hand.taken, *tip.taken)}) == 1
+
+
+def test_from_one_site_the_tip_is_stopped_through_the_link(
+    run: Callable[..., Device], site_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    hand, link = run(HAND), run(LINK, TIP)
+    assert run_estop(EstopRequest(site="master", site_file=site_file, as_json=True)) == 0
+    answers = json.loads(capsys.readouterr().out)
+    assert answers == {
+        "command": "estop",
+        "target": "*",
+        "answers": {node: {"kind": "ack", "text": "stopped"} for node in (HAND, TIP)},
+    }
+    assert {control.src for control in (*hand.taken, *link.taken)} == {"estop@master"}
+
+
+def test_from_the_instruments_site_the_tip_alone_is_stopped(run: Callable[..., Device], site_file: Path) -> None:
+    hand, tip, link = run(HAND), run(TIP), run(LINK, TIP)
+    assert run_estop(EstopRequest(site="slave", site_file=site_file)) == 0
+    assert tip.taken
+    assert hand.taken == link.taken == []
+
+
+def test_a_device_that_does_not_run_is_named_and_the_other_one_stopped(
+    run: Callable[..., Device], site_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run(LINK, TIP)
+    tip = run(TIP)
+    assert run_estop(EstopRequest(site_file=site_file)) == 0
+    assert capsys.readouterr() == (f"{TIP} ack: stopped\n", f"telenano: {HAND} does not run\n")
+    assert tip.taken
+
+
+def test_a_rig_that_does_not_run_is_told_at_once(site_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    # a socket that a killed process left behind
+    with zmq.Context() as context, context.socket(zmq.SUB) as left:
+        left.bind(f"ipc://{site_file.parent}/{TIP}.estop")
+    assert run_estop(EstopRequest(site_file=site_file)) == 1
+    assert "no device of the site file runs here" in capsys.readouterr().err
+
+
+def test_a_device_that_does_not_answer_is_named(
+    run: Callable[..., Device], site_file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("services.launcher.estop._DEADLINE_S", 0.3)
+    run(HAND)
+    with (
+        zmq.Context() as context,
+        closing(EstopInlet(context, SystemClock(), TIP, f"ipc://{site_file.parent}/{TIP}.estop")),
+    ):
+        assert run_estop(EstopRequest(site_file=site_file)) == 1
+    out, err = capsys.readouterr()
+    assert out == f"{HAND} ack: stopped\n"
+    assert err == f"telenano: {TIP} did not answer estop within 0.3 s\n"
+
+
+def test_a_stop_needs_nothing_that_another_sender_has(run: Callable[..., Device], site_file: Path) -> None:
+    tip = run(TIP)
+    clock = SystemClock()
+    with zmq.Context() as context:
+        # a console at work, a stop that was sent and hangs, and one whose clock is an hour ahead
+        console = ZmqPublisher(context, clock, "console@master", f"ipc://{site_file.parent}/console@master")
+        hung = _Sender(context, "slave", "hung", "*")
+        hung._clock.epoch_offset_ns += 3600 * 10**9
+        try:
+            hung.connect(tip.endpoint)
+            assert hung.socket.poll(10_000)
+            for _ in range(20):
+                hung.send()
+            for _ in range(2):
+                assert run_estop(EstopRequest(target=TIP, site_file=site_file)) == 0
+        finally:
+            hung.close()
+            console.close()
+    assert len({control.id for control in tip.taken}) == 3
+
+
+def test_the_inlet_takes_nothing_but_stops(tmp_path: Path) -> None:
+    done: list[str] = []
+    handler = CommandHandler(
+        TIP, ("arm", "estop"), lambda control: done.append(control.command) or "", lambda *_, **__: None
+    )
+    fields = {**examples(TOPICS["session/control"])["minimal"].model_dump(), "target": "*", "t_ns": 10}
+    with zmq.Context() as context, closing(EstopInlet(context, SystemClock(), TIP, f"ipc://{tmp_path}/x")) as inlet:
+        for src, command in (("console@master", "estop"), ("estop@slave", "arm"), ("estop@slave", "estop")):
+            control = SessionControl.model_validate({**fields, "src": src, "command": command, "id": command})
+            received = inlet.examine([b"session/control", encode(control)], 0)
+            if received is not None:
+                handler.handle(control, 10)
+        assert inlet.rejected == {"source": 1}
+    assert done == ["estop"]
+
+
+def test_a_stop_is_a_message_of_the_first_version(tmp_path: Path) -> None:
+    with (
+        zmq.Context() as context,
+        closing(EstopInlet(context, SystemClock(), TIP, f"ipc://{tmp_path}/x.estop")) as inlet,
+    ):
+        sender = _Sender(context, "slave", "abc", "*")
+        sender.connect(f"ipc://{tmp_path}/x")
+        while not sender.read_subscriptions():
+            inlet.pending()
+        sender.send()
+        inlet.socket.poll(10_000)
+        topic, payload = inlet.socket.recv_multipart()
+        sender.close()
+    control = decode(topic.decode(), payload)
+    assert isinstance(control, SessionControl)
+    assert (control.command, control.target, control.src, control.v) == ("estop", "*", "estop@slave", 1)
+    assert abs(SystemClock().now_ns() - control.t_ns) < 10**10
+
+
+def test_no_event_of_others_is_taken_for_an_answer() -> None:
+    event = examples(TOPICS["session/event"])["minimal"].model_copy(update={"id": "a", "kind": "ack"})
+    assert _answer([b"session/event", encode(event)], "a") is not None
+    for other in (event.model_copy(update={"id": "b"}), event.model_copy(update={"kind": "mode"})):
+        assert _answer([b"session/event", encode(other)], "a") is None
+    for junk in (b"", b"\xc1", b"\x93\x01\x02\x03", b"\x80"):
+        assert _answer([b"session/event", junk], "a") is None
+
+
+def test_ways_to_devices_that_are_not_here(run: Callable[..., Device], tmp_path: Path) -> None:
+    here = f"ipc://{tmp_path}/"
+    both = {"local": here + TIP, "network": "tcp://10.0.0.2:5712"}
+    # nothing runs: an ipc socket alone says so, what has a network endpoint may run elsewhere
+    assert LocalRig({HAND: here + HAND, TIP: both}).reach("*", "") == Reach((), (), (TIP,), (HAND,))
+    assert LocalRig({HAND: "tcp://10.0.0.1:5701"}).reach("*", "") == Reach((), (), (HAND,), ())
+    assert LocalRig({}).reach("*", "") == Reach((), (), (), ())
+    run(LINK)
+    rig = LocalRig({HAND: here + HAND, TIP: both, LINK: {"local": here + LINK}})
+    assert rig.reach("*", "") == rig.reach("*", "master") == Reach((), (TIP,), (), (HAND,))
+    assert rig.reach("haptic_node", "slave") == Reach((), (), (), ())
+    # a node of an older version has an endpoint and no inlet
+    with zmq.Context() as context, closing(ZmqPublisher(context, SystemClock(), HAND, here + HAND)):
+        assert rig.reach("haptic*", "master") == Reach((), (), (HAND,), ())
+
+
+@pytest.mark.parametrize("path", [DEFAULT_SITE_FILE, TWO_SITES_FILE])
+def test_the_files_of_the_project_need_not_be_read(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TELENANO_RUNTIME_DIR", "/run/rig")
+    known, read = LocalRig.packaged(two_machines=path == TWO_SITES_FILE), LocalRig.read(path)
+    stopped = (*DEVICES, LINK, RECORDER, *(node for node in read.nodes if node == "recorder@slave"))
+    assert [known.endpoints[node] for node in stopped] == [read.endpoints[node] for node in stopped]
+    for target, site in itertools.product(("*", HAND, TIP), ("", "master", "slave")):
+        assert known.reach(target, site) == read.reach(target, site)
+
+
+def test_the_endpoints_are_those_of_the_address_book(site_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TELENANO_RUNTIME_DIR", "/run/rig")
+    nodes = {HAND: "ipc://{runtime}/hand", TIP: {"local": "ipc:///x", "network": "tcp://a:1"}, LINK: "tcp://a:2"}
+    book, rig = AddressBook.model_validate({"nodes": nodes}), LocalRig(nodes)
+    assert rig.endpoints == {HAND: "ipc:///run/rig/hand", TIP: "ipc:///x"}
+    assert {node: book.local_endpoint(node) for node in rig.endpoints} == rig.endpoints
+    assert book.estop_endpoint(HAND) == "ipc:///run/rig/hand.estop"
+    assert book.estop_endpoint(LINK) is None
+    for length, fits in ((101, True), (102, False)):
+        long = AddressBook.model_validate({"nodes": {HAND: "ipc:///" + "x" * (length - 1)}})
+        assert (long.estop_endpoint(HAND) is not None) == fits
+    for wrong in ("[", "[]", "nodes: 5", ""):
+        site_file.write_text(wrong)
+        assert LocalRig.read(site_file).nodes == frozenset()
+    assert LocalRig.read(site_file / "absent").nodes == frozenset()
+
+
+def test_an_inlet_leaves_no_socket_and_belongs_to_one_node(tmp_path: Path) -> None:
+    with zmq.Context() as context:
+        EstopInlet(context, SystemClock(), TIP, f"ipc://{tmp_path}/x").close()
+        assert list(tmp_path.iterdir()) == []
+        with pytest.raises(EndpointError, match="afm_node@slave cannot bind"):
+            EstopInlet(context, SystemClock(), TIP, f"ipc://{tmp_path}/absent/x")
+
+
+@pytest.mark.parametrize(
+    ("line", "request_"),
+    [
+        ("estop", EstopRequest()),
+        ("session estop", EstopRequest()),
+        ("estop --site slave --json", EstopRequest(site="slave", as_json=True)),
+        ("estop --site=master", EstopRequest(site="master")),
+        ("session estop --target afm_node", EstopRequest(target="afm_node")),
+        ("estop --site-file my.yaml", EstopRequest(site_file=Path("my.yaml"))),
+        # what is wrong or asks for help is left to the usual way
+        ("estop --help", None),
+        ("estop --site", None),
+        ("estop --site nowhere", None),
+        ("estop now", None),
+        ("estop --fast", None),
+        ("session mark estop=1", None),
+        ("session arm", None),
+        ("session session estop", None),
+        ("mark estop", None),
+        ("session", None),
+    ],
+)
+def test_the_command_line_is_read_without_typer(line: str, request_: EstopRequest | None) -> None:
+    assert read_arguments(line.split()) == request_
+
+
+def test_a_stop_imports_no_models(run: Callable[..., Device], site_file: Path) -> None:
+    run(TIP)
+    code = "import atexit, sys, telenano.app as root; "
+    code += f"sys.argv = ['telenano', 'estop', '--site-file', {str(site_file)!r}, '--target', 'afm_node']; "
+    code += "slow = {'pydantic', 'numpy', 'typer', 'click', 'rich', 'proto.messages', 'asyncio'}; "
+    code += "atexit.register(lambda: print(slow & set(sys.modules))); root.main()"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert result.stdout == f"{TIP} ack: stopped\nset()\n"
