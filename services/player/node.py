@@ -176,6 +176,7 @@ class PlayerNode(Node):
     """Plays a recording through the publishers of its nodes, controlled by session/control and by its methods."""
 
     inputs: ClassVar[tuple[str, ...]] = ("session/control",)
+    named_commands: ClassVar[tuple[str, ...]] = ("start", "stop", "set")
     replay = True
 
     def __init__(
@@ -289,11 +290,11 @@ class PlayerNode(Node):
             self.context.request_stop()
 
     def _set(self, parameters: Mapping[str, Scalar]) -> None:
-        unknown = sorted(set(parameters) - set(_SETTERS))
+        unknown = sorted(set(parameters) - set(SETTERS))
         if unknown or not parameters:
             problem = f"{', '.join(unknown)} is unknown" if unknown else "set needs parameters"
-            raise RefusedError(f"{problem}: known are {', '.join(_SETTERS)}")
-        for name, setter in _SETTERS.items():
+            raise RefusedError(f"{problem}: known are {', '.join(SETTERS)}")
+        for name, setter in SETTERS.items():
             if name in parameters:
                 kinds, change = setter
                 value = parameters[name]
@@ -457,7 +458,7 @@ def _health(state: str, rate_hz: float, clock: Clock, begun_ns: int) -> dict[str
 
 _NUMBER = (float, int)
 # in the order in which they are applied when one command names several
-_SETTERS: dict[str, tuple[tuple[type, ...], Callable[[PlayerNode, Any], None]]] = {
+SETTERS: dict[str, tuple[tuple[type, ...], Callable[[PlayerNode, Any], None]]] = {
     "player.rate": (_NUMBER, lambda player, value: player.set_rate(float(value))),
     "player.loop": ((bool,), lambda player, value: player._set_loop(value)),
     "player.a_s": (_NUMBER, lambda player, value: player._set_bounds(start_s=value)),

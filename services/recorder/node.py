@@ -23,7 +23,7 @@ _CALM_PASSES, _PASS_NS, _BACKLOG = 30, 5_000_000, 256
 _RATE_PERIOD_NS = 1_000_000_000
 # to wake up for every message costs more than to write it, and takes its turn from the loop
 _BATCH_NS = 1_000_000
-_ACTIONS = ("record.split", "record.snapshot", "record.status")
+ACTIONS = ("record.split", "record.snapshot", "record.status")
 
 
 class RecorderBus(ZmqBus):
@@ -84,6 +84,7 @@ class RecorderNode(Node):
 
     inputs: ClassVar[tuple[str, ...]] = ("session/control",)
     commands: ClassVar[tuple[str, ...]] = ("mark",)
+    named_commands: ClassVar[tuple[str, ...]] = ("set",)
 
     def __init__(
         self,
@@ -136,10 +137,10 @@ class RecorderNode(Node):
         if control.command == "mark":
             return self._mark(control)
         if control.command != "set":
-            raise RefusedError(f"{self.context.key} accepts mark and set, not {control.command}")
-        unknown = sorted(set(control.parameters) - set(_ACTIONS))
+            return super().on_control(control)
+        unknown = sorted(set(control.parameters) - set(ACTIONS))
         if unknown or not control.parameters:
-            raise RefusedError(f"{', '.join(unknown) or 'nothing'} cannot be set: settable are {', '.join(_ACTIONS)}")
+            raise RefusedError(f"{', '.join(unknown) or 'nothing'} cannot be set: settable are {', '.join(ACTIONS)}")
         wrong = [name for name, value in control.parameters.items() if value is not True]
         if wrong:
             raise RefusedError(f"{', '.join(wrong)} must be true")

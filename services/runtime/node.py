@@ -62,7 +62,9 @@ class Node(ABC):
     """
 
     inputs: ClassVar[tuple[str, ...]]
+    # commands that it answers, and those that it knows only when it is named, and no pattern reaches it
     commands: ClassVar[tuple[str, ...]] = ()
+    named_commands: ClassVar[tuple[str, ...]] = ()
     replay: ClassVar[bool] = False
     # its inputs are written to node/journal, and during a turn its clock stands still
     journalled: ClassVar[bool] = False

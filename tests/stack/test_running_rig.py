@@ -1,6 +1,9 @@
 """One running rig, and all that a person or a stranger may do beside it, one after the other."""
 
 import json
+import os
+import re
+import signal
 import time
 from collections.abc import Iterator
 from itertools import pairwise
@@ -12,9 +15,16 @@ import zmq
 from killed import check_killed, kill_recorders
 from stack_rig import CONSTANT_PUSH, Rig
 
+from presets import DEFAULT_SITE_FILE
+from proto.errors import RigError
 from recording.reader import Recording
+from services.launcher.command_client import send_control
+from services.runtime.bus import ZmqPublisher
+from services.runtime.clock import SystemClock
+from services.runtime.commands import Command
 
 CONSOLE = "console@master"
+HAND, TIP = "haptic_node@master", "afm_node@slave"
 GOOD = {
     "seq": 0,
     "t_ns": 1,
@@ -181,6 +191,54 @@ def rejected(rig: Rig, node: str) -> set[str]:
     """Give the reasons for which a node reports that it refused frames."""
     health = [message for message in rig.recording().messages("node/health") if message.src == node]
     return set(health[-1].fields()["rejected"]) if health else set()
+
+
+def test_an_emergency_stop_needs_no_turn_and_is_recorded(rig: Any) -> None:
+    begin_ns = time.time_ns()
+    with zmq.Context() as context:
+        # a console at work, which has the endpoint and its lock
+        console = ZmqPublisher(context, SystemClock(), CONSOLE, f"ipc://{rig.sockets}/{CONSOLE}")
+        try:
+            stopped = rig.tell("estop")
+        finally:
+            console.close()
+    assert stopped.returncode == 0, stopped.stderr
+    assert sorted(line.partition(":")[0] for line in stopped.stdout.splitlines()) == [f"{TIP} ack", f"{HAND} ack"]
+    rig.wait_until(lambda: newest(rig, "afm/state").mode == "estop", "the AFM in emergency stop")
+    assert newest(rig, "haptic/state").estop
+    stops = [heard for heard in rig.recording().messages("session/control", begin_ns) if heard.src.startswith("estop@")]
+    assert {heard.src for heard in stops} == {"estop@master", "estop@slave"}
+
+
+def test_an_arm_that_waited_in_a_stopped_process_is_refused(rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert newest(rig, "afm/state").mode == "estop", "left by the test before"
+    monkeypatch.setenv("TELENANO_RUNTIME_DIR", str(rig.sockets))
+    begin_ns = time.time_ns()
+    pid = rig.process_of(TIP)
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        with pytest.raises(RigError, match=f"^{TIP} did not answer arm in time$"):
+            send_control(Command("arm", "afm_node", deadline_ns=10**9), DEFAULT_SITE_FILE, "master", lambda event: None)
+        time.sleep(1.05)
+    finally:
+        os.kill(pid, signal.SIGCONT)
+    rig.wait_until(lambda: answers_of(rig, TIP, begin_ns) != [], "the answer to arm")
+    (text, *_) = answers_of(rig, TIP, begin_ns)
+    assert text[:2] == ("refused", True)
+    assert re.fullmatch(r"arm expired: it was sent \d\.\d s ago and valid for 1\.0 s", text[2])
+    end_ns = time.time_ns()
+    rig.wait_until(lambda: rig.recording().messages("afm/state")[-1].publish_ns > end_ns + 10**8, "what came of it")
+    assert {state.mode for state in decoded(rig, "afm/state", begin_ns)} == {"estop"}
+    # who is still there is obeyed
+    for device in ("haptic_node", "afm_node"):
+        armed = rig.tell("session", "arm", "--target", device)
+        assert armed.returncode == 0, armed.stdout + armed.stderr
+
+
+def answers_of(rig: Rig, node: str, since_ns: int) -> list[tuple[str, bool, str]]:
+    """Give what a node answered to commands: kind, whether because it had expired, and the text."""
+    events = [event for event in decoded(rig, "session/event", since_ns) if event.src == node and event.id]
+    return [(event.kind, event.data.get("expired", False), event.text) for event in events]
 
 
 def test_killed_recorders_leave_files_that_lack_no_more_than_a_flush(rig: Any) -> None:

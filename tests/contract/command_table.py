@@ -1,0 +1,91 @@
+"""The table of commands in SPEC.md, from the nodes themselves: `python tests/contract/command_table.py` rewrites it."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from services.afm_node.node import AfmNode
+from services.controller.config import LAWS, ControllerConfig
+from services.controller.node import ControllerHalf
+from services.delay_node.config import LinkSettings, flattened
+from services.delay_node.node import DelayNode
+from services.haptic_node.node import HapticNode
+from services.player.node import SETTERS, PlayerNode
+from services.recorder.node import ACTIONS, RecorderNode
+from services.runtime.config import flatten, nested
+from services.runtime.node import Node
+
+SPEC = Path(__file__).parents[2] / "proto" / "SPEC.md"
+START, END = "<!-- commands: written by tests/contract/command_table.py -->", "<!-- end of commands -->"
+NODES: dict[str, type[Node]] = {
+    "haptic_node": HapticNode,
+    "afm_node": AfmNode,
+    "controller": ControllerHalf,
+    "delay_node": DelayNode,
+    "recorder": RecorderNode,
+    "player": PlayerNode,
+}
+# the period is that of the hand, and the rig runs already
+NOT_SETTABLE = "period_s"
+
+
+def settable(node: str) -> list[str]:
+    """Give the keys that `set` takes at a node, in the order of its settings."""
+    if node == "controller":
+        return [key for key in flatten(ControllerConfig().model_dump()) if key != NOT_SETTABLE]
+    if node == "delay_node":
+        return list(flattened(LinkSettings()))
+    return list(ACTIONS if node == "recorder" else SETTERS)
+
+
+def condensed(keys: list[str]) -> str:
+    """Write dotted keys with what they have in common once: `a.{b, c}`."""
+    tree = nested(dict.fromkeys(keys, None), "table")
+    # one line for both ways of the link
+    if tree.get("forward") == tree.get("backward") is not None:
+        tree = {key: value for key, value in tree.items() if key != "backward"}
+    return ", ".join(f"`{key}`" if below is None else _section(key, below) for key, below in tree.items())
+
+
+def parameters(node: str, command: str) -> str:
+    """Say what a command takes."""
+    if command == "mark":
+        return "any: they are the data of the mark"
+    if command != "set":
+        return "none"
+    laws = f"; `law` is one of {', '.join(LAWS)}" if node == "controller" else ""
+    flags = "; each is `true`" if node == "recorder" else ""
+    return condensed(settable(node)) + laws + flags
+
+
+def table() -> str:
+    """Give the table in Markdown."""
+    rows = ["| node | command | reached by a pattern | parameters |", "|---|---|---|---|"]
+    for node, kind in NODES.items():
+        for command in (*kind.commands, *kind.named_commands):
+            by_pattern = "yes" if command in kind.commands else "no, by its name"
+            rows.append(f"| `{node}` | `{command}` | {by_pattern} | {parameters(node, command)} |")
+    return "\n".join(rows)
+
+
+def with_table(spec: str) -> str:
+    """Give SPEC.md with the table in its place."""
+    head, _, rest = spec.partition(START)
+    _, end, tail = rest.partition(END)
+    assert end, f"SPEC.md needs the lines {START!r} and {END!r}"
+    return f"{head}{START}\n\n{table()}\n\n{end}{tail}"
+
+
+def _section(key: str, below: Mapping[str, Any]) -> str:
+    name = "forward` and `backward" if key == "forward" else key
+    return f"`{name}`.{{{', '.join(_path(inner, leaf) for inner, leaf in below.items())}}}"
+
+
+def _path(key: str, below: Mapping[str, Any] | None) -> str:
+    if below is None:
+        return key
+    return f"{key}.{{{', '.join(_path(inner, leaf) for inner, leaf in below.items())}}}"
+
+
+if __name__ == "__main__":
+    SPEC.write_text(with_table(SPEC.read_text(encoding="utf-8")), encoding="utf-8")
