@@ -441,6 +441,10 @@ class _ReplayWiring(Wiring):
         """Return none: the re-run hands the messages over itself."""
         return []
 
+    def estop_inlet(self) -> list[Subscriber]:
+        """Return none, as for all inputs."""
+        return []
+
     def bus_of(self, publisher: Publisher, subscribers: Sequence[Subscriber]) -> ZmqBus:
         """Return the bus of the re-run."""
         return cast(ZmqBus, self.replay_bus)

@@ -105,10 +105,11 @@ def test_a_node_knows_the_commands_of_the_table_and_no_other(name: str, command:
 @pytest.mark.parametrize("name", ["haptic_node", "afm_node", "delay_node", "controller"])
 def test_a_node_takes_what_the_table_says(name: str) -> None:
     outside, node = node_of(name)
-    # each key with the value that it has
+    # each key with the value that it has; none stands for what the law chooses
     values = flattened(LinkSettings()) if name == "delay_node" else flatten(ControllerConfig().model_dump())
     for command in node.commands:
-        parameters = {key: values[key] for key in command_table.settable(name)} if command == "set" else {}
+        keys = [key for key in command_table.settable(name) if values[key] is not None] if command == "set" else []
+        parameters = {key: values[key] for key in keys}
         fields = {**EXAMPLES[0], "command": command, "target": name, "id": command, "parameters": parameters}
         event = answered(outside, node, SessionControl.model_validate(fields))
         # the AFM is armed by a fresh command only, and knows what it is asked

@@ -194,7 +194,7 @@ def test_the_inlet_takes_nothing_but_stops(tmp_path: Path) -> None:
     with zmq.Context() as context, closing(EstopInlet(context, SystemClock(), TIP, f"ipc://{tmp_path}/x")) as inlet:
         for src, command in (("console@master", "estop"), ("estop@slave", "arm"), ("estop@slave", "estop")):
             control = SessionControl.model_validate({**fields, "src": src, "command": command, "id": command})
-            received = inlet.examine([b"session/control", encode(control)], 0)
+            received = inlet.decode_and_track([b"session/control", encode(control)], 0)
             if received is not None:
                 handler.handle(control, 10)
         assert inlet.rejected == {"source": 1}

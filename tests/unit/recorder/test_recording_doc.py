@@ -6,9 +6,9 @@ from pathlib import Path
 import typer
 from typer.main import get_command
 
-from services.player.node import _SETTERS
+from services.player.node import SETTERS
 from services.recorder.config import RecorderConfig
-from services.recorder.node import _ACTIONS
+from services.recorder.node import ACTIONS
 from telenano.commands.bag import app
 from telenano.commands.record import record
 from telenano.commands.replay import replay
@@ -43,8 +43,8 @@ def test_every_command_on_recordings_is_in_the_guide() -> None:
 
 
 def test_every_parameter_is_in_the_guide_and_none_is_made_up() -> None:
-    assert set(re.findall(r"player\.[a-z_]+(?==|`)", GUIDE)) - {"player.md"} == set(_SETTERS)
-    assert set(re.findall(r"record\.(?:split|snapshot|status)", GUIDE)) == set(_ACTIONS)
+    assert set(re.findall(r"player\.[a-z_]+(?==|`)", GUIDE)) - {"player.md"} == set(SETTERS)
+    assert set(re.findall(r"record\.(?:split|snapshot|status)", GUIDE)) == set(ACTIONS)
 
 
 def test_the_table_has_all_twenty_one_points() -> None:
