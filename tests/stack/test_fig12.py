@@ -110,7 +110,7 @@ def test_every_message_decodes(session: Any) -> None:
 
 
 def test_forty_milliseconds_round_trip_stay_stable_and_without_the_meniscus_the_contact_is_nearer(rig: Any) -> None:
-    summary = rig.run("--delay-ms", "20", "--set", "afm_node.meniscus=false")
+    summary = rig.run("--delay-ms", "20", "--set", "afm_node.meniscus=false", "--duration", "6.5")
     assert summary["contact_x_cm"] == pytest.approx(0.672, abs=0.010)
     # what the loop takes by itself comes on top of the 40 ms that are set for the link
     age_ms = summary["loop_age_ms"]["p50"]

@@ -315,7 +315,7 @@ def test_a_recorded_command_is_sent_as_one_of_now(stage: Callable[..., Stage], t
     rig = stage(writer.path, Selection())
     rig.listen([FAR], "session/control")
     rig.run_ms(60)
-    sent = [decode(topic, payload) for topic, payload in rig.heard(2)]
+    sent = [decode(topic, payload) for topic, payload in rig.received(2)]
     assert [message.seq for message in sent] == [0, 1]
     # with their own times they would have expired
     assert all(0 <= rig.clock.now_ns() - message.t_ns <= 60 * MILLISECOND_NS for message in sent)
