@@ -179,14 +179,18 @@ class _Recorded:
         def is_forwarded(channel: RecordedChannel) -> bool:
             return is_link and (channel.via == "link" or channel.topic == REJECTED_TOPIC)
 
-        tests = (is_input, is_output, is_forwarded)
-        for found in recording.select(lambda channel: any(test(channel) for test in tests)):
-            if is_input(found.channel):
-                self._inputs.setdefault((found.topic, found.src, found.seq), []).append(found)
-                self._first_received_ns.setdefault((found.topic, found.src), found.log_ns)
-            if is_output(found.channel):
-                self.outputs.setdefault((found.topic, found.seq), []).append(found)
-            if is_forwarded(found.channel):
+        inputs, outputs, forwarded = (
+            {channel for channel in recording.channels if wanted(channel)}
+            for wanted in (is_input, is_output, is_forwarded)
+        )
+        for found in recording.select((inputs | outputs | forwarded).__contains__):
+            channel = found.channel
+            if channel in inputs:
+                self._inputs.setdefault((channel.topic, channel.src, found.seq), []).append(found)
+                self._first_received_ns.setdefault((channel.topic, channel.src), found.log_ns)
+            if channel in outputs:
+                self.outputs.setdefault((channel.topic, found.seq), []).append(found)
+            if channel in forwarded:
                 self._add_forwarded(found)
 
     def _add_forwarded(self, found: RecordedMessage) -> None:
@@ -203,6 +207,8 @@ class _Recorded:
     def input(self, turn: Turn) -> RecordedMessage | None:
         """Return the message of a turn; of those with one number, from before and after a restart, the nearest."""
         found = self._inputs.get((turn.topic, turn.src, turn.seq), ())
+        if len(found) == 1:
+            return found[0]
         return min(found, key=lambda message: abs(message.log_ns - turn.time_ns), default=None)
 
     def payload(self, topic: str, src: str, seq: int, arrived_ns: int, size_bytes: int) -> bytes:
@@ -213,6 +219,8 @@ class _Recorded:
     def output(self, topic: str, seq: int, time_ns: int) -> RecordedMessage | None:
         """Return what the node published under a number."""
         found = self.outputs.get((topic, seq), ())
+        if len(found) == 1:
+            return found[0]
         return min(found, key=lambda message: abs(message.publish_ns - time_ns), default=None)
 
     def missing(self, batch: NodeJournal) -> str:

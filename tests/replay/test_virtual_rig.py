@@ -8,6 +8,7 @@ from typing import Any
 
 import msgpack
 import pytest
+from in_memory import InMemory
 from virtual_rig import LINK_NODE, NODES, VirtualRig, record_session
 
 from analysis.process_replay import RerunResult, rerun
@@ -52,6 +53,7 @@ LINKS: dict[str, Any] = {
         "outage": {"mean_up_s": 0.2, "mean_down_s": 0.02, "mode": "hold"},
     },
 }
+SEEDS = {law: seed for seed, law in enumerate(LAWS, start=7)}
 FORWARDED = {
     "teleop/forward@slave", "session/control@slave", "teleop/backward@master", "law/status@master",
     "session/event@master", "node/health@master",
@@ -66,22 +68,31 @@ COMPARED = {
 
 
 @pytest.fixture(scope="module")
-def sessions(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
-    made: dict[str, Path] = {}
+def sessions(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Recording]:
+    """The session of each law with its link, recorded once and read once."""
+    made: dict[str, Recording] = {}
 
-    def session(law: str) -> Path:
+    def session(law: str) -> Recording:
         if law not in made:
             folder = tmp_path_factory.mktemp(law)
             links = [f"delay_node.{way}={json.dumps(LINKS[law])}" for way in ("forward", "backward")]
-            made[law] = record_session(folder, seed=len(made) + 7, settings=[f"controller.law={law}", *links])
+            made[law] = InMemory(record_session(folder, SEEDS[law], [f"controller.law={law}", *links]))
         return made[law]
 
     return session
 
 
-def edited(source: Path, folder: Path, edit: Callable[[RawMessage], bytes | None]) -> Path:
+@pytest.fixture(scope="module")
+def ends(sessions: Callable[[str], Recording], tmp_path_factory: pytest.TempPathFactory) -> dict[str, Recording]:
+    """The same, cut off while the tip is pressed down."""
+    folder = tmp_path_factory.mktemp("ends")
+    for law in LAWS:
+        filter_recording(sessions(law).path, folder / f"{law}.mcap", start_s=0.6)
+    return {law: InMemory(folder / f"{law}.mcap") for law in LAWS}
+
+
+def edited(recording: Recording, folder: Path, edit: Callable[[RawMessage], bytes | None]) -> Path:
     """Copy a recording; `edit` gives the payload of a message, None to leave it out."""
-    recording = Recording(source)
     writer = RecordingWriter.create("recorder@master", FileSettings(directory=folder))
     for name, found in recording.attachment_records.items():
         writer.attach(name, found.media_type, found.data, found.log_time)
@@ -101,8 +112,8 @@ def edited(source: Path, folder: Path, edit: Callable[[RawMessage], bytes | None
 
 @pytest.mark.parametrize("node", (LINK_NODE, *NODES))
 @pytest.mark.parametrize("law", LAWS)
-def test_a_rerun_gives_the_same_bits(sessions: Callable[[str], Path], law: str, node: str) -> None:
-    recording = Recording(sessions(law))
+def test_a_rerun_gives_the_same_bits(sessions: Callable[[str], Recording], law: str, node: str) -> None:
+    recording = sessions(law)
     result = rerun(recording, node)
     assert result.difference == ""
     assert result.identical, result.verdict()
@@ -133,9 +144,9 @@ def is_output(found: RecordedMessage, node: str) -> bool:
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_the_link_does_what_its_settings_say(sessions: Callable[[str], Path], law: str) -> None:
+def test_the_link_does_what_its_settings_say(sessions: Callable[[str], Recording], law: str) -> None:
     """Without it a re-run of the link would show nothing."""
-    messages = [found.decode() for found in Recording(sessions(law)).messages(["link/fates"])]
+    messages = [found.decode() for found in sessions(law).messages(["link/fates"])]
     fates = [fate for message in messages if isinstance(message, LinkFates) for fate in message.fates]
     delays = {fate.delay_ns for fate in fates if not fate.dropped}
     done = {
@@ -149,21 +160,19 @@ def test_the_link_does_what_its_settings_say(sessions: Callable[[str], Path], la
     assert done[law]
 
 
-def test_the_hand_touches_the_sample(sessions: Callable[[str], Path]) -> None:
+def test_the_hand_touches_the_sample(sessions: Callable[[str], Recording]) -> None:
     """Without it nothing of a law would be seen."""
     for law in LAWS:
-        states = [found.fields() for found in Recording(sessions(law)).messages(["afm/state"])]
+        states = [found.fields() for found in sessions(law).messages(["afm/state"])]
         assert {state["mode"] for state in states} >= {"retracted", "follow"}, law
         assert any(state["in_contact"] for state in states), law
 
 
 @pytest.mark.parametrize("node", (LINK_NODE, *NODES))
-def test_a_rerun_begins_in_the_middle(sessions: Callable[[str], Path], tmp_path: Path, node: str) -> None:
+def test_a_rerun_begins_in_the_middle(ends: dict[str, Recording], node: str) -> None:
     """The state in the journal is all that a node needs: here it begins while the tip is pressed down."""
-    for law in LAWS:
-        cut = tmp_path / f"{law}.mcap"
-        filter_recording(sessions(law), cut, start_s=0.6)
-        result = rerun(Recording(cut), node)
+    for law, recording in ends.items():
+        result = rerun(recording, node)
         assert result.identical, f"{law}: {result.verdict()}"
         fast = [topic for topic in result.first_seq if topic not in LEAST or topic == "link/fates"]
         assert min(result.first_seq[topic] for topic in fast if "law" not in topic) > 30
@@ -183,20 +192,21 @@ def test_a_changed_law_is_rerun(tmp_path: Path) -> None:
     path = rig.finish()
     late = tmp_path / "late.mcap"
     filter_recording(path, late, start_s=0.4)
-    for node in (LINK_NODE, *NODES):
-        assert rerun(Recording(path), node).identical
-        # the law that was in force when the part begins is in the state
-        assert rerun(Recording(late), node).identical, rerun(Recording(late), node).verdict()
+    # the law that was in force when the second one begins is in the state
+    for recording in (InMemory(path), InMemory(late)):
+        results = [rerun(recording, node) for node in (LINK_NODE, *NODES)]
+        assert all(result.identical for result in results), [result.verdict() for result in results]
 
 
 def test_the_deadband_and_its_statistics_are_rerun(tmp_path: Path) -> None:
-    path = record_session(tmp_path, 5, ["controller.deadband.enabled=true"])
-    results = [rerun(Recording(path), node) for node in NODES]
+    path = record_session(tmp_path, 5, ["controller.deadband.enabled=true"], duration_s=1.0)
+    recording = InMemory(path)
+    results = [rerun(recording, node) for node in NODES]
     assert all(result.identical for result in results), [result.verdict() for result in results]
 
 
-def test_a_changed_gain_is_found(sessions: Callable[[str], Path]) -> None:
-    recording = Recording(sessions("virtual_impedance"))
+def test_a_changed_gain_is_found(sessions: Callable[[str], Recording]) -> None:
+    recording = sessions("virtual_impedance")
     result = rerun(recording, "controller@master", settings=["controller.virtual_impedance.force_gain=10.0000001"])
     assert (result.topic, result.field) == ("haptic/command", "position_m.2")
     assert f"haptic/command, seq {result.seq}, {result.time_s:.6f} s after the start: re-run" in result.difference
@@ -218,7 +228,7 @@ FIELDS = ("kind", "time_ns", "input", "number")
 
 
 @pytest.mark.parametrize("node", ["controller@slave", "controller@master", "haptic_node@master"])
-def test_a_swapped_order_is_found(sessions: Callable[[str], Path], tmp_path: Path, node: str) -> None:
+def test_a_swapped_order_is_found(sessions: Callable[[str], Recording], tmp_path: Path, node: str) -> None:
     seen: list[int] = []
 
     def edit(message: RawMessage) -> bytes:
@@ -242,9 +252,9 @@ def without(topic: str, src: str, seq: int) -> Callable[[RawMessage], bytes | No
     return edit
 
 
-def test_a_lost_input_ends_the_comparison_with_its_name(sessions: Callable[[str], Path], tmp_path: Path) -> None:
+def test_a_lost_input_ends_the_comparison_with_its_name(sessions: Callable[[str], Recording], tmp_path: Path) -> None:
     source = sessions("virtual_impedance")
-    received = [found.fields()["command_seq"] for found in Recording(source).messages(["afm/state"])]
+    received = [found.fields()["command_seq"] for found in source.messages(["afm/state"])]
     lost = received[len(received) * 2 // 3]
     cut = edited(source, tmp_path, without("afm/command", "controller@slave", lost))
     result = rerun(Recording(cut), "afm_node@slave")
@@ -256,7 +266,7 @@ def test_a_lost_input_ends_the_comparison_with_its_name(sessions: Callable[[str]
     assert result.left_out > 0
 
 
-def test_a_lost_beginning_is_passed_over(sessions: Callable[[str], Path], tmp_path: Path) -> None:
+def test_a_lost_beginning_is_passed_over(sessions: Callable[[str], Recording], tmp_path: Path) -> None:
     cut = edited(sessions("wave"), tmp_path, without("haptic/state", "haptic_node@master", 3))
     result = rerun(Recording(cut), "controller@master")
     assert result.identical
@@ -264,20 +274,20 @@ def test_a_lost_beginning_is_passed_over(sessions: Callable[[str], Path], tmp_pa
     assert "outside of what the journal" in result.verdict()
 
 
-def test_an_output_more_or_less_is_found(sessions: Callable[[str], Path], tmp_path: Path) -> None:
-    result = rerun(Recording(sessions("wave")), "controller@master", settings=["controller.deadband.enabled=true"])
+def test_an_output_more_or_less_is_found(sessions: Callable[[str], Recording], tmp_path: Path) -> None:
+    result = rerun(sessions("wave"), "controller@master", settings=["controller.deadband.enabled=true"])
     assert result.topic in ("teleop/forward", "law/status")
 
 
-def test_a_lost_part_of_the_journal_ends_the_comparison(sessions: Callable[[str], Path], tmp_path: Path) -> None:
+def test_a_lost_part_of_the_journal_ends_the_comparison(sessions: Callable[[str], Recording], tmp_path: Path) -> None:
     cut = edited(sessions("smith"), tmp_path, without("node/journal", "haptic_node@master", 1))
     result = rerun(Recording(cut), "haptic_node@master")
     assert "lacks turns" in result.ended_early
 
 
-def test_a_recording_without_a_journal_is_refused(sessions: Callable[[str], Path], tmp_path: Path) -> None:
+def test_a_recording_without_a_journal_is_refused(sessions: Callable[[str], Recording], tmp_path: Path) -> None:
     old = tmp_path / "old.mcap"
-    filter_recording(sessions("wave"), old, Selection.of(exclude=["node/journal"]))
+    filter_recording(sessions("wave").path, old, Selection.of(exclude=["node/journal"]))
     with pytest.raises(RecordingError, match="has no node/journal of afm_node@slave, which a re-run follows"):
         rerun(Recording(old), "afm_node@slave")
 
@@ -295,13 +305,15 @@ def test_a_recording_without_a_journal_is_refused(sessions: Callable[[str], Path
         ("viz_node@master", "it is not in the table of nodes"),
     ],
 )
-def test_why_a_node_cannot_be_run_again_is_reported(sessions: Callable[[str], Path], node: str, reason: str) -> None:
+def test_why_a_node_cannot_be_run_again_is_reported(
+    sessions: Callable[[str], Recording], node: str, reason: str
+) -> None:
     with pytest.raises(ConfigError, match=f"{node}: cannot be run again: {reason}.*; those that can are delay_node@"):
-        rerun(Recording(sessions("wave")), node)
+        rerun(sessions("wave"), node)
 
 
-def test_another_seed_or_delay_of_the_link_is_found(sessions: Callable[[str], Path]) -> None:
-    recording = Recording(sessions("wave"))
+def test_another_seed_or_delay_of_the_link_is_found(sessions: Callable[[str], Recording]) -> None:
+    recording = sessions("wave")
     result = rerun(recording, LINK_NODE, settings=["delay_node.seed=1"])
     assert result.topic == "link/fates"
     assert result.field.startswith("fates.")
@@ -322,7 +334,7 @@ def forwarded(edit: Callable[[int, RawMessage], bytes | None]) -> Callable[[RawM
     return edit_all
 
 
-def test_a_forwarded_message_that_is_another_is_found(sessions: Callable[[str], Path], tmp_path: Path) -> None:
+def test_a_forwarded_message_that_is_another_is_found(sessions: Callable[[str], Recording], tmp_path: Path) -> None:
     def flip(place: int, message: RawMessage) -> bytes:
         fields = msgpack.unpackb(message.payload)
         return bytes(msgpack.packb(fields | {"separation_m": 1.0})) if place == 300 else message.payload
@@ -335,18 +347,20 @@ def test_a_forwarded_message_that_is_another_is_found(sessions: Callable[[str], 
 
 
 def test_what_only_the_recorder_missed_of_the_link_is_passed_over(
-    sessions: Callable[[str], Path], tmp_path: Path
+    sessions: Callable[[str], Recording], tmp_path: Path
 ) -> None:
     """How many messages there were is in the journal."""
-    whole = rerun(Recording(sessions("wave")), LINK_NODE)
+    whole = rerun(sessions("wave"), LINK_NODE)
     cut = edited(sessions("wave"), tmp_path, forwarded(lambda n, message: None if n == 300 else message.payload))
     result = rerun(Recording(cut), LINK_NODE)
     assert result.identical
     assert result.compared["teleop/backward@master"] == whole.compared["teleop/backward@master"] - 1
 
 
-def test_what_the_link_forwarded_in_another_order_is_found(sessions: Callable[[str], Path], tmp_path: Path) -> None:
-    payloads = [found.payload for found in Recording(sessions("wave")).messages(["teleop/backward@master"])]
+def test_what_the_link_forwarded_in_another_order_is_found(
+    sessions: Callable[[str], Recording], tmp_path: Path
+) -> None:
+    payloads = [found.payload for found in sessions("wave").messages(["teleop/backward@master"])]
     payloads[300], payloads[301] = payloads[301], payloads[300]
     swap = forwarded(lambda n, message: payloads[n])
     result = rerun(Recording(edited(sessions("wave"), tmp_path, swap)), LINK_NODE)
@@ -355,7 +369,7 @@ def test_what_the_link_forwarded_in_another_order_is_found(sessions: Callable[[s
 
 
 def test_a_message_too_much_in_the_journal_of_the_link_is_found(
-    sessions: Callable[[str], Path], tmp_path: Path
+    sessions: Callable[[str], Recording], tmp_path: Path
 ) -> None:
     seen: list[int] = []
 
@@ -373,7 +387,7 @@ def test_a_message_too_much_in_the_journal_of_the_link_is_found(
     assert "messages up to here, its journal counts" in result.difference
 
 
-def test_the_same_seed_gives_the_same_session(sessions: Callable[[str], Path], tmp_path: Path) -> None:
+def test_the_same_seed_gives_the_same_session(sessions: Callable[[str], Recording], tmp_path: Path) -> None:
     first, second = (record_session(tmp_path / name, 11, duration_s=0.4) for name in ("a", "b"))
     results: list[list[bytes]] = [
         [found.payload for found in Recording(path).messages(["afm/state", "haptic/state"])] for path in (first, second)

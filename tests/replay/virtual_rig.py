@@ -192,6 +192,7 @@ class VirtualRig:
         self._started_ns = self.clock.monotonic_ns()
         self._launcher = VirtualBus(self, LAUNCHER)
         self._late_ns = dict.fromkeys(self.nodes, 0)
+        self._known_due_ns: dict[str, int] = {}
 
     def command(self, command: str, target: str, **parameters: Any) -> None:
         """Send a command, and the same once more as a session does that has not received the answer yet."""
@@ -203,10 +204,13 @@ class VirtualRig:
         """Let the nodes take their turns until a time since the start [s]."""
         end_ns = self._started_ns + round(time_s * 1e9)
         while True:
-            due_ns, key = min((self._due_ns(key), key) for key in self.nodes)
+            now_ns = self.clock.monotonic_ns()
+            due_ns, key = min((max(self._due_ns(key), now_ns), key) for key in self.nodes)
             if due_ns > end_ns:
                 break
-            self.clock.advance_ns(max(0, due_ns - self.clock.monotonic_ns()))
+            self.clock.advance_ns(due_ns - now_ns)
+            # its next turn, and that of each node that something is brought to, has to be found anew
+            self._known_due_ns.pop(key, None)
             self.loops[key].turn()
             # a loop wakes up late, and now and then very late
             late_ns = self.random.randrange(*self.timing.wake)
@@ -274,12 +278,16 @@ class VirtualRig:
         self._order += 1
         arrives_ns = sent_ns + self.random.randrange(*self.timing.site)
         heapq.heappush(self.buses[key].inbox, (arrives_ns, self._order, topic, message, payload))
+        self._known_due_ns.pop(key, None)
 
     def _due_ns(self, key: str) -> int:
-        loop, inbox = self.loops[key], self.buses[key].inbox
-        deadline_ns = min(loop.node.deadline_ns(), loop.health_due_ns)
-        wanted_ns = min(deadline_ns, inbox[0][0]) if inbox else deadline_ns
-        return max(wanted_ns + self._late_ns[key], self.clock.monotonic_ns())
+        due_ns = self._known_due_ns.get(key)
+        if due_ns is None:
+            loop, inbox = self.loops[key], self.buses[key].inbox
+            deadline_ns = min(loop.node.deadline_ns(), loop.health_due_ns)
+            wanted_ns = min(deadline_ns, inbox[0][0]) if inbox else deadline_ns
+            due_ns = self._known_due_ns[key] = wanted_ns + self._late_ns[key]
+        return due_ns
 
     def _node(self, context: NodeContext) -> Node:
         name = context.key.partition("@")[0]

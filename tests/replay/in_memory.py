@@ -1,0 +1,27 @@
+"""A recording that is read from its file once, however often it is asked for: most of a re-run's time is reading."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from recording.messages import ChannelFilter, RecordedMessage
+from recording.reader import DamageCallback, Recording
+
+
+class InMemory(Recording):
+    """Keeps the messages of a recording, those of its first `end_s` [s] only where that is given."""
+
+    def __init__(self, path: Path, end_s: float | None = None) -> None:
+        super().__init__(path)
+        end_ns = None if end_s is None else self.span_ns[0] + round(end_s * 1e9)
+        self._messages = tuple(super().select(end_ns=end_ns))
+
+    def select(
+        self,
+        wanted: ChannelFilter | None = None,
+        start_ns: int | None = None,
+        end_ns: int | None = None,
+        report: DamageCallback | None = None,
+    ) -> Iterator[RecordedMessage]:
+        chosen = {channel for channel in self.channels if wanted is None or wanted(channel)}
+        first, after = start_ns or 0, 2**64 if end_ns is None else end_ns
+        return (found for found in self._messages if found.channel in chosen and first <= found.log_ns < after)
