@@ -23,7 +23,7 @@ from services.runtime.local_endpoint import estop_endpoint, local_endpoint
 _DEADLINE_S = 5.0
 _RESEND_S = 0.05
 # a recorder gets the stop as well, but is not waited for as long as a device
-_RECORDERS_S = 0.3
+_RECORDERS_S = 1.0
 _LINGER_MS = 200
 _SUBSCRIBED = b"\x01session/control"
 _TOPIC, _ANSWERS = b"session/control", b"session/event"
@@ -99,40 +99,56 @@ class LocalRig:
         return Reach(**{way: tuple(devices) for way, devices in found.items()})
 
 
-class _Sender:
-    """Sends the stop of one site to the inlets that it is connected to."""
+class _Inlet:
+    """The connection to the inlet of one node."""
 
-    def __init__(self, context: "zmq.Context[zmq.Socket[bytes]]", site: str, identifier: str, target: str) -> None:
-        self._fields = {"src": f"estop@{site}", "v": _SCHEMA_VERSION, "id": identifier, "command": "estop"}
-        self._fields |= {"target": target, "parameters": {}}
-        self._clock = SystemClock()
-        self._sent = 0
-        self.connected = 0
-        self.subscribed = 0
+    def __init__(self, context: "zmq.Context[zmq.Socket[bytes]]", endpoint: str, *, whole: bool) -> None:
+        """Connect to the inlet beside an endpoint; `whole` for a recorder, which also gets what was sent before."""
+        self.ready = False
+        self._whole = whole
+        self._taken = 0
         self.socket = context.socket(zmq.XPUB)
-        # every inlet that is ready counts
-        self.socket.set(zmq.XPUB_VERBOSE, 1)
         self.socket.set(zmq.LINGER, _LINGER_MS)
-
-    def connect(self, endpoint: str) -> None:
         self.socket.connect(estop_endpoint(endpoint))
-        self.connected += 1
 
     def close(self) -> None:
         self.socket.close()
 
-    def send(self) -> None:
-        header = {"seq": self._sent, "t_ns": self._clock.now_ns()}
-        self.socket.send_multipart([_TOPIC, msgpack.packb({**header, **self._fields})])
-        self._sent += 1
-
-    def read_subscriptions(self) -> int:
-        """Return how many inlets have become ready since the last call: nothing reaches them before that."""
-        count = 0
+    def read_subscription(self, sent: int) -> bool:
+        """Return whether a node that has to be stopped is ready only now, after `sent` messages: none reached it."""
+        was_ready = self.ready
         while self.socket.poll(0):
-            count += self.socket.recv() == _SUBSCRIBED
-        self.subscribed += count
-        return count
+            self.ready = self.socket.recv() == _SUBSCRIBED or self.ready
+        if was_ready or not self.ready:
+            return False
+        self._taken = 0 if self._whole else sent
+        return not self._whole
+
+    def send(self, messages: Sequence[bytes]) -> None:
+        """Send what the node has not got of all messages so far."""
+        for payload in messages[self._taken :] if self.ready else ():
+            self.socket.send_multipart([_TOPIC, payload])
+            self._taken += 1
+
+
+class _Sender:
+    """Sends the stop of one site to inlets."""
+
+    def __init__(self, site: str, identifier: str, target: str, inlets: Sequence[_Inlet]) -> None:
+        self._fields = {"src": f"estop@{site}", "v": _SCHEMA_VERSION, "id": identifier, "command": "estop"}
+        self._fields |= {"target": target, "parameters": {}}
+        self._clock = SystemClock()
+        self._messages: list[bytes] = []
+        self.inlets = inlets
+
+    def send(self, *, again: bool) -> None:
+        """Send the stop to nodes that are ready only now; with `again` to those as well that were before."""
+        new = [inlet.read_subscription(len(self._messages)) for inlet in self.inlets]
+        if any(new) or (again and self._messages):
+            header = {"seq": len(self._messages), "t_ns": self._clock.now_ns()}
+            self._messages.append(msgpack.packb({**header, **self._fields}))
+        for inlet in self.inlets:
+            inlet.send(self._messages)
 
 
 def emergency_stop(rig: LocalRig, reach: Reach, target: str, on_answer: Callable[[Answer], None]) -> dict[str, Answer]:
@@ -148,24 +164,26 @@ def emergency_stop(rig: LocalRig, reach: Reach, target: str, on_answer: Callable
         reader = stack.enter_context(closing(context.socket(zmq.SUB)))
         reader.set(zmq.LINGER, 0)
         reader.subscribe(_ANSWERS)
-        for node in (*reach.direct, *([_LINK] if reach.by_link else [])):
+        for node in _stopped_at(reach):
             reader.connect(rig.endpoints[node])
         # random, with no time in it: ids of two senders differ whatever their clocks say
         identifier = os.urandom(12).hex()
+        recorders = [node for node in rig.endpoints if name_of(node) == name_of(RECORDER) and rig.has_inlet(node)]
         senders = []
-        for site, nodes in _inlets(rig, reach).items():
-            sender = stack.enter_context(closing(_Sender(context, site, identifier, target)))
-            senders.append(sender)
-            for node in nodes:
-                sender.connect(rig.endpoints[node])
+        for site in sorted({site_of(node) for node in _stopped_at(reach)}):
+            nodes = [node for node in _stopped_at(reach) if site_of(node) == site]
+            opened = [_Inlet(context, rig.endpoints[node], whole=node in recorders) for node in (*nodes, *recorders)]
+            senders.append(_Sender(site, identifier, target, [stack.enter_context(closing(inlet)) for inlet in opened]))
+        inlets = [inlet for sender in senders for inlet in sender.inlets]
         begun_s = next_s = now_s = time.monotonic()
-        while now_s - begun_s < _DEADLINE_S and not (expected <= set(answers) and _recorded(senders, now_s - begun_s)):
-            due = now_s >= next_s
+        while now_s - begun_s < _DEADLINE_S:
+            answered, due = expected <= set(answers), now_s >= next_s
             for sender in senders:
-                if sender.read_subscriptions() or due:
-                    sender.send()
+                sender.send(again=due and not answered)
+            if answered and (all(inlet.ready for inlet in inlets) or now_s - begun_s >= _RECORDERS_S):
+                break
             next_s = now_s + _RESEND_S if due else next_s
-            zmq.select([reader, *(sender.socket for sender in senders)], [], [], max(0.0, next_s - time.monotonic()))
+            zmq.select([reader, *(inlet.socket for inlet in inlets)], [], [], max(0.0, next_s - time.monotonic()))
             while reader.poll(0):
                 answer = _answer(reader.recv_multipart(), identifier)
                 if answer is not None and answer.node not in answers:
@@ -178,18 +196,9 @@ def emergency_stop(rig: LocalRig, reach: Reach, target: str, on_answer: Callable
     return answers
 
 
-def _inlets(rig: LocalRig, reach: Reach) -> dict[str, list[str]]:
-    """Return for each site that devices are stopped from the nodes to connect to, recorders always included."""
-    sites: dict[str, list[str]] = {}
-    for node in (*reach.direct, *([_LINK] if reach.by_link else [])):
-        sites.setdefault(site_of(node), []).append(node)
-    recorders = [node for node in rig.endpoints if name_of(node) == name_of(RECORDER) and rig.has_inlet(node)]
-    return {site: [*nodes, *recorders] for site, nodes in sites.items()}
-
-
-def _recorded(senders: Sequence[_Sender], waited_s: float) -> bool:
-    """Return whether the stop was sent to every inlet, those of recorders included, or that has been waited for."""
-    return waited_s >= _RECORDERS_S or all(sender.subscribed >= sender.connected for sender in senders)
+def _stopped_at(reach: Reach) -> list[str]:
+    """Return the nodes that a stop is sent to."""
+    return [*reach.direct, *([_LINK] if reach.by_link else [])]
 
 
 def _answer(frames: list[bytes], identifier: str) -> Answer | None:

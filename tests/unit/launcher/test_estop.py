@@ -6,7 +6,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import closing
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +14,13 @@ import pytest
 import zmq
 
 from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE
-from proto import decode, encode
+from proto import encode
 from proto.contract import examples
 from proto.errors import EndpointError
 from proto.messages import SessionControl
 from proto.nodes import DEVICES
 from proto.topics import TOPICS
-from services.launcher.estop import LocalRig, Reach, _answer, _Sender
+from services.launcher.estop import LocalRig, Reach, _answer, _Inlet, _Sender
 from services.runtime.address_book import AddressBook
 from services.runtime.bus import ZmqPublisher
 from services.runtime.clock import SystemClock
@@ -170,17 +170,17 @@ def test_a_stop_needs_nothing_that_another_sender_has(run: Callable[..., Device]
     with zmq.Context() as context:
         # a console at work, a stop that was sent and hangs, and one whose clock is an hour ahead
         console = ZmqPublisher(context, clock, "console@master", f"ipc://{site_file.parent}/console@master")
-        hung = _Sender(context, "slave", "hung", "*")
+        inlet = _Inlet(context, tip.endpoint, whole=False)
+        hung = _Sender("slave", "hung", "*", [inlet])
         hung._clock.epoch_offset_ns += 3600 * 10**9
         try:
-            hung.connect(tip.endpoint)
-            assert hung.socket.poll(10_000)
+            assert inlet.socket.poll(10_000)
             for _ in range(20):
-                hung.send()
+                hung.send(again=True)
             for _ in range(2):
                 assert run_estop(EstopRequest(target=TIP, site_file=site_file)) == 0
         finally:
-            hung.close()
+            inlet.close()
             console.close()
     assert len({control.id for control in tip.taken}) == 3
 
@@ -201,23 +201,34 @@ def test_the_inlet_takes_nothing_but_stops(tmp_path: Path) -> None:
     assert done == ["estop"]
 
 
-def test_a_stop_is_a_message_of_the_first_version(tmp_path: Path) -> None:
-    with (
-        zmq.Context() as context,
-        closing(EstopInlet(context, SystemClock(), TIP, f"ipc://{tmp_path}/x.estop")) as inlet,
-    ):
-        sender = _Sender(context, "slave", "abc", "*")
-        sender.connect(f"ipc://{tmp_path}/x")
-        while not sender.read_subscriptions():
-            inlet.pending()
-        sender.send()
-        inlet.socket.poll(10_000)
-        topic, payload = inlet.socket.recv_multipart()
-        sender.close()
-    control = decode(topic.decode(), payload)
-    assert isinstance(control, SessionControl)
-    assert (control.command, control.target, control.src, control.v) == ("estop", "*", "estop@slave", 1)
-    assert abs(SystemClock().now_ns() - control.t_ns) < 10**10
+def test_a_recorder_gets_what_was_sent_before_it_was_ready(tmp_path: Path) -> None:
+    received: dict[str, list[SessionControl]] = {"tip": [], "recorder": []}
+    with zmq.Context() as context, ExitStack() as stack:
+        inlets = {name: _Inlet(context, f"ipc://{tmp_path}/{name}", whole=name == "recorder") for name in received}
+        for inlet in inlets.values():
+            stack.enter_context(closing(inlet))
+        sender = _Sender("slave", "abc", "*", list(inlets.values()))
+        bound = {}
+        # the recorder comes when the tip has had two
+        for name, count in (("tip", 2), ("recorder", 3)):
+            bound[name] = EstopInlet(context, SystemClock(), name, f"ipc://{tmp_path}/{name}.estop")
+            stack.enter_context(closing(bound[name]))
+            while not inlets[name].ready:
+                bound[name].pending()
+                sender.send(again=False)
+            while len(received["tip"]) < count:
+                sender.send(again=len(received["tip"]) == len(sender._messages))
+                for other, inlet in bound.items():
+                    received[other] += [message.message for message in inlet.receive()]
+        while len(received["recorder"]) < 3:
+            received["recorder"] += [message.message for message in bound["recorder"].receive()]
+    assert received["tip"] == received["recorder"]
+    assert [control.seq for control in received["tip"]] == [0, 1, 2]
+    # a message of the first version, which nodes of an older one take
+    assert {(c.command, c.target, c.src, c.v, c.id) for c in received["tip"]} == {
+        ("estop", "*", "estop@slave", 1, "abc")
+    }
+    assert all(abs(SystemClock().now_ns() - control.t_ns) < 10**10 for control in received["tip"])
 
 
 def test_no_event_of_others_is_taken_for_an_answer() -> None:
