@@ -1,5 +1,8 @@
 """Machines of a rig within one process: a context, a folder of keys and a clock each, real sockets between them."""
 
+import contextlib
+import itertools
+import os
 import select
 import socket
 import time
@@ -27,14 +30,18 @@ TOPIC_OF = {AFM: "afm/state", CONTROLLER: "teleop/backward", LINK: "teleop/forwa
 SOURCE_OF = {LINK: "controller@master"}
 
 
+# below the ports that a system gives to clients, and apart in every process: tests run side by side
+_PORTS = itertools.cycle(range(10_000 + 20 * (os.getpid() % 1000), 10_000 + 20 * (os.getpid() % 1000) + 2000))
+
+
 def free_ports(count: int) -> list[int]:
     """Return ports that nobody has."""
-    sockets = [socket.socket() for _ in range(count)]
-    for each in sockets:
-        each.bind(("127.0.0.1", 0))
-    ports = [each.getsockname()[1] for each in sockets]
-    for each in sockets:
-        each.close()
+    ports: list[int] = []
+    while len(ports) < count:
+        port = next(_PORTS)
+        with socket.socket() as probe, contextlib.suppress(OSError):
+            probe.bind(("127.0.0.1", port))
+            ports.append(port)
     return ports
 
 
@@ -116,6 +123,14 @@ class Machine:
     def received_from(self, src: str) -> int:
         """Return how many messages of a source have been received."""
         return sum(received.message.src == src for received in self.received)
+
+    @property
+    def changes(self) -> list[ConnectionEvent]:
+        """What happened to connections, without the reminders of those that are not there yet.
+
+        The clock advances by more than the real time of a turn, and so a reminder may come before a connection.
+        """
+        return [event for event in self.events if event.data.get("connection") != "unreached"]
 
     def texts(self, connection: str, peer: str | None = None) -> list[str]:
         """Return the texts of a kind of event on connections."""

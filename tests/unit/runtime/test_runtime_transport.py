@@ -103,7 +103,7 @@ def test_listed_machines_receive_from_one_another(world: Callable[..., list[Mach
         slave,
     )
     endpoint = master.book.network_endpoint(AFM)
-    (up,) = [event for event in master.events if event.data.get("peer") == AFM]
+    (up,) = [event for event in master.changes if event.data.get("peer") == AFM]
     assert (up.level, up.text) == ("info", f"{AFM} is connected ({endpoint})")
     assert up.data == {"peer": AFM, "endpoint": endpoint, "connection": "up", "gone_s": up.data["gone_s"]}
     assert (master.network.rejected, master.network.last_error) == (slave.network.rejected, "") == ({}, "")
@@ -567,7 +567,7 @@ def test_a_change_that_concerns_nobody_here_disturbs_nobody(world: Callable[...,
         ring.revoke("laptop")
     slave.knows(master, ["observe"])
     turns(60, master, slave)
-    assert (slave.events, len(master.events)) == ([], 1)
+    assert (slave.events, len(master.changes)) == ([], 1)
 
 
 def test_a_machine_that_revokes_the_key_of_another_stops_listening_to_it(world: Callable[..., list[Machine]]) -> None:
@@ -772,7 +772,7 @@ def test_a_server_that_goes_away_and_comes_back_is_reported(world: Callable[...,
     slave.close()
     until(lambda: len(master.texts("down")) == 2, master)
     endpoint = master.book.network_endpoint(AFM)
-    (down,) = [event for event in master.events if event.data["peer"] == AFM]
+    (down,) = [event for event in master.changes if event.data["peer"] == AFM]
     assert (down.level, down.text) == ("warning", f"the connection to {AFM} ({endpoint}) was lost")
     assert down.data == {"peer": AFM, "endpoint": endpoint, "connection": "down"}
     gone_ns = master.clock.monotonic_ns()
