@@ -1,6 +1,8 @@
 """kill -9 of each node in turn: the devices make themselves safe, the rig comes back, the recording shows it."""
 
 import time
+from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -8,6 +10,7 @@ import pytest
 from ledger import record
 from stack_rig import CONSTANT_PUSH, Rig
 
+from recording.messages import RecordedMessage
 from recording.reader import Recording
 
 RESTARTED = "was started again"
@@ -21,9 +24,23 @@ class Kill(NamedTuple):
     at_ns: int
 
 
-def recover(rig: Rig, node: str) -> None:
-    """Wait for the supervisor, then take the rig up again as an operator would."""
+STATE_OF = {"afm_node@slave": "afm/state", "haptic_node@master": "haptic/state"}
+
+
+def after_restart(messages: Sequence[RecordedMessage]) -> RecordedMessage | None:
+    """Give the first message of a publisher that has begun to number anew."""
+    return next((after for before, after in pairwise(messages) if after.seq < before.seq), None)
+
+
+def recover(rig: Rig, kill: Kill) -> None:
+    """Wait for the supervisor, then take the rig up again as an operator would who sees what the recorder receives."""
+    node = kill.node
     rig.wait_until(lambda: rig.log_has("launcher@master", f"{node} {RESTARTED}"), f"the restart of {node}")
+    if topic := STATE_OF.get(node):
+        before_ns = kill.at_ns - SOON_NS // 2
+        rig.wait_until(
+            lambda: after_restart(rig.recording().messages(topic, before_ns)) is not None, f"the state of {node}"
+        )
 
     def armed() -> bool:
         return rig.telenano("session", "arm", "--target", "afm_node").returncode == 0
@@ -53,7 +70,7 @@ def wreck(tmp_path_factory: pytest.TempPathFactory) -> Any:
             time.sleep(1.0)  # a second of coupled operation before each kill, so that the recording has it
             rig.kill(node)
             kills.append(Kill(node, time.time_ns()))
-            recover(rig, node)
+            recover(rig, kills[-1])
         rig.wait_until(
             lambda: (rig.out / "session_1.mcap").exists() and len(rig.recording().messages("haptic/state")) > 1000,
             "a second of what the next recorder recorded",
@@ -117,13 +134,12 @@ def test_hand_goes_to_zero_force(wreck: Any, node: str) -> None:
     assert seen[:2] == ["position", "off"], seen
 
 
-@pytest.mark.parametrize("node", ["afm_node@slave", "haptic_node@master"])
-def test_restarted_device_is_safe_until_it_is_armed(wreck: Any, node: str) -> None:
-    path = wreck[0].out / "session.mcap"
-    topic, safe = ("afm/state", "retracted") if node == "afm_node@slave" else ("haptic/state", "off")
+@pytest.mark.parametrize(("node", "safe"), [("afm_node@slave", "retracted"), ("haptic_node@master", "off")])
+def test_restarted_device_is_safe_until_it_is_armed(wreck: Any, node: str, safe: str) -> None:
     kill = kill_of(wreck, node)
-    after = [m for m in Recording(path).messages([topic]) if m.publish_ns > kill.at_ns + 50_000_000]
-    first = next(m for m in after if m.seq < 1000)
+    recorded = Recording(wreck[0].out / "session.mcap").messages([STATE_OF[node]])
+    first = after_restart([m for m in recorded if m.publish_ns > kill.at_ns - SOON_NS // 2])
+    assert first is not None
     assert first.fields()["mode"] == safe
 
 
