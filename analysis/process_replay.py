@@ -40,6 +40,8 @@ JOURNAL = "node/journal"
 _NOT_COMPARED = (JOURNAL, "node/health", "session/event")
 # the first parts of a journal may name inputs from before the recording began; later ones have to be complete
 _LATEST_START_NS = 1_500_000_000
+# publishers start one after the other, and the recorder may be connected to each a moment after the node
+_LATEST_JOIN_NS = 30_000_000_000
 
 
 class RerunResult(BaseModel):
@@ -347,10 +349,11 @@ class ReplayOutlet:
 def _begin(recorded: _Recorded, batches: Sequence[NodeJournal]) -> int:
     """Return the batch that a re-run begins with: the first with a state and all inputs.
 
-    Inputs may lack from before the recorder was connected to their publisher, and some time after the first of the
-    others. Raises RecordingError when no such batch is whole.
+    While the rig starts, inputs from before the recorder was connected to their publisher may be missing, and others in
+    a batch or two after the last of those. Raises RecordingError when no such batch is whole.
     """
-    first = 1 + max((place for place, batch in enumerate(batches) if recorded.is_early(batch)), default=-1)
+    starting = [batch for batch in batches if _start_ns(batch) - _start_ns(batches[0]) <= _LATEST_JOIN_NS]
+    first = 1 + max((place for place, batch in enumerate(starting) if recorded.is_early(batch)), default=-1)
     for place in range(first, len(batches)):
         if _start_ns(batches[place]) - _start_ns(batches[first]) > _LATEST_START_NS:
             break

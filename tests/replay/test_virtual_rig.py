@@ -11,6 +11,7 @@ import pytest
 from in_memory import InMemory
 from virtual_rig import LINK_NODE, NODES, VirtualRig, record_session
 
+from analysis import process_replay
 from analysis.process_replay import RerunResult, rerun
 from proto.errors import ConfigError, RecordingError
 from proto.messages import Array, LinkFates
@@ -272,6 +273,27 @@ def test_a_lost_beginning_is_passed_over(sessions: Callable[[str], Recording], t
     assert result.identical
     assert result.first_seq["teleop/forward"] > 100
     assert "outside of what the journal" in result.verdict()
+
+
+def test_the_rerun_begins_after_a_publisher_that_was_recorded_late(
+    sessions: Callable[[str], Recording], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Only the first messages of a source may be missing, and only while the rig starts."""
+    monkeypatch.setattr(process_replay, "_LATEST_START_NS", 0)
+    source = sessions("wave")
+    late_ns = next(found for found in source.messages(["teleop/backward"]) if found.seq == 600).log_ns
+
+    def edit(message: RawMessage) -> bytes | None:
+        is_early = message.channel.topic == "teleop/backward" and message.log_ns < late_ns
+        return None if is_early else message.payload
+
+    cut = InMemory(edited(source, tmp_path, edit))
+    result = rerun(cut, LINK_NODE)
+    assert result.identical, result.verdict()
+    assert result.first_seq["teleop/forward@slave"] > 500
+    monkeypatch.setattr(process_replay, "_LATEST_JOIN_NS", -1)
+    with pytest.raises(RecordingError, match="with all inputs: lacks teleop/backward, seq 0 of controller@slave"):
+        rerun(cut, LINK_NODE)
 
 
 def test_an_output_more_or_less_is_found(sessions: Callable[[str], Recording], tmp_path: Path) -> None:
