@@ -3,7 +3,7 @@
 import json
 import os
 import re
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_origin
 
@@ -15,6 +15,7 @@ from proto.errors import ConfigError
 M = TypeVar("M", bound=BaseModel)
 
 ENVIRONMENT_PREFIX = "TELENANO__"
+_MERGE_TAG = "tag:yaml.org,2002:merge"
 
 
 class Settings(BaseModel):
@@ -26,15 +27,21 @@ class Settings(BaseModel):
 def read_yaml(path: Path) -> dict[str, Any]:
     """Return the mapping in a YAML file; ConfigError names the file, line and what is wrong."""
     try:
-        data = _load(path.read_text(encoding="utf-8"))
+        return parse_yaml(path.read_bytes(), str(path))
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
+
+
+def parse_yaml(content: bytes, origin: str) -> dict[str, Any]:
+    """Return the mapping in the content of a YAML file; ConfigError names its origin, line and what is wrong."""
+    try:
+        data = _load(content.decode())
     except UnicodeDecodeError as error:
-        raise ConfigError(f"{path}: is not UTF-8 text (byte {error.start})") from error
+        raise ConfigError(f"{origin}: is not UTF-8 text (byte {error.start})") from error
     except yaml.YAMLError as error:
-        raise ConfigError(f"{path}: is not valid YAML: {' '.join(str(error).split())}") from error
+        raise ConfigError(f"{origin}: is not valid YAML: {' '.join(str(error).split())}") from error
     if not isinstance(data, dict):
-        raise ConfigError(f"{path}: contains a {type(data).__name__}, must contain a mapping of keys")
+        raise ConfigError(f"{origin}: contains a {type(data).__name__}, must contain a mapping of keys")
     return data
 
 
@@ -117,18 +124,10 @@ def layered(path: Path, flags: Sequence[str] = ()) -> tuple[dict[str, Any], str]
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML as people write it: 1e-9 is a number, on and off are words, and a key given twice is an error.
+    """YAML as people write it: 1e-9 is a number, on and off are words.
 
     YAML 1.1 has 1e-9 (without a point) a text, and on, off, yes and no truth values.
     """
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
-        seen: set[str] = set()
-        for key, _ in node.value:
-            if isinstance(key, yaml.ScalarNode) and key.value in seen:
-                raise yaml.constructor.ConstructorError(None, None, f"{key.value} is given twice", key.start_mark)
-            seen.add(str(key.value))
-        return super().construct_mapping(node, deep)
 
 
 _Loader.yaml_implicit_resolvers = {
@@ -145,9 +144,39 @@ def _load(text: str) -> Any:
     # a SafeLoader: it makes plain values only
     loader = _Loader(text)
     try:
-        return loader.get_single_data()
+        node = loader.get_single_node()
+        if node is None:
+            return None
+        _check_keys(node, loader, (), set())
+        return loader.construct_document(node)
+    except RecursionError as error:
+        raise yaml.YAMLError("it is nested too deeply") from error
     finally:
         loader.dispose()
+
+
+def _check_keys(node: yaml.Node, loader: _Loader, path: tuple[str, ...], seen: set[int]) -> None:
+    """Raise YAMLError naming a key that a mapping has twice by its path, and the line."""
+    # an alias repeats a node, and may be part of itself
+    if id(node) in seen or isinstance(node, yaml.ScalarNode):
+        return
+    seen.add(id(node))
+    if isinstance(node, yaml.SequenceNode):
+        for place, item in enumerate(node.value):
+            _check_keys(item, loader, (*path, str(place)), seen)
+        return
+    names: set[str] = set()
+    for key, value in node.value:
+        if not isinstance(key, yaml.ScalarNode):
+            # no key of a plain mapping, which reading reports
+            continue
+        # as it is after reading: `true` and `True` are one key; only `<<` is not read by itself
+        name = key.value if key.tag == _MERGE_TAG else str(loader.construct_object(key))
+        if name in names:
+            line = key.start_mark.line + 1
+            raise yaml.YAMLError(f"{'.'.join((*path, name))} is given twice, the second time in line {line}")
+        names.add(name)
+        _check_keys(value, loader, (*path, name), seen)
 
 
 def _scalar(text: str, origin: str) -> Any:

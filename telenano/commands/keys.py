@@ -5,10 +5,10 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-import zmq.auth
 
 from proto.errors import ConfigError
-from services.runtime.security.keyring import AllowedKey, Keyring, Role, keys_directory
+from services.runtime.security.keyring import AllowedKey, Keyring, Role, keys_directory, keys_in
+from services.runtime.security.private_files import read_regular
 from telenano.options import JsonOption, command_group
 from telenano.output import print_json, print_rows, report_errors
 
@@ -111,9 +111,12 @@ def _public_key(text: str) -> str:
     if not path.name.endswith(".key"):
         return text
     try:
-        public, _ = zmq.auth.load_certificate(path)
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"{path}: holds no public key: {error}") from error
+        content, _ = read_regular(path)
+    except OSError as error:
+        raise ConfigError(f"{path}: holds no public key: {error.strerror}") from error
+    public, _ = keys_in(content)
+    if not public:
+        raise ConfigError(f"{path}: holds no public key")
     return public.decode(errors="replace")
 
 

@@ -13,19 +13,23 @@ from pathlib import Path
 from typing import Annotated, Literal, NamedTuple, Self
 
 import yaml
-import zmq.auth
+import zmq
 from pydantic import AfterValidator, Field, model_validator
 from zmq.utils import z85
 
 from proto.errors import ConfigError
 from services.runtime.address_book import MACHINE_PATTERN
-from services.runtime.config import Settings, read_yaml, validate
+from services.runtime.config import Settings, parse_yaml, validate
+from services.runtime.security.private_files import check_folder_of_files, read_secret, read_trusted, write_private
 
 KEYS_DIRECTORY_VARIABLE = "TELENANO_KEYS_DIR"
 MACHINE_VARIABLE = "TELENANO_MACHINE"
 ALLOWED_NAME = "allowed.yaml"
+_PUBLIC_SUFFIX = ".key"
 _SECRET_SUFFIX = ".key_secret"
 _OTHERS = 0o077
+# a certificate as ZeroMQ's tools write and read it (ZPL)
+_CERTIFICATE = "# ZeroMQ CURVE {kind} certificate of the machine {name}\nmetadata\ncurve\n"
 
 Role = Literal["data", "control", "observe"]
 ROLES: tuple[Role, ...] = ("data", "control", "observe")
@@ -114,19 +118,13 @@ class Keyring:
         path = self.folder / f"{name}{_SECRET_SUFFIX}"
         hint, again = (f"`telenano keys new {name}{option}` creates one" for option in ("", " --replace"))
         try:
-            mode = path.stat().st_mode
-            if mode & _OTHERS:
-                raise ConfigError(
-                    f"{path}: other users can read this secret key (mode {mode & 0o777:o}): chmod 600 {path}"
-                )
-            public, secret = zmq.auth.load_certificate(path)
+            data = read_secret(path)
         except FileNotFoundError as error:
             raise ConfigError(f"{path}: there is no key for the machine {name}: {hint}") from error
         except OSError as error:
             raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
-        except ValueError as error:
-            raise ConfigError(f"{path}: contains no key pair: {again}") from error
-        if secret is None or not _is_key_pair(public, secret):
+        public, secret = keys_in(data)
+        if not _is_key_pair(public, secret):
             raise ConfigError(f"{path}: contains no valid key pair: {again}")
         return KeyPair(public, secret)
 
@@ -138,18 +136,26 @@ class Keyring:
             raise ConfigError(
                 f"{path} already exists: --replace creates a new key, which the other machines must allow"
             )
-        with self._private():
-            zmq.auth.create_certificates(self.folder, name)
-            # on a command line, a key that begins with a dash would be taken for an option
-            while self.own(name).public.startswith(b"-"):
-                zmq.auth.create_certificates(self.folder, name)
+        pair = KeyPair(*zmq.curve_keypair())
+        # on a command line, a key that begins with a dash would be taken for an option
+        while pair.public.startswith(b"-"):
+            pair = KeyPair(*zmq.curve_keypair())
+        public, secret = (f'    {half}-key = "{key.decode()}"\n' for half, key in zip(pair._fields, pair, strict=True))
+        with self._folder_for_writing():
+            write_private(path, _CERTIFICATE.format(kind="secret", name=name) + public + secret)
+            public_path = path.with_suffix(_PUBLIC_SUFFIX)
+            write_private(public_path, _CERTIFICATE.format(kind="public", name=name) + public)
         return self.own(name)
 
     def allowed(self) -> AllowList:
-        """Return the list of allowed keys, which is empty without a file."""
-        if self.stamp() is None:
+        """Return the list of allowed keys, empty without a file; ConfigError also when other users can change it."""
+        try:
+            data = read_trusted(self.allowed_path)
+        except FileNotFoundError:
             return AllowList()
-        return validate(AllowList, read_yaml(self.allowed_path), str(self.allowed_path))
+        except OSError as error:
+            raise ConfigError(f"{self.allowed_path}: cannot be read: {error.strerror}") from error
+        return validate(AllowList, parse_yaml(data, str(self.allowed_path)), str(self.allowed_path))
 
     def allow(self, name: str, public_key: str, roles: Sequence[Role]) -> AllowedKey:
         """Add a key to the list, or change the roles of one that is there."""
@@ -191,18 +197,17 @@ class Keyring:
 
     def _write(self, keys: Sequence[AllowedKey]) -> None:
         document = {"keys": [key.model_dump(mode="json") for key in sorted(keys, key=lambda key: key.name)]}
-        # atomically: a running node may read it at any moment
-        new = self.allowed_path.with_suffix(".new")
-        with self._private():
-            new.write_text(yaml.safe_dump(document, sort_keys=False, width=120), encoding="utf-8")
-            new.replace(self.allowed_path)
+        # whole at every moment: a running node may read it
+        with self._folder_for_writing():
+            write_private(self.allowed_path, yaml.safe_dump(document, sort_keys=False, width=120))
 
     @contextmanager
-    def _private(self) -> Iterator[None]:
-        """Make files that the block creates readable by this user alone."""
+    def _folder_for_writing(self) -> Iterator[None]:
+        """Make the folder, readable by this user alone, and report what the block cannot write to it."""
         before = os.umask(_OTHERS)
         try:
             self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+            check_folder_of_files(self.folder)
             yield
         except OSError as error:
             raise ConfigError(f"{self.folder}: cannot be written: {error.strerror}") from error
@@ -224,6 +229,13 @@ def this_machine(keyring: Keyring) -> str:
     return names[0] if len(names) == 1 else "master"
 
 
+def keys_in(data: bytes) -> tuple[bytes, bytes]:
+    """Return the public and the secret key of a certificate, empty where it has none."""
+    lines = (line.strip().partition(b"=") for line in data.splitlines())
+    found = {name.strip(): value.strip(b" \t'\"") for name, sign, value in lines if sign}
+    return found.get(b"public-key", b""), found.get(b"secret-key", b"")
+
+
 def key_text(raw: bytes) -> str:
     """Return a key of 32 bytes as Z85 text."""
     encoded: bytes = z85.encode(raw)
@@ -239,6 +251,6 @@ def _check_name(name: str) -> None:
 
 def _is_key_pair(public: bytes, secret: bytes) -> bool:
     try:
-        return zmq.curve_public(secret) == public
+        return bool(secret) and zmq.curve_public(secret) == public
     except (zmq.ZMQError, ValueError, UnicodeDecodeError):
         return False

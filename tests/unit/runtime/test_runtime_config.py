@@ -86,7 +86,12 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
         ("", "contains a NoneType, must contain a mapping"),
         ("just words", "contains a str"),
         ("a: !!python/object/apply:os.getcwd []", "is not valid YAML: .*could not determine a constructor"),
-        ("a: 1\nb:\n  c: 1\n  c: 2\n", "is not valid YAML: c is given twice .*line 4"),
+        ("a: 1\nb:\n  c: 1\n  c: 2\n", "is not valid YAML: b.c is given twice, the second time in line 4"),
+        ("nodes: {a: [1, {c: 1, 'c': 2}]}", "is not valid YAML: nodes.a.1.c is given twice, the second time in line 1"),
+        ("true: 1\nTrue: 2", "is not valid YAML: True is given twice, the second time in line 2"),
+        ("a: &x {b: 1}\nc: {<<: *x, <<: *x}", "is not valid YAML: c.<< is given twice"),
+        ("? [a]\n: 1", "is not valid YAML: .*unhashable key"),
+        ("a: " + "[" * 600, "is not valid YAML: it is nested too deeply"),
         ("a: \x00", "is not valid YAML"),
     ],
 )

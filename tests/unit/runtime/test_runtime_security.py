@@ -106,6 +106,87 @@ def test_a_secret_that_others_can_read_is_refused(ring: Keyring, mode: int) -> N
     )
 
 
+def test_a_link_in_the_place_of_a_key_is_replaced_and_its_target_left_alone(ring: Keyring, tmp_path: Path) -> None:
+    target = tmp_path / "target"
+    target.write_text("of somebody else")
+    target.chmod(0o644)
+    ring.folder.mkdir(mode=0o700)
+    for name in ("master.key_secret", "master.key", "allowed.yaml"):
+        (ring.folder / name).symlink_to(target)
+    pair = ring.create("master", replace=True)
+    (ring.folder / "allowed.yaml").unlink()
+    (ring.folder / "allowed.yaml").symlink_to(tmp_path / "absent")
+    ring.allow("slave", KEY, ["data"])
+    assert (target.read_text(), target.stat().st_mode & 0o777) == ("of somebody else", 0o644)
+    assert not (tmp_path / "absent").exists()
+    assert ring.own("master") == pair
+    assert sorted(path.name for path in ring.folder.iterdir()) == ["allowed.yaml", "master.key", "master.key_secret"]
+    assert not [path for path in ring.folder.iterdir() if path.is_symlink() or path.stat().st_mode & 0o077]
+
+
+def test_a_key_that_cannot_be_put_in_place_leaves_the_old_one(ring: Keyring, monkeypatch: pytest.MonkeyPatch) -> None:
+    pair = ring.create("master")
+
+    def fail(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", fail)
+        text = refusal_of(ring.create, "master", replace=True)
+    assert text == f"{ring.folder}: cannot be written: No space left on device"
+    assert ring.own("master") == pair
+    assert sorted(path.name for path in ring.folder.iterdir()) == ["master.key", "master.key_secret"]
+
+
+def test_a_pipe_in_the_place_of_a_file_is_refused_and_not_waited_for(ring: Keyring) -> None:
+    ring.folder.mkdir(mode=0o700)
+    for path, read in ((secret_file(ring), lambda: ring.own("master")), (ring.allowed_path, ring.allowed)):
+        os.mkfifo(path, 0o600)
+        assert refusal_of(read) == f"{path}: is a folder, pipe, socket or device, must be a regular file"
+
+
+@pytest.mark.parametrize("mode", [0o620, 0o602, 0o666])
+def test_a_list_that_others_can_change_is_refused(ring: Keyring, mode: int) -> None:
+    ring.create("master")
+    ring.allow("slave", KEY, ["data"])
+    ring.allowed_path.chmod(mode)
+    text = f"{ring.allowed_path}: other users can change it (mode {mode:o}): chmod 600 {ring.allowed_path}"
+    book = AddressBook(nodes={"afm_node@slave": "tcp://127.0.0.1:5712"})
+    assert refusal_of(ring.allowed) == refusal_of(ring.allow, "laptop", OTHER, ["data"]) == text
+    assert refusal_of(AccessControl, "master", ring, requires_keys=book.requires_keys) == text
+    ring.allowed_path.chmod(0o644)
+    assert [key.name for key in ring.allowed().keys] == ["slave"]
+
+
+@pytest.mark.parametrize("mode", [0o720, 0o702, 0o777])
+def test_a_folder_of_keys_that_others_can_change_is_refused(ring: Keyring, mode: int) -> None:
+    ring.create("master")
+    ring.allow("slave", KEY, ["data"])
+    ring.folder.chmod(mode)
+    text = f"{ring.folder}: other users can change the files in it (mode {mode:o}): chmod 700 {ring.folder}"
+    assert refusal_of(ring.own, "master") == refusal_of(ring.allowed) == text
+    # and nothing is written to it
+    before = sorted(ring.folder.iterdir())
+    ring.allowed_path.unlink()
+    assert refusal_of(ring.create, "slave") == refusal_of(ring.allow, "slave", KEY, ["data"]) == text
+    assert sorted(ring.folder.iterdir()) == [path for path in before if path != ring.allowed_path]
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can give a file to another user")
+def test_files_of_another_user_are_not_trusted(ring: Keyring) -> None:
+    ring.create("master")
+    ring.allow("slave", KEY, ["data"])
+    for path, read in (
+        (secret_file(ring), lambda: ring.own("master")),
+        (ring.allowed_path, ring.allowed),
+        (ring.folder, ring.allowed),
+    ):
+        os.chown(path, 65534, -1)
+        text = f"{path}: belongs to user 65534, who can change it: chown {os.geteuid()} {path}"
+        assert refusal_of(read) == text
+        os.chown(path, os.geteuid(), -1)
+
+
 @pytest.mark.parametrize(
     "content",
     [
@@ -309,7 +390,7 @@ def test_nothing_is_listed_twice(ring: Keyring, second: dict[str, object], what:
 
 def test_a_list_that_cannot_be_read_is_not_an_empty_one(ring: Keyring) -> None:
     ring.allowed_path.mkdir(parents=True)
-    assert refusal_of(ring.allowed) == f"{ring.allowed_path}: cannot be read: Is a directory"
+    assert refusal_of(ring.allowed).startswith(f"{ring.allowed_path}: is a folder, ")
 
 
 def test_a_list_out_of_reach_is_not_an_empty_one(ring: Keyring, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -317,7 +398,7 @@ def test_a_list_out_of_reach_is_not_an_empty_one(ring: Keyring, monkeypatch: pyt
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr(Path, "stat", fail)
-    monkeypatch.setattr(Path, "read_text", fail)
+    monkeypatch.setattr(os, "open", fail)
     assert ring.stamp() == (13, 0)
     assert refusal_of(ring.allowed) == f"{ring.allowed_path}: cannot be read: Permission denied"
 

@@ -1,6 +1,7 @@
 """`telenano keys`: what it prints and leaves behind, and what it refuses."""
 
 import json
+import os
 from pathlib import Path
 
 import pytest
@@ -141,4 +142,24 @@ def test_a_damaged_key_is_named_when_keys_are_shown(folder: Path) -> None:
     (folder / "master.key_secret").write_text("nothing")
     code, _, err = run("show")
     assert code == 2
-    assert f"{folder / 'master.key_secret'}: contains no key pair" in err
+    assert f"{folder / 'master.key_secret'}: contains no valid key pair" in err
+
+
+def test_what_others_could_have_written_is_not_shown_as_what_is_trusted(folder: Path) -> None:
+    run("new", "master")
+    run("allow", "slave", KEY, "--role", "data")
+    for path, mode, text in ((folder / "allowed.yaml", 0o666, "change it"), (folder, 0o777, "change the files in it")):
+        before = path.stat().st_mode
+        path.chmod(mode)
+        code, out, err = run("show")
+        assert (code, out) == (2, "")
+        assert err.startswith(f"telenano: {path}: other users can {text} (mode {mode:o}): chmod ")
+        path.chmod(before)
+    assert run("show")[0] == 0
+
+
+def test_a_pipe_that_is_named_like_a_key_does_not_hang(folder: Path, tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "slave.key")
+    code, _, err = run("allow", "slave", str(tmp_path / "slave.key"), "--role", "data")
+    assert code == 2
+    assert err == f"telenano: {tmp_path / 'slave.key'}: is a folder, pipe, socket or device, must be a regular file\n"

@@ -1,0 +1,98 @@
+"""Files and folders that other users must neither read nor change: keys, the allow list, the folder of sockets."""
+
+import contextlib
+import os
+import secrets
+import stat
+from pathlib import Path
+
+from proto.errors import ConfigError
+
+_ANY_ACCESS = 0o077
+_CHANGE = 0o022
+# who may own what this process trusts, besides its own user
+_ROOT = 0
+
+
+def read_regular(path: Path) -> tuple[bytes, os.stat_result]:
+    """Read a regular file, and its status; ConfigError for a pipe or a device, which may never end.
+
+    Raises: OSError.
+    """
+    # a pipe without a writer would otherwise block here
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    found = os.fstat(descriptor)
+    if not stat.S_ISREG(found.st_mode):
+        os.close(descriptor)
+        raise ConfigError(f"{path}: is a folder, pipe, socket or device, must be a regular file")
+    with os.fdopen(descriptor, "rb") as file:
+        return file.read(), found
+
+
+def read_secret(path: Path) -> bytes:
+    """Read a file with a secret; ConfigError when other users can read it, or change its folder."""
+    return _read(path, _ANY_ACCESS, "read this secret key")
+
+
+def read_trusted(path: Path) -> bytes:
+    """Read a file that says who is trusted; ConfigError when other users can change it, or its folder."""
+    return _read(path, _CHANGE, "change it")
+
+
+def _read(path: Path, forbidden: int, what: str) -> bytes:
+    data, found = read_regular(path)
+    _check(path, found, forbidden, what, "600")
+    check_folder_of_files(path.parent)
+    return data
+
+
+def check_folder_of_files(folder: Path) -> None:
+    """Raise ConfigError when other users can replace the files of a folder; OSError if it is absent."""
+    _check(folder, folder.stat(), _CHANGE, "change the files in it", "700")
+
+
+def _check(path: Path, found: os.stat_result, forbidden: int, what: str, right: str) -> None:
+    if found.st_uid not in (os.geteuid(), _ROOT):
+        raise ConfigError(f"{path}: belongs to user {found.st_uid}, who can change it: chown {os.geteuid()} {path}")
+    if found.st_mode & forbidden:
+        mode = found.st_mode & 0o777
+        raise ConfigError(f"{path}: other users can {what} (mode {mode:o}): chmod {right} {path}")
+
+
+def write_private(path: Path, text: str) -> None:
+    """Write a file for this user alone, whole or not at all; a link in its place is replaced, not followed.
+
+    Raises: OSError.
+    """
+    new = path.with_name(f".{path.name}.{secrets.token_hex(8)}")
+    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+    descriptor = os.open(new, flags, 0o600)
+    try:
+        with os.fdopen(descriptor, "w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(descriptor)
+        new.replace(path)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            new.unlink()
+        raise
+
+
+def check_private_folder(folder: Path, remedy: str) -> None:
+    """Raise ConfigError naming the remedy when a folder belongs to another user or is open to others; it may be absent.
+
+    A link counts as the folder of whoever made it: where everybody can write, as in /tmp, another user can make one.
+    """
+    user = os.geteuid()
+    try:
+        link, found = folder.lstat(), folder.stat()
+    except OSError:
+        # what cannot be reached cannot be used either, which whoever uses it reports
+        return
+    owner = found.st_uid if link.st_uid in (user, _ROOT) else link.st_uid
+    if owner != user:
+        raise ConfigError(f"{folder}: belongs to user {owner}, and this is user {user}: {remedy}")
+    if found.st_mode & _ANY_ACCESS:
+        mode = found.st_mode & 0o777
+        raise ConfigError(f"{folder}: other users can reach what is in it (mode {mode:o}): chmod 700 {folder}")
