@@ -15,6 +15,7 @@ from services.runtime.clock import EPOCH_OFFSET_VARIABLE
 from services.runtime.config import ENVIRONMENT_PREFIX, layered
 from services.runtime.local_endpoint import runtime_directory
 from services.runtime.main import EXIT_BAD_START
+from services.runtime.security.private_files import check_runtime_directory
 
 # the cache that the build filled; the image is read-only, and a study compiles more
 PREPARED = Path("/opt/cache")
@@ -28,9 +29,10 @@ def main(command: list[str]) -> None:
     if PREPARED.is_dir() and not cache.exists():
         shutil.copytree(PREPARED, cache)
     node = os.environ.get(NODE, "")
-    if node and EPOCH_OFFSET_VARIABLE not in os.environ:
-        os.environ[EPOCH_OFFSET_VARIABLE] = str(shared_epoch_offset_ns(runtime_directory()))
     try:
+        if node and EPOCH_OFFSET_VARIABLE not in os.environ:
+            check_runtime_directory()
+            os.environ[EPOCH_OFFSET_VARIABLE] = str(shared_epoch_offset_ns(runtime_directory()))
         program = command or node_command(node)
     except ConfigError as error:
         sys.stderr.write(f"{error}\n")

@@ -16,7 +16,7 @@ from proto.messages import SOURCE_PATTERN
 from proto.nodes import LINK, name_of, site_of
 from proto.topics import TOPICS, Topic
 from services.runtime.config import Settings
-from services.runtime.local_endpoint import estop_endpoint, local_endpoint
+from services.runtime.local_endpoint import estop_endpoint, is_in_runtime_directory, local_endpoint
 
 # the machine that the link runs on, with its endpoints for both sites
 LINK_MACHINE = "master"
@@ -104,6 +104,11 @@ class AddressBook(Settings):
     def spans_machines(self) -> bool:
         """Whether some node is reached over a network."""
         return any(self.network_endpoint(node) for node in self.nodes)
+
+    @property
+    def uses_runtime_directory(self) -> bool:
+        """Whether some node has its socket in the private folder."""
+        return any(is_in_runtime_directory(entry.local or "") for entry in self.nodes.values())
 
     @property
     def requires_keys(self) -> bool:

@@ -1,12 +1,9 @@
 """The bus of one node: a PUB socket that it binds, SUB connections to those it listens to, and the account of both."""
 
-import fcntl
-import os
 import select
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from pathlib import Path
-from typing import IO, Any, NamedTuple, Protocol, cast
+from typing import Any, NamedTuple, Protocol, cast
 
 import zmq
 
@@ -16,6 +13,7 @@ from proto.errors import EndpointError
 from proto.messages import InputHealth, Message
 from proto.sequence import Arrival, SequenceTracker
 from services.runtime.clock import Clock
+from services.runtime.endpoint_lock import EndpointLock
 
 # ten seconds of a 1 kHz topic: a reader that stops for longer loses messages, which it then counts
 HIGH_WATER_MARK = 10_000
@@ -147,7 +145,7 @@ class ZmqPublisher(_NumberingPublisher):
     ) -> None:
         """Bind an endpoint, with a socket that `prepare` was called with; EndpointError if that fails."""
         super().__init__(clock, node)
-        self._lock = hold_endpoint(endpoint)
+        self._lock = EndpointLock(endpoint)
         self.socket = context.socket(kind)
         self.socket.set(zmq.SNDHWM, HIGH_WATER_MARK)
         self.socket.set(zmq.LINGER, _LINGER_MS)
@@ -156,7 +154,7 @@ class ZmqPublisher(_NumberingPublisher):
         try:
             bind(self.socket, endpoint, node)
         except EndpointError:
-            self._lock.close()
+            self._lock.release()
             raise
 
     def send(self, topic: str, payload: bytes) -> None:
@@ -169,13 +167,13 @@ class ZmqPublisher(_NumberingPublisher):
         try:
             bind(self.socket, endpoint, self.node)
         except EndpointError:
-            self._lock.close()
+            self._lock.release()
             raise
 
     def close(self) -> None:
         """Close the socket and let the endpoint go."""
         self.socket.close()
-        self._lock.close()
+        self._lock.release()
 
 
 class Subscriber:
@@ -376,32 +374,6 @@ def bind(socket: "zmq.Socket[bytes]", endpoint: str, node: str) -> None:
         hint = "another process has it: stop that one or give another endpoint in the site file"
         reason = hint if error.errno == zmq.EADDRINUSE else error.strerror
         raise EndpointError(f"{node} cannot bind {endpoint}: {reason}") from error
-
-
-def hold_endpoint(endpoint: str) -> IO[str]:
-    """Lock an ipc endpoint for this process; libzmq itself would silently take it away from a running one.
-
-    Raises EndpointError naming the process that holds it.
-    """
-    if not endpoint.startswith("ipc://"):
-        return Path(os.devnull).open()
-    path = Path(endpoint.removeprefix("ipc://") + ".lock")
-    try:
-        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        lock = path.open("a+")
-    except OSError as error:
-        raise EndpointError(f"{endpoint}: {path} cannot be opened: {error.strerror}") from error
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError as error:
-        lock.seek(0)
-        holder = lock.read().strip() or "unknown"
-        lock.close()
-        raise EndpointError(f"{endpoint} is in use by process {holder}: stop it, or use another site file") from error
-    lock.truncate(0)
-    lock.write(str(os.getpid()))
-    lock.flush()
-    return lock
 
 
 def _health_of(topic: str, src: str, tracker: SequenceTracker, now_ns: int) -> InputHealth:

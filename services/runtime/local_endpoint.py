@@ -26,6 +26,11 @@ def local_endpoint(text: str) -> str:
     return text.replace(_RUNTIME_PLACEHOLDER, str(runtime_directory()))
 
 
+def is_in_runtime_directory(text: str) -> bool:
+    """Return whether an ipc endpoint of a site file is in the private folder."""
+    return _RUNTIME_PLACEHOLDER in text
+
+
 def estop_endpoint(endpoint: str) -> str:
     """Return where the node with an ipc endpoint takes emergency stops, from any number of senders."""
     return endpoint + _ESTOP_SUFFIX

@@ -17,6 +17,7 @@ from services.runtime.estop_inlet import EstopInlet
 from services.runtime.security.access_control import AccessControl
 from services.runtime.security.keyring import Keyring
 from services.runtime.security.peer_connections import PeerConnections
+from services.runtime.security.private_files import check_runtime_directory
 from services.runtime.security.socket_monitor import RejectionCounter
 from services.runtime.security.zap_authenticator import ZapAuthenticator
 
@@ -48,8 +49,11 @@ class Transport:
     ) -> None:
         """Read the keys of a machine if the rig requires any.
 
-        Raises ConfigError when the machine has no key, or one that other users can read.
+        Raises ConfigError when the machine has no key, or one that other users can read, and when other users can reach
+        the folder of sockets.
         """
+        if book.uses_runtime_directory:
+            check_runtime_directory()
         self.machine = machine
         self.access_control = AccessControl(machine, keyring or Keyring(), requires_keys=book.requires_keys)
         self.has_pending = False
@@ -83,6 +87,8 @@ class Transport:
             local, network = self._book.local_endpoint(key), self._book.bind_endpoint(key)
         except KeyError as error:
             raise EndpointError(str(error.args[0])) from error
+        if self._book.uses_runtime_directory:
+            check_runtime_directory(make=True)
         if network is None:
             return ZmqPublisher(self._context, self._clock, key, local or "", kind=kind)
 

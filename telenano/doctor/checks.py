@@ -346,7 +346,7 @@ def check_runtime_folder(folder: Path, user: int) -> Finding:
         return Finding(name, "problem", f"{folder} belongs to user {status.st_uid}, this is user {user}", elsewhere)
     if status.st_mode & 0o077:
         found = f"{folder} has mode {status.st_mode & 0o777:o}: other users can reach the sockets"
-        return Finding(name, "warning", found, f"run `chmod 700 {folder}`")
+        return Finding(name, "problem", found, f"run `chmod 700 {folder}`")
     return Finding(name, "ok", f"{folder} is private")
 
 

@@ -7,6 +7,7 @@ import stat
 from pathlib import Path
 
 from proto.errors import ConfigError
+from services.runtime.local_endpoint import RUNTIME_DIRECTORY_VARIABLE, runtime_directory
 
 _ANY_ACCESS = 0o077
 _CHANGE = 0o022
@@ -96,3 +97,17 @@ def check_private_folder(folder: Path, remedy: str) -> None:
     if found.st_mode & _ANY_ACCESS:
         mode = found.st_mode & 0o777
         raise ConfigError(f"{folder}: other users can reach what is in it (mode {mode:o}): chmod 700 {folder}")
+
+
+def check_runtime_directory(*, make: bool = False) -> None:
+    """Raise ConfigError when the folder of ipc sockets belongs to another user or is open to others.
+
+    Whoever else can write to it can take the place of a node, or of all of them.
+    Parameters: make, create it first where it is absent.
+    """
+    folder = runtime_directory()
+    if make:
+        # that it cannot be made is reported when a socket in it cannot be bound
+        with contextlib.suppress(OSError):
+            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    check_private_folder(folder, f"name another one by {RUNTIME_DIRECTORY_VARIABLE}")

@@ -274,6 +274,23 @@ def test_containers_of_a_folder_share_one_epoch(entrypoint: Any, tmp_path: Path)
     assert [path.name for path in tmp_path.iterdir()] == ["epoch_offset_ns"]
 
 
+def test_a_container_does_not_begin_in_a_folder_of_sockets_that_others_can_reach(
+    entrypoint: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tmp_path.chmod(0o755)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setenv("TELENANO_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setenv("TELENANO_NODE", "afm_node@slave")
+    monkeypatch.delenv("TELENANO_EPOCH_OFFSET_NS", raising=False)
+    with pytest.raises(SystemExit) as caught:
+        entrypoint.main([])
+    assert caught.value.code == 2
+    assert capsys.readouterr().err == (
+        f"{tmp_path}: other users can reach what is in it (mode 755): chmod 700 {tmp_path}\n"
+    )
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_command_takes_the_place_of_the_entrypoint(
     entrypoint: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

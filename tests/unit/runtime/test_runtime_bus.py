@@ -1,5 +1,6 @@
 """The bus on real sockets: whatever arrives is taken or counted, and the subscriber lives on."""
 
+import fcntl
 import os
 import socket as plain_socket
 import subprocess
@@ -7,6 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import IO
 
 import msgpack
 import pytest
@@ -371,6 +373,53 @@ def test_an_endpoint_is_free_again_when_its_holder_was_killed(context: Context, 
         finally:
             holder.kill()
     ZmqPublisher(context, SystemClock(), "afm_node@slave", endpoint).close()
+
+
+def test_an_endpoint_that_was_closed_leaves_nothing_behind(context: Context, tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    endpoint = f"ipc://{folder}/afm_node@slave"
+    publisher = ZmqPublisher(context, SystemClock(), "afm_node@slave", endpoint)
+    assert sorted(path.name for path in folder.iterdir()) == ["afm_node@slave", "afm_node@slave.lock"]
+    publisher.close()
+    assert list(folder.iterdir()) == []
+    # closed twice it does not take away what the next one has bound
+    following = ZmqPublisher(context, SystemClock(), "afm_node@slave", endpoint)
+    publisher.close()
+    assert len(list(folder.iterdir())) == 2
+    following.close()
+
+
+def test_a_lock_that_was_removed_while_it_was_waited_for_is_none(
+    context: Context, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    endpoint = f"ipc://{tmp_path}/afm_node@slave"
+    first = ZmqPublisher(context, SystemClock(), "afm_node@slave", endpoint)
+    lock = fcntl.flock
+    opened: list[int] = []
+
+    def after_the_end_of_the_first(file: IO[str], operation: int) -> None:
+        opened.append(file.fileno())
+        first.close()
+        lock(file, operation)
+
+    monkeypatch.setattr(fcntl, "flock", after_the_end_of_the_first)
+    second = ZmqPublisher(context, SystemClock(), "afm_node@slave", endpoint)
+    monkeypatch.undo()
+    # the file that it opened at first was the one of the first holder, removed before it was locked
+    assert len(opened) == 2
+    with pytest.raises(EndpointError, match=f"in use by process {os.getpid()}"):
+        ZmqPublisher(context, SystemClock(), "afm_node@slave", endpoint)
+    second.close()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_link_in_the_place_of_a_lock_is_not_followed(context: Context, tmp_path: Path) -> None:
+    target = tmp_path / "target"
+    target.write_text("of somebody else")
+    (tmp_path / "bus.lock").symlink_to(target)
+    with pytest.raises(EndpointError, match=r"bus\.lock cannot be opened: Too many levels of symbolic links"):
+        ZmqPublisher(context, SystemClock(), "afm_node@slave", f"ipc://{tmp_path}/bus")
+    assert target.read_text() == "of somebody else"
 
 
 def test_a_tcp_port_in_use_is_named(context: Context) -> None:

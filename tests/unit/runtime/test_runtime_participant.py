@@ -145,3 +145,91 @@ def test_a_null_publisher_numbers_and_checks(monkeypatch: pytest.MonkeyPatch) ->
     with pytest.raises(ValueError, match="level"):
         publisher.publish("session/event", **{**event, "level": "loud"})
     assert publisher.publish("session/event", **event).seq == 2
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return the folder of sockets, which is not made yet."""
+    monkeypatch.setenv("TELENANO_RUNTIME_DIR", str(tmp_path / "run"))
+    return tmp_path / "run"
+
+
+@pytest.fixture
+def private_book() -> AddressBook:
+    return AddressBook(nodes={node: f"ipc://{{runtime}}/{node}" for node in (HAND, LINK, "controller@master")})
+
+
+def refusal_of(book: AddressBook, *, publisher: bool) -> str:
+    with (
+        pytest.raises(ConfigError) as caught,
+        open_participant(HAND if publisher else OBSERVER, book, publisher=publisher) as participant,
+    ):
+        participant.bind(HAND)
+    return str(caught.value)
+
+
+def test_the_folder_of_sockets_is_made_for_this_user_alone(folder: Path, private_book: AddressBook) -> None:
+    with open_participant(OBSERVER, private_book, publisher=False):
+        assert not folder.exists()
+    before = os.umask(0)
+    try:
+        with open_participant(HAND, private_book) as participant:
+            participant.bind(HAND)
+            assert folder.stat().st_mode & 0o777 == 0o700
+    finally:
+        os.umask(before)
+
+
+@pytest.mark.parametrize("publisher", [True, False])
+@pytest.mark.parametrize("mode", [0o750, 0o701, 0o777, 0o1777])
+def test_a_folder_of_sockets_that_others_can_reach_is_refused(
+    folder: Path, private_book: AddressBook, mode: int, publisher: bool
+) -> None:
+    folder.mkdir()
+    folder.chmod(mode)
+    assert refusal_of(private_book, publisher=publisher) == (
+        f"{folder}: other users can reach what is in it (mode {mode & 0o777:o}): chmod 700 {folder}"
+    )
+    assert list(folder.iterdir()) == []
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can give a folder to another user")
+@pytest.mark.parametrize("publisher", [True, False])
+@pytest.mark.parametrize("link", [True, False])
+def test_a_folder_of_sockets_of_another_user_is_refused(
+    folder: Path, private_book: AddressBook, publisher: bool, link: bool
+) -> None:
+    if link:
+        (folder.parent / "own").mkdir(mode=0o700)
+        folder.symlink_to(folder.parent / "own")
+    else:
+        folder.mkdir(mode=0o700)
+    os.chown(folder, 65534, -1, follow_symlinks=False)
+    assert refusal_of(private_book, publisher=publisher) == (
+        f"{folder}: belongs to user 65534, and this is user {os.geteuid()}: name another one by TELENANO_RUNTIME_DIR"
+    )
+
+
+def test_a_folder_that_somebody_makes_in_the_last_moment_is_refused(
+    folder: Path, private_book: AddressBook, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    make = Path.mkdir
+
+    def too_late(path: Path, *arguments: int, **more: bool) -> None:
+        make(path)
+        path.chmod(0o777)
+        raise FileExistsError(17, "File exists")
+
+    with open_participant(HAND, private_book) as participant:
+        monkeypatch.setattr(Path, "mkdir", too_late)
+        with pytest.raises(ConfigError, match="other users can reach what is in it"):
+            participant.bind(HAND)
+
+
+def test_sockets_that_the_site_file_puts_elsewhere_are_its_own_affair(
+    folder: Path, book: AddressBook, tmp_path: Path
+) -> None:
+    folder.mkdir(mode=0o777)
+    tmp_path.chmod(0o755)
+    with open_participant(HAND, book) as participant:
+        participant.bind(HAND)

@@ -272,7 +272,7 @@ def test_runtime_folder(tmp_path: Path) -> None:
     judged(checks.check_runtime_folder(folder, user), "ok", "is private")
     judged(checks.check_runtime_folder(folder, user + 1), "problem", f"user {user}", "TELENANO_RUNTIME_DIR")
     folder.chmod(0o750)
-    judged(checks.check_runtime_folder(folder, user), "warning", "mode 750", f"chmod 700 {folder}")
+    judged(checks.check_runtime_folder(folder, user), "problem", "mode 750", f"chmod 700 {folder}")
 
 
 def test_a_runtime_folder_that_cannot_be(tmp_path: Path) -> None:
