@@ -3,7 +3,7 @@
 import sys
 
 from proto.errors import ConfigError
-from services.delay_node.config import LinkSettings
+from services.delay_node.config import LinkSettings, changes_text
 from services.delay_node.node import DelayNode
 from services.runtime.main import NodeKind, Wiring, run_node
 from services.runtime.node import AccountedBus, Node
@@ -11,6 +11,8 @@ from services.runtime.node import AccountedBus, Node
 
 def build(wiring: Wiring, settings: LinkSettings) -> tuple[Node, AccountedBus]:
     """Bind a publisher at each site and subscribe to the nodes of both."""
+    if changes := changes_text(settings):
+        wiring.log.warning(changes)
     # the publishers first: they are what may fail
     to_master, to_slave = wiring.bind("delay_node@master"), wiring.bind("delay_node@slave")
     connections = [wiring.book.bridged_from(site) for site in ("master", "slave")]

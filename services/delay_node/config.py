@@ -343,6 +343,19 @@ def changed(settings: LinkSettings, flat: Mapping[str, Setting]) -> LinkSettings
     return parse_settings(merge(kept, change), "session/control")
 
 
+def profile_changes(settings: LinkSettings) -> dict[str, tuple[Setting, Setting]]:
+    """Return what given keys replace in the profile: dotted key -> value of the profile, value in force."""
+    of_profile = {key: _as_setting(value) for key, value in flatten(PROFILES[settings.profile].settings).items()}
+    in_force = flattened(settings)
+    return {key: (value, in_force[key]) for key, value in of_profile.items() if in_force[key] != value}
+
+
+def changes_text(settings: LinkSettings) -> str:
+    """Return in words what given keys replace in the profile, empty where they replace nothing."""
+    changed_keys = [f"{key} is {given}, not {named}" for key, (named, given) in profile_changes(settings).items()]
+    return f"the profile {settings.profile} is changed: {', '.join(changed_keys)}" if changed_keys else ""
+
+
 def flattened(settings: LinkSettings, *, only_set: bool = False) -> dict[str, Setting]:
     """Return the settings as dotted keys, in the form that `changed` takes; `only_set` leaves defaults out."""
     tree = settings.model_dump(exclude_unset=only_set)

@@ -10,6 +10,7 @@ import yaml
 from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE, find_scenario
 from proto.errors import ConfigError, RigError
 from proto.nodes import LAUNCHER, LINK, OPTIONAL_NODES, RECORDER, SERVICES, START_ORDER, name_of, site_of
+from services.delay_node.config import LinkSettings, changes_text
 from services.runtime.address_book import AddressBook
 from services.runtime.config import layered, merge, validate
 from services.runtime.main import load_site, node_kind
@@ -85,6 +86,14 @@ class Plan:
     site: Site | None = None
     attach: bool = False
     wait_s: float | None = None
+
+    @property
+    def warning(self) -> str:
+        """What is easily overlooked in the scenario in force: keys that replace those of the link's profile."""
+        if LINK not in {name_of(node) for node in self.nodes}:
+            return ""
+        changes = changes_text(self.loaded.section(LINK, LinkSettings))
+        return f"{self.loaded.origin}: {LINK}: {changes}" if changes else ""
 
     @property
     def launcher(self) -> str:

@@ -90,6 +90,8 @@ def up(
             wait_s=wait,
         )
         plan = make_plan(request, default_folder(scenario, datetime.now()))
+        if plan.warning:
+            typer.echo(f"telenano: {plan.warning}", err=True)
         view = _open_view(live=not headless and not as_json, quiet=as_json)
         with view:
             outcome = run_rig(plan, view.observe, view.show)

@@ -2,6 +2,7 @@
 
 import json
 import multiprocessing
+import shlex
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -10,11 +11,12 @@ import machine
 import pytest
 from empty_loop import EmptyLoops
 from mcap.reader import make_reader
-from stack_rig import Rig
+from stack_rig import ROOT, Rig
 
 from analysis.process_replay import RerunResult, rerun
 from proto import TOPICS
 from recording.reader import Recording
+from services.delay_node.profiles import PROFILES
 
 LOSSLESS = [name for name, topic in TOPICS.items() if topic.delivery == "lossless"]
 FAST = [name for name, topic in TOPICS.items() if topic.rate_hz == 1000.0]
@@ -27,6 +29,16 @@ BORNE_MS = 51.2
 # more than this beyond the median, and the loop stood still for a moment: that is a blow to a loop at its edge
 HELD_UP_MS = 15.0
 NODES = ("controller@master", "controller@slave", "afm_node@slave", "haptic_node@master", "delay_node@master")
+
+
+def readme(option: str) -> list[str]:
+    """Give what follows `up --scenario fig12` in the command of the README that has an option."""
+    (line,) = [
+        text for text in (ROOT / "README.md").read_text().splitlines() if option in text and "telenano up" in text
+    ]
+    before, scenario, *options = shlex.split(line, comments=True)[1:]
+    assert (before, scenario, options.pop(0)) == ("up", "--scenario", "fig12")
+    return options
 
 
 @pytest.fixture(scope="module")
@@ -110,7 +122,7 @@ def test_every_message_decodes(session: Any) -> None:
 
 
 def test_forty_milliseconds_round_trip_stay_stable_and_without_the_meniscus_the_contact_is_nearer(rig: Any) -> None:
-    summary = rig.run("--delay-ms", "20", "--set", "afm_node.meniscus=false", "--duration", "6.5")
+    summary = rig.run(*readme("--delay-ms 20"), "--set", "afm_node.meniscus=false", "--duration", "6.5")
     assert summary["contact_x_cm"] == pytest.approx(0.672, abs=0.010)
     # what the loop takes by itself comes on top of the 40 ms that are set for the link
     age_ms = summary["loop_age_ms"]["p50"]
@@ -126,7 +138,7 @@ def test_forty_milliseconds_round_trip_stay_stable_and_without_the_meniscus_the_
 
 
 def test_sixty_milliseconds_round_trip_are_a_limit_cycle(rig: Any) -> None:
-    summary = rig.run("--delay-ms", "30", *HOLDS)
+    summary = rig.run(*readme("--delay-ms 30"), *HOLDS)
     assert summary["stable"] is False
     swings = [
         hold["peak_to_peak_n"] for hold in summary["holds"] if hold["hand_force_n"] == pytest.approx(2.0, abs=0.1)
@@ -139,6 +151,13 @@ def test_sixty_milliseconds_round_trip_are_a_limit_cycle(rig: Any) -> None:
         assert max(swings) == pytest.approx(7.3 + 0.06 * (age["p50"] - 62.0), abs=1.0)
     else:
         machine.note(f"a loop held up by {age['max'] - age['p50']:.0f} ms: a limit cycle of {max(swings):.1f} N")
+
+
+def test_the_satellite_of_the_readme_is_as_far_away_as_it_is(rig: Any) -> None:
+    summary = rig.run(*readme("delay_node.profile=satellite"), "--duration", "1.5")
+    round_trip_s = sum(PROFILES["satellite"].settings[way]["delay_s"] for way in ("forward", "backward"))
+    # its jitter takes off a few milliseconds as often as it adds some
+    assert summary["loop_age_ms"]["p50"] > 950.0 * round_trip_s
 
 
 @pytest.fixture(scope="module")

@@ -13,8 +13,10 @@ from services.delay_node.config import (
     Impairment,
     LinkSettings,
     changed,
+    changes_text,
     flattened,
     parse_settings,
+    profile_changes,
 )
 from services.delay_node.profiles import PROFILES
 
@@ -138,6 +140,31 @@ def test_profile_starts_anew_but_keeps_the_seed_and_takes_the_other_keys_of_the_
 
 def test_profile_names_are_known_in_any_case():
     assert changed(LinkSettings(), {"profile": "LTE"}) == parse_settings({"profile": "lte"})
+
+
+def test_what_replaces_a_key_of_the_profile_is_named_with_both_values():
+    link = parse_settings(
+        {
+            "profile": "satellite",
+            "forward": {"delay_s": 0.0, "loss": {"probability": 0.1}, "queue": {"limit_messages": 5}},
+            "backward": {"delay_s": 0.29},
+        }
+    )
+    assert profile_changes(link) == {"forward.delay_s": (0.31, 0.0), "forward.queue.limit_messages": ("none", 5)}
+    assert changes_text(link) == (
+        "the profile satellite is changed: forward.delay_s is 0.0, not 0.31, "
+        "forward.queue.limit_messages is 5, not none"
+    )
+
+
+@pytest.mark.parametrize("name", PROFILES)
+def test_a_profile_by_itself_is_changed_by_nothing(name):
+    assert changes_text(parse_settings({"profile": name, "seed": 3})) == ""
+
+
+def test_keys_that_a_profile_does_not_set_replace_nothing_of_it():
+    assert changes_text(parse_settings({"forward": {"delay_s": 0.02}})) == ""
+    assert changes_text(parse_settings({"profile": "lan", "forward": {"outage": {"period_s": 5.0}}})) == ""
 
 
 def test_empty_lists_survive_the_flat_form():

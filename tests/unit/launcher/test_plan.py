@@ -4,7 +4,7 @@ from typing import Any
 import pytest
 import yaml
 
-from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE, known_scenarios
+from presets import DEFAULT_SITE_FILE, SCENARIO_DIRECTORY, TWO_SITES_FILE, known_scenarios
 from proto.errors import ConfigError
 from proto.nodes import LAUNCHER, OPTIONAL_NODES, RECORDER, START_ORDER, STOP_ORDER
 from services.launcher.plan import ALLOW_REPLAY, UpRequest, anchored, make_plan
@@ -59,6 +59,21 @@ def test_the_environment_lies_below_the_flags(tmp_path: Path, monkeypatch: pytes
     monkeypatch.setenv("TELENANO__DELAY_NODE__FORWARD__DELAY_S", "0.5")
     assert make_plan(request(tmp_path), tmp_path).scenario.delay_node["forward"]["delay_s"] == 0.5
     assert make_plan(request(tmp_path, delay_ms=0.0), tmp_path).scenario.delay_node["forward"]["delay_s"] == 0.0
+
+
+def test_what_replaces_a_key_of_a_profile_is_said_with_where_it_came_from(tmp_path: Path) -> None:
+    satellite = {"settings": ("delay_node.profile=satellite",)}
+    assert make_plan(request(tmp_path, **satellite), tmp_path).warning == ""
+    plan = make_plan(request(tmp_path, delay_ms=20.0, **satellite), tmp_path)
+    assert plan.warning == (
+        f"{SCENARIO_DIRECTORY / 'fig12.yaml'} + --set + --delay-ms: delay_node: the profile satellite is changed: "
+        "forward.delay_s is 0.02, not 0.31, backward.delay_s is 0.02, not 0.29"
+    )
+    # where no link is started its settings are those of whoever starts it
+    without_delay = {"settings": ("delay_node.profile=satellite", "delay_node.forward.delay_s=0")}
+    assert make_plan(request(tmp_path, **without_delay), tmp_path).warning != ""
+    at_slave = request(tmp_path, site="slave", site_file=TWO_SITES_FILE, **without_delay)
+    assert make_plan(at_slave, tmp_path).warning == ""
 
 
 def test_overwrite_clears_an_earlier_session_and_nothing_else(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ import typer
 from typer.testing import CliRunner
 
 from presets import TWO_SITES_FILE, site_file_named
+from proto.errors import RigError
 from telenano.lazy_commands import LAZY_COMMANDS, load
 from telenano.root import app
 
@@ -130,6 +131,22 @@ def test_an_unknown_key_in_a_file_is_named_with_the_file(tmp_path: Path) -> None
     assert code == 2
     assert str(scenario) in err
     assert "afm_node.rest_distance_nm" in err
+
+
+def test_what_overrides_a_profile_is_one_line_on_the_terminal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import telenano.commands.up
+
+    def end(*_: object) -> None:
+        raise RigError("the rig would begin here")
+
+    monkeypatch.setattr(telenano.commands.up, "run_rig", end)
+    satellite = ("up", "--scenario", "fig12", "--out", str(tmp_path), "--set", "delay_node.profile=satellite")
+    assert run(*satellite)[2] == "telenano: the rig would begin here\n"
+    for more in ((), ("--json",)):
+        lines = run(*satellite, "--delay-ms", "20", *more)[2].splitlines()
+        assert len(lines) == 2
+        assert lines[0].startswith("telenano: ")
+        assert "the profile satellite is changed: forward.delay_s is 0.02, not 0.31, backward.delay_s" in lines[0]
 
 
 @pytest.mark.parametrize("duration", ["-1", "0", "nan"])

@@ -1,0 +1,117 @@
+"""The commands in the code blocks of README and docs: each is one that there is, with options that it takes."""
+
+import re
+import shlex
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from services.delay_node.config import LinkSettings, profile_changes
+from services.delay_node.profiles import PROFILES
+from services.launcher.command_client import parse_parameters
+from services.launcher.plan import Plan, UpRequest, make_plan
+from services.runtime.observer import known_name
+from telenano.lazy_commands import load
+
+ROOT = Path(__file__).parents[3]
+PAGES = sorted(path for path in (*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("*/README.md")))
+PAGES += sorted(ROOT.glob("services/*/README.md"))
+# what a page runs the command by, besides its own name
+RUNNERS = ("docker", "docker-compose", "sudo")
+
+
+def documented() -> Iterator[tuple[str, list[str]]]:
+    """Return the arguments of each command line with `telenano`, and where it is."""
+    for page in PAGES:
+        for block in re.findall(r"^ *```(?:sh|bash)?\n(.*?)^ *```", page.read_text(), re.DOTALL | re.MULTILINE):
+            for line in block.replace("\\\n", " ").splitlines():
+                yield from ((page.name, found) for found in arguments_in(line))
+
+
+def arguments_in(line: str) -> Iterator[list[str]]:
+    for part in re.split(r"&&|\|", line.strip().removeprefix("$ ")):
+        if "telenano" not in part:
+            continue
+        words = shlex.split(part, comments=True)
+        names = [place for place, word in enumerate(words) if Path(word).name == "telenano"]
+        if names and (names[0] == 0 or words[0] in RUNNERS) and words[names[-1] + 1 :]:
+            yield words[names[-1] + 1 :]
+
+
+COMMANDS = list(documented())
+
+
+def context_of(arguments: list[str]) -> Any:
+    """Return the context of the command that is named, with its options read; a usage error if they are wrong."""
+    command, context, rest = load(arguments[0]), None, arguments[1:]
+    while True:
+        context = command.make_context(command.name or arguments[0], list(rest), parent=context)
+        if not hasattr(command, "commands"):
+            return context
+        _, command, rest = command.resolve_command(context, [*context._protected_args, *context.args])
+        assert command is not None
+
+
+def plan_of(options: dict[str, Any], folder: Path) -> Plan:
+    """Return what `telenano up` would run; ConfigError names what is wrong."""
+    site = options["site"]
+    request = UpRequest(
+        scenario=options["scenario"],
+        site_file=options["site_file"],
+        delay_ms=options["delay_ms"],
+        duration_s=options["duration"],
+        out=folder,
+        overwrite=options["overwrite"],
+        settings=options["settings"] or (),
+        without=options["without"] or (),
+        allow_replay=options["allow_replay"],
+        site=None if site is None else site.value,
+        attach=options["attach"],
+        wait_s=options["wait"],
+    )
+    return make_plan(request, folder)
+
+
+def check_settings(target: str, words: list[str], folder: Path) -> None:
+    """Check what is set while a rig runs as a key of the scenario; ConfigError names what is wrong."""
+    settings = [f"{target}.{key}={value}" for key, value in parse_parameters(words).items()]
+    make_plan(UpRequest("fig12", None, None, None, folder, False, settings), folder)
+
+
+def test_the_pages_have_commands_of_every_kind() -> None:
+    assert len(COMMANDS) > 50
+    assert {"up", "session", "link", "study", "bag", "replay", "report", "keys", "topic", "status", "doctor"} <= {
+        arguments[0] for _, arguments in COMMANDS
+    }
+
+
+@pytest.mark.parametrize(("page", "arguments"), COMMANDS, ids=[f"{p}: {' '.join(a)}" for p, a in COMMANDS])
+def test_a_documented_command_is_one_that_there_is(page: str, arguments: list[str], tmp_path: Path) -> None:
+    context = context_of(arguments)
+    options, path = context.params, context.command_path
+    if path == "up":
+        plan = plan_of(options, tmp_path)
+        # what a page shows does what it says: nothing in it is overridden by something else
+        assert plan.warning == ""
+    elif path == "session" and options["command"].value == "set":
+        check_settings(options["target"], options["parameters"], tmp_path)
+    elif path == "link set":
+        check_settings("delay_node", options["settings"], tmp_path)
+    elif path.startswith("topic") and "topic" in options:
+        known_name(options["topic"])
+
+
+def link_of(plan: Plan) -> LinkSettings:
+    return plan.loaded.section("delay_node", LinkSettings)
+
+
+@pytest.mark.parametrize("name", sorted(PROFILES))
+def test_a_profile_of_a_known_scenario_has_the_delay_that_it_is_named_for(name: str, tmp_path: Path) -> None:
+    options = context_of(["up", "--scenario", "fig12", "--set", f"delay_node.profile={name}"]).params
+    plan = plan_of(options, tmp_path)
+    assert profile_changes(link_of(plan)) == {}
+    for way in ("forward", "backward"):
+        expected = PROFILES[name].settings.get(way, {}).get("delay_s", 0.0)
+        assert getattr(link_of(plan), way).delay_s == expected
