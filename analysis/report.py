@@ -85,14 +85,17 @@ class Traffic:
 def write_report(path: Path, out: Path) -> dict[str, Any]:
     """Write `fig12.png` and `summary.json` of a recording to a folder.
 
-    Returns: the summary. Raises RecordingError naming the file and what it lacks.
+    Returns: the summary. Raises RecordingError naming the file and what it lacks, or what cannot be written.
     """
     recording = Recording(path)
     session = read_session(recording)
     summary = summarise(session, recording.info(), read_traffic(recording, session))
-    out.mkdir(parents=True, exist_ok=True)
-    save_fig12(session.series(), _title(session, summary), out / "fig12.png")
-    (out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        save_fig12(session.series(), _title(session, summary), out / "fig12.png")
+        (out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise RecordingError(f"{error.filename or out}: cannot be written: {error.strerror or error}") from error
     return summary
 
 

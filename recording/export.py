@@ -3,6 +3,7 @@
 import csv
 import importlib
 import json
+import os
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Literal
@@ -27,12 +28,21 @@ def export_recording(source: Path, target: Path, kind: Format, selection: Select
     """Write the chosen channels of a recording in another format.
 
     `parquet` and `csv` make a folder with a file for each channel, `hdf5` a file with a group for each, `mcap-json`
-    an MCAP file. Raises RecordingError when the source is not a recording or the target exists, ConfigError when
-    a package that the format needs is not installed.
+    an MCAP file. Raises RecordingError when the source is not a recording or the target exists or cannot be written,
+    ConfigError when a package that the format needs is not installed.
     """
     recording = Recording(source)
-    if target.exists():
-        raise RecordingError(f"{target}: already exists and is not overwritten")
+    try:
+        if target.exists():
+            raise RecordingError(f"{target}: already exists and is not overwritten")
+        return _export(recording, target, kind, selection)
+    except OSError as error:
+        # HDF5 has a text of its own, of several lines
+        reason = os.strerror(error.errno) if error.errno else str(error)
+        raise RecordingError(f"{target}: cannot be written: {reason}") from error
+
+
+def _export(recording: Recording, target: Path, kind: Format, selection: Selection) -> CopyResult:
     if kind == "mcap-json":
         return _export_json(recording, target, selection)
     if kind == "hdf5":

@@ -36,9 +36,10 @@ class CopyWriter:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._stream: IO[bytes] = path.open("xb")
-        except FileExistsError as error:
-            raise RecordingError(f"{path}: already exists and is not overwritten") from error
         except OSError as error:
+            # where a file stands in the place of its folder, that is what exists
+            if isinstance(error, FileExistsError) and path.exists():
+                raise RecordingError(f"{path}: already exists and is not overwritten") from error
             raise RecordingError(f"{path}: cannot be created: {error.strerror}") from error
         # Any: the package carries no types
         self._mcap: Any = Writer(self._stream, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD)

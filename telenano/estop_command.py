@@ -1,6 +1,8 @@
 """`telenano estop`, and `telenano session estop`: without typer and without models where nothing else is asked for."""
 
+import contextlib
 import json
+import os
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -54,15 +56,27 @@ def run_estop(request: EstopRequest) -> int:
     except TelenanoError as error:
         sys.stderr.write(f"telenano: {error}\n")
         if request.as_json:
-            sys.stdout.write(json.dumps({"error": str(error)}) + "\n")
+            _print(json.dumps({"error": str(error)}))
         return EXIT_BAD_CONFIGURATION if isinstance(error, ConfigError) else EXIT_FAILED
     except KeyboardInterrupt:
         sys.stderr.write("telenano: interrupted\n")
         return EXIT_FAILED
     if request.as_json:
         rows = {node: {"kind": answer.kind, "text": answer.text} for node, answer in sorted(answers.items())}
-        sys.stdout.write(json.dumps({"command": "estop", "target": request.target, "answers": rows}) + "\n")
+        _print(json.dumps({"command": "estop", "target": request.target, "answers": rows}))
     return EXIT_FAILED if any(answer.kind == "refused" for answer in answers.values()) else 0
+
+
+def _print(line: str) -> None:
+    """Print a line; a stop goes on, and has its exit code, where that is not possible."""
+    try:
+        sys.stdout.write(line + "\n")
+        sys.stdout.flush()
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            sys.stderr.write(f"telenano: standard output cannot be written: {error.strerror}\n")
+        # or Python would fail to write it when it ends
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _stop(request: EstopRequest) -> dict[str, Answer]:
@@ -75,8 +89,7 @@ def _stop(request: EstopRequest) -> dict[str, Answer]:
     def on_answer(answer: Answer) -> None:
         answers[answer.node] = answer
         if not request.as_json:
-            sys.stdout.write(f"{answer.node} {answer.kind}: {answer.text}\n")
-            sys.stdout.flush()
+            _print(f"{answer.node} {answer.kind}: {answer.text}")
 
     if reach.direct or reach.by_link:
         emergency_stop(rig, reach, request.target, on_answer)

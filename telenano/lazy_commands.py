@@ -1,10 +1,15 @@
 """The table of commands, each imported when it runs: `telenano --help` answers at once, without what they need."""
 
 import importlib
+import sys
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import typer
 from typer.core import TyperCommand, TyperGroup
+
+# of the command line; typer has no other name for the base of all of them
+_UsageError: Any = typer.BadParameter.__base__
 
 
 class LazyCommand(NamedTuple):
@@ -53,7 +58,28 @@ def load(name: str) -> Any:
 
 
 class LazyRoot(TyperGroup):
-    """The group of all commands, which lists them without importing them."""
+    """The group of all commands, which lists them without importing them, and reports what none of them did."""
+
+    def main(
+        self,
+        args: Sequence[str] | None = None,
+        prog_name: str | None = None,
+        complete_var: str | None = None,
+        standalone_mode: bool = True,
+        windows_expand_args: bool = True,
+        **extra: Any,
+    ) -> Any:
+        """Run a command and exit; a usage error, and what the system refuses, is a sentence as any other error is."""
+        as_json = "--json" in (sys.argv[1:] if args is None else args)
+        try:
+            code = super().main(args, prog_name, complete_var, False, windows_expand_args, **extra)
+        except (_UsageError, OSError) as error:
+            if not standalone_mode:
+                raise
+            code = _report(error, as_json=as_json)
+        if not standalone_mode:
+            return code
+        sys.exit(code if isinstance(code, int) else 0)
 
     def list_commands(self, ctx: Any) -> list[str]:
         return list(LAZY_COMMANDS)
@@ -68,3 +94,20 @@ class LazyRoot(TyperGroup):
         if args and args[0] in LAZY_COMMANDS:
             return args[0], load(args[0]), args[1:]
         return super().resolve_command(ctx, args)
+
+
+def _report(error: Any, *, as_json: bool) -> int:
+    """Print what no command has reported; return the exit code."""
+    from telenano.exit_codes import EXIT_FAILED
+    from telenano.output import print_error, system_error_text, usage_text
+
+    if isinstance(error, OSError):
+        print_error(system_error_text(error), as_json=as_json)
+        return EXIT_FAILED
+    code: int = error.exit_code
+    if error.format_message().startswith("Usage:"):
+        # a group without a command: its help
+        error.show()
+    else:
+        print_error(usage_text(error), as_json=as_json)
+    return code

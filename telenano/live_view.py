@@ -1,5 +1,6 @@
 """The view of a running rig: a live table on a terminal, a few lines elsewhere."""
 
+import contextlib
 from contextlib import AbstractContextManager
 from typing import Self
 
@@ -51,7 +52,10 @@ class LineView(AbstractContextManager["LineView"]):
             self.show("still waiting: " + "; ".join(f"{node} {reason}" for node, reason in reasons.items()))
 
     def show(self, text: str) -> None:
-        if not self._quiet:
+        """Print a line; a session goes on where its output cannot be written."""
+        if self._quiet:
+            return
+        with contextlib.suppress(OSError):
             self._console.print(text, markup=False, highlight=False, soft_wrap=True)
 
 
@@ -65,21 +69,28 @@ class LiveView(AbstractContextManager["LiveView"]):
         self._last: Group | None = None
 
     def __enter__(self) -> Self:
-        self._live.start()
+        with contextlib.suppress(OSError):
+            self._live.start()
         return self
 
     def __exit__(self, *error: object) -> None:
-        self._live.stop()
+        with contextlib.suppress(OSError):
+            self._live.stop()
 
     def observe(self, rig: RigNode) -> None:
         """Show a tick of the rig, a few times a second."""
         self._ticks += 1
         if self._ticks % _REFRESH_TICKS == 1:
             self._last = rig_picture(rig)
-            self._live.update(self._last, refresh=True)
+            self._update(self._last)
 
     def show(self, text: str) -> None:
-        self._live.update(Group(*([self._last] if self._last else []), Text(text)), refresh=True)
+        self._update(Group(*([self._last] if self._last else []), Text(text)))
+
+    def _update(self, picture: Group) -> None:
+        # a terminal may be gone: the session goes on
+        with contextlib.suppress(OSError):
+            self._live.update(picture, refresh=True)
 
 
 def rig_picture(rig: RigNode) -> Group:

@@ -1,6 +1,7 @@
 """Output of commands: errors as sentences and exit codes, results as JSON or tables."""
 
 import contextlib
+import errno
 import json
 import os
 import sys
@@ -15,11 +16,15 @@ from telenano.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED
 from telenano.tables import rows_table, summary_tables
 
 _PIPE_COLUMNS = 140
+_WRITE_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 
 @contextlib.contextmanager
 def report_errors(as_json: bool, interrupted: str = "interrupted") -> Iterator[None]:
-    """Report a TelenanoError or Ctrl-C as a sentence and an exit code; `interrupted` is the text for Ctrl-C."""
+    """Report a TelenanoError, what the system refuses, or Ctrl-C as a sentence and an exit code.
+
+    Parameters: interrupted, the text for Ctrl-C.
+    """
     try:
         yield
     except TelenanoError as error:
@@ -27,17 +32,52 @@ def report_errors(as_json: bool, interrupted: str = "interrupted") -> Iterator[N
         fail(str(error), code, as_json=as_json)
     except BrokenPipeError:
         # the reader of the pipe, such as `head`, has closed it: nothing more can be printed
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _discard_output()
+    except OSError as error:
+        fail(system_error_text(error), as_json=as_json)
     except KeyboardInterrupt:
         fail(interrupted, EXIT_FAILED, as_json=as_json)
 
 
 def fail(text: str, code: int = EXIT_FAILED, *, as_json: bool, **facts: Any) -> NoReturn:
     """Print an error on stderr, with `facts` as JSON on stdout if asked, and exit."""
-    typer.echo(f"telenano: {text}", err=True)
-    if as_json:
-        print_json({"error": text, **facts})
+    print_error(text, as_json=as_json, **facts)
     raise typer.Exit(code)
+
+
+def print_error(text: str, *, as_json: bool, **facts: Any) -> None:
+    """Print an error on stderr, with `facts` as JSON on stdout if asked."""
+    with contextlib.suppress(OSError):
+        typer.echo(f"telenano: {text}", err=True)
+    try:
+        if as_json:
+            print_json({"error": text, **facts})
+        sys.stdout.flush()
+    except OSError:
+        # what was printed before could not be written either
+        _discard_output()
+
+
+def system_error_text(error: OSError) -> str:
+    """Return in words what the system refused."""
+    reason = error.strerror or str(error)
+    if error.filename is not None:
+        return f"{error.filename}: {reason}"
+    # those who write files report errors with the name of the file
+    return f"standard output cannot be written: {reason}" if error.errno in _WRITE_ERRORS else reason
+
+
+def usage_text(error: Any) -> str:
+    """Return a usage error of the command line as a sentence."""
+    message = " ".join(error.format_message().split()).rstrip(".")
+    path = error.ctx.command_path.removeprefix(error.ctx.find_root().command_path) if error.ctx else ""
+    return f"{message[:1].lower()}{message[1:]} (`telenano{path} --help` explains)"
+
+
+def _discard_output() -> None:
+    """Send what is still printed nowhere, or Python would fail to write it when it ends."""
+    with contextlib.suppress(OSError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def print_json(document: Any) -> None:

@@ -4,8 +4,8 @@ A step is plain Python until `compile_steps` is called, before the modules with 
 calls a millisecond, and boxing their tuples for compiled code costs it more than the arithmetic. A process
 that makes millions of calls in a row, as a study, compiles. Both give the same bits.
 
-`@compiled` is then `numba.njit(cache=True)` with a type that mypy understands. Numba notices a change of the file a
-function is in, but not of the functions it calls from other files, so a plain cache would go on running an
+`@compiled` is then `numba.njit` with a cache on disk and a type that mypy understands. Numba notices a change of the
+file a function is in, but not of the functions it calls from other files, so a plain cache would go on running an
 old model after an edit. The cache folder here is named after a digest of every source that compiled code can
 depend on: any edit gives a new folder, and a run on unchanged sources loads in milliseconds.
 """
@@ -23,6 +23,8 @@ F = TypeVar("F", bound=Callable[..., object])
 _ROOT = Path(__file__).resolve().parents[2]
 _PACKAGES = ("services/haptic_node", "services/afm_node", "services/controller", "studies")
 _SHELLS = ("node.py", "__main__.py")
+# raised with every change of what `compile_cache` writes
+_CACHE_FORMAT = "2"
 
 # the first step that was left as plain Python, and whether those after it are compiled
 _plain = ""
@@ -44,7 +46,7 @@ def compile_steps() -> None:
 
 def source_digest(root: Path = _ROOT) -> str:
     """Return the digest (16 hex digits) of every Python file that may hold compiled steps or constants they use."""
-    digest = hashlib.sha256(version("numba").encode())
+    digest = hashlib.sha256((version("numba") + "/" + _CACHE_FORMAT).encode())
     for package in _PACKAGES:
         for path in sorted((root / package).rglob("*.py")):
             if path.name not in _SHELLS:
@@ -74,6 +76,15 @@ def _compiler() -> Callable[[Callable[..., object]], object]:
     import numba
     from numba.core import config
 
+    from services.runtime.compile_cache import CheckedCache
+
     if "NUMBA_CACHE_DIR" not in os.environ:
         vars(config)["CACHE_DIR"] = str(cache_directory())
-    return cast(Callable[[Callable[..., object]], object], numba.njit(cache=True))
+
+    def compile_and_keep(function: Callable[..., object]) -> object:
+        dispatcher = numba.njit(function)
+        if not vars(config)["DISABLE_JIT"]:
+            dispatcher._cache = CheckedCache(function)
+        return dispatcher
+
+    return compile_and_keep

@@ -6,7 +6,7 @@ import signal
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, NoReturn, TypeVar
 
 from pydantic import BaseModel
 
@@ -79,9 +79,15 @@ class NodeArguments(argparse.Namespace):
     with_parent: bool
 
 
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        """Exit with an error of the command line in one sentence."""
+        self.exit(EXIT_BAD_START, f"{self.prog}: {message} (`{self.prog} --help` explains)\n")
+
+
 def parse_arguments(name: str, sites: Sequence[str], arguments: Sequence[str] | None) -> NodeArguments:
     """Read the command line of a node."""
-    parser = argparse.ArgumentParser(prog=f"telenano node {name}", description=f"Run one {name} of the rig.")
+    parser = _Parser(prog=f"telenano node {name}", description=f"Run one {name} of the rig.")
     parser.add_argument("--site-file", type=Path, required=True, help="address book of the rig (YAML)")
     parser.add_argument("--scenario", type=Path, required=True, help="scenario with this node's section (YAML)")
     parser.add_argument("--site", choices=sites, default=sites[0], help="site that this process belongs to")

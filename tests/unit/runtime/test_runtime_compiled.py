@@ -101,6 +101,51 @@ def test_a_step_is_compiled_into_that_folder(tmp_path: Path) -> None:
     assert not list(ROOT.glob("services/runtime/__pycache__/*.nb?"))
 
 
+# spoils each file of the cache in each way, and runs the step as a process that starts then would
+SPOIL = """
+import logging, pathlib, studies, model
+from services.runtime import compile_cache
+from services.runtime.compiled import cache_directory, compiled
+
+def run():
+    said.clear()
+    compile_cache._warn.cache_clear()
+    # as a process that starts now: it has loaded nothing
+    step = compiled(model.step.py_func)
+    assert step(model.State(1.0, 0), 0.25) == (1.5, 1)
+    return sum(step.stats.cache_hits.values()), list(said)
+
+said = []
+handler = logging.Handler()
+handler.emit = lambda record: said.append(record.getMessage())
+logging.getLogger().addHandler(handler)
+print(run())
+for suffix in ("nbi", "nbc"):
+    (kept,) = cache_directory().rglob(f"*.{suffix}")
+    content = kept.read_bytes()
+    middle = len(content) // 2
+    flipped = content[:middle] + bytes([content[middle] ^ 1]) + content[middle + 1:]
+    for spoiled in (content[:middle], b"", flipped, bytes(len(content)), content + b"x"):
+        kept.write_bytes(spoiled)
+        hits, texts = run()
+        assert (hits, texts) == (0, [f"the compiled code in {cache_directory()} was damaged, and is compiled again"])
+        # and is sound afterwards
+        assert run() == (1, [])
+
+def full(*_):
+    raise OSError(28, "No space left on device")
+
+kept.unlink()
+compile_cache.CheckedCacheFile._save_data = full
+assert run() == (0, [f"compiled code cannot be kept in {cache_directory()}: No space left on device"])
+print("all")
+"""
+
+
+def test_damaged_compiled_code_is_compiled_again_and_what_cannot_be_kept_is_used(tmp_path: Path) -> None:
+    assert run_step(tmp_path, SPOIL).splitlines() == ["(0, [])", "all"]
+
+
 def test_without_the_compiler_a_step_is_plain_python_with_the_same_result(tmp_path: Path) -> None:
     assert run_step(tmp_path, NUMBA_DISABLE_JIT="1") == "function"
     assert not list(tmp_path.rglob("*.nb?"))

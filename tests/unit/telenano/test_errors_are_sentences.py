@@ -1,0 +1,188 @@
+"""Whatever a command cannot write, or is typed wrong: one sentence and an exit code, and never a traceback."""
+
+import errno
+import io
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+from typer.testing import CliRunner
+
+from telenano import live_view, output
+from telenano.live_view import LineView, LiveView
+from telenano.root import app
+
+MakeFile = Callable[..., Path]
+RUNNER = CliRunner()
+FULL = Path("/dev/full")
+SESSION = Path(__file__).parents[2] / "replay" / "wave.mcap"
+needs_full = pytest.mark.skipif(not FULL.exists(), reason="this system has no /dev/full")
+
+
+def run(*arguments: str | Path) -> tuple[int, str, str]:
+    result = RUNNER.invoke(app, [str(argument) for argument in arguments])
+    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
+    return result.exit_code, result.stdout, result.stderr
+
+
+def refused(*arguments: str | Path) -> str:
+    """Return the sentence of a command that fails, which it also gives as JSON."""
+    code, out, err = run(*arguments)
+    assert (code, out) == (1, "")
+    assert err.count("\n") == 1
+    assert err.startswith("telenano: ")
+    code, out, again = run(*arguments, "--json")
+    assert (code, again) == (1, err)
+    assert json.loads(out) == {"error": err.removeprefix("telenano: ").rstrip("\n")}
+    return err.removeprefix("telenano: ").rstrip("\n")
+
+
+def no_space(*_: object, **__: object) -> None:
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+@pytest.fixture
+def in_the_way(tmp_path: Path) -> Path:
+    """Return a file that stands where a folder would have to be."""
+    (tmp_path / "file").write_text("kept")
+    return tmp_path / "file"
+
+
+def test_a_report_that_cannot_be_written_names_its_folder(in_the_way: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert refused("report", SESSION, "--out", in_the_way) == f"{in_the_way}: cannot be written: File exists"
+    below = in_the_way / "report"
+    assert refused("report", SESSION, "--out", below) == f"{below}: cannot be written: Not a directory"
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", no_space)
+    out = in_the_way.with_name("out")
+    assert refused("report", SESSION, "--out", out) == f"{out}: cannot be written: No space left on device"
+    assert in_the_way.read_text() == "kept"
+
+
+@pytest.mark.parametrize("kind", ["csv", "parquet", "hdf5", "mcap-json"])
+def test_an_export_that_cannot_be_written_names_its_target(make_file: MakeFile, in_the_way: Path, kind: str) -> None:
+    for target in (in_the_way / "target", in_the_way / "deeper" / "target"):
+        text = refused("bag", "export", make_file(), "--to", kind, "--out", target)
+        assert text.startswith(f"{target}: cannot be ")
+        assert text.endswith(("Not a directory", "File exists", "No such file or directory"))
+
+
+def test_an_export_to_a_full_disk_says_so(make_file: MakeFile, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("recording.export._write_csv", no_space)
+    for attempt in ("a", "b"):
+        code, _, err = run("bag", "export", make_file(), "--to", "csv", "--out", tmp_path / attempt)
+        assert (code, err) == (1, f"telenano: {tmp_path / attempt}: cannot be written: No space left on device\n")
+
+
+@pytest.mark.parametrize("command", ["filter", "recover", "merge"])
+def test_a_copy_below_a_file_is_not_called_one_that_exists(make_file: MakeFile, in_the_way: Path, command: str) -> None:
+    assert refused("bag", command, make_file(), "--out", in_the_way / "copy").startswith(
+        f"{in_the_way / 'copy'}: cannot be created: "
+    )
+
+
+# --- standard output ---
+
+
+@needs_full
+@pytest.mark.parametrize(
+    ("arguments", "code", "said"),
+    [
+        (("bag", "info", str(SESSION)), 1, "standard output cannot be written: No space left on device"),
+        (("bag", "cat", str(SESSION)), 1, "standard output cannot be written: No space left on device"),
+        (("estop", "--json"), 1, "no device of the site file runs here: is `telenano up` running with this site file?"),
+        (("upp", "--json"), 2, "no such command 'upp' (`telenano --help` explains)"),
+    ],
+)
+def test_output_that_cannot_be_written_is_one_sentence(
+    arguments: tuple[str, ...], code: int, said: str, tmp_path: Path
+) -> None:
+    environment = {**os.environ, "TELENANO_RUNTIME_DIR": str(tmp_path)}
+    with FULL.open("w") as full:
+        command = [sys.executable, "-m", "telenano", *arguments]
+        done = subprocess.run(command, env=environment, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    # a stop that cannot print its result says so as well
+    assert (done.returncode, done.stderr.splitlines()[0]) == (code, f"telenano: {said}")
+    assert done.stderr.count("\n") == 1 + ("estop" in arguments)
+
+
+class FullDisk(io.StringIO):
+    """A file of which nothing can be written."""
+
+    tries = 0
+
+    def write(self, text: str) -> int:
+        self.tries += 1
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def test_a_session_goes_on_where_its_view_cannot_be_written(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live_view, "rig_picture", lambda rig: live_view.Group("a table"))
+    for make in (LineView, LiveView):
+        full = FullDisk()
+        with make(Console(file=full, force_terminal=True)) as view:
+            view.show("the session is running")
+            if isinstance(view, LiveView):
+                view.observe(None)  # type: ignore[arg-type]
+            view.show("the session is over")
+        assert full.tries >= 2
+
+
+def test_what_the_system_refuses_without_the_name_of_a_file_is_said_in_its_words() -> None:
+    assert output.system_error_text(OSError(errno.EMFILE, "Too many open files")) == "Too many open files"
+    assert output.system_error_text(FileNotFoundError(2, "No such file", "a.txt")) == "a.txt: No such file"
+
+
+# --- what is typed ---
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("up",), "missing option '--scenario' (`telenano up --help` explains)"),
+        (("upp",), "no such command 'upp' (`telenano --help` explains)"),
+        (("up", "--scenario", "fig12", "--duration", "x"), "invalid value for '--duration': "),
+        (("bag", "infoo", "x"), "no such command 'infoo'. Did you mean 'info'? (`telenano bag --help` explains)"),
+        (
+            ("session",),
+            "missing argument 'command'. Choose from: arm, start, stop, estop, set, mark (`tele",
+        ),
+        (("keys", "allow", "slave", "KEY"), "missing option '--role'"),
+        (("topic", "hz", "haptic/state", "more"), "got unexpected extra argument"),
+    ],
+)
+def test_a_wrong_command_line_is_one_sentence(arguments: tuple[str, ...], said: str) -> None:
+    code, out, err = run(*arguments)
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert err.startswith(f"telenano: {said}")
+    assert "--help` explains)" in err
+    code, out, again = run(*arguments, "--json")
+    assert (code, again) == (2, err)
+    assert json.loads(out) == {"error": err.removeprefix("telenano: ").rstrip("\n")}
+
+
+@pytest.mark.parametrize("group", [(), ("bag",), ("topic",)])
+def test_a_group_by_itself_shows_its_help(group: tuple[str, ...]) -> None:
+    code, out, err = run(*group)
+    assert code == 2
+    assert (out + err).startswith("Usage:")
+    assert run(*group, "--help")[0] == 0
+
+
+def test_a_node_is_told_what_is_missing_in_one_sentence(capsys: pytest.CaptureFixture[str]) -> None:
+    from services.runtime.main import parse_arguments
+
+    for arguments, said in (
+        ([], "the following arguments are required: --site-file, --scenario"),
+        (["--site", "nowhere"], "argument --site: invalid choice: 'nowhere' (choose from "),
+    ):
+        with pytest.raises(SystemExit) as caught:
+            parse_arguments("recorder", ("master", "slave"), arguments)
+        err = capsys.readouterr().err
+        assert (caught.value.code, err.count("\n")) == (2, 1)
+        assert err.startswith(f"telenano node recorder: {said}")
+        assert err.endswith("(`telenano node recorder --help` explains)\n")
