@@ -27,7 +27,7 @@ from services.runtime.clock import SystemClock
 from services.runtime.log import StructuredLog
 from services.runtime.realtime import RealtimeConfig, apply_realtime, freeze_garbage, shallow_idle
 from services.runtime.security.keyring import KEYS_DIRECTORY_VARIABLE, Keyring
-from services.runtime.transport import Transport
+from services.runtime.transport import Transport, open_context
 
 PERIOD_NS = 1_000_000
 MASTER, SLAVE = "controller@master", "controller@slave"
@@ -49,7 +49,7 @@ def exchange(node: str, peer: str, book: AddressBook, messages: int, pipe: Conne
     """Be one of the two machines; gives the round trips [ns], none where it answers, and the processor time [s]."""
     own_cpu = RealtimeConfig(cpus={node: 0 if node == MASTER else os.cpu_count() - 1})
     apply_realtime(own_cpu, StructuredLog(node), node)
-    with zmq.Context[zmq.Socket[bytes]]() as context:
+    with open_context(serves_network=book.spans_machines) as context:
         clock = SystemClock()
         network = Transport(context, clock, book, book.machine_of(node))
         publisher = network.publisher(node)

@@ -28,6 +28,8 @@ _BATCH = 256
 _FEW = 3
 # as plain numbers: the enumerations of the binding cost half as much again as the question itself
 _EVENTS, _READABLE, _DONTWAIT, _SNDMORE = int(zmq.EVENTS), int(zmq.POLLIN), int(zmq.DONTWAIT), int(zmq.SNDMORE)
+# of a context's threads, the one that moves the messages of a node; what strangers can reach is left to another one
+_FIRST_THREAD = 1
 # sources that one node keeps account of; a peer that makes up names must not fill the memory
 _MOST_TRACKERS = 1024
 # how long a node that ends goes on sending what a reader that is behind has not yet taken, its recorder above all;
@@ -147,6 +149,7 @@ class ZmqPublisher(_NumberingPublisher):
         super().__init__(clock, node)
         self._lock = EndpointLock(endpoint)
         self.socket = context.socket(kind)
+        self.socket.set(zmq.AFFINITY, _FIRST_THREAD)
         self.socket.set(zmq.SNDHWM, HIGH_WATER_MARK)
         self.socket.set(zmq.LINGER, _LINGER_MS)
         self.socket.set(zmq.MAXMSGSIZE, _LARGEST_SUBSCRIPTION)
@@ -201,6 +204,7 @@ class Subscriber:
         # everything has been taken; until it has, ZeroMQ's descriptor may be silent although messages wait
         self.drained = True
         self.socket = context.socket(zmq.SUB)
+        self.socket.set(zmq.AFFINITY, _FIRST_THREAD)
         self.socket.set(zmq.RCVHWM, HIGH_WATER_MARK)
         self.socket.set(zmq.LINGER, 0)
         self.socket.set(zmq.MAXMSGSIZE, _LARGEST_FRAME)

@@ -16,7 +16,7 @@ from services.runtime.log import StructuredLog
 from services.runtime.node import AccountedBus, Node, NodeContext, NodeLoop, install_stop_signals
 from services.runtime.realtime import RealtimeStatus, freeze_garbage
 from services.runtime.security.keyring import Keyring, this_machine
-from services.runtime.transport import Transport
+from services.runtime.transport import Transport, open_context
 
 SITES = ("master", "slave")
 # the name of who only listens: it is in no site file
@@ -87,7 +87,7 @@ def open_participant(
     clock = SystemClock()
     machine = _machine_of(book, key) if publisher else this_machine(Keyring())
     with contextlib.ExitStack() as resources:
-        context = resources.enter_context(zmq.Context[zmq.Socket[bytes]]())
+        context = resources.enter_context(open_context(serves_network=publisher and book.spans_machines))
         network = resources.enter_context(contextlib.closing(Transport(context, clock, book, machine)))
         yield Participant(
             key=key,

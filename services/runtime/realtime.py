@@ -23,6 +23,9 @@ _MCL_CURRENT_FUTURE_ONFAULT = 7
 _MOST_FILES = 65_536
 # ahead of ordinary processes; the nodes of the loop stay ahead of everything
 _BESIDE_THE_LOOP_NICENESS = -5
+_TASKS = Path("/proc/self/task")
+# the processors that this process could use before `auto` put it on one of them
+_permitted_before: set[int] = set()
 _CPU_DMA_LATENCY = Path("/dev/cpu_dma_latency")
 
 
@@ -62,10 +65,13 @@ def apply_realtime(config: RealtimeConfig, log: StructuredLog, node: str) -> Rea
     libc = ctypes.CDLL(None, use_errno=True)
     libc.prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
     fifo = config.scheduler != "normal" and _set_fifo(config, log)
-    cpu = processor_of(node, config, sorted(os.sched_getaffinity(0)))
+    permitted = os.sched_getaffinity(0)
+    cpu = processor_of(node, config, sorted(permitted))
     # without SCHED_FIFO a process must be free to leave a processor that others keep busy, unless it was pinned there
     if cpu is not None and (fifo or isinstance(config.cpus, dict)):
         _stay_on(cpu)
+        if config.cpus == "auto":
+            _permitted_before.update(permitted)
     locked = config.memory_lock != "off" and _lock_memory(libc, config, log)
     return RealtimeStatus(fifo=fifo, memory_locked=locked)
 
@@ -90,6 +96,25 @@ def ahead_of_others() -> None:
     """Raise the priority above ordinary processes where permitted, for a node that has to keep up with the loop."""
     with contextlib.suppress(PermissionError):
         os.setpriority(os.PRIO_PROCESS, 0, _BESIDE_THE_LOOP_NICENESS)
+
+
+def lower_thread(name: str) -> None:
+    """Put a thread of this process one priority below the others under SCHED_FIFO, on any processor.
+
+    Threads of one priority and processor take turns only when they wait: one that always has something to do would stop
+    the others. On any processor it need not wait for them, unless the processor was configured.
+    Parameters: name, as in /proc.
+    """
+    if os.sched_getscheduler(0) != os.SCHED_FIFO:
+        return
+    lower = os.sched_param(max(1, os.sched_getparam(0).sched_priority - 1))
+    for task in _TASKS.iterdir():
+        # a thread may have ended meanwhile
+        with contextlib.suppress(OSError):
+            if (task / "comm").read_text().strip() == name:
+                os.sched_setscheduler(int(task.name), os.SCHED_FIFO, lower)
+                if _permitted_before:
+                    os.sched_setaffinity(int(task.name), _permitted_before)
 
 
 def freeze_garbage() -> None:

@@ -1,8 +1,9 @@
 """The sockets of one process: plain ipc within its machine, CURVE between machines, and the state of every connection.
 
-Nothing here runs in a thread of its own: the node's loop calls `process_events` when a descriptor is readable or twice
-a second, and each call does a bounded amount of work, so that a flood of connections cannot delay a loop. (A thread
-could: the interpreter makes a loop wait up to 5 ms for one that is busy.)
+No Python here runs in a thread of its own: the node's loop calls `process_events` when a descriptor is readable or
+twice a second, and each call does a bounded amount of work, so that a flood of connections cannot delay a loop. (A
+thread could: the interpreter makes a loop wait up to 5 ms for one that is busy.) What libzmq does for strangers it does
+in a thread that comes behind the loop, and the kernel limits how much that is.
 """
 
 from collections.abc import Mapping, Sequence
@@ -14,6 +15,7 @@ from services.runtime.address_book import AddressBook
 from services.runtime.bus import ConnectionEvent, Subscriber, ZmqPublisher
 from services.runtime.clock import Clock
 from services.runtime.estop_inlet import EstopInlet
+from services.runtime.realtime import lower_thread
 from services.runtime.security.access_control import AccessControl
 from services.runtime.security.keyring import Keyring
 from services.runtime.security.peer_connections import PeerConnections
@@ -29,11 +31,20 @@ _READER_SILENCE_MS = 5000
 _HEARTBEATS = 4
 # four round trips of a satellite link
 _HANDSHAKE_MS = 5000
+# connections that the system accepts ahead of this process, and that a limit on them comes too late for
+_BACKLOG = 16
 # left to the system, the next attempt to connect may come minutes after the cable is back
 _CONNECT_MS = 2000
 _RECONNECT_MS, _RECONNECT_MOST_MS = 100, 1000
+# of the context: accepts connections, fails handshakes, and sends to those that succeeded
+_SECOND_THREAD, _SECOND_THREAD_NAME = 2, "ZMQbg/IO/1"
 # below the half second after which a loop calls at the latest, so that each such call checks
 _CHECK_NS = 400_000_000
+
+
+def open_context(*, serves_network: bool) -> "zmq.Context[zmq.Socket[bytes]]":
+    """Return a ZeroMQ context, with a thread of its own for endpoints that other machines can reach."""
+    return zmq.Context(io_threads=2 if serves_network else 1)
 
 
 class Transport:
@@ -61,10 +72,11 @@ class Transport:
         self._clock = clock
         self._book = book
         self._rejections = RejectionCounter()
-        self._authenticator = ZapAuthenticator(context, self.access_control, self._rejections)
+        self._authenticator = ZapAuthenticator(context, self.access_control, self._rejections, clock, book.addresses)
         self._peers: list[PeerConnections] = []
         self._handlers: list[ZapAuthenticator | PeerConnections] = [self._authenticator]
         self._next_check_ns = clock.monotonic_ns() + _CHECK_NS
+        self._lowered = True
 
     @property
     def descriptors(self) -> Sequence[int]:
@@ -94,15 +106,22 @@ class Transport:
 
         def prepare(socket: "zmq.Socket[bytes]") -> None:
             _set_network_options(socket, _READER_SILENCE_MS, network)
-            self._authenticator.require_keys(socket, key)
+            if self._context.get(zmq.IO_THREADS) > 1:
+                socket.set(zmq.AFFINITY, _SECOND_THREAD)
+                self._lowered = False
+            self._authenticator.prepare(socket, key)
 
-        if local is None:
-            publisher = ZmqPublisher(self._context, self._clock, key, network, kind=kind, prepare=prepare)
-        else:
-            # what a socket has bound keeps the options of that moment, so ipc stays plain
-            publisher = ZmqPublisher(self._context, self._clock, key, local, kind=kind)
-            prepare(publisher.socket)
-            publisher.also_bind(network)
+        try:
+            if local is None:
+                publisher = ZmqPublisher(self._context, self._clock, key, network, kind=kind, prepare=prepare)
+            else:
+                # what a socket has bound keeps the options of that moment, so ipc stays plain
+                publisher = ZmqPublisher(self._context, self._clock, key, local, kind=kind)
+                prepare(publisher.socket)
+                publisher.also_bind(network)
+        except EndpointError:
+            self._authenticator.abandon(key)
+            raise
         self._authenticator.add(publisher)
         return publisher
 
@@ -135,8 +154,8 @@ class Transport:
 
     def close(self) -> None:
         """Close the sockets that are not closed with the publishers and subscribers."""
-        for socket in (socket for handler in self._handlers for socket in handler.sockets):
-            socket.close()
+        for handler in self._handlers:
+            handler.close()
 
     def _reader(self, plan: Mapping[str, Sequence[str]], silence_ms: int) -> Subscriber:
         endpoints = {node: self._book.connect_endpoint(node, self.machine) for node in plan}
@@ -156,6 +175,10 @@ class Transport:
         if now < self._next_check_ns:
             return []
         self._next_check_ns = now + _CHECK_NS
+        if not self._lowered:
+            # not before: the thread gives itself its name
+            self._lowered = True
+            lower_thread(_SECOND_THREAD_NAME)
         events = []
         try:
             if self.access_control.reload():
@@ -174,6 +197,7 @@ def _set_network_options(socket: "zmq.Socket[bytes]", silence_ms: int, *endpoint
     socket.set(zmq.HEARTBEAT_IVL, silence_ms // _HEARTBEATS)
     socket.set(zmq.HEARTBEAT_TIMEOUT, silence_ms)
     socket.set(zmq.HANDSHAKE_IVL, _HANDSHAKE_MS)
+    socket.set(zmq.BACKLOG, _BACKLOG)
     socket.set(zmq.CONNECT_TIMEOUT, _CONNECT_MS)
     socket.set(zmq.RECONNECT_IVL, _RECONNECT_MS)
     socket.set(zmq.RECONNECT_IVL_MAX, _RECONNECT_MOST_MS)

@@ -118,12 +118,16 @@ class PeerConnections:
         """What becomes readable when there is a monitor event."""
         return [self.monitor.socket]
 
+    def close(self) -> None:
+        """Close the monitor; the subscriber is closed by whom it was opened for."""
+        self.monitor.socket.close()
+
     def process_events(self) -> bool:
         """Update the state of the connections from monitor events; True when more is left to do."""
-        for event, endpoint in self.monitor.events():
-            peer = self._find(endpoint)
+        for event in self.monitor.events():
+            peer = self._find(event.endpoint)
             if peer is not None:
-                self._record(peer, event)
+                self._record(peer, event.kind)
         return self.monitor.has_pending
 
     def take_events(self) -> list[ConnectionEvent]:
@@ -185,7 +189,10 @@ class PeerConnections:
             self._record_down(peer, f"was closed: the key of {self.machine} that it used is no longer allowed")
 
     def _find(self, endpoint: str) -> PeerConnection | None:
-        """Return the connection of an endpoint as libzmq names it: a host name may have become an address."""
+        """Return the connection of an endpoint as libzmq names it: a host name may have become an address.
+
+        A port is then enough: all these nodes are on one machine, which has one address.
+        """
         exact = [peer for peer in self.connections if peer.endpoint == endpoint]
         port = endpoint.rpartition(":")[2]
         same_port = (peer for peer in self.connections if peer.endpoint.rpartition(":")[2] == port)

@@ -1,8 +1,12 @@
 """libzmq's socket monitor events, and the count of rejected connections."""
 
+from typing import NamedTuple
+
 import zmq
 from zmq.utils.monitor import recv_monitor_message
 
+LISTENING = int(zmq.EVENT_LISTENING)
+ACCEPTED = int(zmq.EVENT_ACCEPTED)
 CONNECTED = int(zmq.EVENT_HANDSHAKE_SUCCEEDED)
 CLOSED_IN_HANDSHAKE = int(zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL)
 PROTOCOL_FAILED = int(zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL)
@@ -17,24 +21,33 @@ FAILURES = {
 _BATCH = 8
 
 
+class MonitorEvent(NamedTuple):
+    """What happened to a connection; the value is a file descriptor where libzmq says so."""
+
+    kind: int
+    value: int
+    endpoint: str
+
+
 class Monitor:
-    """The events of one socket that concern handshakes and lost connections."""
+    """The events of one socket that concern listening, handshakes and lost connections."""
 
     def __init__(self, socket: "zmq.Socket[bytes]", wanted: int) -> None:
         """Monitor a socket for the events that are added up in `wanted`."""
         self.has_pending = False
         self.socket: zmq.Socket[bytes] = socket.get_monitor_socket(wanted)
 
-    def events(self) -> list[tuple[int, str]]:
-        """Return event and endpoint of what has happened, a bounded number; `has_pending` if there may be more."""
-        found: list[tuple[int, str]] = []
+    def events(self) -> list[MonitorEvent]:
+        """Return what has happened, a bounded number; `has_pending` if there may be more."""
+        found: list[MonitorEvent] = []
         for _ in range(_BATCH):
             try:
                 event = recv_monitor_message(self.socket, zmq.NOBLOCK)
             except zmq.Again:
                 self.has_pending = False
                 return found
-            found.append((int(event["event"]), event["endpoint"].decode(errors="replace")))
+            endpoint = event["endpoint"].decode(errors="replace")
+            found.append(MonitorEvent(int(event["event"]), int(event["value"]), endpoint))
         self.has_pending = True
         return found
 

@@ -1,16 +1,20 @@
 """The binding side: accepts or rejects CURVE clients by public key, and disconnects those whose key was revoked."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 
 import zmq
 
 from services.runtime.bus import ConnectionEvent, ZmqPublisher
+from services.runtime.clock import Clock
+from services.runtime.security.accept_limiter import PER_S, AcceptLimiter, Admission
 from services.runtime.security.access_control import AccessControl
 from services.runtime.security.keyring import key_text
 from services.runtime.security.socket_monitor import (
+    ACCEPTED,
     CLOSED_IN_HANDSHAKE,
     FAILURES,
+    LISTENING,
     PROTOCOL_FAILED,
     Monitor,
     RejectionCounter,
@@ -34,13 +38,20 @@ class BoundEndpoint:
     publisher: ZmqPublisher
     monitor: Monitor
     endpoint: str
+    limiter: AcceptLimiter
     accepted: set[str] = field(default_factory=set)
     unbound: bool = False
     attempts: int = 0
+    # connections came faster than the limit, and have not been slow for long enough since
+    flooded: bool = False
 
     @property
     def node(self) -> str:
         return self.publisher.node
+
+    @property
+    def port(self) -> int:
+        return int(self.endpoint.rpartition(":")[2])
 
 
 class ZapAuthenticator:
@@ -51,9 +62,17 @@ class ZapAuthenticator:
         context: "zmq.Context[zmq.Socket[bytes]]",
         access_control: AccessControl,
         rejections: RejectionCounter,
+        clock: Clock,
+        known_addresses: Callable[[], Collection[str]],
     ) -> None:
-        """Bind the ZAP endpoint; before any server socket binds."""
+        """Bind the ZAP endpoint; before any server socket binds.
+
+        Parameters: known_addresses, gives the numeric addresses of machines accepted when too many others come.
+        """
         self.endpoints: list[BoundEndpoint] = []
+        self._clock = clock
+        self._known_addresses = known_addresses
+        self._monitors: dict[str, Monitor] = {}
         self._events: list[ConnectionEvent] = []
         self._access_control = access_control
         self._rejections = rejections
@@ -63,8 +82,9 @@ class ZapAuthenticator:
             self.socket.set(zmq.LINGER, 0)
             self.socket.bind(_ZAP_ENDPOINT)
 
-    def require_keys(self, socket: "zmq.Socket[bytes]", node: str) -> None:
-        """Make a socket a CURVE server: endpoints that it binds from now on require a key."""
+    def prepare(self, socket: "zmq.Socket[bytes]", node: str) -> None:
+        """Monitor a socket before it binds an endpoint for other machines, and have it require a key of them."""
+        self._monitors[node] = Monitor(socket, LISTENING | ACCEPTED | CLOSED_IN_HANDSHAKE | PROTOCOL_FAILED)
         if self._access_control.own is not None:
             socket.set(zmq.CURVE_SERVER, 1)
             socket.set(zmq.CURVE_SECRETKEY, self._access_control.own.secret)
@@ -74,11 +94,23 @@ class ZapAuthenticator:
             socket.set(zmq.ZAP_ENFORCE_DOMAIN, 1)
 
     def add(self, publisher: ZmqPublisher) -> None:
-        """Monitor a publisher whose last endpoint is one for other machines."""
+        """Attend to a prepared publisher whose last endpoint is one for other machines."""
         bound = publisher.socket.getsockopt_string(zmq.LAST_ENDPOINT).rstrip("\0")
-        self.endpoints.append(
-            BoundEndpoint(publisher, Monitor(publisher.socket, CLOSED_IN_HANDSHAKE | PROTOCOL_FAILED), bound)
-        )
+        limiter = AcceptLimiter(self._known_addresses(), self._clock.monotonic_ns())
+        self.endpoints.append(BoundEndpoint(publisher, self._monitors.pop(publisher.node), bound, limiter))
+
+    def abandon(self, node: str) -> None:
+        """Close what was prepared for a socket that could not bind."""
+        monitor = self._monitors.pop(node, None)
+        if monitor is not None:
+            monitor.socket.close()
+
+    def close(self) -> None:
+        """Close what libzmq does not close with the publishers."""
+        for bound in self.endpoints:
+            bound.limiter.close()
+        for socket in self.sockets:
+            socket.close()
 
     @property
     def sockets(self) -> list["zmq.Socket[bytes]"]:
@@ -89,8 +121,15 @@ class ZapAuthenticator:
         """Answer authentication requests, record failed handshakes; True when more is left to do."""
         left = self.socket is not None and self._answer(self.socket)
         for bound in self.endpoints:
-            for event, _ in bound.monitor.events():
-                self._rejections.record("handshake", f"a client of {bound.node}: {FAILURES[event]}")
+            accepted = 0
+            for event in bound.monitor.events():
+                if event.kind == ACCEPTED:
+                    accepted += 1
+                elif event.kind == LISTENING:
+                    bound.limiter.watch(event.value, bound.port)
+                else:
+                    self._rejections.record("handshake", f"a client of {bound.node}: {FAILURES[event.kind]}")
+            self._limit(bound, accepted)
             left |= bound.monitor.has_pending
             if bound.unbound:
                 left |= self._bind_again(bound)
@@ -107,6 +146,29 @@ class ZapAuthenticator:
             if gone:
                 names = {self._access_control.authorize(key)[0] or "a machine removed from the list" for key in gone}
                 self._close_connections(bound, names)
+
+    def _limit(self, bound: BoundEndpoint, accepted: int) -> None:
+        """Count connections, and report when they begin to come too fast and when they no longer do."""
+        try:
+            bound.limiter.count(accepted, self._clock.monotonic_ns())
+        except OSError as error:
+            bound.limiter.close()
+            text = f"connections to {bound.node} ({bound.endpoint}) cannot be limited: {error.strerror}"
+            self._report(bound, "warning", text, "unlimited")
+        if not bound.flooded and bound.limiter.admission is not Admission.EVERYBODY:
+            bound.flooded = True
+            text = (
+                f"connections to {bound.node} ({bound.endpoint}) come too fast: not more than {PER_S:g} a second are "
+                "accepted, those of the site file's machines before others"
+            )
+            self._report(bound, "warning", text, "flooded")
+        elif bound.flooded and bound.limiter.calm:
+            bound.flooded = False
+            text = f"connections to {bound.node} ({bound.endpoint}) no longer come too fast"
+            self._report(bound, "info", text, "calm")
+
+    def _report(self, bound: BoundEndpoint, level: str, text: str, state: str) -> None:
+        self._events.append(ConnectionEvent(level, text, {"endpoint": bound.endpoint, "connection": state}))
 
     def _answer(self, socket: "zmq.Socket[bytes]") -> bool:
         for _ in range(_BATCH):
@@ -137,13 +199,13 @@ class ZapAuthenticator:
     def _close_connections(self, bound: BoundEndpoint, names: Iterable[str]) -> None:
         bound.accepted.clear()
         if not bound.unbound:
+            # it holds the port as well
+            bound.limiter.close()
             # libzmq cannot close one connection; unbinding closes all that came through this endpoint
             bound.publisher.socket.unbind(bound.endpoint)
             bound.unbound, bound.attempts = True, 0
         text = f"the key of {', '.join(sorted(names))} is no longer allowed: all network connections at {bound.node} "
-        self._events.append(
-            ConnectionEvent("warning", f"{text}were closed", {"endpoint": bound.endpoint, "connection": "revoked"})
-        )
+        self._report(bound, "warning", f"{text}were closed", "revoked")
         self._bind_again(bound)
 
     def _bind_again(self, bound: BoundEndpoint) -> bool:
@@ -155,9 +217,7 @@ class ZapAuthenticator:
             bound.attempts += 1
             if bound.attempts == _FAST_REBINDS:
                 text = f"{bound.node} cannot bind {bound.endpoint} again: {error.strerror}; retrying twice a second"
-                self._events.append(
-                    ConnectionEvent("error", text, {"endpoint": bound.endpoint, "connection": "unbound"})
-                )
+                self._report(bound, "error", text, "unbound")
             return bound.attempts < _FAST_REBINDS
         bound.unbound = False
         return False

@@ -11,15 +11,13 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import zmq
-
 from proto import TOPICS, Message, encode
 from proto.contract import examples
 from services.runtime.address_book import AddressBook
 from services.runtime.bus import ConnectionEvent, Received, Subscriber, ZmqPublisher
 from services.runtime.clock import VirtualClock
 from services.runtime.security.keyring import Keyring, Role
-from services.runtime.transport import Transport
+from services.runtime.transport import Transport, open_context
 
 PATIENCE_S = 30.0
 TURN_NS = 20_000_000
@@ -96,7 +94,7 @@ class Machine:
         self.ring.allow(other.name, other.key, roles)
 
     def open(self) -> "Machine":
-        self.context = zmq.Context[zmq.Socket[bytes]]()
+        self.context = open_context(serves_network=True)
         self.network = Transport(self.context, self.clock, self.book, self.name, self.ring)
         return self
 
@@ -135,7 +133,7 @@ class Machine:
     def texts(self, connection: str, peer: str | None = None) -> list[str]:
         """Return the texts of a kind of event on connections."""
         return [
-            n.text for n in self.events if n.data.get("connection") == connection and peer in (None, n.data["peer"])
+            n.text for n in self.events if n.data.get("connection") == connection and peer in (None, n.data.get("peer"))
         ]
 
     def close(self) -> None:

@@ -20,6 +20,7 @@ from services.runtime.realtime import (
     apply_realtime,
     die_with_parent,
     freeze_garbage,
+    lower_thread,
     processor_of,
     shallow_idle,
 )
@@ -149,6 +150,32 @@ def test_a_processor_is_kept_to_and_one_that_is_not_there_is_named(monkeypatch: 
     assert asked == [(0, {0})]
     with pytest.raises(ConfigError, match=r"realtime\.cpus: 100000 cannot be used .*permitted processors are \d"):
         apply_realtime(RealtimeConfig(cpus={NODE: 100_000}), ListLog(), NODE)
+
+
+@pytest.mark.parametrize(("cpus", "free"), [("auto", {0, 1}), ({NODE: 1}, None)])
+def test_a_thread_of_strangers_comes_behind_the_loop_on_any_processor(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, cpus: object, free: set[int] | None
+) -> None:
+    for task, name in (("11", "python"), ("12", "ZMQbg/IO/0"), ("13", "ZMQbg/IO/1")):
+        (tmp_path / task).mkdir()
+        (tmp_path / task / "comm").write_text(f"{name}\n")
+    moved: list[tuple[int, set[int]]] = []
+    fake = machine(monkeypatch, permitted=True)
+    monkeypatch.setattr(realtime, "_TASKS", tmp_path)
+    monkeypatch.setattr(realtime, "_permitted_before", set())
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
+    monkeypatch.setattr(os, "sched_setaffinity", lambda task, where: moved.append((task, set(where))))
+    monkeypatch.setattr(os, "sched_getscheduler", lambda _: os.SCHED_OTHER)
+    lower_thread("ZMQbg/IO/1")
+    assert (fake.asked, moved) == ([], [])
+    apply_realtime(RealtimeConfig.model_validate({"cpus": cpus}), ListLog(), NODE)
+    monkeypatch.setattr(os, "sched_getscheduler", lambda _: os.SCHED_FIFO)
+    monkeypatch.setattr(os, "sched_getparam", lambda _: os.sched_param(50))
+    fake.asked.clear()
+    moved.clear()
+    lower_thread("ZMQbg/IO/1")
+    assert fake.asked == [("scheduler", 13, os.SCHED_FIFO, 49)]
+    assert moved == ([] if free is None else [(13, free)])
 
 
 def test_timer_slack_of_this_very_process() -> None:

@@ -20,6 +20,7 @@ from network_bench import (
     CONTROLLER,
     LINK,
     PATIENCE_S,
+    TURN_NS,
     Machine,
     free_ports,
     payload,
@@ -37,6 +38,7 @@ from services.runtime.address_book import AddressBook
 from services.runtime.bus import Subscriber, ZmqBus, ZmqPublisher
 from services.runtime.clock import SystemClock, VirtualClock
 from services.runtime.security import peer_connections, socket_monitor, zap_authenticator
+from services.runtime.security.accept_limiter import BURST, PER_S, AcceptLimiter
 from services.runtime.security.keyring import Keyring
 from services.runtime.security.peer_connections import MessagePermissions
 from services.runtime.security.socket_monitor import FAILURES, PROTOCOL_FAILED, Monitor
@@ -422,9 +424,9 @@ def test_connections_without_a_word_are_closed_and_disturb_nobody(
     master.open().subscribe({AFM: ["afm/state"]})
     until(receives_more(master, AFM), master, slave)
     with contextlib.ExitStack() as stack:
-        silent = [stack.enter_context(raw_connection(slave.book)) for _ in range(100)]
+        silent = [stack.enter_context(raw_connection(slave.book)) for _ in range(10)]
         until(receives_more(master, AFM, 20), master, slave)
-        until(lambda: slave.network.rejected == {"handshake": 100}, master, slave)
+        until(lambda: slave.network.rejected == {"handshake": 10}, master, slave)
         until(lambda: all(is_closed(raw) for raw in silent), master, slave)
     assert not master.texts("down")
     assert "the handshake timed out" in slave.network.last_error
@@ -629,7 +631,8 @@ def test_an_endpoint_that_cannot_be_bound_again_is_reported_and_retried_without_
     slave.open()
     authenticator, stubborn = slave.network._authenticator, StubbornSocket()
     quiet = SimpleNamespace(events=list, has_pending=False, socket=None)
-    bound = BoundEndpoint(SimpleNamespace(socket=stubborn, node=AFM), quiet, "tcp://127.0.0.1:1")
+    publisher = SimpleNamespace(socket=stubborn, node=AFM)
+    bound = BoundEndpoint(publisher, quiet, "tcp://127.0.0.1:1", AcceptLimiter((), slave.clock.monotonic_ns()))
     authenticator.endpoints.append(bound)
     try:
         bound.accepted.add(zmq.curve_keypair()[0].decode())
@@ -1004,7 +1007,7 @@ def test_events_of_connections_are_taken_a_few_at_a_time() -> None:
             assert watch.has_pending == (len(taken) == socket_monitor._BATCH)
             total += len(taken)
         assert total == 100
-        assert {event for event, _ in taken} == {PROTOCOL_FAILED}
+        assert {event.kind for event in taken} == {PROTOCOL_FAILED}
         watch.socket.close()
 
 
@@ -1082,6 +1085,74 @@ def test_a_bus_that_has_more_to_process_does_not_wait(tmp_path: Path) -> None:
             publisher.close()
     for end_of_pipe in (*wake, *quiet):
         os.close(end_of_pipe)
+
+
+def connected(book: AddressBook, count: int, source: str) -> int:
+    """Return how many of so many connections from an address are accepted at once."""
+    attempts = [socket.socket() for _ in range(count)]
+    try:
+        for attempt in attempts:
+            attempt.setblocking(False)
+            attempt.bind((source, 0))
+            attempt.connect_ex(("127.0.0.1", port_of(book, AFM)))
+        return len(select.select((), attempts, (), 0)[1])
+    finally:
+        for attempt in attempts:
+            attempt.close()
+
+
+def test_a_flood_of_connections_is_stopped_before_it_costs_anything_and_disturbs_nobody(
+    world: Callable[..., list[Machine]],
+) -> None:
+    master, slave, laptop = world("master", "slave", "laptop")
+    slave.open().bind(AFM)
+    master.open().subscribe({AFM: ["afm/state"]})
+    until(lambda: master.received_from(AFM), master, slave)
+    slave.clock.advance_ns(2_000_000_000)
+    # somebody whose address is in no site file
+    taken, turns_of_flood = 0, 200
+    for _ in range(turns_of_flood):
+        taken += connected(slave.book, 5, "127.0.0.77")
+        turns(1, master, slave)
+    elapsed_s = turns_of_flood * TURN_NS * 1e-9
+    # the second burst: those under way when it is closed
+    most = BURST + PER_S * elapsed_s + BURST
+    assert BURST <= taken <= most < 5 * turns_of_flood / 10
+    (warning,) = slave.texts("flooded")
+    endpoint = slave.book.network_endpoint(AFM)
+    assert warning == (
+        f"connections to {AFM} ({endpoint}) come too fast: not more than 10 a second are accepted, those of the site "
+        "file's machines before others"
+    )
+    assert slave.texts("calm") == []
+    # who was connected hears on, and a machine of the site file comes in although strangers keep asking
+    laptop.open().subscribe({AFM: ["afm/state"]})
+    until(lambda: connected(slave.book, 1, "127.0.0.77") >= 0 and laptop.received_from(AFM), master, slave, laptop)
+    until(receives_more(master, AFM), master, slave)
+    assert master.texts("down") == []
+    # and when they no longer do, everybody does as before
+    slave.clock.advance_ns(10_000_000_000)
+    until(lambda: slave.texts("calm"), master, slave)
+    assert connected(slave.book, 5, "127.0.0.77") == 5
+
+
+def test_an_endpoint_that_cannot_be_limited_is_reported_and_serves_on(
+    world: Callable[..., list[Machine]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    master, slave = world()
+    slave.open().bind(AFM)
+
+    def refuse(*_: object) -> None:
+        raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr(socket.socket, "setsockopt", refuse)
+    until(lambda: connected(slave.book, 5, "127.0.0.77") >= 0 and slave.texts("unlimited"), slave)
+    endpoint = slave.book.network_endpoint(AFM)
+    text = f"connections to {AFM} ({endpoint}) cannot be limited: Operation not permitted"
+    turns(20, slave)
+    assert (slave.texts("unlimited"), slave.texts("flooded")) == ([text], [])
+    master.open().subscribe({AFM: ["afm/state"]})
+    until(lambda: master.received_from(AFM), master, slave)
 
 
 def test_the_newest_refusal_is_the_one_that_is_reported(world: Callable[..., list[Machine]]) -> None:
