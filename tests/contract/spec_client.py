@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 import re
 import struct
 import time
@@ -9,6 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import msgpack
+import yaml
+import zmq
 
 CONTRACT = Path(__file__).parents[2] / "proto"
 _ELEMENT = {"u1": "B", "i2": "h", "i4": "i", "i8": "q", "f4": "f", "f8": "d"}
@@ -42,6 +45,35 @@ def command(seq: int, identifier: str, name: str, target: str, **parameters: Any
         **{"seq": seq, "t_ns": time.time_ns(), "src": "console@master", "v": 1},
         **{"id": identifier, "command": name, "target": target, "parameters": parameters},
     )
+
+
+def endpoint(site_file: Path, node: str, reader: str) -> tuple[str, str]:
+    """Give the endpoint at which a machine reads a node, and the machine of the node."""
+    site = yaml.safe_load(site_file.read_text(encoding="utf-8"))
+    entry = site["nodes"][node]
+    if isinstance(entry, str):
+        entry = {"network" if entry.startswith("tcp://") else "local": entry}
+    name, _, at = node.partition("@")
+    machine = entry.get("machine", "master" if name == "delay_node" else at)
+    if "local" in entry and (machine == reader or "network" not in entry):
+        return entry["local"].replace("{runtime}", os.environ["TELENANO_RUNTIME_DIR"]), machine
+    machines = site.get("machines", {})
+    addresses = {name: os.environ.get(f"TELENANO_HOST_{name.upper()}", machines[name]) for name in machines}
+    return re.sub(r"\{(\w+)\}", lambda found: addresses[found.group(1)], entry["network"]), machine
+
+
+def connect(socket: "zmq.Socket[bytes]", site_file: Path, node: str, keys: Path, own: str) -> None:
+    """Connect to a node from a machine, with its keys where the site file wants them."""
+    where, machine = endpoint(site_file, node, own)
+    insecure = yaml.safe_load(site_file.read_text(encoding="utf-8")).get("insecure", False)
+    if where.startswith("tcp://") and not insecure:
+        pair = dict(re.findall(r'(\S+) = "([^"]*)"', (keys / f"{own}.key_secret").read_text(encoding="utf-8")))
+        allowed = yaml.safe_load((keys / "allowed.yaml").read_text(encoding="utf-8"))["keys"]
+        (server,) = [key["public_key"] for key in allowed if key["name"] == machine and not key["revoked"]]
+        socket.setsockopt(zmq.CURVE_PUBLICKEY, pair["public-key"].encode())
+        socket.setsockopt(zmq.CURVE_SECRETKEY, pair["secret-key"].encode())
+        socket.setsockopt(zmq.CURVE_SERVERKEY, server.encode())
+    socket.connect(where)
 
 
 def schemas() -> dict[str, dict[str, Any]]:

@@ -1,6 +1,7 @@
 """The specification suffices: a client written from it alone reads every message, and its commands are obeyed."""
 
 import ast
+import socket as plain_socket
 import time
 from pathlib import Path
 
@@ -12,12 +13,16 @@ import zmq
 from hypothesis import given
 from hypothesis import strategies as st
 
+from presets import DEFAULT_SITE_FILE, SITE_DIRECTORY, TWO_SITES_FILE
 from proto import TOPICS, decode, encode
 from proto.contract import examples
 from proto.messages import AfmScanline, Array, Record, SessionControl
 from proto.sequence import Arrival, SequenceTracker
 from services.runtime.bus import Subscriber, ZmqPublisher
 from services.runtime.clock import SystemClock
+from services.runtime.main import load_site
+from services.runtime.security.keyring import Keyring
+from services.runtime.transport import Transport
 
 ROW_OF = {
     Arrival.NEXT: "next",
@@ -95,6 +100,63 @@ def test_command_and_answer_over_sockets(tmp_path: Path) -> None:
             subscriber.close()
             publisher.close()
     assert (answer["id"], answer["kind"], answer["src"]) == ("c-1", "ack", "controller@master")
+
+
+SITE_FILE = """
+machines: {{master: 127.0.0.1, slave: 127.0.0.1, desk: 127.0.0.1}}
+nodes:
+  afm_node@slave: {{local: "ipc://{{runtime}}/afm_node@slave", network: "tcp://{{slave}}:{port}"}}
+  console_desk@master: {{network: "tcp://{{desk}}:1", machine: desk}}
+"""
+
+
+@pytest.mark.parametrize("reader", ["slave", "desk"])
+def test_the_client_reads_a_node_of_its_own_machine_and_of_another_one(
+    reader: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TELENANO_RUNTIME_DIR", str(tmp_path / "run"))
+    with plain_socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    site_file = tmp_path / "site.yaml"
+    site_file.write_text(SITE_FILE.format(port=port))
+    rings = {name: Keyring(tmp_path / name) for name in ("slave", "desk")}
+    keys = {name: ring.create(name).public.decode() for name, ring in rings.items()}
+    rings["slave"].allow("desk", keys["desk"], ["observe"])
+    rings["desk"].allow("slave", keys["slave"], ["data"])
+    clock = SystemClock()
+    with zmq.Context() as context:
+        transport = Transport(context, clock, load_site(site_file), "slave", rings["slave"])
+        publisher = transport.publisher("afm_node@slave")
+        client = context.socket(zmq.SUB)
+        client.subscribe(b"session/event")
+        try:
+            spec_client.connect(client, site_file, "afm_node@slave", tmp_path / reader, reader)
+            deadline = time.monotonic() + 20.0
+            while not client.poll(10):
+                assert time.monotonic() < deadline, transport.last_error
+                transport.process_events()
+                publisher.publish("session/event", id="", kind="mode", level="info", text="hold", data={})
+            topic, fields = spec_client.read(client.recv_multipart())
+            assert client.get(zmq.MECHANISM) == (zmq.NULL if reader == "slave" else zmq.CURVE)
+        finally:
+            client.close(linger=0)
+            publisher.close()
+            transport.close()
+    assert (topic, fields["src"], fields["text"]) == ("session/event", "afm_node@slave", "hold")
+
+
+@pytest.mark.parametrize("reader", ["master", "slave", "desk"])
+@pytest.mark.parametrize("site_file", [DEFAULT_SITE_FILE, TWO_SITES_FILE], ids=lambda path: path.stem)
+def test_the_client_finds_the_endpoints_that_our_readers_find(
+    site_file: Path, reader: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TELENANO_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setenv("TELENANO_HOST_SLAVE", "10.1.2.3")
+    book = load_site(site_file)
+    assert site_file.parent == SITE_DIRECTORY
+    for node in book.nodes:
+        assert spec_client.endpoint(site_file, node, reader) == (book.endpoint(node, reader), book.machine_of(node))
 
 
 def _plain(value: object) -> object:
