@@ -19,6 +19,7 @@ from proto import TOPICS, Message, encode
 from proto.errors import ConfigError, RecordingError, TelenanoError
 from proto.messages import NodeJournal, SessionControl
 from proto.nodes import LINK, RERUN_NODES, endpoints_of, name_of, no_rerun_reason, site_of
+from proto.ranges import limited
 from proto.sequence import Arrival
 from recording.messages import RecordedChannel, RecordedMessage
 from recording.reader import Recording
@@ -270,7 +271,7 @@ class ReplayBus:
         self.numbers[topic] = seq + 1
         recorded = None if topic in _NOT_COMPARED else self._recorded.output(topic, seq, self._clock.time_ns)
         t_ns = self._clock.time_ns if recorded is None else recorded.publish_ns
-        message = model(seq=seq, t_ns=t_ns, src=src, v=model.version, **fields)
+        message = limited(model, {"seq": seq, "t_ns": t_ns, "src": src, "v": model.version, **fields})
         if recorded is not None:
             self._compare(message, recorded)
             self.compared[topic] = self.compared.get(topic, 0) + 1

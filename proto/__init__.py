@@ -8,11 +8,21 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from proto.codec import MAX_MESSAGE_BYTES, WireError, decode, decode_header, encode
+    from proto.codec import MAX_MESSAGE_BYTES, WireError, accept, decode, decode_header, encode
     from proto.messages import Message
     from proto.topics import TOPICS, Topic
 
-__all__ = ["MAX_MESSAGE_BYTES", "TOPICS", "Message", "Topic", "WireError", "decode", "decode_header", "encode"]
+__all__ = [
+    "MAX_MESSAGE_BYTES",
+    "TOPICS",
+    "Message",
+    "Topic",
+    "WireError",
+    "accept",
+    "decode",
+    "decode_header",
+    "encode",
+]
 
 _MODULES = {"Message": "proto.messages", "TOPICS": "proto.topics", "Topic": "proto.topics"}
 

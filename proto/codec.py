@@ -3,18 +3,27 @@
 A message is one msgpack map with a string key a field. Any bytes decode to a message or raise one `WireError`.
 """
 
-from typing import Any, Literal
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, get_args, get_origin
 
 import msgpack
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
-from proto.messages import MAX_ITEMS, MAX_KEYS, Message
+from proto.messages import MAX_ITEMS, MAX_KEYS, Message, SessionControl
+from proto.ranges import any_range, is_out_of_range
 from proto.topics import TOPICS, Topic
 
 MAX_MESSAGE_BYTES = 1 << 20
+# a message without maps and arrays of data inside, of which the longest has 500
+MAX_PLAIN_BYTES = 4096
+# a command: with room for the node that repeats it in an event
+MAX_COMMAND_BYTES = MAX_MESSAGE_BYTES // 2
+# no message has more than seven; each vector is one
+MAX_ARRAYS = 64
 _COUNT_LIMIT = 2**63
 
-Reason = Literal["frames", "topic", "oversized", "malformed", "newer_version", "schema", "source", "role"]
+Reason = Literal["frames", "topic", "oversized", "malformed", "newer_version", "schema", "range", "source", "role"]
 
 
 class WireError(ValueError):
@@ -28,8 +37,8 @@ class WireError(ValueError):
 def encode(message: Message) -> bytes:
     """Return the msgpack bytes of a message.
 
-    Raises WireError (`oversized`) above MAX_MESSAGE_BYTES, so that the publisher gets the error and not every reader,
-    and (`malformed`) for text that is not Unicode or an integer beyond 64 bits.
+    Raises WireError (`oversized`) above what its topic allows, so that the publisher gets the error and not every
+    reader, and (`malformed`) for text that is not Unicode or an integer beyond 64 bits.
     """
     fields = message.__dict__
     if message.additions:
@@ -38,21 +47,41 @@ def encode(message: Message) -> bytes:
         payload: bytes = msgpack.packb(fields, default=_fields_of)
     except (TypeError, ValueError, OverflowError) as error:
         raise WireError("malformed", f"{type(message).__name__} cannot be sent: {error}") from error
-    if len(payload) > MAX_MESSAGE_BYTES:
-        raise WireError("oversized", _size_text(type(message).__name__, len(payload)))
+    if len(payload) > MAX_PLAIN_BYTES and len(payload) > (most := _MOST_BYTES[type(message)]):
+        raise WireError("oversized", _size_text(type(message).__name__, len(payload), most))
     return payload
 
 
-def decode(topic: str, payload: bytes) -> Message:
-    """Return the message that `payload` holds on `topic`.
+def accept(topic: str, payload: bytes) -> Message:
+    """Return the message that `payload` holds on `topic`, if a node may act on it.
 
-    Raises WireError naming the topic, the key at fault and what would be right.
+    Raises WireError naming the topic, the key at fault and what would be right; `range` where a quantity is beyond its
+    range (`proto.ranges`).
     """
-    row, fields = _read(topic, payload)
+    form, fields = _read(topic, payload)
     try:
-        return row.model.model_validate(fields)
+        return form.row.model.model_validate(fields)
     except ValidationError as error:
-        raise WireError("schema", f"{topic}: {_first_fault(error)}") from error
+        fault = _first_fault(error)
+        raise WireError(fault[0], f"{topic}: {fault[1]}") from error
+
+
+def decode(topic: str, payload: bytes) -> Message:
+    """Return the message that `payload` holds on `topic`, with any finite quantities.
+
+    For recordings and examples: what acts on a message takes `accept`. Raises WireError as that does, but for `range`.
+    """
+    form, fields = _read(topic, payload)
+    try:
+        return form.row.model.model_validate(fields)
+    except ValidationError as error:
+        fault = _first_fault(error)
+    try:
+        if fault[0] == "range":
+            return any_range(form.row.model, fields)
+    except ValidationError as error:
+        fault = _first_fault(error)
+    raise WireError(fault[0], f"{topic}: {fault[1]}")
 
 
 def decode_header(topic: str, payload: bytes) -> tuple[tuple[int, int, str], dict[str, Any]]:
@@ -71,15 +100,64 @@ def decode_header(topic: str, payload: bytes) -> tuple[tuple[int, int, str], dic
     return (seq, t_ns, src), fields
 
 
-def _read(topic: str, payload: bytes) -> tuple[Topic, dict[str, Any]]:
-    row = TOPICS.get(topic)
-    if row is None:
+@dataclass(frozen=True, slots=True)
+class _Form:
+    """What the bytes of a topic's messages look like.
+
+    `keys`: how many there are; `head`: how a map of so many begins; `plain`: no map and no array of data stands inside;
+    `most_bytes`, `most_pairs`: the most that a message may have.
+    """
+
+    row: Topic
+    keys: int
+    head: bytes
+    plain: bool
+    most_bytes: int
+    most_pairs: int
+
+
+def _form_of(row: Topic) -> _Form:
+    keys = len(row.model.model_fields)
+    nested = sum(_most_pairs(field.annotation) for field in row.model.model_fields.values())
+    head = bytes(msgpack.Packer().pack_map_header(keys))
+    most_bytes = MAX_MESSAGE_BYTES if nested else MAX_PLAIN_BYTES
+    if row.model is SessionControl:
+        most_bytes = MAX_COMMAND_BYTES
+    return _Form(row, keys, head, not nested, most_bytes, 1 + keys + nested)
+
+
+def _most_pairs(annotation: Any) -> int:
+    """Return the most pairs that the maps in a field can hold together, each map counting as one more."""
+    origin, parts = get_origin(annotation), get_args(annotation)
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        fields = annotation.model_fields.values()
+        return 1 + len(fields) + sum(_most_pairs(field.annotation) for field in fields)
+    if origin is dict:
+        return 1 + MAX_KEYS
+    if origin is tuple and parts[-1] is Ellipsis:
+        return MAX_ITEMS * _most_pairs(parts[0])
+    return max(map(_most_pairs, parts), default=0) if origin is not Literal else 0
+
+
+_FORMS = {name: _form_of(row) for name, row in TOPICS.items()}
+_MOST_BYTES = {form.row.model: form.most_bytes for form in _FORMS.values()}
+
+
+def largest_bytes(topic: str) -> int:
+    """Return the most bytes that a message on a topic may have."""
+    return _FORMS[topic].most_bytes
+
+
+def _read(topic: str, payload: bytes) -> tuple[_Form, dict[str, Any]]:
+    form = _FORMS.get(topic)
+    if form is None:
         raise WireError("topic", f"unknown topic {topic[:80]!r}, known topics are {', '.join(TOPICS)}")
-    if len(payload) > MAX_MESSAGE_BYTES:
-        raise WireError("oversized", _size_text(topic, len(payload)))
-    fields = _unpack(topic, payload)
-    _reject_newer(topic, fields, row.model.version)
-    return row, fields
+    if len(payload) > form.most_bytes:
+        raise WireError("oversized", _size_text(topic, len(payload), form.most_bytes))
+    fields = _unpack(topic, payload, form)
+    # the version before the keys: who added some raised it
+    _reject_newer(topic, fields, form.row.model.version)
+    return form, fields
 
 
 def _fields_of(part: object) -> dict[str, Any]:
@@ -90,9 +168,49 @@ def _fields_of(part: object) -> dict[str, Any]:
     raise TypeError(f"msgpack has no form for this {type(part).__name__}")
 
 
-def _unpack(topic: str, payload: bytes) -> dict[str, Any]:
+class _TooMuchError(ValueError):
+    """The bytes hold what no message of the topic can; the text says what."""
+
+
+_TWICE = "a map has a key twice, each may be there once"
+
+
+def _unique(pairs: Sequence[tuple[Any, Any]]) -> dict[Any, Any]:
+    found = dict(pairs)
+    if len(found) != len(pairs):
+        raise _TooMuchError(_TWICE)
+    return found
+
+
+class _Budget:
+    """Counts maps and arrays while a long payload is unpacked, so that refusing it costs no more than taking one."""
+
+    def __init__(self, most_pairs: int) -> None:
+        self._pairs = most_pairs
+        self._arrays = MAX_ARRAYS
+
+    def map(self, pairs: Sequence[tuple[Any, Any]]) -> dict[Any, Any]:
+        self._pairs -= 1 + len(pairs)
+        if self._pairs < 0:
+            raise _TooMuchError("more keys than any message of this topic has")
+        return _unique(pairs)
+
+    def array(self, items: Sequence[Any]) -> Sequence[Any]:
+        self._arrays -= 1
+        if self._arrays < 0:
+            raise _TooMuchError(f"more than {MAX_ARRAYS} arrays")
+        return items
+
+
+def _unpack(topic: str, payload: bytes, form: _Form) -> dict[str, Any]:
     # the sizes are bounded by the payload itself, so that a short frame cannot ask for a large allocation
     size = len(payload)
+    hooks: dict[str, Callable[[Any], Any]] = {}
+    if size > MAX_PLAIN_BYTES:
+        budget = _Budget(form.most_pairs)
+        hooks = {"object_pairs_hook": budget.map, "list_hook": budget.array}
+    elif not form.plain:
+        hooks = {"object_pairs_hook": _unique}
     try:
         fields = msgpack.unpackb(
             payload,
@@ -103,13 +221,26 @@ def _unpack(topic: str, payload: bytes) -> dict[str, Any]:
             max_array_len=MAX_ITEMS,
             max_map_len=MAX_KEYS,
             max_ext_len=0,
+            **hooks,
         )
+    except _TooMuchError as error:
+        raise WireError("malformed", f"{topic}: {error}") from error
     except (ValueError, msgpack.exceptions.UnpackException, RecursionError) as error:
         # msgpack's own exceptions are not all ValueErrors; StackError and FormatError carry no text
         raise WireError("malformed", f"{topic}: not msgpack: {str(error) or type(error).__name__}") from error
     if not isinstance(fields, dict):
         raise WireError("malformed", f"{topic}: a msgpack {type(fields).__name__}, must be a map")
+    # where no map is inside, the count that the outer one begins with tells of a key that came twice
+    regular = not form.plain or (payload.startswith(form.head) and len(fields) == form.keys)
+    if not regular and _pairs(payload) != len(fields):
+        raise WireError("malformed", f"{topic}: {_TWICE}")
     return fields
+
+
+def _pairs(payload: bytes) -> int:
+    """Return how many pairs a payload that is a map begins with."""
+    first = payload[0]
+    return first & 0x0F if first < 0xDE else int.from_bytes(payload[1 : 3 if first == 0xDE else 5])
 
 
 def _reject_newer(topic: str, fields: dict[str, Any], known: int) -> None:
@@ -124,13 +255,14 @@ def _reject_newer(topic: str, fields: dict[str, Any], known: int) -> None:
         )
 
 
-def _first_fault(error: ValidationError) -> str:
-    fault = error.errors(include_url=False, include_context=False, include_input=False)[0]
+def _first_fault(error: ValidationError) -> tuple[Reason, str]:
+    fault = error.errors(include_url=False, include_input=False)[0]
     # an unknown key is the sender's text: no more of it than a log line holds
     key = ".".join(str(part) for part in fault["loc"])[:200] or "message"
     more = error.error_count() - 1
-    return f"{key}: {fault['msg']}" + (f" (and {more} more)" if more else "")
+    text = f"{key}: {fault['msg']}" + (f" (and {more} more)" if more else "")
+    return ("range" if is_out_of_range(fault) else "schema"), text
 
 
-def _size_text(name: str, size: int) -> str:
-    return f"{name}: {size} bytes, at most {MAX_MESSAGE_BYTES} are allowed"
+def _size_text(name: str, size: int, most: int) -> str:
+    return f"{name}: {size} bytes, at most {most} are allowed"

@@ -16,12 +16,14 @@ from typing import Any
 import numpy as np
 from pydantic.json_schema import GenerateJsonSchema
 
-from proto.codec import encode
+from proto.codec import encode, largest_bytes
 from proto.messages import Array, Message
+from proto.ranges import RANGES, any_range
 from proto.topics import TOPICS, Topic
 
 FOLDER = Path(__file__).parent
-TABLE_START, TABLE_END = "<!-- topics: written by proto.contract -->", "<!-- end of topics -->"
+# the parts of SPEC.md that are generated
+PARTS = ("topics", "ranges")
 
 WITH_ADDITIONS = "_with_additions"
 
@@ -44,7 +46,8 @@ class Case:
     """How the fields of one example are filled.
 
     `end`: integers take the lowest (0), a large odd (1) or the highest (2) value allowed. `numbers` are dealt out in
-    turn. `choice` picks among words and element types. `filled`: maps, lists, arrays and optional parts hold something.
+    turn; where there are none, each takes the lowest (0) or the highest (2) value of its range. `choice` picks among
+    words and element types. `filled`: maps, lists, arrays and optional parts hold something.
     """
 
     name: str
@@ -64,6 +67,9 @@ CASES = (
     Case("negative_zero", 1, (-0.0,), "-0", 4, True, True),
     Case("unicode", 1, (0.1, -2.0 / 3.0), 'Ångström µN 力 🔬 \u0000\n"', 5, False, True),
     Case("nil", 1, (2.5e-10, -1e-3), "nil", 6, True, False),
+    # the ends of the ranges; `greatest` lies beyond them and tells of the numbers themselves
+    Case("highest", 2, (), "highest", 7, True, True),
+    Case("lowest", 0, (), "lowest", 8, False, True),
 )
 
 
@@ -89,7 +95,7 @@ def examples(topic: Topic) -> dict[str, Message]:
     for suffix, keys in (("", schema["required"]), (WITH_ADDITIONS, list(schema["properties"]))):
         for case in CASES if topic.model.additions or not suffix else ():
             fields = _Filler(topic, schema.get("$defs", {}), case).fill(schema, keys)
-            made[case.name + suffix] = topic.model.model_validate(fields)
+            made[case.name + suffix] = any_range(topic.model, fields)
     return made
 
 
@@ -110,8 +116,8 @@ def vectors() -> list[dict[str, Any]]:
 
 def topic_table() -> str:
     """Return the topic table in Markdown."""
-    rows = ["| topic | message | published by | read | rate | stale after | over the link | what it is |"]
-    rows.append("|---" * 8 + "|")
+    rows = ["| topic | message | published by | read | rate | stale after | at most | over the link | what it is |"]
+    rows.append("|---" * 9 + "|")
     for topic in TOPICS.values():
         about = (topic.model.__doc__ or "").splitlines()[0].rstrip(".")
         cells = (
@@ -121,6 +127,7 @@ def topic_table() -> str:
             topic.delivery,
             "on change" if topic.rate_hz is None else f"{topic.rate_hz:g} Hz",
             "–" if topic.deadline_s is None else f"{topic.deadline_s:g} s",
+            f"{largest_bytes(topic.name) >> 10} KiB",
             topic.bridged or "–",
             about,
         )
@@ -128,11 +135,23 @@ def topic_table() -> str:
     return "\n".join(rows)
 
 
+def range_table() -> str:
+    """Return the table of ranges in Markdown."""
+    rows = ["| quantity | from | to | hardest case |", "|---" * 4 + "|"]
+    for entry in RANGES:
+        low, high = (f"{bound:g} {entry.unit}" for bound in (entry.low, entry.high))
+        rows.append(f"| {entry.quantity} | {low} | {high} | {entry.reason} |")
+    return "\n".join(rows)
+
+
 def artefacts(folder: Path = FOLDER) -> dict[Path, str]:
     """Return every committed file of the contract and the text that it should hold."""
     files = {folder / "schemas" / f"{t.model.__name__}.json": _json_text(schema_of(t)) for t in TOPICS.values()}
     files[folder / "golden" / "vectors.json"] = _json_text(vectors())
-    files[folder / "SPEC.md"] = _with_table((folder / "SPEC.md").read_text(encoding="utf-8"))
+    spec = (folder / "SPEC.md").read_text(encoding="utf-8")
+    for part, table in zip(PARTS, (topic_table(), range_table()), strict=True):
+        spec = _with_table(spec, part, table)
+    files[folder / "SPEC.md"] = spec
     return files
 
 
@@ -179,7 +198,7 @@ class _Filler:
         self._topic = topic
         self._definitions = definitions
         self._case = case
-        self._numbers: Iterator[float] = cycle(case.numbers)
+        self._numbers: Iterator[float] = cycle(case.numbers or (0.0,))
 
     def fill(self, schema: dict[str, Any], keys: Sequence[str]) -> dict[str, Any]:
         filled = {name: self._field(name, field) for name, field in schema["properties"].items() if name in keys}
@@ -230,7 +249,11 @@ class _Filler:
 
     def _number(self, schema: dict[str, Any]) -> float:
         value = next(self._numbers)
-        return value if value >= schema.get("minimum", value) else -value
+        if not self._case.numbers:
+            # what has no unit of its own has no range
+            largest = sys.float_info.max
+            return float(schema.get("maximum", largest) if self._case.end else schema.get("minimum", -largest))
+        return -value if value < 0.0 and schema.get("minimum") == 0.0 else value
 
     def _string(self, schema: dict[str, Any]) -> str:
         return self._case.text[: schema.get("maxLength")]
@@ -253,12 +276,13 @@ def _json_text(data: Any) -> str:
     return json.dumps(data, indent=1, ensure_ascii=False, allow_nan=False, default=bytes.hex) + "\n"
 
 
-def _with_table(spec: str) -> str:
-    head, start, rest = spec.partition(TABLE_START)
-    _, end, tail = rest.partition(TABLE_END)
+def _with_table(spec: str, part: str, table: str) -> str:
+    first, last = f"<!-- {part}: written by proto.contract -->", f"<!-- end of {part} -->"
+    head, start, rest = spec.partition(first)
+    _, end, tail = rest.partition(last)
     if not (start and end):
-        raise ValueError(f"SPEC.md needs the lines {TABLE_START!r} and {TABLE_END!r} around its topic table")
-    return f"{head}{start}\n\n{topic_table()}\n\n{end}{tail}"
+        raise ValueError(f"SPEC.md needs the lines {first!r} and {last!r} around its table of {part}")
+    return f"{head}{start}\n\n{table}\n\n{end}{tail}"
 
 
 if __name__ == "__main__":

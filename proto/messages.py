@@ -7,7 +7,7 @@ paper's one-dimensional symbols are x_m = -z of the hand, F_m = -F_z on the devi
 
 import math
 from collections.abc import Collection, Mapping
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -16,25 +16,57 @@ from pydantic import (
     ConfigDict,
     FailFast,
     Field,
+    GetCoreSchemaHandler,
     SerializerFunctionWrapHandler,
     model_serializer,
     model_validator,
+)
+from pydantic_core import CoreSchema, core_schema
+
+from proto.ranges import (
+    ANGLE,
+    POSITION,
+    DurationS,
+    Elements,
+    EnergyJ,
+    ForceVector,
+    Percent,
+    PositionM,
+    PositionVector,
+    PowerW,
+    RateHz,
+    TimeS,
+    VelocityVector,
+    WaveVector,
+    WayVector,
 )
 
 # far above what any message needs: without them a megabyte of empty maps costs gigabytes and a minute to refuse
 MAX_ITEMS = 4096
 MAX_KEYS = 1024
+# rows of a table of records, such as the inputs of a node
+MAX_ROWS = 1024
 MAX_TEXT = 4096
 
 SOURCE_PATTERN = r"^[a-z][a-z0-9_]*@[a-z][a-z0-9_]*$"
 
 Vector3 = tuple[float, float, float]
 Scalar = bool | int | float | str
+
+
+class _OneFault:
+    """Report a value that is none of several kinds as one fault, not as one a kind: a thousand of them are dear."""
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Return the schema of the kinds with an error of its own."""
+        message = "Input should be a finite number, true or false, or text"
+        return core_schema.custom_error_schema(handler(source), "scalar", custom_error_message=message)
+
+
 Source = Annotated[str, Field(pattern=SOURCE_PATTERN, max_length=64)]
 Count = Annotated[int, Field(ge=0, lt=2**63)]
-Seconds = Annotated[float, Field(ge=0.0)]
 Text = Annotated[str, Field(max_length=MAX_TEXT)]
-Facts = Annotated[dict[str, Scalar], Field(max_length=MAX_KEYS)]
+Facts = Annotated[dict[str, Annotated[Scalar, _OneFault()]], Field(max_length=MAX_KEYS)]
 Counts = Annotated[dict[str, Count], Field(max_length=MAX_KEYS)]
 
 _DTYPES: dict[str, npt.DTypeLike] = {"u1": "u1", "i2": "<i2", "i4": "<i4", "i8": "<i8", "f4": "<f4", "f8": "<f8"}
@@ -102,6 +134,10 @@ class Array(Record):
         return array
 
 
+Lengths = Annotated[Array, Elements(POSITION)]
+Angles = Annotated[Array, Elements(ANGLE)]
+
+
 class _HandSample(Record):
     """Which sample of the hand a message descends from: what the age of the loop is measured with."""
 
@@ -112,30 +148,36 @@ class _HandSample(Record):
 class HapticState(Message):
     """The operator's device: what was measured and what was really applied."""
 
-    position_m: Vector3 = Field(description="Hand position in the master frame [m]; z = -x_m, 0 where the arm starts")
-    velocity_m_per_s: Vector3 = Field(description="Hand velocity in the master frame [m/s]")
-    operator_force_n: Vector3 = Field(description="Force on the device by the operator [N]; pushing is -z, F_m = -z")
-    motor_force_n: Vector3 = Field(
+    position_m: PositionVector = Field(
+        description="Hand position in the master frame [m]; z = -x_m, 0 where the arm starts"
+    )
+    velocity_m_per_s: VelocityVector = Field(description="Hand velocity in the master frame [m/s]")
+    operator_force_n: ForceVector = Field(
+        description="Force on the device by the operator [N]; pushing is -z, F_m = -z"
+    )
+    motor_force_n: ForceVector = Field(
         description="Force of the motor at the arm after every limit, its friction included [N]"
     )
-    reference_m: Vector3 = Field(description="Position reference after every limit [m]; meaningful in mode position")
+    reference_m: PositionVector = Field(
+        description="Position reference after every limit [m]; meaningful in mode position"
+    )
     mode: Literal["off", "position", "force"] = Field(description="What the motor does; off is zero force")
     estop: bool = Field(description="Emergency stop is latched")
     limited: bool = Field(description="A travel, speed or force limit is acting")
-    session_s: float = Field(description="Time of the operator's programme [s]; negative = the session is not running")
+    session_s: TimeS = Field(description="Time of the operator's programme [s]; negative = the session is not running")
     answered_seq: Count = Field(description="hand_seq of the newest haptic/command; meaningful once answered_t_ns > 0")
     answered_t_ns: Count = Field(description="hand_t_ns of the newest haptic/command [ns]; 0 = none yet")
     answered_at_ns: Count = Field(description="When that command reached this device, on this clock [ns]")
-    step_s: Seconds = Field(description="Time that this step of the device covers [s]")
+    step_s: DurationS = Field(description="Time that this step of the device covers [s]")
 
 
 class HapticCommand(Message, _HandSample):
     """What the master half of the law asks of the device."""
 
     mode: Literal["off", "position", "force"] = Field(description="off, track position_m, or render force_n")
-    position_m: Vector3 = Field(description="Position reference in the master frame [m]; z = -x_mr")
-    velocity_m_per_s: Vector3 = Field(description="Velocity of that reference [m/s]")
-    force_n: Vector3 = Field(description="Force of the environment at the hand's scale [N]; z = alpha_f F_s")
+    position_m: PositionVector = Field(description="Position reference in the master frame [m]; z = -x_mr")
+    velocity_m_per_s: VelocityVector = Field(description="Velocity of that reference [m/s]")
+    force_n: ForceVector = Field(description="Force of the environment at the hand's scale [N]; z = alpha_f F_s")
 
 
 class _Teleop(Message, _HandSample):
@@ -143,11 +185,11 @@ class _Teleop(Message, _HandSample):
 
     law: str = Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=32, description="Law that this message belongs to")
     active: bool = Field(description="The device of the sending site follows the law")
-    position_m: Vector3 = Field(description="Position at the slave's scale, AFM frame [m]; forward: reference")
-    velocity_m_per_s: Vector3 = Field(description="Velocity at the slave's scale, AFM frame [m/s]")
-    force_n: Vector3 = Field(description="Force at the slave's scale, AFM frame [N]; backward: on the tip")
-    wave_sqrt_w: Vector3 | None = Field(description="Wave variable [sqrt(W)]; nil where the law has none")
-    energy_j: float | None = Field(description="Energy that entered at this side [J]; nil where the law has none")
+    position_m: WayVector = Field(description="Position at the slave's scale, AFM frame [m]; forward: reference")
+    velocity_m_per_s: VelocityVector = Field(description="Velocity at the slave's scale, AFM frame [m/s]")
+    force_n: ForceVector = Field(description="Force at the slave's scale, AFM frame [N]; backward: on the tip")
+    wave_sqrt_w: WaveVector | None = Field(description="Wave variable [sqrt(W)]; nil where the law has none")
+    energy_j: EnergyJ | None = Field(description="Energy that entered at this side [J]; nil where the law has none")
 
 
 class TeleopForward(_Teleop):
@@ -157,7 +199,7 @@ class TeleopForward(_Teleop):
 class TeleopBackward(_Teleop):
     """From the slave half of a law to the master half."""
 
-    separation_m: float = Field(description="Tip-sample distance h [m]; 0 when separation_valid is false")
+    separation_m: PositionM = Field(description="Tip-sample distance h [m]; 0 when separation_valid is false")
     separation_valid: bool = Field(description="The instrument knows the tip-sample distance")
     in_contact: bool = Field(description="The tip touches the sample")
 
@@ -166,23 +208,25 @@ class AfmCommand(Message, _HandSample):
     """What the slave half of the law asks of the AFM."""
 
     mode: Literal["position", "hold", "retract"] = Field(description="Follow base_position_m, stay, or withdraw")
-    base_position_m: Vector3 = Field(description="Base reference in the AFM frame [m]; z = -x_s, 0 is the rest point")
+    base_position_m: PositionVector = Field(
+        description="Base reference in the AFM frame [m]; z = -x_s, 0 is the rest point"
+    )
 
 
 class AfmState(Message, _HandSample):
     """The AFM: what was measured and what was really applied."""
 
     command_seq: Count = Field(description="seq of the afm/command in force; meaningful once hand_t_ns > 0")
-    base_position_m: Vector3 = Field(description="Base position applied after every limit [m]; z = -x_s")
-    deflection_m: float = Field(description="Deflection zeta of the cantilever [m], positive away from the sample")
-    tip_force_n: Vector3 = Field(description="Force on the tip by the sample [N]; repulsive is +z")
-    separation_m: float = Field(description="Tip-sample distance h [m]; 0 when separation_valid is false")
+    base_position_m: PositionVector = Field(description="Base position applied after every limit [m]; z = -x_s")
+    deflection_m: PositionM = Field(description="Deflection zeta of the cantilever [m], positive away from the sample")
+    tip_force_n: ForceVector = Field(description="Force on the tip by the sample [N]; repulsive is +z")
+    separation_m: PositionM = Field(description="Tip-sample distance h [m]; 0 when separation_valid is false")
     separation_valid: bool = Field(description="The instrument knows the tip-sample distance")
     in_contact: bool = Field(description="The tip touches the sample")
     meniscus: bool = Field(description="A liquid bridge joins tip and sample")
     mode: Literal["retracted", "follow", "hold", "retracting", "estop"] = Field(description="What the AFM does")
     limited: bool = Field(description="A travel or speed limit is acting")
-    step_s: Seconds = Field(description="Time that this step of the instrument covers [s]")
+    step_s: DurationS = Field(description="Time that this step of the instrument covers [s]")
 
 
 class AfmScanline(Message):
@@ -191,11 +235,11 @@ class AfmScanline(Message):
     line: Count = Field(description="Number of the line, from 0")
     lines: Annotated[int, Field(ge=1, le=2**20)] = Field(description="Lines in the image")
     direction: Literal["trace", "retrace"] = Field(description="Sense of the fast axis")
-    start_m: Vector3 = Field(description="First point of the line in the AFM frame [m]")
-    end_m: Vector3 = Field(description="Last point of the line in the AFM frame [m]")
-    height_m: Array = Field(description="Height at equal steps along the line [m]")
-    amplitude_m: Array | None = Field(description="Amplitude of vibration [m]; nil in contact mode")
-    phase_rad: Array | None = Field(description="Phase of vibration [rad]; nil in contact mode")
+    start_m: PositionVector = Field(description="First point of the line in the AFM frame [m]")
+    end_m: PositionVector = Field(description="Last point of the line in the AFM frame [m]")
+    height_m: Lengths = Field(description="Height at equal steps along the line [m]")
+    amplitude_m: Lengths | None = Field(description="Amplitude of vibration [m]; nil in contact mode")
+    phase_rad: Angles | None = Field(description="Phase of vibration [rad]; nil in contact mode")
 
 
 class LawStatus(Message):
@@ -203,20 +247,24 @@ class LawStatus(Message):
 
     law: str = Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=32, description="Law in force at this half")
     switching: bool = Field(description="The half waits for the other one to take up this law; its device stands still")
-    port_energy_j: float = Field(description="Energy that has entered the law at this port since it is in force [J]")
-    port_power_w: float = Field(description="Power entering at this port, mean since the last report [W]")
+    port_energy_j: EnergyJ = Field(description="Energy that has entered the law at this port since it is in force [J]")
+    port_power_w: PowerW = Field(description="Power entering at this port, mean since the last report [W]")
     net_valid: bool = Field(description="The energy of the other port is known too")
-    net_energy_j: float = Field(description="Energy that has entered at both ports less what left [J]; stored or lost")
-    left_j: float = Field(description="Energy reported by the other half and not yet given out [J]; 0 if not counted")
-    dissipated_j: float = Field(description="Energy that the controller has taken out on purpose [J]; 0 if not counted")
+    net_energy_j: EnergyJ = Field(
+        description="Energy that has entered at both ports less what left [J]; stored or lost"
+    )
+    left_j: EnergyJ = Field(description="Energy reported by the other half and not yet given out [J]; 0 if not counted")
+    dissipated_j: EnergyJ = Field(
+        description="Energy that the controller has taken out on purpose [J]; 0 if not counted"
+    )
     passive: bool = Field(description="Neither the net energy nor the energy left has shown that energy was made")
-    saved_percent: Seconds = Field(
+    saved_percent: Percent = Field(
         description="Signals to the other half that the dead band kept back, since this law is in force [%]"
     )
     heard: bool = Field(description="A signal of the other half in this law has been received")
-    silence_s: Seconds = Field(description="Time since the last one [s]; 0 if never received")
+    silence_s: DurationS = Field(description="Time since the last one [s]; 0 if never received")
     round_trip_valid: bool = Field(description="The round trip was measured; at the master only")
-    round_trip_s: Seconds = Field(description="Age of the hand's sample that the newest answer descends from [s]")
+    round_trip_s: DurationS = Field(description="Age of the hand's sample that the newest answer descends from [s]")
 
 
 class LinkDirection(Record):
@@ -232,18 +280,18 @@ class LinkDirection(Record):
     corrupted: Count = Field(description="Messages corrupted since the start")
     queue_depth: Count = Field(description="Messages in flight now")
     delay_valid: bool = Field(description="At least one message was delivered since the last report")
-    delay_mean_s: Seconds = Field(description="Mean delay applied since the last report [s]")
-    delay_min_s: Seconds = Field(description="Least delay applied since the last report [s]")
-    delay_max_s: Seconds = Field(description="Greatest delay applied since the last report [s]")
+    delay_mean_s: DurationS = Field(description="Mean delay applied since the last report [s]")
+    delay_min_s: DurationS = Field(description="Least delay applied since the last report [s]")
+    delay_max_s: DurationS = Field(description="Greatest delay applied since the last report [s]")
 
 
 class LinkClock(Record):
     """Offset between the clocks of the sites, from four time stamps; figures are 0 when valid is false."""
 
     valid: bool = Field(description="An exchange with the slave's site was completed")
-    offset_s: float = Field(description="What the slave's clock is ahead of the master's [s]")
-    uncertainty_s: Seconds = Field(description="Bound of the error of offset_s [s]: half the round trip")
-    round_trip_s: Seconds = Field(description="Shortest round trip among the exchanges in view [s]")
+    offset_s: TimeS = Field(description="What the slave's clock is ahead of the master's [s]")
+    uncertainty_s: DurationS = Field(description="Bound of the error of offset_s [s]: half the round trip")
+    round_trip_s: DurationS = Field(description="Shortest round trip among the exchanges in view [s]")
     exchanges: Count = Field(description="Number of exchanges in view of the minimum filter")
 
 
@@ -277,7 +325,7 @@ class LinkFates(Message):
     """What the link did to each message of one direction since the last such report."""
 
     direction: Literal["forward", "backward"] = Field(description="forward: from the master to the slave")
-    fates: Annotated[tuple[LinkFate, ...], FailFast(), Field(max_length=MAX_ITEMS)] = Field(
+    fates: Annotated[tuple[LinkFate, ...], FailFast(), Field(max_length=MAX_ROWS)] = Field(
         description="In the order in which they were decided"
     )
 
@@ -306,7 +354,7 @@ class SessionControl(Message):
     )
     target: str = Field(max_length=64, description="Nodes concerned: node@site, node, or *; wildcards as in file names")
     parameters: Facts = Field(description="What the command needs, by dotted key; units in the names")
-    validity_s: Seconds | None = Field(
+    validity_s: DurationS | None = Field(
         default=None, description="Time after t_ns for which it may be carried out [s]; 1 s if absent"
     )
     node_t_ns: Counts | None = Field(
@@ -344,7 +392,7 @@ class InputHealth(Record):
     repeated: Count = Field(description="Messages that came twice or out of order since the start")
     restarts: Count = Field(description="Restarts of the publisher seen since the start")
     age_valid: bool = Field(description="At least one message was received")
-    age_s: float = Field(description="Time since the publisher sent the newest message [s], across two clocks")
+    age_s: TimeS = Field(description="Time since the publisher sent the newest message [s], across two clocks")
 
 
 class NodeHealth(Message):
@@ -352,21 +400,21 @@ class NodeHealth(Message):
 
     pid: Count = Field(description="Process id")
     state: Literal["starting", "ready", "running", "safe", "stopping"] = Field(description="What the node is at")
-    uptime_s: Seconds = Field(description="Time since the node started [s]")
-    rate_hz: Seconds = Field(description="Steps a second since the last report")
-    period_s: Seconds = Field(description="Nominal period of the loop [s]; 0 = acts on messages only")
-    lateness_p50_s: Seconds = Field(description="Median lateness against the deadline since the last report [s]")
-    lateness_p99_s: Seconds = Field(description="99 % lateness since the last report [s]")
-    lateness_max_s: Seconds = Field(description="Greatest lateness since the last report [s]")
+    uptime_s: DurationS = Field(description="Time since the node started [s]")
+    rate_hz: RateHz = Field(description="Steps a second since the last report")
+    period_s: DurationS = Field(description="Nominal period of the loop [s]; 0 = acts on messages only")
+    lateness_p50_s: DurationS = Field(description="Median lateness against the deadline since the last report [s]")
+    lateness_p99_s: DurationS = Field(description="99 % lateness since the last report [s]")
+    lateness_max_s: DurationS = Field(description="Greatest lateness since the last report [s]")
     overruns: Count = Field(description="Deadlines missed by a period or more since the start")
     rejected: Counts = Field(description="Frames and connections refused since the start, by reason")
-    cpu_percent: Seconds = Field(description="Processor time used since the last report [% of one core]")
+    cpu_percent: Percent = Field(description="Processor time used since the last report [% of one core]")
     memory_bytes: Count = Field(description="Resident memory [bytes]")
     realtime: bool = Field(description="SCHED_FIFO is in force")
     memory_locked: bool = Field(description="Memory is locked")
     replay: bool = Field(description="The messages of this node come from a recording, not from an instrument")
     inputs: Annotated[tuple[InputHealth, ...], FailFast()] = Field(
-        max_length=MAX_ITEMS, description="Every input of the node"
+        max_length=MAX_ROWS, description="Every input of the node, as many as a table has rows"
     )
 
 

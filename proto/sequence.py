@@ -1,7 +1,11 @@
 """Tracking of sequence numbers: gaps, duplicates, late arrivals, restarts of the publisher."""
 
+from bisect import bisect_right
+from collections import deque
 from enum import Enum, auto
 
+# the most that a count on the wire can hold: there it stays, whatever numbers a peer makes up
+MOST_COUNTED = 2**63 - 1
 # a longer gap is counted whole, but only its newest part can still be recognised when it arrives late
 _REMEMBERED_GAP = 4096
 # so many repeated messages in a row, in order and this old, are not duplicates: the publisher's clock was set back, or
@@ -40,7 +44,10 @@ class SequenceTracker:
         self.last_gap = (0, 0)
         self._run = 0
         self._run_at = (-1, 0)
-        self._missing: set[int] = set()
+        # first and last number of each gap, in order, and those within them that came late
+        self._gaps: deque[tuple[int, int]] = deque()
+        self._remembered = 0
+        self._filled: set[int] = set()
 
     def accept(self, seq: int, t_ns: int) -> Arrival:
         """Record a message and return how it relates to those before it."""
@@ -60,29 +67,45 @@ class SequenceTracker:
             self._open_gap(self.last_seq + 1, seq)
             return Arrival.AFTER_GAP
         if t_ns > self.last_t_ns:
-            self.restarts += 1
-            self._missing.clear()
+            self._restart()
             return Arrival.RESTART
-        if seq in self._missing:
-            self._missing.remove(seq)
-            self.lost -= 1
+        if self._is_missing(seq):
+            self._filled.add(seq)
+            self.lost -= self.lost < MOST_COUNTED
             self.late += 1
             return Arrival.LATE
         # the run is broken by anything that was received in between
         self._run = self._run + 1 if (seq - 1, self.received) == self._run_at else 1
         self._run_at = (seq, self.received)
         if self._run >= _REWIND_RUN and self.last_t_ns - t_ns > _REWIND_NS:
-            self.restarts += 1
-            self._missing.clear()
+            self._restart()
             return Arrival.RESTART
         self.duplicates += 1
         return Arrival.DUPLICATE
 
+    def _restart(self) -> None:
+        self.restarts += 1
+        self._gaps.clear()
+        self._filled.clear()
+        self._remembered = 0
+
+    def _is_missing(self, seq: int) -> bool:
+        place = bisect_right(self._gaps, (seq, MOST_COUNTED)) - 1
+        return place >= 0 and self._gaps[place][0] <= seq <= self._gaps[place][1] and seq not in self._filled
+
     def _open_gap(self, first: int, after: int) -> None:
         self.gaps += 1
-        self.lost += after - first
+        self.lost = min(self.lost + after - first, MOST_COUNTED)
         self.last_gap = (first, after - 1)
-        self._missing.update(range(max(first, after - _REMEMBERED_GAP), after))
-        # with room to spare, so that a reader on a bad link does not sort at every gap
-        if len(self._missing) > 2 * _REMEMBERED_GAP:
-            self._missing = set(sorted(self._missing)[-_REMEMBERED_GAP:])
+        start = max(first, after - _REMEMBERED_GAP)
+        self._gaps.append((start, after - 1))
+        self._remembered += after - start
+        # with room to spare, so that a reader on a bad link does not forget at every gap
+        if self._remembered > 2 * _REMEMBERED_GAP:
+            self._forget()
+
+    def _forget(self) -> None:
+        while self._remembered > _REMEMBERED_GAP:
+            oldest, last = self._gaps.popleft()
+            self._remembered -= last + 1 - oldest
+        self._filled = {seq for seq in self._filled if self._gaps and seq >= self._gaps[0][0]}

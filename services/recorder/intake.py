@@ -9,7 +9,7 @@ from proto import MAX_MESSAGE_BYTES, TOPICS, Topic, WireError, decode, decode_he
 from proto.errors import RecordingError
 from proto.messages import SOURCE_PATTERN
 from proto.nodes import site_of
-from proto.sequence import Arrival, SequenceTracker
+from proto.sequence import MOST_COUNTED, Arrival, SequenceTracker
 from recording.channel_filter import ALL, Selection
 from recording.records import GapRecord, RejectedRecord
 from recording.writer import RecordingWriter, channel_topic
@@ -223,10 +223,10 @@ class Intake:
         first, last = stream.tracker.last_gap
         count = last - first + 1
         self.gaps += 1
-        self.lost += count
+        self.lost = min(self.lost + count, MOST_COUNTED)
         # what an impaired link drops on its way is the experiment, not a fault
         if stream.direct and stream.topic.delivery == "lossless":
-            self.lossless_lost += count
+            self.lossless_lost = min(self.lossless_lost + count, MOST_COUNTED)
         gap = GapRecord(
             channel_topic=stream.channel_topic, src=stream.src, first_missing=first, last_missing=last, count=count
         )

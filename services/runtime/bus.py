@@ -3,14 +3,16 @@
 import select
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import islice
 from typing import Any, NamedTuple, Protocol, cast
 
 import zmq
 
-from proto import TOPICS, WireError, decode, encode
+from proto import TOPICS, WireError, accept, encode
 from proto.codec import MAX_MESSAGE_BYTES
 from proto.errors import EndpointError
-from proto.messages import InputHealth, Message
+from proto.messages import MAX_ROWS, InputHealth, Message
+from proto.ranges import limited
 from proto.sequence import Arrival, SequenceTracker
 from services.runtime.clock import Clock
 from services.runtime.endpoint_lock import EndpointLock
@@ -102,17 +104,20 @@ class Publisher(Protocol):
 class _NumberingPublisher(ABC):
     def __init__(self, clock: Clock, node: str) -> None:
         self.node = node
+        # called with a sentence when a quantity was beyond its range
+        self.on_limited: Callable[[str], None] = lambda text: None
         self._clock = clock
         self._sequence: dict[str, int] = {}
 
     def publish(self, topic: str, **fields: Any) -> Message:
-        """Send a message on a topic; the header is filled in.
+        """Send a message on a topic; the header is filled in, and what is beyond its range is sent as the nearer end.
 
         Raises pydantic.ValidationError when the fields do not make a valid message, WireError when it is too large.
         """
         seq = self._sequence.get(topic, 0)
         model = TOPICS[topic].model
-        message = model(seq=seq, t_ns=self._clock.now_ns(), src=self.node, v=model.version_of(fields), **fields)
+        header = {"seq": seq, "t_ns": self._clock.now_ns(), "src": self.node, "v": model.version_of(fields)}
+        message = limited(model, {**header, **fields}, self.on_limited)
         self.send(topic, encode(message))
         self._sequence[topic] = seq + 1
         return message
@@ -248,7 +253,7 @@ class Subscriber:
         """Decode, validate and count one message; None when it is rejected, repeated or superseded."""
         try:
             topic, payload = split_frames(frames)
-            message = decode(topic, payload)
+            message = accept(topic, payload)
             if self.permit is not None:
                 self.permit(topic, message.src)
             tracker = self.tracker(topic, message.src)
@@ -344,8 +349,9 @@ class ZmqBus:
         return notices
 
     def input_health(self) -> tuple[InputHealth, ...]:
-        """Return the account of every input."""
-        return tuple(health for subscriber in self.subscribers for health in subscriber.input_health())
+        """Return the account of every input, or of as many as a message takes."""
+        accounts = (health for subscriber in self.subscribers for health in subscriber.input_health())
+        return tuple(islice(accounts, MAX_ROWS))
 
     def rejections(self) -> tuple[dict[str, int], str]:
         """Return frames and connections refused so far by reason, and the text of a refusal since it was last asked."""
@@ -382,15 +388,15 @@ def bind(socket: "zmq.Socket[bytes]", endpoint: str, node: str) -> None:
 
 def _health_of(topic: str, src: str, tracker: SequenceTracker, now_ns: int) -> InputHealth:
     received = tracker.received > 0
-    return InputHealth(
-        topic=topic,
-        src=src,
-        received=tracker.received,
-        # a peer that makes up numbers can claim more gaps than a count on the wire can hold
-        lost=min(tracker.lost, 2**63 - 1),
-        gaps=tracker.gaps,
-        repeated=tracker.late + tracker.duplicates,
-        restarts=tracker.restarts,
-        age_valid=received,
-        age_s=(now_ns - tracker.last_t_ns) * 1e-9 if received else 0.0,
-    )
+    account = {
+        "topic": topic,
+        "src": src,
+        "received": tracker.received,
+        "lost": tracker.lost,
+        "gaps": tracker.gaps,
+        "repeated": tracker.late + tracker.duplicates,
+        "restarts": tracker.restarts,
+        "age_valid": received,
+        "age_s": (now_ns - tracker.last_t_ns) * 1e-9 if received else 0.0,
+    }
+    return limited(InputHealth, account)

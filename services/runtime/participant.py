@@ -12,7 +12,7 @@ from proto.nodes import DEVICES, site_of
 from services.runtime.address_book import AddressBook
 from services.runtime.bus import Bus, Publisher, Subscriber, ZmqBus, ZmqPublisher
 from services.runtime.clock import Clock, SystemClock
-from services.runtime.log import StructuredLog
+from services.runtime.log import RateLimitedLog, StructuredLog
 from services.runtime.node import AccountedBus, Node, NodeContext, NodeLoop, install_stop_signals
 from services.runtime.realtime import RealtimeStatus, freeze_garbage
 from services.runtime.security.keyring import Keyring, this_machine
@@ -41,7 +41,10 @@ class Participant:
 
     def bind(self, key: str, kind: int = zmq.PUB) -> ZmqPublisher:
         """Bind the endpoints of a node; EndpointError gives the reason if that fails."""
-        return self.resources.enter_context(contextlib.closing(self.network.publisher(key, kind)))
+        publisher = self.resources.enter_context(contextlib.closing(self.network.publisher(key, kind)))
+        log = RateLimitedLog(self.log, self.clock)
+        publisher.on_limited = lambda text: log.warning("range", text)
+        return publisher
 
     def subscribers(self, connections: Mapping[str, Sequence[str]], *, apart: bool = False) -> list[Subscriber]:
         """Connect to nodes (keys) for topics (values): a socket for each machine, or with `apart` for each node."""

@@ -1,8 +1,10 @@
 """The table of topics makes sense, and every field of every message says what it is and in which unit."""
 
+import math
 import re
 import typing
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 from annotated_types import Ge
@@ -10,9 +12,10 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from proto import TOPICS, Topic, messages
-from proto.codec import MAX_MESSAGE_BYTES, Reason
-from proto.contract import FOLDER, topic_table
+from proto.codec import MAX_ARRAYS, MAX_MESSAGE_BYTES, Reason, largest_bytes
+from proto.contract import FOLDER, range_table, schema_of, topic_table
 from proto.messages import MAX_ITEMS, MAX_KEYS, Message, Record
+from proto.ranges import RANGES
 
 # topics that more than one kind of node may send
 SHARED = {"session/control", "session/event", "node/health", "node/journal"}
@@ -145,11 +148,57 @@ def test_every_version_counts_from_one() -> None:
 
 def test_the_specification_has_the_table_the_limits_and_the_reasons() -> None:
     assert topic_table() in SPEC
-    plain = SPEC.replace(" ", "")
-    for limit in (f"{MAX_MESSAGE_BYTES}bytesamessage", f"{MAX_ITEMS}itemsinamsgpackarray", f"{MAX_KEYS}keysinamap"):
+    assert range_table() in SPEC
+    plain = "".join(SPEC.split())
+    limits = [f"{MAX_MESSAGE_BYTES}bytesamessage", f"{MAX_ITEMS}itemsinamsgpackarray", f"{MAX_KEYS}keysinamap"]
+    for limit in (*limits, f"{MAX_ARRAYS}arrays"):
         assert limit in plain, limit
     for reason in typing.get_args(Reason):
         assert f"`{reason}`" in SPEC, reason
+
+
+def _numbers(schema: dict[str, Any], root: dict[str, Any], name: str = "") -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield every number and integer that a schema has a name for, with what is said of it."""
+    if "$ref" in schema:
+        yield from _numbers(root["$defs"][schema["$ref"].rpartition("/")[2]], root, name)
+    for key, part in schema.get("properties", {}).items():
+        yield from _numbers(part, root, f"{name}.{key}")
+    for part in (*schema.get("anyOf", ()), *schema.get("prefixItems", ())):
+        yield from _numbers(part, root, name)
+    if "items" in schema:
+        yield from _numbers(schema["items"], root, name)
+    if schema.get("type") in ("number", "integer"):
+        yield name, schema
+
+
+@pytest.mark.parametrize("row", ROWS, ids=lambda row: row.name)
+def test_every_quantity_has_a_finite_range_and_every_count_an_end(row: Topic) -> None:
+    schema, known = schema_of(row), {(entry.low, entry.high) for entry in RANGES}
+    found = list(_numbers(schema, schema))
+    assert len(found) >= 3
+    for name, number in found:
+        if number["type"] == "number":
+            assert (number["minimum"], number["maximum"]) in known, name
+        elif name != ".v":
+            highest = number.get("maximum", number.get("exclusiveMaximum", 2**64) - 1)
+            assert -(2**63) <= number["minimum"] < highest < 2**63, name
+
+
+def test_every_range_is_used_finite_and_has_a_reason() -> None:
+    used = {
+        (number["minimum"], number["maximum"])
+        for row in ROWS
+        for _, number in _numbers(schema_of(row), schema_of(row))
+        if number["type"] == "number"
+    }
+    for entry in RANGES:
+        assert math.isfinite(entry.low)
+        assert math.isfinite(entry.high)
+        assert entry.low <= 0.0 < entry.high
+        assert entry.low in (0.0, -entry.high)
+        assert len(entry.reason) > 10
+        # the elements of an array are no numbers of a schema
+        assert (entry.low, entry.high) in used or entry.unit == "rad"
 
 
 def test_the_table_shows_every_row_as_it_is() -> None:
@@ -157,8 +206,9 @@ def test_the_table_shows_every_row_as_it_is() -> None:
     assert len(lines) == len(ROWS) + 2
     for row, line in zip(ROWS, lines[2:], strict=True):
         cells = [cell.strip() for cell in line.strip("|").split("|")]
-        assert len(cells) == 8
+        assert len(cells) == 9
         assert cells[0] == f"`{row.name}`"
         assert cells[3] == row.delivery
         assert cells[4] == (f"{row.rate_hz:g} Hz" if row.rate_hz else "on change")
-        assert cells[6] == (row.bridged or "–")
+        assert cells[6] == f"{largest_bytes(row.name) >> 10} KiB"
+        assert cells[7] == (row.bridged or "–")

@@ -18,6 +18,7 @@ import yaml
 from proto import TOPICS, Message, WireError, decode, decode_header, encode
 from proto.messages import InputHealth
 from proto.nodes import LINK, name_of, site_of
+from proto.ranges import limited
 from proto.sequence import Arrival, SequenceTracker
 from recording.records import RejectedRecord
 from recording.writer import FileSettings, RecordingWriter
@@ -118,7 +119,7 @@ class VirtualBus:
         model = TOPICS[topic].model
         # sent some time after the turn began, which no re-run knows
         t_ns = self._rig.clock.now_ns() + self._rig.random.randrange(*self._rig.timing.sending)
-        message = model(seq=seq, t_ns=t_ns, src=self.key, v=model.version, **fields)
+        message = limited(model, {"seq": seq, "t_ns": t_ns, "src": self.key, "v": model.version, **fields})
         self._rig.carry(topic, message)
         return message
 

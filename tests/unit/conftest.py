@@ -9,6 +9,7 @@ from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state, teleo
 
 from proto import TOPICS, encode
 from proto.messages import Message
+from proto.ranges import limited
 from proto.sequence import Arrival
 from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
@@ -28,7 +29,7 @@ class Bench:
         self.context = NodeContext(key, self.clock, self, StructuredLog(key))
 
     def publish(self, topic: str, **fields: Any) -> Message:
-        message = self.make(topic, self.context.key, **fields)
+        message = self._made(limited, topic, self.context.key, fields)
         self.sent.append((topic, message))
         return message
 
@@ -40,11 +41,14 @@ class Bench:
 
     def make(self, topic: str, src: str, **fields: Any) -> Message:
         """Build a message with the next number of its source."""
+        return self._made(lambda model, whole: model.model_validate(whole), topic, src, fields)
+
+    def _made(self, build: Callable[..., Message], topic: str, src: str, fields: dict[str, Any]) -> Message:
         seq = self._sequence.get((topic, src), 0)
         self._sequence[topic, src] = seq + 1
         model = TOPICS[topic].model
         header = {"seq": seq, "t_ns": self.clock.now_ns(), "src": src, "v": model.version}
-        return model.model_validate({**header, **fields})
+        return build(model, {**header, **fields})
 
     def received(self, topic: str, src: str, **fields: Any) -> Received:
         """Return a message of another node as the node would receive it now."""

@@ -15,6 +15,7 @@ from recorder_samples import EPOCH_NS, NODE, haptic_state, sample, session_contr
 
 from proto import TOPICS, Message, encode
 from proto.messages import InputHealth, SessionEvent
+from proto.ranges import limited
 from proto.sequence import Arrival
 from recording.reader import Recording
 from recording.writer import RecordingWriter
@@ -44,7 +45,8 @@ class QuietBus:
 
     def publish(self, topic: str, **fields: Any) -> Message:
         model = TOPICS[topic].model
-        message = model(seq=len(self.published), t_ns=self.clock.now_ns(), src=NODE, v=model.version, **fields)
+        header = {"seq": len(self.published), "t_ns": self.clock.now_ns(), "src": NODE, "v": model.version}
+        message = limited(model, {**header, **fields})
         self.published.append((topic, message))
         return message
 

@@ -17,7 +17,7 @@ import zmq
 from proto import MAX_MESSAGE_BYTES, TOPICS, decode, encode
 from proto.contract import examples
 from proto.errors import EndpointError
-from proto.messages import HapticState, SessionControl
+from proto.messages import AfmState, HapticState, SessionControl
 from proto.sequence import Arrival
 from services.runtime.bus import Received, Subscriber, ZmqBus, ZmqPublisher, split_frames
 from services.runtime.clock import SystemClock, VirtualClock
@@ -161,6 +161,20 @@ def test_a_message_that_is_refused_takes_no_number(context: Context, endpoint: s
         publisher.close()
 
 
+def test_what_a_node_computes_beyond_a_range_is_sent_as_its_end_and_told(context: Context, endpoint: str) -> None:
+    publisher = ZmqPublisher(context, VirtualClock(), "afm_node@slave", endpoint)
+    told: list[str] = []
+    publisher.on_limited = told.append
+    try:
+        message = publisher.publish("afm/state", **{**published("afm/state"), "deflection_m": float("inf")})
+        publisher.publish("afm/state", **published("afm/state"))
+    finally:
+        publisher.close()
+    assert isinstance(message, AfmState)
+    assert message.deflection_m == 10.0
+    assert told == ["AfmState: deflection_m = inf is out of range and is sent at the end of the range"]
+
+
 # --- what is refused ---
 
 GOOD = payload("haptic/state", seq=1)
@@ -178,6 +192,8 @@ REFUSED = {
     "newer": ("newer_version", (b"haptic/state", msgpack.packb({**msgpack.unpackb(GOOD), "v": 2}))),
     "schema": ("schema", (b"haptic/state", msgpack.packb({**msgpack.unpackb(GOOD), "force": 1.0}))),
     "other-topic": ("schema", (b"session/control", GOOD)),
+    "range": ("range", (b"haptic/state", payload("haptic/state", operator_force_n=(0.0, 0.0, 1e308)))),
+    "twice": ("malformed", (b"haptic/state", b"\xde\x00\x12" + GOOD[3:] + b"\xa3seq\x01")),
 }
 
 
@@ -199,7 +215,7 @@ def test_all_of_it_at_once_leaves_an_account(sender: Sender, reader: Subscriber)
         sender.send(*frames)
     until(lambda: sum(reader.rejected.values()) == len(REFUSED), reader)
     assert reader.rejected == {
-        "frames": 3, "topic": 2, "malformed": 3, "oversized": 2, "newer_version": 1, "schema": 2,
+        "frames": 3, "topic": 2, "malformed": 4, "oversized": 2, "newer_version": 1, "schema": 2, "range": 1,
     }  # fmt: skip
 
 
@@ -288,6 +304,7 @@ def test_invented_numbers_do_not_break_the_report(unconnected: Subscriber) -> No
             t_ns += 1
             hand(unconnected, seq, t_ns)
     assert unconnected.input_health()[0].lost == 2**63 - 1
+    assert unconnected.trackers["haptic/state", "a@b"].lost == 2**63 - 1
 
 
 def test_invented_sources_do_not_fill_the_memory(unconnected: Subscriber) -> None:

@@ -16,6 +16,7 @@ from proto import TOPICS, Message, encode
 from proto.contract import examples
 from proto.errors import ConfigError, RefusedError
 from proto.messages import MAX_TEXT, InputHealth, NodeHealth, NodeJournal, SessionControl, SessionEvent
+from proto.ranges import limited
 from proto.sequence import Arrival
 from services.runtime import journal
 from services.runtime.bus import ConnectionEvent, Received
@@ -51,7 +52,8 @@ class FakeBus:
 
     def publish(self, topic: str, **fields: Any) -> Message:
         model = TOPICS[topic].model
-        message = model(seq=len(self.sent), t_ns=self.clock.now_ns(), src="n@s", v=model.version, **fields)
+        header = {"seq": len(self.sent), "t_ns": self.clock.now_ns(), "src": "n@s", "v": model.version}
+        message = limited(model, {**header, **fields})
         encode(message)
         self.sent.append(message)
         return message
