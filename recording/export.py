@@ -64,7 +64,8 @@ def file_stem(channel_topic: str) -> str:
 def plain_schema(schema: Mapping[str, Any]) -> dict[str, Any]:
     """Return a JSON Schema without references, tuples and alternatives, as viewers need it.
 
-    Vectors become lists of numbers, optional parts are described by what they are when present, arrays as lists.
+    Vectors become lists of numbers, optional parts are described by what they are when present (and left out when they
+    are not), arrays as lists.
     """
     definitions = schema.get("$defs", {})
 
@@ -151,27 +152,47 @@ def _write_dataset(h5py: Any, group: Any, name: str, values: list[Any]) -> None:
 
 def _export_json(recording: Recording, target: Path, selection: Selection) -> CopyResult:
     skipped: list[Damage] = list(recording.structural_damage)
-    channels: dict[str, RawChannel] = {}
+    channels: dict[str, tuple[RawChannel, dict[str, Any]]] = {}
     with CopyWriter(target, profile="") as writer:
         writer.copy_attachments_and_metadata([recording])
         for message in recording.select(selection, report=skipped.append):
             key = f"{message.channel_topic} {message.src}"
             if key not in channels:
                 channels[key] = _json_channel(message)
-            payload = json.dumps(plain(message), separators=(",", ":")).encode()
-            writer.add(RawMessage(channels[key], message.log_ns, message.publish_ns, message.seq, payload))
+            channel, schema = channels[key]
+            payload = json.dumps(_fitted(plain(message), schema), separators=(",", ":")).encode()
+            writer.add(RawMessage(channel, message.log_ns, message.publish_ns, message.seq, payload))
     return CopyResult(path=str(target), messages=writer.messages, skipped=describe_damage(skipped))
 
 
-def _json_channel(message: RecordedMessage) -> RawChannel:
+def _fitted(value: Any, schema: Mapping[str, Any]) -> Any:
+    """Return a value as its plain schema says: without what is nil, and an array of any shape as one list."""
+    if isinstance(value, dict):
+        parts = schema.get("properties", {})
+        return {key: _fitted(part, parts.get(key, {})) for key, part in value.items() if part is not None}
+    if schema.get("type") != "array":
+        return value
+    if schema["items"].get("type") in ("number", "integer"):
+        return list(_elements(value))
+    return [_fitted(part, schema["items"]) for part in value]
+
+
+def _elements(value: Any) -> Iterator[Any]:
+    if isinstance(value, list):
+        for part in value:
+            yield from _elements(part)
+    else:
+        yield value
+
+
+def _json_channel(message: RecordedMessage) -> tuple[RawChannel, dict[str, Any]]:
     channel = message.channel
     model = RECORDS.get(channel.topic) or (TOPICS[channel.topic].model if channel.topic in TOPICS else None)
     facts = {"topic": channel.topic, "site": channel.site, "via": channel.via, "src": channel.src}
     schema = {"type": "object", "properties": {}} if model is None else plain_schema(model.model_json_schema())
     name = channel.topic if model is None else f"telenano.{model.__name__}"
-    return RawChannel(
-        channel.channel_topic, "json", tuple(sorted(facts.items())), (name, "jsonschema", json.dumps(schema).encode())
-    )
+    described = (name, "jsonschema", json.dumps(schema).encode())
+    return RawChannel(channel.channel_topic, "json", tuple(sorted(facts.items())), described), schema
 
 
 def _package(name: str, format_name: str) -> Any:

@@ -13,6 +13,7 @@ from mcap.reader import make_reader
 from recorder_samples import EPOCH_NS, NODE, haptic_state, sample
 
 from proto import TOPICS, encode
+from proto.contract import examples
 from proto.errors import ConfigError, RecordingError
 from proto.messages import AfmScanline, Array
 from recording.channel_filter import Selection
@@ -41,7 +42,8 @@ def rich(tmp_path: Path) -> Path:
         wave = (0.0, 0.0, 0.5) if seq == 3 else None
         message = sample("teleop/forward", seq, src="controller@master", wave_sqrt_w=wave, energy_j=None)
         writer.write(forward, EPOCH_NS + seq, message.t_ns, seq, encode(message))
-        scan = sample("afm/scanline", seq, src="afm_node@slave", height_m=Array.from_numpy(HEIGHTS * seq))
+        heights, wide = Array.from_numpy(HEIGHTS * seq), Array.from_numpy((HEIGHTS * seq).reshape(1, 3))
+        scan = sample("afm/scanline", seq, src="afm_node@slave", height_m=heights, amplitude_m=wide)
         writer.write(lines, EPOCH_NS + seq, scan.t_ns, seq, encode(scan))
         message = sample("session/event", seq, src="afm_node@slave", data={"force_n": 1.5, f"k{seq}": "x"})
         writer.write(event, EPOCH_NS + seq, message.t_ns, seq, encode(message))
@@ -111,12 +113,57 @@ def test_the_json_recording_is_read_by_the_reference_reader(rich: Path, tmp_path
         assert described["type"] == "object"
         payload = json.loads(message.data)
         assert set(payload) <= set(described["properties"])
+        assert obeys(payload, described), channel.topic
+    forward = [json.loads(message.data) for _, channel, message in rows if channel.topic == "teleop/forward@slave"]
+    assert [fields.get("wave_sqrt_w") for fields in forward] == [
+        [0.0, 0.0, 0.5] if seq == 3 else None for seq in range(10)
+    ]
+    assert not any("energy_j" in fields for fields in forward)
     hand = [json.loads(message.data) for _, channel, message in rows if channel.topic == "haptic/state"]
     assert [fields["position_m"] for fields in hand] == [list(haptic_state(seq).position_m) for seq in range(10)]
     scan = [json.loads(message.data) for _, channel, message in rows if channel.topic == "afm/scanline"]
     assert scan[3]["height_m"] == (HEIGHTS * 3).tolist()
+    assert scan[3]["amplitude_m"] == (HEIGHTS * 3).tolist()
     (rejected,) = [json.loads(message.data) for _, channel, message in rows if channel.topic == REJECTED_TOPIC]
     assert rejected["frames"] == ["AP8="]
+
+
+def obeys(value: Any, schema: dict[str, Any]) -> bool:
+    """Say whether a value is what a plain schema describes: nothing is required, nothing may be null."""
+    kinds = {"number": (int, float), "integer": int, "string": str, "boolean": bool, "array": list, "object": dict}
+    kind = schema.get("type")
+    if kind is None:
+        return value is not None
+    if not isinstance(value, kinds[kind]) or (kind in ("number", "integer") and isinstance(value, bool)):
+        return False
+    if kind == "array":
+        return all(obeys(part, schema["items"]) for part in value)
+    parts = schema.get("properties", {})
+    return kind != "object" or all(obeys(part, parts.get(key, {})) for key, part in value.items())
+
+
+@pytest.mark.parametrize("topic", list(TOPICS))
+def test_every_message_obeys_the_schema_that_viewers_get(topic: str, tmp_path: Path) -> None:
+    writer = RecordingWriter.create(NODE, RecorderConfig(directory=tmp_path))
+    found = examples(TOPICS[topic])
+    channel = writer.channel(topic, found["minimal"].src, "master")
+    for seq, message in enumerate(found.values()):
+        writer.write(channel, EPOCH_NS + seq, EPOCH_NS, seq, encode(message))
+    writer.finish()
+    export_recording(writer.path, tmp_path / "viewer.mcap", "mcap-json")
+    with (tmp_path / "viewer.mcap").open("rb") as file:
+        rows = list(make_reader(file).iter_messages())
+    assert len(rows) == len(found)
+    for schema, _, message in rows:
+        assert schema is not None
+        assert obeys(json.loads(message.data), json.loads(schema.data))
+
+
+def test_the_check_of_the_schema_can_fail() -> None:
+    schema = {"type": "object", "properties": {"a": {"type": "array", "items": {"type": "number"}}}}
+    assert obeys({"a": [1.0, 2]}, schema)
+    for wrong in ({"a": None}, {"a": [[1.0]]}, {"a": [True]}, {"a": 1.0}, []):
+        assert not obeys(wrong, schema)
 
 
 @pytest.mark.parametrize("topic", list(TOPICS))
