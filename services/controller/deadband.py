@@ -18,10 +18,9 @@ from typing import Annotated, NamedTuple
 from pydantic import Field
 
 from services.controller.law import PortSignal
+from services.controller.ranges import ForceOrNoneN, PositionOrNoneM, VelocityOrNoneMPerS, WaveOrNoneSqrtW
 from services.runtime.compiled import compiled
 from services.runtime.config import Settings
-
-NotNegative = Annotated[float, Field(ge=0.0)]
 
 
 class DeadbandParams(NamedTuple):
@@ -43,10 +42,10 @@ class DeadbandConfig(Settings):
     weber_fraction: Annotated[float, Field(ge=0.0, lt=1.0)] = Field(
         default=0.1, description="Least perceptible relative change w; [0, 1)"
     )
-    position_resolution_m: NotNegative = Field(default=5e-11, description="Least change of a position sent [m]; >= 0")
-    velocity_floor_m_per_s: NotNegative = Field(default=1e-10, description="Least change of a velocity [m/s]; >= 0")
-    force_floor_n: NotNegative = Field(default=1e-10, description="Least change of a force [N]; >= 0")
-    wave_floor_sqrt_w: NotNegative = Field(default=1e-3, description="Least change of a wave [sqrt(W)]; >= 0")
+    position_resolution_m: PositionOrNoneM = Field(default=5e-11, description="Least change of a position sent [m]")
+    velocity_floor_m_per_s: VelocityOrNoneMPerS = Field(default=1e-10, description="Least change of a velocity [m/s]")
+    force_floor_n: ForceOrNoneN = Field(default=1e-10, description="Least change of a force [N]")
+    wave_floor_sqrt_w: WaveOrNoneSqrtW = Field(default=1e-3, description="Least change of a wave [sqrt(W)]")
     keep_alive_s: Annotated[float, Field(gt=0.0, le=0.04)] = Field(
         default=0.02, description="Longest time without a signal [s]; (0, 0.04], for the devices take 0.05 as silence"
     )

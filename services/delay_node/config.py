@@ -12,6 +12,8 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, BeforeValidator, Field, ValidationError, field_validator, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
+from proto.codec import MAX_MESSAGE_BYTES
+from proto.messages import MAX_KEYS
 from services.delay_node.profiles import PROFILES, known_profiles
 from services.runtime.config import Settings, flatten, merge, nested, validate
 
@@ -25,6 +27,10 @@ LONGEST_S = 3600.0
 Seconds = Annotated[float, Field(ge=0.0, le=LONGEST_S)]
 # Below a microsecond a time-driven model would have to be walked through thousands of steps per message.
 Interval = Annotated[float, Field(ge=1e-6, le=LONGEST_S)]
+# An integer that goes into link/status.
+_MOST = 2**63 - 1
+# What link/status has room for, in each direction: keys that are set, and the bytes of these and of texts.
+_MOST_BYTES = MAX_MESSAGE_BYTES // 4
 
 
 class Jitter(Settings):
@@ -91,13 +97,17 @@ class Corruption(Event):
 class Reordering(Event):
     """Messages sent at once, past the delay of those before them."""
 
-    gap: int = Field(default=1, ge=1, description="one message in a gap at most: gap - 1 go the normal way between two")
+    gap: int = Field(
+        default=1, ge=1, le=_MOST, description="one message in a gap at most: gap - 1 go the normal way between two"
+    )
 
 
 class Rate(Settings):
     """Serialisation at a finite rate."""
 
-    rate_bytes_per_s: float | None = Field(default=None, gt=0.0, description="throughput [byte/s], none: unlimited")
+    rate_bytes_per_s: float | None = Field(
+        default=None, ge=1e-3, le=1e12, description="throughput [byte/s], none: unlimited"
+    )
     overhead_bytes: int = Field(default=0, ge=0, le=65536, description="bytes added to each message on the line")
 
 
@@ -106,14 +116,18 @@ class DeliveryTrace(Settings):
 
     file: str | None = Field(default=None, description="file of times, one a line, not decreasing")
     unit_s: Interval = Field(default=1e-3, description="seconds per unit of the file")
-    bytes_per_opportunity: int | None = Field(default=1500, ge=1, description="bytes, none: one message of any size")
+    bytes_per_opportunity: int | None = Field(
+        default=1500, ge=1, le=_MOST, description="bytes, none: one message of any size"
+    )
 
 
 class Queue(Settings):
     """The queue in front of a rate limit or a delivery trace."""
 
-    limit_messages: int | None = Field(default=1000, ge=0, description="messages that may wait, none: unlimited")
-    limit_bytes: int | None = Field(default=None, ge=0, description="bytes that may wait, none: unlimited")
+    limit_messages: int | None = Field(
+        default=1000, ge=0, le=_MOST, description="messages that may wait, none: unlimited"
+    )
+    limit_bytes: int | None = Field(default=None, ge=0, le=_MOST, description="bytes that may wait, none: unlimited")
     drop: Literal["tail", "head", "random", "same_topic"] = Field(
         default="tail",
         description="what is dropped when it is full: the arriving message, the oldest, any of those waiting, "
@@ -128,8 +142,10 @@ class Slots(Settings):
     max_interval_s: Interval | None = Field(
         default=None, description="longest time between slots [s], none: as min_interval_s"
     )
-    max_messages: int | None = Field(default=None, ge=1, description="messages a slot carries, none: unlimited")
-    max_bytes: int | None = Field(default=None, ge=1, description="bytes a slot carries, none: unlimited")
+    max_messages: int | None = Field(
+        default=None, ge=1, le=_MOST, description="messages a slot carries, none: unlimited"
+    )
+    max_bytes: int | None = Field(default=None, ge=1, le=_MOST, description="bytes a slot carries, none: unlimited")
 
 
 def _schedule(value: object) -> object:
@@ -295,7 +311,7 @@ class LinkSettings(Settings):
     """Settings of the whole link. `forward` runs from the master site to the slave site, `backward` the other way."""
 
     profile: str = Field(default="clean", description="named settings that the keys below change")
-    seed: int = Field(default=0, ge=0, description="seed of all random streams; another seed restarts them")
+    seed: int = Field(default=0, ge=0, le=_MOST, description="seed of all random streams; another seed restarts them")
     forward: DirectionSettings = Field(default=DirectionSettings(), description="master to slave")
     backward: DirectionSettings = Field(default=DirectionSettings(), description="slave to master")
 
@@ -320,6 +336,19 @@ class LinkSettings(Settings):
             for key, value in data.items()
         }
         return merge(known.settings, given, {"profile": name.lower()})
+
+    @model_validator(mode="after")
+    def _reportable(self) -> "LinkSettings":
+        # What is set is reported ten times a second: it has to fit.
+        settings = flattened(self, only_set=True)
+        for way in ("forward", "backward"):
+            texts = [f"{key}{value}".encode() for key, value in settings.items() if key.startswith(f"{way}.")]
+            if len(texts) > MAX_KEYS or sum(map(len, texts)) > _MOST_BYTES:
+                raise ValueError(
+                    f"{way} has {len(texts)} keys and {sum(map(len, texts))} bytes of text, "
+                    f"at most {MAX_KEYS} and {_MOST_BYTES} can be reported"
+                )
+        return self
 
 
 def parse_settings(tree: Mapping[str, Any], origin: str = "link settings") -> LinkSettings:

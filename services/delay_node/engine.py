@@ -16,6 +16,9 @@ from services.delay_node.models.queueing import ServedQueue, Waiting
 from services.delay_node.pipeline import Files, InFlight, Pipeline, TopicPipeline, read_files
 from services.runtime.node_state import FindInput
 
+# a day: no setting asks for more than an hour, but a heavy tail may draw anything
+_LONGEST_DELAY_NS = 86_400_000_000_000
+
 
 class DirectionEngine:
     """One direction of the link.
@@ -422,7 +425,7 @@ def fates_of(
 
 def _random_delay_ns(fixed_ns: int, jitter: Callable[[], float] | None) -> int:
     # No network delivers before it has received: what a wide jitter takes below zero stays at zero.
-    return fixed_ns if jitter is None else max(0, round(fixed_ns + jitter()))
+    return fixed_ns if jitter is None else min(max(0, round(fixed_ns + jitter())), _LONGEST_DELAY_NS)
 
 
 def _waiting(message: InFlight) -> Waiting[InFlight]:

@@ -8,6 +8,7 @@ from proto import TOPICS
 from proto.errors import ConfigError, RefusedError
 from proto.messages import ClockPong, LinkClock, LinkDirection, LinkFate, Message, SessionControl
 from proto.nodes import LINK
+from proto.ranges import limited
 from services.delay_node.clock_offset import Exchange, Offset, OffsetFilter
 from services.delay_node.config import LinkSettings, Setting, changed, flattened
 from services.delay_node.engine import DirectionEngine, LinkEngine
@@ -158,45 +159,48 @@ class DelayNode(Node):
 def _clock(offset: Offset | None) -> LinkClock:
     if offset is None:
         return LinkClock(valid=False, offset_s=0.0, uncertainty_s=0.0, round_trip_s=0.0, exchanges=0)
-    return LinkClock(
-        valid=True,
-        offset_s=offset.offset_s,
-        uncertainty_s=offset.uncertainty_s,
-        round_trip_s=offset.round_trip_s,
-        exchanges=offset.exchanges,
-    )
+    found = {
+        "valid": True,
+        "offset_s": offset.offset_s,
+        "uncertainty_s": offset.uncertainty_s,
+        "round_trip_s": offset.round_trip_s,
+        "exchanges": offset.exchanges,
+    }
+    return limited(LinkClock, found)
 
 
 def _link_fate(fate: Fate) -> LinkFate:
-    return LinkFate(
-        topic=fate.topic,
-        seq=fate.seq,
-        is_duplicate=fate.copy > 0,
-        arrived_ns=fate.arrived_ns,
-        delay_ns=fate.delay_ns,
-        queue_ns=fate.queue_ns,
-        held_ns=fate.held_ns,
-        dropped=fate.dropped,
-        duplicated=fate.duplicated,
-        reordered=fate.reordered,
-        corrupted=fate.corrupted,
-    )
+    report = {
+        "topic": fate.topic,
+        "seq": fate.seq,
+        "is_duplicate": fate.copy > 0,
+        "arrived_ns": fate.arrived_ns,
+        "delay_ns": fate.delay_ns,
+        "queue_ns": fate.queue_ns,
+        "held_ns": fate.held_ns,
+        "dropped": fate.dropped,
+        "duplicated": fate.duplicated,
+        "reordered": fate.reordered,
+        "corrupted": fate.corrupted,
+    }
+    return limited(LinkFate, report)
 
 
 def _direction(way: Way, settings: dict[str, Setting], profile: str) -> LinkDirection:
     stats, prefix = way.engine.stats(), way.name + "."
-    return LinkDirection(
-        profile=profile,
-        settings={key.removeprefix(prefix): value for key, value in settings.items() if key.startswith(prefix)},
-        messages_in=stats.messages_in,
-        messages_out=stats.messages_out,
-        dropped={cause: count for cause, count in stats.dropped.items() if count},
-        duplicated=stats.duplicated,
-        reordered=stats.reordered,
-        corrupted=stats.corrupted,
-        queue_depth=stats.in_flight,
-        delay_valid=stats.delay_count > 0,
-        delay_mean_s=stats.delay_mean_s or 0.0,
-        delay_min_s=stats.delay_min_s or 0.0,
-        delay_max_s=stats.delay_max_s or 0.0,
-    )
+    figures = {
+        "profile": profile,
+        "settings": {key.removeprefix(prefix): value for key, value in settings.items() if key.startswith(prefix)},
+        "messages_in": stats.messages_in,
+        "messages_out": stats.messages_out,
+        "dropped": {cause: count for cause, count in stats.dropped.items() if count},
+        "duplicated": stats.duplicated,
+        "reordered": stats.reordered,
+        "corrupted": stats.corrupted,
+        "queue_depth": stats.in_flight,
+        "delay_valid": stats.delay_count > 0,
+        "delay_mean_s": stats.delay_mean_s or 0.0,
+        "delay_min_s": stats.delay_min_s or 0.0,
+        "delay_max_s": stats.delay_max_s or 0.0,
+    }
+    return limited(LinkDirection, figures)

@@ -24,28 +24,37 @@ class DeviceConfig(Settings):
         description="Servo gain: 1.917e5 V/m for the 30 Hz of Table 1, or the printed 10000 V/m: 1.318 Hz (E1)",
     )
     servo_gain_v_per_m: float | None = Field(
-        default=None, gt=0.0, le=1e7, description="Servo gain G [V/m] in place of the preset's; (0, 1e7]"
+        default=None, ge=1e-3, le=1e7, description="Servo gain G [V/m] in place of the preset's; [1e-3, 1e7]"
     )
     speed_gain_rad_per_s_v: float = Field(
-        default=29.41, gt=0.0, le=1e4, description="Motor gain Km [(rad/s)/V]; (0, 1e4]; 1/Km is K_t [N m/A] and K_e"
+        default=29.41,
+        ge=1e-3,
+        le=1e4,
+        description="Motor gain Km [(rad/s)/V]; [1e-3, 1e4]; 1/Km is K_t [N m/A] and K_e",
     )
-    screw_m_per_rad: float = Field(default=2.79e-5, gt=0.0, le=0.1, description="Screw Kp [m/rad]; (0, 0.1]")
+    screw_m_per_rad: float = Field(default=2.79e-5, ge=1e-9, le=0.1, description="Screw Kp [m/rad]; [1e-9, 0.1]")
     time_constant_s: float = Field(default=1.1e-3, ge=1e-4, le=1.0, description="Motor time constant Tm [s]; [1e-4, 1]")
     friction_torque_n_m: float = Field(
         default=3.15e-3, ge=0.0, le=1.0, description="Coulomb friction at the motor, either way [N m]; [0, 1]"
     )
     armature_resistance_ohm: float = Field(
         default=5.0,
-        gt=0.0,
+        ge=1e-6,
         le=1e3,
-        description="Armature resistance R [ohm], our own choice (not in the paper); (0, 1e3]. Friction acts like"
+        description="Armature resistance R [ohm], our own choice (not in the paper); [1e-6, 1e3]. Friction acts like"
         " torque*R*Km volts: 0.463 V, a position band of 2.4 um (paper_bandwidth) or 46 um (paper_gain)",
     )
     voltage_limit_v: float = Field(
-        default=48.0, gt=0.0, le=1e3, description="Supply of the drive [V], our own choice; (0, 1e3]; 39 mm/s unloaded"
+        default=48.0,
+        ge=1e-6,
+        le=1e3,
+        description="Supply of the drive [V], our own choice; [1e-6, 1e3]; 39 mm/s unloaded",
     )
     torque_limit_n_m: float = Field(
-        default=0.05, gt=0.0, le=10.0, description="Motor torque at the current limit [N m], our own choice; (0, 10]"
+        default=0.05,
+        ge=1e-9,
+        le=10.0,
+        description="Motor torque at the current limit [N m], our own choice; [1e-9, 10]",
     )
     position_min_m: float = Field(
         default=-0.005, ge=-1.0, le=1.0, description="End stop away from the sample [m]; [-1, 1]"
@@ -100,9 +109,9 @@ class LimitsConfig(Settings):
 
     command_deadline_s: float = Field(
         default=0.050,
-        gt=0.0,
+        ge=1e-6,
         le=10.0,
-        description="Oldest command that is still followed, beyond it the motor is off [s]; (0, 10]",
+        description="Oldest command that is still followed, beyond it the motor is off [s]; [1e-6, 10]",
     )
     position_min_m: float = Field(
         default=-0.0045, ge=-1.0, le=1.0, description="Lowest position reference [m]; [-1, 1]"
@@ -111,10 +120,13 @@ class LimitsConfig(Settings):
         default=0.0145, ge=-1.0, le=1.0, description="Highest position reference [m]; [-1, 1]"
     )
     max_speed_m_per_s: float = Field(
-        default=0.03, gt=0.0, le=10.0, description="Fastest motion of the position reference [m/s]; (0, 10]"
+        default=0.03, ge=1e-12, le=10.0, description="Fastest motion of the position reference [m/s]; [1e-12, 10]"
     )
     max_force_n: float = Field(
-        default=10.0, gt=0.0, le=1e3, description="Largest force reference, for devices with a force mode [N]; (0, 1e3]"
+        default=10.0,
+        ge=1e-12,
+        le=1e3,
+        description="Largest force reference, for devices with a force mode [N]; [1e-12, 1e3]",
     )
 
     @model_validator(mode="after")
@@ -140,14 +152,14 @@ class LimitsConfig(Settings):
 class ForcePoint(Settings):
     """One corner of a force profile."""
 
-    time_s: float = Field(ge=0.0, description="Time since the session started [s]; >= 0")
+    time_s: float = Field(ge=0.0, le=1e9, description="Time since the session started [s]; [0, 1e9]")
     force_n: float = Field(ge=-1e3, le=1e3, description="Force of the hand on the device, towards the sample > 0 [N]")
 
 
 class PathPoint(Settings):
     """One corner of an intended path."""
 
-    time_s: float = Field(ge=0.0, description="Time since the session started [s]; >= 0")
+    time_s: float = Field(ge=0.0, le=1e9, description="Time since the session started [s]; [0, 1e9]")
     position_m: float = Field(ge=-1.0, le=1.0, description="Where the hand means to be, towards the sample > 0 [m]")
 
 
@@ -166,7 +178,9 @@ def _check_times(name: str, points: tuple[ForcePoint, ...] | tuple[PathPoint, ..
             )
 
 
-MaxForce = Annotated[float, Field(gt=0.0, le=1e3, description="Most that hand and force sensor take [N]; (0, 1e3]")]
+MaxForce = Annotated[
+    float, Field(ge=1e-12, le=1e3, description="Most that hand and force sensor take [N]; [1e-12, 1e3]")
+]
 
 
 class ForceProfileConfig(Settings):
@@ -234,10 +248,10 @@ class ImpedanceConfig(Settings):
         description="Moving mass m of the hand [kg]; [0, 100]; none: the named arm's",
     )
     pad_stiffness_n_per_m: float = Field(
-        default=5000.0, gt=0.0, le=1e7, description="Finger pad between mass and device, spring k_p [N/m]; (0, 1e7]"
+        default=5000.0, ge=1e-6, le=1e7, description="Finger pad between mass and device, spring k_p [N/m]; [1e-6, 1e7]"
     )
     pad_damping_n_s_per_m: float = Field(
-        default=10.0, gt=0.0, le=1e6, description="Finger pad between mass and device, damper b_p [N s/m]; (0, 1e6]"
+        default=10.0, ge=1e-6, le=1e6, description="Finger pad between mass and device, damper b_p [N s/m]; [1e-6, 1e6]"
     )
     max_force_n: MaxForce = 10.0
 

@@ -9,6 +9,7 @@ from typing import Any, TypeVar, get_args, get_origin
 
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic.fields import FieldInfo
 
 from proto.errors import ConfigError
 
@@ -204,13 +205,44 @@ def _describe(error: ValidationError, origin: str, model: type[BaseModel], secti
         elif fault["type"] == "missing":
             text = "is missing"
         elif not isinstance(fault["input"], dict | list):
-            text = f"{text}, got {fault['input']!r}"
+            text = f"{text}{_allowed(fault, model)}, got {fault['input']!r}"
         lines.append(f"{origin}: {key + ': ' if key else ''}{text}")
     return "\n".join(lines)
 
 
+def _allowed(fault: Mapping[str, Any], model: type[BaseModel]) -> str:
+    """Name both bounds of a value that is beyond one of them, where the path leads to its field."""
+    if fault["type"] not in ("greater_than", "greater_than_equal", "less_than", "less_than_equal"):
+        return ""
+    *path, name = fault["loc"]
+    owner = _model_at(model, path)
+    field = owner.model_fields.get(str(name)) if owner is not None else None
+    bounds = _bounds(field) if field is not None else {}
+    low = next((f"from {word}{bounds[key]:g}" for key, word in (("ge", ""), ("gt", "above ")) if key in bounds), "")
+    high = next((f"to {word}{bounds[key]:g}" for key, word in (("le", ""), ("lt", "below ")) if key in bounds), "")
+    return f" (allowed is {low} {high})" if low and high else ""
+
+
+def _bounds(part: Any) -> dict[str, float]:
+    """Return ge, gt, le and lt of a field, or of a type within its annotation."""
+    found: dict[str, float] = {}
+    for rule in getattr(part, "metadata", getattr(part, "__metadata__", ())):
+        # a rule is a bound itself, or the field of an annotation
+        found |= _bounds(rule) if isinstance(rule, FieldInfo) else {}
+        found |= {key: getattr(rule, key) for key in ("ge", "gt", "le", "lt") if hasattr(rule, key)}
+    for inner in get_args(part.annotation if isinstance(part, FieldInfo) else part):
+        found |= _bounds(inner)
+    return found
+
+
 def _known_keys(model: type[BaseModel], path: tuple[int | str, ...]) -> str:
-    """Name the keys that would be right, where the path leads through nested models and mappings of them."""
+    """Name the keys that would be right."""
+    owner = _model_at(model, path)
+    return f", known are {', '.join(owner.model_fields)}" if owner is not None else ""
+
+
+def _model_at(model: type[BaseModel], path: Sequence[int | str]) -> type[BaseModel] | None:
+    """Return the model that a path leads to through models and mappings of them, None where it leads elsewhere."""
     kind: Any = model
     for part in path:
         if get_origin(kind) is dict:
@@ -218,7 +250,5 @@ def _known_keys(model: type[BaseModel], path: tuple[int | str, ...]) -> str:
         elif isinstance(kind, type) and issubclass(kind, BaseModel) and str(part) in kind.model_fields:
             kind = kind.model_fields[str(part)].annotation
         else:
-            return ""
-    if not (isinstance(kind, type) and issubclass(kind, BaseModel)):
-        return ""
-    return f", known are {', '.join(kind.model_fields)}"
+            return None
+    return kind if isinstance(kind, type) and issubclass(kind, BaseModel) else None

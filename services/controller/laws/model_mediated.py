@@ -56,8 +56,6 @@ from services.controller.laws.surface import (
 from services.controller.laws.virtual_mass import (
     Mass,
     MassParams,
-    NotNegative,
-    Positive,
     SteeredConfig,
     at_rest,
     is_coupled,
@@ -67,6 +65,16 @@ from services.controller.laws.virtual_mass import (
     rescaled,
     resumed,
     tip_reference,
+)
+from services.controller.ranges import (
+    ContactNPerM15,
+    DampingNSPerM,
+    EnergyOrNoneJ,
+    ForceOrNoneN,
+    ForceRateNPerS,
+    LengthM,
+    StiffnessNPerM,
+    TimeS,
 )
 from services.runtime.compiled import compiled
 
@@ -87,27 +95,27 @@ class ModelMediatedParams(NamedTuple):
 class ModelMediatedConfig(SteeredConfig):
     """Section `controller.model_mediated`."""
 
-    cantilever_stiffness_n_per_m: Positive = Field(
+    cantilever_stiffness_n_per_m: StiffnessNPerM = Field(
         default=40.0, description="Spring constant k of the cantilever [N/m]"
     )
-    contact_stiffness_n_per_m1_5: Positive = Field(
-        default=5.75e5, description="First estimate of kappa = 4/3 E* sqrt(R) [N/m^1.5]; > 0; Table 2 has 5.75e5"
+    contact_stiffness_n_per_m1_5: ContactNPerM15 = Field(
+        default=5.75e5, description="First estimate of kappa = 4/3 E* sqrt(R) [N/m^1.5]; Table 2 has 5.75e5"
     )
-    adhesion_range_m: Positive = Field(default=2e-9, description="Range l over which the pull fades outside [m]; > 0")
-    fit_resolution_m: Positive = Field(
-        default=1e-10, description="Width of the 32 bins of position that the fit remembers [m]; > 0"
+    adhesion_range_m: LengthM = Field(default=2e-9, description="Range l over which the pull fades outside [m]")
+    fit_resolution_m: LengthM = Field(
+        default=1e-10, description="Width of the 32 bins of position that the fit remembers [m]"
     )
-    update_s: Positive = Field(default=0.05, description="Time constant with which the model follows the fit [s]; > 0")
-    update_force_n_per_s: Positive = Field(
-        default=10.0, description="Fastest change of the force at the hand by an update [N/s]; > 0"
+    update_s: TimeS = Field(default=0.05, description="Time constant with which the model follows the fit [s]")
+    update_force_n_per_s: ForceRateNPerS = Field(
+        default=10.0, description="Fastest change of the force at the hand by an update [N/s]"
     )
-    energy_cap_j: NotNegative = Field(
-        default=5e-3, description="Most energy kept from the damper for updates, at the hand's scale [J]; >= 0"
+    energy_cap_j: EnergyOrNoneJ = Field(
+        default=5e-3, description="Most energy kept from the damper for updates, at the hand's scale [J]"
     )
-    guard_damping_n_s_per_m: Positive = Field(
-        default=30.0, description="Damper B_g of the slave's force guard, at the hand's scale [N s/m]; > 0"
+    guard_damping_n_s_per_m: DampingNSPerM = Field(
+        default=30.0, description="Damper B_g of the slave's force guard, at the hand's scale [N s/m]"
     )
-    force_margin_n: NotNegative = Field(
+    force_margin_n: ForceOrNoneN = Field(
         default=0.0, description="Force by which the slave may press harder than the hand, at the hand's scale F_0 [N]"
     )
 

@@ -61,8 +61,6 @@ from services.controller.law import (
 from services.controller.laws.virtual_mass import (
     Mass,
     MassParams,
-    NotNegative,
-    Positive,
     SteeredConfig,
     at_rest,
     is_coupled,
@@ -73,6 +71,15 @@ from services.controller.laws.virtual_mass import (
     rescaled,
     resumed,
     tip_reference,
+)
+from services.controller.ranges import (
+    DampingNSPerM,
+    EnergyJ,
+    EnergyOrNoneJ,
+    ForceOrNoneN,
+    SpeedMPerS,
+    StiffnessNPerM,
+    TimeS,
 )
 from services.runtime.compiled import compiled
 
@@ -93,21 +100,21 @@ class PassivityParams(NamedTuple):
 class PassivityConfig(SteeredConfig):
     """Section `controller.passivity`; energies, stiffness and damping at the hand's scale."""
 
-    coupling_stiffness_n_per_m: Positive = Field(default=1500.0, description="Spring of the coupling K_c [N/m]; > 0")
-    coupling_damping_n_s_per_m: Positive = Field(default=30.0, description="Damper of the base B_c [N s/m]; > 0")
-    speed_limit_m_per_s: Positive = Field(
-        default=0.05, description="Fastest motion of the slave's reference, at the hand's scale [m/s]; > 0"
+    coupling_stiffness_n_per_m: StiffnessNPerM = Field(default=1500.0, description="Spring of the coupling K_c [N/m]")
+    coupling_damping_n_s_per_m: DampingNSPerM = Field(default=30.0, description="Damper of the base B_c [N s/m]")
+    speed_limit_m_per_s: SpeedMPerS = Field(
+        default=0.05, description="Fastest motion of the slave's reference, at the hand's scale [m/s]"
     )
-    force_margin_n: NotNegative = Field(
+    force_margin_n: ForceOrNoneN = Field(
         default=0.0, description="Force by which the slave may press harder than the hand, at the hand's scale F_0 [N]"
     )
-    clamp_release_s: Positive = Field(
-        default=4.0, description="Time constant with which the clamp follows a hand that presses less tau_c [s]; > 0"
+    clamp_release_s: TimeS = Field(
+        default=4.0, description="Time constant with which the clamp follows a hand that presses less tau_c [s]"
     )
-    start_energy_j: NotNegative = Field(
+    start_energy_j: EnergyOrNoneJ = Field(
         default=1e-3, description="Energy that each side may spend at the start E_0 [J]"
     )
-    energy_cap_j: Positive = Field(default=5e-3, description="Most energy that a side keeps to spend [J]; > 0")
+    energy_cap_j: EnergyJ = Field(default=5e-3, description="Most energy that a side keeps to spend [J]")
 
     def to_params(self, period_s: float) -> PassivityParams:
         """Return the constants of the compiled steps for a period [s] of the hand."""

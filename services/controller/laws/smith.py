@@ -34,7 +34,8 @@ from services.controller.law import HandSample, Law, MasterReference, PortSignal
 from services.controller.laws import virtual_impedance as impedance
 from services.controller.laws.pass_through import slave_receive, slave_send, slave_start
 from services.controller.laws.virtual_impedance import ImpedanceConfig, VirtualImpedanceParams
-from services.controller.laws.virtual_mass import NotNegative, Positive, periods_in
+from services.controller.laws.virtual_mass import periods_in
+from services.controller.ranges import LengthM, StiffnessNPerM, StiffnessOrNoneNPerM, StiffnessRateNPerMS, TimeS
 from services.runtime.compiled import compiled
 
 # references kept, one a period: older ones are taken for the oldest, so longer delays are bridged in part
@@ -56,17 +57,17 @@ class SmithParams(NamedTuple):
 class SmithConfig(ImpedanceConfig):
     """Section `controller.smith`: the virtual impedance's parameters, and the model's."""
 
-    environment_stiffness_n_per_m: NotNegative = Field(
-        default=10.0, description="Stiffness of the environment at the tip K_e, or first estimate of it [N/m]; >= 0"
+    environment_stiffness_n_per_m: StiffnessOrNoneNPerM = Field(
+        default=10.0, description="Stiffness of the environment at the tip K_e, or first estimate of it [N/m]"
     )
-    environment_stiffness_max_n_per_m: Positive = Field(default=60.0, description="Largest estimate of K_e [N/m]; > 0")
+    environment_stiffness_max_n_per_m: StiffnessNPerM = Field(default=60.0, description="Largest estimate of K_e [N/m]")
     estimate: bool = Field(default=True, description="Whether K_e is estimated from what comes back")
-    memory_s: Positive = Field(default=0.2, description="Time constant of forgetting in the estimate [s]; > 0")
-    least_motion_m: Positive = Field(
-        default=5e-11, description="Motion of the tip in memory (standard deviation) below which K_e is kept [m]; > 0"
+    memory_s: TimeS = Field(default=0.2, description="Time constant of forgetting in the estimate [s]")
+    least_motion_m: LengthM = Field(
+        default=5e-11, description="Motion of the tip in memory (standard deviation) below which K_e is kept [m]"
     )
-    stiffness_rate_n_per_m_s: Positive = Field(
-        default=200.0, description="Fastest change of the K_e in use [N/(m s)]; > 0"
+    stiffness_rate_n_per_m_s: StiffnessRateNPerMS = Field(
+        default=200.0, description="Fastest change of the K_e in use [N/(m s)]"
     )
 
     def to_params(self, period_s: float) -> SmithParams:

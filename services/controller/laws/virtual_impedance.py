@@ -14,7 +14,8 @@ from pydantic import Field
 from services.controller.discretisation import Discretisation, exact_discretisation
 from services.controller.law import HandSample, Law, MasterReference, PortSignal
 from services.controller.laws.pass_through import slave_receive, slave_send, slave_start
-from services.controller.laws.virtual_mass import NotNegative, Positive, ScaledConfig
+from services.controller.laws.virtual_mass import FARTHEST_M, FASTEST_M_PER_S, ScaledConfig, bounded
+from services.controller.ranges import DampingOrNoneNSPerM, Gain, MassKg, StiffnessOrNoneNPerM
 from services.runtime.compiled import compiled
 
 
@@ -32,10 +33,10 @@ class VirtualImpedanceParams(NamedTuple):
 class ImpedanceConfig(ScaledConfig):
     """A virtual impedance; the defaults are the paper's values in SI units (E8)."""
 
-    mass_kg: Positive = Field(default=10.0, description="Virtual mass M_v [kg]")
-    damping_n_s_per_m: NotNegative = Field(default=2000.0, description="Virtual damping B_v [N s/m]")
-    stiffness_n_per_m: NotNegative = Field(default=0.0, description="Virtual stiffness K_v [N/m]")
-    force_gain: NotNegative = Field(default=20.0, description="Gain of the force error K_f")
+    mass_kg: MassKg = Field(default=10.0, description="Virtual mass M_v [kg]")
+    damping_n_s_per_m: DampingOrNoneNSPerM = Field(default=2000.0, description="Virtual damping B_v [N s/m]")
+    stiffness_n_per_m: StiffnessOrNoneNPerM = Field(default=0.0, description="Virtual stiffness K_v [N/m]")
+    force_gain: Gain = Field(default=20.0, description="Gain of the force error K_f")
 
     def impedance_params(self, period_s: float) -> VirtualImpedanceParams:
         """Return the constants of the impedance for a period [s] of the hand."""
@@ -111,6 +112,7 @@ def master_receive(
             step.phi_xx * x + step.phi_xv * v + step.gamma_x * drive,
             step.phi_vx * x + step.phi_vv * v + step.gamma_v * drive,
         )
+    x, v = bounded(x, FARTHEST_M), bounded(v, FASTEST_M_PER_S)
     return MasterState(x, v, state.tip_offset_m), MasterReference(x, v, scaled_force, True)
 
 

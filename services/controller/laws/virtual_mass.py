@@ -10,16 +10,17 @@ product whose passivity the laws are about. The discretisation is exact for forc
 exact energy.
 """
 
-from typing import Annotated, NamedTuple
+from typing import NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from services.controller.discretisation import exact_discretisation
 from services.controller.law import HandSample, PortSignal
+from services.controller.ranges import DampingNSPerM, ForceScale, MassKg, PositionScale, StiffnessOrNoneNPerM, TimeS
 from services.runtime.compiled import compiled
 
-Positive = Annotated[float, Field(gt=0.0)]
-NotNegative = Annotated[float, Field(ge=0.0)]
+# no hand and no tip comes there; a reference that would go further, in a loop that is unstable, stays finite
+FARTHEST_M, FASTEST_M_PER_S = 1e6, 1e9
 
 
 class MassParams(NamedTuple):
@@ -49,20 +50,20 @@ class ScaledConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
 
-    position_scale: Positive = Field(
-        default=1.5e-6, description="alpha_p, metres at the tip per metre at the hand; > 0"
+    position_scale: PositionScale = Field(
+        default=1.5e-6, description="alpha_p, metres at the tip per metre at the hand"
     )
-    force_scale: Positive = Field(default=1e8, description="alpha_f, newtons at the hand per newton at the tip; > 0")
-    silence_limit_s: Positive = Field(
-        default=0.05, description="Time without a signal from the other half after which the hand is let go [s]; > 0"
+    force_scale: ForceScale = Field(default=1e8, description="alpha_f, newtons at the hand per newton at the tip")
+    silence_limit_s: TimeS = Field(
+        default=0.05, description="Time without a signal from the other half after which the hand is let go [s]"
     )
 
 
 class MassConfig(ScaledConfig):
     """The virtual mass; the defaults move in free space like the paper's impedance divided by its force gain of 20."""
 
-    mass_kg: Positive = Field(default=0.5, description="Virtual mass M_v [kg]; > 0")
-    damping_n_s_per_m: Positive = Field(default=100.0, description="Virtual damping B_v [N s/m]; > 0")
+    mass_kg: MassKg = Field(default=0.5, description="Virtual mass M_v [kg]")
+    damping_n_s_per_m: DampingNSPerM = Field(default=100.0, description="Virtual damping B_v [N s/m]")
 
     def mass_params(self, period_s: float, line_n_s_per_m: float = 0.0) -> MassParams:
         """Return the constants for a period [s]; line_n_s_per_m: a damper [N s/m] of the law that acts on the mass."""
@@ -83,7 +84,7 @@ class MassConfig(ScaledConfig):
 class SteeredConfig(MassConfig):
     """A law whose slave half moves the base against the force by itself, on the instrument's clock."""
 
-    guard_stiffness_n_per_m: NotNegative = Field(
+    guard_stiffness_n_per_m: StiffnessOrNoneNPerM = Field(
         default=20.0,
         description="Without effect: the force is measured in every period. Accepted for scenarios made before [N/m]",
     )
@@ -93,6 +94,14 @@ class SteeredConfig(MassConfig):
 def periods_in(dt: float, period_s: float) -> int:
     """Return the whole periods in dt [s], at least one."""
     return max(1, round(dt / period_s))
+
+
+@compiled
+def bounded(value: float, most: float) -> float:
+    """Return a value within -most and most; the same bits where it is."""
+    if value > most:
+        return most
+    return -most if value < -most else value
 
 
 @compiled
@@ -139,7 +148,7 @@ def moved(params: MassParams, mass: Mass, force_n: float) -> Mass:
     """Move the mass by one period under a held force [N]."""
     position = mass.position_m + params.glide_s * mass.velocity_m_per_s + params.travel_m_per_n * force_n
     velocity = params.keep * mass.velocity_m_per_s + params.kick_m_per_n_s * force_n
-    return Mass(position, velocity, mass.tip_offset_m, True)
+    return Mass(bounded(position, FARTHEST_M), bounded(velocity, FASTEST_M_PER_S), mass.tip_offset_m, True)
 
 
 @compiled

@@ -59,8 +59,6 @@ from services.controller.law import (
 from services.controller.laws.virtual_mass import (
     Mass,
     MassParams,
-    NotNegative,
-    Positive,
     SteeredConfig,
     at_rest,
     is_coupled,
@@ -71,6 +69,7 @@ from services.controller.laws.virtual_mass import (
     resumed,
     tip_reference,
 )
+from services.controller.ranges import DampingNSPerM, TimeOrNoneS, TimeS
 from services.runtime.compiled import compiled
 
 
@@ -89,17 +88,15 @@ class WaveParams(NamedTuple):
 class WaveConfig(SteeredConfig):
     """Section `controller.wave`."""
 
-    impedance_n_s_per_m: Positive = Field(default=100.0, description="Impedance of the line b [N s/m]; > 0")
-    silence_limit_s: Positive = Field(
+    impedance_n_s_per_m: DampingNSPerM = Field(default=100.0, description="Impedance of the line b [N s/m]")
+    silence_limit_s: TimeS = Field(
         default=0.5,
-        description="Time without a signal from the other half after which the hand is let go [s]; > 0: waves die out"
+        description="Time without a signal from the other half after which the hand is let go [s]: waves die out"
         " with filter_s by themselves, and a line that is taken up anew has lost what was on its way",
     )
-    filter_s: NotNegative = Field(default=0.02, description="Time constant of the wave filter tau_f [s]; 0 = none")
+    filter_s: TimeOrNoneS = Field(default=0.02, description="Time constant of the wave filter tau_f [s]; 0 = none")
 
-    fade_s: Positive = Field(
-        default=1.0, description="Time in which a force that the line begins under fades tau_0 [s]"
-    )
+    fade_s: TimeS = Field(default=1.0, description="Time in which a force that the line begins under fades tau_0 [s]")
 
     def to_params(self, period_s: float) -> WaveParams:
         """Return the constants of the compiled steps for a period [s] of the hand."""

@@ -7,6 +7,9 @@ from collections import deque
 from services.delay_node.config import Outage
 from services.delay_node.random_streams import SMALLEST, Draw
 
+# outages that are walked through for a message; a longer pause is jumped over, or it would stop the link
+_LONGEST_WALK = 10_000
+
 
 class Outages:
     """When the connection is down; `origin_ns` is the moment the settings came into force.
@@ -48,6 +51,13 @@ class Outages:
     def _random_end(self, at_ns: int) -> int:
         if self._up_ns is None:
             return at_ns
+        cycle_ns = self._up_ns + self._down_ns
+        if at_ns - self._random[-1][1] > _LONGEST_WALK * cycle_ns:
+            # an exponential time has no memory: up or down by their shares, for as long as from the start
+            start_ns = at_ns
+            if self._draw() * cycle_ns >= self._down_ns:
+                start_ns += self._exponential(self._up_ns)
+            self._random.append((start_ns, start_ns + self._exponential(self._down_ns)))
         while (last_ns := self._random[-1][1]) <= at_ns:
             start_ns = last_ns + self._exponential(self._up_ns)
             self._random.append((start_ns, start_ns + self._exponential(self._down_ns)))

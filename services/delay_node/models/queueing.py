@@ -9,6 +9,8 @@ from services.delay_node.config import Queue
 from services.delay_node.random_streams import Draw
 
 Item = TypeVar("Item")
+# slots that are walked through for a message; a longer pause is jumped over, or it would stop the link
+_LONGEST_WALK = 20_000
 
 
 class Passage(NamedTuple):
@@ -90,8 +92,9 @@ class DeliveryServer:
         if self._bytes is None:
             need = min(size_bytes, 1)
             return (index, left - need) if left >= need else (index + 1, 1 - need)
-        while size_bytes > left:
-            index, size_bytes, left = index + 1, size_bytes - left, self._bytes
+        if size_bytes > left:
+            further = -(-(size_bytes - left) // self._bytes)
+            index, left = index + further, left + further * self._bytes
         return index, left - size_bytes
 
     def _first_from(self, ready_ns: int) -> int:
@@ -246,6 +249,10 @@ class SlotGate:
         """
         if len(self._times_ns) > 512 and self._times_ns[256] < now_ns:
             self._forget(now_ns)
+        interval_ns = self._shortest_ns + self._spread_ns // 2
+        if release_ns - self._times_ns[-1] > _LONGEST_WALK * interval_ns:
+            # a slot somewhere in the last interval before
+            self._times_ns.append(release_ns - int(self._draw() * interval_ns))
         place = bisect_left(self._times_ns, release_ns)
         while self._is_full(time_ns := self._slot(place), release_ns, size_bytes):
             place += 1

@@ -1,9 +1,9 @@
 """Files that drive the link: delay over time, delivery opportunities, jitter samples.
 
-Text, one record a line; `#` begins a comment, empty lines are skipped. Every error names file and line.
+Text, one record a line; `#` begins a comment, empty lines are skipped. Every error names file and line, and shows
+nothing of what is there: whoever may set the link could otherwise read any file that the node can.
 """
 
-import math
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -12,6 +12,8 @@ from typing import Literal, NamedTuple
 from proto.errors import ConfigError
 
 LARGEST_FILE_BYTES = 32_000_000
+# delays, and samples of a jitter in its own unit; times of a trace
+_LONGEST_DELAY_S, _LARGEST_SAMPLE, _LONGEST_TRACE_S = 3600.0, 1e6, 1e9
 
 
 class DelayCourse(NamedTuple):
@@ -30,11 +32,17 @@ def read_text(path: Path) -> str:
         # A device or a pipe would never end, and the link would stand still while it reads.
         if not path.is_file():
             raise ConfigError(f"{path}: is not a file")
-        if path.stat().st_size > LARGEST_FILE_BYTES:
+        size = path.stat().st_size
+        # What the kernel makes up while it is read has no size, and may have no end.
+        if size == 0:
+            raise ConfigError(f"{path}: is empty")
+        if size > LARGEST_FILE_BYTES:
             raise ConfigError(f"{path}: is larger than {LARGEST_FILE_BYTES} bytes")
         return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: cannot be read: {error}") from error
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}: is not UTF-8 text") from error
 
 
 def parse_delay_trace(text: str, name: str) -> DelayCourse:
@@ -47,10 +55,11 @@ def parse_delay_trace(text: str, name: str) -> DelayCourse:
     for number, words in _lines(text):
         place = f"{name}, line {number}"
         if len(words) != 2:
-            raise ConfigError(f"{place}: {_shown(words)} is not a pair `time_s delay_s`")
-        time_ns, delay_ns = (round(_not_negative(word, place) * 1e9) for word in words)
+            raise ConfigError(f"{place}: is not a pair `time_s delay_s`")
+        time_ns = round(_number(words[0], place, 0.0, _LONGEST_TRACE_S) * 1e9)
+        delay_ns = round(_number(words[1], place, 0.0, _LONGEST_DELAY_S) * 1e9)
         if times_ns and time_ns <= times_ns[-1]:
-            raise ConfigError(f"{place}: time {words[0]} s is not later than {times_ns[-1] / 1e9} s before it")
+            raise ConfigError(f"{place}: the time is not later than the one before it")
         times_ns.append(time_ns)
         delays_ns.append(delay_ns)
     if not times_ns:
@@ -70,10 +79,10 @@ def parse_delivery_trace(text: str, name: str, unit_s: float) -> tuple[int, ...]
     for number, words in _lines(text):
         place = f"{name}, line {number}"
         if len(words) != 1:
-            raise ConfigError(f"{place}: {_shown(words)} is not one time")
-        time_ns = round(_not_negative(words[0], place) * unit_s * 1e9)
+            raise ConfigError(f"{place}: is not one time")
+        time_ns = round(_number(words[0], place, 0.0, _LONGEST_TRACE_S / unit_s) * unit_s * 1e9)
         if times_ns and time_ns < times_ns[-1]:
-            raise ConfigError(f"{place}: time {words[0]} is earlier than the one before it")
+            raise ConfigError(f"{place}: the time is earlier than the one before it")
         times_ns.append(time_ns)
     if not times_ns or times_ns[-1] == 0:
         raise ConfigError(f"{name}: the last time is the period of the trace and must be greater than 0")
@@ -85,7 +94,11 @@ def parse_jitter_table(text: str, name: str) -> tuple[float, ...]:
 
     Raises: ConfigError naming file and line.
     """
-    samples = tuple(_number(word, f"{name}, line {number}") for number, words in _lines(text) for word in words)
+    samples = tuple(
+        _number(word, f"{name}, line {number}", -_LARGEST_SAMPLE, _LARGEST_SAMPLE)
+        for number, words in _lines(text)
+        for word in words
+    )
     if not samples:
         raise ConfigError(f"{name}: holds no samples")
     return samples
@@ -98,25 +111,14 @@ def _lines(text: str) -> Iterator[tuple[int, list[str]]]:
             yield number, words
 
 
-def _shown(words: list[str]) -> str:
-    """Return a line for an error text; short, because the text goes over the bus."""
-    return repr(" ".join(words)[:40])
-
-
-def _number(word: str, place: str) -> float:
+def _number(word: str, place: str, low: float, high: float) -> float:
     try:
         value = float(word)
-    except ValueError as error:
-        raise ConfigError(f"{place}: {_shown([word])} is not a number") from error
-    if not math.isfinite(value):
-        raise ConfigError(f"{place}: {word!r} is not finite")
-    return value
-
-
-def _not_negative(word: str, place: str) -> float:
-    value = _number(word, place)
-    if value < 0.0:
-        raise ConfigError(f"{place}: {word} is negative")
+    except ValueError:
+        # without its cause, which holds the word
+        raise ConfigError(f"{place}: is not a number") from None
+    if not low <= value <= high:
+        raise ConfigError(f"{place}: is not a number from {low:g} to {high:g}")
     return value
 
 

@@ -83,11 +83,11 @@ def test_every_law_holds_a_spring_at_other_periods(name: str, period_s: float) -
 @pytest.mark.parametrize(
     ("parameters", "text"),
     [
-        ({"position_scale": 0.0}, "greater than 0"),
-        ({"force_scale": -1.0}, "greater than 0"),
+        ({"position_scale": 0.0}, "greater than or equal to"),
+        ({"force_scale": -1.0}, "greater than or equal to"),
         ({"silence_limit_s": float("nan")}, "finite"),
         ({"wishes": 1.0}, "Extra inputs"),
-        ({"mass_kg": 0.0}, "greater than 0"),
+        ({"mass_kg": 0.0}, "greater than or equal to"),
     ],
 )
 def test_bad_parameters_are_refused(name: str, parameters: dict[str, float], text: str) -> None:

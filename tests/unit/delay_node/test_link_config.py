@@ -26,10 +26,14 @@ REPOSITORY = Path(__file__).parents[3]
 @pytest.mark.parametrize(
     ("flat", "key", "reason"),
     [
-        ({"forward.delay_s": -0.01}, "forward.delay_s", "greater than or equal to 0, got -0.01"),
+        (
+            {"forward.delay_s": -0.01},
+            "forward.delay_s",
+            "greater than or equal to 0 (allowed is from 0 to 3600), got -0.01",
+        ),
         ({"forward.delay_s": float("nan")}, "forward.delay_s", "finite"),
         ({"forward.delay_s": "20 ms"}, "forward.delay_s", "valid number"),
-        ({"backward.loss.probability": 1.5}, "backward.loss.probability", "less than or equal to 1, got 1.5"),
+        ({"backward.loss.probability": 1.5}, "backward.loss.probability", "(allowed is from 0 to 1), got 1.5"),
         ({"backward.los": 0.1}, "backward.los", "known are delay_s, jitter"),
         ({"backward.loss": 0.1}, "backward.loss", "should be an object, got 0.1"),
         ({"forward.topics.afm/state.jitter.sd": 1}, "forward.topics.afm/state.jitter.sd", "known are scale_s"),
@@ -45,7 +49,12 @@ REPOSITORY = Path(__file__).parents[3]
         ({"forward.markov_loss.p32": 0.1}, "forward.markov_loss.p31", "more than 1"),
         ({"forward.markov_loss.p13": 0.1, "forward.markov_loss.p31": 0.0}, "forward.markov_loss.p31", "never end"),
         ({"forward.gilbert_elliott.p": 0.1, "forward.gilbert_elliott.r": 0}, "forward.gilbert_elliott.r", "never"),
-        ({"forward.rate.rate_bytes_per_s": 0.0}, "forward.rate.rate_bytes_per_s", "greater than 0"),
+        ({"forward.rate.rate_bytes_per_s": 0.0}, "forward.rate.rate_bytes_per_s", "from 0.001 to 1e+12"),
+        ({"forward.rate.rate_bytes_per_s": 1e-300}, "forward.rate.rate_bytes_per_s", "from 0.001 to 1e+12"),
+        ({"forward.rate.rate_bytes_per_s": 1e-12}, "forward.rate.rate_bytes_per_s", "from 0.001 to 1e+12"),
+        ({"forward.rate.rate_bytes_per_s": 1e300}, "forward.rate.rate_bytes_per_s", "from 0.001 to 1e+12"),
+        ({"forward.queue.limit_bytes": 2**63}, "forward.queue.limit_bytes", "to 9.22337e+18"),
+        ({"seed": 2**64 - 1}, "seed", "to 9.22337e+18"),
         ({"forward.rate.rate_bytes_per_s": 1e6, "forward.delivery_trace.file": "x"}, "forward.rate", "one of them"),
         ({"forward.slots.max_interval_s": 0.1}, "forward.slots.max_interval_s", "slots.min_interval_s"),
         ({"forward.outage.schedule": "1:2, 2:1"}, "forward.outage.schedule", "at 2.0 s begins before"),
@@ -288,3 +297,15 @@ def test_documentation_has_every_profile():
     text = (REPOSITORY / "docs" / "link.md").read_text(encoding="utf-8")
     for name, profile in PROFILES.items():
         assert f"**{name}**" in text, profile.about
+
+
+def test_what_could_not_be_reported_is_refused():
+    many = {f"forward.topics.t{number}.delay_s": 0.1 for number in range(1025)}
+    with pytest.raises(ConfigError, match=r"forward has 1025 keys .* at most 1024"):
+        changed(LinkSettings(), many)
+    settings = changed(LinkSettings(), dict(list(many.items())[:1024]))
+    # each change alone would fit
+    with pytest.raises(ConfigError, match="forward has 1025 keys"):
+        changed(settings, {"forward.delay_s": 0.1})
+    with pytest.raises(ConfigError, match="bytes of text, at most 1024 and 262144"):
+        changed(LinkSettings(), {"backward.reliable": "x" * 300_000})

@@ -92,7 +92,7 @@ def test_delay_trace_table_and_delivery_come_from_files(tmp_path):
 def test_bad_trace_leaves_the_last_good_settings(tmp_path):
     (tmp_path / "bad.txt").write_text("0 0.01\n0 0.02\n")
     link = LinkEngine(parse_settings({"forward": {"delay_s": 0.02}}), START, folder=tmp_path)
-    with pytest.raises(ConfigError, match=r"^backward\.delay_trace\.file: bad\.txt, line 2: time 0"):
+    with pytest.raises(ConfigError, match=r"^backward\.delay_trace\.file: bad\.txt, line 2: the time is not later"):
         link.reconfigure(
             changed(link.settings, {"backward.delay_trace.file": "bad.txt", "forward.delay_s": 0.0}), START
         )

@@ -63,3 +63,19 @@ def test_schedule_and_chance_together_are_down_when_either_is():
         now = ORIGIN + k * MS
         either = chance.end_ns(now) is not None or 500 <= k < 600
         assert (both.end_ns(now) is not None) == either
+
+
+def test_a_long_pause_is_not_walked_through_and_keeps_the_law():
+    hour_ns, up_s, down_s = 3600 * 10**9, 3e-6, 1e-6
+    settings = Outage(mean_up_s=up_s, mean_down_s=down_s)
+    draws, ends = [], []
+    for seed in range(4000):
+        draw = stream(seed, "outage")
+        link = Outages(settings, ORIGIN, lambda draw=draw: draws.append(0) or draw())
+        ends.append(link.end_ns(ORIGIN + hour_ns))
+    assert len(draws) <= 8 * len(ends)
+    remaining_s = np.array([end - ORIGIN - hour_ns for end in ends if end is not None]) * 1e-9
+    share = down_s / (up_s + down_s)
+    assert abs(len(remaining_s) / len(ends) - share) < 4 * math.sqrt(share * (1 - share) / len(ends))
+    # an outage that goes on has the mean of a whole one, to the nanosecond that is the least
+    assert abs(remaining_s.mean() / down_s - 1) < 5 / math.sqrt(len(remaining_s))

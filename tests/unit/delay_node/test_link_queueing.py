@@ -181,3 +181,26 @@ def test_random_slots_have_uniform_distances_and_bounded_memory():
     assert abs(distances.mean() - 10.0) < 4 * 10 / 12**0.5 / len(distances) ** 0.5
     assert abs((distances < 7.5).mean() - 0.25) < 4 * (0.1875 / len(distances)) ** 0.5
     assert len(gate._times_ns) < 6000
+
+
+def test_a_long_pause_between_slots_is_not_walked_through():
+    draws = []
+    gate = SlotGate((1000, 3000), None, None, 0, lambda: draws.append(0) or 0.5)
+    hour_ns = 3600 * 10**9
+    assert hour_ns <= gate.slot_ns(hour_ns, hour_ns, 100) <= hour_ns + 3000
+    assert len(draws) < 10
+    # up to some twenty thousand it is: the slots of a session do not depend on when messages come
+    slots = [SlotGate((1000, 3000), None, None, 0, stream(5, "slots")) for _ in range(2)]
+    for release_ns in range(0, 10_000_000, 1_000_000):
+        slots[0].slot_ns(release_ns, release_ns, 100)
+    assert slots[0].slot_ns(10_000_000, 10_000_000, 1) == slots[1].slot_ns(10_000_000, 10_000_000, 1)
+
+
+def test_a_message_of_many_opportunities_costs_one_division():
+    # a million opportunities of one byte each
+    server = DeliveryServer((0, 10), 1, 0)
+    assert server.send(0, 1_000_000) == server.passage(0, 0).finish_ns
+    walked = DeliveryServer((0, 10), 1, 0)
+    for _ in range(1000):
+        last = walked.send(0, 1)
+    assert DeliveryServer((0, 10), 1, 0).send(0, 1000) == last

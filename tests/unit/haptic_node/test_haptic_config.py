@@ -81,7 +81,10 @@ def hand_path(*times):
     [
         ({"devise": {}}, "devise: Extra inputs are not permitted"),
         ({"device": {"preset": "fast"}}, "device.preset: Input should be 'paper_bandwidth' or 'paper_gain'"),
-        ({"device": {"servo_gain_v_per_m": 0.0}}, "device.servo_gain_v_per_m: Input should be greater than 0"),
+        (
+            {"device": {"servo_gain_v_per_m": 0.0}},
+            "device.servo_gain_v_per_m: Input should be greater than or equal to 0.001",
+        ),
         ({"device": {"servo_gain_v_per_m": "1e4"}}, "device.servo_gain_v_per_m: Input should be a valid number"),
         ({"device": {"time_constant_s": math.nan}}, "device.time_constant_s: Input should be a finite number"),
         ({"device": {"friction_torque_n_m": -1e-3}}, "device.friction_torque_n_m: Input should be greater than or"),
@@ -92,7 +95,10 @@ def hand_path(*times):
             {"device": {"servo_gain_v_per_m": 1e7, "speed_gain_rad_per_s_v": 100.0}},
             "device: Value error, servo_gain_v_per_m = 10000000.0 V/m with this motor rings at",
         ),
-        ({"limits": {"command_deadline_s": 0}}, "limits.command_deadline_s: Input should be greater than 0"),
+        (
+            {"limits": {"command_deadline_s": 0}},
+            "limits.command_deadline_s: Input should be greater than or equal to 0.000001",
+        ),
         ({"limits": {"position_max_m": -0.0045}}, "limits: Value error, position_min_m = -0.0045 m must be below"),
         ({"limits": {"position_max_m": 0.016}}, "limits.position_max_m = 0.016 m must lie between the end stops"),
         ({"limits": {"max_speed_m_per_s": 0.05}}, "limits.max_speed_m_per_s = 0.05 m/s is more than the device can do"),

@@ -10,7 +10,7 @@ from pathlib import Path
 import msgpack
 import pytest
 from mcap.reader import make_reader
-from recorder_samples import EPOCH_NS, NODE, haptic_state, teleop_forward
+from recorder_samples import EPOCH_NS, NODE, haptic_state, sample, teleop_forward
 
 from proto import encode
 from proto.errors import RecordingError
@@ -116,7 +116,8 @@ def test_flushing_to_the_disk_reaches_the_same_bytes(tmp_path: Path) -> None:
 def test_a_long_sequence_number_is_cut_to_32_bits_beside_the_payload(config: RecorderConfig) -> None:
     writer = RecordingWriter.create(NODE, config)
     channel = writer.channel("haptic/state", "haptic_node@master", "master")
-    writer.write(channel, EPOCH_NS, EPOCH_NS, 2**32 + 7, encode(haptic_state(2**32 + 7)))
+    state = sample("haptic/state", 2**32 + 7, src="haptic_node@master")
+    writer.write(channel, EPOCH_NS, EPOCH_NS, 2**32 + 7, encode(state))
     writer.finish()
     with writer.path.open("rb") as file:
         (_, _, message) = next(iter(make_reader(file).iter_messages()))

@@ -159,9 +159,9 @@ def test_an_unknown_key_lists_the_known_ones() -> None:
 @pytest.mark.parametrize(
     ("value", "message"),
     [
-        (0.0, "Input should be greater than 0, got 0.0"),
-        (-1.0, "greater than 0, got -1.0"),
-        (2e6, "less than or equal to 1000000, got 2000000.0"),
+        (0.0, "Input should be greater than 0 (allowed is from above 0 to 1e+06), got 0.0"),
+        (-1.0, "greater than 0 (allowed is from above 0 to 1e+06), got -1.0"),
+        (2e6, "less than or equal to 1000000 (allowed is from above 0 to 1e+06), got 2000000.0"),
         (float("nan"), "got nan"),
         (float("inf"), "got inf"),
         ("soft", "valid number, got 'soft'"),

@@ -1,0 +1,197 @@
+"""Both halves of every law at the corners of their inputs and settings, alone and with each other.
+
+    python corners.py SEED CASES
+
+A process of its own runs the steps as the nodes do, as plain Python: there, unlike in compiled code, some of what is
+too large is an exception. It prints what was no number, one line each.
+"""
+
+import math
+import random
+import sys
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from proto.ranges import ENERGY, FORCE, POSITION, VELOCITY, WAVE, WAY, Range
+from services.controller.config import LAWS, ControllerConfig
+from services.controller.deadband import deadband, fresh
+from services.controller.law import LONGEST_BRIDGED_PERIODS, NO_SIGNAL, HandSample, Law, PortSignal, TipSample
+
+TICKS = 40
+PERIODS_S = (1e-4, 1e-3, 0.1)
+ORDINARY = {"position": 5e-9, "velocity": 1e-9, "force": 7e-9, "wave variable": 0.1, "energy": 1e-3}
+
+
+class NotANumberError(Exception):
+    """A law gave something that is no number."""
+
+
+def check(where: str, value: Any) -> None:
+    """Raise NotANumberError naming the part of a state or signal that is infinite or no number."""
+    if isinstance(value, float) and not math.isfinite(value):
+        raise NotANumberError(f"{where} is {value}")
+    if isinstance(value, np.ndarray) and not np.isfinite(value).all():
+        raise NotANumberError(f"{where} has an element that is no number")
+    if isinstance(value, tuple):
+        names = getattr(value, "_fields", range(len(value)))
+        for name, part in zip(names, value, strict=True):
+            check(f"{where}.{name}", part)
+
+
+def corner_settings(name: str, rng: random.Random, way: str) -> dict[str, Any]:
+    """Return settings of a law: all at their low or high ends, or each at one of them, as it is, or in between."""
+    settings: dict[str, Any] = {}
+    for key, schema in LAWS[name].config.model_json_schema()["properties"].items():
+        if schema["type"] == "boolean":
+            settings[key] = rng.random() < 0.5
+            continue
+        low, high = schema["minimum"], schema["maximum"]
+        between = math.exp(rng.uniform(math.log(max(low, 1e-15)), math.log(high)))
+        pick = way if way != "mixed" else rng.choice(("low", "high", "default", "between"))
+        settings[key] = {"low": low, "high": high, "default": schema["default"], "between": between}[pick]
+    return settings
+
+
+def quantity(kind: Range, rng: random.Random) -> float:
+    usual = ORDINARY.get(kind.quantity, 1e-3)
+    return rng.choice((kind.low, kind.high, 0.0, usual, -usual, 5e-324, rng.uniform(kind.low, kind.high)))
+
+
+def hand_sample(rng: random.Random) -> HandSample:
+    return HandSample(quantity(POSITION, rng), quantity(VELOCITY, rng), quantity(FORCE, rng), rng.random() < 0.8)
+
+
+def tip_sample(rng: random.Random) -> TipSample:
+    position, force, apart = quantity(POSITION, rng), quantity(FORCE, rng), quantity(POSITION, rng)
+    return TipSample(position, force, apart, rng.random() < 0.5, rng.random() < 0.7, rng.random() < 0.8)
+
+
+def signal_at_corners(rng: random.Random) -> PortSignal:
+    return PortSignal(
+        quantity(WAY, rng),
+        quantity(VELOCITY, rng),
+        quantity(FORCE, rng),
+        quantity(WAVE, rng),
+        quantity(ENERGY, rng),
+        quantity(POSITION, rng),
+        rng.random() < 0.5,
+        rng.random() < 0.7,
+        rng.random() < 0.8,
+        rng.choice((0.0, 1e-4, 0.04, 1e9, 9.3e9)),
+        rng.choice((0.0, 1e-3, 10.0, 9.3e9)),
+    )
+
+
+def over_the_wire(signal: PortSignal) -> PortSignal:
+    """Return a signal as the other half hears it: limited to the ranges."""
+
+    def within(value: float, kind: Range) -> float:
+        return min(max(value, kind.low), kind.high)
+
+    return signal._replace(
+        position_m=within(signal.position_m, WAY),
+        velocity_m_per_s=within(signal.velocity_m_per_s, VELOCITY),
+        force_n=within(signal.force_n, FORCE),
+        wave_sqrt_w=within(signal.wave_sqrt_w, WAVE),
+        energy_j=within(signal.energy_j, ENERGY),
+    )
+
+
+class Halves:
+    """Both halves of a law under one set of parameters."""
+
+    def __init__(self, law: Law, params: Any, period_s: float, rng: random.Random) -> None:
+        self.law, self.params, self.period_s, self.rng = law, params, period_s, rng
+        self.hand, self.tip = hand_sample(rng), tip_sample(rng)
+        self.master = law.master_start(params, self.hand)
+        if rng.random() < 0.5:
+            self.master = law.master_resume(params, self.hand, quantity(WAY, rng))
+        self.slave = law.slave_start(params, self.tip)
+        self.band = fresh(NO_SIGNAL)
+
+    def dt_s(self) -> float:
+        return self.period_s * self.rng.choice((1, 1, 1, 2, LONGEST_BRIDGED_PERIODS))
+
+    def forward(self) -> PortSignal:
+        dt = self.dt_s()
+        self.master, signal = self.law.master_send(self.params, self.master, self.hand, dt)
+        check("master_send", (self.master, signal))
+        limits = ControllerConfig().deadband.model_copy(update={"enabled": True}).to_params()
+        self.band, _ = deadband(limits, self.band, over_the_wire(signal), dt)
+        return signal
+
+    def backward(self, signal: PortSignal) -> tuple[float, PortSignal]:
+        dt = self.dt_s()
+        self.slave, wanted = self.law.slave_receive(self.params, self.slave, signal, self.tip, dt)
+        check("slave_receive", (self.slave, wanted))
+        self.slave, answer = self.law.slave_send(self.params, self.slave, self.tip, dt)
+        check("slave_send", (self.slave, answer))
+        check("slave_energy_account", self.law.slave_energy_account(self.params, self.slave))
+        return wanted.position_m, answer
+
+    def receive(self, signal: PortSignal) -> float:
+        self.master, reference = self.law.master_receive(self.params, self.master, self.hand, signal, self.dt_s())
+        check("master_receive", (self.master, reference))
+        check("master_energy_account", self.law.master_energy_account(self.params, self.master))
+        return float(reference.position_m)
+
+    def retune(self, params: Any) -> None:
+        self.master = self.law.retune(self.params, params, self.master)
+        self.params = params
+        check("retune", self.master)
+
+
+def run_apart(halves: Halves) -> None:
+    """Give each half anything within the ranges at every tick."""
+    for _ in range(TICKS):
+        halves.hand, halves.tip = hand_sample(halves.rng), tip_sample(halves.rng)
+        halves.forward()
+        halves.backward(signal_at_corners(halves.rng))
+        halves.receive(signal_at_corners(halves.rng))
+
+
+def run_together(halves: Halves) -> None:
+    """Let the halves answer each other on a stiff spring: what is unstable grows until the ranges stop it."""
+    stiffness = halves.rng.choice((1.0, 20.0, 1e9))
+    hand_n = halves.rng.choice((1.0, 1e6))
+    halves.hand, halves.tip = HandSample(0.0, 0.0, hand_n, True), TipSample(0.0, 0.0, 0.0, True, True, True)
+    for _ in range(TICKS):
+        forward = over_the_wire(halves.forward())._replace(active=True, silence_s=0.0)
+        base, answer = halves.backward(forward)
+        base = min(max(base, POSITION.low), POSITION.high)
+        force = min(max(stiffness * base, FORCE.low), FORCE.high)
+        halves.tip = TipSample(base, force, -base, True, True, True)
+        late_s = halves.rng.choice((0.0, 1.0, 4.0)) * halves.period_s
+        answer = over_the_wire(answer)._replace(active=True, silence_s=0.0, round_trip_s=late_s)
+        reference = halves.receive(answer)
+        reference = min(max(reference, POSITION.low), POSITION.high)
+        speed = (reference - halves.hand.position_m) / halves.period_s
+        halves.hand = HandSample(reference, min(max(speed, VELOCITY.low), VELOCITY.high), hand_n, True)
+
+
+def failures(seed: int, cases: int) -> Iterator[str]:
+    """Yield a line for each case in which a law raised, or gave what is no number."""
+    for name, law in LAWS.items():
+        for case in range(cases):
+            rng = random.Random(f"{seed} {name} {case}")
+            way = {0: "low", 1: "high"}.get(case, "mixed")
+            period_s = rng.choice(PERIODS_S)
+            first, second = (
+                ControllerConfig(law=name, period_s=period_s, **{name: corner_settings(name, rng, which)}).params()  # type: ignore[arg-type]
+                for which in (way, "mixed")
+            )
+            try:
+                for run in (run_apart, run_together):
+                    halves = Halves(law, first, period_s, rng)
+                    run(halves)
+                    halves.retune(second)
+                    run(halves)
+            except (NotANumberError, ArithmeticError, ValueError) as error:
+                yield f"{name}, case {case} of seed {seed}: {type(error).__name__}: {error}"
+
+
+if __name__ == "__main__":
+    for line in failures(int(sys.argv[1]), int(sys.argv[2])):
+        sys.stdout.write(line + "\n")

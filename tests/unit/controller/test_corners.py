@@ -1,0 +1,75 @@
+"""Laws stay finite within the ranges of wire and settings, and a setting beyond its range is refused with the range."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import corners
+import pytest
+
+from proto.errors import ConfigError
+from services.controller.config import LAWS, ControllerConfig
+from services.controller.laws.virtual_mass import FARTHEST_M, bounded
+from services.controller.laws.wave import WaveConfig
+from services.runtime.config import flatten, validate
+
+ROOT = Path(__file__).parents[3]
+CASES = 8
+
+
+def test_every_half_as_a_node_runs_it_gives_numbers_at_the_corners() -> None:
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "-W", "error", str(Path(corners.__file__)), "1", str(CASES)]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
+    assert (done.returncode, done.stderr, done.stdout) == (0, "", "")
+
+
+def test_every_half_as_a_study_runs_it_gives_numbers_at_the_corners() -> None:
+    assert list(corners.failures(2, CASES)) == []
+
+
+def test_the_check_finds_what_is_no_number(monkeypatch: pytest.MonkeyPatch) -> None:
+    # a guard that is stiffer than a period allows: the way over a gap swings to and fro and grows
+    unlimited = lambda self, most=0.0: self.guard_stiffness_n_per_m * self.force_scale * self.position_scale  # noqa: E731
+    monkeypatch.setattr(WaveConfig, "guard_at_hand_n_per_m", unlimited)
+    assert [line for line in corners.failures(1, 2) if line.startswith("wave, case 1")]
+
+
+def _numbers() -> list[tuple[str, dict[str, Any]]]:
+    found = []
+    for name in (*LAWS, "deadband"):
+        model: Any = ControllerConfig.model_fields[name].annotation
+        schema = model.model_json_schema()["properties"]
+        found += [(f"{name}.{key}", part) for key, part in schema.items() if part["type"] == "number"]
+    return found
+
+
+@pytest.mark.parametrize(("key", "schema"), _numbers(), ids=lambda part: part if isinstance(part, str) else "")
+def test_a_setting_beyond_its_range_is_refused_with_the_range(key: str, schema: dict[str, Any]) -> None:
+    section, name = key.split(".")
+    for beyond in (1e300, -1e-300):
+        with pytest.raises(ConfigError) as caught:
+            validate(ControllerConfig, {section: {name: beyond}}, "f.yaml", "controller")
+        assert f"f.yaml: controller.{key}: Input should be " in str(caught.value)
+        assert "(allowed is from " in str(caught.value)
+    if schema.get("minimum", 0.0) > 0.0:
+        with pytest.raises(ConfigError, match="allowed is"):
+            validate(ControllerConfig, {section: {name: 1e-300}}, "f.yaml", "controller")
+
+
+def test_the_settings_as_they_come_are_well_inside_of_their_ranges() -> None:
+    defaults = flatten(ControllerConfig().model_dump())
+    for key, schema in _numbers():
+        low, high = schema.get("minimum", 0.0), schema.get("maximum", schema.get("exclusiveMaximum"))
+        assert low == 0.0 or low <= 1e-2 * defaults[key], key
+        assert high >= 2.0 * defaults[key], key
+
+
+def test_what_is_bounded_keeps_its_bits_inside_and_what_is_no_number_shows() -> None:
+    for value in (0.0, -0.0, 5e-324, 1.5e-9, -FARTHEST_M, FARTHEST_M):
+        assert repr(bounded(value, FARTHEST_M)) == repr(value)
+    assert bounded(float("inf"), FARTHEST_M) == FARTHEST_M
+    assert bounded(-1e300, FARTHEST_M) == -FARTHEST_M
+    assert bounded(float("nan"), FARTHEST_M) != bounded(float("nan"), FARTHEST_M)
