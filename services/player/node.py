@@ -35,6 +35,8 @@ _PROGRESS_NS = 1_000_000_000
 _RETRY_NS = 500_000
 _BATCH = 256
 _LINGER_MS = 10_000
+# a millionth: an hour takes a century
+_LEAST_RATE = 1e-6
 _SUBSCRIBE = b"\x01"
 
 
@@ -258,9 +260,9 @@ class PlayerNode(Node):
         self.playback_clock.change(self.clock.monotonic_ns(), self.playback.position_ns, paused=paused)
 
     def set_rate(self, rate: float) -> None:
-        """Set the rate: 1 as recorded, 0 as fast as readers keep up; RefusedError when negative."""
-        if not rate >= 0.0:
-            raise RefusedError(f"player.rate is {rate}, it must be 0 (as fast as possible) or more")
+        """Set the rate: 1 as recorded, 0 as fast as readers keep up; RefusedError when negative or hardly more."""
+        if rate != 0.0 and not rate >= _LEAST_RATE:
+            raise RefusedError(f"player.rate is {rate}, it must be 0 (as fast as possible), or {_LEAST_RATE:g} or more")
         self.playback_clock.change(self.clock.monotonic_ns(), self.playback.position_ns, rate=rate)
 
     def step(self, count: int = 1, topic: str = "") -> None:

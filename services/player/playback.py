@@ -13,6 +13,7 @@ from recording.messages import ChannelFilter, RecordedChannel, RecordedMessage
 from recording.multi_file import RecordingSource
 
 _NS = 1e9
+_LONGEST_S = 1e9
 
 
 @dataclass(frozen=True)
@@ -54,8 +55,8 @@ class Playback:
         self._move_to(self.start_ns)
 
     def at(self, time_s: float) -> int:
-        """Return the position [ns] of a time [s] from the start of the recording."""
-        return self.origin_ns + round(time_s * _NS)
+        """Return the position [ns] of a time [s] from the start of the recording; none is further than thirty years."""
+        return self.origin_ns + round(min(max(time_s, -_LONGEST_S), _LONGEST_S) * _NS)
 
     @property
     def time_s(self) -> float:

@@ -17,6 +17,10 @@ M = TypeVar("M", bound=BaseModel)
 
 ENVIRONMENT_PREFIX = "TELENANO__"
 _MERGE_TAG = "tag:yaml.org,2002:merge"
+# sections within sections: far more than there are, and few enough for whoever walks through them
+_DEEPEST = 16
+# faults of one document that are told, so that a thousand wrong keys cost no more than that
+_MOST_FAULTS = 20
 
 
 class Settings(BaseModel):
@@ -188,6 +192,8 @@ def _scalar(text: str, origin: str) -> Any:
 
 
 def _put(tree: dict[str, Any], path: Sequence[str], value: Any, origin: str) -> None:
+    if len(path) > _DEEPEST:
+        raise ConfigError(f"{origin}: {'.'.join(path)[:80]}... has {len(path)} parts, at most {_DEEPEST} are allowed")
     for part in path[:-1]:
         tree = tree.setdefault(part, {})
         if not isinstance(tree, dict):
@@ -197,7 +203,8 @@ def _put(tree: dict[str, Any], path: Sequence[str], value: Any, origin: str) -> 
 
 def _describe(error: ValidationError, origin: str, model: type[BaseModel], section: str) -> str:
     lines = []
-    for fault in error.errors(include_url=False, include_context=False):
+    faults = error.errors(include_url=False, include_context=False)
+    for fault in faults[:_MOST_FAULTS]:
         key = ".".join(str(part) for part in (section, *fault["loc"]) if part != "")
         text = fault["msg"].removeprefix("Value error, ")
         if fault["type"] == "extra_forbidden":
@@ -207,6 +214,8 @@ def _describe(error: ValidationError, origin: str, model: type[BaseModel], secti
         elif not isinstance(fault["input"], dict | list):
             text = f"{text}{_allowed(fault, model)}, got {fault['input']!r}"
         lines.append(f"{origin}: {key + ': ' if key else ''}{text}")
+    if len(faults) > _MOST_FAULTS:
+        lines.append(f"{origin}: and {len(faults) - _MOST_FAULTS} more")
     return "\n".join(lines)
 
 

@@ -11,8 +11,16 @@ from pydantic import ValidationError
 
 import services.haptic_node
 from services.haptic_node import motor
-from services.haptic_node.config import SERVO_GAINS_V_PER_M, DeviceConfig, HapticConfig, ImpedanceConfig
+from services.haptic_node.config import (
+    SERVO_GAINS_V_PER_M,
+    DeviceConfig,
+    HapticConfig,
+    ImpedanceConfig,
+    LimitsConfig,
+)
+from services.haptic_node.driver import DriveCommand
 from services.haptic_node.operator import FORCE_PROFILE, IMPEDANCE
+from services.haptic_node.sim import SimulatedHaptic
 
 README = Path(services.haptic_node.__file__).with_name("README.md")
 
@@ -151,3 +159,35 @@ def test_named_arm_gives_what_is_not_given():
     hand = {"kind": "impedance", "path": [{"time_s": 0, "position_m": 0}], "arm": "stiff", "mass_kg": 0.5}
     params = load({"operator": hand}).to_params().plant.operator
     assert (params.stiffness_n_per_m, params.damping_n_s_per_m, params.mass_kg) == (1000.0, 20.0, 0.5)
+
+
+def _ends() -> list[tuple[str, str, float]]:
+    found = []
+    for section, model in (("device", DeviceConfig), ("limits", LimitsConfig), ("operator", ImpedanceConfig)):
+        for key, schema in model.model_json_schema()["properties"].items():
+            kind = schema.get("anyOf", [schema])[0]
+            if kind.get("type") == "number":
+                found += [(section, key, kind[end]) for end in ("minimum", "maximum")]
+    return found
+
+
+@pytest.mark.parametrize(("section", "key", "value"), _ends())
+def test_the_device_gives_numbers_at_every_end_of_its_settings(section, key, value):
+    path = [{"time_s": 0.0, "position_m": -1.0}, {"time_s": 1e-9, "position_m": 1.0}]
+    document = {"operator": {"kind": "impedance", "path": path}}
+    document[section] = {**document.get(section, {}), key: value}
+    try:
+        config = load(document)
+    except ValidationError as error:
+        # what contradicts another key is refused in words
+        assert "Value error" in str(error)
+        return
+    device = SimulatedHaptic(config.to_plant_params(), config.device.start_position_m)
+    assert all(math.isfinite(part) for part in device.capabilities if isinstance(part, float))
+    device.open()
+    for tick in range(10):
+        device.write(
+            DriveCommand(tick % 2, (config.limits.position_min_m, config.limits.position_max_m)[tick // 5], 0.0)
+        )
+        reading = device.read(tick * 1e-3, 1e-3)
+        assert all(math.isfinite(part) for part in reading), (section, key, value, reading)

@@ -276,6 +276,7 @@ def test_commands_are_answered_and_wrong_ones_refused(stage: Callable[..., Stage
         ({"player.speed": 1.0}, "player.speed is unknown"),
         ({}, "set needs parameters"),
         ({"player.rate": -1.0}, "must be 0"),
+        ({"player.rate": 1e-300}, r"or 1e-06 or more"),
         ({"player.rate": True}, "a float is needed"),
         ({"player.step": 0}, "must be 1 or more"),
         ({"player.step_topic": "afm/state"}, "is not played"),
@@ -284,6 +285,11 @@ def test_commands_are_answered_and_wrong_ones_refused(stage: Callable[..., Stage
         with pytest.raises(RefusedError, match=text):
             rig.command(**parameters)
     assert "finished" not in [event.data["state"] for event in rig.events]
+    # no time is too far away to be named: the nearest that there is is taken
+    for time_s in (1e300, -1e300, 2**63 - 1):
+        rig.command(**{"player.seek_s": time_s})
+        assert rig.playback.origin_ns <= rig.playback.position_ns <= rig.playback.end_ns
+        rig.run_ms(1)
     rig.command("stop")
     assert rig.events[-1].data["state"] == "finished"
 

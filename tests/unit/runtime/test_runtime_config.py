@@ -243,3 +243,21 @@ def test_merging_changes_none_of_its_layers() -> None:
 
 def test_errors_are_of_the_one_tree() -> None:
     assert issubclass(ConfigError, TelenanoError)
+
+
+def test_a_key_of_very_many_parts_is_refused() -> None:
+    # whoever walks through sections does so one within the other, and would run out of stack
+    deep = ".".join("a" * 5000)
+    for refused in (lambda: nested({deep: 1}, "session/control"), lambda: flag_overrides([f"{deep}=1"])):
+        with pytest.raises(ConfigError, match="has 5000 parts, at most 16 are allowed") as caught:
+            refused()
+        assert len(str(caught.value)) < 12_000
+    assert nested({".".join("a" * 16): 1}, "x")
+
+
+def test_of_very_many_faults_the_first_are_told() -> None:
+    text = error_of(Rig, {f"k{number}": 1 for number in range(1000)})
+    assert len(text.splitlines()) == 21
+    assert any(line.startswith("rig.yaml: k0: unknown key") for line in text.splitlines())
+    # a missing key is a fault as well
+    assert text.splitlines()[-1] == "rig.yaml: and 981 more"
