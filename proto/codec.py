@@ -3,7 +3,7 @@
 A message is one msgpack map with a string key a field. Any bytes decode to a message or raise one `WireError`.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, get_args, get_origin
 
@@ -22,6 +22,7 @@ MAX_COMMAND_BYTES = MAX_MESSAGE_BYTES // 2
 # no message has more than seven; each vector is one
 MAX_ARRAYS = 64
 _COUNT_LIMIT = 2**63
+_unpackb = msgpack.unpackb
 
 Reason = Literal["frames", "topic", "oversized", "malformed", "newer_version", "schema", "range", "source", "role"]
 
@@ -60,7 +61,7 @@ def accept(topic: str, payload: bytes) -> Message:
     """
     form, fields = _read(topic, payload)
     try:
-        return form.row.model.model_validate(fields)
+        return form.model.model_validate(fields)
     except ValidationError as error:
         fault = _first_fault(error)
         raise WireError(fault[0], f"{topic}: {fault[1]}") from error
@@ -73,12 +74,12 @@ def decode(topic: str, payload: bytes) -> Message:
     """
     form, fields = _read(topic, payload)
     try:
-        return form.row.model.model_validate(fields)
+        return form.model.model_validate(fields)
     except ValidationError as error:
         fault = _first_fault(error)
     try:
         if fault[0] == "range":
-            return any_range(form.row.model, fields)
+            return any_range(form.model, fields)
     except ValidationError as error:
         fault = _first_fault(error)
     raise WireError(fault[0], f"{topic}: {fault[1]}")
@@ -104,11 +105,12 @@ def decode_header(topic: str, payload: bytes) -> tuple[tuple[int, int, str], dic
 class _Form:
     """What the bytes of a topic's messages look like.
 
-    `keys`: how many there are; `head`: how a map of so many begins; `plain`: no map and no array of data stands inside;
-    `most_bytes`, `most_pairs`: the most that a message may have.
+    `version` of the model, its number of `keys`; `head`: how a map of so many begins; `plain`: no map and no array of
+    data stands inside; `most_bytes`, `most_pairs`: the most that a message may have.
     """
 
-    row: Topic
+    model: type[Message]
+    version: int
     keys: int
     head: bytes
     plain: bool
@@ -123,7 +125,7 @@ def _form_of(row: Topic) -> _Form:
     most_bytes = MAX_MESSAGE_BYTES if nested else MAX_PLAIN_BYTES
     if row.model is SessionControl:
         most_bytes = MAX_COMMAND_BYTES
-    return _Form(row, keys, head, not nested, most_bytes, 1 + keys + nested)
+    return _Form(row.model, row.model.version, keys, head, not nested, most_bytes, 1 + keys + nested)
 
 
 def _most_pairs(annotation: Any) -> int:
@@ -140,7 +142,7 @@ def _most_pairs(annotation: Any) -> int:
 
 
 _FORMS = {name: _form_of(row) for name, row in TOPICS.items()}
-_MOST_BYTES = {form.row.model: form.most_bytes for form in _FORMS.values()}
+_MOST_BYTES = {form.model: form.most_bytes for form in _FORMS.values()}
 
 
 def largest_bytes(topic: str) -> int:
@@ -154,9 +156,27 @@ def _read(topic: str, payload: bytes) -> tuple[_Form, dict[str, Any]]:
         raise WireError("topic", f"unknown topic {topic[:80]!r}, known topics are {', '.join(TOPICS)}")
     if len(payload) > form.most_bytes:
         raise WireError("oversized", _size_text(topic, len(payload), form.most_bytes))
-    fields = _unpack(topic, payload, form)
+    try:
+        # a short frame cannot ask for a large allocation: where no limit is given, msgpack's is the size of the payload
+        if form.plain:
+            fields = _unpackb(payload, use_list=False, max_ext_len=0)
+        elif len(payload) <= MAX_PLAIN_BYTES:
+            fields = _unpackb(payload, use_list=False, max_ext_len=0, object_pairs_hook=_unique)
+        else:
+            fields = _unpack_long(payload, form)
+    except _TooMuchError as error:
+        raise WireError("malformed", f"{topic}: {error}") from error
+    except (ValueError, msgpack.exceptions.UnpackException, RecursionError) as error:
+        # msgpack's own exceptions are not all ValueErrors; StackError and FormatError carry no text
+        raise WireError("malformed", f"{topic}: not msgpack: {str(error) or type(error).__name__}") from error
+    if type(fields) is not dict:
+        raise WireError("malformed", f"{topic}: a msgpack {type(fields).__name__}, must be a map")
+    # where no map is inside, the count that the outer one begins with tells of a key that came twice
+    if form.plain and not (payload.startswith(form.head) and len(fields) == form.keys):
+        _reject_twice(topic, payload, fields)
     # the version before the keys: who added some raised it
-    _reject_newer(topic, fields, form.row.model.version)
+    if fields.get("v") != form.version:
+        _reject_newer(topic, fields, form.version)
     return form, fields
 
 
@@ -202,45 +222,24 @@ class _Budget:
         return items
 
 
-def _unpack(topic: str, payload: bytes, form: _Form) -> dict[str, Any]:
-    # the sizes are bounded by the payload itself, so that a short frame cannot ask for a large allocation
-    size = len(payload)
-    hooks: dict[str, Callable[[Any], Any]] = {}
-    if size > MAX_PLAIN_BYTES:
-        budget = _Budget(form.most_pairs)
-        hooks = {"object_pairs_hook": budget.map, "list_hook": budget.array}
-    elif not form.plain:
-        hooks = {"object_pairs_hook": _unique}
-    try:
-        fields = msgpack.unpackb(
-            payload,
-            use_list=False,
-            strict_map_key=True,
-            max_str_len=size,
-            max_bin_len=size,
-            max_array_len=MAX_ITEMS,
-            max_map_len=MAX_KEYS,
-            max_ext_len=0,
-            **hooks,
-        )
-    except _TooMuchError as error:
-        raise WireError("malformed", f"{topic}: {error}") from error
-    except (ValueError, msgpack.exceptions.UnpackException, RecursionError) as error:
-        # msgpack's own exceptions are not all ValueErrors; StackError and FormatError carry no text
-        raise WireError("malformed", f"{topic}: not msgpack: {str(error) or type(error).__name__}") from error
-    if not isinstance(fields, dict):
-        raise WireError("malformed", f"{topic}: a msgpack {type(fields).__name__}, must be a map")
-    # where no map is inside, the count that the outer one begins with tells of a key that came twice
-    regular = not form.plain or (payload.startswith(form.head) and len(fields) == form.keys)
-    if not regular and _pairs(payload) != len(fields):
-        raise WireError("malformed", f"{topic}: {_TWICE}")
-    return fields
+def _unpack_long(payload: bytes, form: _Form) -> Any:
+    budget = _Budget(form.most_pairs)
+    return _unpackb(
+        payload,
+        use_list=False,
+        max_array_len=MAX_ITEMS,
+        max_map_len=MAX_KEYS,
+        max_ext_len=0,
+        object_pairs_hook=budget.map,
+        list_hook=budget.array,
+    )
 
 
-def _pairs(payload: bytes) -> int:
-    """Return how many pairs a payload that is a map begins with."""
+def _reject_twice(topic: str, payload: bytes, fields: dict[str, Any]) -> None:
     first = payload[0]
-    return first & 0x0F if first < 0xDE else int.from_bytes(payload[1 : 3 if first == 0xDE else 5])
+    pairs = first & 0x0F if first < 0xDE else int.from_bytes(payload[1 : 3 if first == 0xDE else 5])
+    if pairs != len(fields):
+        raise WireError("malformed", f"{topic}: {_TWICE}")
 
 
 def _reject_newer(topic: str, fields: dict[str, Any], known: int) -> None:
