@@ -8,11 +8,12 @@ force follows, and the positions of hand and tip part. `passivity`, `model_media
 slave half, because they count what it refuses; the others get it here, behind theirs.
 """
 
-from typing import Annotated, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from pydantic import Field
 
 from services.controller.law import PortSignal, SlaveReference, TipSample
+from services.controller.ranges import DampingNSPerM, ForceOrNoneN
 from services.runtime.compiled import compiled
 from services.runtime.config import Settings
 
@@ -35,11 +36,11 @@ class ClampConfig(Settings):
     enabled: bool | None = Field(
         default=None, description="Whether the slave presses no harder than the hand; none: as the law has it"
     )
-    force_margin_n: Annotated[float, Field(ge=0.0)] = Field(
+    force_margin_n: ForceOrNoneN = Field(
         default=0.1, description="Force by which the tip may press harder than the hand, at the hand's scale F_0 [N]"
     )
-    damping_n_s_per_m: Annotated[float, Field(gt=0.0)] = Field(
-        default=30.0, description="Damper B_g of the clamp, at the hand's scale [N s/m]; > 0"
+    damping_n_s_per_m: DampingNSPerM = Field(
+        default=30.0, description="Damper B_g of the clamp, at the hand's scale [N s/m]"
     )
 
     def applied_to(self, params: Any) -> Any:

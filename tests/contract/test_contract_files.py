@@ -153,16 +153,17 @@ def test_schemas_describe_the_bytes(vector: dict[str, Any]) -> None:
     payload = bytes.fromhex(vector["hex"])
     fields = spec_client.msgpack.unpackb(payload)
     # the schemas say what is acted on, ranges included
+    within = spec_client.conforms(fields, schema, schema)
     try:
         accept(vector["topic"], payload)
     except WireError as error:
-        assert error.reason == "range"
-        assert not spec_client.conforms(fields, schema, schema)
+        assert (error.reason, within) == ("range", False)
     else:
-        assert spec_client.conforms(fields, schema, schema)
+        assert within
     for key in fields:
         without = {k: v for k, v in fields.items() if k != key}
-        assert spec_client.conforms(without, schema, schema) == (key not in schema["required"]), key
+        if within or key in schema["required"]:
+            assert spec_client.conforms(without, schema, schema) == (key not in schema["required"]), key
         assert not spec_client.conforms({**fields, key: b"raw"}, schema, schema), key
     assert not spec_client.conforms({**fields, "unknown_n": 1.0}, schema, schema)
     assert not spec_client.conforms({**fields, "v": schema["x-version"] + 1}, schema, schema)

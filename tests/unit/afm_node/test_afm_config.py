@@ -7,6 +7,7 @@ from pydantic import ValidationError
 
 from services.afm_node import config
 from services.afm_node.config import AfmConfig, CantileverConfig, SafetyConfig, TipSampleConfig
+from services.afm_node.sim import SimulatedAfm, SimulatedSpring
 
 
 def walk(model):
@@ -104,3 +105,32 @@ def test_material_without_a_hand_over_says_which_hamaker_constant_would_do():
     AfmConfig(tip_sample=TipSampleConfig(hamaker_j=1.02 * told))
     with pytest.raises(ValidationError):
         AfmConfig(tip_sample=TipSampleConfig(hamaker_j=0.97 * told))
+
+
+def _ends():
+    found = []
+    for section in ("cantilever", "tip_sample", "safety", "spring", ""):
+        model = AfmConfig.model_fields[section].annotation if section else AfmConfig
+        for key, schema in model.model_json_schema()["properties"].items():
+            kind = schema.get("anyOf", [schema])[0]
+            if kind.get("type") == "number":
+                low = kind.get("minimum", math.nextafter(kind.get("exclusiveMinimum", 0.0), math.inf))
+                high = kind.get("maximum", math.nextafter(kind.get("exclusiveMaximum", 1.0), 0.0))
+                found += [(section, key, low), (section, key, high)]
+    return found
+
+
+@pytest.mark.parametrize(("section", "key", "value"), _ends())
+def test_the_instruments_give_numbers_at_every_end_of_their_settings(section, key, value):
+    try:
+        found = AfmConfig.model_validate({section: {key: value}} if section else {key: value})
+    except ValidationError as error:
+        # what has no model, or contradicts another key, is refused in words
+        assert "Value error" in str(error)
+        return
+    limits = found.safety
+    for instrument in (SimulatedAfm(found.to_params()), SimulatedSpring(found.to_spring_params())):
+        instrument.open()
+        for base_m in (limits.base_min_m, 0.0, limits.base_max_m, limits.retract_position_m):
+            sample = instrument.exchange(base_m)
+            assert all(math.isfinite(part) for part in sample), (section, key, value, sample)

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from proto.ranges import ENERGY, FORCE, POSITION, VELOCITY, WAVE, WAY, Range
+from services.controller.clamp import clamped
 from services.controller.config import LAWS, ControllerConfig
 from services.controller.deadband import deadband, fresh
 from services.controller.law import LONGEST_BRIDGED_PERIODS, NO_SIGNAL, HandSample, Law, PortSignal, TipSample
@@ -52,6 +53,14 @@ def corner_settings(name: str, rng: random.Random, way: str) -> dict[str, Any]:
         pick = way if way != "mixed" else rng.choice(("low", "high", "default", "between"))
         settings[key] = {"low": low, "high": high, "default": schema["default"], "between": between}[pick]
     return settings
+
+
+def config_at_corners(name: str, period_s: float, rng: random.Random, way: str) -> ControllerConfig:
+    """Return a configuration with the law and the clamp at corners of their settings."""
+    clamp = {"enabled": rng.choice((None, True, False)), "force_margin_n": rng.choice((0.0, 0.1, 1e6))}
+    clamp |= {"damping_n_s_per_m": rng.choice((1e-6, 30.0, 1e9))}
+    document = {"law": name, "period_s": period_s, "clamp": clamp, name: corner_settings(name, rng, way)}
+    return ControllerConfig.model_validate(document)
 
 
 def quantity(kind: Range, rng: random.Random) -> float:
@@ -102,8 +111,10 @@ def over_the_wire(signal: PortSignal) -> PortSignal:
 class Halves:
     """Both halves of a law under one set of parameters."""
 
-    def __init__(self, law: Law, params: Any, period_s: float, rng: random.Random) -> None:
-        self.law, self.params, self.period_s, self.rng = law, params, period_s, rng
+    def __init__(self, law: Law, config: ControllerConfig, rng: random.Random) -> None:
+        self.law, self.period_s, self.rng = law, config.period_s, rng
+        self.params, self.clamp = config.params(), config.clamp_params()
+        params = self.params
         self.hand, self.tip = hand_sample(rng), tip_sample(rng)
         self.master = law.master_start(params, self.hand)
         if rng.random() < 0.5:
@@ -123,10 +134,13 @@ class Halves:
         return signal
 
     def backward(self, signal: PortSignal) -> tuple[float, PortSignal]:
-        dt = self.dt_s()
-        self.slave, wanted = self.law.slave_receive(self.params, self.slave, signal, self.tip, dt)
+        # the slave half steps by one period a call
+        period_s = self.period_s
+        self.slave, wanted = self.law.slave_receive(self.params, self.slave, signal, self.tip, period_s)
         check("slave_receive", (self.slave, wanted))
-        self.slave, answer = self.law.slave_send(self.params, self.slave, self.tip, dt)
+        wanted = clamped(self.clamp, wanted, signal, self.tip)
+        check("clamped", wanted)
+        self.slave, answer = self.law.slave_send(self.params, self.slave, self.tip, period_s)
         check("slave_send", (self.slave, answer))
         check("slave_energy_account", self.law.slave_energy_account(self.params, self.slave))
         return wanted.position_m, answer
@@ -137,9 +151,10 @@ class Halves:
         check("master_energy_account", self.law.master_energy_account(self.params, self.master))
         return float(reference.position_m)
 
-    def retune(self, params: Any) -> None:
+    def retune(self, config: ControllerConfig) -> None:
+        params = config.params()
         self.master = self.law.retune(self.params, params, self.master)
-        self.params = params
+        self.params, self.clamp = params, config.clamp_params()
         check("retune", self.master)
 
 
@@ -178,13 +193,10 @@ def failures(seed: int, cases: int) -> Iterator[str]:
             rng = random.Random(f"{seed} {name} {case}")
             way = {0: "low", 1: "high"}.get(case, "mixed")
             period_s = rng.choice(PERIODS_S)
-            first, second = (
-                ControllerConfig(law=name, period_s=period_s, **{name: corner_settings(name, rng, which)}).params()  # type: ignore[arg-type]
-                for which in (way, "mixed")
-            )
+            first, second = (config_at_corners(name, period_s, rng, which) for which in (way, "mixed"))
             try:
                 for run in (run_apart, run_together):
-                    halves = Halves(law, first, period_s, rng)
+                    halves = Halves(law, first, rng)
                     run(halves)
                     halves.retune(second)
                     run(halves)

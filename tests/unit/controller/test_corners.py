@@ -1,5 +1,6 @@
 """Laws stay finite within the ranges of wire and settings, and a setting beyond its range is refused with the range."""
 
+import math
 import os
 import subprocess
 import sys
@@ -7,12 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import corners
+import numpy as np
 import pytest
 
 from proto.errors import ConfigError
 from services.controller.config import LAWS, ControllerConfig
+from services.controller.energy import Port
 from services.controller.laws.virtual_mass import FARTHEST_M, bounded
-from services.controller.laws.wave import WaveConfig
 from services.runtime.config import flatten, validate
 
 ROOT = Path(__file__).parents[3]
@@ -30,19 +32,19 @@ def test_every_half_as_a_study_runs_it_gives_numbers_at_the_corners() -> None:
     assert list(corners.failures(2, CASES)) == []
 
 
-def test_the_check_finds_what_is_no_number(monkeypatch: pytest.MonkeyPatch) -> None:
-    # a guard that is stiffer than a period allows: the way over a gap swings to and fro and grows
-    unlimited = lambda self, most=0.0: self.guard_stiffness_n_per_m * self.force_scale * self.position_scale  # noqa: E731
-    monkeypatch.setattr(WaveConfig, "guard_at_hand_n_per_m", unlimited)
-    assert [line for line in corners.failures(1, 2) if line.startswith("wave, case 1")]
+def test_the_check_finds_what_is_no_number() -> None:
+    corners.check("state", (1.0, (0.0, True), 7, np.zeros(3), Port(0.0, 0.0, 0.0)))
+    for wrong in ((0.0, math.nan), ((1.0, (math.inf,)),), (np.array([0.0, math.nan]),), Port(0.0, -math.inf, 0.0)):
+        with pytest.raises(corners.NotANumberError, match="state"):
+            corners.check("state", wrong)
 
 
 def _numbers() -> list[tuple[str, dict[str, Any]]]:
     found = []
-    for name in (*LAWS, "deadband"):
+    for name in (*LAWS, "deadband", "clamp"):
         model: Any = ControllerConfig.model_fields[name].annotation
         schema = model.model_json_schema()["properties"]
-        found += [(f"{name}.{key}", part) for key, part in schema.items() if part["type"] == "number"]
+        found += [(f"{name}.{key}", part) for key, part in schema.items() if part.get("type") == "number"]
     return found
 
 

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from proto.errors import ConfigError
-from services.delay_node.config import changed, parse_settings
+from services.delay_node.config import Impairment, changed, parse_settings
 from services.delay_node.engine import DirectionEngine, LinkEngine, fates_of
 
 MS = 1_000_000
@@ -671,3 +671,62 @@ def test_profile_has_the_round_trip_it_promises(profile, round_trip_s):
 
 def test_no_arrivals_no_fates():
     assert fates_of(parse_settings({}), "forward", TOPIC, [], 10) == []
+
+
+# --- the ends of every setting ---------------------------------------------------------------------------------------
+
+
+def _ends(schema, root, path=()):
+    """Yield the dotted key of every number among the settings, with the least and the greatest value."""
+    schema = root["$defs"][schema["$ref"].rpartition("/")[2]] if "$ref" in schema else schema
+    for key, part in schema.get("properties", {}).items():
+        kind = part.get("anyOf", [part])[0]
+        if "$ref" in kind:
+            yield from _ends(kind, root, (*path, key))
+        elif kind.get("type") in ("number", "integer"):
+            low = kind.get("minimum", kind.get("exclusiveMinimum", 0) + 1e-9)
+            high = kind.get("maximum", kind.get("exclusiveMaximum", 0) - 1e-9)
+            yield from ((".".join((*path, key)), value) for value in (low, high))
+
+
+# what a setting needs beside it to have an effect
+NEEDED = {
+    "jitter": {"scale_s": 3600.0, "distribution": "pareto"},
+    "slots": {"min_interval_s": 1e-3},
+    "rate": {"rate_bytes_per_s": 1e4},
+    "queue": {"limit_messages": 10},
+    "outage": {"mean_up_s": 0.1, "mean_down_s": 0.1},
+    "corruption": {"probability": 0.5},
+    "reordering": {"probability": 0.5},
+}
+IMPAIRMENT = Impairment.model_json_schema()
+
+
+@pytest.mark.parametrize(("key", "value"), list(_ends(IMPAIRMENT, IMPAIRMENT)))
+def test_every_message_has_a_fate_in_range_at_every_end_of_a_setting(key, value):
+    section, _, name = key.rpartition(".")
+    block = {**NEEDED.get(section, {}), name: value}
+    tree = {section: block} if section else block
+    if section == "queue":
+        tree["rate"] = NEEDED["rate"]
+    if key == "slots.max_interval_s":
+        tree["slots"]["min_interval_s"] = min(value, 1e-3)
+    try:
+        settings_now = parse_settings({"forward": tree})
+    except ConfigError as error:
+        # what contradicts another key is refused in words
+        assert "Input should" not in str(error)
+        return
+    link = DirectionEngine("forward", settings_now, START)
+    for number in range(100):
+        link.submit(START + number * MS, TOPIC, bytes(100), number)
+    # what waits for longer than a session is let go by other settings
+    link.due(START + 10**10)
+    link.adopt(parse_settings({}), link.files_of(parse_settings({})), START + 10**10)
+    finish(link)
+    fates = link.take_fates()
+    assert {fate.seq for fate in fates} == set(range(100))
+    for fate in fates:
+        assert all(
+            0 <= time_ns < 2**63 for time_ns in (fate.delay_ns, fate.queue_ns, fate.held_ns, fate.release_ns or 0)
+        )
