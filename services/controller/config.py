@@ -1,9 +1,12 @@
 """Configuration of the controller: which law, and the parameters of each."""
 
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
+from proto.errors import ConfigError, RefusedError
+from proto.messages import Scalar
 from services.controller.clamp import ClampConfig, ClampParams
 from services.controller.deadband import DeadbandConfig
 from services.controller.law import Law
@@ -13,7 +16,7 @@ from services.controller.laws.position_force import POSITION_FORCE, PositionForc
 from services.controller.laws.smith import SMITH, SmithConfig
 from services.controller.laws.virtual_impedance import VIRTUAL_IMPEDANCE, VirtualImpedanceConfig
 from services.controller.laws.wave import WAVE, WaveConfig
-from services.runtime.config import Settings
+from services.runtime.config import Settings, merge, nested, validate
 
 LAWS: dict[str, Law] = {
     law.name: law for law in (VIRTUAL_IMPEDANCE, POSITION_FORCE, WAVE, PASSIVITY, MODEL_MEDIATED, SMITH)
@@ -63,3 +66,16 @@ class ControllerConfig(Settings):
     def local_loop(self) -> bool:
         """Whether the slave half goes on between signals, on the instrument's clock."""
         return LAWS[self.law].local_loop or self.clamp_params().enabled
+
+
+def changed_config(config: ControllerConfig, parameters: Mapping[str, Scalar]) -> ControllerConfig:
+    """Return a configuration with parameters by dotted key in it; RefusedError says what is wrong with them."""
+    if not parameters:
+        raise RefusedError("set needs parameters, such as virtual_impedance.force_gain=10")
+    if "period_s" in parameters:
+        raise RefusedError("period_s cannot be changed while the rig runs")
+    try:
+        document = merge(config.model_dump(), nested(parameters, "session/control"))
+        return validate(ControllerConfig, document, "session/control", "controller")
+    except ConfigError as error:
+        raise RefusedError(str(error)) from error

@@ -6,7 +6,7 @@ from typing import Any
 
 from services.afm_node.node import AfmNode
 from services.controller.config import LAWS, ControllerConfig
-from services.controller.node import ControllerHalf
+from services.controller.half import ControllerHalf
 from services.delay_node.config import LinkSettings, flattened
 from services.delay_node.node import DelayNode
 from services.haptic_node.node import HapticNode

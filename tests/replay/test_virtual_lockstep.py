@@ -37,6 +37,7 @@ from proto import Message, encode
 from proto.messages import AfmCommand, SessionControl, TeleopForward
 from services.afm_node import node as afm_node
 from services.afm_node.safety import MODE_FOLLOW, MODE_HOLD
+from services.controller import half as controller_half
 from services.controller import node as controller_node
 from services.controller.config import LAWS, ControllerConfig
 from services.controller.law import LONGEST_BRIDGED_PERIODS
@@ -244,7 +245,7 @@ def test_a_changed_patience_of_the_instrument_is_seen(tmp_path: Path, monkeypatc
     [
         (lockstep, "services.controller.law", "longest_pause_periods"),
         (controller_node, "services.controller.law", "longest_pause_periods"),
-        (controller_node, "services.controller.law", "LONGEST_BRIDGED_PERIODS"),
+        (controller_half, "services.controller.law", "LONGEST_BRIDGED_PERIODS"),
         (lockstep, "services.afm_node.step", "LONGEST_STEP_NS"),
         (afm_node, "services.afm_node.step", "LONGEST_STEP_NS"),
         (lockstep, "services.afm_node.step", "patience_ns"),

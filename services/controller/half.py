@@ -1,0 +1,195 @@
+"""What both halves of a law share as nodes: the law in force, its parameters, and how both change at run time."""
+
+from abc import abstractmethod
+from typing import Any, ClassVar
+
+from proto.messages import (
+    SessionControl,
+    TeleopBackward,
+    TeleopForward,
+)
+from services.controller import energy
+from services.controller.config import LAWS, ControllerConfig, changed_config
+from services.controller.deadband import deadband, fresh
+from services.controller.law import (
+    LONGEST_BRIDGED_PERIODS,
+    NO_SIGNAL,
+    EnergyAccount,
+    Law,
+    PortSignal,
+)
+from services.controller.warm_up import warm_up
+from services.runtime.frames import across, along
+from services.runtime.node import Node, NodeContext
+
+STATUS_PERIOD_S = 0.01
+NEVER = (0.0, False)
+
+
+class ControllerHalf(Node):
+    """What both halves share: the law, its parameters, and how both change at run time.
+
+    A change of law reaches the halves at different times, and each stands still from then on: the reference of the hand
+    coasts to rest, that of the base stays, and both send the new law's signals without following; those of another law
+    are ignored. The master takes over from where the hand is when it receives the slave in the new law, with the tip's
+    reference where the slave reports the base; the slave goes on when it receives that the master follows.
+    """
+
+    commands: ClassVar[tuple[str, ...]] = ("set",)
+    journalled = True
+
+    def __init__(self, context: NodeContext, config: ControllerConfig) -> None:
+        super().__init__(context)
+        self.config = config
+        self.params: Any = config.params()
+        self.law_state: Any = None
+        self.signal: PortSignal = NO_SIGNAL
+        self.switching = False
+        self.port = energy.opened(0.0, 0.0)
+        self._signal_ns: int | None = None
+        self._signal_hand_ns = 0
+        self._hand = (0, 0)
+        self._period_ns = round(config.period_s * 1e9)
+        self._status_ticks = max(1, round(STATUS_PERIOD_S / config.period_s))
+        self._reported_j = 0.0
+        self._band = config.deadband.to_params()
+        self._band_state = fresh(NO_SIGNAL)
+        for law in LAWS.values():  # a change of law is no time to compile
+            changed = config.model_copy(update={"law": law.name})
+            warm_up(law, changed.params(), changed)
+
+    @property
+    def law(self) -> Law:
+        return LAWS[self.config.law]
+
+    def on_deadline(self, now_ns: int) -> None:
+        """Do nothing: a controller acts on messages only."""
+
+    def make_safe(self) -> None:
+        """Do nothing: a controller holds no actuator, and its silence makes the devices safe."""
+
+    def on_control(self, control: SessionControl) -> str:
+        """Change the law or its parameters: dotted keys below `controller`, such as virtual_impedance.force_gain."""
+        if control.command != "set":
+            return super().on_control(control)
+        changed = changed_config(self.config, control.parameters)
+        params = changed.params()
+        switched = changed.law != self.config.law
+        if not switched and self.law_state is not None:
+            self.law_state = self.retuned(self.params, params)
+        self.config, self.params = changed, params
+        self._band = changed.deadband.to_params()
+        if switched:
+            self._switch()
+        return "set " + ", ".join(f"{key} = {value}" for key, value in control.parameters.items())
+
+    def _switch(self) -> None:
+        self.signal, self._signal_ns = NO_SIGNAL, None
+        self._band_state = fresh(NO_SIGNAL)
+        self.port = energy.opened(self.port.position_m, self.port.force_n)
+        self._reported_j = 0.0
+        # before the first tick there is nothing to take over
+        self.switching = self.law_state is not None
+
+    def retuned(self, old: Any, new: Any) -> Any:
+        """Carry the state of this half over a change of parameters."""
+        return self.law_state
+
+    @abstractmethod
+    def energy_account(self) -> EnergyAccount:
+        """Return what this half of the law knows of energy."""
+
+    def receive_signal(self, message: TeleopForward | TeleopBackward, received_ns: int) -> bool:
+        """Take a signal of the other half; one of another law is not understood and counts as silence."""
+        if message.law != self.law.name:
+            return False
+        backward = isinstance(message, TeleopBackward)
+        self._signal_ns, self._signal_hand_ns = received_ns, message.hand_t_ns
+        self.signal = PortSignal(
+            position_m=along(message.position_m),
+            velocity_m_per_s=along(message.velocity_m_per_s),
+            # F_s is the reaction along +z, F_m the push along -z
+            force_n=message.force_n[2] if backward else along(message.force_n),
+            wave_sqrt_w=along(message.wave_sqrt_w) if message.wave_sqrt_w is not None else 0.0,
+            energy_j=message.energy_j if message.energy_j is not None else 0.0,
+            separation_m=message.separation_m if isinstance(message, TeleopBackward) else 0.0,
+            separation_valid=message.separation_valid if isinstance(message, TeleopBackward) else False,
+            in_contact=message.in_contact if isinstance(message, TeleopBackward) else False,
+            active=message.active,
+            silence_s=0.0,
+            round_trip_s=0.0,
+        )
+        return True
+
+    def latest_signal(self) -> PortSignal:
+        """Return the newest signal with the time of silence since."""
+        if self._signal_ns is None:
+            return NO_SIGNAL
+        return self.signal._replace(silence_s=self._silence_s(), round_trip_s=self.round_trip_s()[0])
+
+    def round_trip_s(self) -> tuple[float, bool]:
+        """Return the age of the hand's sample that the newest answer descends from [s], and whether it is known."""
+        return NEVER
+
+    def elapsed_s(self, hand_t_ns: int, previous_ns: int) -> float | None:
+        """Return the whole periods between two hand samples [s]; None when the sequence starts anew.
+
+        The hand's grid is absolute, so its stamps differ from whole periods by its lateness only; rounding keeps the
+        law on that grid and makes a re-run from a recording exact.
+        """
+        periods = round((hand_t_ns - previous_ns) / self._period_ns)
+        if previous_ns == 0 or not 0 < periods <= self.longest_pause_periods():
+            return None
+        return periods * self.config.period_s
+
+    def longest_pause_periods(self) -> int:
+        return LONGEST_BRIDGED_PERIODS
+
+    def wire(self, signal: PortSignal) -> dict[str, object]:
+        """Return the part of a teleop message that both directions share, without the force."""
+        return {
+            "law": self.law.name,
+            "active": signal.active,
+            "position_m": across(signal.position_m),
+            "velocity_m_per_s": across(signal.velocity_m_per_s),
+            "wave_sqrt_w": across(signal.wave_sqrt_w) if self.law.uses_waves else None,
+            "energy_j": signal.energy_j if self.law.uses_energy else None,
+            "hand_seq": self._hand[0],
+            "hand_t_ns": self._hand[1],
+        }
+
+    def passes_deadband(self, signal: PortSignal, dt: float) -> bool:
+        """Ask the dead band whether a signal is to be sent, dt [s] after the last; while the law changes, all are."""
+        self._band_state, send = deadband(self._band, self._band_state, signal, dt)
+        return send or self.switching
+
+    def report(self, other_energy_j: float | None) -> None:
+        """Publish law/status every so many ticks; other_energy_j [J]: what has entered at the other port, if known."""
+        if self.steps % self._status_ticks or self.law_state is None:
+            return
+        account: EnergyAccount = self.energy_account()
+        known = other_energy_j is not None
+        net_j = self.port.energy_j + (other_energy_j or 0.0)
+        round_trip_s, measured = self.round_trip_s()
+        entered_j, self._reported_j = self.port.energy_j - self._reported_j, self.port.energy_j
+        offered = self._band_state.offered
+        self.publish(
+            "law/status",
+            law=self.law.name,
+            switching=self.switching,
+            port_energy_j=self.port.energy_j,
+            port_power_w=entered_j / (self._status_ticks * self.config.period_s),
+            net_valid=known,
+            net_energy_j=net_j if known else 0.0,
+            left_j=account.left_j,
+            dissipated_j=account.dissipated_j,
+            passive=bool(energy.is_passive(net_j, known, account)),
+            saved_percent=100.0 * (offered - self._band_state.sent) / offered if offered else 0.0,
+            heard=self._signal_ns is not None,
+            silence_s=self._silence_s() if self._signal_ns is not None else 0.0,
+            round_trip_valid=measured,
+            round_trip_s=round_trip_s,
+        )
+
+    def _silence_s(self) -> float:
+        return max(0.0, (self.clock.now_ns() - (self._signal_ns or 0)) * 1e-9)
