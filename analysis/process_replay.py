@@ -21,6 +21,7 @@ from proto.messages import NodeJournal, SessionControl
 from proto.nodes import LINK, RERUN_NODES, endpoints_of, name_of, no_rerun_reason, site_of
 from proto.ranges import limited
 from proto.sequence import Arrival
+from proto.topics import output_name
 from recording.messages import RecordedChannel, RecordedMessage
 from recording.reader import Recording
 from recording.records import REJECTED_TOPIC, RejectedRecord
@@ -192,7 +193,7 @@ class _Recorded:
                 self._inputs.setdefault((channel.topic, channel.src, found.seq), []).append(found)
                 self._first_received_ns.setdefault((channel.topic, channel.src), found.log_ns)
             if channel in outputs:
-                self.outputs.setdefault((channel.topic, found.seq), []).append(found)
+                self.outputs.setdefault((output_name(channel.topic, found.src), found.seq), []).append(found)
             if channel in forwarded:
                 self._add_forwarded(found)
 
@@ -219,9 +220,9 @@ class _Recorded:
         found = self.input(Turn(MESSAGE, arrived_ns, topic, src, seq))
         return bytes(size_bytes) if found is None else found.payload
 
-    def output(self, topic: str, seq: int, time_ns: int) -> RecordedMessage | None:
-        """Return what the node published under a number."""
-        found = self.outputs.get((topic, seq), ())
+    def output(self, name: str, seq: int, time_ns: int) -> RecordedMessage | None:
+        """Return what the node published under a name and number."""
+        found = self.outputs.get((name, seq), ())
         if len(found) == 1:
             return found[0]
         return min(found, key=lambda message: abs(message.publish_ns - time_ns), default=None)
@@ -267,15 +268,16 @@ class ReplayBus:
 
     def publish_as(self, src: str, topic: str, fields: Mapping[str, Any]) -> Message:
         """Compare a message of one of the node's endpoints; its `t_ns`, the time of sending, is the recorded one."""
-        model, seq = TOPICS[topic].model, self.numbers.get(topic, 0)
-        self.numbers[topic] = seq + 1
-        recorded = None if topic in _NOT_COMPARED else self._recorded.output(topic, seq, self._clock.time_ns)
+        name, model = output_name(topic, src), TOPICS[topic].model
+        seq = self.numbers.get(name, 0)
+        self.numbers[name] = seq + 1
+        recorded = None if topic in _NOT_COMPARED else self._recorded.output(name, seq, self._clock.time_ns)
         t_ns = self._clock.time_ns if recorded is None else recorded.publish_ns
         message = limited(model, {"seq": seq, "t_ns": t_ns, "src": src, "v": model.version, **fields})
         if recorded is not None:
             self._compare(message, recorded)
-            self.compared[topic] = self.compared.get(topic, 0) + 1
-            self.first_seq.setdefault(topic, seq)
+            self.compared[name] = self.compared.get(name, 0) + 1
+            self.first_seq.setdefault(name, seq)
             self._take(topic, message)
         return message
 
@@ -441,7 +443,7 @@ class _ReplayWiring(Wiring):
 
     replay_bus: ReplayBus
 
-    def bus(self, topics: Sequence[str]) -> ZmqBus:
+    def bus(self, topics: Sequence[str], *, newest_only: bool = False) -> ZmqBus:
         """Return the bus of the re-run."""
         return cast(ZmqBus, self.replay_bus)
 
@@ -449,7 +451,9 @@ class _ReplayWiring(Wiring):
         """Return an endpoint of the node."""
         return cast(ZmqPublisher, ReplayOutlet(self.replay_bus, key))
 
-    def subscribers(self, connections: Mapping[str, Sequence[str]], *, apart: bool = False) -> list[Subscriber]:
+    def subscribers(
+        self, connections: Mapping[str, Sequence[str]], *, apart: bool = False, newest_only: bool = False
+    ) -> list[Subscriber]:
         """Return none: the re-run hands the messages over itself."""
         return []
 

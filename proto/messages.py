@@ -47,6 +47,8 @@ MAX_KEYS = 1024
 # rows of a table of records, such as the inputs of a node
 MAX_ROWS = 1024
 MAX_TEXT = 4096
+# the one reason in node/health for which a message is not acted on and nothing is wrong
+SUPERSEDED = "superseded"
 
 SOURCE_PATTERN = r"^[a-z][a-z0-9_]*@[a-z][a-z0-9_]*$"
 
@@ -303,6 +305,24 @@ class LinkStatus(Message):
     clock: LinkClock = Field(description="Offset between the clocks of the sites, past the impairments")
 
 
+class LinkDelay(Message):
+    """What the way between the sites adds to the age of the hand's samples, from one sample on.
+
+    It is sent before the first message that descends from that sample, whenever the delay changes by a step, and
+    with every link/status. With it a reader knows what part of an age is the experiment, and what is a fault.
+    """
+
+    direction: Literal["forward", "backward"] = Field(description="forward: from the master to the slave")
+    hand_t_ns: Count = Field(description="t_ns of the first haptic/state that it applies to, on its own clock [ns]")
+    delay_ns: Count = Field(description="Delay applied on purpose, rounded down to whole milliseconds [ns]")
+    transit_ns: Count = Field(
+        description="Least time that a message was measured to take between two machines besides [ns]; 0 on one"
+    )
+    clock_ahead_ns: Annotated[int, Field(ge=-(2**63), lt=2**63)] = Field(
+        description="What the slave's clock is ahead of the master's [ns]; 0 where they cannot be told apart"
+    )
+
+
 class LinkFate(Record):
     """Ground truth of one message that reached the link, or of the duplicate that was made of it."""
 
@@ -407,7 +427,10 @@ class NodeHealth(Message):
     lateness_p99_s: DurationS = Field(description="99 % lateness since the last report [s]")
     lateness_max_s: DurationS = Field(description="Greatest lateness since the last report [s]")
     overruns: Count = Field(description="Deadlines missed by a period or more since the start")
-    rejected: Counts = Field(description="Frames and connections refused since the start, by reason")
+    rejected: Counts = Field(
+        description="Frames and connections refused since the start, by reason; superseded: a newer message of a "
+        "latest topic was waiting as well; stale: older than the deadline of its topic"
+    )
     cpu_percent: Percent = Field(description="Processor time used since the last report [% of one core]")
     memory_bytes: Count = Field(description="Resident memory [bytes]")
     realtime: bool = Field(description="SCHED_FIFO is in force")

@@ -39,6 +39,8 @@ class SequenceTracker:
         self.late = 0
         self.duplicates = 0
         self.restarts = 0
+        # taken and counted, but not acted on: a newer one was waiting as well
+        self.superseded = 0
         self.last_seq = -1
         self.last_t_ns = 0
         self.last_gap = (0, 0)

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from proto import messages as m
+from proto.nodes import NODES, name_of, site_of
 
 Delivery = Literal["latest", "lossless"]
 
@@ -39,6 +40,7 @@ _ROWS = (
     Topic("afm/scanline", m.AfmScanline, ("afm_node",), "lossless", None, None, None),
     Topic("law/status", m.LawStatus, ("controller",), "latest", 100.0, 0.2, "backward"),
     Topic("link/status", m.LinkStatus, ("delay_node@master",), "latest", 10.0, 0.5, None),
+    Topic("link/delay", m.LinkDelay, ("delay_node",), "lossless", None, None, None),
     Topic("link/fates", m.LinkFates, ("delay_node@master",), "lossless", None, None, None),
     Topic("clock/ping", m.ClockPing, ("delay_node@slave",), "latest", 10.0, 0.5, None),
     Topic("clock/pong", m.ClockPong, ("afm_node",), "latest", 10.0, 0.5, None),
@@ -57,3 +59,24 @@ _ROWS = (
 )
 
 TOPICS: dict[str, Topic] = {row.name: row for row in _ROWS}
+
+
+def deadline_of(topic: str) -> float:
+    """Return how old a message on a topic may be before it counts as stale [s]; ValueError for one without deadline."""
+    deadline_s = TOPICS[topic].deadline_s
+    if deadline_s is None:
+        raise ValueError(f"{topic} has no deadline")
+    return deadline_s
+
+
+def output_name(topic: str, endpoint: str) -> str:
+    """Return what a journal calls the messages of an endpoint on a topic: the topic, and the site where that needs it.
+
+    A process with a further endpoint may publish on the same topic at both, with numbers of their own.
+    """
+    further = any(row.key == endpoint and row.part == "endpoint" for row in NODES)
+    return f"{topic}@{site_of(endpoint)}" if further and name_of(endpoint) in TOPICS[topic].publishers else topic
+
+
+# how old a sample, a command or an answer of the loop may be before nobody acts on it: one for the whole loop
+LOOP_DEADLINE_S = deadline_of("haptic/state")

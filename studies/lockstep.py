@@ -13,6 +13,8 @@ The steps are those that the nodes call, and the order is that of the bus. At th
    slave half of a law with a local loop steps with it, with the newest signal and the force measured last, for as long
    as the silence limit.
 
+The guards judge the age of the hand's sample behind a command, less the delay of the link in whole steps, as nodes do.
+
 So a signal released between two ticks acts in the tick in which it arrives, as on the bus: a constant round trip of T
 delays the loop by floor(T/Ts) Ts, and the hold of the law's integration adds half a period to that (`theory`).
 """
@@ -37,6 +39,7 @@ from services.haptic_node.step import HapticInputs, HapticParams
 from services.haptic_node.step import HapticStepState as HapticChainState
 from services.haptic_node.step import step as haptic_step
 from services.runtime.compiled import compiled
+from services.runtime.freshness import DELAY_STEP_NS
 from studies.dispatch import (
     instrument_step,
     master_receive,
@@ -202,6 +205,12 @@ def _as_received(signal: PortSignal, silence_s: float, round_trip_s: float) -> P
 
 
 @compiled
+def _told(delay_ns: int) -> int:
+    """Return the part of a delay that the link tells the guards [ns]."""
+    return delay_ns - delay_ns % DELAY_STEP_NS
+
+
+@compiled
 def _at(times_ns: npt.NDArray[np.int64], index: int) -> int:
     return int(times_ns[index]) if index < len(times_ns) else _NEVER_NS
 
@@ -239,11 +248,14 @@ def _run(
     rendered_n = 0.0
     due = False
     answer, answer_ns, answered = NO_SIGNAL, -1, 0
+    # when the sample behind the newest answer would have been back without the link, and that behind the command
+    answer_hand_ns, command_hand_ns = -1, -1
 
     tip = TipSample(0.0, 0.0, 0.0, False, False, False)
     slave = slave_start(law, tip)
     slave_tick, heard, heard_ns = -1, NO_SIGNAL, -1
-    action, base_reference_m, base_command_ns = afm_safety.ACTION_HOLD, 0.0, -1
+    # the time that a command counts from is that of the hand's sample, told delay included
+    action, base_reference_m, base_hand_ns = afm_safety.ACTION_HOLD, 0.0, -1
     armed = False
     instrument_ns, own_ns = 0, period_ns
     mode = afm_safety.MODE_RETRACTED
@@ -252,7 +264,7 @@ def _run(
     f, b = 0, 0
     for n in range(len(rows)):
         now_ns = n * period_ns
-        age_s = np.inf if command_ns < 0 else (now_ns - command_ns) * 1e-9
+        age_s = np.inf if command_ns < 0 else (now_ns - min(command_ns, command_hand_ns)) * 1e-9
         session_s = (n - times.session_tick) * dt if n >= times.session_tick else -1.0
         asked = HapticInputs(command_mode, command_m, 0.0, age_s, session_s, False, False)
         haptic_state, felt = haptic_step(haptic, haptic_state, asked, dt)
@@ -264,6 +276,7 @@ def _run(
             master, reference = master_receive(law, master, hand, answer, dt)
             command_mode = haptic_safety.MODE_POSITION if reference.active else haptic_safety.MODE_OFF
             command_m, command_ns, rendered_n = reference.position_m, now_ns, reference.force_n
+            command_hand_ns = answer_hand_ns
         before = hand
         hand = HandSample(
             felt.reading.position_m,
@@ -294,12 +307,15 @@ def _run(
                     b += 1
                     continue
                 answered = forward_of[backward_of[b]]
+                there_ns, sampled_ns = forward_ns[backward_of[b]], answered * period_ns
+                answer_hand_ns = sampled_ns + _told(there_ns - sampled_ns) + _told(event_ns - there_ns)
                 answer, answer_ns = _as_received(backward[backward_of[b] & mask], 0.0, (n - answered) * dt), event_ns
                 b += 1
                 if due:
                     master, reference = master_receive(law, master, hand, answer, dt)
                     command_mode = haptic_safety.MODE_POSITION if reference.active else haptic_safety.MODE_OFF
                     command_m, command_ns, rendered_n = reference.position_m, event_ns, reference.force_n
+                    command_hand_ns = answer_hand_ns
                     due = False
                 continue
             commanded = event_ns == arrives_ns
@@ -309,6 +325,7 @@ def _run(
                 if slave_tick < 0 or elapsed > loop.longest_periods:
                     slave, elapsed = slave_start(law, tip), 1
                 slave_tick, heard, heard_ns = tick, forward[tick & mask], event_ns
+                base_hand_ns = tick * period_ns + _told(event_ns - tick * period_ns)
             # what the instrument steps by itself, the slave half goes along with, while its last signal counts
             local = loop.local and not commanded and heard_ns >= 0 and event_ns - heard_ns <= loop.longest_ns
             local = local and heard.active and tip.following
@@ -317,10 +334,10 @@ def _run(
                 slave, wanted = slave_receive(law, slave, present, tip, dt)
                 wanted = clamped(loop.clamp, wanted, present, tip)
                 action = afm_safety.ACTION_POSITION if wanted.active else afm_safety.ACTION_HOLD
-                base_reference_m, base_command_ns = wanted.position_m, event_ns
+                base_reference_m = wanted.position_m
             # the operator arms the instrument once, when commands are there; a guard that trips later stays tripped
             arm = commanded and not armed and action == afm_safety.ACTION_POSITION
-            command_age_s = np.inf if base_command_ns < 0 else (event_ns - base_command_ns) * 1e-9
+            command_age_s = np.inf if base_hand_ns < 0 else (event_ns - base_hand_ns) * 1e-9
             step_s = min(max(event_ns - instrument_ns, 1), LONGEST_STEP_NS) * 1e-9
             instrument_state, felt_tip = instrument_step(
                 instrument, instrument_state, AfmInputs(base_reference_m, command_age_s, action, arm, False), step_s

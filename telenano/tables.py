@@ -7,6 +7,8 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from proto.messages import SUPERSEDED
+
 LEVEL_STYLES = {"info": "", "warning": "yellow", "error": "red"}
 _STATE_STYLES = {"ready": "green", "running": "green", "safe": "yellow", "starting": "yellow"}
 
@@ -30,7 +32,7 @@ def health_cells(facts: Mapping[str, Any]) -> dict[str, Text]:
         "overruns": _alarming(facts["overruns"], str(facts["overruns"])),
         "input age ms": Text("-" if age_s is None else f"{age_s * 1e3:.1f}"),
         "lost": _alarming(facts["lost"], str(facts["lost"])),
-        "refused": _alarming(sum(facts["refused"].values()), counts_text(facts["refused"])),
+        "refused": _alarming(len(facts["refused"].keys() - {SUPERSEDED}), counts_text(facts["refused"])),
         "CPU %": Text(f"{facts['cpu_percent']:.0f}"),
         "MB": Text(f"{facts['memory_bytes'] / 1e6:.0f}"),
         "granted": Text(", ".join(granted) or "nothing"),

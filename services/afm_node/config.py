@@ -8,6 +8,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from proto.topics import deadline_of
 from services.afm_node.cantilever import Plant, build_plant, volts_per_m
 from services.afm_node.capillary import meniscus_radius_m
 from services.afm_node.maugis_dugdale import reduced_modulus_pa
@@ -91,13 +92,23 @@ class SafetyConfig(Settings):
     base_speed_m_per_s: Speed = Field(
         2e-6, description="Fastest motion of the base [m/s], up to 1e-3; Fig. 12 approaches at 15 nm/s."
     )
+    resume_acceleration_m_per_s2: float = Field(
+        2e-6,
+        gt=0.0,
+        le=1e6,
+        description="How fast the base takes up its speed again after a hold [m/s^2], up to 1e6: 0.4 nm in 20 ms.",
+    )
     retract_position_m: BasePosition = Field(-100e-9, description="Base in the safe state [m], within the range.")
     retract_speed_m_per_s: Speed = Field(1e-6, description="Speed of retraction [m/s], up to 1e-3.")
     force_limit_n: float = Field(
         200e-9, gt=0.0, le=1e-3, description="Repulsive force above which the tip is retracted [N], up to 1e-3."
     )
     command_deadline_s: float = Field(
-        0.050, gt=0.0, le=10.0, description="Oldest command that is followed [s], up to 10; older ones mean hold."
+        deadline_of("afm/command"),
+        gt=0.0,
+        le=10.0,
+        description="Oldest command, and oldest hand's sample behind it, that is followed [s], up to 10; older ones "
+        "mean hold.",
     )
     hold_time_s: float = Field(0.2, ge=0.0, le=60.0, description="Time in hold before retracting [s], 0 to 60.")
 

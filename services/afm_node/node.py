@@ -4,17 +4,18 @@ import math
 from typing import ClassVar
 
 from proto.errors import RefusedError
-from proto.messages import AfmCommand, ClockPing, SessionControl
+from proto.messages import AfmCommand, ClockPing, LinkDelay, SessionControl
 from services.afm_node import safety
 from services.afm_node.config import AfmConfig
 from services.afm_node.driver import AfmDriver
 from services.afm_node.step import LONGEST_STEP_NS, AfmSample, patience_ns
 from services.runtime.bus import Received
 from services.runtime.frames import across, along
+from services.runtime.freshness import LOOP_DEADLINE_NS, HandAge, age_s
 from services.runtime.node import Node, NodeContext
 from services.runtime.replay_guard import ReplayGuard
 
-INPUTS = ("afm/command", "clock/ping", "session/control", "node/health")
+INPUTS = ("afm/command", "clock/ping", "link/delay", "session/control", "node/health")
 PERIOD_S = 1e-3
 _PERIOD_NS = round(PERIOD_S * 1e9)
 _PATIENCE_NS = patience_ns(_PERIOD_NS)
@@ -33,7 +34,9 @@ class AfmNode(Node):
     """The instrument: afm/command in, afm/state out, one state a command, and a thousand a second without any.
 
     Every command goes through the guard (`safety_step`) first; what the guard let through and the
-    device really did is what is published.
+    device really did is what is published. The guard judges the age of the command, by its own time stamp, and that of
+    the hand's sample which it descends from, less what the link has delayed on purpose. A process that stalled counts
+    that time as silence, whatever waits for it.
     """
 
     inputs = INPUTS
@@ -44,6 +47,8 @@ class AfmNode(Node):
     def __init__(self, context: NodeContext, config: AfmConfig, driver: AfmDriver) -> None:
         super().__init__(context)
         self._replay_guard = ReplayGuard(context, allow=config.allow_replay)
+        self._allow_replay = config.allow_replay
+        self._hand_age = HandAge(context.key, self.clock.now_ns())
         self._driver = driver
         self._limits = config.to_params().safety
         self._guard = safety.initial_safety_state(self._limits)
@@ -69,16 +74,23 @@ class AfmNode(Node):
         return self._due_ns
 
     def on_message(self, received: Received) -> None:
-        if isinstance(received.message, ClockPing):
-            self.publish("clock/pong", ping_t_ns=received.message.t_ns, received_ns=received.received_ns)
-        elif isinstance(received.message, AfmCommand):
-            self._command = received.message
+        self._handle_stall(received.received_ns - self.clock.epoch_offset_ns)
+        message = received.message
+        if isinstance(message, AfmCommand):
+            self._command = message
             self._command_received_ns = received.received_ns
-            self._step(self.clock.monotonic_ns())
+            command_age_s = self._command_age_s()
+            self.stale += command_age_s > self._limits.command_deadline_s
+            self._step(self.clock.monotonic_ns(), command_age_s)
             self._due_ns = self._stepped_ns + _PATIENCE_NS
+        elif isinstance(message, LinkDelay):
+            self._hand_age.record(message)
+        elif isinstance(message, ClockPing):
+            self.publish("clock/pong", ping_t_ns=message.t_ns, received_ns=received.received_ns)
 
     def on_deadline(self, now_ns: int) -> None:
         """Step without a command: the guard judges the silence."""
+        self._handle_stall(now_ns)
         self._step(now_ns)
         self._due_ns = now_ns + _PERIOD_NS
 
@@ -99,14 +111,37 @@ class AfmNode(Node):
         """Retract the tip."""
         self._driver.close()
 
-    def _step(self, now_ns: int, *, arm: bool = False, estop: bool = False) -> safety.SafetyOutputs:
+    def _handle_stall(self, now_ns: int) -> None:
+        """Let the guard judge the time that this process stood still as silence, before it looks at what waited."""
+        # it takes a step every period and a half at the latest
+        stalled_ns = now_ns - self._stepped_ns
+        if stalled_ns > LOOP_DEADLINE_NS and self.steps:
+            stalled_s = stalled_ns * 1e-9
+            mode = safety.MODE_NAMES[self._step(now_ns, max(self._command_age_s(), stalled_s)).mode]
+            text = f"this process stalled for {stalled_s * 1e3:.0f} ms: the AFM is in mode {mode}"
+            self.event("fault", "warning", text, stalled_s=stalled_s, mode=mode)
+
+    def _command_age_s(self) -> float:
+        """Return the age of the command or of the hand's sample behind it [s], whichever is greater."""
+        command = self._command
+        if command is None:
+            return math.inf
+        now_ns, sent_ns = self.clock.now_ns(), command.t_ns
+        if self._allow_replay and self._hand_age.is_played(sent_ns):
+            # its stamp is that of the recording
+            sent_ns = self._command_received_ns
+        return self._hand_age.age_s(now_ns, command.hand_t_ns, age_s(now_ns, sent_ns))
+
+    def _step(
+        self, now_ns: int, command_age_s: float | None = None, *, arm: bool = False, estop: bool = False
+    ) -> safety.SafetyOutputs:
+        """Take a step at now_ns [ns], with the age of the command [s] where it is known already."""
         elapsed_s = min(max(now_ns - self._stepped_ns, 1) * 1e-9, _LONGEST_STEP_S)
         self._stepped_ns = now_ns
         command = self._command
-        age_s = math.inf if command is None else (self.clock.now_ns() - self._command_received_ns) * 1e-9
         asked = safety.SafetyInputs(
             reference_m=0.0 if command is None else along(command.base_position_m),
-            command_age_s=age_s,
+            command_age_s=self._command_age_s() if command_age_s is None else command_age_s,
             action=safety.ACTION_HOLD if command is None else _ACTION_CODES[command.mode],
             arm=arm,
             estop=estop,

@@ -6,6 +6,8 @@ Modes: RETRACTED (safe state, where a node starts), FOLLOW, HOLD, RETRACTING, ES
 2. repulsive force above the limit, or a force that is no number, in FOLLOW or HOLD: RETRACTING.
 3. no command for longer than the deadline: FOLLOW -> HOLD (the base stays); for hold_time longer: RETRACTING.
 4. a fresh command: retract -> RETRACTING, hold -> HOLD, position -> FOLLOW. An action code that is not known is a hold.
+   From HOLD the base takes up its speed gradually: while it stood the reference may have gone on, and the tip must not
+   jump after it.
 5. RETRACTING ends in RETRACTED; both are left by arming only.
 
 Arming is one-shot. It is accepted with the base retracted, in RETRACTED, or in ESTOP once released, and only while a
@@ -86,6 +88,7 @@ class SafetyParams(NamedTuple):
     base_min_m: float
     base_max_m: float
     base_speed_m_per_s: float
+    resume_acceleration_m_per_s2: float
     retract_position_m: float
     retract_speed_m_per_s: float
     force_limit_n: float
@@ -94,11 +97,15 @@ class SafetyParams(NamedTuple):
 
 
 class SafetyState(NamedTuple):
-    """Mode (MODE_*), base position last commanded [m] and reason (REASON_*) of the last transition."""
+    """Mode (MODE_*), base position last commanded [m] and reason (REASON_*) of the last transition.
+
+    slower_m_per_s: what the base is still kept below its speed limit after a hold [m/s].
+    """
 
     mode: int
     base_m: float
     reason: int
+    slower_m_per_s: float = 0.0
 
 
 class SafetyInputs(NamedTuple):
@@ -147,10 +154,12 @@ def safety_step(
         refusal = _arm_refusal(params, state, inputs)
         if refusal == ARM_NOT_REFUSED:
             mode, reason = MODE_FOLLOW, REASON_ARMED
-    base, limited = _next_base(params, state.base_m, mode, inputs.reference_m, dt)
+    slower = _slower(params, state, mode, dt)
+    speed = params.base_speed_m_per_s - slower
+    base, limited = _next_base(params, state.base_m, mode, inputs.reference_m, speed, dt)
     if mode == MODE_RETRACTING and base <= params.retract_position_m:
         mode = MODE_RETRACTED
-    return SafetyState(mode, base, reason), SafetyOutputs(base, mode, limited, reason, refusal)
+    return SafetyState(mode, base, reason, slower), SafetyOutputs(base, mode, limited, reason, refusal)
 
 
 @compiled
@@ -196,7 +205,18 @@ def _arm_refusal(params: SafetyParams, state: SafetyState, inputs: SafetyInputs)
 
 
 @compiled
-def _next_base(params: SafetyParams, base_m: float, mode: int, reference_m: float, dt: float) -> tuple[float, int]:
+def _slower(params: SafetyParams, state: SafetyState, mode: int, dt: float) -> float:
+    """Return by how much the speed of this tick stays below the limit: nearly all of it after a hold, then less."""
+    if mode != MODE_FOLLOW:
+        return 0.0
+    before = params.base_speed_m_per_s if state.mode == MODE_HOLD else state.slower_m_per_s
+    return max(before - params.resume_acceleration_m_per_s2 * dt, 0.0)
+
+
+@compiled
+def _next_base(
+    params: SafetyParams, base_m: float, mode: int, reference_m: float, speed_m_per_s: float, dt: float
+) -> tuple[float, int]:
     """Return the base position after this tick and the bits of the limits that changed it."""
     if mode == MODE_HOLD:
         return base_m, 0
@@ -205,7 +225,7 @@ def _next_base(params: SafetyParams, base_m: float, mode: int, reference_m: floa
         return max(base_m - params.retract_speed_m_per_s * dt, min(base_m, params.retract_position_m)), 0
     target = min(max(reference_m, params.base_min_m), params.base_max_m)
     limited = LIMITED_BY_RANGE if target != reference_m else 0
-    reach = params.base_speed_m_per_s * dt
+    reach = speed_m_per_s * dt
     base = min(max(target, base_m - reach), base_m + reach)
     if base != target:
         limited |= LIMITED_BY_SPEED

@@ -10,7 +10,7 @@ from services.runtime.node import AccountedBus, Node
 
 def build(wiring: Wiring, config: ControllerConfig) -> tuple[Node, AccountedBus]:
     """Wire the half that belongs to the site."""
-    bus = wiring.bus(MASTER_INPUTS if wiring.key.endswith("@master") else SLAVE_INPUTS)
+    bus = wiring.bus(MASTER_INPUTS if wiring.key.endswith("@master") else SLAVE_INPUTS, newest_only=True)
     return half_of_site(wiring.context(bus), config), bus
 
 

@@ -11,6 +11,7 @@ from proto.messages import (
 from services.controller import energy
 from services.controller.config import LAWS, ControllerConfig, changed_config
 from services.controller.deadband import deadband, fresh
+from services.controller.input_age import InputAge
 from services.controller.law import (
     LONGEST_BRIDGED_PERIODS,
     NO_SIGNAL,
@@ -19,6 +20,7 @@ from services.controller.law import (
     PortSignal,
 )
 from services.controller.warm_up import warm_up
+from services.runtime.bus import Received
 from services.runtime.frames import across, along
 from services.runtime.node import Node, NodeContext
 
@@ -33,6 +35,8 @@ class ControllerHalf(Node):
     coasts to rest, that of the base stays, and both send the new law's signals without following; those of another law
     are ignored. The master takes over from where the hand is when it receives the slave in the new law, with the tip's
     reference where the slave reports the base; the slave goes on when it receives that the master follows.
+
+    What is past its deadline is rejected (`InputAge`), and a half that stalled begins with the next fresh signal.
     """
 
     commands: ClassVar[tuple[str, ...]] = ("set",)
@@ -48,6 +52,7 @@ class ControllerHalf(Node):
         self.port = energy.opened(0.0, 0.0)
         self._signal_ns: int | None = None
         self._signal_hand_ns = 0
+        self.input_age = InputAge(context, self.clock.now_ns())
         self._hand = (0, 0)
         self._period_ns = round(config.period_s * 1e9)
         self._status_ticks = max(1, round(STATUS_PERIOD_S / config.period_s))
@@ -62,11 +67,29 @@ class ControllerHalf(Node):
     def law(self) -> Law:
         return LAWS[self.config.law]
 
+    def deadline_ns(self) -> int:
+        return self.input_age.deadline_ns()
+
     def on_deadline(self, now_ns: int) -> None:
-        """Do nothing: a controller acts on messages only."""
+        """Detect a stall: a controller acts on messages only."""
+        if self.input_age.stalled(now_ns):
+            self.forget()
+
+    def rejects(self, received: Received) -> bool:
+        """Return whether a message is too old to act on; forget the time before, where this process stalled."""
+        if self.input_age.stalled(received.received_ns - self.clock.epoch_offset_ns):
+            self.forget()
+        rejected = self.input_age.rejects(received)
+        self.stale += rejected
+        return rejected
+
+    def forget(self) -> None:
+        """Forget the signal of the other half; it is waited for anew."""
+        self.signal, self._signal_ns = NO_SIGNAL, None
+        self.state = "safe"
 
     def make_safe(self) -> None:
-        """Do nothing: a controller holds no actuator, and its silence makes the devices safe."""
+        """Do nothing: the silence of a controller makes the devices safe."""
 
     def on_control(self, control: SessionControl) -> str:
         """Change the law or its parameters: dotted keys below `controller`, such as virtual_impedance.force_gain."""

@@ -3,11 +3,11 @@
 import math
 from typing import Any, Literal, cast
 
-from proto import TOPICS
 from proto.messages import (
     AfmState,
     HapticState,
     LawStatus,
+    LinkDelay,
     SessionControl,
     TeleopBackward,
     TeleopForward,
@@ -16,6 +16,7 @@ from services.controller import energy
 from services.controller.clamp import clamped
 from services.controller.config import ControllerConfig
 from services.controller.half import NEVER, ControllerHalf
+from services.controller.input_age import INSTRUMENT_DEADLINE_S
 from services.controller.law import (
     EnergyAccount,
     HandSample,
@@ -29,10 +30,8 @@ from services.runtime.bus import Received
 from services.runtime.frames import across, along
 from services.runtime.node import NodeContext
 
-# oldest sample of the instrument that a law may still take for the present
-INSTRUMENT_DEADLINE_S = TOPICS["afm/state"].deadline_s or 0.0
-MASTER_INPUTS = ("haptic/state", "teleop/backward", "law/status", "session/control")
-SLAVE_INPUTS = ("teleop/forward", "afm/state", "session/control")
+MASTER_INPUTS = ("haptic/state", "teleop/backward", "law/status", "link/delay", "session/control")
+SLAVE_INPUTS = ("teleop/forward", "afm/state", "link/delay", "session/control")
 # while the other half is waited for, the hand comes to rest like a virtual mass that is left alone
 _COASTING_S = 0.005
 
@@ -57,6 +56,8 @@ class MasterController(ControllerHalf):
         self._far: LawStatus | None = None
 
     def on_message(self, received: Received) -> None:
+        if self.rejects(received):
+            return
         message = received.message
         if isinstance(message, HapticState):
             self._on_hand(message)
@@ -68,6 +69,12 @@ class MasterController(ControllerHalf):
                 self._command()
         elif isinstance(message, LawStatus):
             self._far = message
+        elif isinstance(message, LinkDelay):
+            self.input_age.record(message)
+
+    def forget(self) -> None:
+        super().forget()
+        self._command_due = False
 
     def retuned(self, old: Any, new: Any) -> Any:
         """Carry the state over without a jump at the tip."""
@@ -177,13 +184,25 @@ class SlaveController(ControllerHalf):
         self._clamp = config.clamp_params()
         self._local = config.local_loop
         self._instrument_ns = 0
+        self._instrument_lost = False
 
     def on_message(self, received: Received) -> None:
+        if self.rejects(received):
+            return
         message = received.message
         if isinstance(message, TeleopForward):
             self._on_forward(message, received.received_ns)
         elif isinstance(message, AfmState):
+            self._instrument_ns = self.input_age.sampled_ns(received)
             self._on_instrument(message)
+        elif isinstance(message, LinkDelay):
+            self.input_age.record(message)
+
+    def forget(self) -> None:
+        super().forget()
+        self._awaited = None
+        if self.tip.following:
+            self._lose_instrument()
 
     def energy_account(self) -> EnergyAccount:
         return cast(EnergyAccount, self.law.slave_energy_account(self.params, self.law_state))
@@ -218,7 +237,9 @@ class SlaveController(ControllerHalf):
         if self.law_state is None or (elapsed is None and not self.switching):
             self.law_state = self.law.slave_start(self.params, self.tip)
         self._dt_s = elapsed if elapsed is not None else self.config.period_s
-        if not self.switching:
+        if self._instrument_lost:
+            self.reference = SlaveReference(self.reference.position_m, False)
+        elif not self.switching:
             self._receive(self.latest_signal())
         self._command(answers=True)
         self.steps += 1
@@ -247,13 +268,17 @@ class SlaveController(ControllerHalf):
         """Mark an instrument that has been silent for too long as not following, whatever it published last."""
         silence_s = (self.clock.now_ns() - self._instrument_ns) * 1e-9
         if self.tip.following and silence_s > INSTRUMENT_DEADLINE_S:
-            self.tip = self.tip._replace(following=False)
-            self.state = "safe"
+            self._lose_instrument()
             text = f"the AFM has been silent for {silence_s * 1e3:.0f} ms: the hand is let go"
             self.event("fault", "warning", text, silence_s=silence_s)
 
+    def _lose_instrument(self) -> None:
+        """Hold the base where it was last told to be, until the instrument says where it is."""
+        self.tip = self.tip._replace(following=False)
+        self.state = "safe"
+        self._instrument_lost = True
+
     def _on_instrument(self, message: AfmState) -> None:
-        self._instrument_ns = self.clock.now_ns()
         self.tip = TipSample(
             along(message.base_position_m),
             message.tip_force_n[2],
@@ -263,6 +288,10 @@ class SlaveController(ControllerHalf):
             message.mode in ("follow", "hold"),
         )
         self.state = "running" if self.tip.following else "safe"
+        if self._instrument_lost:
+            self._instrument_lost = False
+            self.reference = SlaveReference(self.tip.position_m, True)
+            self.law_state = self._standing()
         self._count()
         if self._awaited is not None and message.command_seq == self._awaited and message.hand_t_ns > 0:
             self._answer()

@@ -21,7 +21,8 @@ def build(wiring: Wiring, settings: LinkSettings) -> tuple[Node, AccountedBus]:
     listeners = [listener for plan in connections for listener in wiring.subscribers(plan)]
     bus = wiring.bus_of(to_master, [*listeners, *wiring.estop_inlet()])
     try:
-        node = DelayNode(wiring.context(bus), settings, to_slave, to_master, wiring.scenario_file.parent)
+        folder, apart = wiring.scenario_file.parent, wiring.book.spans_machines
+        node = DelayNode(wiring.context(bus), settings, to_slave, to_master, folder, spans_machines=apart)
     except ConfigError as error:
         raise ConfigError(f"{wiring.scenario_file}: delay_node: {error}") from error
     return node, bus

@@ -9,12 +9,15 @@ from proto.errors import ConfigError, RefusedError
 from proto.messages import ClockPong, LinkClock, LinkDirection, LinkFate, Message, SessionControl
 from proto.nodes import LINK
 from proto.ranges import limited
+from proto.topics import output_name
 from services.delay_node.clock_offset import Exchange, Offset, OffsetFilter
 from services.delay_node.config import LinkSettings, Setting, changed, flattened
+from services.delay_node.declared_delay import ONE_MACHINE, DeclaredDelay, between_sites
 from services.delay_node.engine import DirectionEngine, LinkEngine
 from services.delay_node.fate import Direction, Fate, Release
 from services.runtime.bus import Received
 from services.runtime.deadlines import PeriodicDeadline
+from services.runtime.freshness import StallDetector
 from services.runtime.node import Node, NodeContext
 
 STATUS_PERIOD_NS = 100_000_000
@@ -58,10 +61,18 @@ class DelayNode(Node):
     period_s = 0.0
 
     def __init__(
-        self, context: NodeContext, settings: LinkSettings, to_slave: Outlet, to_master: Outlet, folder: Path
+        self,
+        context: NodeContext,
+        settings: LinkSettings,
+        to_slave: Outlet,
+        to_master: Outlet,
+        folder: Path,
+        *,
+        spans_machines: bool = False,
     ) -> None:
         """Start with the settings; the files that they name are sought in `folder`.
 
+        Parameters: spans_machines, the sites have clocks of their own and a network between them.
         Raises ConfigError naming file and line, for a trace that cannot be used.
         """
         super().__init__(context)
@@ -71,17 +82,21 @@ class DelayNode(Node):
         self._ways = (self._forward, self._backward)
         self._forwarded = {way.endpoint: 0 for way in self._ways}
         self._offset = OffsetFilter(_CLOCK_WINDOW)
+        self._forward_delay, self._backward_delay = DeclaredDelay("forward"), DeclaredDelay("backward")
+        self._between = ONE_MACHINE
+        self._spans_machines = spans_machines
+        self._stalls = StallDetector()
         self._unreported = 0
         self._status = PeriodicDeadline(self.clock.monotonic_ns(), STATUS_PERIOD_NS)
         self.state = "running"
 
     def deadline_ns(self) -> int:
         release_ns = self.engine.next_release_ns()
-        if release_ns is None:
-            return self._status.deadline_ns
-        return min(self._status.deadline_ns, release_ns - self.clock.epoch_offset_ns)
+        due_ns = min(self._status.deadline_ns, self._stalls.deadline_ns())
+        return due_ns if release_ns is None else min(due_ns, release_ns - self.clock.epoch_offset_ns)
 
     def on_message(self, received: Received) -> None:
+        self._report_stall(received.received_ns - self.clock.epoch_offset_ns)
         if isinstance(received.message, ClockPong):
             pong = received.message
             self._offset.record(Exchange(pong.ping_t_ns, pong.received_ns, pong.t_ns, received.received_ns))
@@ -102,6 +117,7 @@ class DelayNode(Node):
             self._publish_fates()
 
     def on_deadline(self, now_ns: int) -> None:
+        self._report_stall(now_ns)
         epoch_ns = now_ns + self.clock.epoch_offset_ns
         for way in self._ways:
             self._send(way, way.engine.due(epoch_ns))
@@ -109,11 +125,17 @@ class DelayNode(Node):
             self._status.advance(now_ns)
             self._publish_fates()
             self._report()
+            if self._spans_machines:
+                self._between = between_sites(self._offset.estimate())
+            # for readers that came later, and for what the clocks have done
+            for way in self._ways:
+                self._declare(way)
             self._forward.outlet.publish("clock/ping")
 
     def further_outputs(self) -> dict[str, int]:
         """Return the count of messages forwarded at each endpoint, by its name, and the numbers of the slave's."""
-        return {**self._forward.outlet.sequence_numbers(), **self._forwarded}
+        numbers = self._forward.outlet.sequence_numbers()
+        return {**{output_name(topic, f"{LINK}@slave"): seq for topic, seq in numbers.items()}, **self._forwarded}
 
     def on_control(self, control: SessionControl) -> str:
         """Change the settings for the messages that arrive from now on; those in flight keep their fate."""
@@ -135,9 +157,28 @@ class DelayNode(Node):
     def _send(self, way: Way, releases: Sequence[Release]) -> None:
         if not releases:
             return
+        declared = self._declared(way)
         for release in releases:
+            if declared.changed_by(release):
+                self._declare(way)
             way.outlet.send(release.topic, release.payload)
         self._forwarded[way.endpoint] += len(releases)
+
+    def _declared(self, way: Way) -> DeclaredDelay:
+        return self._forward_delay if way is self._forward else self._backward_delay
+
+    def _declare(self, way: Way) -> None:
+        """Publish the delay of a direction where it counts: that of the way back does at the master only."""
+        fields = {"direction": way.name, **self._declared(way).current._asdict(), **self._between._asdict()}
+        for outlet in (way.outlet,) if way is self._backward else (way.outlet, self._backward.outlet):
+            outlet.publish("link/delay", **fields)
+
+    def _report_stall(self, now_ns: int) -> None:
+        """Report that the link stood still; what it sends on late, its readers reject for its age."""
+        stalled_s = self._stalls.stalled_s(now_ns)
+        if stalled_s:
+            text = f"this process stalled for {stalled_s * 1e3:.0f} ms: what waited is sent on late, and is rejected"
+            self.event("fault", "warning", text, stalled_s=stalled_s)
 
     def _publish_fates(self) -> None:
         self._unreported = 0

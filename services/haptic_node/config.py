@@ -6,6 +6,7 @@ from typing import Annotated, Literal, NamedTuple
 import numpy as np
 from pydantic import Field, model_validator
 
+from proto.topics import deadline_of
 from services.haptic_node import step
 from services.haptic_node.motor import SUBSTEP_S, MotorParams, closed_loop_coefficients
 from services.haptic_node.operator import FORCE_PROFILE, IMPEDANCE, OperatorParams
@@ -108,10 +109,11 @@ class LimitsConfig(Settings):
     """What the guard in front of the driver lets through."""
 
     command_deadline_s: float = Field(
-        default=0.050,
+        default=deadline_of("haptic/command"),
         ge=1e-6,
         le=10.0,
-        description="Oldest command that is still followed, beyond it the motor is off [s]; [1e-6, 10]",
+        description="Oldest command, and oldest hand's sample that it answers, that is still followed; beyond it the "
+        "motor is off [s]; [1e-6, 10]",
     )
     position_min_m: float = Field(
         default=-0.0045, ge=-1.0, le=1.0, description="Lowest position reference [m]; [-1, 1]"

@@ -3,17 +3,18 @@
 import math
 from typing import ClassVar
 
-from proto.messages import HapticCommand, SessionControl
+from proto.messages import HapticCommand, LinkDelay, SessionControl
 from services.haptic_node import safety
 from services.haptic_node.config import HapticConfig
 from services.haptic_node.driver import DeviceReading, DriveCommand, HapticDevice
 from services.runtime.bus import Received
 from services.runtime.deadlines import PeriodicDeadline
 from services.runtime.frames import across, along
+from services.runtime.freshness import LOOP_DEADLINE_NS, HandAge, age_s
 from services.runtime.node import Node, NodeContext
 from services.runtime.replay_guard import ReplayGuard
 
-INPUTS = ("haptic/command", "session/control", "node/health")
+INPUTS = ("haptic/command", "link/delay", "session/control", "node/health")
 PERIOD_S = 1e-3
 _MODE_CODES = {name: code for code, name in safety.MODE_NAMES.items()}
 # what acts on the way to the device without being a change of its mode
@@ -25,7 +26,9 @@ class HapticNode(Node):
     """The operator's device on an absolute grid of 1 kHz: haptic/command in, haptic/state out.
 
     Every command goes through the guard (`safety.step`) first; what the guard let through and the
-    device really did is what is published.
+    device really did is what is published. The guard judges the age of the command, by its own time stamp, and that of
+    the sample of this device which it answers, less what the link has delayed on purpose, both ways. A process that
+    stalled takes the force from the motor until the next command.
     """
 
     inputs = INPUTS
@@ -36,6 +39,8 @@ class HapticNode(Node):
     def __init__(self, context: NodeContext, config: HapticConfig, device: HapticDevice) -> None:
         super().__init__(context)
         self._replay_guard = ReplayGuard(context, allow=config.allow_replay)
+        self._allow_replay = config.allow_replay
+        self._hand_age = HandAge(context.key, self.clock.now_ns())
         self.device = device
         self._limits = config.limits.to_params(
             has_position_mode=safety.MODE_POSITION in device.capabilities.modes,
@@ -45,6 +50,7 @@ class HapticNode(Node):
         self._position_m = config.device.start_position_m
         self._command: HapticCommand | None = None
         self._command_received_ns = 0
+        self._command_is_new = False
         self._estop_asked = False
         self._arm_asked = False
         self._session_ticks: int | None = None
@@ -64,9 +70,13 @@ class HapticNode(Node):
         if isinstance(received.message, HapticCommand):
             self._command = received.message
             self._command_received_ns = received.received_ns
+            self._command_is_new = True
+        elif isinstance(received.message, LinkDelay):
+            self._hand_age.record(received.message)
 
     def on_deadline(self, now_ns: int) -> None:
         """Guard the command, drive and sample the device, publish what it did."""
+        self._handle_stall(now_ns)
         periods = self._grid.advance(now_ns)
         self.overruns = self._grid.overruns
         elapsed_s = periods * PERIOD_S
@@ -102,14 +112,38 @@ class HapticNode(Node):
     def _session_s(self) -> float:
         return _NOT_RUNNING_S if self._session_ticks is None else self._session_ticks * PERIOD_S
 
-    def _guarded(self) -> safety.SafetyOutputs:
+    def _handle_stall(self, now_ns: int) -> None:
+        """Forget the command in force, and whatever came in with it, where this process stood still."""
+        late_ns = now_ns - self._grid.deadline_ns
+        if late_ns > LOOP_DEADLINE_NS and self.steps:
+            self._command = None
+            text = f"this process stalled for {late_ns * 1e-6:.0f} ms: the motor is off until the next command"
+            self.event("fault", "warning", text, stalled_s=late_ns * 1e-9)
+
+    def _command_age_s(self) -> float:
+        """Return the age of the command, or of the sample that it answers if it moves anything, if greater [s]."""
         command = self._command
-        age_s = math.inf if command is None else (self.clock.now_ns() - self._command_received_ns) * 1e-9
+        if command is None:
+            return math.inf
+        now_ns, sent_ns = self.clock.now_ns(), command.t_ns
+        if self._allow_replay and self._hand_age.is_played(sent_ns):
+            # its stamp is that of the recording
+            sent_ns = self._command_received_ns
+        command_age_s = age_s(now_ns, sent_ns)
+        if command.mode == "off":
+            return command_age_s
+        return self._hand_age.age_s(now_ns, command.hand_t_ns, command_age_s)
+
+    def _guarded(self) -> safety.SafetyOutputs:
+        command, command_age_s = self._command, self._command_age_s()
+        if self._command_is_new:
+            self._command_is_new = False
+            self.stale += command_age_s > self._limits.command_deadline_s
         asked = safety.SafetyInputs(
             command_mode=safety.MODE_OFF if command is None else _MODE_CODES[command.mode],
             position_reference_m=0.0 if command is None else along(command.position_m),
             force_reference_n=0.0 if command is None else along(command.force_n),
-            command_age_s=age_s,
+            command_age_s=command_age_s,
             estop=self._estop_asked,
             arm=self._arm_asked,
             position_m=self._position_m,

@@ -2,23 +2,31 @@
 
 import select
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import islice
 from typing import Any, NamedTuple, Protocol, cast
 
 import zmq
 
-from proto import TOPICS, WireError, accept, encode
+from proto import TOPICS, WireError, accept, decode_header, encode
 from proto.codec import MAX_MESSAGE_BYTES
 from proto.errors import EndpointError
-from proto.messages import MAX_ROWS, InputHealth, Message
+from proto.messages import MAX_ROWS, SUPERSEDED, InputHealth, Message
 from proto.ranges import limited
 from proto.sequence import Arrival, SequenceTracker
 from services.runtime.clock import Clock
 from services.runtime.endpoint_lock import EndpointLock
+from services.runtime.newest import Header, Taken, without_superseded
 
-# ten seconds of a 1 kHz topic: a reader that stops for longer loses messages, which it then counts
-HIGH_WATER_MARK = 10_000
+# Messages that wait for a reader: at the publisher ten seconds of the busiest ones, the halves of the controller with
+# 2100 a second, where the reader's whole process stands still; and as much again in a reader that runs and is behind,
+# such as a recorder. Beyond that the newest are lost, which the reader counts.
+QUEUE_S = 10
+SEND_HIGH_WATER_MARK = RECEIVE_HIGH_WATER_MARK = 22_000
+# a reader of the newest has no use for more than it takes at once; what is older than ten seconds is dropped for it
+# by the publisher, together with the connection, so that it begins with the newest when it goes on
+_NEWEST_HIGH_WATER_MARK = 256
+_PING_MS = 1000
 # a frame above this is not even taken into memory: libzmq drops the connection that sent it
 _LARGEST_FRAME = 16 * MAX_MESSAGE_BYTES
 # a subscriber sends nothing but names of topics
@@ -55,7 +63,7 @@ class Bus(Protocol):
     def publish(self, topic: str, **fields: Any) -> Message:
         """Send a message; the header is filled in."""
 
-    def receive(self) -> Iterator[Received]:
+    def receive(self) -> Iterable[Received]:
         """Return what has arrived, without waiting."""
 
     def wait(self, deadline_ns: int) -> None:
@@ -155,7 +163,7 @@ class ZmqPublisher(_NumberingPublisher):
         self._lock = EndpointLock(endpoint)
         self.socket = context.socket(kind)
         self.socket.set(zmq.AFFINITY, _FIRST_THREAD)
-        self.socket.set(zmq.SNDHWM, HIGH_WATER_MARK)
+        self.socket.set(zmq.SNDHWM, SEND_HIGH_WATER_MARK)
         self.socket.set(zmq.LINGER, _LINGER_MS)
         self.socket.set(zmq.MAXMSGSIZE, _LARGEST_SUBSCRIPTION)
         prepare(self.socket)
@@ -195,11 +203,14 @@ class Subscriber:
         *,
         connect: bool = True,
         permit: Callable[[str, str], None] | None = None,
+        newest_only: bool = False,
+        queue_s: float = QUEUE_S,
     ) -> None:
         """Connect to endpoints (keys) for topics (values).
 
         Parameters: connect, false when somebody else connects the socket later; permit, called with topic and source
-        of each message, raises WireError for what the peers of this socket may not publish.
+        of each message, raises WireError for what the peers of this socket may not publish; newest_only, of what waits
+        together on a `latest` topic return the newest of each source; queue_s, the most that waits after a stall [s].
         """
         self._clock = clock
         self.permit = permit
@@ -210,49 +221,84 @@ class Subscriber:
         self.drained = True
         self.socket = context.socket(zmq.SUB)
         self.socket.set(zmq.AFFINITY, _FIRST_THREAD)
-        self.socket.set(zmq.RCVHWM, HIGH_WATER_MARK)
+        self.socket.set(zmq.RCVHWM, _NEWEST_HIGH_WATER_MARK if newest_only else RECEIVE_HIGH_WATER_MARK)
+        if newest_only:
+            # the peer cuts a connection on which nothing came for the time that a ping of this side names
+            self.socket.set(zmq.HEARTBEAT_IVL, min(_PING_MS, round(250 * queue_s)))
+            self.socket.set(zmq.HEARTBEAT_TTL, round(1000 * queue_s))
+            self.socket.set(zmq.HEARTBEAT_TIMEOUT, round(1000 * queue_s))
         self.socket.set(zmq.LINGER, 0)
         self.socket.set(zmq.MAXMSGSIZE, _LARGEST_FRAME)
         self.socket.set(zmq.RECONNECT_IVL, _RECONNECT_MS)
         self.topics = sorted({topic for topics in connections.values() for topic in topics})
+        self._names = {topic.encode(): topic for topic in self.topics if topic in TOPICS}
+        latest = {frame: topic for frame, topic in self._names.items() if TOPICS[topic].delivery == "latest"}
+        self._conflated = latest if newest_only else {}
         for topic in self.topics:
             self.socket.subscribe(topic.encode())
         for endpoint in connections if connect else ():
             self.socket.connect(endpoint)
         self.descriptor: int = self.socket.fileno()
 
-    def receive_raw(self) -> Iterator[tuple[list[bytes], int]]:
+    def receive_raw(self) -> list[tuple[list[bytes], int]]:
         """Return the frames of what has arrived, a bounded number, and the time [ns] at which each was taken."""
-        receive, pending = self.socket.recv, self.pending
+        receive, pending, now_ns = self.socket.recv, self.pending, self._clock.now_ns
+        waiting: list[tuple[list[bytes], int]] = []
+        self.drained = False
         for taken in range(_BATCH):
             # asked first, because learning it from an exception costs as much as taking a message; not where many come
             if taken < _FEW and not pending():
                 self.drained = True
-                return
-            self.drained = False
+                break
             try:
                 # as an object that knows whether more follow: to ask the socket costs more than to take a frame
                 frame = receive(_DONTWAIT, False)
             except zmq.Again:
                 self.drained = True
-                return
+                break
             frames = [frame.bytes]
             while frame.more:
                 frame = receive(0, False)
                 frames.append(frame.bytes)
-            yield frames, self._clock.now_ns()
+            waiting.append((frames, now_ns()))
+        return waiting
 
-    def receive(self) -> Iterator[Received]:
+    def receive(self) -> list[Received]:
         """Return the messages that have arrived: valid, not overtaken on `latest` topics, repeated only if commands."""
-        for frames, received_ns in self.receive_raw():
-            received = self.decode_and_track(frames, received_ns)
-            if received is not None:
-                yield received
+        return self.take(self.receive_raw())
+
+    def take(self, waiting: Sequence[Taken]) -> list[Received]:
+        """Decode, validate and track what waited together, each message with the time of reception [ns]."""
+        if self._conflated and len(waiting) > 1:
+            # commands, and what tells how a delay changed, before what they apply to
+            left = without_superseded(waiting, self._conflated, self._header)
+            waiting = sorted(left, key=lambda taken: taken[0][0] in self._conflated)
+        received = []
+        for frames, received_ns in waiting:
+            message = self.decode_and_track(frames, received_ns)
+            if message is not None:
+                received.append(message)
+        return received
+
+    def _header(self, frames: Sequence[bytes]) -> Header | None:
+        if len(frames) != 2:
+            return None
+        topic = self._conflated[frames[0]]
+        try:
+            (seq, t_ns, src), _ = decode_header(topic, frames[1])
+            if self.permit is not None:
+                self.permit(topic, src)
+        except WireError:
+            return None
+        tracker = self.trackers.get((topic, src))
+        return None if tracker is None else (tracker, seq, t_ns)
 
     def decode_and_track(self, frames: Sequence[bytes], received_ns: int) -> Received | None:
         """Decode, validate and count one message; None when it is rejected, repeated or superseded."""
         try:
-            topic, payload = split_frames(frames)
+            topic, payload = self._names.get(frames[0], ""), frames[-1]
+            if not topic or len(frames) != 2:
+                topic, payload = split_frames(frames)
             message = accept(topic, payload)
             if self.permit is not None:
                 self.permit(topic, message.src)
@@ -354,7 +400,10 @@ class ZmqBus:
         return tuple(islice(accounts, MAX_ROWS))
 
     def rejections(self) -> tuple[dict[str, int], str]:
-        """Return frames and connections refused so far by reason, and the text of a refusal since it was last asked."""
+        """Return what was not taken so far by reason, and the text of a refusal since it was last asked.
+
+        Beside what is refused that is what was superseded: no fault, for a newer message was waiting as well.
+        """
         total: dict[str, int] = {}
         for place, account in enumerate(self._accounts):
             for reason, count in account.rejected.items():
@@ -362,6 +411,9 @@ class ZmqBus:
             counted = sum(account.rejected.values())
             if counted != self._counted[place]:
                 self._counted[place], self._last_error = counted, account.last_error
+        superseded = sum(tracker.superseded for reader in self.subscribers for tracker in reader.trackers.values())
+        if superseded:
+            total[SUPERSEDED] = superseded
         return total, self._last_error
 
 

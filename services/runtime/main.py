@@ -60,10 +60,10 @@ def node_kind(name: str) -> NodeKind[Any]:
 
 
 def ordinary(node: Callable[[NodeContext, C], Node], inputs: Sequence[str]) -> Callable[..., tuple[Node, AccountedBus]]:
-    """Return the builder of a node that has one bus."""
+    """Return the builder of a node of the loop that has one bus."""
 
     def build(wiring: Wiring, config: C) -> tuple[Node, AccountedBus]:
-        bus = wiring.bus(inputs)
+        bus = wiring.bus(inputs, newest_only=True)
         return node(wiring.context(bus), config), bus
 
     return build

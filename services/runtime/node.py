@@ -13,12 +13,13 @@ from typing import ClassVar, Literal, Protocol
 
 from proto import TOPICS
 from proto.errors import RefusedError
-from proto.messages import MAX_TEXT, InputHealth, NodeHealth, Scalar, SessionControl
+from proto.messages import MAX_TEXT, SUPERSEDED, InputHealth, NodeHealth, Scalar, SessionControl
 from proto.sequence import Arrival
 from services.runtime.bus import Bus, ConnectionEvent, Received
 from services.runtime.clock import Clock
 from services.runtime.commands import HELD_UP_NS, CommandHandler
 from services.runtime.deadlines import LatenessWindow, SpinMargin
+from services.runtime.freshness import LOOP_DEADLINE_NS
 from services.runtime.journal import InputJournal
 from services.runtime.log import RateLimitedLog, StructuredLog
 from services.runtime.realtime import RealtimeStatus
@@ -80,6 +81,8 @@ class Node(ABC):
         self.event = context.event
         self.steps = 0
         self.overruns = 0
+        # messages that were not acted on because they, or the hand's sample behind them, were past their deadline
+        self.stale = 0
 
     @abstractmethod
     def on_message(self, received: Received) -> None:
@@ -166,16 +169,17 @@ class NodeLoop:
         wanted = self.node.deadline_ns() - self._spin.ns
         self._bus.wait(min(wanted, self.health_due_ns))
         woken = self._note_awake()
-        idle = True
-        for received in self._bus.receive():
+        taken = list(self._bus.receive())
+        if taken and self._journal is not None:
+            taken = self._retimed(taken, woken)
+        for received in taken:
             self._dispatch(received)
-            idle = False
         self._report_connections(self._bus.process_events())
         # a message may have moved the deadline
         deadline = self.node.deadline_ns()
         now = self._clock.monotonic_ns()
         if deadline - self._spin.ns <= now:
-            if idle and woken >= wanted:
+            if not taken and woken >= wanted:
                 self._spin.record(woken - wanted)
             while now < deadline:
                 now = self._clock.monotonic_ns()
@@ -199,6 +203,8 @@ class NodeLoop:
         cpu_s = time.process_time()
         p50, p99, greatest = self._lateness.take()
         rejected, _ = self._bus.rejections()
+        if self.node.stale:
+            rejected["stale"] = self.node.stale
         self.node.publish(
             "node/health",
             pid=os.getpid(),
@@ -248,6 +254,13 @@ class NodeLoop:
         if journal is not None and (self.node.acts_on_health or not isinstance(received.message, NodeHealth)):
             journal.record_message(received, executed=executed)
 
+    def _retimed(self, taken: list[Received], woken_ns: int) -> list[Received]:
+        """Return messages as received now where the process stood still since it woke up: their ages need that time."""
+        now_ns = self._clock.monotonic_ns()
+        if now_ns - woken_ns <= LOOP_DEADLINE_NS:
+            return taken
+        return [received._replace(received_ns=now_ns + self._clock.epoch_offset_ns) for received in taken]
+
     def _report_connections(self, notices: Sequence[ConnectionEvent]) -> None:
         for notice in notices:
             self.node.context.publish_event("network", notice.level, notice.text, notice.data)
@@ -259,7 +272,7 @@ class NodeLoop:
 
     def _report_rejections(self) -> None:
         rejected, last = self._bus.rejections()
-        total = sum(rejected.values())
+        total = sum(rejected.values()) - rejected.get(SUPERSEDED, 0)
         if total > self._rejected_seen:
             self._limited_log.warning("rejected", f"refused: {last}", count=total - self._rejected_seen)
             self._rejected_seen = total

@@ -46,9 +46,11 @@ class Participant:
         publisher.on_limited = lambda text: log.warning("range", text)
         return publisher
 
-    def subscribers(self, connections: Mapping[str, Sequence[str]], *, apart: bool = False) -> list[Subscriber]:
+    def subscribers(
+        self, connections: Mapping[str, Sequence[str]], *, apart: bool = False, newest_only: bool = False
+    ) -> list[Subscriber]:
         """Connect to nodes (keys) for topics (values): a socket for each machine, or with `apart` for each node."""
-        opened = self.network.subscribers(connections, apart=apart)
+        opened = self.network.subscribers(connections, apart=apart, newest_only=newest_only)
         return [self.resources.enter_context(contextlib.closing(subscriber)) for subscriber in opened]
 
     def observe(self, wanted: Callable[[str, str], bool], sites: Sequence[str] = SITES) -> dict[str, Subscriber]:
@@ -58,11 +60,14 @@ class Participant:
         plan = {node: topics for node, topics in plan.items() if topics}
         return dict(zip(plan, self.subscribers(plan, apart=True), strict=True))
 
-    def bus(self, topics: Sequence[str]) -> ZmqBus:
-        """Open the bus of an ordinary node: its own endpoint and connections for its inputs."""
+    def bus(self, topics: Sequence[str], *, newest_only: bool = False) -> ZmqBus:
+        """Open the bus of an ordinary node: its own endpoint and connections for its inputs.
+
+        Parameters: newest_only, for a node of the loop, which acts on the newest message of each `latest` topic.
+        """
         # the publisher first: it is what may fail, and nothing is open yet
         publisher = self.bind(self.key)
-        subscribers = self.subscribers(self.book.sources(self.key, topics))
+        subscribers = self.subscribers(self.book.sources(self.key, topics), newest_only=newest_only)
         return self.bus_of(publisher, [*subscribers, *(self.estop_inlet() if self.key in DEVICES else ())])
 
     def estop_inlet(self) -> list[Subscriber]:

@@ -125,10 +125,13 @@ class Transport:
         self._authenticator.add(publisher)
         return publisher
 
-    def subscribers(self, sources: Mapping[str, Sequence[str]], *, apart: bool = False) -> list[Subscriber]:
+    def subscribers(
+        self, sources: Mapping[str, Sequence[str]], *, apart: bool = False, newest_only: bool = False
+    ) -> list[Subscriber]:
         """Connect to nodes (keys) for topics (values): one socket for this machine, one for each other machine.
 
-        Parameters: apart, one socket for each node, in order, so that the endpoint a message came from is known.
+        Parameters: apart, one socket for each node, in order, so that the endpoint a message came from is known;
+        newest_only, for a reader that acts on the newest message of each `latest` topic.
         """
         if apart:
             return [self._reader({node: topics}, _READER_SILENCE_MS) for node, topics in sources.items()]
@@ -136,7 +139,7 @@ class Transport:
         for node, topics in sources.items():
             near = self._book.endpoint(node, self.machine).startswith("ipc://")
             groups.setdefault("" if near else self._book.machine_of(node), {})[node] = topics
-        return [self._reader(plan, _LOOP_SILENCE_MS) for plan in groups.values()]
+        return [self._reader(plan, _LOOP_SILENCE_MS, newest_only=newest_only) for plan in groups.values()]
 
     def estop_inlet(self, key: str) -> EstopInlet | None:
         """Bind where a node takes emergency stops; None where it has no ipc endpoint."""
@@ -157,12 +160,12 @@ class Transport:
         for handler in self._handlers:
             handler.close()
 
-    def _reader(self, plan: Mapping[str, Sequence[str]], silence_ms: int) -> Subscriber:
+    def _reader(self, plan: Mapping[str, Sequence[str]], silence_ms: int, *, newest_only: bool = False) -> Subscriber:
         endpoints = {node: self._book.connect_endpoint(node, self.machine) for node in plan}
         by_endpoint = {endpoints[node]: topics for node, topics in plan.items()}
         if not any(endpoint.startswith("tcp://") for endpoint in by_endpoint):
-            return Subscriber(self._context, self._clock, by_endpoint)
-        subscriber = Subscriber(self._context, self._clock, by_endpoint, connect=False)
+            return Subscriber(self._context, self._clock, by_endpoint, newest_only=newest_only)
+        subscriber = Subscriber(self._context, self._clock, by_endpoint, connect=False, newest_only=newest_only)
         _set_network_options(subscriber.socket, silence_ms, *by_endpoint)
         machine = self._book.machine_of(next(iter(plan)))
         peers = PeerConnections(machine, endpoints, subscriber, self._clock, self.access_control, self._rejections)

@@ -24,7 +24,8 @@ still decaying in the session, and nothing on the spring, where there is none. S
 """
 
 import ast
-from collections.abc import Callable, Collection
+import dataclasses
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -98,7 +99,8 @@ class ConstantRig(VirtualRig):
             self._armed = True
             arm = _arm(message.t_ns)
             sent_ns = message.t_ns - EPOCH_OFFSET_NS + PERIOD_NS - 1
-            self._deliver("afm_node@slave", "session/control", arm, encode(arm), sent_ns)
+            self.messages[encode(arm)] = arm
+            self._deliver("launcher@slave", "afm_node@slave", "session/control", encode(arm), sent_ns)
 
 
 def _arm(t_ns: int) -> SessionControl:
@@ -119,12 +121,12 @@ def cell_of(law: str, environment: Any, round_trip_ms: float) -> Cell:
     return Cell(law=law, environment=environment, round_trip_ms=round_trip_ms, stiffness_n_per_m=stiffness, seed=SEED)
 
 
-def on_bus(cell: Cell, folder: Path, lost: Lost = ()) -> Trajectory:
+def on_bus(cell: Cell, folder: Path, lost: Lost = (), settings: Sequence[str] = ()) -> Trajectory:
     """Run the nodes of a cell on the virtual bus and read the recording."""
     scenario = scenario_of(cell)
     points = [{"time_s": time, "force_n": force} for time, force in HAND_POINTS]
     scenario["haptic_node"]["operator"]["points"] = points
-    rig = ConstantRig(folder, cell.seed, (), constant_timing(round(0.5e6 * cell.round_trip_ms)), scenario)
+    rig = ConstantRig(folder, cell.seed, settings, constant_timing(round(0.5e6 * cell.round_trip_ms)), scenario)
     # one later than in lockstep, see above
     rig.lost = {tick + 1 for first, count in lost for tick in range(first, first + count)}
     started_s = (SETTLE_TICKS + 2) * PERIOD_S
@@ -147,8 +149,8 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Cell], Tr
     return session
 
 
-def in_lockstep(cell: Cell, lost: Lost = ()) -> Trajectory:
-    """Run the same cell in lockstep."""
+def in_lockstep(cell: Cell, lost: Lost = (), **guard: float) -> Trajectory:
+    """Run the same cell in lockstep; `guard`: limits of the instrument that are not the cell's."""
     ticks = SETTLE_TICKS + round(SESSION_S / PERIOD_S)
     schedule = schedule_of(symmetric_link(1e-3 * cell.round_trip_ms, 0.0, 0.0, cell.seed), ticks, PERIOD_S)
     kept = np.ones(len(schedule.forward_of), dtype=bool)
@@ -161,7 +163,9 @@ def in_lockstep(cell: Cell, lost: Lost = ()) -> Trajectory:
         backward_ns=schedule.backward_ns[kept],
         backward_of=np.arange(int(kept.sum()), dtype=np.int64),
     )
-    return simulate(rig_of(cell, HAND_POINTS), schedule, SETTLE_TICKS)
+    rig = rig_of(cell, HAND_POINTS)
+    instrument = rig.instrument._replace(safety=rig.instrument.safety._replace(**guard))
+    return simulate(dataclasses.replace(rig, instrument=instrument), schedule, SETTLE_TICKS)
 
 
 def common(bus: Trajectory, expected: Trajectory, name: str) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
@@ -235,9 +239,14 @@ def test_a_changed_longest_pause_is_seen(tmp_path: Path, monkeypatch: pytest.Mon
 
 def test_a_changed_patience_of_the_instrument_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With its own steps half a period later, the instrument finds the silence too long one tick later."""
-    cell = cell_of("virtual_impedance", "spring", 4.0)
+    cell, lost = cell_of("virtual_impedance", "spring", 4.0), ((FIRST_PAUSE, LONGEST_BRIDGED_PERIODS + 1),)
+    # a limit that falls between the two places of a step in its tick
+    deadline_s = (LONGEST_BRIDGED_PERIODS + 0.4) * PERIOD_S
+    settings = [f"afm_node.safety.command_deadline_s={deadline_s}"]
+    expected = in_lockstep(cell, lost, command_deadline_s=deadline_s)
+    assert differences(on_bus(cell, tmp_path / "same", lost, settings), expected) == {}
     monkeypatch.setattr(afm_node, "_PATIENCE_NS", 2 * PERIOD_NS)
-    assert "instrument_mode" in differences(on_bus(cell, tmp_path, ONE_PAUSE), in_lockstep(cell, ONE_PAUSE))
+    assert "instrument_mode" in differences(on_bus(cell, tmp_path, lost, settings), expected)
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 import json
 from collections import Counter
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -60,7 +61,7 @@ FORWARDED = {
     "session/event@master", "node/health@master",
 }  # fmt: skip
 COMPARED = {
-    LINK_NODE: {"link/fates", "link/status", "clock/ping"} | FORWARDED,
+    LINK_NODE: {"link/fates", "link/status", "link/delay", "link/delay@slave", "clock/ping"} | FORWARDED,
     "controller@master": {"teleop/forward", "haptic/command", "law/status"},
     "controller@slave": {"afm/command", "teleop/backward", "law/status"},
     "afm_node@slave": {"afm/state", "clock/pong"},
@@ -132,8 +133,8 @@ def test_a_rerun_gives_the_same_bits(sessions: Callable[[str], Recording], law: 
 
 # on the bus of a rig that runs for one and a half seconds
 LEAST = {
-    "clock/ping": 10, "clock/pong": 10, "link/status": 10, "link/fates": 50, "session/control@slave": 1,
-    "session/event@master": 1, "node/health@master": 2,
+    "clock/ping": 10, "clock/pong": 10, "link/status": 10, "link/fates": 50, "link/delay": 10, "link/delay@slave": 10,
+    "session/control@slave": 1, "session/event@master": 1, "node/health@master": 2,
 }  # fmt: skip
 
 
@@ -213,22 +214,32 @@ def test_a_changed_gain_is_found(sessions: Callable[[str], Recording]) -> None:
     assert f"haptic/command, seq {result.seq}, {result.time_s:.6f} s after the start: re-run" in result.difference
 
 
-def swapped(message: RawMessage, kinds: tuple[int, int], after: int) -> bytes:
-    """Swap two neighbouring turns of different kinds in a journal, each at the time of its place."""
+def swapped(message: RawMessage, topics: tuple[str, str]) -> bytes:
+    """Swap neighbouring turns of a journal, each at the time of its place; a deadline has no topic.
+
+    All neighbours of that order: the swap of two changes nothing where the first did not act on the second.
+    """
     fields = msgpack.unpackb(message.payload)
+    places = {source["topic"]: place for place, source in enumerate(fields["inputs"])} | {"": -1}
+    kinds = tuple(places[topic] for topic in topics)
     arrays = {name: Array.model_validate(fields[name] | {"shape": tuple(fields[name]["shape"])}) for name in FIELDS}
     columns = {name: found.to_numpy().copy() for name, found in arrays.items()}
-    pairs = zip(columns["input"].tolist()[after:], columns["input"].tolist()[after + 1 :], strict=False)
-    place = after + next(n for n, pair in enumerate(pairs) if pair == kinds)
-    for name in ("kind", "input", "number"):
-        columns[name][[place, place + 1]] = columns[name][[place + 1, place]]
+    inputs = columns["input"].tolist()
+    for place in (n for n, pair in enumerate(pairwise(inputs)) if pair == kinds):
+        for name in ("kind", "input", "number"):
+            columns[name][[place, place + 1]] = columns[name][[place + 1, place]]
     return bytes(msgpack.packb(fields | {name: Array.from_numpy(columns[name]).model_dump() for name in FIELDS}))
 
 
 FIELDS = ("kind", "time_ns", "input", "number")
+NEIGHBOURS = {
+    "controller@slave": ("teleop/forward", "afm/state"),
+    "controller@master": ("haptic/state", "teleop/backward"),
+    "haptic_node@master": ("", "haptic/command"),
+}
 
 
-@pytest.mark.parametrize("node", ["controller@slave", "controller@master", "haptic_node@master"])
+@pytest.mark.parametrize("node", NEIGHBOURS)
 def test_a_swapped_order_is_found(sessions: Callable[[str], Recording], tmp_path: Path, node: str) -> None:
     seen: list[int] = []
 
@@ -236,8 +247,7 @@ def test_a_swapped_order_is_found(sessions: Callable[[str], Recording], tmp_path
         if message.channel.topic == "node/journal" and message.channel.src == node:
             seen.append(1)
             if len(seen) == 2:
-                first = -1 if node.startswith("haptic") else 0
-                return swapped(message, (first, 1 + first), 100)
+                return swapped(message, NEIGHBOURS[node])
         return message.payload
 
     result = rerun(Recording(edited(sessions("virtual_impedance"), tmp_path, edit)), node)

@@ -3,7 +3,7 @@
 Every delay comes from one seed: transit on a site and how late a loop wakes up; between the sites stands the link, with
 the impairments of the scenario. So a session of a second takes less than that, and gives the same file every time.
 With `constant_timing` nothing is random, and a constant delay stands for the link: the rig then runs on the grid that
-the lockstep loop assumes.
+the lockstep loop assumes. A node can be made to stand still (`stall`): what is sent to it meanwhile waits for it.
 """
 
 import heapq
@@ -14,12 +14,13 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+import zmq
 
 from proto import TOPICS, Message, WireError, decode, decode_header, encode
 from proto.messages import InputHealth
 from proto.nodes import LINK, name_of, site_of
 from proto.ranges import limited
-from proto.sequence import Arrival, SequenceTracker
+from proto.sequence import Arrival
 from recording.records import RejectedRecord
 from recording.writer import FileSettings, RecordingWriter
 from services.afm_node.__main__ import build as build_afm_node
@@ -31,9 +32,10 @@ from services.delay_node.node import DelayNode
 from services.haptic_node.config import HapticConfig
 from services.haptic_node.node import HapticNode
 from services.haptic_node.sim import SimulatedHaptic
-from services.runtime.bus import ConnectionEvent, Received
+from services.runtime.bus import ConnectionEvent, Received, Subscriber
 from services.runtime.clock import VirtualClock
 from services.runtime.config import flag_overrides, merge
+from services.runtime.freshness import DELAY_STEP_NS
 from services.runtime.log import StructuredLog
 from services.runtime.node import Node, NodeContext, NodeLoop
 from services.runtime.realtime import RealtimeStatus
@@ -61,6 +63,8 @@ afm_node:
   rest_distance_m: 10.0e-9
 """
 
+# as many as a subscriber takes at once
+_BATCH = 256
 
 Range = tuple[int, int]
 
@@ -103,15 +107,32 @@ class QuietLog(StructuredLog):
         """Write nothing."""
 
 
+class VirtualReader(Subscriber):
+    """A subscriber whose messages are handed to it, and whose bytes need no second decoding."""
+
+    def __init__(self, rig: "VirtualRig", newest_only: bool) -> None:
+        super().__init__(rig.sockets, rig.clock, {"": tuple(TOPICS)}, connect=False, newest_only=newest_only)
+        self._rig = rig
+
+    def decode_and_track(self, frames: Sequence[bytes], received_ns: int) -> Received | None:
+        topic, payload = frames[0].decode(), frames[1]
+        message = self._rig.messages[payload]
+        arrival = self.tracker(topic, message.src).accept(message.seq, message.t_ns)
+        if arrival is Arrival.DUPLICATE or (arrival is Arrival.LATE and TOPICS[topic].delivery == "latest"):
+            return None
+        return Received(topic, message, payload, received_ns, arrival)
+
+
 class VirtualBus:
-    """The bus of one node: what it publishes goes to the rig, what has arrived is taken as a Subscriber would."""
+    """The bus of one node: what it publishes goes to the rig, what has arrived is taken by a subscriber."""
 
     def __init__(self, rig: "VirtualRig", key: str) -> None:
         self.key = key
-        self.inbox: list[tuple[int, int, str, Message, bytes]] = []
+        self.inbox: list[tuple[int, int, str, bytes]] = []
+        # the link takes every message, the other nodes the newest
+        self.reader = VirtualReader(rig, newest_only=name_of(key) != LINK)
         self._rig = rig
         self._numbers: dict[str, int] = {}
-        self._trackers: dict[tuple[str, str], SequenceTracker] = {}
 
     def publish(self, topic: str, **fields: Any) -> Message:
         seq = self._numbers.get(topic, 0)
@@ -119,7 +140,8 @@ class VirtualBus:
         model = TOPICS[topic].model
         # sent some time after the turn began, which no re-run knows
         t_ns = self._rig.clock.now_ns() + self._rig.random.randrange(*self._rig.timing.sending)
-        message = limited(model, {"seq": seq, "t_ns": t_ns, "src": self.key, "v": model.version, **fields})
+        values = {"seq": seq, "t_ns": t_ns, "src": self.key, "v": model.version_of(fields), **fields}
+        message = limited(model, values)
         self._rig.carry(topic, message)
         return message
 
@@ -127,13 +149,11 @@ class VirtualBus:
         self._rig.forward(self.key, topic, payload)
 
     def receive(self) -> Iterator[Received]:
-        while self.inbox and self.inbox[0][0] <= self._rig.clock.monotonic_ns():
-            _, _, topic, message, payload = heapq.heappop(self.inbox)
-            tracker = self._trackers.setdefault((topic, message.src), SequenceTracker())
-            arrival = tracker.accept(message.seq, message.t_ns)
-            if arrival is Arrival.DUPLICATE or (arrival is Arrival.LATE and TOPICS[topic].delivery == "latest"):
-                continue
-            yield Received(topic, message, payload, self._rig.clock.now_ns(), arrival)
+        now_ns, waiting = self._rig.clock.monotonic_ns(), []
+        while self.inbox and self.inbox[0][0] <= now_ns and len(waiting) < _BATCH:
+            _, _, topic, payload = heapq.heappop(self.inbox)
+            waiting.append(([topic.encode(), payload], self._rig.clock.now_ns()))
+        return iter(self.reader.take(waiting))
 
     def wait(self, deadline_ns: int) -> None:
         """The rig has let the time pass."""
@@ -152,18 +172,19 @@ class VirtualBus:
 
     def close(self) -> None:
         self.inbox.clear()
+        self.reader.close()
 
 
 class VirtualRig:
     """Two sites, the link between them, and a recorder that receives everything a little later.
 
-    Parameters: settings, dotted flags on top of the scenario; scenario, as read from a file (none: a hand presses the
-    tip onto mica and lets go).
+    Parameters: folder of the recording, None for none; settings, dotted flags on top of the scenario; scenario, as read
+    from a file (none: a hand presses the tip onto mica and lets go).
     """
 
     def __init__(
         self,
-        folder: Path,
+        folder: Path | None,
         seed: int,
         settings: Sequence[str] = (),
         timing: Timing = RANDOM_TIMING,
@@ -174,16 +195,22 @@ class VirtualRig:
         self.clock = VirtualClock(start_ns=10**9, epoch_offset_ns=EPOCH_OFFSET_NS)
         self._order = 0
         self._received: list[tuple[int, int, str, str, bytes]] = []
+        self.sockets = zmq.Context[zmq.Socket[bytes]]()
+        self.messages: dict[bytes, Message] = {}
+        # a connection keeps the order of what is sent through it
+        self._last_arrival_ns: dict[tuple[str, str], int] = {}
         # a recorder receives from an endpoint in the order of sending
         self._received_ns: dict[str, int] = {}
         document = merge(scenario or yaml.safe_load(_SCENARIO), flag_overrides(settings))
         self._loaded = LoadedScenario(Scenario.model_validate(document), "virtual", document)
-        self.writer = RecordingWriter.create(RECORDER, FileSettings(directory=folder))
-        text = yaml.safe_dump(document).encode()
-        self.writer.attach("scenario.yaml", "application/yaml", text, self.clock.now_ns())
+        self.writer = None if folder is None else RecordingWriter.create(RECORDER, FileSettings(directory=folder))
+        if self.writer is not None:
+            text = yaml.safe_dump(document).encode()
+            self.writer.attach("scenario.yaml", "application/yaml", text, self.clock.now_ns())
         self._channels: dict[tuple[str, str, str], int] = {}
         self.nodes = NODES if timing.link is not None else (LINK_NODE, *NODES)
         self.buses = {key: VirtualBus(self, key) for key in self.nodes}
+        self._link_at_slave, self._launcher = VirtualBus(self, LINK_ENDPOINT), VirtualBus(self, LAUNCHER)
         self.loops: dict[str, NodeLoop] = {}
         for key in self.nodes:
             node = self._node(NodeContext(key, self.clock, self.buses[key], QuietLog(key)))
@@ -191,15 +218,41 @@ class VirtualRig:
             self.clock.advance_ns(self.random.randrange(*timing.start))
             self.loops[key] = NodeLoop(node, self.buses[key], RealtimeStatus(fifo=True, memory_locked=False))
         self._started_ns = self.clock.monotonic_ns()
-        self._launcher = VirtualBus(self, LAUNCHER)
         self._late_ns = dict.fromkeys(self.nodes, 0)
+        self._stalled_until_ns = dict.fromkeys(self.nodes, 0)
         self._known_due_ns: dict[str, int] = {}
+        if timing.link is not None:
+            self._declare(timing.link[0])
 
-    def command(self, command: str, target: str, **parameters: Any) -> None:
-        """Send a command, and the same once more as a session does that has not received the answer yet."""
+    def command(self, command: str, target: str, seen: Message | None = None, **parameters: Any) -> None:
+        """Send a command, and the same once more as a session does that has not received the answer yet.
+
+        Parameters: seen: a message of the target that proves to it that the command is fresh, none where it needs none.
+        """
         name = f"{command}{self._order}"
+        proof = {} if seen is None else {"node_t_ns": {seen.src: seen.t_ns}}
         for _ in range(2):
-            self._launcher.publish("session/control", id=name, command=command, target=target, parameters=parameters)
+            self._launcher.publish(
+                "session/control", id=name, command=command, target=target, parameters=parameters, **proof
+            )
+
+    def _declare(self, delay_ns: int) -> None:
+        """Tell the delay that stands for the link, as the link does."""
+        told = {"hand_t_ns": 0, "delay_ns": delay_ns - delay_ns % DELAY_STEP_NS, "transit_ns": 0, "clock_ahead_ns": 0}
+        at_master = VirtualBus(self, LINK_NODE)
+        for bus, direction in ((self._link_at_slave, "forward"), (at_master, "forward"), (at_master, "backward")):
+            bus.publish("link/delay", direction=direction, **told)
+        at_master.close()
+
+    def stall(self, key: str, duration_s: float) -> None:
+        """Let a node stand still from now on: it takes no turn, and what is sent to it waits."""
+        self._stalled_until_ns[key] = self.clock.monotonic_ns() + round(duration_s * 1e9)
+        self._known_due_ns.pop(key, None)
+
+    def received(self, topic: str, src: str) -> list[Any]:
+        """Give what a node has published on a topic so far."""
+        found = (self.messages[entry[4]] for entry in self._received if entry[3] == topic and entry[2] == src)
+        return [message for message in found if message.src == src]
 
     def run_until(self, time_s: float) -> None:
         """Let the nodes take their turns until a time since the start [s]."""
@@ -217,11 +270,19 @@ class VirtualRig:
             late_ns = self.random.randrange(*self.timing.wake)
             self._late_ns[key] = late_ns + 3_000_000 * (self.random.random() < self.timing.stall_share)
 
+    def close(self) -> None:
+        """Close the sockets, which nothing came through."""
+        for bus in (*self.buses.values(), self._link_at_slave, self._launcher):
+            bus.close()
+        self.sockets.term()
+
     def finish(self) -> Path:
         """Stop the nodes and complete the file."""
         for loop in self.loops.values():
             loop.node.context.request_stop()
             loop.run()
+        self.close()
+        assert self.writer is not None, "nothing was to be recorded"
         for log_ns, _, endpoint, topic, payload in sorted(self._received):
             try:
                 (seq, t_ns, src), _ = decode_header(topic, payload)
@@ -238,29 +299,32 @@ class VirtualRig:
     def carry(self, topic: str, message: Message) -> None:
         """Bring a message to those who listen, on its own site and through the link."""
         site, payload = site_of(message.src), encode(message)
+        self.messages[payload] = message
         self._record(message.src, topic, payload, message.t_ns)
         for key in self._readers(topic, message, site):
-            self._deliver(key, topic, message, payload, message.t_ns - EPOCH_OFFSET_NS)
+            self._deliver(message.src, key, topic, payload, message.t_ns - EPOCH_OFFSET_NS)
         crosses = TOPICS[topic].bridged in ("both", "forward" if site == "master" else "backward")
         if self.timing.link is not None and crosses:
             far = LINK_ENDPOINT if site == "master" else LINK_NODE
             arrives_ns = message.t_ns - EPOCH_OFFSET_NS + self.random.randrange(*self.timing.link)
             self._bring(far, topic, message, payload, arrives_ns)
         elif self.timing.link is None and name_of(message.src) != LINK and (crosses or topic == "clock/pong"):
-            self._deliver(LINK_NODE, topic, message, payload, message.t_ns - EPOCH_OFFSET_NS)
+            self._deliver(message.src, LINK_NODE, topic, payload, message.t_ns - EPOCH_OFFSET_NS)
 
     def forward(self, endpoint: str, topic: str, payload: bytes) -> None:
         """Bring a message that left the link to those who listen there; they refuse what is none, the recorder not."""
         sent_ns = self.clock.monotonic_ns() + self.random.randrange(*self.timing.sending)
         try:
-            self._bring(endpoint, topic, decode(topic, payload), payload, sent_ns)
+            message = self.messages[payload] if payload in self.messages else decode(topic, payload)
+            self._bring(endpoint, topic, message, payload, sent_ns)
         except WireError:
             self._record(endpoint, topic, payload, sent_ns + EPOCH_OFFSET_NS)
 
     def _bring(self, endpoint: str, topic: str, message: Message, payload: bytes, sent_ns: int) -> None:
+        self.messages[payload] = message
         self._record(endpoint, topic, payload, sent_ns + EPOCH_OFFSET_NS)
         for key in self._readers(topic, message, site_of(endpoint)):
-            self._deliver(key, topic, message, payload, sent_ns)
+            self._deliver(endpoint, key, topic, payload, sent_ns)
 
     def _record(self, endpoint: str, topic: str, payload: bytes, sent_ns: int) -> None:
         self._order += 1
@@ -275,10 +339,12 @@ class VirtualRig:
             if topic in loop.node.inputs and site_of(key) == site and key not in (message.src, LINK_NODE)
         ]
 
-    def _deliver(self, key: str, topic: str, message: Message, payload: bytes, sent_ns: int) -> None:
+    def _deliver(self, sender: str, key: str, topic: str, payload: bytes, sent_ns: int) -> None:
         self._order += 1
         arrives_ns = sent_ns + self.random.randrange(*self.timing.site)
-        heapq.heappush(self.buses[key].inbox, (arrives_ns, self._order, topic, message, payload))
+        arrives_ns = max(arrives_ns, self._last_arrival_ns.get((sender, key), 0))
+        self._last_arrival_ns[sender, key] = arrives_ns
+        heapq.heappush(self.buses[key].inbox, (arrives_ns, self._order, topic, payload))
         self._known_due_ns.pop(key, None)
 
     def _due_ns(self, key: str) -> int:
@@ -287,7 +353,8 @@ class VirtualRig:
             loop, inbox = self.loops[key], self.buses[key].inbox
             deadline_ns = min(loop.node.deadline_ns(), loop.health_due_ns)
             wanted_ns = min(deadline_ns, inbox[0][0]) if inbox else deadline_ns
-            due_ns = self._known_due_ns[key] = wanted_ns + self._late_ns[key]
+            due_ns = max(wanted_ns + self._late_ns[key], self._stalled_until_ns[key])
+            self._known_due_ns[key] = due_ns
         return due_ns
 
     def _node(self, context: NodeContext) -> Node:
@@ -298,7 +365,7 @@ class VirtualRig:
             return build_afm_node(context, self._loaded.section("afm_node", AfmConfig))
         if name == LINK:
             settings = self._loaded.section(LINK, LinkSettings)
-            return DelayNode(context, settings, VirtualBus(self, LINK_ENDPOINT), self.buses[LINK_NODE], Path())
+            return DelayNode(context, settings, self._link_at_slave, self.buses[LINK_NODE], Path())
         hand = self._loaded.section("haptic_node", HapticConfig)
         return HapticNode(context, hand, SimulatedHaptic(hand.to_plant_params(), hand.device.start_position_m))
 

@@ -22,6 +22,12 @@ FAULTS = {
     "kill -9 of afm_node@slave": "hand let go; restarted withdrawn, waits to be armed",
     "kill -9 of haptic_node@master": "tip holds, then withdraws; restarted with the motor off",
     "kill -9 of recorder@master": "at most a flush interval is lost, the rig goes on; a second file follows",
+    **{
+        f"each process stopped for 0.2, 1 and 3 s under {law}, link of {link_ms} ms": "nothing past its deadline of "
+        "50 ms is obeyed, the tip does not jump; each process reports it"
+        for law in ("virtual_impedance", "wave", "model_mediated")
+        for link_ms in (0, 150)
+    },
     "a node that dies again and again": "the rig is stopped with a summary of the deaths",
     "the slave's site starts late": "the master waits, reports for what, and begins by itself",
     "the slave's address is not reached": "reported after 5 s with what to look for, and again every minute",

@@ -190,7 +190,8 @@ def test_hostile_frames_are_counted_and_nobody_dies(rig: Any) -> None:
 def rejected(rig: Rig, node: str) -> set[str]:
     """Give the reasons for which a node reports that it refused frames."""
     health = [message for message in rig.recording().messages("node/health") if message.src == node]
-    return set(health[-1].fields()["rejected"]) if health else set()
+    # what a busy machine left waiting is no frame of ours
+    return set(health[-1].fields()["rejected"]) - {"superseded", "stale"} if health else set()
 
 
 def test_an_emergency_stop_needs_no_turn_and_is_recorded(rig: Any) -> None:

@@ -55,6 +55,12 @@ class Bench:
         message = self.make(topic, src, **fields)
         return Received(topic, message, encode(message), self.clock.now_ns(), Arrival.NEXT)
 
+    def link_delay(self, direction: str, delay_ns: int, hand_t_ns: int = 0, **changes: int) -> Received:
+        """Return what the link tells a reader of its delay."""
+        src = "delay_node@" + self.context.key.partition("@")[2]
+        fields = {"direction": direction, "hand_t_ns": hand_t_ns, "delay_ns": delay_ns}
+        return self.received("link/delay", src, **{**fields, "transit_ns": 0, "clock_ahead_ns": 0, **changes})
+
     def take(self, topic: str) -> list[Any]:
         """Return and remove what was published on a topic."""
         taken = [message for name, message in self.sent if name == topic]

@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from proto.topics import deadline_of
 from services.controller.discretisation import exact_discretisation
 from services.controller.law import HandSample, PortSignal
 from services.controller.ranges import DampingNSPerM, ForceScale, MassKg, PositionScale, StiffnessOrNoneNPerM, TimeS
@@ -55,7 +56,8 @@ class ScaledConfig(BaseModel):
     )
     force_scale: ForceScale = Field(default=1e8, description="alpha_f, newtons at the hand per newton at the tip")
     silence_limit_s: TimeS = Field(
-        default=0.05, description="Time without a signal from the other half after which the hand is let go [s]"
+        default=deadline_of("teleop/backward"),
+        description="Time without a signal from the other half after which the hand is let go [s]",
     )
 
 

@@ -19,9 +19,18 @@ class Instrument:
         self.driver = SimulatedAfm(config.to_params())
         self.node = AfmNode(bench.context, config, self.driver)
 
-    def command(self, x_s_m: float = 0.0, mode: str = "position", hand_seq: int = 7) -> None:
-        fields = {"mode": mode, "base_position_m": (0.0, 0.0, -x_s_m), "hand_seq": hand_seq, "hand_t_ns": 99}
+    def command(self, x_s_m: float = 0.0, mode: str = "position", hand_seq: int = 7, hand_ms: float = 0.0) -> None:
+        """Receive a command that descends from a sample of the hand taken so long ago [ms]."""
+        fields = {"mode": mode, "base_position_m": (0.0, 0.0, -x_s_m), "hand_seq": hand_seq}
+        fields["hand_t_ns"] = self.bench.clock.now_ns() - round(hand_ms * 1e6)
         self.node.on_message(self.bench.received("afm/command", "controller@slave", **fields))
+
+    def waited(self, waited_ms: float, x_s_m: float = 0.0) -> None:
+        """Receive a command that was sent so long ago [ms]."""
+        sent_ns = self.bench.clock.now_ns() - round(waited_ms * 1e6)
+        fields = {"mode": "position", "base_position_m": (0.0, 0.0, -x_s_m), "hand_seq": 7}
+        received = self.bench.received("afm/command", "controller@slave", **fields, hand_t_ns=sent_ns, t_ns=sent_ns)
+        self.node.on_message(received)
 
     def pass_ms(self, duration_ms: float, every_ms: float | None = None) -> None:
         """Let time pass, with a command every so often."""
@@ -57,9 +66,10 @@ def follow(afm: Instrument) -> None:
 
 
 def test_a_command_is_answered_at_once_with_its_number(afm: Instrument) -> None:
+    sampled_ns = afm.bench.clock.now_ns()
     afm.command(hand_seq=41)
     (state,) = afm.states()
-    assert (state.hand_seq, state.hand_t_ns, state.command_seq) == (41, 99, 0)
+    assert (state.hand_seq, state.hand_t_ns, state.command_seq) == (41, sampled_ns, 0)
 
 
 def test_there_is_one_state_a_command_while_they_come(afm: Instrument) -> None:
@@ -147,3 +157,114 @@ def test_the_clock_question_is_answered(afm: Instrument) -> None:
 def test_unknown_commands_are_refused(afm: Instrument) -> None:
     with pytest.raises(RefusedError, match="does not know start"):
         afm.control("start")
+
+
+def base_m(afm: Instrument) -> float:
+    return float(-afm.states()[-1].base_position_m[2])
+
+
+@pytest.mark.parametrize(
+    ("waited_ms", "mode"), [(49.0, "follow"), (51.0, "hold"), (249.0, "hold"), (251.0, "retracting")]
+)
+def test_a_command_is_as_old_as_its_stamp_however_late_it_is_taken(
+    afm: Instrument, waited_ms: float, mode: str
+) -> None:
+    follow(afm)
+    afm.waited(waited_ms, x_s_m=5e-9)
+    assert afm.states()[-1].mode == mode
+    assert afm.node.stale == (mode != "follow")
+
+
+@pytest.mark.parametrize("link_ms", [0.0, 150.0])
+@pytest.mark.parametrize(("hand_ms", "mode"), [(49.0, "follow"), (51.0, "hold"), (251.0, "retracting")])
+def test_a_new_command_is_as_old_as_the_sample_behind_it(
+    afm: Instrument, hand_ms: float, mode: str, link_ms: float
+) -> None:
+    """A controller or a link that was held up stamps anew what descends from an old sample."""
+    follow(afm)
+    afm.node.on_message(afm.bench.link_delay("forward", round(link_ms * 1e6)))
+    afm.command(hand_ms=hand_ms + link_ms)
+    assert afm.states()[-1].mode == mode
+
+
+@pytest.mark.parametrize(("ahead_ms", "mode"), [(49.0, "follow"), (51.0, "hold"), (251.0, "retracting")])
+def test_a_command_from_the_future_is_as_far_off_as_an_old_one(afm: Instrument, ahead_ms: float, mode: str) -> None:
+    follow(afm)
+    afm.waited(-ahead_ms)
+    assert afm.states()[-1].mode == mode
+
+
+@pytest.mark.parametrize(
+    ("stalled_ms", "modes"), [(200, ["hold", "follow"]), (1000, ["retracting"] * 2), (3000, ["retracting"] * 2)]
+)
+def test_an_instrument_that_stalled_holds_or_retracts_before_anything_else(
+    afm: Instrument, stalled_ms: int, modes: list[str]
+) -> None:
+    """Commands went on coming, the newest of them a moment ago: they wait until the guard has judged the silence."""
+    follow(afm)
+    afm.bench.take("session/event")
+    afm.bench.advance_ms(stalled_ms)
+    afm.command(x_s_m=10e-9)
+    states = afm.states()
+    assert [state.mode for state in states] == modes
+    # the way back from the sample is the only one that is gone
+    assert max(-state.base_position_m[2] for state in states) < 1e-15
+    (said,) = (event for event in afm.bench.take("session/event") if event.kind == "fault")
+    assert said.level == "warning"
+    assert said.text == f"this process stalled for {stalled_ms} ms: the AFM is in mode {modes[0]}"
+    assert said.data == {"stalled_s": pytest.approx(stalled_ms * 1e-3, rel=1e-6, abs=0.0), "mode": modes[0]}
+
+
+def test_the_tip_does_not_jump_when_the_instrument_goes_on(afm: Instrument) -> None:
+    follow(afm)
+    afm.bench.advance_ms(200.0)
+    for _ in range(20):
+        afm.command(x_s_m=5e-9)
+        afm.bench.advance_ms(1.0)
+    moved = base_m(afm)
+    assert 0.1e-9 < moved < 0.5e-9
+    for _ in range(100):
+        afm.command(x_s_m=5e-9)
+        afm.bench.advance_ms(1.0)
+    assert base_m(afm) == 5e-9
+
+
+def test_an_instrument_that_is_late_by_less_goes_on(afm: Instrument) -> None:
+    follow(afm)
+    afm.bench.take("session/event")
+    afm.bench.advance_ms(49.0)
+    afm.command()
+    assert afm.states()[-1].mode == "follow"
+    assert afm.bench.take("session/event") == []
+
+
+def test_a_played_hand_behind_live_commands_is_followed(afm: Instrument) -> None:
+    """Its stamps are those of the recording: the commands are live, and theirs count."""
+    follow(afm)
+    afm.command(hand_ms=1e9)
+    assert afm.states()[-1].mode == "follow"
+    afm.pass_ms(60.0)
+    assert afm.states()[-1].mode == "hold"
+
+
+@pytest.mark.parametrize("allow", [False, True])
+def test_played_commands_count_from_their_reception_where_they_are_allowed(bench_of: Any, allow: bool) -> None:
+    bench = bench_of("afm_node@slave")
+    config = AfmConfig(allow_replay=allow)
+    node = AfmNode(bench.context, config, SimulatedAfm(config.to_params()))
+    fields = {"mode": "position", "base_position_m": (0.0, 0.0, 0.0), "hand_seq": 7, "hand_t_ns": 3, "t_ns": 5}
+    command = bench.received("afm/command", "controller@slave", **fields)
+    node.on_message(command)
+    arm = {"id": "a", "command": "arm", "target": "afm_node", "parameters": {}}
+    control = bench.make("session/control", "console@master", **arm)
+    if not allow:
+        with pytest.raises(RefusedError, match="no_fresh_command"):
+            node.on_control(control)
+        return
+    assert "armed" in node.on_control(control)
+    bench.advance_ms(49.0)
+    node.on_deadline(bench.clock.monotonic_ns())
+    assert bench.take("afm/state")[-1].mode == "follow"
+    bench.advance_ms(2.0)
+    node.on_deadline(bench.clock.monotonic_ns())
+    assert bench.take("afm/state")[-1].mode == "hold"

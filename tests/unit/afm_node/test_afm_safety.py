@@ -10,6 +10,7 @@ PARAMS = SafetyParams(
     base_min_m=-200e-9,
     base_max_m=200e-9,
     base_speed_m_per_s=2e-6,
+    resume_acceleration_m_per_s2=2e-6,
     retract_position_m=-100e-9,
     retract_speed_m_per_s=1e-6,
     force_limit_n=200e-9,
@@ -107,13 +108,38 @@ def test_arming_is_refused_with_a_reason(state, changes, refusal):
     assert tick(state, **changes)[1].arm_refusal == safety.ARM_NOT_REFUSED
 
 
-def test_hold_keeps_the_base_and_resumes():
-    state = FOLLOWING._replace(base_m=30e-9)
+def held(base_m=30e-9):
+    state = FOLLOWING._replace(base_m=base_m)
     for _ in range(20):
         state, outputs = tick(state, reference_m=-50e-9, command_age_s=0.1)
-    assert outputs.base_m == 30e-9
-    state, outputs = tick(state, reference_m=30.5e-9)
-    assert (outputs.mode, outputs.base_m) == (safety.MODE_FOLLOW, 30.5e-9)
+    assert (outputs.mode, outputs.base_m) == (safety.MODE_HOLD, base_m)
+    return state
+
+
+def test_hold_keeps_the_base_and_resumes():
+    _, outputs = tick(held(), reference_m=30.001e-9)
+    assert (outputs.mode, outputs.base_m, outputs.limited) == (safety.MODE_FOLLOW, 30.001e-9, 0)
+
+
+def test_after_a_hold_the_tip_does_not_jump_to_where_the_reference_went():
+    state, moved = held(), []
+    for _ in range(1100):
+        state, outputs = tick(state, reference_m=150e-9)
+        moved.append(outputs.base_m - 30e-9)
+    # x = a t^2 / 2 in steps, where at full speed it would have been 40 nm
+    assert moved[19] == pytest.approx(0.5 * 2e-6 * 0.020 * 0.021, rel=1e-9, abs=0.0)
+    assert outputs.limited == 0
+    assert state.base_m == 150e-9
+    # by then a second is over, and the base has its speed again
+    assert state.slower_m_per_s == 0.0
+    assert tick(state, reference_m=0.0)[1].base_m == pytest.approx(148e-9, rel=1e-12, abs=0.0)
+
+
+def test_arming_approaches_at_full_speed_also_after_a_hold():
+    state, _ = tick(held(), command_age_s=1.0)
+    while state.mode == safety.MODE_RETRACTING:
+        state, _ = tick(state)
+    assert tick(state, arm=True)[1].base_m == pytest.approx(-98e-9, rel=1e-12, abs=0.0)
 
 
 @pytest.mark.parametrize("cause", [{"force_n": 1e-6}, {"command_age_s": 1.0}, {"action": 2}])

@@ -6,7 +6,7 @@ import pytest
 
 from proto.errors import RefusedError
 from proto.messages import SessionControl
-from services.controller.config import ControllerConfig
+from services.controller.config import LAWS, ControllerConfig
 from services.controller.node import MasterController, SlaveController, half_of_site
 
 PERIOD_NS = 1_000_000
@@ -174,7 +174,7 @@ def pushed(bench: Any, node: MasterController) -> Any:
     return last
 
 
-def test_hand_that_was_held_up_finds_its_reference_where_it_was(master: Any) -> None:
+def test_hand_that_stalled_finds_its_reference_where_it_was(master: Any) -> None:
     bench, node = master
     before = pushed(bench, node)
     bench.clock.advance_ns(10**9)
@@ -389,3 +389,178 @@ def status_fields(port_energy_j: float) -> dict[str, Any]:
         "round_trip_valid": False,
         "round_trip_s": 0.0,
     }
+
+
+# --- the age of what is heard, and a half that was held up ---
+
+LINK_MS = [0, 150]
+
+
+def aged(bench: Any, topic: str, src: str, age_ms: float, **fields: Any) -> Any:
+    """Give a message that was sent so long ago [ms], received now."""
+    return bench.received(topic, src, t_ns=bench.clock.now_ns() - round(age_ms * 1e6), **fields)
+
+
+def faults(bench: Any) -> list[str]:
+    return [event.text for event in bench.take("session/event") if event.kind == "fault"]
+
+
+@pytest.mark.parametrize(("age_ms", "taken"), [(49.0, True), (51.0, False)])
+def test_an_old_sample_of_the_hand_goes_no_further(master: Any, age_ms: float, taken: bool) -> None:
+    bench, node = master
+    tick(bench, node)
+    bench.take("teleop/forward")
+    bench.advance_ms(1.0)
+    node.on_message(aged(bench, "haptic/state", "haptic_node@master", age_ms, **hand_fields()))
+    assert len(bench.take("teleop/forward")) == taken
+    assert node.stale == (not taken)
+    assert faults(bench) == ["haptic/state of haptic_node@master is 51 ms off, of 50 ms allowed: it is rejected"] * (
+        not taken
+    )
+
+
+@pytest.mark.parametrize("link_ms", LINK_MS)
+@pytest.mark.parametrize(("age_ms", "mode"), [(49, "position"), (51, "off")])
+def test_an_old_answer_does_not_couple_the_hand(master: Any, age_ms: int, mode: str, link_ms: int) -> None:
+    """It was sent a moment ago by a half that was held up: the sample that it descends from shows it."""
+    bench, node = master
+    for direction in ("forward", "backward"):
+        node.on_message(bench.link_delay(direction, link_ms * PERIOD_NS))
+    hand = tick(bench, node)
+    sampled_ns = bench.clock.now_ns() - (age_ms + 2 * link_ms) * PERIOD_NS
+    node.on_message(bench.received("teleop/backward", "controller@slave", **answer_fields(0.0, hand.seq, sampled_ns)))
+    tick(bench, node)
+    assert [command.mode for command in bench.take("haptic/command")] == [mode]
+    assert node.stale == (mode == "off")
+
+
+@pytest.mark.parametrize("link_ms", LINK_MS)
+@pytest.mark.parametrize(("age_ms", "commands"), [(49, 1), (51, 0)])
+def test_an_old_signal_moves_no_tip(slave: Any, age_ms: int, commands: int, link_ms: int) -> None:
+    bench, node = slave
+    node.on_message(bench.link_delay("forward", link_ms * PERIOD_NS))
+    sampled_ns = bench.clock.now_ns() - (age_ms + link_ms) * PERIOD_NS
+    node.on_message(bench.received("teleop/forward", "controller@master", **forward_fields(8e-9, 5, sampled_ns)))
+    assert len(bench.take("afm/command")) == commands
+    assert node.stale == 1 - commands
+
+
+def test_a_row_of_old_signals_is_reported_once(slave: Any) -> None:
+    bench, node = slave
+    for n in range(5):
+        sampled_ns = bench.clock.now_ns() - 200 * PERIOD_NS
+        node.on_message(bench.received("teleop/forward", "controller@master", **forward_fields(8e-9, n, sampled_ns)))
+        bench.advance_ms(1.0)
+    assert len(faults(bench)) == 1
+    node.on_message(
+        bench.received("teleop/forward", "controller@master", **forward_fields(8e-9, 5, bench.clock.now_ns()))
+    )
+    node.on_message(bench.received("teleop/forward", "controller@master", **forward_fields(8e-9, 6, sampled_ns)))
+    assert len(faults(bench)) == 1
+    assert node.stale == 6
+
+
+@pytest.mark.parametrize("stalled_ms", [200, 1000, 3000])
+def test_a_master_that_stalled_waits_for_a_fresh_answer(master: Any, stalled_ms: int) -> None:
+    bench, node = master
+    for _ in range(5):
+        hand = tick(bench, node)
+        answer = answer_fields(0.0, hand.seq, hand.t_ns)
+        node.on_message(bench.received("teleop/backward", "controller@slave", **answer))
+    assert {command.mode for command in bench.take("haptic/command")} == {"position"}
+    # held up between a sample and its command: neither that nor the answer before counts any more
+    tick(bench, node)
+    bench.take("session/event")
+    bench.advance_ms(stalled_ms)
+    hand = tick(bench, node)
+    assert bench.take("haptic/command") == []
+    assert faults(bench) == [f"this process stalled for {stalled_ms + 1} ms: it waits for fresh signals"]
+    tick(bench, node)
+    (command,) = bench.take("haptic/command")
+    assert command.mode == "off"
+    node.on_message(bench.received("teleop/backward", "controller@slave", **answer_fields(0.0, hand.seq, hand.t_ns)))
+    assert [command.mode for command in bench.take("haptic/command")] == ["position"]
+
+
+def follow(bench: Any, node: SlaveController, ticks: int = 5) -> None:
+    """Let the instrument follow for a while, at a base that is not where the reference is."""
+    for n in range(ticks):
+        bench.advance_ms(1.0)
+        fields = forward_fields(8e-9, n, bench.clock.now_ns())
+        node.on_message(bench.received("teleop/forward", "controller@master", **fields))
+        (command,) = bench.take("afm/command")
+        node.on_message(bench.received("afm/state", "afm_node@slave", **tip_fields(-1e-9, command.seq)))
+    bench.take("teleop/backward")
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("stalled_ms", [200, 1000, 3000])
+def test_a_slave_that_stalled_holds_until_it_knows_where_the_base_is(bench_of: Any, law: str, stalled_ms: int) -> None:
+    bench = bench_of("controller@slave")
+    node = SlaveController(bench.context, ControllerConfig(law=law))
+    follow(bench, node)
+    before = node.reference.position_m
+    bench.advance_ms(stalled_ms)
+    fields = {**forward_fields(20e-9, 9, bench.clock.now_ns()), "law": law, "active": True}
+    node.on_message(bench.received("teleop/forward", "controller@master", **fields))
+    (command,) = bench.take("afm/command")
+    assert (command.mode, command.base_position_m[2]) == ("hold", -before)
+    # no answer is owed for what was asked before
+    assert bench.take("teleop/backward") == []
+    assert faults(bench) == [f"this process stalled for {stalled_ms} ms: it waits for fresh signals"]
+    # the instrument says where it is, 9 nm: the half begins there
+    node.on_message(bench.received("afm/state", "afm_node@slave", **tip_fields(0.0, command.seq)))
+    (backward,) = bench.take("teleop/backward")
+    assert backward.active
+    assert node.reference.position_m == 9e-9
+    bench.advance_ms(1.0)
+    fields = {**fields, "hand_seq": 10, "hand_t_ns": bench.clock.now_ns()}
+    node.on_message(bench.received("teleop/forward", "controller@master", **fields))
+    (command,) = bench.take("afm/command")
+    assert command.mode == "position"
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_a_silent_instrument_is_told_to_hold(bench_of: Any, law: str) -> None:
+    """What a law would ask of a base whose place it does not know would be obeyed when the instrument goes on."""
+    bench = bench_of("controller@slave")
+    node = SlaveController(bench.context, ControllerConfig(law=law))
+    follow(bench, node)
+    modes = []
+    for n in range(5, 65):
+        bench.advance_ms(1.0)
+        fields = {**forward_fields(8e-9 + n * 1e-10, n, bench.clock.now_ns()), "law": law}
+        node.on_message(bench.received("teleop/forward", "controller@master", **fields))
+        modes += [command.mode for command in bench.take("afm/command")]
+    assert modes[:50] == ["position"] * 50
+    assert set(modes[52:]) == {"hold"}
+
+
+def test_a_controller_takes_a_turn_at_least_twice_a_bound(master: Any) -> None:
+    bench, node = master
+    tick(bench, node)
+    assert node.deadline_ns() - bench.clock.monotonic_ns() == 25 * PERIOD_NS
+    bench.advance_ms(25.0)
+    node.on_deadline(bench.clock.monotonic_ns())
+    assert faults(bench) == []
+    bench.advance_ms(51.0)
+    node.on_deadline(bench.clock.monotonic_ns())
+    assert faults(bench) == ["this process stalled for 51 ms: it waits for fresh signals"]
+
+
+def test_a_hand_that_is_played_from_a_recording_is_followed(master: Any, slave: Any) -> None:
+    """Its stamps are from before the halves began, and a law counts its periods by them as ever."""
+    bench, node = master
+    for n in range(3):
+        bench.advance_ms(1.0)
+        played = bench.received("haptic/state", "haptic_node@master", t_ns=10**12 + n * PERIOD_NS, **hand_fields())
+        node.on_message(played)
+    forwards = bench.take("teleop/forward")
+    assert [forward.hand_t_ns for forward in forwards] == [10**12 + n * PERIOD_NS for n in range(3)]
+    far, half = slave
+    for n in range(3):
+        half.on_message(
+            far.received("teleop/forward", "controller@master", **forward_fields(8e-9, n, 10**12 + n * PERIOD_NS))
+        )
+    assert len(far.take("afm/command")) == 3
+    assert node.stale == half.stale == 0

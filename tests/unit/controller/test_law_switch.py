@@ -34,6 +34,9 @@ class Rig:
         self.statuses: list[Any] = []
         self.tip_status: list[Any] = []
         self.forwards = 0
+        for direction in ("forward", "backward"):
+            self.master.on_message(self.at_hand.link_delay(direction, delay * PERIOD_NS))
+        self.slave.on_message(self.at_tip.link_delay("forward", delay * PERIOD_NS))
 
     def send(self, node: Any, bench: Any, topic: str, message: Any, late: int) -> None:
         self.flying.append((self.n + late, (node, bench), (topic, message)))

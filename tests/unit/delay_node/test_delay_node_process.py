@@ -6,7 +6,7 @@ from typing import Any
 import msgpack
 import pytest
 
-from proto import encode
+from proto import decode, encode
 from proto.errors import RefusedError
 from proto.messages import Message
 from services.afm_node.config import AfmConfig
@@ -14,6 +14,7 @@ from services.afm_node.node import AfmNode
 from services.afm_node.sim import SimulatedAfm
 from services.delay_node.config import LinkSettings, parse_settings
 from services.delay_node.node import DelayNode
+from services.runtime.freshness import HandAge
 
 HALF = {
     "law": "virtual_impedance",
@@ -47,10 +48,13 @@ class Outlet:
 class Link:
     """A link on a bench with an outlet at each site."""
 
-    def __init__(self, bench: Any, settings: LinkSettings) -> None:
+    def __init__(self, bench: Any, settings: LinkSettings, *, spans_machines: bool = False) -> None:
         self.bench = bench
         self.to_slave, self.to_master = Outlet(bench), Outlet(bench)
-        self.node = DelayNode(bench.context, settings, self.to_slave, self.to_master, Path())
+        files = Path()
+        self.node = DelayNode(
+            bench.context, settings, self.to_slave, self.to_master, files, spans_machines=spans_machines
+        )
 
     def receive(self, topic: str, src: str, **fields: Any) -> bytes:
         received = self.bench.received(topic, src, **fields)
@@ -162,7 +166,7 @@ def test_offset_of_the_other_clock_is_measured_with_its_uncertainty(
     bench_of: Any, there_ms: float, back_ms: float
 ) -> None:
     injected_ns = 750_000_000
-    link = Link(bench_of("delay_node@master"), LinkSettings())
+    link = Link(bench_of("delay_node@master"), LinkSettings(), spans_machines=True)
     far = bench_of("afm_node@slave")
     config = AfmConfig()
     instrument = AfmNode(far.context, config, SimulatedAfm(config.to_params()))
@@ -188,6 +192,91 @@ def test_offset_of_the_other_clock_is_measured_with_its_uncertainty(
     expected_s = injected_ns * 1e-9 + 0.5e-3 * (there_ms - back_ms)
     assert clock.offset_s == pytest.approx(expected_s, rel=1e-6, abs=0.0)
     assert abs(clock.offset_s - injected_ns * 1e-9) <= clock.uncertainty_s
+    # so a message on the shortest way seems as old as half the round trip, whatever the way back takes
+    told = declared(link.to_slave)[-1]
+    assert told["transit_ns"] == pytest.approx(0.5e6 * (there_ms + back_ms), rel=1e-6, abs=0.0)
+    arrives_ns = injected_ns + round(there_ms * 1e6)
+    assert arrives_ns - told["clock_ahead_ns"] == pytest.approx(told["transit_ns"], rel=1e-6, abs=0.0)
+
+
+def declared(outlet: Outlet) -> list[dict[str, Any]]:
+    return [msgpack.unpackb(payload) for topic, payload in outlet.sent if topic == "link/delay"]
+
+
+def pairs(outlet: Outlet) -> list[tuple[str, int, int, int]]:
+    return [(row["direction"], row["hand_t_ns"], row["delay_ns"], row["clock_ahead_ns"]) for row in declared(outlet)]
+
+
+def forward(link: Link, hand_t_ns: int) -> None:
+    link.receive("teleop/forward", "controller@master", **{**HALF, "hand_t_ns": hand_t_ns})
+
+
+def test_a_plain_bridge_tells_its_delay_with_its_status_and_costs_no_message(link_of: Any) -> None:
+    link = link_of()
+    for n in range(50):
+        forward(link, n)
+    assert declared(link.to_slave) == declared(link.to_master) == []
+    link.pass_ms(250.0)
+    assert pairs(link.to_slave) == [("forward", 0, 0, 0)] * 2
+    assert pairs(link.to_master) == [("forward", 0, 0, 0), ("backward", 0, 0, 0)] * 2
+
+
+def test_a_delay_is_told_before_the_first_message_that_it_applies_to(link_of: Any) -> None:
+    link = link_of(forward={"delay_s": 0.0202}, backward={"delay_s": 0.005})
+    known = {"separation_m": 0.0, "separation_valid": False, "in_contact": False}
+    for n in range(30):
+        forward(link, 1000 + n)
+        link.receive("teleop/backward", "controller@slave", **{**HALF, "hand_t_ns": 500 + n}, **known)
+        link.pass_ms(1.0)
+    # in whole milliseconds, rounded down, and once
+    topics = [topic for topic, _ in link.to_slave.sent]
+    assert topics.index("link/delay") == topics.index("teleop/forward") - 1
+    assert pairs(link.to_slave) == [("forward", 1000, 20_000_000, 0)]
+    # the master adds up both ways: it is told of both
+    assert sorted(pairs(link.to_master)) == [("backward", 500, 5_000_000, 0), ("forward", 1000, 20_000_000, 0)]
+    link.node.on_control(control(link, **{"forward.delay_s": 0.001}))
+    forward(link, 2000)
+    link.pass_ms(5.0)
+    assert pairs(link.to_slave)[-1] == ("forward", 2000, 1_000_000, 0)
+
+
+def test_with_jitter_every_message_that_a_reader_takes_has_its_delay_told(link_of: Any) -> None:
+    jitter = {"scale_s": 0.02, "distribution": "uniform"}
+    link = link_of(seed=5, forward={"delay_s": 0.030, "jitter": jitter, "duplication": {"probability": 0.1}})
+    for _ in range(400):
+        forward(link, link.bench.clock.now_ns())
+        link.pass_ms(1.0)
+    link.pass_ms(160.0)
+    # of two copies the reader takes the first
+    delays: dict[int, int] = {}
+    for told in link.bench.take("link/fates"):
+        for fate in told.fates:
+            delays[fate.seq] = min(fate.delay_ns, delays.get(fate.seq, fate.delay_ns))
+    age, newest, taken = HandAge("controller@slave", 0), -1, 0
+    for topic, payload in link.to_slave.sent:
+        message: Any = decode(topic, payload)
+        if topic == "link/delay":
+            age.record(message)
+        elif topic == "teleop/forward" and message.seq > newest:
+            newest, taken = message.seq, taken + 1
+            assert 0 <= delays[message.seq] - age.lag_ns(message.hand_t_ns) < 1_000_000
+    assert 50 < taken < 300
+
+
+def test_a_link_that_stalled_says_so_and_sends_on_what_waited(link_of: Any) -> None:
+    link = link_of(forward={"delay_s": 0.002})
+    for n in range(20):
+        forward(link, n)
+        link.pass_ms(1.0)
+    link.bench.advance_ms(1000.0)
+    link.node.on_deadline(link.bench.clock.monotonic_ns())
+    said = [event for event in link.bench.take("session/event") if event.kind == "fault"]
+    assert [event.text for event in said] == [
+        "this process stalled for 1000 ms: what waited is sent on late, and is rejected"
+    ]
+    assert len(link.delivered(link.to_slave)) == 20
+    # what it took too long for is not told as a delay of the link
+    assert {delay_ns for _, _, delay_ns, _ in pairs(link.to_slave)} == {2_000_000}
 
 
 def _field(payload: bytes, key: str) -> Any:

@@ -29,7 +29,7 @@ class Hand:
             "velocity_m_per_s": ZERO,
             "force_n": ZERO,
             "hand_seq": 0,
-            "hand_t_ns": 1,
+            "hand_t_ns": self.bench.clock.now_ns(),
             **changes,
         }
         self.node.on_message(self.bench.received("haptic/command", "controller@master", **fields))
@@ -160,3 +160,67 @@ def test_the_end_closes_the_device(hand: Hand) -> None:
 def test_unknown_commands_are_refused(hand: Hand) -> None:
     with pytest.raises(RefusedError, match="does not know mark"):
         hand.control("mark")
+
+
+@pytest.mark.parametrize("link_ms", [0, 300])
+@pytest.mark.parametrize(("answer_ms", "mode"), [(48, "position"), (51, "off")])
+def test_a_new_command_is_as_old_as_the_sample_that_it_answers(
+    hand: Hand, answer_ms: int, mode: str, link_ms: int
+) -> None:
+    """Both ways of the link are taken off: an answer over 2 x 150 ms is fresh, one about a second old is not."""
+    hand.tick(5, commanded=True)
+    for direction in ("forward", "backward"):
+        hand.node.on_message(hand.bench.link_delay(direction, link_ms * 500_000))
+    hand.command(hand_t_ns=hand.bench.clock.now_ns() - (answer_ms + link_ms) * 1_000_000)
+    hand.tick()
+    assert hand.states()[-1].mode == mode
+    assert hand.node.stale == (mode == "off")
+
+
+def test_a_command_that_was_sent_long_ago_is_not_followed(hand: Hand) -> None:
+    hand.tick(5, commanded=True)
+    old_ns = hand.bench.clock.now_ns() - 60_000_000
+    hand.command(t_ns=old_ns, hand_t_ns=old_ns)
+    hand.tick()
+    assert hand.states()[-1].mode == "off"
+
+
+def test_a_command_to_be_off_answers_nothing_and_needs_no_sample(hand: Hand) -> None:
+    hand.command(mode="off", hand_t_ns=hand.bench.clock.now_ns() - 10**9)
+    hand.tick()
+    assert hand.node.stale == 0
+    assert [event.text for event in hand.bench.take("session/event")] == ["command applied as it came"]
+
+
+@pytest.mark.parametrize("stalled_ms", [200, 1000, 3000])
+def test_a_device_that_stalled_lets_go_whatever_waits(hand: Hand, stalled_ms: int) -> None:
+    hand.tick(5, commanded=True)
+    hand.bench.take("session/event")
+    hand.bench.advance_ms(stalled_ms)
+    # as fresh as can be
+    hand.command(x_m=5e-3)
+    hand.tick()
+    state = hand.states()[-1]
+    assert (state.mode, state.motor_force_n) == ("off", ZERO)
+    said = [event for event in hand.bench.take("session/event") if event.kind == "fault"]
+    assert [event.text for event in said] == [
+        # late by so much for the tick that was due a period after the last
+        f"this process stalled for {stalled_ms - 1} ms: the motor is off until the next command"
+    ]
+    before_m = -state.position_m[2]
+    hand.command(x_m=5e-3)
+    hand.tick()
+    state = hand.states()[-1]
+    assert state.mode == "position"
+    # from where it is, at the speed limit
+    assert abs(-state.reference_m[2] - before_m) <= 0.03 * 1e-3 * (1 + 1e-9)
+
+
+def test_a_device_that_is_late_by_less_goes_on(hand: Hand) -> None:
+    hand.tick(5, commanded=True)
+    hand.bench.take("session/event")
+    hand.bench.advance_ms(48.0)
+    hand.command()
+    hand.tick()
+    assert hand.states()[-1].mode == "position"
+    assert hand.bench.take("session/event") == []

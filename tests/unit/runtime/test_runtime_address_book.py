@@ -102,6 +102,7 @@ def test_an_observer_connects_to_every_node_for_all_that_it_may_send() -> None:
         "node/journal",
     ]
     assert observed["delay_node@slave"] == [
+        "link/delay",
         "clock/ping",
         "session/event",
         "node/health",

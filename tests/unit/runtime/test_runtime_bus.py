@@ -2,9 +2,12 @@
 
 import fcntl
 import os
+import queue
+import signal
 import socket as plain_socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -14,17 +17,29 @@ import msgpack
 import pytest
 import zmq
 
-from proto import MAX_MESSAGE_BYTES, TOPICS, decode, encode
+from proto import MAX_MESSAGE_BYTES, TOPICS, WireError, decode, encode
 from proto.contract import examples
 from proto.errors import EndpointError
 from proto.messages import AfmState, HapticState, SessionControl
+from proto.nodes import NODES, name_of
 from proto.sequence import Arrival
-from services.runtime.bus import Received, Subscriber, ZmqBus, ZmqPublisher, split_frames
+from services.runtime.bus import (
+    QUEUE_S,
+    RECEIVE_HIGH_WATER_MARK,
+    SEND_HIGH_WATER_MARK,
+    NullPublisher,
+    Received,
+    Subscriber,
+    ZmqBus,
+    ZmqPublisher,
+    split_frames,
+)
 from services.runtime.clock import SystemClock, VirtualClock
 
 Context = zmq.Context[zmq.Socket[bytes]]
 MOST_TRACKERS = 1024
 BATCH = 256
+NEWEST_MARK = 256
 ENCODED = {topic: encode(examples(row)["ordinary"]) for topic, row in TOPICS.items()}
 WAIT_S = 20.0
 
@@ -267,6 +282,127 @@ def test_a_latest_topic_drops_what_was_overtaken_and_a_lossless_one_does_not(unc
         assert (tracker.received, tracker.lost, tracker.gaps, tracker.late, tracker.duplicates) == (5, 1, 1, 1, 2)
 
 
+Waiting = list[tuple[list[bytes], int]]
+
+
+def waiting(*messages: tuple[str, int, int, str], at_ns: int = 0) -> Waiting:
+    """Give frames of (topic, seq, t_ns, src) as they are taken from a socket together."""
+    return [
+        ([topic.encode(), payload(topic, seq=seq, t_ns=t_ns, src=src)], at_ns + place)
+        for place, (topic, seq, t_ns, src) in enumerate(messages)
+    ]
+
+
+@pytest.fixture
+def newest(context: Context) -> Iterator[Subscriber]:
+    """Give a subscriber of a node of the loop, without connection, which has heard one message of a hand."""
+    topics = ["haptic/state", "node/health", "session/control"]
+    reader = Subscriber(context, VirtualClock(), {"": topics}, connect=False, newest_only=True)
+    assert len(reader.take(waiting(("haptic/state", 0, 0, "a@b")))) == 1
+    yield reader
+    reader.close()
+
+
+def test_of_what_waits_together_the_newest_is_taken_and_the_rest_counted(newest: Subscriber) -> None:
+    received = newest.take(waiting(*(("haptic/state", seq, seq, "a@b") for seq in range(1, 200))))
+    assert [(r.message.seq, r.received_ns, r.arrival) for r in received] == [(199, 198, Arrival.NEXT)]
+    tracker = newest.trackers["haptic/state", "a@b"]
+    assert (tracker.received, tracker.superseded, tracker.lost, tracker.gaps) == (200, 198, 0, 0)
+    (health, *_) = newest.input_health()
+    assert (health.received, health.lost, health.repeated) == (200, 0, 0)
+    assert newest.rejected == {}
+
+
+def test_one_at_a_time_nothing_is_superseded(newest: Subscriber) -> None:
+    for seq in range(1, 50):
+        assert [r.message.seq for r in newest.take(waiting(("haptic/state", seq, seq, "a@b")))] == [seq]
+    assert newest.trackers["haptic/state", "a@b"].superseded == 0
+
+
+def test_commands_and_other_sources_are_not_superseded_and_commands_come_first(newest: Subscriber) -> None:
+    assert newest.take(waiting(("haptic/state", 0, 0, "c@b")))
+    mixed = waiting(
+        ("haptic/state", 1, 1, "a@b"),
+        ("session/control", 0, 0, "console@b"),
+        ("haptic/state", 1, 1, "c@b"),
+        ("session/control", 1, 1, "console@b"),
+        ("haptic/state", 2, 2, "a@b"),
+        ("session/control", 2, 2, "console@b"),
+    )
+    taken = [(r.topic, r.message.src, r.message.seq) for r in newest.take(mixed)]
+    assert taken == [
+        ("session/control", "console@b", 0),
+        ("session/control", "console@b", 1),
+        ("session/control", "console@b", 2),
+        ("haptic/state", "c@b", 1),
+        ("haptic/state", "a@b", 2),
+    ]
+
+
+def test_a_loss_in_what_is_superseded_stays_a_loss(newest: Subscriber) -> None:
+    received = newest.take(waiting(*(("haptic/state", seq, seq, "a@b") for seq in (1, 2, 5, 6))))
+    assert [r.message.seq for r in received] == [6]
+    tracker = newest.trackers["haptic/state", "a@b"]
+    assert (tracker.received, tracker.superseded, tracker.lost, tracker.gaps) == (5, 3, 2, 1)
+
+
+@pytest.mark.parametrize(
+    ("seqs", "taken", "superseded", "duplicates"),
+    [
+        # repeated, overtaken, and both: the newest is the one of the highest number, wherever it stands
+        ((1, 2, 2), [2], 1, 1),
+        ((3, 1, 2), [3], 0, 0),
+        ((1, 3, 2, 3, 4), [4], 2, 1),
+        ((0, 0, 1), [1], 0, 2),
+    ],
+)
+def test_repeated_and_overtaken_messages_do_not_count_as_superseded(
+    newest: Subscriber, seqs: tuple[int, ...], taken: list[int], superseded: int, duplicates: int
+) -> None:
+    received = newest.take(waiting(*(("haptic/state", seq, seq, "a@b") for seq in seqs)))
+    assert [r.message.seq for r in received] == taken
+    tracker = newest.trackers["haptic/state", "a@b"]
+    assert (tracker.superseded, tracker.duplicates, tracker.lost) == (superseded, duplicates, 0)
+    assert tracker.last_seq == max(seqs)
+
+
+def test_the_first_message_after_a_restart_supersedes_those_before_it(newest: Subscriber) -> None:
+    received = newest.take(waiting(("haptic/state", 1, 1, "a@b"), ("haptic/state", 0, 10**9, "a@b")))
+    assert [(r.message.seq, r.arrival) for r in received] == [(0, Arrival.RESTART)]
+    assert newest.trackers["haptic/state", "a@b"].superseded == 1
+
+
+def test_what_is_wrong_supersedes_nothing_and_is_refused_as_ever(newest: Subscriber) -> None:
+    frames = waiting(("haptic/state", 1, 1, "a@b"), ("haptic/state", 2, 2, "a@b"))
+    wrong = [[b"haptic/state", b""], [b"haptic/state"], [b"haptic/state", GOOD, b""], [b"haptic/stateful", GOOD]]
+    received = newest.take([*frames, *((frame, 9) for frame in wrong)])
+    assert [r.message.seq for r in received] == [2]
+    assert newest.rejected == {"malformed": 1, "frames": 2, "topic": 1}
+
+
+def test_a_source_that_may_not_speak_supersedes_nothing(context: Context) -> None:
+    def permit(topic: str, src: str) -> None:
+        if src != "a@b":
+            raise WireError("role", f"{src} may not publish {topic}")
+
+    reader = Subscriber(context, VirtualClock(), {"": ["haptic/state"]}, connect=False, permit=permit, newest_only=True)
+    try:
+        reader.take(waiting(("haptic/state", 0, 0, "a@b")))
+        received = reader.take(waiting(*(("haptic/state", n, n, src) for n in (1, 2) for src in ("a@b", "x@b"))))
+    finally:
+        reader.close()
+    assert [(r.message.src, r.message.seq) for r in received] == [("a@b", 2)]
+    assert reader.rejected == {"role": 2}
+
+
+def test_superseded_messages_are_in_the_report_and_are_no_refusals(newest: Subscriber) -> None:
+    bus = ZmqBus(NullPublisher(VirtualClock(), "n@s"), [newest], VirtualClock(), 0)
+    newest.take(waiting(*(("haptic/state", seq, seq, "a@b") for seq in range(1, 9))))
+    assert bus.rejections() == ({"superseded": 7}, "")
+    newest.take(waiting(("haptic/state", 9, 9, "a@b")))
+    assert bus.rejections() == ({"superseded": 7}, "")
+
+
 def test_every_source_has_its_own_account(unconnected: Subscriber) -> None:
     for seq in range(3):
         assert hand(unconnected, seq, seq, src="haptic_node@master")
@@ -326,7 +462,7 @@ def test_a_flood_is_taken_a_bounded_part_at_a_time(context: Context) -> None:
         flood.connected()
         for seq in range(1000):
             flood.send(b"haptic/state", payload("haptic/state", seq=seq))
-        parts = [len(list(reader.receive())) for _ in range(5)]
+        parts = [len(reader.receive()) for _ in range(5)]
     finally:
         flood.socket.close()
         reader.close()
@@ -337,25 +473,27 @@ def test_a_reader_that_stops_for_longer_than_its_mark_counts_what_it_missed(cont
     sender = context.socket(zmq.XPUB)
     sender.set(zmq.SNDHWM, 10)
     sender.bind("inproc://slow")
-    reader = Subscriber(context, SystemClock(), {"inproc://slow": ["haptic/state"]})
+    reader = Subscriber(context, SystemClock(), {"inproc://slow": ["haptic/state"]}, newest_only=True)
+    sent = 2 * NEWEST_MARK
     try:
         assert sender.poll(WAIT_S * 1e3)
         sender.recv()
-        sent = 12_000
-        head, tail = payload("haptic/state", seq=0), payload("haptic/state", seq=sent)
         for seq in range(sent):
-            sender.send_multipart([b"haptic/state", head if seq == 0 else payload("haptic/state", seq=seq)])
-        received = collect(reader, 10_000)
-        while more := list(reader.receive()):
+            sender.send_multipart([b"haptic/state", payload("haptic/state", seq=seq)])
+        received = collect(reader, 1)
+        while more := reader.receive():
             received += more
-        sender.send_multipart([b"haptic/state", tail])
+        sender.send_multipart([b"haptic/state", payload("haptic/state", seq=sent)])
         received += collect(reader, 1)
     finally:
         sender.close(linger=0)
         reader.close()
     tracker = reader.trackers["haptic/state", "haptic_node@master"]
-    assert tracker.received == len(received) < sent
-    assert (tracker.lost, tracker.gaps) == (sent + 1 - len(received), 1)
+    # it took all that its queue and the sender's held, acted on a few, and knows of the rest
+    assert NEWEST_MARK <= tracker.received < sent
+    assert (tracker.received + tracker.lost, tracker.gaps) == (sent + 1, 1)
+    assert tracker.received == len(received) + tracker.superseded
+    assert received[-1].message.seq == sent
 
 
 # --- the endpoint ---
@@ -545,3 +683,84 @@ def test_what_the_link_forwards_keeps_the_header_of_its_publisher(
     assert isinstance(received.message, SessionControl)
     assert (received.message.src, received.message.seq) == ("launcher@master", 41)
     assert not isinstance(received.message, HapticState)
+
+
+# --- what waits for a reader that stands still ---
+
+
+def test_ten_seconds_of_the_busiest_publisher_wait_for_its_readers() -> None:
+    nodes = [row.key for row in NODES if row.part in ("rig", "endpoint")]
+    rates = {
+        node: sum(
+            row.rate_hz or 0.0 for row in TOPICS.values() if node in row.publishers or name_of(node) in row.publishers
+        )
+        for node in nodes
+    }
+    busiest_hz = max(rates.values())
+    assert {node for node, rate_hz in rates.items() if rate_hz == busiest_hz} == {
+        "controller@master",
+        "controller@slave",
+    }
+    # events, journal and health as well
+    assert QUEUE_S * (busiest_hz + 10.0) <= SEND_HIGH_WATER_MARK
+    assert RECEIVE_HIGH_WATER_MARK >= SEND_HIGH_WATER_MARK
+
+
+READER = """
+import sys, time, zmq
+from services.runtime.bus import Subscriber
+from services.runtime.clock import SystemClock
+reader = Subscriber(zmq.Context(), SystemClock(), {sys.argv[1]: ["clock/ping"]}, newest_only=True, queue_s=0.2)
+while True:
+    reader.socket.poll(100)
+    for received in reader.receive():
+        tracker = reader.trackers["clock/ping", received.message.src]
+        print(received.message.seq, tracker.lost, tracker.superseded, flush=True)
+"""
+
+
+def test_a_reader_that_stands_still_for_longer_than_the_queue_goes_on_with_the_newest(
+    context: Context, endpoint: str
+) -> None:
+    publisher = ZmqPublisher(context, SystemClock(), "delay_node@slave", endpoint, kind=zmq.XPUB)
+    command = [sys.executable, "-c", READER, endpoint]
+    rows: queue.Queue[list[int]] = queue.Queue()
+
+    def read(out: IO[str]) -> None:
+        for line in out:
+            rows.put([int(word) for word in line.split()])
+
+    def publish_until(condition: Callable[[], bool]) -> None:
+        deadline = time.monotonic() + WAIT_S
+        while not condition():
+            assert time.monotonic() < deadline
+            publisher.publish("clock/ping")
+            time.sleep(1e-3)
+
+    def subscribed(expected: bytes) -> bool:
+        return publisher.socket.poll(0) != 0 and publisher.socket.recv() == expected
+
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as reader:
+        assert reader.stdout is not None
+        thread = threading.Thread(target=read, args=(reader.stdout,))
+        thread.start()
+        try:
+            publish_until(lambda: subscribed(b"\x01clock/ping"))
+            # pings have told the publisher how long to wait for this reader
+            publish_until(lambda: rows.qsize() > 200)
+            os.kill(reader.pid, signal.SIGSTOP)
+            # the end of the subscription is the end of the connection
+            publish_until(lambda: subscribed(b"\x00clock/ping"))
+            before = publisher.sequence_numbers()["clock/ping"]
+            publish_until(lambda: publisher.sequence_numbers()["clock/ping"] > before + 100)
+            resumed = publisher.sequence_numbers()["clock/ping"]
+            os.kill(reader.pid, signal.SIGCONT)
+            publish_until(lambda: not rows.empty() and rows.queue[-1][0] > resumed)
+        finally:
+            reader.kill()
+            thread.join()
+            publisher.close()
+    seq, lost, superseded = rows.queue[-1]
+    # what was dropped with the connection is lost, and known to be; what had got through was superseded
+    assert lost > 100
+    assert lost + superseded + rows.qsize() == seq + 1 - rows.queue[0][0]

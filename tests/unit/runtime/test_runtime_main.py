@@ -5,16 +5,16 @@ import logging
 import os
 import signal
 import socket
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, ClassVar, cast
 
 import pytest
 from pydantic import BaseModel, ConfigDict, Field
 
 from proto.errors import ConfigError
 from services.runtime.bus import Received
-from services.runtime.main import EXIT_BAD_START, NodeKind, load_site, ordinary, parse_arguments, run_node
+from services.runtime.main import EXIT_BAD_START, NodeKind, load_site, node_kind, ordinary, parse_arguments, run_node
 from services.runtime.node import Node, NodeContext
 from services.runtime.security.keyring import Keyring
 
@@ -169,3 +169,27 @@ def test_a_wrong_site_file_names_its_key(tmp_path: Path) -> None:
     path.write_text("nodes: {afm_node@slave: 'tcp://{slave}:5501'}\n")
     with pytest.raises(ConfigError, match=r"site\.yaml: nodes\.afm_node@slave: .* is not in `machines`"):
         load_site(path)
+
+
+class _AskedError(Exception):
+    """The bus that a node asks for."""
+
+
+class _Asks:
+    """Wiring that only notes which bus a node is built with."""
+
+    def __init__(self, key: str) -> None:
+        self.key = key
+
+    def bus(self, topics: Sequence[str], *, newest_only: bool = False) -> Any:
+        raise _AskedError(newest_only, *topics)
+
+
+@pytest.mark.parametrize("key", ["haptic_node@master", "controller@master", "controller@slave", "afm_node@slave"])
+def test_a_node_of_the_loop_takes_the_newest_of_what_waits(key: str) -> None:
+    with pytest.raises(_AskedError) as asked:
+        node_kind(key.partition("@")[0]).build(cast(Any, _Asks(key)), cast(Any, None))
+    newest_only, *topics = asked.value.args
+    assert newest_only
+    # without it every sample behind a link with delay would be stale
+    assert "link/delay" in topics

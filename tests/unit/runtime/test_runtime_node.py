@@ -218,6 +218,27 @@ def test_a_node_without_deadline_acts_on_messages_at_once() -> None:
     assert max(b - a for a, b in zip([5 * MS, *rig.bus.waits], rig.bus.waits, strict=False)) <= HEALTH_PERIOD_NS
 
 
+def test_time_that_passes_between_taking_and_acting_is_not_lost() -> None:
+    """A process may be stopped anywhere: what it took before counts from when it goes on."""
+    for stopped_ms, is_later in ((50, False), (51, True), (3000, True)):
+        rig = Rig(period_ns=MS)
+        rig.node.journalled = True
+        rig.loop = NodeLoop(rig.node, rig.bus, GRANTED)
+        rig.bus.arrives(5 * MS, "haptic/state")
+        receive = rig.bus.receive
+
+        def stopped(receive: Any = receive, rig: Rig = rig, stopped_ms: int = stopped_ms) -> list[Received]:
+            taken = list(receive())
+            rig.clock.advance_ns(stopped_ms * MS if taken else 0)
+            return taken
+
+        rig.bus.receive = stopped
+        rig.loop.turn()
+        (received,) = rig.node.messages
+        assert (received.received_ns == rig.clock.now_ns()) is is_later
+        assert (received.received_ns == 5 * MS) is not is_later
+
+
 def test_a_message_that_moves_the_deadline_is_obeyed_in_the_same_turn() -> None:
     rig = Rig(period_ns=100 * MS)
     rig.bus.arrives(20 * MS, "haptic/state")

@@ -29,6 +29,7 @@ from services.runtime.main import load_site
 from services.runtime.observer import ObservedMessage, Observer
 from telenano.commands import status
 from telenano.root import app
+from telenano.tables import health_cells
 
 RIG = [
     "haptic_node@master",
@@ -221,6 +222,16 @@ def test_the_facts_of_a_node() -> None:
         "memory_locked": True, "replay": False, "lateness_p99_s": 0.00021, "oldest_input_s": 0.002, "received": 20,
         "lost": 4, "refused": {"topic": 2},
     }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("rejected", "style"),
+    [({}, ""), ({"superseded": 12}, ""), ({"superseded": 12, "stale": 1}, "red"), ({"topic": 2}, "red")],
+)
+def test_what_was_superseded_alarms_nobody(rejected: dict[str, int], style: str) -> None:
+    [facts] = document_of(status_of(health("afm_node@slave", rejected=rejected)), ["afm_node@slave"])["nodes"]
+    cell = health_cells(facts)["refused"]
+    assert (cell.style, cell.plain) == (style, ", ".join(f"{name} {count}" for name, count in rejected.items()) or "0")
 
 
 def test_a_node_that_acts_on_messages_only_has_no_lateness() -> None:

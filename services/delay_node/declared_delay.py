@@ -1,0 +1,71 @@
+"""What the link tells its readers of the delay: link/delay, before the first message that a changed one applies to."""
+
+from typing import NamedTuple
+
+from proto import WireError, decode_header
+from services.delay_node.clock_offset import Offset
+from services.delay_node.fate import Release
+from services.runtime.freshness import DELAY_STEP_NS
+
+# the messages that descend from a sample of the hand, and whose age is therefore judged at the other side
+DECLARED = {"forward": "teleop/forward", "backward": "teleop/backward"}
+
+
+class Declaration(NamedTuple):
+    """From which sample of the hand on a delay applies [ns], and the delay in whole steps [ns]."""
+
+    hand_t_ns: int
+    delay_ns: int
+
+
+class DeclaredDelay:
+    """The delay of one direction as its readers know it."""
+
+    def __init__(self, direction: str) -> None:
+        self.current = Declaration(0, 0)
+        self._topic = DECLARED[direction]
+        self._newest_arrival_ns = -1
+
+    def changed_by(self, release: Release) -> bool:
+        """Return whether a message about to be sent has another delay than readers know; it is `current` from then on.
+
+        One that was overtaken, or the later of two copies, is of no use to a reader and changes nothing.
+        """
+        fate = release.fate
+        if release.topic != self._topic or fate.arrived_ns <= self._newest_arrival_ns:
+            return False
+        self._newest_arrival_ns = fate.arrived_ns
+        delay_ns = fate.delay_ns - fate.delay_ns % DELAY_STEP_NS
+        if delay_ns == self.current.delay_ns:
+            return False
+        try:
+            hand_t_ns = decode_header(release.topic, release.payload)[1].get("hand_t_ns")
+        except WireError:
+            # it was corrupted on its way: its readers refuse it
+            return False
+        if type(hand_t_ns) is not int or hand_t_ns < 0:
+            return False
+        self.current = Declaration(hand_t_ns, delay_ns)
+        return True
+
+
+class BetweenSites(NamedTuple):
+    """Least transit between two machines besides the delay, and what the slave's clock is ahead there [ns]."""
+
+    transit_ns: int
+    clock_ahead_ns: int
+
+
+ONE_MACHINE = BetweenSites(0, 0)
+
+
+def between_sites(offset: Offset | None) -> BetweenSites:
+    """Return what lies between two machines, from the exchanges of time stamps with the other one.
+
+    With the offset estimated as it is, a message on the shortest way seems to take half the round trip, however the two
+    directions share it. Where the offset is within its uncertainty the clocks may be one, and count as one.
+    """
+    if offset is None:
+        return ONE_MACHINE
+    ahead_s = offset.offset_s if abs(offset.offset_s) > offset.uncertainty_s else 0.0
+    return BetweenSites(round(0.5e9 * offset.round_trip_s), round(1e9 * ahead_s))

@@ -1,0 +1,185 @@
+"""SIGSTOP and SIGCONT of each process of a real rig: nothing past its deadline is obeyed, and the tip does not jump.
+
+The recording is the witness. Of each state of a device it has the command in force and the hand's sample behind it; of
+the link it has the delay of each message. The same in virtual time, and without the doubt whether the machine was busy,
+is in `tests/replay/test_virtual_stalls.py`.
+"""
+
+import math
+import os
+import signal
+import time
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+import yaml
+from ledger import record
+from stack_rig import Rig
+
+from proto.topics import LOOP_DEADLINE_S
+from recording.reader import Recording
+
+MS = 1_000_000
+HAND, LINK, TIP = "haptic_node@master", "delay_node@master", "afm_node@slave"
+NODES = (HAND, "controller@master", LINK, "controller@slave", TIP)
+DEADLINE_MS = LOOP_DEADLINE_S * 1e3
+# a state is sent after it was decided: where that took longer, the process was stopped in between, and so much of what
+# it had in hand it can only finish
+IN_HAND_NS = 5 * MS
+GRAIN_MS = IN_HAND_NS / MS
+MOST_NM = 0.5
+SOON_NS = 20 * MS
+SWING = [
+    {"time_s": round(0.05 * n, 2), "position_m": 5.5e-3 - 3.5e-3 * math.cos(0.1 * math.pi * n)} for n in range(1800)
+]
+
+
+class Stall(NamedTuple):
+    node: str
+    begin_ns: int
+    end_ns: int
+
+
+class Findings(NamedTuple):
+    """The greatest ages in a session [ms], and ways of the tip after a stall [nm]; what was reported [s]."""
+
+    command_ms: float
+    hand_ms: float
+    answer_ms: float
+    soon_nm: float
+    queued_nm: float
+    reported_s: dict[Stall, float]
+
+
+class Session:
+    """A rig under a law, over a link, with a hand that swings; its processes are stopped one after the other."""
+
+    def __init__(self, folder: Path, law: str, link_ms: float) -> None:
+        self.rig, self.link_ms, self.stalls = Rig(folder), link_ms, list[Stall]()
+        scenario = {
+            "name": "stalls",
+            "description": "A hand swings, and processes are stopped",
+            "duration_s": 600.0,
+            "haptic_node": {"operator": {"kind": "impedance", "path": SWING}},
+            "afm_node": {"rest_distance_m": 1e-8},
+            "controller": {"law": law},
+        }
+        path = folder / "stalls.yaml"
+        path.write_text(yaml.safe_dump(scenario))
+        self.rig.start("--delay-ms", str(link_ms), scenario=str(path))
+        self.rig.wait_until(self.rig.running, "a running session")
+        time.sleep(1.0)
+
+    def stall(self, node: str, duration_s: float) -> None:
+        process_id = self.rig.process_of(node)
+        assert process_id is not None
+        begin_ns = time.time_ns()
+        os.kill(process_id, signal.SIGSTOP)
+        time.sleep(duration_s)
+        end_ns = time.time_ns()
+        os.kill(process_id, signal.SIGCONT)
+        self.stalls.append(Stall(node, begin_ns, end_ns))
+        # the last of what was in the link, and the coupling there and back
+        time.sleep(0.2 + 2e-3 * self.link_ms)
+
+    def arm(self) -> None:
+        """Take the tip up again, as an operator does after a withdrawal."""
+        self.rig.wait_until(
+            lambda: self.rig.tell("session", "arm", "--target", "afm_node").returncode == 0, "an armed instrument"
+        )
+        time.sleep(0.2 + 2e-3 * self.link_ms)
+
+    def end(self) -> Findings:
+        code, _, err = self.rig.stop()
+        assert code in (0, 1), err
+        assert "Traceback" not in err
+        recording = Recording(self.rig.out / "session.mcap")
+        tips = [found.decode() for found in recording.messages(["afm/state"])]
+        hands = [found.decode() for found in recording.messages(["haptic/state"])]
+        events = [found.decode() for found in recording.messages(["session/event"])]
+        commands = {found.seq: found.decode() for found in recording.messages(["afm/command"])}
+        obeyed = [(tip, commands[tip.command_seq]) for tip in in_time(tips) if tip.mode == "follow"]
+        coupled = [hand for hand in in_time(hands) if hand.mode == "position" and hand.answered_t_ns]
+        assert len(obeyed) > 1000
+        assert len(coupled) > 500
+        ways = [ways_nm(tips, commands, stall) for stall in self.stalls]
+        return Findings(
+            command_ms=max((tip.t_ns - command.t_ns) / MS for tip, command in obeyed),
+            hand_ms=max((tip.t_ns - command.hand_t_ns) / MS for tip, command in obeyed) - self.link_ms,
+            answer_ms=max((hand.t_ns - hand.answered_t_ns) / MS for hand in coupled) - 2.0 * self.link_ms,
+            soon_nm=max(soon for soon, _ in ways),
+            queued_nm=max(queued for _, queued in ways),
+            reported_s={stall: reported_s(events, stall) for stall in self.stalls},
+        )
+
+
+def in_time(states: Sequence[Any]) -> list[Any]:
+    """Leave out what a device was about to say when it was stopped, by whomever."""
+    return [state for before, state in pairwise(states) if state.t_ns - before.t_ns < IN_HAND_NS]
+
+
+def ways_nm(tips: Sequence[Any], commands: dict[int, Any], stall: Stall) -> tuple[float, float]:
+    """Give how far the tip went soon after a stall, and by commands from before its end [nm]; withdrawal apart."""
+    soon, queued = [0.0], 0.0
+    for before, tip in pairwise([tip for tip in tips if tip.t_ns >= stall.end_ns - 50 * MS]):
+        if tip.t_ns < stall.end_ns or tip.mode not in ("follow", "hold"):
+            continue
+        step_nm = 1e9 * (before.base_position_m[2] - tip.base_position_m[2])
+        if tip.t_ns <= stall.end_ns + SOON_NS:
+            soon.append(soon[-1] + step_nm)
+        if commands[tip.command_seq].t_ns < stall.end_ns:
+            queued += abs(step_nm)
+    return max(soon) - min(soon), queued
+
+
+def reported_s(events: Sequence[Any], stall: Stall) -> float:
+    """Give for how long a process says that it was held up [s], 0.0 if it says nothing."""
+    own = [e for e in events if e.src == stall.node and stall.end_ns <= e.t_ns <= stall.end_ns + 1000 * MS]
+    return max((float(e.data["stalled_s"]) for e in own if "stalled_s" in e.data), default=0.0)
+
+
+def check(findings: Findings) -> None:
+    assert findings.command_ms <= DEADLINE_MS + GRAIN_MS
+    assert findings.hand_ms <= DEADLINE_MS + GRAIN_MS
+    assert findings.answer_ms <= DEADLINE_MS + GRAIN_MS
+    assert findings.soon_nm <= MOST_NM
+    assert findings.queued_nm <= MOST_NM
+    for stall, stalled_s in findings.reported_s.items():
+        assert stalled_s >= 0.9 * (stall.end_ns - stall.begin_ns) * 1e-9, stall
+
+
+def test_a_process_that_was_stopped_obeys_nothing_old(tmp_path: Path) -> None:
+    session = Session(tmp_path, "wave", 150.0)
+    try:
+        for node, duration_s in ((TIP, 0.2), ("controller@slave", 0.2), (LINK, 1.0)):
+            session.stall(node, duration_s)
+        check(session.end())
+    finally:
+        session.rig.close()
+
+
+@pytest.mark.endurance
+@pytest.mark.parametrize("link_ms", [0, 150])
+@pytest.mark.parametrize("law", ["virtual_impedance", "wave", "model_mediated"])
+def test_every_process_for_every_time_under_every_law_and_link(tmp_path: Path, law: str, link_ms: int) -> None:
+    session = Session(tmp_path, law, float(link_ms))
+    try:
+        for node in NODES:
+            for duration_s in (0.2, 1.0, 3.0):
+                session.stall(node, duration_s)
+                session.arm()
+        found = session.end()
+    finally:
+        session.rig.close()
+    check(found)
+    ages = (
+        f"command {found.command_ms:.0f} ms, hand's sample {found.hand_ms:.0f} ms, answer {found.answer_ms:.0f} ms old"
+    )
+    record(
+        f"each process stopped for 0.2, 1 and 3 s under {law}, link of {link_ms} ms",
+        f"the oldest that was obeyed: {ages}; tip moved {found.queued_nm:.2f} nm by what waited and "
+        f"{found.soon_nm:.2f} nm within 20 ms; each of 15 reported",
+    )
