@@ -1,5 +1,7 @@
 """Figure and summary of a session, from its recording alone."""
 
+import contextlib
+import io
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,12 +12,13 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
+from analysis.missing import Spans, account, cut_off, gaps
 from analysis.stability import Instrument, judge_holds, verdict_of
 from proto import TOPICS
-from proto.errors import RecordingError
+from proto.errors import RecordingError, ReportError
 from recording.arrays import columns, last_session, replay_shifts
 from recording.info import RecordingInfo
-from recording.reader import Recording
+from recording.multi_file import RecordingSource, open_recordings
 from services.controller.config import ControllerConfig
 from services.runtime.config import validate
 from services.runtime.scenario import Scenario
@@ -30,7 +33,10 @@ _TIP_FIELDS = ("tip_force_n.2", "separation_m", "in_contact", "mode")
 
 @dataclass(frozen=True)
 class Session:
-    """The part of a recording in which the operator's programme ran, and the series that the report needs."""
+    """The part of a recording in which the operator's programme ran, and the series that the report needs.
+
+    `missing` has a sentence for each end of it that the recording lacks.
+    """
 
     start_ns: int
     end_ns: int
@@ -39,13 +45,19 @@ class Session:
     tip: dict[str, Series]
     force_scale: float
     scenario: str
+    missing: tuple[str, ...] = ()
 
     @property
     def duration_s(self) -> float:
         return (self.end_ns - self.start_ns) * 1e-9
 
-    def series(self) -> SessionSeries:
+    def gaps_s(self) -> Spans:
+        """Return the spans of the session [s] in which a series has no sample."""
+        return gaps([self._time_s(series) for series in (self.hand, self.command, self.tip)], self.duration_s)
+
+    def series(self, gaps_s: Spans = ()) -> SessionSeries:
         return SessionSeries(
+            gaps_s=gaps_s,
             hand_time_s=self._time_s(self.hand),
             hand_force_n=-self.hand["operator_force_n.2"],
             hand_position_m=-self.hand["position_m.2"],
@@ -82,24 +94,48 @@ class Traffic:
         return shares
 
 
-def write_report(path: Path, out: Path) -> dict[str, Any]:
-    """Write `fig12.png` and `summary.json` of a recording to a folder.
+def write_report(path: Path | Sequence[Path], out: Path, missing: Sequence[str] = ()) -> dict[str, Any]:
+    """Write `fig12.png` and `summary.json` of a recording, or of the parts of one, to a folder.
 
-    Returns: the summary. Raises RecordingError naming the file and what it lacks, or what cannot be written.
+    Parameters: missing, sentences on what is known to be missing besides what the recording itself shows.
+    Returns: the summary. Raises RecordingError naming the file and what it lacks, ReportError with the
+    summary when a file cannot be written; none is left half written.
     """
-    recording = Recording(path)
+    recording = open_recordings([path] if isinstance(path, Path) else path)
     session = read_session(recording)
-    summary = summarise(session, recording.info(), read_traffic(recording, session))
+    summary = summarise(session, recording.info(), read_traffic(recording, session), missing)
+    figure = io.BytesIO()
+    # a node that stood still leaves a gap as well, which is no fault of the recording
+    gaps_s = () if summary["recording"]["complete"] else session.gaps_s()
+    save_fig12(session.series(gaps_s), _title(session, summary), figure)
+    text = json.dumps(summary, indent=2) + "\n"
     try:
-        out.mkdir(parents=True, exist_ok=True)
-        save_fig12(session.series(), _title(session, summary), out / "fig12.png")
-        (out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+        write_files(out, {"fig12.png": figure.getvalue(), "summary.json": text.encode()})
     except OSError as error:
-        raise RecordingError(f"{error.filename or out}: cannot be written: {error.strerror or error}") from error
+        raise ReportError(f"{error.filename}: cannot be written: {error.strerror}", summary) from error
     return summary
 
 
-def read_session(recording: Recording) -> Session:
+def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
+    """Write each file of a folder as a whole or not at all; OSError names the first that cannot be written."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, data in files.items():
+        _replace(folder / name, data)
+
+
+def _replace(path: Path, data: bytes) -> None:
+    """Write a file as a whole or not at all; OSError names it."""
+    part = path.with_name(path.name + ".part")
+    try:
+        part.write_bytes(data)
+        part.replace(path)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            part.unlink()
+        raise OSError(error.errno, error.strerror, str(path)) from error
+
+
+def read_session(recording: RecordingSource) -> Session:
     """Read the last session that a recording holds; RecordingError when the operator's programme never ran."""
     shifts = replay_shifts(recording)
     hand = _series(
@@ -122,10 +158,11 @@ def read_session(recording: Recording) -> Session:
         tip=_within(_series(recording, "afm/state", _TIP_FIELDS, shifts), start_ns, end_ns),
         force_scale=_force_scale(recording, document),
         scenario=document.name,
+        missing=tuple(cut_off(recording, hand["session_s"], running)),
     )
 
 
-def summarise(session: Session, info: RecordingInfo, traffic: Traffic) -> dict[str, Any]:
+def summarise(session: Session, info: RecordingInfo, traffic: Traffic, missing: Sequence[str] = ()) -> dict[str, Any]:
     """Return the summary of a session; what the session does not show is null."""
     series = session.series()
     scaled = session.force_scale * series.tip_force_n
@@ -149,11 +186,11 @@ def summarise(session: Session, info: RecordingInfo, traffic: Traffic) -> dict[s
         "completeness": traffic.completeness(session.duration_s),
         "seq_gaps": _gaps(info),
         "holds": [hold._asdict() for hold in holds],
-        "recording": {"file": info.path, "complete": info.complete, "messages": info.messages},
+        "recording": account(info, session.start_ns, (*session.missing, *missing)),
     }
 
 
-def read_traffic(recording: Recording, session: Session) -> Traffic:
+def read_traffic(recording: RecordingSource, session: Session) -> Traffic:
     """Count the messages sent while the session ran, by the time of sending."""
     messages: dict[str, int] = {}
     overruns: dict[str, tuple[int, int]] = {}
@@ -206,7 +243,7 @@ def _mean(values: Series) -> float | None:
 
 
 def _series(
-    recording: Recording, channel_topic: str, fields: Sequence[str], shifts: Mapping[str, int]
+    recording: RecordingSource, channel_topic: str, fields: Sequence[str], shifts: Mapping[str, int]
 ) -> dict[str, Series]:
     """Return fields and `t_ns`, which for a replayed source is shifted to the time of its replay."""
     series = columns(recording, channel_topic, ("t_ns", *fields))
@@ -220,7 +257,7 @@ def _within(series: dict[str, Series], start_ns: int, end_ns: int) -> dict[str, 
     return {name: values[inside] for name, values in series.items()}
 
 
-def _scenario(recording: Recording) -> Scenario:
+def _scenario(recording: RecordingSource) -> Scenario:
     try:
         text = recording.attachments["scenario.yaml"].decode()
     except KeyError as error:
@@ -228,7 +265,7 @@ def _scenario(recording: Recording) -> Scenario:
     return validate(Scenario, yaml.safe_load(text), f"{recording.path}: scenario.yaml")
 
 
-def _force_scale(recording: Recording, scenario: Scenario) -> float:
+def _force_scale(recording: RecordingSource, scenario: Scenario) -> float:
     config = validate(ControllerConfig, scenario.controller, f"{recording.path}: scenario.yaml", "controller")
     scale: float = config.section().force_scale
     return scale
@@ -238,4 +275,6 @@ def _title(session: Session, summary: Mapping[str, Any]) -> str:
     verdict = "stable" if summary["stable"] else "not stable"
     ratio = summary["hold_ratio"]
     hold = f", hold ratio {ratio:.3f}" if ratio is not None else ""
-    return f"{session.scenario}: {verdict}{hold}"
+    # a figure goes further than the summary: what it does not show has to stand in it
+    whole = "" if summary["recording"]["complete"] else "\nthe recording is not whole: what is missing is grey"
+    return f"{session.scenario}: {verdict}{hold}{whole}"

@@ -1,5 +1,7 @@
 """The exceptions: whatever a user can cause raises one of these; the text names what would be right."""
 
+from typing import Any
+
 
 class TelenanoError(Exception):
     """Base of every error that the project raises on purpose."""
@@ -19,6 +21,14 @@ class RefusedError(TelenanoError):
 
 class RecordingError(TelenanoError):
     """A recording cannot be written or read; the text names the file."""
+
+
+class ReportError(RecordingError):
+    """The files of a report cannot be written; `summary` is their content, as plain values."""
+
+    def __init__(self, text: str, summary: dict[str, Any]) -> None:
+        super().__init__(text)
+        self.summary = summary
 
 
 class RigError(TelenanoError):

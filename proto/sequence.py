@@ -44,6 +44,7 @@ class SequenceTracker:
         self.last_seq = -1
         self.last_t_ns = 0
         self.last_gap = (0, 0)
+        self.ended = False
         self._run = 0
         self._run_at = (-1, 0)
         # first and last number of each gap, in order, and those within them that came late
@@ -54,7 +55,7 @@ class SequenceTracker:
     def accept(self, seq: int, t_ns: int) -> Arrival:
         """Record a message and return how it relates to those before it."""
         arrival = Arrival.NEXT
-        if seq != self.last_seq + 1 and self.received:
+        if self.received and (seq != self.last_seq + 1 or self.ended):
             arrival = self._classify(seq, t_ns)
             if arrival is Arrival.DUPLICATE:
                 return arrival
@@ -64,13 +65,28 @@ class SequenceTracker:
             self.last_t_ns = t_ns
         return arrival
 
+    def finish(self, sent: int) -> int:
+        """Record that the publisher has ended after `sent` messages; return how many of the last are missing, and lost.
+
+        Messages that come after this are those of its next process, whatever their number.
+        """
+        if not self.received:
+            # what was sent before the reader had connected is not missing to it
+            return 0
+        missing = max(0, sent - 1 - self.last_seq)
+        if missing:
+            self._open_gap(self.last_seq + 1, sent)
+        self.ended = True
+        return missing
+
     def _classify(self, seq: int, t_ns: int) -> Arrival:
+        if self.ended and t_ns > self.last_t_ns:
+            return self._restart()
         if seq > self.last_seq:
             self._open_gap(self.last_seq + 1, seq)
             return Arrival.AFTER_GAP
         if t_ns > self.last_t_ns:
-            self._restart()
-            return Arrival.RESTART
+            return self._restart()
         if self._is_missing(seq):
             self._filled.add(seq)
             self.lost -= self.lost < MOST_COUNTED
@@ -80,16 +96,17 @@ class SequenceTracker:
         self._run = self._run + 1 if (seq - 1, self.received) == self._run_at else 1
         self._run_at = (seq, self.received)
         if self._run >= _REWIND_RUN and self.last_t_ns - t_ns > _REWIND_NS:
-            self._restart()
-            return Arrival.RESTART
+            return self._restart()
         self.duplicates += 1
         return Arrival.DUPLICATE
 
-    def _restart(self) -> None:
+    def _restart(self) -> Arrival:
         self.restarts += 1
+        self.ended = False
         self._gaps.clear()
         self._filled.clear()
         self._remembered = 0
+        return Arrival.RESTART
 
     def _is_missing(self, seq: int) -> bool:
         place = bisect_right(self._gaps, (seq, MOST_COUNTED)) - 1

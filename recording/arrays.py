@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from proto.errors import RecordingError
 from recording.messages import RecordedMessage
-from recording.reader import Recording
+from recording.multi_file import RecordingSource
 
 Column = npt.NDArray[Any]
 
@@ -19,7 +19,7 @@ _FAST_HZ = 100.0
 
 
 def columns(
-    recording: Recording,
+    recording: RecordingSource,
     channel_topic: str,
     fields: Sequence[str],
     start_ns: int | None = None,
@@ -47,14 +47,19 @@ def columns(
     return {field: _array(recording, channel_topic, field, values[field]) for field in fields}
 
 
-def replay_shifts(recording: Recording) -> dict[str, int]:
+def replayed_sources(recording: RecordingSource) -> set[str]:
+    """Return the nodes whose messages a player sent in their place."""
+    health = recording.select(lambda channel: channel.channel_topic == "node/health")
+    return {message.src for message in health if message.fields().get("replay") is True}
+
+
+def replay_shifts(recording: RecordingSource) -> dict[str, int]:
     """Return by how much [ns] the time stamps of each replayed source lie behind those of live nodes.
 
     A rig in which a player stood in for some nodes has old stamps beside new ones; the time of reception puts them on
     one axis. Empty where none was replayed, or all were: then the stamps agree with one another as they are.
     """
-    health = recording.select(lambda channel: channel.channel_topic == "node/health")
-    replayed = {message.src for message in health if message.fields().get("replay") is True}
+    replayed = replayed_sources(recording)
     fast = {c.src: c.channel_topic for c in recording.channels if c.via == "direct" and (c.rate_hz or 0.0) >= _FAST_HZ}
     if not replayed & set(fast) or set(fast) <= replayed:
         return {}
@@ -66,7 +71,7 @@ def replay_shifts(recording: Recording) -> dict[str, int]:
 
 
 def _append_fields(
-    recording: Recording,
+    recording: RecordingSource,
     message: RecordedMessage,
     paths: dict[str, tuple[str | int, ...]],
     values: dict[str, list[Any]],
@@ -88,7 +93,7 @@ def _path_of(field: str) -> tuple[str | int, ...]:
     return tuple(int(part) if part.isdecimal() else part for part in field.split("."))
 
 
-def _array(recording: Recording, channel_topic: str, field: str, values: list[Any]) -> Column:
+def _array(recording: RecordingSource, channel_topic: str, field: str, values: list[Any]) -> Column:
     kinds = {type(value) for value in values}
     if not kinds or (kinds <= {float, int, type(None)} and kinds & {float, type(None)}):
         return np.array([np.nan if value is None else value for value in values], dtype=np.float64)

@@ -1,9 +1,25 @@
-"""Summary of a recording: per channel its counts, rate and losses."""
+"""Summary of a recording: per channel its counts, rate and losses; what is missing; how late the recorder was."""
 
+from array import array
+from collections.abc import Iterable, Mapping
+
+import numpy as np
 from pydantic import BaseModel, ConfigDict
 
+from proto.ends import END_TOPIC, read_end
+from proto.errors import RecordingError
 from proto.sequence import SequenceTracker
-from recording.messages import RecordedMessage
+from recording.messages import RecordedChannel, RecordedMessage
+from recording.records import GAP_TOPIC, RECORDS
+
+# the metadata record with which the recorder ends a file: why it ended, and what is known to be missing
+END_NAME = "end"
+# the sequence of an MCAP message has 32 bits
+_SEQUENCE_MASK = 0xFFFF_FFFF
+# lags kept of a source; of more, every second one is left out, again and again
+_MOST_LAGS = 1 << 18
+# channels that are named where messages are missing; the rest is counted
+_MOST_NAMED = 5
 
 
 class _Info(BaseModel):
@@ -38,10 +54,32 @@ class AttachmentInfo(_Info):
     size_bytes: int
 
 
-class RecordingInfo(_Info):
-    """Summary of a recording.
+class LagInfo(_Info):
+    """Time from the sending of a message to its reception by the recorder [s], at the site of the recorder."""
 
-    `complete`: the file was closed properly. `skipped_bytes`: bytes that could not be used; `damage`: where and why.
+    p50_s: float
+    p99_s: float
+    max_s: float
+
+
+class PartInfo(_Info):
+    """One of the files of a recording; `pause_s` is the time since the one before in which nothing was recorded."""
+
+    path: str
+    start_ns: int
+    end_ns: int
+    messages: int
+    closed: bool
+    pause_s: float
+
+
+class RecordingInfo(_Info):
+    """Summary of a recording, or of the parts of one.
+
+    `complete`: nothing that was sent to the recorder is missing; `missing` names what is, in sentences. `closed`: each
+    file was closed properly, with index and end mark. `lost`: messages missing, without those that an impaired link
+    has dropped. `skipped_bytes`: bytes that could not be used; `damage`: where and why. `recorder_lag`: None where it
+    is unknown. `path` is the first of several `parts`, which are empty where there is but one file.
     """
 
     path: str
@@ -51,8 +89,13 @@ class RecordingInfo(_Info):
     duration_s: float
     messages: int
     complete: bool
+    missing: tuple[str, ...]
+    lost: int
+    closed: bool
+    recorder_lag: LagInfo | None
     skipped_bytes: int
     damage: tuple[str, ...]
+    parts: tuple[PartInfo, ...]
     channels: tuple[ChannelInfo, ...]
     attachments: tuple[AttachmentInfo, ...]
     metadata: dict[str, dict[str, str]]
@@ -67,6 +110,8 @@ class ChannelStatistics:
         self.last_ns = first.log_ns
         self.messages = 0
         self.size_bytes = 0
+        # missing although the link had sent them on
+        self.missing_at_end = 0
         self._tracker = SequenceTracker()
 
     def add(self, message: RecordedMessage) -> None:
@@ -74,6 +119,23 @@ class ChannelStatistics:
         self.size_bytes += len(message.payload)
         self.last_ns = message.log_ns
         self._tracker.accept(message.seq, message.publish_ns)
+
+    def finish(self, sent: int) -> None:
+        """Record that the publisher has ended after this number of messages."""
+        if not self._tracker.ended:
+            # both numbers are known modulo 2^32
+            beyond = (sent - 1 - self._tracker.last_seq) & _SEQUENCE_MASK
+            missing = 0 if beyond > _SEQUENCE_MASK // 2 else beyond
+            self.missing_at_end += self._tracker.finish(self._tracker.last_seq + 1 + missing)
+
+    def follows(self, first_missing: int) -> bool:
+        """Return whether a number is the next after the newest message."""
+        return self._tracker.last_seq + 1 == first_missing
+
+    @property
+    def missing(self) -> int:
+        """Messages that were sent to the recorder and are not there: what an impaired link drops was not."""
+        return self._tracker.lost if self.channel.via == "direct" else self.missing_at_end
 
     def info(self) -> ChannelInfo:
         channel, tracker = self.channel, self._tracker
@@ -95,3 +157,118 @@ class ChannelStatistics:
             repeated=tracker.late + tracker.duplicates,
             restarts=tracker.restarts,
         )
+
+
+class Account:
+    """The account of a recording, message by message in the order of reception; its parts one after the other."""
+
+    def __init__(self, recorder_site: str) -> None:
+        """Begin; the lag is measured at the site of the recorder, whose clock it is, or everywhere if that is empty."""
+        self.channels: dict[RecordedChannel, ChannelStatistics] = {}
+        self._site = recorder_site
+        self._lags: dict[str, _Lags] = {}
+        self._replayed: set[str] = set()
+        # by channel and source, the gap that the recorder has recorded last
+        self._gaps: dict[tuple[str, str], tuple[int, int]] = {}
+
+    def add(self, message: RecordedMessage) -> None:
+        """Add a message."""
+        channel = message.channel
+        statistics = self.channels.get(channel)
+        if statistics is None:
+            statistics = self.channels[channel] = ChannelStatistics(message)
+        statistics.add(message)
+        if channel.topic == GAP_TOPIC:
+            self._add_gap(message)
+        elif channel.via == "direct" and channel.src and channel.topic not in RECORDS:
+            if self._site in ("", channel.site):
+                self._lags.setdefault(channel.src, _Lags()).add(message.log_ns - message.publish_ns)
+            if channel.topic == END_TOPIC:
+                self._add_end(message)
+            elif channel.topic == "node/health" and _fields(message).get("replay") is True:
+                self._replayed.add(channel.src)
+
+    def finish(self) -> None:
+        """Add what the recorder found missing at the end of channels, where it did not record why."""
+        for (channel_topic, src), (first, last) in self._gaps.items():
+            for channel, statistics in self.channels.items():
+                if (channel.channel_topic, channel.src) == (channel_topic, src) and statistics.follows(first):
+                    statistics.finish(last + 1)
+
+    @property
+    def lost(self) -> int:
+        """Messages that were sent to the recorder and are missing."""
+        return sum(statistics.missing for statistics in self.channels.values())
+
+    def missing(self) -> tuple[str, ...]:
+        """Return a sentence for each channel that lacks messages; the last one counts the further channels."""
+        found = [(found.missing, channel) for channel, found in self.channels.items() if found.missing > 0]
+        found.sort(key=lambda row: -row[0])
+        named = [
+            f"{count} messages of {channel.src or 'a source'} on {channel.channel_topic} are missing"
+            for count, channel in found[:_MOST_NAMED]
+        ]
+        rest = found[_MOST_NAMED:]
+        if rest:
+            named.append(f"{sum(count for count, _ in rest)} messages on {len(rest)} further channels are missing")
+        return tuple(named)
+
+    def lag(self) -> LagInfo | None:
+        """Return the lag of the recorder; replayed messages have stamps of another time and do not count."""
+        lags = [found for src, found in self._lags.items() if src not in self._replayed]
+        if not lags:
+            return None
+        p50, p99 = np.percentile(np.concatenate([found.values() for found in lags]), [50.0, 99.0])
+        return LagInfo(p50_s=float(p50) * 1e-9, p99_s=float(p99) * 1e-9, max_s=max(found.most for found in lags) * 1e-9)
+
+    def _add_gap(self, message: RecordedMessage) -> None:
+        fields = _fields(message)
+        first, last = fields.get("first_missing"), fields.get("last_missing")
+        if type(first) is int and type(last) is int:
+            key = str(fields.get("channel_topic")), str(fields.get("src"))
+            self._gaps[key] = (first & _SEQUENCE_MASK, last & _SEQUENCE_MASK)
+
+    def _add_end(self, message: RecordedMessage) -> None:
+        sent = read_end(_fields(message)) or {}
+        for channel, statistics in self.channels.items() if sent else ():
+            # the counts are of the publisher's own endpoint: what was received elsewhere came through others
+            if channel.site == message.site and (channel.via == "direct") == (channel.src == message.src):
+                count = sent.get((channel.topic, channel.src))
+                if count is not None:
+                    statistics.finish(count)
+
+
+class _Lags:
+    """Lags of the messages of a source [ns], evenly spread over the recording where there are many."""
+
+    def __init__(self) -> None:
+        self.most = 0
+        self._kept = array("q")
+        self._step = 1
+        self._count = 0
+
+    def add(self, lag_ns: int) -> None:
+        self.most = max(self.most, lag_ns)
+        if self._count % self._step == 0:
+            # of a file with times beyond 64 bits
+            self._kept.append(max(-(2**62), min(lag_ns, 2**62)))
+            if len(self._kept) >= _MOST_LAGS:
+                self._kept = self._kept[::2]
+                self._step *= 2
+        self._count += 1
+
+    def values(self) -> "np.ndarray[tuple[int], np.dtype[np.int64]]":
+        return np.frombuffer(self._kept, dtype=np.int64)
+
+
+def notes_of(metadata: Iterable[Mapping[str, Mapping[str, str]]]) -> tuple[str, ...]:
+    """Return what the recorder itself noted as missing, from the metadata of its files."""
+    notes = [note for found in metadata for note in found.get(END_NAME, {}).get("note", "").split("; ") if note]
+    return tuple(dict.fromkeys(notes))
+
+
+def _fields(message: RecordedMessage) -> Mapping[str, object]:
+    try:
+        return message.fields()
+    except RecordingError:
+        return {}

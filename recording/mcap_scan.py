@@ -19,6 +19,7 @@ Bytes = bytes | mmap.mmap
 
 MAGIC: bytes = MCAP0_MAGIC
 RECORD_HEAD = struct.Struct("<BQ")
+MESSAGE_HEAD = struct.Struct("<HIQQ")
 _CHUNK_HEAD = struct.Struct("<QQQII")
 _LENGTH = struct.Struct("<Q")
 _CRC = struct.Struct("<I")
@@ -125,6 +126,18 @@ def unpack(data: Bytes, block: Block) -> bytes:
     return content
 
 
+def records_of(content: bytes) -> Iterator[tuple[int, int, int]]:
+    """Yield opcode, start and end of the body of each whole record in a chunk."""
+    position, size = 0, len(content) - RECORD_HEAD.size
+    while position <= size:
+        opcode, length = RECORD_HEAD.unpack_from(content, position)
+        start = position + RECORD_HEAD.size
+        position = start + length
+        if position > len(content) or (opcode == Opcode.MESSAGE and length < MESSAGE_HEAD.size):
+            return
+        yield opcode, start, position
+
+
 def _record_at(data: Bytes, position: int) -> tuple[int, int | None]:
     """Return the opcode and the end of the record at `position`; None for the end if it cannot be a whole record."""
     opcode = data[position]
@@ -132,12 +145,12 @@ def _record_at(data: Bytes, position: int) -> tuple[int, int | None]:
         return opcode, None
     end = position + RECORD_HEAD.size + _LENGTH.unpack_from(data, position + 1)[0]
     known = Opcode.HEADER <= opcode <= Opcode.DATA_END or opcode >= _FIRST_PRIVATE_OPCODE
-    if not known or end > len(data) or (opcode == Opcode.CHUNK and _chunk_at(data, position, end) is None):
+    if not known or end > len(data) or (opcode == Opcode.CHUNK and chunk_at(data, position, end) is None):
         return opcode, None
     return opcode, end
 
 
-def _chunk_at(data: Bytes, position: int, end: int | None) -> Block | None:
+def chunk_at(data: Bytes, position: int, end: int | None) -> Block | None:
     """Return the chunk at `position` if its lengths agree; `end` None means that the file ends within it."""
     body = position + RECORD_HEAD.size
     if body + _CHUNK_HEAD.size > len(data):
@@ -158,7 +171,7 @@ def _chunk_at(data: Bytes, position: int, end: int | None) -> Block | None:
 def _add_block(data: Bytes, position: int, end: int, opcode: int, layout: Layout) -> int:
     """Add a chunk, or a record outside of any chunk as a block of its own; return the end of what is intact."""
     if opcode == Opcode.CHUNK:
-        block = _chunk_at(data, position, end)
+        block = chunk_at(data, position, end)
         if block is not None:
             layout.blocks.append(block)
     else:
@@ -203,7 +216,7 @@ def _skip_damage(data: Bytes, position: int, trusted: int, opcode: int, layout: 
         start = position if found > position else trusted
         layout.damage.append(Damage(start, found - start, "bytes that are not a record"))
         return found
-    block = _chunk_at(data, position, None) if opcode == Opcode.CHUNK else None
+    block = chunk_at(data, position, None) if opcode == Opcode.CHUNK else None
     if block is not None:
         layout.blocks.append(block)
     reason = "the file ends within a chunk, whose beginning was read" if block else "the file ends within a record"
@@ -214,7 +227,7 @@ def _skip_damage(data: Bytes, position: int, trusted: int, opcode: int, layout: 
 def _next_chunk(data: Bytes, start: int, damaged: int) -> int | None:
     for candidate in _chunk_candidates(data, start):
         end = candidate + RECORD_HEAD.size + _LENGTH.unpack_from(data, candidate + 1)[0]
-        block = _chunk_at(data, candidate, end) if end <= len(data) and candidate != damaged else None
+        block = chunk_at(data, candidate, end) if end <= len(data) and candidate != damaged else None
         if block is not None and block.crc:
             try:
                 unpack(data, block)

@@ -1,16 +1,17 @@
 """Several files read as one recording, and the interface that they share with a single one."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Protocol
 
 from proto.errors import RecordingError
+from recording.info import RecordingInfo
 from recording.messages import ChannelFilter, RecordedChannel, RecordedMessage
-from recording.reader import Recording
+from recording.reader import Recording, info_of
 
 
 class RecordingSource(Protocol):
-    """What can be played and searched: a recording, or several files of one."""
+    """What can be played, searched and reported: a recording, or several files of one."""
 
     @property
     def path(self) -> Path:
@@ -23,6 +24,22 @@ class RecordingSource(Protocol):
     @property
     def span_ns(self) -> tuple[int, int]:
         """First and last time of reception [ns]."""
+
+    @property
+    def attachments(self) -> Mapping[str, bytes]:
+        """Files within the recording, by name."""
+
+    @property
+    def metadata(self) -> Mapping[str, Mapping[str, str]]:
+        """Metadata records by name."""
+
+    def info(self) -> RecordingInfo:
+        """Read everything and return its summary."""
+
+    def messages(
+        self, topics: Iterable[str] | None = None, start_ns: int | None = None, end_ns: int | None = None
+    ) -> Iterator[RecordedMessage]:
+        """Yield messages of channels by name within bounds [ns]."""
 
     def select(
         self, wanted: ChannelFilter | None = None, start_ns: int | None = None, end_ns: int | None = None
@@ -42,6 +59,27 @@ class MultiFileRecording:
         filled = [recording for recording in recordings if recording.span_ns != (0, 0)] or list(recordings[:1])
         self.files = sorted(filled, key=lambda recording: recording.span_ns)
         self.path = self.files[0].path
+
+    @property
+    def attachments(self) -> dict[str, bytes]:
+        """Files within the recording; of one name, that of the first part."""
+        return {name: data for file in reversed(self.files) for name, data in file.attachments.items()}
+
+    @property
+    def metadata(self) -> dict[str, dict[str, str]]:
+        """Metadata of the first part."""
+        return self.files[0].metadata
+
+    def info(self) -> RecordingInfo:
+        """Read all parts and return the summary of the whole."""
+        return info_of(self.files)
+
+    def messages(
+        self, topics: Iterable[str] | None = None, start_ns: int | None = None, end_ns: int | None = None
+    ) -> Iterator[RecordedMessage]:
+        """Yield messages as those of a single file do."""
+        for file in self.files:
+            yield from file.messages(topics, start_ns, end_ns)
 
     @property
     def channels(self) -> tuple[RecordedChannel, ...]:

@@ -1,11 +1,10 @@
 """Reading a recording, whether it was finished, killed, cut off or damaged."""
 
 import mmap
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from io import BytesIO
 from pathlib import Path
-from struct import Struct
 from typing import Generic, TypeVar
 
 from mcap.data_stream import ReadDataStream
@@ -13,16 +12,19 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Schema
 
 from proto.errors import RecordingError
-from recording.info import AttachmentInfo, ChannelStatistics, RecordingInfo
+from proto.nodes import site_of
+from recording.info import END_NAME, Account, AttachmentInfo, PartInfo, RecordingInfo, notes_of
+from recording.mcap_index import index_faults
 from recording.mcap_scan import (
     MAGIC,
-    RECORD_HEAD,
+    MESSAGE_HEAD,
     UNREADABLE,
     Block,
     Damage,
     DamagedBlockError,
     Layout,
     describe_damage,
+    records_of,
     scan,
     unpack,
 )
@@ -35,8 +37,9 @@ from recording.messages import (
     recorded_channel,
 )
 
-_MESSAGE_HEAD = Struct("<HIQQ")
 _END_OF_TIME = 2**64
+# of a file: the next one begins at once, or with the next trigger
+_PLANNED_ENDS = ("split", "snapshot")
 
 DamageCallback = Callable[[Damage], None]
 
@@ -65,9 +68,14 @@ class Recording:
             self._layout = scan(data)
 
     @property
-    def complete(self) -> bool:
+    def closed(self) -> bool:
         """Whether the file was closed properly, with index and end mark."""
         return self._layout.finished
+
+    @property
+    def ending(self) -> str:
+        """Why the recorder ended the file: stopped, split, snapshot or quota; empty where that is not recorded."""
+        return self.metadata.get(END_NAME, {}).get("state", "")
 
     @property
     def metadata(self) -> dict[str, dict[str, str]]:
@@ -86,7 +94,7 @@ class Recording:
     @cached_property
     def _channels_by_number(self) -> dict[int, RecordedChannel]:
         table = self._recorded_channels(lambda channel: False)
-        if not self.complete:
+        if not self.closed:
             for _ in self._walk(table, RecordedMessage):
                 pass
         return table.known
@@ -96,7 +104,7 @@ class Recording:
         """First and last time of reception [ns]; zeros in a recording without messages."""
         blocks = [block for block in self._layout.blocks if block.first_ns or block.last_ns]
         bounded = bool(blocks) and all(block.whole and block.last_ns != _END_OF_TIME for block in blocks)
-        if self.complete and bounded:
+        if self.closed and bounded:
             return min(block.first_ns for block in blocks), max(block.last_ns for block in blocks)
         times = [message.log_ns for message in self.select()]
         return (min(times), max(times)) if times else (0, 0)
@@ -165,6 +173,11 @@ class Recording:
         """Parts of the file that are no records, or damaged ones outside of the chunks."""
         return tuple(self._layout.damage)
 
+    def index_faults(self) -> list[str]:
+        """Return what is wrong with header, indexes and summary, which other readers go by, in a file that is whole."""
+        with self._open() as data:
+            return index_faults(data)
+
     @property
     def attachment_records(self) -> dict[str, Attachment]:
         """The same as `attachments`, with media types and times."""
@@ -172,32 +185,7 @@ class Recording:
 
     def info(self) -> RecordingInfo:
         """Read the whole file and return its summary."""
-        damage = list(self._layout.damage)
-        statistics: dict[RecordedChannel, ChannelStatistics] = {}
-        for message in self._walk(self._recorded_channels(), RecordedMessage, damage.append):
-            channel = statistics.get(message.channel)
-            if channel is None:
-                channel = statistics[message.channel] = ChannelStatistics(message)
-            channel.add(message)
-        start = min((channel.first_ns for channel in statistics.values()), default=0)
-        end = max((channel.last_ns for channel in statistics.values()), default=0)
-        return RecordingInfo(
-            path=str(self.path),
-            size_bytes=self.size_bytes,
-            start_ns=start,
-            end_ns=end,
-            duration_s=(end - start) * 1e-9,
-            messages=sum(channel.messages for channel in statistics.values()),
-            complete=self.complete,
-            skipped_bytes=sum(part.size_bytes for part in damage),
-            damage=describe_damage(damage),
-            channels=tuple(channel.info() for channel in statistics.values()),
-            attachments=tuple(
-                AttachmentInfo(name=name, media_type=found.media_type, size_bytes=len(found.data))
-                for name, found in self._layout.attachments.items()
-            ),
-            metadata=self.metadata,
-        )
+        return info_of((self,))
 
     def _open(self) -> mmap.mmap:
         try:
@@ -235,17 +223,91 @@ class Recording:
                     if report is not None:
                         report(Damage(block.offset, block.data_end - block.offset, str(error)))
                     continue
-                for opcode, start, end in _records(content):
+                for opcode, start, end in records_of(content):
                     if opcode == Opcode.MESSAGE:
-                        number, seq, log_ns, publish_ns = _MESSAGE_HEAD.unpack_from(content, start)
+                        number, seq, log_ns, publish_ns = MESSAGE_HEAD.unpack_from(content, start)
                         channel = selected.get(number)
                         if channel is not None:
-                            payload = content[start + _MESSAGE_HEAD.size : end]
+                            payload = content[start + MESSAGE_HEAD.size : end]
                             yield message_type(channel, log_ns, publish_ns, seq, payload)
                         elif number not in known and report is not None:
                             report(Damage(block.offset, end - start, f"a message of the unknown channel {number}"))
                     elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                         channels.read(opcode, content[start:end])
+
+
+def info_of(recordings: Sequence[Recording]) -> RecordingInfo:
+    """Read the files of one recording, in the order of time, and return their summary."""
+    first = recordings[0]
+    node = first.metadata.get("recording", {}).get("node", "")
+    account = Account(site_of(node) if node else "")
+    damage: list[Damage] = []
+    parts: list[PartInfo] = []
+    missing: list[str] = []
+    for number, recording in enumerate(recordings):
+        part, found = _account_of(recording, account, parts[-1] if parts else None)
+        damage += found
+        if number and recordings[number - 1].ending not in _PLANNED_ENDS:
+            before = Path(parts[-1].path).name
+            missing.append(f"nothing was recorded for {part.pause_s:.3f} s between {before} and {recording.path.name}")
+        if not part.closed:
+            length_s = (part.end_ns - part.start_ns) * 1e-9
+            missing.append(
+                f"{recording.path.name} was not closed: it ends {length_s:.3f} s after its start, the rest is missing"
+            )
+        if found:
+            missing.append(f"{sum(each.size_bytes for each in found)} bytes of {recording.path.name} cannot be read")
+        parts.append(part)
+    account.finish()
+    missing += [*account.missing(), *notes_of(recording.metadata for recording in recordings)]
+    filled = [part for part in parts if part.messages]
+    start = min((part.start_ns for part in filled), default=0)
+    end = max((part.end_ns for part in filled), default=0)
+    attachments = {name: found for each in reversed(recordings) for name, found in each.attachment_records.items()}
+    return RecordingInfo(
+        path=str(first.path),
+        size_bytes=sum(recording.size_bytes for recording in recordings),
+        start_ns=start,
+        end_ns=end,
+        duration_s=(end - start) * 1e-9,
+        messages=sum(part.messages for part in parts),
+        complete=not missing,
+        missing=tuple(missing),
+        lost=account.lost,
+        closed=all(part.closed for part in parts),
+        recorder_lag=account.lag(),
+        skipped_bytes=sum(part.size_bytes for part in damage),
+        damage=describe_damage(damage),
+        parts=tuple(parts) if len(parts) > 1 else (),
+        channels=tuple(channel.info() for channel in account.channels.values()),
+        attachments=tuple(
+            AttachmentInfo(name=name, media_type=found.media_type, size_bytes=len(found.data))
+            for name, found in attachments.items()
+        ),
+        metadata=first.metadata,
+    )
+
+
+def _account_of(recording: Recording, account: Account, before: PartInfo | None) -> tuple[PartInfo, list[Damage]]:
+    """Add the messages of a file to the account; return its figures, and what of it cannot be read."""
+    damage = list(recording.structural_damage)
+    first_ns, last_ns, messages = 2**64, 0, 0
+    for message in recording.select(report=damage.append):
+        account.add(message)
+        messages += 1
+        first_ns, last_ns = min(first_ns, message.log_ns), max(last_ns, message.log_ns)
+    if messages == 0:
+        first_ns = last_ns = before.end_ns if before is not None else 0
+    pause_ns = 0 if before is None else first_ns - before.end_ns
+    part = PartInfo(
+        path=str(recording.path),
+        start_ns=first_ns,
+        end_ns=last_ns,
+        messages=messages,
+        closed=recording.closed,
+        pause_s=pause_ns * 1e-9,
+    )
+    return part, damage
 
 
 class _ChannelTable(Generic[_ChannelT]):
@@ -292,15 +354,3 @@ class _ChannelTable(Generic[_ChannelT]):
             self.selected[number] = channel
         else:
             self.selected.pop(number, None)
-
-
-def _records(content: bytes) -> Iterator[tuple[int, int, int]]:
-    """Yield opcode, start and end of the body of each whole record in a chunk."""
-    position, size = 0, len(content) - RECORD_HEAD.size
-    while position <= size:
-        opcode, length = RECORD_HEAD.unpack_from(content, position)
-        start = position + RECORD_HEAD.size
-        position = start + length
-        if position > len(content) or (opcode == Opcode.MESSAGE and length < _MESSAGE_HEAD.size):
-            return
-        yield opcode, start, position

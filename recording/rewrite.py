@@ -42,7 +42,9 @@ class CopyWriter:
                 raise RecordingError(f"{path}: already exists and is not overwritten") from error
             raise RecordingError(f"{path}: cannot be created: {error.strerror}") from error
         # Any: the package carries no types
-        self._mcap: Any = Writer(self._stream, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD)
+        self._mcap: Any = Writer(
+            self._stream, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD, enable_data_crcs=True
+        )
         self._schemas: dict[tuple[str, str, bytes], int] = {}
         self._channels: dict[RawChannel, int] = {}
         self._by_identity: dict[int, tuple[RawChannel, int]] = {}

@@ -8,13 +8,15 @@ from typing import Literal
 from pydantic import BaseModel
 
 from proto import TOPICS
+from proto.ends import END_TOPIC, read_end
 from proto.errors import RecordingError
+from recording.info import notes_of
 from recording.mcap_scan import Damage, describe_damage
 from recording.messages import RecordedChannel, RecordedMessage
 from recording.reader import Recording
 from recording.records import GAP_TOPIC, RECORDS
 
-Check = Literal["crc", "order", "gap", "schema", "end"]
+Check = Literal["crc", "order", "gap", "schema", "end", "index"]
 Level = Literal["error", "warning", "info"]
 _SEQUENCE_MASK = 0xFFFF_FFFF
 # of each kind and channel; a file that is wrong throughout does not need a line for every message
@@ -47,13 +49,13 @@ def verify(paths: Sequence[Path]) -> Verdict:
     recordings = sorted((Recording(path) for path in paths), key=lambda recording: recording.span_ns)
     findings: list[Finding] = []
     total = 0
-    ends: list[dict[RecordedChannel, tuple[int, int]]] = []
+    checks: list[_Check] = []
     for recording in recordings:
         check = _Check(recording)
         findings += check.run()
         total += check.messages
-        ends.append(check.bounds)
-    for (earlier, later), (before, after) in zip(pairwise(recordings), pairwise(ends), strict=True):
+        checks.append(check)
+    for (earlier, later), (before, after) in zip(pairwise(recordings), pairwise(checks), strict=True):
         findings += _between(earlier, later, before, after)
     return Verdict(sound=all(finding.level == "info" for finding in findings), messages=total, findings=tuple(findings))
 
@@ -64,19 +66,25 @@ class _LastMessage:
     def __init__(self, first: RecordedMessage) -> None:
         self.seq = first.seq
         self.t_ns = first.publish_ns
+        # the publisher has ended, this was its last one
+        self.ended = False
 
 
 class _Check:
     """The check of one file."""
 
     def __init__(self, recording: Recording) -> None:
-        self.bounds: dict[RecordedChannel, tuple[int, int]] = {}
+        # by channel, its first number
+        self.first: dict[RecordedChannel, int] = {}
         self.messages = 0
         self._recording = recording
         self._findings: list[Finding] = []
         self._last: dict[RecordedChannel, _LastMessage] = {}
         self._missing: dict[RecordedChannel, dict[tuple[int, int], int]] = {}
-        self._recorded_gaps: set[tuple[str, str, int, int]] = set()
+        # channels and numbers that are missing at the end of what a publisher has sent
+        self._at_end: set[tuple[RecordedChannel, int, int]] = set()
+        # the recorder's own record of a gap, and when it was written
+        self._recorded_gaps: dict[tuple[str, str, int, int], int] = {}
         self._reported: dict[tuple[str, str], int] = {}
         self._last_ns = 0
 
@@ -87,10 +95,24 @@ class _Check:
             self._check_message(message)
         for text in describe_damage(damage):
             self._report("crc", "error", "", text)
+        for (channel_topic, src, first, last), log_ns in self._recorded_gaps.items():
+            for channel, newest in self._last.items():
+                if (channel.channel_topic, channel.src) == (channel_topic, src) and newest.seq + 1 == first:
+                    self._end_channel(channel, last + 1, log_ns)
         self._report_gaps()
-        if not self._recording.complete:
+        for note in notes_of((self._recording.metadata,)):
+            self._report("end", "error", "", note)
+        if not self._recording.closed:
             self._report("end", "error", "", self._end_text())
+        elif not damage:
+            for text in self._recording.index_faults():
+                self._report("index", "error", "", f"{text}; other readers may fail on it")
         return self._findings
+
+    def last(self, channel: RecordedChannel) -> int | None:
+        """Return the newest number of a channel, if its publisher has not ended in this file."""
+        newest = self._last.get(channel)
+        return None if newest is None or newest.ended else newest.seq
 
     def _check_message(self, message: RecordedMessage) -> None:
         if message.log_ns < self._last_ns:
@@ -106,6 +128,8 @@ class _Check:
                 self._add_gap_record(message)
             return
         self._check_sequence(message)
+        if message.topic == END_TOPIC and message.via == "direct":
+            self._check_end(message)
 
     def _check_schema(self, message: RecordedMessage) -> None:
         try:
@@ -127,27 +151,53 @@ class _Check:
         fields = message.fields()
         found = [str(fields.get(name)) for name in ("channel_topic", "src")]
         numbers = [int(fields.get(name, 0)) for name in ("first_missing", "last_missing")]
-        self._recorded_gaps.add((found[0], found[1], numbers[0], numbers[1]))
+        first, last = (number & _SEQUENCE_MASK for number in numbers)
+        self._recorded_gaps[found[0], found[1], first, last] = message.log_ns
+
+    def _check_end(self, message: RecordedMessage) -> None:
+        """Compare the counts of a publisher that has ended with what was recorded of it."""
+        try:
+            sent = read_end(message.fields()) or {}
+        except RecordingError:
+            # reported as such
+            return
+        for channel in self._last if sent else ():
+            # they are of its own endpoint: what was received elsewhere came through others
+            own = channel.site == message.site and (channel.via == "direct") == (channel.src == message.src)
+            if own and (channel.topic, channel.src) in sent:
+                self._end_channel(channel, sent[channel.topic, channel.src], message.log_ns)
+
+    def _end_channel(self, channel: RecordedChannel, sent: int, log_ns: int) -> None:
+        newest = self._last[channel]
+        last = (sent - 1) & _SEQUENCE_MASK
+        if not newest.ended and last > newest.seq:
+            self._missing[channel][newest.seq + 1, last] = log_ns
+            self._at_end.add((channel, newest.seq + 1, last))
+        newest.ended = True
 
     def _check_sequence(self, message: RecordedMessage) -> None:
         channel = message.channel
-        first, last = self.bounds.get(channel, (message.seq, message.seq))
-        self.bounds[channel] = (first, max(last, message.seq))
+        self.first.setdefault(channel, message.seq)
         newest = self._last.get(channel)
         if newest is None:
             self._last[channel] = _LastMessage(message)
             self._missing[channel] = {}
             return
-        if message.seq > newest.seq:
+        if newest.ended and message.publish_ns > newest.t_ns:
+            # a number above that of the process before is no loss
+            self._restart(newest, message)
+        elif message.seq > newest.seq:
             if message.seq > newest.seq + 1:
                 self._missing[channel][newest.seq + 1, message.seq - 1] = message.log_ns
             newest.seq, newest.t_ns = message.seq, message.publish_ns
         elif message.publish_ns > newest.t_ns:
-            # the publisher was restarted and counts anew
-            newest.seq, newest.t_ns = message.seq, message.publish_ns
-            self._report("gap", "info", message.channel_topic, f"{message.src} was restarted before seq {message.seq}")
+            self._restart(newest, message)
         else:
             self._remove_from_missing(channel, message.seq)
+
+    def _restart(self, newest: _LastMessage, message: RecordedMessage) -> None:
+        newest.seq, newest.t_ns, newest.ended = message.seq, message.publish_ns, False
+        self._report("gap", "info", message.channel_topic, f"{message.src} was restarted before seq {message.seq}")
 
     def _remove_from_missing(self, channel: RecordedChannel, seq: int) -> None:
         """Remove a message that was overtaken from what is missing."""
@@ -165,18 +215,23 @@ class _Check:
             for (first, last), log_ns in gaps.items():
                 recorded = (channel.channel_topic, channel.src, first, last) in self._recorded_gaps
                 how = "the recorder recorded the gap" if recorded else "there is no gap record"
+                at_end = (channel, first, last) in self._at_end
                 place = f"{(log_ns - origin_ns) * 1e-9:.6f} s after the start"
+                place = f"at the end of what it sent, {place}" if at_end else place
                 text = f"seq {first} to {last} of {channel.src} ({last - first + 1}) missing, {place}: {how}"
                 # what an impaired link drops is the experiment
-                level: Level = "info" if channel.via == "link" else "warning"
+                level: Level = "info" if channel.via == "link" and not at_end else "warning"
                 self._report("gap", level, channel.channel_topic, text)
 
     def _end_text(self) -> str:
-        facts = self._recording.metadata.get("recording", {})
-        interval = facts.get("recorder flush_interval_s")
-        limit = f", at most the last {interval} s" if interval else ""
+        interval = self._recording.metadata.get("recording", {}).get("recorder flush_interval_s")
+        flush = f" ({interval} s)" if interval else ""
         end_s = (self._recording.span_ns[1] - self._recording.span_ns[0]) * 1e-9
-        return f"the file was not closed: it ends {end_s:.6f} s after its start, later messages are lost{limit}"
+        return (
+            f"the file was not closed: it ends {end_s:.6f} s after its start, and what was sent then is not in it; how "
+            f"much that is cannot be read from it: a killed recorder loses what came since its last flush{flush}, one "
+            "whose disk is full any amount, and so does a file that was cut off"
+        )
 
     def _report(self, check: Check, level: Level, channel: str, text: str) -> None:
         reported = self._reported.get((check, channel), 0)
@@ -191,14 +246,14 @@ class _Check:
 def _between(
     earlier: Recording,
     later: Recording,
-    before: dict[RecordedChannel, tuple[int, int]],
-    after: dict[RecordedChannel, tuple[int, int]],
+    before: _Check,
+    after: _Check,
 ) -> Iterator[Finding]:
     """Yield what is missing between two files, by the `seq` of the messages."""
     pause_s = (later.span_ns[0] - earlier.span_ns[1]) * 1e-9
-    for channel, (first, _) in after.items():
-        last = before.get(channel, (0, first - 1))[1]
-        if channel.topic in RECORDS or channel not in before or first <= last + 1:
+    for channel, first in after.first.items():
+        last = before.last(channel)
+        if channel.topic in RECORDS or last is None or first <= last + 1:
             continue
         text = (
             f"seq {last + 1} to {first - 1} of {channel.src} ({first - last - 1}) missing "

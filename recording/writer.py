@@ -15,9 +15,12 @@ from proto import TOPICS
 from proto.errors import RecordingError
 from proto.messages import Record
 from proto.nodes import site_of
+from recording.info import END_NAME
 from recording.records import GAP_TOPIC, RECORDS, REJECTED_TOPIC, GapRecord, RejectedRecord
 
 _COMPRESSION = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4, "none": CompressionType.NONE}
+# why a file ended
+FileEnd = Literal["stopped", "split", "snapshot", "quota"]
 # the sequence of an MCAP message has 32 bits, the payload keeps the whole number
 _SEQUENCE_MASK = 0xFFFF_FFFF
 
@@ -75,12 +78,19 @@ class RecordingWriter:
         self.messages = 0
         self.size_bytes = 0
         self._stream = stream
+        # the one in the name of the file
+        self.number = 0
+        # device and inode of the file; None for what is not a file that was created here
+        self._identity: tuple[int, int] | None = None
         self._sync = settings.sync_to_disk
         self._schemas: dict[str, int] = {}
         self._own_channels: dict[str, int] = {}
         self._own_counts = dict.fromkeys(RECORDS, 0)
         self._mcap: _McapWriter = Writer(
-            stream, chunk_size=settings.chunk_size_bytes, compression=_COMPRESSION[settings.compression]
+            stream,
+            chunk_size=settings.chunk_size_bytes,
+            compression=_COMPRESSION[settings.compression],
+            enable_data_crcs=True,
         )
         with self._guarded():
             self._mcap.start("telenano")
@@ -95,7 +105,11 @@ class RecordingWriter:
             path = settings.directory / (f"{stem}_{number}{suffix}" if number else settings.file_name)
             try:
                 settings.directory.mkdir(parents=True, exist_ok=True)
-                return cls(path.open("xb"), path.absolute(), node, settings)
+                stream = path.open("xb")
+                writer = cls(stream, path.absolute(), node, settings)
+                writer._identity = _identity(os.fstat(stream.fileno()))
+                writer.number = number
+                return writer
             except FileExistsError as error:
                 if not settings.directory.is_dir():
                     raise RecordingError(f"{settings.directory}: is not a folder") from error
@@ -147,14 +161,34 @@ class RecordingWriter:
             self._mcap.flush()
             self._sync_and_measure()
 
-    def finish(self) -> None:
-        """Write index and statistics and close the file; a second call does nothing."""
+    def finish(self, end: Mapping[str, str] | None = None) -> None:
+        """Write index and statistics and close the file; a second call does nothing.
+
+        Parameters: end, why the file ends (`state`, a FileEnd) and what the recorder knows to be missing (`note`).
+        """
         if self._stream.closed:
             return
+        if end is not None:
+            self.add_metadata(END_NAME, end)
         with self._guarded():
             self._mcap.finish()
             self._stream.flush()
             self._sync_and_measure()
+            self._stream.close()
+
+    def in_place(self) -> bool:
+        """Return whether the file is still there under its name: one that was removed takes every write as before."""
+        try:
+            return self._identity is None or self._identity == _identity(self.path.stat())
+        except (FileNotFoundError, NotADirectoryError):
+            return False
+        except OSError:
+            # unknown, and the file is open all the same
+            return True
+
+    def abandon(self) -> None:
+        """Close a file that nobody can open any more."""
+        with contextlib.suppress(OSError):
             self._stream.close()
 
     def _write_own(self, topic: str, log_ns: int, fields: dict[str, object]) -> None:
@@ -187,6 +221,9 @@ class RecordingWriter:
 
     def _failure(self, error: OSError) -> RecordingError:
         # closing flushes once more, which fails for the same reason; the descriptor is given back all the same
-        with contextlib.suppress(OSError):
-            self._stream.close()
+        self.abandon()
         return RecordingError(f"{self.path}: cannot be written: {error.strerror or error}")
+
+
+def _identity(found: os.stat_result) -> tuple[int, int]:
+    return found.st_dev, found.st_ino

@@ -2,3 +2,5 @@
 
 EXIT_FAILED = 1
 EXIT_BAD_CONFIGURATION = 2
+# done, but the recording lacks something
+EXIT_INCOMPLETE = 3

@@ -11,8 +11,8 @@ from typing import Any, NoReturn
 import typer
 from rich.console import Console
 
-from proto.errors import ConfigError, TelenanoError
-from telenano.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED
+from proto.errors import ConfigError, ReportError, TelenanoError
+from telenano.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED, EXIT_INCOMPLETE
 from telenano.tables import rows_table, summary_tables
 
 _PIPE_COLUMNS = 140
@@ -97,6 +97,28 @@ def print_document(document: dict[str, Any], title: str, *, as_json: bool) -> No
         print_json(document)
     else:
         console().print(summary_tables(document, title))
+
+
+def print_summary(summary: dict[str, Any], title: str, *, as_json: bool) -> None:
+    """Print the summary of a session; exit with EXIT_INCOMPLETE and a sentence when its recording is not whole."""
+    print_document(summary, title, as_json=as_json)
+    if missing := summary["recording"]["missing"]:
+        fail_incomplete(missing)
+
+
+def fail_incomplete(missing: Sequence[str]) -> NoReturn:
+    """Print on stderr what a recording lacks, and exit."""
+    typer.echo(f"telenano: the recording is not whole: {'; '.join(missing)}", err=True)
+    raise typer.Exit(EXIT_INCOMPLETE)
+
+
+def fail_with_summary(error: ReportError, title: str, *, as_json: bool) -> NoReturn:
+    """Print the summary of a report whose files cannot be written, then the error, and exit."""
+    if not as_json:
+        console().print(summary_tables(error.summary, title))
+    missing = error.summary["recording"]["missing"]
+    also = f"; the recording is not whole: {'; '.join(missing)}" if missing else ""
+    fail(f"{error}{also}", as_json=as_json, summary=error.summary)
 
 
 def print_rows(rows: Sequence[Mapping[str, Any]]) -> None:

@@ -1,6 +1,6 @@
 """Results as tables of a terminal."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from rich.console import Group, RenderableType
@@ -9,6 +9,9 @@ from rich.text import Text
 
 from proto.messages import SUPERSEDED
 
+# what is a loss where it is anything at all
+_ALARMING = ("missing", "lost", "damage", "skipped_bytes")
+_SENTENCES = ("missing", "damage")
 LEVEL_STYLES = {"info": "", "warning": "yellow", "error": "red"}
 _STATE_STYLES = {"ready": "green", "running": "green", "safe": "yellow", "starting": "yellow"}
 
@@ -46,8 +49,8 @@ def _alarming(count: int, text: str) -> Text:
 def summary_tables(summary: Mapping[str, Any], title: str) -> Group:
     """Draw a summary: single values, then the values by topic side by side, then every list as a table."""
     by_topic = {key: value for key, value in summary.items() if _keyed_by_topic(value)}
-    lists = {key: value for key, value in summary.items() if _is_list_of_rows(value)}
-    rest = {key: value for key, value in summary.items() if key not in by_topic and key not in lists}
+    rest = {key: value for key, value in summary.items() if key not in by_topic}
+    lists = dict(_take_lists(rest))
     parts: list[RenderableType] = [_values_table(rest, title)]
     if by_topic:
         topics = sorted({topic for values in by_topic.values() for topic in values})
@@ -55,6 +58,16 @@ def summary_tables(summary: Mapping[str, Any], title: str) -> Group:
         parts.append(rows_table(rows))
     parts += [rows_table(rows, title=key) for key, rows in lists.items()]
     return Group(*parts)
+
+
+def _take_lists(tree: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Sequence[Mapping[str, Any]]]]:
+    """Remove the lists of rows from a tree of values and yield them by dotted key."""
+    for key, value in list(tree.items()):
+        if _is_list_of_rows(value):
+            yield f"{prefix}{key}", tree.pop(key)
+        elif isinstance(value, Mapping):
+            tree[key] = dict(value)
+            yield from _take_lists(tree[key], f"{prefix}{key}.")
 
 
 def rows_table(rows: Sequence[Mapping[str, Any]], title: str | None = None) -> Table:
@@ -73,7 +86,11 @@ def _values_table(values: Mapping[str, Any], title: str) -> Table:
     for column in table.columns:
         column.overflow = "fold"
     for key, value in _leaves("", values):
-        table.add_row(key, _value_text(value))
+        # sentences, each on a line of its own
+        text = Text("\n".join(value)) if value and key.rpartition(".")[2] in _SENTENCES else _value_text(value)
+        if value and key.rpartition(".")[2] in _ALARMING:
+            text.stylize("red")
+        table.add_row(key, text)
     return table
 
 

@@ -17,8 +17,9 @@ from services.delay_node.engine import DirectionEngine, LinkEngine
 from services.delay_node.fate import Direction, Fate, Release
 from services.runtime.bus import Received
 from services.runtime.deadlines import PeriodicDeadline
+from services.runtime.ends import publish_end
 from services.runtime.freshness import StallDetector
-from services.runtime.node import Node, NodeContext
+from services.runtime.node import AccountedBus, Node, NodeContext
 
 STATUS_PERIOD_NS = 100_000_000
 # exchanges of time stamps in view, one a report: the clocks of two sites drift by microseconds in this time
@@ -81,6 +82,8 @@ class DelayNode(Node):
         self._backward = Way("backward", self.engine.backward, f"{LINK}@master", to_master)
         self._ways = (self._forward, self._backward)
         self._forwarded = {way.endpoint: 0 for way in self._ways}
+        # of each topic the newest message that was sent on
+        self._newest: dict[str, dict[str, Fate]] = {way.endpoint: {} for way in self._ways}
         self._offset = OffsetFilter(_CLOCK_WINDOW)
         self._forward_delay, self._backward_delay = DeclaredDelay("forward"), DeclaredDelay("backward")
         self._between = ONE_MACHINE
@@ -154,14 +157,21 @@ class DelayNode(Node):
     def make_safe(self) -> None:
         """Do nothing: a link that stands still makes the devices safe by its silence."""
 
+    def publish_end(self, bus: AccountedBus) -> None:
+        """Publish at both sites what was sent there, and up to which number messages were sent on."""
+        for way, publisher in ((self._backward, bus), (self._forward, self._forward.outlet)):
+            newest = self._newest[way.endpoint].values()
+            publish_end(publisher, way.endpoint, {(fate.topic, fate.src): fate.seq + 1 for fate in newest})
+
     def _send(self, way: Way, releases: Sequence[Release]) -> None:
         if not releases:
             return
-        declared = self._declared(way)
+        declared, newest = self._declared(way), self._newest[way.endpoint]
         for release in releases:
             if declared.changed_by(release):
                 self._declare(way)
             way.outlet.send(release.topic, release.payload)
+            newest[release.topic] = release.fate
         self._forwarded[way.endpoint] += len(releases)
 
     def _declared(self, way: Way) -> DeclaredDelay:

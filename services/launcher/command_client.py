@@ -17,6 +17,7 @@ from services.launcher.rig_status import RIG_HINT
 from services.runtime.address_book import AddressBook
 from services.runtime.bus import ZmqPublisher
 from services.runtime.commands import Command, CommandClient
+from services.runtime.ends import publish_end
 from services.runtime.main import load_site
 from services.runtime.participant import Participant, open_participant
 from services.runtime.security.keyring import MACHINE_VARIABLE, Keyring, this_machine
@@ -122,6 +123,8 @@ def send_control(
                 alive.add(message.src)
                 if isinstance(message, SessionEvent) and client.on_event(message):
                     on_answer(message)
+        # the next command comes from a process that counts anew
+        publish_end(publisher, console)
     if not alive:
         raise RigError(f"{client.failure}; no node reports: {RIG_HINT}")
     if not client.answers and not expected:

@@ -12,7 +12,7 @@ from proto.errors import ConfigError, RigError
 from proto.nodes import LAUNCHER, LINK, OPTIONAL_NODES, RECORDER, SERVICES, START_ORDER, name_of, site_of
 from services.delay_node.config import LinkSettings, changes_text
 from services.runtime.address_book import AddressBook
-from services.runtime.config import layered, merge, validate
+from services.runtime.config import environment_overrides, flag_overrides, layered, merge, validate
 from services.runtime.main import load_site, node_kind
 from services.runtime.scenario import LoadedScenario, Scenario
 
@@ -215,9 +215,22 @@ def effective_scenario(path: Path, request: UpRequest, out: Path) -> LoadedScena
         flags["delay_node"] = {"forward": one_way, "backward": dict(one_way)}
         origin += " + --delay-ms"
     if not request.attach:
+        _reject_recording_place(settings)
         flags["recorder"] = {"directory": str(out), "file_name": RECORDING_NAME}
     document = merge(document, flags)
     return LoadedScenario(validate(Scenario, document, origin), origin, document)
+
+
+def _reject_recording_place(settings: Sequence[str]) -> None:
+    """Reject settings of the recorder that --out decides; those of a scenario are for a recorder that runs alone."""
+    for origin, given in (("--set", flag_overrides(settings)), ("environment", environment_overrides())):
+        section = given.get("recorder")
+        keys = [key for key in ("directory", "file_name") if isinstance(section, dict) and key in section]
+        if keys:
+            raise ConfigError(
+                f"{origin}: recorder.{keys[0]}: `telenano up` records to {RECORDING_NAME} in the folder of --out: "
+                "give that option"
+            )
 
 
 def anchored(tree: dict[str, Any], folder: Path) -> dict[str, Any]:

@@ -1,28 +1,46 @@
 """The processes of a rig: each started in a session of its own, with a log file, and stopped in order."""
 
+import contextlib
 import json
 import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Protocol
 
 from proto.nodes import name_of
+from services.runtime.bus import LINGER_S
 from services.runtime.clock import EPOCH_OFFSET_VARIABLE
 from services.runtime.config import ENVIRONMENT_PREFIX
 from services.runtime.realtime import die_with_parent
 
-# safe within milliseconds; then its last messages go out to readers that are behind
+# a node is safe within milliseconds and then publishes how much it has sent
 GRACE_S = 8.0
+# then its last messages go out to readers that are behind, its recorder above all
+LINGER_GRACE_S = LINGER_S + 2.0
 # a recorder on a machine that was too busy has to write what still waits for it
 RECORDER_GRACE_S = 30.0
+# how often a process that is waited for is looked at
+_WAIT_S = 0.02
 _TAIL_BYTES = 16_384
 _TAIL_LINES = 6
 # the steps are compiled for one core; a thread pool in a loop process would only compete with the loop
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+class StopObserver:
+    """Looks on while processes are stopped; this one knows nothing of them."""
+
+    def has_ended(self, node: str) -> bool:
+        """Return whether a node has published its last message: what is left is to deliver it."""
+        return False
+
+    def wait(self, nodes: Sequence[str], waited_s: float, limit_s: float) -> None:
+        """Look at nodes that have been waited for [s], of a limit [s]; called several times a second."""
 
 
 class Children(Protocol):
@@ -40,8 +58,11 @@ class Children(Protocol):
     def log_path(self, node: str) -> Path:
         """Return the path of a node's log file."""
 
-    def stop(self) -> None:
+    def stop(self, observer: StopObserver) -> None:
         """Stop every process and wait until it has ended."""
+
+
+_NOBODY = StopObserver()
 
 
 class NodeProcesses:
@@ -99,13 +120,52 @@ class NodeProcesses:
             lines = log.read().decode(errors="replace").splitlines()
         return "\n".join(_readable(line) for line in lines[-_TAIL_LINES:])
 
-    def stop(self) -> None:
-        """Stop every process, in order: SIGTERM, eight seconds to leave (a recorder: thirty), then SIGKILL."""
-        for node in [*self._stop_order, *self._running]:
-            process = self._running.pop(node, None)
-            if process is not None:
-                self._on_stopping(node)
-                _terminate(process, RECORDER_GRACE_S if name_of(node) == "recorder" else GRACE_S)
+    def stop(self, observer: StopObserver = _NOBODY) -> None:
+        """Stop every process, in order: SIGTERM, eight seconds to publish the last message, then SIGKILL.
+
+        A process may take longer to deliver its last messages while the next ones are stopped. A recorder is stopped
+        when all others are gone, and has thirty seconds.
+        """
+        nodes = [node for node in dict.fromkeys([*self._stop_order, *self._running]) if node in self._running]
+        senders = [node for node in nodes if name_of(node) != "recorder"]
+        for node in senders:
+            self._terminate(node)
+            self._wait((node,), GRACE_S, observer, until_ended=True)
+        self._wait(senders, LINGER_GRACE_S, observer)
+        for node in nodes:
+            if node not in senders:
+                self._terminate(node)
+                self._wait((node,), RECORDER_GRACE_S, observer)
+
+    def _terminate(self, node: str) -> None:
+        self._on_stopping(node)
+        self._running[node].send_signal(signal.SIGTERM)
+
+    def _wait(self, nodes: Sequence[str], grace_s: float, observer: StopObserver, *, until_ended: bool = False) -> None:
+        """Wait until processes have ended, and kill them after the grace [s].
+
+        With `until_ended` it is enough that each has published its last message.
+        """
+        begin_s = time.monotonic()
+        while waiting := [node for node in nodes if self._is_running(node)]:
+            if until_ended and all(map(observer.has_ended, waiting)):
+                return
+            waited_s = time.monotonic() - begin_s
+            if waited_s >= grace_s:
+                for node in waiting:
+                    self._running[node].kill()
+                    self._running.pop(node).wait()
+                return
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._running[waiting[0]].wait(_WAIT_S)
+            observer.wait(waiting, waited_s, grace_s)
+
+    def _is_running(self, node: str) -> bool:
+        process = self._running.get(node)
+        if process is not None and process.poll() is not None:
+            del self._running[node]
+            return False
+        return process is not None
 
 
 def child_environment(environment: Mapping[str, str], epoch_offset_ns: int) -> dict[str, str]:
@@ -127,15 +187,6 @@ def _die_with(parent: int) -> None:
     die_with_parent(signal.SIGTERM)
     if os.getppid() != parent:
         os.kill(os.getpid(), signal.SIGTERM)
-
-
-def _terminate(process: "subprocess.Popen[bytes]", grace_s: float) -> None:
-    process.send_signal(signal.SIGTERM)
-    try:
-        process.wait(grace_s)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
 
 
 def _readable(line: str) -> str:

@@ -86,8 +86,13 @@ def oldest_input_s(health: NodeHealth) -> float | None:
 
     Reports, at 2 Hz, are left out: their age would hide that of everything else.
     """
-    ages = [row.age_s for row in health.inputs if row.age_valid and _rate_hz(row.topic) >= _LOOP_RATE_HZ]
-    return max(ages, default=None)
+    return max(input_ages_s(health).values(), default=None)
+
+
+def input_ages_s(health: NodeHealth) -> dict[tuple[str, str], float]:
+    """Return by topic and source the ages of the inputs of the loop [s], of those that were received."""
+    fast = (row for row in health.inputs if row.age_valid and _rate_hz(row.topic) >= _LOOP_RATE_HZ)
+    return {(row.topic, row.src): row.age_s for row in fast}
 
 
 def _rate_hz(topic: str) -> float:

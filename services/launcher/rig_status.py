@@ -15,7 +15,7 @@ from proto.messages import (
     NodeHealth,
     SessionEvent,
 )
-from proto.nodes import START_ORDER, is_visitor, site_of
+from proto.nodes import RECORDER, START_ORDER, is_visitor, name_of, site_of
 from services.launcher.readiness import oldest_input_s, unmet
 from services.runtime.observer import Observer
 
@@ -87,11 +87,29 @@ def problems_of(status: RigStatus, expected: Sequence[str]) -> dict[str, str]:
     for node in judged:
         if node in problems:
             continue
-        if health[node].state == "stopping":
+        if fault := recording_fault(status, health[node]):
+            problems[node] = fault
+        elif health[node].state == "stopping":
             problems[node] = "is stopping"
         elif stalled := stalled_inputs(status.first[node], health[node]):
             problems[node] = f"no longer receives {', '.join(stalled)}"
     return problems
+
+
+def recording_fault(status: RigStatus, health: NodeHealth) -> str:
+    """Return why a recorder does not record, or soon will not; empty for any other node, and while all is well.
+
+    It repeats what is wrong every second.
+    """
+    if name_of(health.src) != name_of(RECORDER):
+        return ""
+    reported = [event for event in status.events.values() if event.src == health.src and event.kind == "recording"]
+    newest = max(reported, key=lambda event: event.seq, default=None)
+    if newest is not None and newest.data.get("state") in ("failed", "disk_low", "removed"):
+        return newest.text
+    if health.state == "safe":
+        return "records nothing: `telenano session set record.status=true --target recorder` shows why"
+    return ""
 
 
 def stalled_inputs(first: NodeHealth, newest: NodeHealth) -> list[str]:

@@ -2,7 +2,8 @@
 
 import contextlib
 import logging
-from collections.abc import Callable, Iterator
+import re
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -10,8 +11,10 @@ from typing import IO, Any
 
 from proto.errors import RecordingError, RigError
 from proto.nodes import LINK, RECORDER, STOP_ORDER
+from recording.reader import Recording
+from services.launcher.disk_space import disk_warning
 from services.launcher.external_recording import ExternalRecording, readable_here
-from services.launcher.plan import Plan
+from services.launcher.plan import RECORDING_NAME, Plan
 from services.launcher.processes import NodeProcesses, node_command
 from services.launcher.session import RigNode, SessionNode, SiteNode
 from services.launcher.supervisor import Supervisor
@@ -28,16 +31,18 @@ Observer = Callable[[RigNode], None]
 class Outcome:
     """How a session ended.
 
-    `recording` is the file of the session, None where none can be read from here; `note` is then the reason, and where
-    it is. `restarts` counts how often each own node was started again.
+    `recordings` are the files of the session, in the order of their numbers, none where none can be read from here;
+    `note` is then the reason, and where they are. `restarts` counts how often each own node was started again.
+    `missing` has a sentence for each part of the recording that is known to be missing.
     """
 
     failure: str
     interrupted: bool
     ran: bool
-    recording: Path | None
+    recordings: tuple[Path, ...]
     note: str
     restarts: dict[str, int]
+    missing: tuple[str, ...] = ()
 
 
 def default_folder(scenario: str, now: datetime) -> Path:
@@ -53,6 +58,8 @@ def run_rig(plan: Plan, observe: Observer, show: Callable[[str], None]) -> Outco
         # the endpoint first: whoever has it runs a rig already, whose files must not be touched
         bus = participant.bus(SiteNode.inputs if plan.site == "slave" else SessionNode.inputs)
         plan.prepare_folder()
+        if warning := disk_warning(plan):
+            show(f"warning: {warning}")
         log_directory = plan.out / "logs"
         commands = {node: node_command(node, plan.site_file, plan.scenario_file) for node in plan.nodes}
         clock = participant.clock
@@ -96,27 +103,51 @@ def _run(rig: RigNode, bus: ZmqBus, signals: StopSignals) -> None:
 def outcome_of(rig: RigNode, plan: Plan) -> Outcome:
     """Return how it ended, and where the recording is."""
     ran = isinstance(rig, SessionNode) and rig.ran
-    recording: Path | None = plan.recording if plan.recording.exists() else None
     note = ""
+    missing = [f"{node}: {fault}" for node, fault in rig.recording_faults.items()]
     if isinstance(rig, SessionNode) and rig.recording is not None:
-        recording, note = _found(rig, rig.recording, plan) if ran else (None, "")
-    return Outcome(rig.failure, rig.interrupted, ran, recording, note, rig.supervisor.restarts())
+        recordings, note = _found(rig, rig.recording, plan) if ran else ((), "")
+    else:
+        recordings, unreadable = _own_recordings(plan.out)
+        missing += unreadable
+    return Outcome(rig.failure, rig.interrupted, ran, recordings, note, rig.supervisor.restarts(), tuple(missing))
 
 
-def _found(session: SessionNode, recording: ExternalRecording, plan: Plan) -> tuple[Path | None, str]:
+def _own_recordings(folder: Path) -> tuple[tuple[Path, ...], list[str]]:
+    """Return the parts of the recording in a folder, and a sentence for each that cannot be read."""
+    stem, suffix = Path(RECORDING_NAME).stem, Path(RECORDING_NAME).suffix
+    numbered = {
+        int(match[1] or 0): path
+        for path in folder.glob(f"{stem}*{suffix}")
+        if (match := re.fullmatch(rf"{stem}(?:_([0-9]+))?{re.escape(suffix)}", path.name))
+    }
+    readable, faults = [], []
+    for _, path in sorted(numbered.items()):
+        try:
+            Recording(path)
+            readable.append(path)
+        except RecordingError as error:
+            faults.append(str(error))
+    return tuple(readable), faults
+
+
+def _found(session: SessionNode, recording: ExternalRecording, plan: Plan) -> tuple[tuple[Path, ...], str]:
     if not recording.path:
-        return None, f"nothing was recorded: {recording.fault}"
-    if readable_here(recording.path, session.start_id):
-        return Path(recording.path), ""
-    again = f"telenano report {recording.path} --out {plan.out}"
-    where = f"{recording.recorder} recorded the session to {recording.path}"
-    return None, f"{where}, which cannot be read from here: `{again}` there"
+        return (), f"nothing was recorded: {recording.fault}"
+    files = tuple(map(Path, recording.files))
+    if readable_here(recording.path, session.start_id) and all(path.is_file() for path in files):
+        return files, ""
+    named = " ".join(recording.files)
+    again = f"telenano report {named} --out {plan.out}"
+    where = f"{recording.recorder} recorded the session to {named}"
+    return (), f"{where}, which cannot be read from here: `{again}` there"
 
 
 @contextlib.contextmanager
 def own_log(path: Path) -> Iterator[IO[str]]:
     """Send the launcher's own log to a file while the block runs: the terminal belongs to the view."""
-    with path.open("w", encoding="utf-8") as log:
+    log = path.open("w", encoding="utf-8")
+    try:
         with contextlib.redirect_stderr(log):
             configure_logging(as_json=True)
         try:
@@ -124,32 +155,38 @@ def own_log(path: Path) -> Iterator[IO[str]]:
         finally:
             # what follows, such as the report, has no log: its result is printed
             logging.getLogger().handlers.clear()
+    finally:
+        # on a full disk the last lines cannot be written
+        with contextlib.suppress(OSError):
+            log.close()
 
 
 def report_of(outcome: Outcome, plan: Plan, show: Callable[[str], None]) -> dict[str, Any] | None:
     """Make figure and summary of a session that ran; None where there is nothing to make them from.
 
-    Raises: RecordingError when a session that did not fail left a recording that cannot be reported.
+    Raises: RecordingError when a session that did not fail left a recording that cannot be reported, ReportError with
+    the summary when it cannot be written.
     """
-    recording = outcome.recording
-    if not outcome.ran or recording is None:
+    recordings = outcome.recordings
+    if not outcome.ran or not recordings:
         return None
-    show(f"making figure and summary from {recording}" if plan.attach else "making figure and summary")
+    names = " ".join(map(str, recordings))
+    show(f"making figure and summary from {names}" if plan.attach else "making figure and summary")
     try:
-        return make_report(recording, plan.out)
+        return make_report(recordings, plan.out, outcome.missing)
     except RecordingError:
         # the failure of the rig is the cause, and is what is reported
         if outcome.failure:
             return None
         raise
     except KeyboardInterrupt as error:
-        again = f"telenano report {recording} --out {plan.out}"
+        again = f"telenano report {names} --out {plan.out}"
         raise RigError(f"interrupted while the report was made, `{again}` makes it") from error
 
 
-def make_report(recording: Path, out: Path) -> dict[str, Any]:
+def make_report(recordings: Sequence[Path], out: Path, missing: Sequence[str]) -> dict[str, Any]:
     """Make figure and summary from a recording; what the recording lacks ends in a TelenanoError."""
     # matplotlib takes a second to import, which a running rig should not pay
     from analysis.report import write_report
 
-    return write_report(recording, out)
+    return write_report(recordings, out, missing)

@@ -6,11 +6,14 @@ from collections.abc import Callable, Sequence
 from datetime import datetime
 from typing import ClassVar, Literal
 
+from proto.ends import read_end
 from proto.messages import ClockPing, NodeHealth, Scalar, SessionEvent
-from proto.nodes import HAND, TIP
+from proto.nodes import HAND, RECORDER, TIP, name_of
 from services.launcher.external_recording import ExternalRecording
 from services.launcher.liveness import Change, LivenessMonitor
+from services.launcher.processes import StopObserver
 from services.launcher.readiness import READY_DEADLINE_S, ReadinessGate, unmet
+from services.launcher.recorder_wait import RecorderWait
 from services.launcher.supervisor import Supervisor
 from services.runtime.bus import Received
 from services.runtime.commands import Command, CommandClient
@@ -73,6 +76,11 @@ class RigNode(Node):
         self.reports: deque[str] = deque(maxlen=64)
         self.phase: Phase = "starting"
         self.interrupted = False
+        # why recorders have stopped recording, by node
+        self.recording_faults: dict[str, str] = {}
+        # nodes that have published their last message
+        self.ended: set[str] = set()
+        self._recorder_states: dict[str, Scalar] = {}
         self.observe: Callable[[RigNode], None] = lambda node: None
         self.state = "starting"
         self._failure = ""
@@ -120,6 +128,10 @@ class RigNode(Node):
             self._record_health(message)
         elif isinstance(message, SessionEvent):
             self.events.append(message)
+            if message.kind == "recording" and name_of(message.src) == name_of(RECORDER):
+                self._note_recording(message)
+            if read_end(message.model_dump()) is not None:
+                self.ended.add(message.src)
             self.on_event(message)
 
     def on_event(self, event: SessionEvent) -> None:
@@ -141,17 +153,29 @@ class RigNode(Node):
 
     def make_safe(self) -> None:
         """Stop own nodes in order; also when the launcher itself failed."""
+        self.supervisor.stop(_Ending(self))
         self.phase = "over"
-        self.supervisor.stop()
 
     def report(self, level: str, text: str, **data: Scalar) -> None:
         """Report about the rig: as an event, and as a line for the view."""
         self.reports.append(text)
         self.event("node", level, text, answer_to="", **data)
 
+    def _note_recording(self, event: SessionEvent) -> None:
+        """Report what happens to a recording once; a recorder repeats it for readers that come later."""
+        state = event.data.get("state", "")
+        known = self._recorder_states.get(event.src) == state and state != "draining"
+        self._recorder_states[event.src] = state
+        if state == "failed":
+            self.recording_faults[event.src] = event.text
+        if not known and (event.level != "info" or state in ("draining", "disk_ok")):
+            self.reports.append(f"{event.src}: {event.text}")
+
     def _record_health(self, health: NodeHealth) -> None:
         before = self.health.get(health.src)
         self.health[health.src] = health
+        if health.state != "stopping":
+            self.ended.discard(health.src)
         self.liveness.record(health.src)
         restarted = before is not None and health.uptime_s < before.uptime_s and health.src not in self.supervisor.nodes
         if restarted and health.src in self.nodes:
@@ -175,6 +199,29 @@ class RigNode(Node):
     def _hints(self, *nodes: str) -> str:
         at = f" --site {self.site}" if self.site else ""
         return "".join("; " + hint.format(at=at) for node, hint in _RECOVERY_HINTS.items() if node in nodes)
+
+
+class _Ending(StopObserver):
+    """Receives from the nodes while they are stopped, and reports what takes its time."""
+
+    def __init__(self, rig: RigNode) -> None:
+        self._rig = rig
+        self._reported_s = 0
+
+    def has_ended(self, node: str) -> bool:
+        return node in self._rig.ended
+
+    def wait(self, nodes: Sequence[str], waited_s: float, limit_s: float) -> None:
+        rig = self._rig
+        for received in rig.context.bus.receive():
+            rig.on_message(received)
+        if int(waited_s) > self._reported_s:
+            senders = [node for node in nodes if name_of(node) != name_of(RECORDER)]
+            text = "a reader, the recorder above all, to take the last messages of " if senders else "the end of "
+            limit = f"{waited_s:.0f} s, at most {limit_s:.0f} s"
+            rig.reports.append(f"waiting for {text}{', '.join(senders or nodes)} ({limit})")
+        self._reported_s = int(waited_s)
+        rig.observe(rig)
 
 
 class SessionNode(RigNode):
@@ -211,6 +258,9 @@ class SessionNode(RigNode):
         self._readiness = ReadinessGate(context.clock, supervisor.nodes, others, wait_s)
         self._commands: CommandClient | None = None
         self._running_ns: int | None = None
+        self._wait = RecorderWait(context.clock, RECORDER, self._publishes, self.reports.append)
+        # what is commanded to a recorder that runs elsewhere once it has caught up
+        self._last_steps: list[Command] = []
 
     @property
     def elapsed_s(self) -> float:
@@ -262,8 +312,10 @@ class SessionNode(RigNode):
 
     def on_message(self, received: Received) -> None:
         super().on_message(received)
-        if self.recording is not None and isinstance(received.message, NodeHealth):
-            self.recording.on_health(received.message)
+        if isinstance(received.message, NodeHealth):
+            self._wait.record(received.message)
+            if self.recording is not None:
+                self.recording.on_health(received.message)
 
     def on_event(self, event: SessionEvent) -> None:
         if self.recording is not None:
@@ -334,18 +386,40 @@ class SessionNode(RigNode):
         self.phase = "ending"
         steps: list[Command] = []
         if self.ran and not self.failure:
-            steps += [END] if set(END.expected) <= set(self._needed) else []
-            steps += self.recording.end_steps() if self.recording is not None else []
-            steps += [RETRACT_TIP] if self.attached and TIP in self._needed else []
+            end = [END] if set(END.expected) <= set(self._needed) else []
+            split = list(self.recording.end_steps()) if self.recording is not None else []
+            retract = [RETRACT_TIP] if self.attached and TIP in self._needed else []
+            # the file of the session is whole before anything else is commanded, but no tip waits for a recorder
+            steps = [*end, *split, *retract]
+            if self.attached and self._wait.behind_s():
+                steps, self._last_steps = [*end, *retract], split
         self._commands = CommandClient(self.clock, self.publish, steps, retry_ns=_REFUSAL_RETRY_NS)
         self._advance_end()
 
     def _advance_end(self) -> None:
-        if self._commands is None or self._commands.advance():
-            ends = "the nodes keep running" if self.attached else "the nodes are stopped"
-            text = f"the session is over, {ends}"
-            self.event("node", "info", text, answer_to="", interrupted=self.interrupted)
-            self.context.request_stop()
+        if self._commands is not None and not self._commands.advance():
+            return
+        if self._last_steps and not self._wait.over():
+            return
+        if self._last_steps:
+            self._commands = CommandClient(self.clock, self.publish, self._last_steps, retry_ns=_REFUSAL_RETRY_NS)
+            self._last_steps = []
+            return
+        ends = "the nodes keep running" if self.attached else "the nodes are stopped"
+        text = f"the session is over, {ends}"
+        self.event("node", "info", text, answer_to="", interrupted=self.interrupted)
+        self.context.request_stop()
+
+    def _publishes(self, node: str) -> bool:
+        """Return whether a node is at work and sends with stamps of now."""
+        health = self.health.get(node)
+        return health is not None and health.state != "stopping" and not health.replay
+
+    def interrupt(self) -> None:
+        """Request an early end; while the recorder is waited for, the end of the wait."""
+        if self.phase == "ending":
+            self._wait.skip()
+        super().interrupt()
 
 
 class SiteNode(RigNode):

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 
-from services.launcher.processes import Children
+from services.launcher.processes import Children, StopObserver
 from services.launcher.restart_policy import ProcessExit, RestartTracker, describe_exit
 from services.runtime.clock import Clock
 
@@ -45,8 +45,9 @@ class Supervisor:
         tail = self._children.log_tail(node) or "(it wrote nothing)"
         return f"last lines of {node}, from {self._children.log_path(node)}:\n{tail}"
 
-    def stop(self) -> None:
-        self._children.stop()
+    def stop(self, observer: StopObserver | None = None) -> None:
+        """Stop all nodes while an observer looks on."""
+        self._children.stop(observer or StopObserver())
 
     def _start(self, node: str) -> int:
         process_id = self._children.start(node)

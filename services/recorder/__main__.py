@@ -10,6 +10,7 @@ from services.recorder.node import RecorderBus, RecorderNode
 from services.recorder.open_recording import open_recording
 from services.runtime.main import NodeKind, Wiring, run_node
 from services.runtime.node import AccountedBus, Node
+from services.runtime.participant import SITES
 
 
 def build(wiring: Wiring, config: RecorderConfig) -> tuple[Node, AccountedBus]:
@@ -19,7 +20,8 @@ def build(wiring: Wiring, config: RecorderConfig) -> tuple[Node, AccountedBus]:
     bus = RecorderBus(
         publisher, listeners(wiring, config), intake, wiring.clock, wiring.wake_descriptor, wiring.network
     )
-    return RecorderNode(wiring.context(bus), config, intake), bus
+    own = (site_of(wiring.key),) if wiring.book.spans_machines else SITES
+    return RecorderNode(wiring.context(bus), config, intake, sites=own), bus
 
 
 def listeners(wiring: Wiring, config: RecorderConfig) -> list[Listener]:
@@ -29,7 +31,7 @@ def listeners(wiring: Wiring, config: RecorderConfig) -> list[Listener]:
     time.
     """
     site = site_of(wiring.key)
-    sites = ("master", "slave") if site == "master" or not wiring.book.spans_machines else (site,)
+    sites = SITES if site == "master" or not wiring.book.spans_machines else (site,)
     return [*connect(wiring, sites, config.subscribes), *(Listener("estop", inlet) for inlet in wiring.estop_inlet())]
 
 

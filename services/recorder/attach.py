@@ -16,12 +16,18 @@ from services.runtime.participant import OBSERVER, StopSignals, open_participant
 
 
 class Recorded(BaseModel):
-    """What came of it."""
+    """What came of it.
+
+    `lost` counts all messages that did not come, `missing` those of them that an impaired link has not dropped; `notes`
+    has a sentence for whatever else is missing.
+    """
 
     path: str
     files: int
     messages: int
     lost: int
+    missing: int
+    notes: tuple[str, ...]
     rejected: int
     fault: str
 
@@ -58,6 +64,8 @@ def run_record(
         files=0 if intake.rotation is None else intake.rotation.count,
         messages=intake.written,
         lost=intake.lost,
+        missing=intake.missing,
+        notes=tuple(intake.notes),
         rejected=intake.rejected,
         fault=intake.fault,
     )

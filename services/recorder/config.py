@@ -4,6 +4,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from proto.ends import END_TOPIC
 from proto.errors import ConfigError
 from recording.channel_filter import Selection
 from recording.writer import FileSettings
@@ -66,7 +67,9 @@ class RecorderConfig(FileSettings):
         return Selection.of(self.topics, self.exclude)
 
     def subscribes(self, topic: str, site: str) -> bool:
-        """Return whether a bus topic is needed at a site: to be recorded, for its commands, or for a trigger."""
-        needed = ("session/control",) if self.snapshot_s is None else ("session/control", "session/event", "afm/state")
+        """Return whether a bus topic is needed at a site: to be recorded, for commands and ends, or for a trigger."""
+        needed = (
+            ("session/control", END_TOPIC) if self.snapshot_s is None else ("session/control", END_TOPIC, "afm/state")
+        )
         selection = self.selection()
         return topic in needed or selection.names(topic) or selection.names(f"{topic}@{site}")

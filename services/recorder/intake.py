@@ -2,17 +2,20 @@
 
 import contextlib
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any, Literal
 
 from proto import MAX_MESSAGE_BYTES, TOPICS, Topic, WireError, decode, decode_header
+from proto.ends import END_TOPIC, read_end
 from proto.errors import RecordingError
 from proto.messages import SOURCE_PATTERN
-from proto.nodes import site_of
+from proto.nodes import START_ORDER, name_of, site_of
 from proto.sequence import MOST_COUNTED, Arrival, SequenceTracker
 from recording.channel_filter import ALL, Selection
+from recording.info import END_NAME
 from recording.records import GapRecord, RejectedRecord
-from recording.writer import RecordingWriter, channel_topic
+from recording.writer import FileEnd, RecordingWriter, channel_topic
 from services.recorder.rotation import FileRotation, QuotaError
 from services.recorder.snapshot_buffer import Entry, SnapshotBuffer, Trigger, event_trigger
 from services.runtime.bus import Received, Subscriber, split_frames
@@ -21,11 +24,19 @@ _SOURCE = re.compile(SOURCE_PATTERN)
 _MAX_SOURCE_LENGTH = 64
 _MAX_REJECTED_FRAMES = 4
 _NEVER = event_trigger(())
+# the nodes that are stopped before a recorder; each sends far more often
+_SENDERS = tuple(node for node in START_ORDER if name_of(node) != "recorder")
+_SILENT_NS = 500_000_000
+# a queue of messages holds less than this
+_LONGEST_QUEUE_NS = 30_000_000_000
 
 
 @dataclass(slots=True)
 class Stream:
-    """What one publisher sends on one topic, received at one site."""
+    """What one publisher sends on one topic, received at one site.
+
+    `live`: received at its publisher, with the stamps of this time: no queue is as long as those of a replay are old.
+    """
 
     topic: Topic
     channel_topic: str
@@ -33,6 +44,7 @@ class Stream:
     site: str
     channel: int | None
     direct: bool
+    live: bool
     wanted: bool
     tracker: SequenceTracker
 
@@ -55,6 +67,9 @@ class Intake:
     `fault` is then the reason. Only the header of a message is validated here: one with a valid header is recorded
     as it came, whatever its fields. With `rotation` it begins new files on its own; with a snapshot buffer as well it
     writes only from a trigger on, beginning with the content of the buffer.
+
+    `missing` counts the messages that were sent to the recorder and did not reach it, `notes` has a sentence for
+    whatever else the recording lacks; both are of the whole recording, not of one file.
     """
 
     def __init__(
@@ -75,14 +90,21 @@ class Intake:
         self.gaps = 0
         self.lost = 0
         self.lossless_lost = 0
+        self.missing = 0
+        self.notes: list[str] = []
         self.rejected = 0
         self.snapshot_buffer = snapshot_buffer
         self.rotation = rotation
         self.written = 0
+        self.removed = 0
         self._selection = selection
         self._is_trigger = is_trigger
         self._after_ns = round(after_s * 1e9)
         self._streams: list[Stream] = []
+        # publishers that have ended, and were not received since
+        self._ended: set[str] = set()
+        # nodes that a player stands in for, whose last message is not played
+        self._replayed: set[str] = set()
         self._triggered = False
         self._until_ns = 0
 
@@ -110,6 +132,7 @@ class Intake:
         try:
             if self.writer is not None:
                 self.writer.flush()
+                self._check_in_place(self.writer, now_ns)
             if self.rotation is not None and not self.fault:
                 self._rotate(self.rotation, now_ns)
         except RecordingError as error:
@@ -130,9 +153,40 @@ class Intake:
     def finish(self) -> None:
         if self.writer is not None:
             try:
-                self.writer.finish()
+                self.writer.finish(self._end("stopped"))
             except RecordingError as error:
                 self._stop(error)
+
+    def silent_at_the_end(self, sites: Sequence[str], now_ns: int) -> tuple[str, ...]:
+        """Return the nodes at these sites that are silent without having published their last message.
+
+        What they sent last may be missing. A node that goes on sending is not one of them: the recorder ends first.
+        """
+        newest_ns: dict[str, int] = {}
+        for stream in self._streams:
+            if stream.live and stream.src in _SENDERS and site_of(stream.src) in sites:
+                newest_ns[stream.src] = max(newest_ns.get(stream.src, 0), stream.tracker.last_t_ns)
+        silent = {node for node, t_ns in newest_ns.items() if now_ns - t_ns > _SILENT_NS}
+        return tuple(sorted(silent - self._ended - self._replayed))
+
+    def _end(self, state: FileEnd | Literal[""]) -> dict[str, str]:
+        return {"state": state, "note": "; ".join(self.notes)}
+
+    def _check_in_place(self, writer: RecordingWriter, now_ns: int) -> None:
+        """Continue in a new file when the one in hand was removed or replaced, which no write would notice."""
+        if writer.in_place():
+            return
+        self.notes.append(f"{writer.path} was removed while it was written, and {writer.messages} messages with it")
+        self.removed += 1
+        self.writer = None
+        writer.abandon()
+        if self.rotation is None:
+            raise RecordingError(self.notes[-1])
+        following = self.rotation.begin(now_ns)
+        # in case it is never finished
+        following.add_metadata(END_NAME, self._end(""))
+        following.flush()
+        self._use(following)
 
     def _rotate(self, rotation: FileRotation, now_ns: int) -> None:
         if self._triggered and self.snapshot_buffer is not None:
@@ -141,14 +195,14 @@ class Intake:
             if self.writer is None:
                 self._write_snapshot(rotation, self.snapshot_buffer, now_ns)
         elif self.writer is not None and self.snapshot_buffer is not None and now_ns >= self._until_ns:
-            rotation.finish(self.writer)
+            rotation.finish(self.writer, self._end("snapshot"))
             self.writer = None
         if self.writer is not None and rotation.due(self.writer, now_ns):
             self._next_file(rotation, self.writer, now_ns)
         rotation.keep_quota(self.writer)
 
     def _next_file(self, rotation: FileRotation, writer: RecordingWriter, now_ns: int) -> None:
-        rotation.finish(writer)
+        rotation.finish(writer, self._end("split"))
         self.writer = None
         self._use(rotation.begin(now_ns))
 
@@ -188,12 +242,17 @@ class Intake:
             permit(topic, src)
         stream = listener.streams.get((frames[0], src))
         if stream is None:
-            stream = self._open_stream(listener, frames[0], TOPICS[topic], src)
+            live = abs(received_ns - t_ns) < _LONGEST_QUEUE_NS
+            stream = self._open_stream(listener, frames[0], TOPICS[topic], src, live=live)
         arrival = stream.tracker.accept(seq, t_ns)
         if stream.wanted:
             if arrival is Arrival.AFTER_GAP:
                 self._record_gap(stream, received_ns)
             self._write(stream, received_ns, t_ns, seq, payload)
+        if topic == "node/health" and fields.get("replay") is True:
+            self._replayed.add(src)
+        if stream.direct and (topic == END_TOPIC or self._ended):
+            self._compare_end(listener, topic, src, fields, received_ns)
         if self.snapshot_buffer is not None and stream.direct and self._is_trigger(topic, fields):
             self._triggered = True
         if topic == "session/control" and stream.direct:
@@ -208,23 +267,41 @@ class Intake:
         else:
             self._store(Entry(received_ns, t_ns, seq, payload, stream, None))
 
-    def _open_stream(self, listener: Listener, frame: bytes, row: Topic, src: str) -> Stream:
+    def _open_stream(self, listener: Listener, frame: bytes, row: Topic, src: str, *, live: bool) -> Stream:
         site = site_of(listener.publisher) or site_of(src)
         if not (_SOURCE.match(src) and len(src) <= _MAX_SOURCE_LENGTH):
             raise WireError("schema", f"{row.name}: src: {src[:80]!r} is not of the form node@site")
         tracker = listener.subscriber.tracker(row.name, src)
         name = channel_topic(row.name, src, site)
-        stream = Stream(row, name, src, site, None, site_of(src) == site, self._selection.names(name), tracker)
+        direct = site_of(src) == site
+        stream = Stream(row, name, src, site, None, direct, direct and live, self._selection.names(name), tracker)
         listener.streams[frame, src] = stream
         self._streams.append(stream)
         return stream
 
-    def _record_gap(self, stream: Stream, received_ns: int) -> None:
+    def _compare_end(
+        self, listener: Listener, topic: str, src: str, fields: Mapping[str, Any], received_ns: int
+    ) -> None:
+        """Compare the counts of a publisher that has ended with what was received of it."""
+        # one that is received again was started again
+        self._ended.discard(src)
+        sent = read_end(fields) if topic == END_TOPIC else None
+        if sent is None:
+            return
+        self._ended.add(src)
+        for (name, source), count in sent.items():
+            stream = listener.streams.get((name.encode(), source))
+            if stream is not None and stream.tracker.finish(count) and stream.wanted:
+                self._record_gap(stream, received_ns, at_end=True)
+
+    def _record_gap(self, stream: Stream, received_ns: int, *, at_end: bool = False) -> None:
         first, last = stream.tracker.last_gap
         count = last - first + 1
         self.gaps += 1
         self.lost = min(self.lost + count, MOST_COUNTED)
-        # what an impaired link drops on its way is the experiment, not a fault
+        # what an impaired link drops on its way is the experiment, not a fault; what it has sent on at last is not
+        if stream.direct or at_end:
+            self.missing = min(self.missing + count, MOST_COUNTED)
         if stream.direct and stream.topic.delivery == "lossless":
             self.lossless_lost = min(self.lossless_lost + count, MOST_COUNTED)
         gap = GapRecord(
@@ -250,9 +327,10 @@ class Intake:
             self._stop(fault)
 
     def _stop(self, error: RecordingError) -> None:
-        if isinstance(error, QuotaError) and self.writer is not None:
-            # nothing is wrong with the file: it is finished, as far as the disk still allows
-            with contextlib.suppress(RecordingError):
-                self.writer.finish()
-        self.writer = None
+        writer, self.writer = self.writer, None
         self.fault = str(error)
+        if isinstance(error, QuotaError) and writer is not None:
+            # nothing is wrong with the file: it is finished, as far as the disk still allows
+            self.notes.append(f"the recording was stopped before its end: {error}")
+            with contextlib.suppress(RecordingError):
+                writer.finish(self._end("quota"))

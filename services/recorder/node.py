@@ -7,8 +7,9 @@ from typing import ClassVar
 import zmq
 
 from proto.errors import RefusedError
-from proto.messages import SessionControl
+from proto.messages import MAX_TEXT, SessionControl
 from services.recorder.config import RecorderConfig
+from services.recorder.disk_watch import DiskWatch
 from services.recorder.intake import Intake, Listener
 from services.runtime.bus import NetworkEvents, Publisher, Received, ZmqBus
 from services.runtime.clock import Clock
@@ -18,6 +19,10 @@ from services.runtime.node import Node, NodeContext
 # how long the end may take to fetch what still waits in the sockets, seconds of it on a machine that was too busy;
 # within the grace that a supervisor gives
 _DRAIN_TIMEOUT_NS = 20_000_000_000
+# how often that is reported, and what is wrong with the recording while it is
+_REPORT_PERIOD_NS = 1_000_000_000
+# a count on the wire holds no more, and a peer may have made up the numbers
+_GREATEST_COUNT = 2**63 - 1
 # so many passes in a row with less than a backlog are the end of it; nodes of another site may go on sending
 _CALM_PASSES, _PASS_NS, _BACKLOG = 30, 5_000_000, 256
 _RATE_PERIOD_NS = 1_000_000_000
@@ -92,16 +97,25 @@ class RecorderNode(Node):
         config: RecorderConfig,
         intake: Intake,
         on_flush: Callable[["RecorderNode"], None] = lambda node: None,
+        sites: Sequence[str] = (),
     ) -> None:
-        """Prepare to record; `on_flush` is called after each flush, for a status line and keys."""
+        """Prepare to record.
+
+        Parameters: on_flush is called after each flush, for a status line and keys; sites, where the nodes are stopped
+        before this one is, so that each is expected to publish a last message.
+        """
         self._intake = intake
         self._on_flush = on_flush
+        self._sites = sites
+        self._disk = DiskWatch(config.directory)
+        self._reported_state = ""
+        self._reported_removed = 0
+        self._remind_ns = 0
         super().__init__(context)
         self.state = "running"
         self._flush_deadline = PeriodicDeadline(self.clock.monotonic_ns(), round(config.flush_interval_s * 1e9))
         self._path = "" if intake.writer is None else str(intake.writer.path)
         self._reported_path = ""
-        self._reported_fault = ""
         self._reported_lost = 0
         self._reported_dropped = 0
         self._rate_start = (self.clock.monotonic_ns(), 0)
@@ -126,6 +140,8 @@ class RecorderNode(Node):
         # report the file before the flush, which may end it
         self._report_path()
         self._intake.flush(now_ns)
+        rotation = self._intake.rotation
+        self._disk.check(now_ns, self._intake.size_bytes + (0 if rotation is None else rotation.finished_bytes))
         self._flush_deadline.advance(now_ns)
         self.overruns = self._flush_deadline.overruns
         self._measure(now_ns)
@@ -175,6 +191,7 @@ class RecorderNode(Node):
             )
         parts += [f"{intake.written} written", f"{self.rate_hz:.0f} messages/s", f"{intake.lost} lost"]
         parts += [f"{intake.rejected} rejected"] * (intake.rejected > 0)
+        parts += [self._disk.text] if self._disk.text else []
         return ", ".join(parts)
 
     def _mark(self, control: SessionControl) -> str:
@@ -201,12 +218,16 @@ class RecorderNode(Node):
             self._report_end()
 
     def _drain_sockets(self) -> None:
-        end_ns = self.clock.monotonic_ns() + _DRAIN_TIMEOUT_NS
-        calm = 0
+        begin_ns = self.clock.monotonic_ns()
+        end_ns, report_ns, calm = begin_ns + _DRAIN_TIMEOUT_NS, begin_ns + _REPORT_PERIOD_NS, 0
+        before = self._intake.received
         while calm < _CALM_PASSES and self.clock.monotonic_ns() < end_ns:
             received = self._intake.received
             for _ in self.context.bus.receive():
                 pass
+            if self.clock.monotonic_ns() >= report_ns:
+                report_ns += _REPORT_PERIOD_NS
+                self._report_drain((report_ns - begin_ns - _REPORT_PERIOD_NS) * 1e-9, self._intake.received - before)
             if self._intake.received - received >= _BACKLOG:
                 calm = 0
                 continue
@@ -215,7 +236,17 @@ class RecorderNode(Node):
             self.context.bus.wait(self.clock.monotonic_ns() + _PASS_NS)
         if calm < _CALM_PASSES:
             text = "the recording ends before all that had been sent was written: the machine was too busy"
+            self._intake.notes.append(text)
             self.event("fault", "error", text, waited_s=_DRAIN_TIMEOUT_NS * 1e-9)
+        elif silent := self._intake.silent_at_the_end(self._sites, self.clock.now_ns()):
+            text = f"the end of {', '.join(silent)} did not reach the recorder: what was sent last may be missing"
+            self._intake.notes.append(text)
+            self.event("fault", "error", text)
+
+    def _report_drain(self, waited_s: float, written: int) -> None:
+        limit_s = _DRAIN_TIMEOUT_NS * 1e-9
+        text = f"writing what still waits: {written} messages in {waited_s:.0f} s, at most {limit_s:.0f} s"
+        self.event("recording", "info", text, state="draining", path=self._path, written=written, waited_s=waited_s)
 
     def _report_path(self) -> None:
         intake = self._intake
@@ -227,21 +258,44 @@ class RecorderNode(Node):
 
     def _report(self) -> None:
         intake = self._intake
+        self._report_removed()
         self._report_path()
         dropped = 0 if intake.rotation is None else intake.rotation.dropped
         if dropped > self._reported_dropped:
             self._reported_dropped = dropped
             self.event("recording", "warning", f"{dropped} old files were removed to keep the quota", dropped=dropped)
-        if intake.fault != self._reported_fault:
-            self._reported_fault = intake.fault
-            self.state = "safe"
-            text = f"recording stopped, the rig continues: {intake.fault}"
-            self.event("recording", "error", text, state="failed", path=self._path, heard=intake.received)
+        self._report_state()
         if intake.lossless_lost > self._reported_lost:
             missing = intake.lossless_lost - self._reported_lost
             self._reported_lost = intake.lossless_lost
             text = f"{missing} control, event or scan messages did not reach the recorder"
-            self.event("fault", "warning", text, missing=missing)
+            self.event("fault", "warning", text, missing=_count(missing))
+
+    def _report_removed(self) -> None:
+        if self._intake.removed > self._reported_removed:
+            self._reported_removed = self._intake.removed
+            self.event("recording", "error", self._intake.notes[-1], state="removed", path=self._path)
+
+    def _report_state(self) -> None:
+        """Report a recording that has stopped, or that soon will; again every second, for who listens later."""
+        fault, low, now_ns = self._intake.fault, self._disk.text, self.clock.monotonic_ns()
+        state = "failed" if fault else "disk_low" if low else ""
+        level, text = "warning", low
+        if fault:
+            self.state = "safe"
+            level, text = "error", f"recording stopped, the rig continues: {fault}"
+        elif not low and self._reported_state == "disk_low":
+            level, text, state = "info", "the disk has room again", "disk_ok"
+        if state and state != self._reported_state:
+            self.event("recording", level, text, state=state, path=self._path)
+        elif state not in ("", "disk_ok") and now_ns >= self._remind_ns:
+            data = {"state": state, "path": self._path}
+            text = text[:MAX_TEXT].encode(errors="replace").decode()
+            # not into the log, which would only repeat it
+            self.publish("session/event", id="", kind="recording", level=level, text=text, data=data)
+        else:
+            return
+        self._reported_state, self._remind_ns = state, now_ns + _REPORT_PERIOD_NS
 
     def _report_end(self) -> None:
         intake, writer = self._intake, self._intake.writer
@@ -255,7 +309,12 @@ class RecorderNode(Node):
             path=self._path,
             messages=writer.messages,
             size_bytes=writer.size_bytes,
-            gaps=intake.gaps,
-            lost=intake.lost,
+            gaps=_count(intake.gaps),
+            lost=_count(intake.lost),
+            missing=_count(intake.missing),
             rejected=intake.rejected,
         )
+
+
+def _count(count: int) -> int:
+    return min(count, _GREATEST_COUNT)

@@ -1,7 +1,7 @@
 """Rotation of the files of one recording: when the next one begins, and what happens at the disk quota."""
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from proto.errors import RecordingError
@@ -26,6 +26,7 @@ class FileRotation:
         self._config = config
         self._create_file = create_file
         self._started_ns = 0
+        self._next_number = 0
         self._finished: deque[tuple[Path, int]] = deque()
         self.count = 0
         self.dropped = 0
@@ -33,15 +34,21 @@ class FileRotation:
     def begin(self, now_ns: int) -> RecordingWriter:
         """Create the next file; RecordingError gives the reason if that fails."""
         # numbers grow, also where the files of lower ones are gone
-        writer = self._create_file(self.count)
+        writer = self._create_file(self._next_number)
+        self._next_number = writer.number + 1
         self._started_ns = now_ns
         self.count += 1
         return writer
 
-    def finish(self, writer: RecordingWriter) -> None:
+    def finish(self, writer: RecordingWriter, end: Mapping[str, str]) -> None:
         """Finish a file, which then counts against the quota as a whole."""
-        writer.finish()
+        writer.finish(end)
         self._finished.append((writer.path, writer.size_bytes))
+
+    @property
+    def finished_bytes(self) -> int:
+        """Size of the finished files that are still there [bytes]."""
+        return sum(size for _, size in self._finished)
 
     def due(self, writer: RecordingWriter, now_ns: int) -> bool:
         config = self._config
@@ -58,7 +65,7 @@ class FileRotation:
         if quota is None:
             return
         current = 0 if writer is None else writer.size_bytes
-        while current + sum(size for _, size in self._finished) > quota:
+        while current + self.finished_bytes > quota:
             if self._config.quota_policy == "stop":
                 raise QuotaError(f"the quota of {quota} bytes is used up")
             if not self._finished:

@@ -44,7 +44,7 @@ _FIRST_THREAD = 1
 _MOST_TRACKERS = 1024
 # how long a node that ends goes on sending what a reader that is behind has not yet taken, its recorder above all;
 # within the grace that a supervisor gives
-_LINGER_MS = 6000
+LINGER_S = 20.0
 
 
 class Received(NamedTuple):
@@ -164,7 +164,7 @@ class ZmqPublisher(_NumberingPublisher):
         self.socket = context.socket(kind)
         self.socket.set(zmq.AFFINITY, _FIRST_THREAD)
         self.socket.set(zmq.SNDHWM, SEND_HIGH_WATER_MARK)
-        self.socket.set(zmq.LINGER, _LINGER_MS)
+        self.socket.set(zmq.LINGER, round(LINGER_S * 1e3))
         self.socket.set(zmq.MAXMSGSIZE, _LARGEST_SUBSCRIPTION)
         prepare(self.socket)
         try:

@@ -19,6 +19,7 @@ from services.runtime.bus import Bus, ConnectionEvent, Received
 from services.runtime.clock import Clock
 from services.runtime.commands import HELD_UP_NS, CommandHandler
 from services.runtime.deadlines import LatenessWindow, SpinMargin
+from services.runtime.ends import publish_end
 from services.runtime.freshness import LOOP_DEADLINE_NS
 from services.runtime.journal import InputJournal
 from services.runtime.log import RateLimitedLog, StructuredLog
@@ -116,6 +117,10 @@ class Node(ABC):
     def make_safe(self) -> None:
         """Put actuators in their declared safe state; called whatever ends the loop."""
 
+    def publish_end(self, bus: "AccountedBus") -> None:
+        """Publish the last message: how many were sent, for readers to know what they lack at the end."""
+        publish_end(bus, self.context.key)
+
 
 class AccountedBus(Bus, Protocol):
     """A bus whose inputs are accounted for."""
@@ -163,6 +168,7 @@ class NodeLoop:
             self.node.make_safe()
             self.node.state = "stopping"
             self.publish_health(self._clock.monotonic_ns())
+            self.node.publish_end(self._bus)
 
     def turn(self) -> None:
         """Wait for the next message or deadline and act on it."""

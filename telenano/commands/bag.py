@@ -296,8 +296,9 @@ def _row(path: Path) -> dict[str, Any]:
             "size_bytes": path.stat().st_size,
             "note": str(error),
         }
-    note = "" if found.complete else "not closed properly"
+    note = "" if found.closed else "not closed properly"
     note = f"{note}, {found.skipped_bytes} bytes damaged".strip(", ") if found.skipped_bytes else note
+    note = f"{note}, {found.lost} messages missing".strip(", ") if found.lost else note
     facts = {"path": str(path), "duration_s": round(found.duration_s, 3), "messages": found.messages}
     return {**facts, "size_bytes": found.size_bytes, "note": note}
 

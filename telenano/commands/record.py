@@ -14,7 +14,7 @@ from services.recorder.node import RecorderNode
 from services.runtime.config import validate
 from telenano.keyboard import RawKeyboard
 from telenano.options import ExcludeOption, JsonOption, SiteFileOption, TopicsOption
-from telenano.output import fail, print_json, report_errors
+from telenano.output import fail, fail_incomplete, print_json, report_errors
 
 _KEYS_TEXT = "s new file · t snapshot · q end"
 
@@ -80,7 +80,10 @@ def record(
     site_file: SiteFileOption = DEFAULT_SITE_FILE,
     as_json: JsonOption = False,
 ) -> None:
-    """Attach to a running rig and record it; Ctrl-C or q completes the file. Keys: s new file, t snapshot, q end."""
+    """Attach to a running rig and record it; Ctrl-C or q completes the file. Keys: s new file, t snapshot, q end.
+
+    The exit code is 3 if the recording lacks messages that were sent.
+    """
     with report_errors(as_json):
         given: dict[str, Any] = {
             "directory": str(out.absolute().parent),
@@ -107,3 +110,6 @@ def record(
             print_json(done.model_dump())
         else:
             typer.echo(f"recorded {done.messages} messages, {done.lost} lost, {done.files} file(s), newest {done.path}")
+        missing = [f"{done.missing} messages are missing"] if done.missing else []
+        if missing or done.notes:
+            fail_incomplete([*missing, *done.notes])

@@ -6,16 +6,20 @@ from typing import Annotated
 import typer
 
 from analysis.report import write_report
+from proto.errors import ReportError
 from telenano.options import JsonOption
-from telenano.output import print_document, report_errors
+from telenano.output import fail_with_summary, print_summary, report_errors
 
 
 def report(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="Recording (.mcap).")],
+    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recording (.mcap), or the parts of one.")],
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for fig12.png and summary.json.")],
     as_json: JsonOption = False,
 ) -> None:
-    """Write figure and summary of a recording again."""
+    """Write figure and summary of a recording again; exit code 3 if something is missing in it."""
     with report_errors(as_json):
-        summary = write_report(file, out)
-    print_document(summary, str(out), as_json=as_json)
+        try:
+            summary = write_report(files, out)
+        except ReportError as error:
+            fail_with_summary(error, str(out), as_json=as_json)
+    print_summary(summary, str(out), as_json=as_json)

@@ -7,11 +7,22 @@ from typing import Annotated, Any
 
 import typer
 
+from proto.errors import ReportError
+from recording.multi_file import open_recordings
 from services.launcher.plan import Plan, UpRequest, make_plan
 from services.launcher.run import Outcome, default_folder, report_of, run_rig
 from telenano.live_view import LineView, LiveView
 from telenano.options import JsonOption, RigFileOption, Site
-from telenano.output import console, fail, print_document, print_json, report_errors
+from telenano.output import (
+    console,
+    fail,
+    fail_incomplete,
+    fail_with_summary,
+    print_document,
+    print_json,
+    print_summary,
+    report_errors,
+)
 
 
 def up(
@@ -96,7 +107,10 @@ def up(
         with view:
             outcome = run_rig(plan, view.observe, view.show)
         _restore_default_signals()
-        summary = report_of(outcome, plan, view.show)
+        try:
+            summary = report_of(outcome, plan, view.show)
+        except ReportError as error:
+            fail_with_summary(error, str(plan.out), as_json=as_json)
     _print_outcome(outcome, summary, plan, as_json=as_json)
 
 
@@ -116,15 +130,27 @@ def _print_outcome(outcome: Outcome, summary: dict[str, Any] | None, plan: Plan,
     if outcome.failure:
         fail(outcome.failure, as_json=as_json, summary=summary)
     if plan.site == "slave":
-        kept = {"recording": str(outcome.recording or ""), "restarts": outcome.restarts}
-        print_document({"site": "slave", **kept}, str(plan.out), as_json=as_json)
+        _print_slave(outcome, plan, as_json=as_json)
     elif summary is not None:
-        print_document(summary, str(plan.out), as_json=as_json)
+        print_summary(summary, str(plan.out), as_json=as_json)
     elif not (outcome.ran and plan.attach):
         reason = "the recorder left no recording" if outcome.ran else "stopped before the session began"
-        fail(f"{reason}, see {plan.out / 'logs'}", as_json=as_json)
+        fail("; ".join([reason, *outcome.missing, f"see {plan.out / 'logs'}"]), as_json=as_json)
     elif as_json:
         # the recording is elsewhere, or nobody recorded
         print_json({"scenario": plan.scenario.name, "recording": None, "note": outcome.note})
     else:
         typer.echo(f"the session ran; {outcome.note}")
+
+
+def _print_slave(outcome: Outcome, plan: Plan, *, as_json: bool) -> None:
+    kept: dict[str, Any] = {"file": "", "complete": None, "missing": list(outcome.missing)}
+    if outcome.recordings:
+        info = open_recordings(outcome.recordings).info()
+        missing = [*info.missing, *outcome.missing]
+        kept = {"file": info.path, "complete": not missing, "missing": missing, "messages": info.messages}
+    # the path by itself, as ever
+    document = {"site": "slave", "recording": kept["file"], "recorded": kept, "restarts": outcome.restarts}
+    print_document(document, str(plan.out), as_json=as_json)
+    if kept["missing"]:
+        fail_incomplete(kept["missing"])

@@ -43,7 +43,7 @@ def check_killed(rig: Rig, killed: list[tuple[Path, int]]) -> None:
     )
     for path, killed_ns in killed:
         recording = Recording(path)
-        assert not recording.complete
+        assert not recording.closed
         # how far behind the bus the rig's own recorder was then: the machine had no more for either
         around = rig.recording().messages("haptic/state", killed_ns - 2 * NS_PER_S)
         lags = [m.log_ns - m.publish_ns for m in around if m.publish_ns < killed_ns + NS_PER_S]

@@ -28,6 +28,9 @@ FAULTS = {
         for law in ("virtual_impedance", "wave", "model_mediated")
         for link_ms in (0, 150)
     },
+    "the recorder is killed in a session": "figure and summary are made of all parts; what is missing is stated",
+    "the recording is removed while it is written": "reported; the recording goes on in another file",
+    "the disk of the recording is full": "the rig goes on; reported by `up` and `status`; summary of what was recorded",
     "a node that dies again and again": "the rig is stopped with a summary of the deaths",
     "the slave's site starts late": "the master waits, reports for what, and begins by itself",
     "the slave's address is not reached": "reported after 5 s with what to look for, and again every minute",

@@ -160,11 +160,11 @@ def test_killed_recording_is_readable_up_to_the_last_flush(wreck: Any) -> None:
     rig = wreck[0]
     kill = kill_of(wreck, "recorder@master")
     recording = Recording(rig.out / "session.mcap")
-    assert not recording.complete
+    assert not recording.closed
     last_ns = max(message.publish_ns for message in recording.messages(["haptic/state"]))
     assert kill.at_ns - last_ns < 250_000_000 + SOON_NS
     following = Recording(rig.out / "session_1.mcap")
-    assert following.complete
+    assert following.closed
     assert following.info().messages > 1000
 
 

@@ -252,4 +252,4 @@ def test_after_all_of_it_the_rig_ends_in_order_and_nobody_was_started_again(rig:
     assert summary["seq_gaps"]["session/event"] == 0
     log = (rig.out / "logs" / "launcher@master.log").read_text()
     assert [line for line in log.splitlines() if "again" in line] == []
-    assert Recording(rig.out / "session.mcap").complete
+    assert Recording(rig.out / "session.mcap").closed

@@ -7,6 +7,7 @@ import msgpack
 import pytest
 
 from proto import decode, encode
+from proto.ends import read_end
 from proto.errors import RefusedError
 from proto.messages import Message
 from services.afm_node.config import AfmConfig
@@ -43,6 +44,10 @@ class Outlet:
         message: Message = self.bench.make(topic, "delay_node@slave", **fields)
         self.send(topic, encode(message))
         return message
+
+    def sequence_numbers(self) -> dict[str, int]:
+        topics = [topic for topic, _ in self.sent if not topic.startswith("teleop/")]
+        return {topic: topics.count(topic) for topic in topics}
 
 
 class Link:
@@ -285,3 +290,24 @@ def _field(payload: bytes, key: str) -> Any:
 
 def _with_stamp(received: Any, t_ns: int) -> Any:
     return received._replace(message=received.message.model_copy(update={"t_ns": t_ns}))
+
+
+def test_at_its_end_the_link_counts_what_it_has_sent_on_at_each_site(link_of: Any) -> None:
+    link = link_of(forward={"delay_s": 0.01})
+    for _ in range(3):
+        link.receive("teleop/forward", "controller@master", **HALF)
+        link.pass_ms(6)
+    link.receive(
+        "teleop/backward", "controller@slave", **HALF, separation_m=0.0, separation_valid=False, in_contact=False
+    )
+    link.node.publish_end(link.to_master)
+    at_slave, at_master = (read_end(decoded(outlet)) for outlet in (link.to_slave, link.to_master))
+    # the third message is in flight, and never left
+    assert at_slave is not None and at_slave["teleop/forward", "controller@master"] == 2
+    assert at_slave["session/event", "delay_node@slave"] == 1
+    assert at_master is not None and at_master["teleop/backward", "controller@slave"] == 1
+
+
+def decoded(outlet: Outlet) -> dict[str, Any]:
+    fields: dict[str, Any] = msgpack.unpackb(outlet.sent[-1][1])
+    return fields

@@ -9,6 +9,7 @@ from proto import TOPICS
 from proto.messages import InputHealth, Message, NodeHealth, SessionControl, SessionEvent
 from proto.sequence import Arrival
 from services.launcher.external_recording import ExternalRecording
+from services.launcher.processes import StopObserver
 from services.launcher.session import RigNode, SessionNode
 from services.launcher.supervisor import Supervisor
 from services.runtime.bus import Received
@@ -50,6 +51,7 @@ class FakeBus:
     clock: VirtualClock
     key: str
     sent: list[Message] = field(default_factory=list)
+    waiting: list[Received] = field(default_factory=list)
 
     def publish(self, topic: str, **fields: Any) -> Message:
         message = TOPICS[topic].model(seq=len(self.sent), t_ns=self.clock.now_ns(), src=self.key, v=1, **fields)
@@ -57,7 +59,8 @@ class FakeBus:
         return message
 
     def receive(self) -> Any:
-        raise NotImplementedError
+        waiting, self.waiting = self.waiting, []
+        yield from waiting
 
     def wait(self, deadline_ns: int) -> None:
         raise NotImplementedError
@@ -89,8 +92,9 @@ class FakeChildren:
     def log_path(self, node: str) -> Path:
         return Path("logs") / f"{node}.log"
 
-    def stop(self) -> None:
+    def stop(self, observer: StopObserver) -> None:
         self.stopped += 1
+        observer.wait((), 0.0, 1.0)
 
 
 class Bench:
@@ -126,8 +130,10 @@ class Bench:
         for node in nodes:
             self.receive(health(node, **fields), "node/health")
 
-    def receive_event(self, src: str, kind: Any, text: str = "reason", answer_to: str = "", **data: Any) -> None:
-        event = SessionEvent(seq=0, t_ns=0, src=src, v=1, id=answer_to, kind=kind, level="info", text=text, data=data)
+    def receive_event(
+        self, src: str, kind: Any, text: str = "reason", answer_to: str = "", level: Any = "info", **data: Any
+    ) -> None:
+        event = SessionEvent(seq=0, t_ns=0, src=src, v=1, id=answer_to, kind=kind, level=level, text=text, data=data)
         self.receive(event, "session/event")
 
     def tick(self, count: int = 1) -> None:

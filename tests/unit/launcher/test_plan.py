@@ -7,6 +7,7 @@ import yaml
 from presets import DEFAULT_SITE_FILE, SCENARIO_DIRECTORY, TWO_SITES_FILE, known_scenarios
 from proto.errors import ConfigError
 from proto.nodes import LAUNCHER, OPTIONAL_NODES, RECORDER, START_ORDER, STOP_ORDER
+from services.launcher.disk_space import disk_warning
 from services.launcher.plan import ALLOW_REPLAY, UpRequest, anchored, make_plan
 from services.runtime.config import read_yaml
 from services.runtime.main import load_site
@@ -177,3 +178,36 @@ def test_a_site_may_have_no_recorder_but_needs_its_launcher(tmp_path: Path) -> N
     site_file.write_text(yaml.safe_dump(document))
     with pytest.raises(ConfigError, match="launcher@slave is missing"):
         make_plan(slave, tmp_path)
+
+
+@pytest.mark.parametrize(("key", "value"), [("directory", "/elsewhere"), ("file_name", "other.mcap")])
+def test_where_up_records_is_given_by_out_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, key: str, value: str
+) -> None:
+    with pytest.raises(ConfigError, match=rf"--set: recorder\.{key}: .* in the folder of --out: give that option"):
+        make_plan(request(tmp_path / "out", settings=[f"recorder.{key}={value}"]), tmp_path)
+    monkeypatch.setenv(f"TELENANO__RECORDER__{key.upper()}", value)
+    with pytest.raises(ConfigError, match=rf"environment: recorder\.{key}: "):
+        make_plan(request(tmp_path / "out"), tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("settings", "free", "warned"),
+    [
+        ((), 3_000_000, "has 3.0 MB left, and a session of 8 s takes about 4.8 MB"),
+        ((), 5_000_000, ""),
+        ((), None, ""),
+        (("recorder.compression=none",), 5_000_000, "takes about 28.0 MB"),
+        (("recorder.quota_bytes=1000000",), 3_000_000, ""),
+        # how much these write is not known
+        (("recorder.topics=[afm/*]",), 0, ""),
+        (("recorder.snapshot_s=5.0",), 0, ""),
+    ],
+)
+def test_the_disk_is_compared_with_what_a_session_takes(
+    tmp_path: Path, settings: tuple[str, ...], free: int | None, warned: str
+) -> None:
+    plan = make_plan(request(tmp_path / "out", settings=settings, duration_s=8.0), tmp_path)
+    found = disk_warning(plan, lambda path: free)
+    assert warned in found if warned else not found
+    assert not disk_warning(make_plan(request(tmp_path / "out", without=["recorder"]), tmp_path), lambda path: 0)

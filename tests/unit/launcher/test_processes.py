@@ -2,12 +2,13 @@ import contextlib
 import signal
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import psutil
 import pytest
 
-from services.launcher.processes import NodeProcesses, child_environment
+from services.launcher.processes import NodeProcesses, StopObserver, child_environment
 
 STUBBORN = "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); print('up', flush=True); time.sleep(60)"
 # ends at SIGTERM, by the default action
@@ -17,6 +18,34 @@ OBEDIENT = "import signal; print('up', flush=True); signal.pause()"
 def processes(folder: Path, code: dict[str, str], order: list[str], stopping: list[str]) -> NodeProcesses:
     commands = {node: [sys.executable, "-c", text] for node, text in code.items()}
     return NodeProcesses(commands, order, folder, 42, stopping.append)
+
+
+# publishes its last message, which here is a line, and then lingers until the file `taken` is there
+LINGERING = """
+import pathlib, signal, sys, time
+signal.signal(signal.SIGTERM, lambda *given: print("ended", flush=True))
+print("up", flush=True)
+signal.pause()
+while not pathlib.Path("{folder}/taken").exists():
+    time.sleep(0.01)
+"""
+
+
+class Reader(StopObserver):
+    """Knows from its log that a node has ended, and takes the last messages once all have."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.waited: list[tuple[str, ...]] = []
+
+    def has_ended(self, node: str) -> bool:
+        path = self.folder / f"{node}.log"
+        return path.exists() and b"ended" in path.read_bytes()
+
+    def wait(self, nodes: Sequence[str], waited_s: float, limit_s: float) -> None:
+        self.waited.append(tuple(nodes))
+        if all(map(self.has_ended, ("a@b", "c@d"))):
+            (self.folder / "taken").touch()
 
 
 def wait_for_line(path: Path) -> None:
@@ -36,6 +65,38 @@ def test_nodes_are_stopped_in_order_and_the_log_is_kept(tmp_path: Path) -> None:
     assert children.log_tail("a@b") == "up"
     children.stop()
     assert stopping == ["c@d", "a@b"]
+
+
+def test_the_next_node_is_stopped_while_the_last_messages_of_one_are_delivered_and_the_recorder_after_all(
+    tmp_path: Path,
+) -> None:
+    stopping: list[str] = []
+    lingering = LINGERING.format(folder=tmp_path)
+    nodes = {"a@b": lingering, "c@d": lingering, "recorder@d": OBEDIENT}
+    children = processes(tmp_path, nodes, ["a@b", "c@d", "recorder@d"], stopping)
+    for node in nodes:
+        children.start(node)
+        wait_for_line(children.log_path(node))
+    reader = Reader(tmp_path)
+    # `a@b` cannot end before `c@d` has been stopped as well
+    children.stop(reader)
+    assert stopping == ["a@b", "c@d", "recorder@d"]
+    assert ("a@b", "c@d") in reader.waited
+    assert children.reap() == {}
+
+
+def test_a_failing_observer_leaves_the_process_to_be_stopped_again(tmp_path: Path) -> None:
+    class Failing(StopObserver):
+        def wait(self, nodes: Sequence[str], waited_s: float, limit_s: float) -> None:
+            raise OSError("the terminal is gone")
+
+    children = processes(tmp_path, {"a@b": "import time; time.sleep(60)"}, ["a@b"], [])
+    # ends by the signal at once, and is looked at all the same
+    process_id = children.start("a@b")
+    with contextlib.suppress(OSError):
+        children.stop(Failing())
+    children.stop()
+    assert not Path(f"/proc/{process_id}").exists()
 
 
 def test_an_exit_is_reported_once_with_its_signal(tmp_path: Path) -> None:

@@ -93,10 +93,10 @@ def test_the_file_that_the_recorder_named_is_found_if_it_is_the_sessions(tmp_pat
     session.recording.files = [str(path)]
     assert holds_command(path, "the-start")
     outcome = outcome_of(session, plan)
-    assert (outcome.ran, outcome.recording, outcome.note) == (True, path, "")
+    assert (outcome.ran, outcome.recordings, outcome.note) == (True, (path,), "")
     session.start_id = "another"
     outcome = outcome_of(session, plan)
-    assert outcome.recording is None
+    assert outcome.recordings == ()
     assert f"`telenano report {path} --out {plan.out}`" in outcome.note
 
 
@@ -105,32 +105,53 @@ def test_a_recording_elsewhere_is_reported_with_the_command_that_reports_it(tmp_
     assert session.recording is not None
     session.recording.files = ["/elsewhere/session_1.mcap"]
     outcome = outcome_of(session, plan)
-    assert outcome.recording is None
+    assert outcome.recordings == ()
     assert "recorder@master recorded the session to /elsewhere/session_1.mcap" in outcome.note
     session.recording.files = []
     assert outcome_of(session, plan).note == "nothing was recorded: no recorder reported"
+
+
+def test_all_parts_of_a_recording_are_found_in_their_order(tmp_path: Path) -> None:
+    bench, plan = Bench(), plan_of(tmp_path)
+    plan.out.mkdir()
+    for number in (0, 1, 2, 10):
+        RecordingWriter.create(RECORDER, RecorderConfig(directory=plan.out), number).finish()
+    # one that the recorder could not begin on a full disk, and one of somebody else
+    (plan.out / "session_11.mcap").touch()
+    (plan.out / "sessions.mcap").touch()
+    rig = make_rig(plan, bench.context, Supervisor(bench.clock, (), bench.children))
+    rig.recording_faults[RECORDER] = "recording stopped, the rig continues: the disk is full"
+    outcome = outcome_of(rig, plan)
+    names = ["session.mcap", "session_1.mcap", "session_2.mcap", "session_10.mcap"]
+    assert [path.name for path in outcome.recordings] == names
+    assert outcome.missing == (
+        f"{RECORDER}: recording stopped, the rig continues: the disk is full",
+        f"{plan.out / 'session_11.mcap'}: is empty",
+    )
 
 
 def test_a_report_is_made_of_a_session_that_ran(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     plan = plan_of(tmp_path)
     path = tmp_path / "session.mcap"
     reported: list[str] = []
-    ran = Outcome("", False, True, path, "", {})
-    monkeypatch.setattr(up, "make_report", lambda recording, out: {"recording": str(recording), "out": str(out)})
+    ran = Outcome("", False, True, (path,), "", {})
+    monkeypatch.setattr(
+        up, "make_report", lambda recordings, out, missing: {"recording": str(recordings[0]), "out": str(out)}
+    )
     assert report_of(ran, plan, reported.append) == {"recording": str(path), "out": str(plan.out)}
     assert reported == ["making figure and summary"]
-    assert report_of(Outcome("", True, False, path, "", {}), plan, reported.append) is None
-    assert report_of(Outcome("", False, True, None, "elsewhere", {}), plan, reported.append) is None
+    assert report_of(Outcome("", True, False, (path,), "", {}), plan, reported.append) is None
+    assert report_of(Outcome("", False, True, (), "elsewhere", {}), plan, reported.append) is None
 
-    def broken(recording: Path, out: Path) -> Any:
+    def broken(*given: Any) -> Any:
         raise RecordingError("no session in it")
 
     monkeypatch.setattr(up, "make_report", broken)
-    assert report_of(Outcome("the cause", False, True, path, "", {}), plan, reported.append) is None
+    assert report_of(Outcome("the cause", False, True, (path,), "", {}), plan, reported.append) is None
     with pytest.raises(RecordingError, match="no session in it"):
         report_of(ran, plan, reported.append)
 
-    def interrupted(recording: Path, out: Path) -> Any:
+    def interrupted(*given: Any) -> Any:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(up, "make_report", interrupted)

@@ -4,8 +4,11 @@ import pytest
 from launcher_bench import NODES, SECOND_NS, TICK_NS, Rig, health, row
 from rich.console import Console
 
-from proto.messages import NodeHealth
+from proto.messages import NodeHealth, SessionEvent
+from proto.sequence import Arrival
 from services.launcher.readiness import READY_DEADLINE_S, oldest_input_s, silent_inputs, unmet
+from services.launcher.session import _Ending
+from services.runtime.bus import Received
 from telenano.live_view import nodes_table, rig_picture
 
 
@@ -214,3 +217,46 @@ def test_the_live_view_has_the_health_of_each_node_under_its_heading() -> None:
         "lost": "0", "refused": "source 3", "CPU %": "1", "MB": "57", "restarts": "0",
     }  # fmt: skip
     assert rows["haptic_node@master"]["state"] == "-"
+
+
+def test_what_happens_to_the_recording_is_shown_once() -> None:
+    rig = Rig()
+    rig.all_ready()
+    rig.tick(4)
+    for level, state, text in (
+        ("warning", "disk_low", "10 MB left"),
+        ("warning", "disk_low", "9 MB left"),
+        ("error", "failed", "the disk is full"),
+        ("error", "failed", "the disk is full"),
+    ):
+        rig.receive_event("recorder@master", "recording", text, level=level, state=state, path="x")
+    rig.tick(1)
+    assert rig.reports == ["recorder@master: 10 MB left", "recorder@master: the disk is full"]
+    assert rig.session.recording_faults == {"recorder@master": "the disk is full"}
+
+
+def test_while_nodes_are_stopped_it_is_reported_what_takes_its_time() -> None:
+    rig = Rig()
+    rig.all_ready()
+    rig.tick(4)
+    ending = _Ending(rig.session)
+    assert not ending.has_ended("afm_node@slave")
+    data = {"state": "ended", "sent.afm/state": 5}
+    event = SessionEvent(
+        seq=0, t_ns=0, src="afm_node@slave", v=1, id="", kind="node", level="info", text="e", data=data
+    )
+    rig.bus.waiting.append(Received("session/event", event, b"", 0, Arrival.NEXT))
+    ending.wait(["afm_node@slave", "haptic_node@master"], 0.2, 22.0)
+    assert ending.has_ended("afm_node@slave")
+    for waited_s in (0.4, 1.1, 1.4, 2.0):
+        ending.wait(["afm_node@slave"], waited_s, 22.0)
+    ending.wait(["recorder@master"], 3.0, 30.0)
+    rig.take_news(rig.session)
+    assert rig.reports == [
+        "waiting for a reader, the recorder above all, to take the last messages of afm_node@slave (1 s, at most 22 s)",
+        "waiting for a reader, the recorder above all, to take the last messages of afm_node@slave (2 s, at most 22 s)",
+        "waiting for the end of recorder@master (3 s, at most 30 s)",
+    ]
+    # one that reports again was started again
+    rig.receive_health("afm_node@slave")
+    assert not ending.has_ended("afm_node@slave")

@@ -76,6 +76,31 @@ def test_a_session_has_a_file_of_its_own_and_leaves_the_nodes() -> None:
     assert rig.children.started == []
 
 
+def test_a_recorder_that_is_behind_completes_the_file_before_it_begins_the_next() -> None:
+    rig = Attached(duration_s=2.0)
+    rig.all_ready()
+    rig.with_recorder()
+    rig.tick(5)
+
+    def tick_behind(count: int, age_s: float) -> None:
+        for _ in range(count):
+            rig.receive(
+                health(RECORDER, inputs=(row("haptic/state", "haptic_node@master", age_s=age_s),)), "node/health"
+            )
+            rig.tick_alive()
+
+    tick_behind(46, 3.0)
+    # no tip stays on the sample for the sake of a recorder
+    assert commands(rig)[-2:] == [("stop", "*"), ("estop", "afm_node")]
+    tick_behind(40, 2.0)
+    assert not rig.finished
+    assert any("which is 2.0 s behind" in line for line in rig.reports)
+    tick_behind(5, 0.1)
+    assert rig.finished
+    assert commands(rig)[-1] == ("set", RECORDER)
+    assert rig.recording.files == [FILES[0]]
+
+
 def test_it_waits_without_a_limit_and_says_for_what() -> None:
     rig = Attached()
     rig.receive_health(*OTHERS[:2])

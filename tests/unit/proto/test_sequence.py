@@ -129,3 +129,33 @@ def test_many_gaps_are_remembered_to_a_bound_the_newest_first() -> None:
     assert tracker.lost == 3 * (newest // 4)
     assert tracker.accept(newest - 1, 0) is Arrival.LATE
     assert tracker.accept(1, 0) is Arrival.DUPLICATE
+
+
+def test_what_is_missing_at_the_end_is_lost() -> None:
+    tracker = SequenceTracker()
+    for seq in range(5):
+        tracker.accept(seq, 10 + seq)
+    assert tracker.finish(8) == 3
+    assert (tracker.lost, tracker.gaps, tracker.last_gap) == (3, 1, (5, 7))
+
+
+def test_a_whole_topic_and_one_that_was_never_received_lack_nothing_at_the_end() -> None:
+    tracker = SequenceTracker()
+    assert tracker.finish(8) == 0
+    tracker.accept(7, 10)
+    assert (tracker.finish(8), tracker.finish(3)) == (0, 0)
+    assert tracker.lost == 0
+
+
+@pytest.mark.parametrize("seq", [0, 1, 2, 40])
+def test_after_the_end_any_number_is_that_of_the_next_process(seq: int) -> None:
+    tracker = SequenceTracker()
+    tracker.accept(1, 10)
+    tracker.finish(2)
+    # of the process that has ended, come late
+    assert tracker.accept(1, 10) is Arrival.DUPLICATE
+    assert tracker.accept(seq, 20) is Arrival.RESTART
+    assert (tracker.lost, tracker.restarts) == (0, 1)
+    # and its own gaps count again
+    assert tracker.accept(seq + 3, 21) is Arrival.AFTER_GAP
+    assert tracker.lost == 2

@@ -11,6 +11,7 @@ import zmq
 from recorder_samples import EPOCH_NS, NODE, haptic_state, sample, session_control, teleop_forward
 
 from proto import MAX_MESSAGE_BYTES, Message, encode
+from proto.ends import end_data
 from proto.messages import SessionControl
 from recording.reader import Recording
 from recording.records import GAP_TOPIC, REJECTED_TOPIC, GapRecord, RejectedRecord
@@ -107,6 +108,71 @@ def test_a_gap_is_written_where_it_happened(intake: Intake, listen: MakeListener
         channel_topic="haptic/state", src="haptic_node@master", first_missing=2, last_missing=4, count=3
     )
     assert (intake.gaps, intake.lost, intake.lossless_lost) == (1, 3, 0)
+
+
+def ended(src: str, seq: int, sent: dict[str, int], **forwarded: int) -> list[bytes]:
+    """Return the last message of a publisher; `forwarded` of the link, by topic with _ in place of /."""
+    others = {(topic.replace("_", "/"), "controller@master"): count for topic, count in forwarded.items()}
+    event = sample("session/event", seq, src=src, kind="node", data=end_data(sent, others))
+    return frames("session/event", event)
+
+
+def test_what_is_missing_at_the_end_of_a_topic_is_lost(intake: Intake, listen: MakeListener) -> None:
+    listener = listen("haptic_node@master")
+    for seq in range(3):
+        intake.record(listener, frames("haptic/state", haptic_state(seq)), EPOCH_NS)
+    intake.record(listener, ended("haptic_node@master", 0, {"haptic/state": 7, "session/event": 1}), EPOCH_NS + 9)
+    assert (intake.gaps, intake.lost, intake.missing) == (1, 4, 4)
+    assert next(iter(listener.subscriber.trackers.values())).lost == 4
+    (gap,) = recorded(intake).messages([GAP_TOPIC])
+    assert gap.decode() == GapRecord(
+        channel_topic="haptic/state", src="haptic_node@master", first_missing=3, last_missing=6, count=4
+    )
+
+
+def test_what_the_link_sent_on_at_last_is_missing_and_what_it_dropped_is_not(
+    intake: Intake, listen: MakeListener
+) -> None:
+    far = listen("delay_node@slave")
+    for seq in (0, 1, 4):
+        intake.record(far, frames("teleop/forward", teleop_forward(seq)), EPOCH_NS)
+    assert (intake.lost, intake.missing) == (2, 0)
+    intake.record(far, ended("delay_node@slave", 0, {"session/event": 1}, teleop_forward=8), EPOCH_NS)
+    assert (intake.lost, intake.missing) == (5, 3)
+    # the same event as it came through the link from elsewhere counts nothing
+    intake.record(far, ended("controller@master", 0, {"teleop/forward": 99}), EPOCH_NS)
+    assert intake.missing == 3
+
+
+def test_a_second_console_has_lost_nothing(intake: Intake, listen: MakeListener) -> None:
+    listener = listen("console@master")
+    command = sample("session/control", 0, src="console@master")
+    intake.record(listener, frames("session/control", command), EPOCH_NS)
+    intake.record(listener, ended("console@master", 0, {"session/control": 1, "session/event": 1}), EPOCH_NS)
+    # its first two repetitions came before the recorder had connected
+    again = sample("session/control", 2, src="console@master")
+    assert intake.record(listener, frames("session/control", again), EPOCH_NS) is not None
+    intake.record(listener, ended("console@master", 0, {"session/control": 3}), EPOCH_NS)
+    assert (intake.gaps, intake.lost, intake.missing) == (0, 0, 0)
+
+
+def test_nodes_that_fell_silent_without_a_last_message_are_named(intake: Intake, listen: MakeListener) -> None:
+    last_ns = haptic_state(0).t_ns
+    sites = ("master", "slave")
+    for node in ("haptic_node@master", "controller@master"):
+        topic = "haptic/state" if node.startswith("haptic") else "haptic/command"
+        intake.record(listen(node), frames(topic, sample(topic, 0, src=node)), EPOCH_NS)
+    # as long as they send, it is the recorder that ends
+    assert intake.silent_at_the_end(sites, last_ns + 100_000_000) == ()
+    later_ns = last_ns + 1_000_000_000
+    assert intake.silent_at_the_end(sites, later_ns) == ("controller@master", "haptic_node@master")
+    assert intake.silent_at_the_end(("slave",), later_ns) == ()
+    listener = listen("haptic_node@master")
+    intake.record(listener, ended("haptic_node@master", 0, {}), EPOCH_NS)
+    assert intake.silent_at_the_end(sites, later_ns) == ("controller@master",)
+    # one that was started again has to end again
+    intake.record(listener, frames("haptic/state", haptic_state(1)), EPOCH_NS)
+    assert intake.silent_at_the_end(sites, later_ns) == ("controller@master", "haptic_node@master")
 
 
 def test_lost_events_count_as_a_fault_only_where_they_were_sent(intake: Intake, listen: MakeListener) -> None:

@@ -119,14 +119,16 @@ def test_the_start_is_reported_once_after_the_first_flush(rig: Rig, tmp_path: Pa
 def test_the_end_completes_the_file_and_says_what_is_in_it(rig: Rig) -> None:
     rig.node.context.request_stop()
     rig.loop.run()
-    started, finished = rig.bus.events()
+    started, finished, ended = rig.bus.events()
     assert started.data["state"] == "started"
     assert finished.data["state"] == "finished"
     assert finished.data["messages"] == 0
     info = Recording(str(finished.data["path"])).info()
     assert info.complete
     assert info.size_bytes == finished.data["size_bytes"]
-    assert rig.bus.published[-1][0] == "node/health"
+    # the last message of all counts those before it
+    assert [topic for topic, _ in rig.bus.published[-2:]] == ["node/health", "session/event"]
+    assert ended.data["state"] == "ended"
 
 
 def test_a_folder_that_cannot_be_written_is_an_event_and_the_node_goes_on(config: RecorderConfig) -> None:
@@ -144,7 +146,7 @@ def test_a_folder_that_cannot_be_written_is_an_event_and_the_node_goes_on(config
     assert "Permission denied" in answer.text
     rig.node.context.request_stop()
     rig.loop.run()
-    assert len(rig.bus.events()) == 2
+    assert [event.kind for event in rig.bus.events()] == ["recording", "refused", "node"]
 
 
 def test_a_disk_that_fails_later_is_one_event(rig: Rig) -> None:
@@ -156,6 +158,51 @@ def test_a_disk_that_fails_later_is_one_event(rig: Rig) -> None:
     for _ in range(5):
         rig.loop.turn()
     assert [event.data["state"] for event in rig.bus.events()] == ["started", "failed"]
+
+
+def test_a_recording_that_has_stopped_is_reported_again_for_who_listens_later(config: RecorderConfig) -> None:
+    rig = Rig(Intake(None, "x.mcap: cannot be written: No space left on device"), config)
+    while rig.clock.monotonic_ns() < 3_100_000_000:
+        rig.loop.turn()
+    events = rig.bus.events()
+    assert [(event.t_ns - EPOCH_NS) // 100_000_000 for event in events] == [2, 12, 22, 32]
+    assert {(event.kind, event.level, event.data["state"]) for event in events} == {("recording", "error", "failed")}
+
+
+class Backlog:
+    """What waits in the sockets of a recorder: a thousand messages every tenth of a second, for a time."""
+
+    def __init__(self, rig: Rig, length_s: float) -> None:
+        self._rig = rig
+        self._left = round(length_s * 10)
+        rig.bus.receive = self._receive
+
+    def _receive(self) -> Iterator[Received]:
+        if self._left > 0:
+            self._left -= 1
+            self._rig.intake.received += 1000
+            self._rig.clock.advance_ns(100_000_000)
+        return iter(())
+
+
+def test_a_recorder_that_is_behind_writes_what_waits_and_reports_how_far_it_is(rig: Rig) -> None:
+    Backlog(rig, 3.05)
+    rig.node.make_safe()
+    told = [event for event in rig.bus.events() if event.data["state"] == "draining"]
+    assert [event.data["written"] for event in told] == [10_000, 20_000, 30_000]
+    assert told[0].text == "writing what still waits: 10000 messages in 1 s, at most 20 s"
+    finished = rig.bus.events()[-1]
+    assert Recording(str(finished.data["path"])).info().complete
+
+
+def test_a_recorder_that_gives_up_notes_in_the_file_what_is_missing(rig: Rig) -> None:
+    Backlog(rig, 60.0)
+    rig.node.make_safe()
+    (fault,) = [event for event in rig.bus.events() if event.kind == "fault"]
+    info = Recording(str(rig.bus.events()[-1].data["path"])).info()
+    assert fault.level == "error"
+    assert info.missing == (fault.text,)
+    assert (info.complete, info.closed, info.lost) == (False, True, 0)
 
 
 def test_a_mark_is_acknowledged_and_its_parameters_are_published(rig: Rig) -> None:
@@ -288,7 +335,7 @@ def test_everything_on_real_sockets_is_received_at_its_place(
         few = listeners(wiring, config.model_copy(update={"topics": ("haptic/state",)}))
         asked = {(each.publisher, topic) for each in few for topic in each.subscriber.topics}
         assert ("haptic_node@master", "haptic/state") in asked
-        assert {topic for _, topic in asked} == {"haptic/state", "session/control"}
+        assert {topic for _, topic in asked} == {"haptic/state", "session/control", "session/event"}
         for each in few:
             each.subscriber.close()
         wanted = {"haptic/state", "teleop/forward", "teleop/forward@slave", "node/health", "session/event"}
@@ -366,7 +413,7 @@ def test_a_killed_process_loses_no_more_than_an_interval(
             process.kill()
         recording = Recording(path)
         states = list(recording.messages(["haptic/state"]))
-        assert not recording.complete
+        assert not recording.closed
         assert [m.seq for m in states] == list(range(states[0].seq, states[-1].seq + 1))
         # the interval is 0.1 s; the rest is for a busy machine
         assert killed_ns - states[-1].log_ns < 250_000_000

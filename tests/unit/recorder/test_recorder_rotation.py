@@ -1,5 +1,6 @@
 """Splitting, quota, snapshots and filters of a recorder whose frames come from the test."""
 
+import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from proto.errors import ConfigError, RecordingError, RefusedError
 from proto.messages import SessionControl, SessionEvent
 from recording.multi_file import open_recordings
 from recording.reader import Recording
+from recording.verify import verify
 from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake, Listener
 from services.recorder.node import RecorderNode
@@ -111,7 +113,7 @@ def test_a_new_file_begins_after_the_time_and_nothing_is_lost_between(make_rig: 
     rig.intake.finish()
     assert len(rig.files()) == 4
     assert [seq for path in rig.files() for seq in seqs(path)] == list(range(3000))
-    assert all(Recording(path).complete for path in rig.files())
+    assert all(Recording(path).closed for path in rig.files())
     assert all("site.yaml" in Recording(path).attachments for path in rig.files())
     assert [message.seq for message in open_recordings(rig.files()).select()] == list(range(3000))
     assert [event.data["path"] for event in rig.events] == [str(path) for path in rig.files()]
@@ -142,7 +144,7 @@ def test_at_the_quota_recording_stops_with_a_finished_file(make_rig: Callable[..
         rig.receive_states(turn * 100, 100)
         rig.flush()
     (path,) = rig.files()
-    assert Recording(path).complete
+    assert Recording(path).closed
     assert "quota of 65536 bytes" in rig.intake.fault
     (failed,) = [event for event in rig.events if event.data.get("state") == "failed"]
     assert failed.level == "error"
@@ -168,6 +170,61 @@ def test_at_the_quota_the_oldest_file_goes(make_rig: Callable[..., RecorderRig])
     assert any("removed to keep the quota" in event.text for event in rig.events)
 
 
+def test_every_file_ends_with_the_reason(make_rig: Callable[..., RecorderRig]) -> None:
+    rig = make_rig()
+    rig.receive_states(0, 5)
+    rig.command(**{"record.split": True})
+    rig.receive_states(5, 5)
+    rig.intake.finish()
+    assert [Recording(path).ending for path in rig.files()] == ["split", "stopped"]
+    info = open_recordings(rig.files()).info()
+    assert (info.complete, info.missing, info.messages, len(info.parts)) == (True, (), 10, 2)
+
+
+def test_a_recording_that_ended_at_its_quota_is_not_whole(make_rig: Callable[..., RecorderRig]) -> None:
+    rig = make_rig(quota_bytes=65_536, compression="none")
+    for turn in range(6):
+        rig.receive_states(turn * 100, 100)
+        rig.flush()
+    (path,) = rig.files()
+    info = Recording(path).info()
+    assert (info.closed, info.complete) == (True, False)
+    assert info.missing == ("the recording was stopped before its end: the quota of 65536 bytes is used up",)
+    assert any(finding.text == info.missing[0] for finding in verify([path]).findings)
+
+
+@pytest.mark.parametrize("what", ["file", "folder", "replaced"])
+def test_a_recording_that_is_removed_goes_on_in_another_file_and_says_so(
+    make_rig: Callable[..., RecorderRig], what: str
+) -> None:
+    rig = make_rig()
+    rig.receive_states(0, 50)
+    rig.flush()
+    first = rig.files()[0]
+    if what == "folder":
+        shutil.rmtree(rig.folder)
+    else:
+        first.unlink()
+    if what == "replaced":
+        first.write_bytes(b"something else")
+    rig.receive_states(50, 10)
+    rig.flush()
+    # it is noted in the file before that is finished
+    assert "was removed while it was written" in Recording(rig.folder / "session_1.mcap").info().missing[-1]
+    rig.receive_states(60, 10)
+    rig.intake.finish()
+    (removed,) = [event for event in rig.events if event.data.get("state") == "removed"]
+    assert (removed.kind, removed.level) == ("recording", "error")
+    assert removed.text == f"{first} was removed while it was written, and 60 messages with it"
+    assert rig.events[-1].data["path"] == str(rig.folder / "session_1.mcap")
+    assert seqs(rig.folder / "session_1.mcap") == list(range(60, 70))
+    info = Recording(rig.folder / "session_1.mcap").info()
+    assert (info.complete, info.missing) == (False, (removed.text,))
+    assert rig.intake.fault == ""
+    # what stands there now is somebody else's
+    assert first.exists() is (what == "replaced")
+
+
 def test_a_snapshot_holds_what_came_before_its_trigger(make_rig: Callable[..., RecorderRig]) -> None:
     rig = make_rig(snapshot_s=0.5, snapshot_after_s=0.2)
     for turn in range(10):
@@ -180,7 +237,7 @@ def test_a_snapshot_holds_what_came_before_its_trigger(make_rig: Callable[..., R
         rig.receive_states(turn * 100, 100)
         rig.flush()
     (path,) = rig.files()
-    assert Recording(path).complete
+    assert Recording(path).closed
     # half a second before the flush that wrote it, and what was received up to the first flush 0.2 s later
     assert seqs(path) == list(range(599, 1300))
 

@@ -31,7 +31,7 @@ def messages_in(recording: Recording) -> list[tuple[int, bytes]]:
 def test_what_was_written_is_read(make_file: MakeFile, compression: str, finish: bool) -> None:
     recording = Recording(make_file(40, finish=finish, compression=compression))
     found = list(recording.messages())
-    assert recording.complete is finish
+    assert recording.closed is finish
     assert len(found) == 80
     assert [message.log_ns for message in found] == sorted(message.log_ns for message in found)
     first, second = found[0], found[1]
@@ -83,7 +83,9 @@ def test_the_account_of_a_recording(config: RecorderConfig) -> None:
     assert (hand_info.first_ns, hand_info.last_ns) == (EPOCH_NS, EPOCH_NS + 7 * MILLISECOND_NS)
     assert hand_info.declared_rate_hz == 1000.0
     assert (gap_info.channel_topic, gap_info.declared_rate_hz) == (GAP_TOPIC, None)
-    assert (info.complete, info.skipped_bytes, info.damage, info.messages) == (True, 0, (), 7)
+    assert (info.closed, info.skipped_bytes, info.damage, info.messages) == (True, 0, (), 7)
+    assert (info.complete, info.lost) == (False, 3)
+    assert info.missing == ("3 messages of haptic_node@master on haptic/state are missing",)
     assert info.size_bytes == writer.path.stat().st_size == writer.size_bytes
     assert info.duration_s == pytest.approx(7e-3, rel=1e-9, abs=0)
     assert info.model_validate_json(info.model_dump_json()) == info
@@ -158,7 +160,7 @@ def test_a_plain_mcap_file_without_our_facts_is_read(tmp_path: Path, use_chunkin
         writer.finish()
     recording = Recording(path)
     (message,) = recording.messages()
-    assert recording.complete
+    assert recording.closed
     assert (message.channel_topic, message.topic, message.site, message.log_ns) == ("imu", "imu", "", 5)
     assert recording.channels == (message.channel,)
 
@@ -181,7 +183,7 @@ def test_a_file_cut_off_anywhere_gives_a_beginning_that_grows_with_it(
             last_error = max(last_error, size)
             continue
         found = messages_in(recording)
-        assert not recording.complete
+        assert not recording.closed
         assert found == whole[: len(found)]
         assert len(found) <= fewest
         fewest = len(found)
@@ -234,7 +236,8 @@ def test_a_damaged_chunk_is_named(make_file: MakeFile, tmp_path: Path) -> None:
     path.write_bytes(content)
     info = Recording(path).info()
     assert info.messages == 60
-    assert info.complete
+    assert (info.closed, info.complete) == (True, False)
+    assert info.missing[0] == f"{info.skipped_bytes} bytes of session.mcap cannot be read"
     assert len(info.damage) == 1
     assert info.damage[0].startswith(f"byte {block.offset}, ")
     assert info.damage[0].endswith("the checksum of the chunk is wrong")
@@ -257,7 +260,7 @@ def test_bytes_after_the_end_are_reported(make_file: MakeFile) -> None:
     with path.open("ab") as file:
         file.write(b"more")
     info = Recording(path).info()
-    assert info.complete
+    assert (info.closed, info.complete) == (True, False)
     assert info.skipped_bytes == 4
 
 

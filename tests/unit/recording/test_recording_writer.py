@@ -179,4 +179,4 @@ def test_a_real_file_that_may_not_grow_keeps_what_was_flushed(tmp_path: Path) ->
     assert error == f"{tmp_path}/session.mcap: cannot be written: File too large"
     recording = Recording(tmp_path / "session.mcap")
     assert [message.seq for message in recording.messages()][: int(flushed[-1])] == list(range(int(flushed[-1])))
-    assert not recording.complete
+    assert not recording.closed

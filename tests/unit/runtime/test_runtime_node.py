@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from proto import TOPICS, Message, encode
 from proto.contract import examples
+from proto.ends import read_end
 from proto.errors import ConfigError, RefusedError
 from proto.messages import MAX_TEXT, InputHealth, NodeHealth, NodeJournal, SessionControl, SessionEvent
 from proto.ranges import limited
@@ -359,12 +360,24 @@ def test_connections_are_looked_after_in_every_turn_and_in_any_case_with_every_r
     assert rig.bus.attended.count(False) == len(rig.bus.waits)
 
 
+def test_the_last_message_counts_all_that_were_sent() -> None:
+    rig = Rig(period_ns=MS)
+    rig.run_until(700 * MS)
+    rig.node.context.request_stop()
+    rig.loop.run()
+    before, last = rig.bus.sent[-2:]
+    assert isinstance(before, NodeHealth) and before.state == "stopping"
+    # the bus of this bench counts everything as haptic/state; the last message counts itself
+    counts = {("haptic/state", "n@s"): len(rig.bus.sent) - 1, ("session/event", "n@s"): 1}
+    assert read_end(last.model_dump()) == counts
+
+
 def test_connection_events_at_the_very_end_are_published_too() -> None:
     rig = Rig(period_ns=MS)
     rig.node.context.request_stop()
     rig.bus.notices = [ConnectionEvent("info", "it is back", {})]
     rig.loop.run()
-    assert [e.text for e in rig.events] == ["it is back"]
+    assert [e.text for e in rig.events if e.kind == "network"] == ["it is back"]
 
 
 def test_a_command_reaches_the_node_and_its_handler() -> None:

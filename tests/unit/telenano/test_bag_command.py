@@ -1,5 +1,6 @@
 """The commands on recordings, as a person types them."""
 
+import io
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -7,14 +8,17 @@ from typing import Any
 
 import pytest
 import typer
+from rich.console import Console
 from typer.testing import CliRunner
 
 from analysis.plot import Trace, draw
-from proto.errors import ConfigError
+from proto.errors import ConfigError, ReportError
 from recording.reader import Recording
 from telenano.commands.bag import app
 from telenano.commands.record import record
 from telenano.commands.replay import parse_remap, replay
+from telenano.output import EXIT_INCOMPLETE, fail_with_summary, print_summary
+from telenano.tables import summary_tables
 
 MakeFile = Callable[..., Path]
 commands = typer.Typer()
@@ -66,7 +70,7 @@ def test_filter_split_merge_recover_and_diff(make_file: MakeFile, tmp_path: Path
     path.write_bytes(path.read_bytes()[:2000])
     recovered = run_json("recover", path, "--out", tmp_path / "r.mcap")
     assert recovered["skipped"]
-    assert Recording(tmp_path / "r.mcap").complete
+    assert Recording(tmp_path / "r.mcap").closed
     run("recover", path, "--out", tmp_path / "r.mcap", exit_code=1)
 
 
@@ -146,3 +150,48 @@ def test_renaming_is_read_and_wrong_ones_are_refused() -> None:
     assert parse_remap(["a/b=c/d", "x@master=y@master"]) == {"a/b": "c/d", "x@master": "y@master"}
     with pytest.raises(ConfigError, match="OLD=NEW"):
         parse_remap(["a/b"])
+
+
+SUMMARY = {
+    "scenario": "fig12",
+    "recording": {"file": "s.mcap", "complete": True, "missing": [], "lost": 0, "messages": 9},
+    "holds": [],
+}
+PARTS = [{"file": "s.mcap", "pause_s": 0.0}, {"file": "s_1.mcap", "pause_s": 0.3}]
+MISSING = ["the disk was full", "7 messages are missing"]
+
+
+@pytest.mark.parametrize("as_json", [True, False])
+def test_a_loss_is_in_the_table_and_in_the_exit_code(capsys: pytest.CaptureFixture[str], as_json: bool) -> None:
+    print_summary(SUMMARY, "s", as_json=as_json)
+    lost = {**SUMMARY["recording"], "complete": False, "missing": MISSING, "lost": 7, "parts": PARTS}
+    capsys.readouterr()
+    with pytest.raises(typer.Exit) as caught:
+        print_summary({**SUMMARY, "recording": lost}, "s", as_json=as_json)
+    assert caught.value.exit_code == EXIT_INCOMPLETE == 3
+    out, err = capsys.readouterr()
+    assert err == "telenano: the recording is not whole: the disk was full; 7 messages are missing\n"
+    if as_json:
+        assert json.loads(out)["recording"]["missing"] == MISSING
+    else:
+        assert "recording.parts" in out
+
+
+def test_what_is_missing_is_red() -> None:
+    lost = {**SUMMARY["recording"], "complete": False, "missing": MISSING, "lost": 7}
+    console = Console(width=100, force_terminal=True, color_system="standard", file=io.StringIO())
+    console.print(summary_tables({"recording": lost}, "s"))
+    drawn = console.file.getvalue()
+    for text in ("no", *MISSING, "7"):
+        assert f"\x1b[31m{text}" in drawn
+    assert "\x1b[31m9" not in drawn
+
+
+def test_a_report_that_cannot_be_written_shows_its_summary_all_the_same(capsys: pytest.CaptureFixture[str]) -> None:
+    error = ReportError("x/fig12.png: cannot be written: No space left on device", SUMMARY)
+    with pytest.raises(typer.Exit) as caught:
+        fail_with_summary(error, "s", as_json=False)
+    assert caught.value.exit_code == 1
+    out, err = capsys.readouterr()
+    assert "fig12" in out
+    assert err == f"telenano: {error}\n"

@@ -170,6 +170,26 @@ def test_a_device_that_waits_for_its_operator_is_no_problem(state: str) -> None:
     assert problems_of(status_of(health("afm_node@slave", state=state)), ["afm_node@slave"]) == {}
 
 
+def test_a_recorder_that_does_not_record_is_a_problem(monkeypatch: pytest.MonkeyPatch) -> None:
+    fault = {**EVENT, "level": "error", "text": "recording stopped: the disk is full", "data": {"state": "failed"}}
+    nodes = [health(node) for node in RIG if node != "recorder@master"]
+    stopped = [*nodes, health("recorder@master", state="safe")]
+    event = message("session/event", "recorder@master", **fault)
+    assert problems_of(status_of(*stopped, event), RIG) == {"recorder@master": "recording stopped: the disk is full"}
+    (text,) = problems_of(status_of(*stopped), RIG).values()
+    assert text.startswith("records nothing: `telenano session set record.status=true --target recorder`")
+    # one that soon will not, and one that has room again
+    low = message("session/event", "recorder@master", seq=1, **{**fault, "data": {"state": "disk_low"}})
+    room = message("session/event", "recorder@master", seq=2, **{**EVENT, "data": {"state": "disk_ok"}})
+    well = [*nodes, health("recorder@master")]
+    assert "recorder@master" in problems_of(status_of(*well, low), RIG)
+    assert problems_of(status_of(*well, low, room), RIG) == {}
+    code, out, err = run(monkeypatch, *stopped, event)
+    assert code == 1
+    assert "nodes with a problem: recorder@master" in err
+    assert "the disk is full" in out
+
+
 def test_the_launcher_is_judged_where_it_reports_and_a_console_is_not() -> None:
     visitors = [health("console@master", state="stopping"), health("player@master", state="stopping")]
     received = [*map(health, RIG), *visitors]

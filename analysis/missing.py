@@ -1,0 +1,89 @@
+"""What a recording lacks of the session that it is reported for."""
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from proto.ends import END_TOPIC, read_end
+from recording.arrays import replayed_sources
+from recording.info import RecordingInfo
+from recording.multi_file import RecordingSource
+
+# a recorder that received the hand from the start has its first sample long before
+_LATE_START_S = 0.1
+# samples come every millisecond; at this distance the deadline of the loop has passed
+_LONGEST_STEP_S = 0.05
+
+Spans = tuple[tuple[float, float], ...]
+
+
+def cut_off(recording: RecordingSource, session_s: npt.NDArray[Any], running: npt.NDArray[np.intp]) -> list[str]:
+    """Return in sentences what a recording lacks of the operator's programme at either end.
+
+    Parameters: session_s of every haptic/state [s]; running, indices of those in the session.
+    """
+    hand = next(channel.src for channel in recording.channels if channel.channel_topic == "haptic/state")
+    if hand in replayed_sources(recording):
+        # it is played from where and as far as the operator wished
+        return []
+    found = []
+    first_s, last_s = float(session_s[running[0]]), float(session_s[running[-1]])
+    if first_s > _LATE_START_S:
+        found.append(f"the recording begins {first_s:.3f} s after the operator's programme")
+    if running[-1] == session_s.size - 1 and not _has_ended(recording, hand):
+        found.append(f"the recording ends within the operator's programme, {last_s:.3f} s after its start")
+    return found
+
+
+def _has_ended(recording: RecordingSource, src: str) -> bool:
+    events = recording.select(lambda channel: channel.topic == END_TOPIC and channel.src == src)
+    return any(read_end(event.fields()) is not None for event in events)
+
+
+def gaps(time_s: Iterable[npt.NDArray[np.float64]], end_s: float) -> Spans:
+    """Return the spans [s] of a session in which some series has no sample, joined where they overlap.
+
+    Parameters: time_s, of the samples of each series [s], in order; end_s, end of the session.
+    """
+    spans: list[tuple[float, float]] = []
+    for times in time_s:
+        edges = np.concatenate(([0.0], times, [end_s]))
+        wide = np.flatnonzero(np.diff(edges) > _LONGEST_STEP_S)
+        spans += [(float(edges[place]), float(edges[place + 1])) for place in wide]
+    joined: list[tuple[float, float]] = []
+    for first, last in sorted(spans):
+        if joined and first <= joined[-1][1]:
+            joined[-1] = (joined[-1][0], max(last, joined[-1][1]))
+        else:
+            joined.append((first, last))
+    return tuple(joined)
+
+
+def account(info: RecordingInfo, start_ns: int, missing: Sequence[str]) -> dict[str, Any]:
+    """Return the part of a summary on its recording; `complete` is whether nothing at all is missing.
+
+    Parameters: start_ns, of the session, for the times of the parts [ns]; missing, sentences besides those of `info`.
+    """
+    sentences = list(dict.fromkeys([*info.missing, *missing]))
+    found: dict[str, Any] = {
+        "file": info.path,
+        "complete": not sentences,
+        "missing": sentences,
+        "lost": info.lost,
+        "messages": info.messages,
+    }
+    if info.parts:
+        found["parts"] = [
+            {
+                "file": Path(part.path).name,
+                "begins_s": round((part.start_ns - start_ns) * 1e-9, 3),
+                "ends_s": round((part.end_ns - start_ns) * 1e-9, 3),
+                "pause_s": round(part.pause_s, 3),
+                "messages": part.messages,
+            }
+            for part in info.parts
+        ]
+    return found

@@ -1,0 +1,71 @@
+"""A recording that is removed while it is written, and then a disk that fills up: a rig on a disk of two megabytes."""
+
+import os
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from ledger import record
+from stack_rig import Rig
+
+
+@pytest.fixture
+def small(tmp_path: Path) -> Iterator[Rig]:
+    """Return a rig whose folder is on a small disk of its own."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=2m", "tmpfs", str(disk)]
+    if os.geteuid() != 0 or subprocess.run(mount, capture_output=True).returncode != 0:
+        pytest.skip("a disk of its own (tmpfs) cannot be mounted here: it needs root")
+    rig = Rig(tmp_path)
+    rig.out = disk / "out"
+    try:
+        yield rig
+    finally:
+        rig.close()
+        subprocess.run(["umount", "-l", str(disk)], check=True)
+
+
+def test_a_removed_recording_and_a_full_disk_are_reported_and_what_was_recorded_is_summarised(small: Rig) -> None:
+    rig = small
+    rig.start("--duration", "600")
+    rig.wait_until(rig.running, "a running session")
+    rig.kill("recorder@master")
+    rig.wait_until((rig.out / "session_1.mcap").exists, "a recorder that was started again")
+    rig.wait_until(lambda: (rig.out / "session_1.mcap").stat().st_size > 4000, "a flush of it")
+    (rig.out / "session_1.mcap").unlink()
+    rig.wait_until((rig.out / "session_2.mcap").exists, "a recording that goes on in another file")
+
+    def full() -> bool:
+        status = rig.telenano("status", "--duration", "1.2", "--json")
+        return status.returncode == 1 and "No space left on device" in status.stdout
+
+    rig.wait_until(full, "a status that reports the full disk")
+    # the rig itself goes on
+    assert rig.telenano("topic", "hz", "haptic/state", "--duration", "0.5", "--json").returncode == 0
+    code, found, err = rig.stop()
+    assert code == 1
+    assert "Traceback" not in err
+    assert "fig12.png: cannot be written: No space left on device" in err
+    recording, missing = found["summary"]["recording"], found["summary"]["recording"]["missing"]
+    assert recording["complete"] is False
+    assert [part["file"] for part in recording["parts"]] == ["session.mcap", "session_2.mcap"]
+    for text in (
+        "session.mcap was not closed",
+        "between session.mcap and session_2.mcap",
+        "session_1.mcap was removed while it was written",
+        "recording stopped, the rig continues: ",
+        "messages of haptic_node@master on haptic/state are missing",
+    ):
+        assert any(text in sentence for sentence in missing), (text, missing)
+    # nothing half written is left
+    left = {path.name for path in rig.out.iterdir()} - {"logs", "scenario.yaml"}
+    assert left == {"session.mcap", "session_2.mcap"}
+    verified = rig.telenano("bag", "verify", str(rig.out / "session_2.mcap"))
+    assert verified.returncode == 1
+    assert "any amount" in verified.stdout
+    pause_s = recording["parts"][1]["pause_s"]
+    record("the recorder is killed in a session", f"summary of both parts, {pause_s:.1f} s between them stated")
+    record("the recording is removed while it is written", "reported; went on in session_2.mcap")
+    record("the disk of the recording is full", "rig went on; reported; summary of what was recorded, exit code 1")

@@ -1,0 +1,142 @@
+"""A report of recordings that are whole, of parts of one, and into folders that cannot be written."""
+
+import errno
+import json
+import os
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from analysis.missing import cut_off, gaps
+from analysis.report import read_session, write_files, write_report
+from proto.errors import ReportError
+from recording.arrays import columns
+from recording.channel_filter import ALL
+from recording.multi_file import open_recordings
+from recording.reader import Recording
+from recording.rewrite import filter_recording
+from services.viz_node.fig12 import draw_fig12
+
+# two seconds of a session, with its scenario
+WHOLE = Path(__file__).resolve().parents[2] / "replay" / "wave.mcap"
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], bytes]:
+    out = tmp_path_factory.mktemp("whole")
+    return write_report(WHOLE, out), (out / "fig12.png").read_bytes()
+
+
+@pytest.fixture(scope="module")
+def parts(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Return the recording in two parts, of which the second begins 0.3 s after the end of the first."""
+    folder = tmp_path_factory.mktemp("parts")
+    paths = [folder / "session.mcap", folder / "session_1.mcap"]
+    filter_recording(WHOLE, paths[0], ALL, end_s=1.2)
+    filter_recording(WHOLE, paths[1], ALL, start_s=1.5)
+    return paths
+
+
+def test_a_part_of_a_session_is_not_called_whole(parts: list[Path], tmp_path: Path) -> None:
+    known = "recorder@master: the disk was full"
+    summary = write_report(parts[0], tmp_path, [known])["recording"]
+    assert summary["complete"] is False
+    (sentence, *rest) = summary["missing"]
+    assert sentence.startswith("the recording ends within the operator's programme")
+    # what the launcher knows besides
+    assert rest == [known]
+
+
+def test_parts_are_joined_and_the_gap_is_stated(
+    whole: tuple[dict[str, Any], bytes], parts: list[Path], tmp_path: Path
+) -> None:
+    summary = write_report(parts, tmp_path)
+    assert summary["duration_s"] == whole[0]["duration_s"]
+    recording = summary["recording"]
+    assert recording["complete"] is False
+    assert recording["lost"] > 1000
+    (pause, *messages) = recording["missing"][: 1 + 5]
+    assert pause.startswith("nothing was recorded for 0.3")
+    assert pause.endswith("between session.mcap and session_1.mcap")
+    assert all("messages of" in sentence for sentence in messages)
+    assert [part["file"] for part in recording["parts"]] == ["session.mcap", "session_1.mcap"]
+    first, second = recording["parts"]
+    assert second["begins_s"] - first["ends_s"] == pytest.approx(second["pause_s"], rel=0, abs=2e-3)
+    assert json.loads((tmp_path / "summary.json").read_text()) == summary
+    # grey where nothing is known, and no line across it
+    assert (tmp_path / "fig12.png").read_bytes() != whole[1]
+
+
+@pytest.fixture
+def full_disk(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let every write end after half of the data."""
+    write = Path.write_bytes
+
+    def write_half(path: Path, data: bytes) -> int:
+        write(path, data[: len(data) // 2])
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Path, "write_bytes", write_half)
+
+
+@pytest.mark.usefixtures("full_disk")
+def test_a_disk_that_fills_up_leaves_the_summary_and_no_half_file(parts: list[Path], tmp_path: Path) -> None:
+    with pytest.raises(ReportError, match=r"fig12.png: cannot be written: No space left on device") as caught:
+        write_report(parts[1], tmp_path)
+    assert caught.value.summary["recording"]["messages"] > 1000
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.usefixtures("full_disk")
+def test_what_stands_in_the_place_of_a_file_that_cannot_be_written_stays(tmp_path: Path) -> None:
+    (tmp_path / "summary.json").write_text("of the session before")
+    with pytest.raises(OSError, match="No space left") as caught:
+        write_files(tmp_path, {"summary.json": b"{}"})
+    assert caught.value.filename == str(tmp_path / "summary.json")
+    assert [path.read_text() for path in tmp_path.iterdir()] == ["of the session before"]
+
+
+def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
+    (tmp_path / "taken").write_text("a file")
+    with pytest.raises(OSError, match="taken"):
+        write_files(tmp_path / "taken" / "below", {"summary.json": b"{}"})
+
+
+def test_a_session_that_was_recorded_from_its_start_to_its_end_lacks_nothing_at_either() -> None:
+    recording = Recording(WHOLE)
+    session_s = columns(recording, "haptic/state", ["session_s"])["session_s"]
+    running = np.flatnonzero(session_s >= 0.0)
+    if running[-1] == session_s.size - 1:
+        session_s = np.append(session_s, -1.0)
+    assert cut_off(recording, session_s, running) == []
+    assert cut_off(recording, session_s[: running[-1] + 1], running) == [
+        f"the recording ends within the operator's programme, {session_s[running[-1]]:.3f} s after its start"
+    ]
+    assert cut_off(recording, session_s + 2.0, running[:-1])[0].startswith("the recording begins 2.0")
+
+
+def test_gaps_are_joined_over_the_series() -> None:
+    every_ms = np.arange(1000) * 1e-3
+    without = np.concatenate([every_ms[:200], every_ms[400:]])
+    assert gaps([every_ms], 1.0) == ()
+    assert gaps([every_ms, without, every_ms[:350]], 1.0) == ((pytest.approx(0.199), 1.0),)
+    (first, second) = gaps([without, every_ms[:900]], 1.0)
+    assert first == (pytest.approx(0.199), pytest.approx(0.4))
+    assert second == (pytest.approx(0.899), 1.0)
+
+
+def test_no_line_is_drawn_across_a_gap(parts: list[Path]) -> None:
+    session = read_session(open_recordings(parts))
+    series = session.series(session.gaps_s())
+    (gap,) = series.gaps_s
+    assert gap[1] - gap[0] == pytest.approx(0.3, rel=0.2)
+    figure = draw_fig12(series, "title")
+    for axes in figure.axes[:2]:
+        for line in axes.lines[:2]:
+            times = line.get_xdata()
+            steps = [later - earlier for earlier, later in pairwise(times)]
+            if len(times) > 10:
+                assert not any(step > 0.1 for step in steps if not np.isnan(step))

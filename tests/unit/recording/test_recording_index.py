@@ -1,0 +1,191 @@
+"""Header, indexes and checksums of a file, against the reader of the format and against single flipped bits."""
+
+import io
+import random
+import struct
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import zstandard
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.reader import SeekingReader
+from mcap.writer import Writer
+
+from recording.mcap_index import index_faults
+from recording.mcap_scan import MAGIC, RECORD_HEAD, scan
+from recording.verify import verify
+
+MakeFile = Callable[..., Path]
+FOOTER = RECORD_HEAD.size + 20 + len(MAGIC)
+# the fields that begin a summary record or an index, behind its head
+FIRST = RECORD_HEAD.size
+
+
+@pytest.fixture
+def plain(tmp_path: Path) -> bytes:
+    """Return a small file of another program: three chunks, an attachment, metadata, no checksum of the data."""
+    out = io.BytesIO()
+    writer = Writer(out, chunk_size=1 << 20)
+    writer.start()
+    schema = writer.register_schema("Odometry", "jsonschema", b"{}")
+    channels = [writer.register_channel(f"/odom{place}", "json", schema, {"place": str(place)}) for place in range(2)]
+    writer.add_attachment(1, 2, "map.txt", "text/plain", b"here be dragons")
+    writer.add_metadata("robot", {"name": "r2", "kind": "droid"})
+    for number in range(30):
+        writer.add_message(channels[number % 2], 1000 + number, b"{}", number, number)
+        if number % 10 == 9:
+            writer.flush()
+    writer.finish()
+    return out.getvalue()
+
+
+def records(data: bytes) -> list[tuple[int, int, int]]:
+    """Return opcode, start and end of every record outside of the chunks."""
+    found, position = [], len(MAGIC)
+    while position < len(data) - len(MAGIC):
+        opcode, length = RECORD_HEAD.unpack_from(data, position)
+        found.append((opcode, position, position + RECORD_HEAD.size + length))
+        position += RECORD_HEAD.size + length
+    return found
+
+
+def start_of(data: bytes, opcode: int, number: int = 0) -> int:
+    return [start for found, start, _ in records(data) if found == opcode][number]
+
+
+def checksummed(data: bytearray) -> bytes:
+    """Return a file with the checksum of its summary made right, so that only its content can be wrong."""
+    footer = len(data) - FOOTER
+    (summary,) = struct.unpack_from("<Q", data, footer + FIRST)
+    data[-len(MAGIC) - 4 : -len(MAGIC)] = zlib.crc32(data[summary : len(data) - len(MAGIC) - 4]).to_bytes(4, "little")
+    return bytes(data)
+
+
+def changed(data: bytes, place: int, form: str, value: int) -> bytes:
+    content = bytearray(data)
+    struct.pack_into(form, content, place, value)
+    return checksummed(content)
+
+
+def test_a_file_that_is_right_has_no_faults(plain: bytes, make_file: MakeFile) -> None:
+    assert index_faults(plain) == []
+    assert index_faults(make_file().read_bytes()) == []
+
+
+def test_what_a_writer_may_leave_out_is_not_asked_for() -> None:
+    for options in (
+        {"use_chunking": False},
+        {"use_statistics": False, "use_summary_offsets": False},
+        {"repeat_channels": False, "repeat_schemas": False, "enable_crcs": False},
+        {"enable_data_crcs": True},
+    ):
+        out = io.BytesIO()
+        writer = Writer(out, **options)
+        writer.start()
+        channel = writer.register_channel("/odom", "json", 0)
+        writer.add_message(channel, log_time=1, data=b"{}", publish_time=1)
+        writer.finish()
+        assert index_faults(out.getvalue()) == [], options
+
+
+def test_each_statement_of_the_summary_is_compared_with_the_file(plain: bytes) -> None:
+    statistics, chunk = start_of(plain, Opcode.STATISTICS), start_of(plain, Opcode.CHUNK_INDEX, 1)
+    attachment, metadata = start_of(plain, Opcode.ATTACHMENT_INDEX), start_of(plain, Opcode.METADATA_INDEX)
+    offset = start_of(plain, Opcode.SUMMARY_OFFSET)
+    channel = records(plain)[[opcode for opcode, _, _ in records(plain)].index(Opcode.CHANNEL)][1]
+    chunk_start = struct.unpack_from("<Q", plain, chunk + FIRST + 16)[0]
+    for place, form, value, fault in (
+        (statistics + FIRST, "<Q", 31, "the statistics in the summary are wrong: message_count"),
+        (statistics + FIRST + 22, "<I", 9, "the statistics in the summary are wrong: chunk_count"),
+        (statistics + FIRST + 26, "<Q", 3, "the statistics in the summary are wrong: message_start_time"),
+        (chunk + FIRST, "<Q", 5, "in the summary is wrong: message_start_time"),
+        (
+            chunk + FIRST + 16,
+            "<Q",
+            chunk_start + 1,
+            f"the summary lacks the chunk index with chunk_start_offset {chunk_start}",
+        ),
+        (chunk + FIRST + 24, "<Q", 5, "in the summary is wrong: chunk_length"),
+        (chunk + FIRST + 38, "<Q", 5, "in the summary is wrong: message_index_offsets"),
+        (attachment + FIRST + 8, "<Q", 5, "in the summary is wrong: length"),
+        (metadata + FIRST + 8, "<Q", 5, "in the summary is wrong: length"),
+        (channel + FIRST + 2, "<H", 7, "the channel with id 1 in the summary is wrong: schema_id"),
+        (offset + FIRST + 1, "<Q", 5, "the summary offsets state other places"),
+    ):
+        faults = index_faults(changed(plain, place, form, value))
+        assert any(fault in found for found in faults), (fault, faults)
+
+
+def test_a_message_index_is_compared_with_its_chunk(plain: bytes) -> None:
+    chunk, index = start_of(plain, Opcode.CHUNK, 1), start_of(plain, Opcode.MESSAGE_INDEX, 2)
+    for place in (index + FIRST + 6, index + FIRST + 14):
+        faults = index_faults(changed(plain, place, "<Q", 5))
+        assert f"the message index of channel 1 in the chunk at byte {chunk} is wrong" in faults
+    # of a channel that has no messages in this chunk
+    faults = index_faults(changed(plain, index + FIRST, "<H", 9))
+    assert f"the chunk at byte {chunk} lacks the message index of channel 1" in faults
+
+
+def test_header_and_footer_are_where_readers_look_for_them(plain: bytes) -> None:
+    assert index_faults(changed(plain, len(MAGIC) + FIRST, "<I", 1000)) == ["the record at byte 8 cannot be read"]
+    content = bytearray(plain)
+    content[len(MAGIC)] = Opcode.METADATA
+    assert index_faults(bytes(content))[0] == "the file does not begin with a header"
+    footer = len(plain) - FOOTER
+    (summary,) = struct.unpack_from("<Q", plain, footer + FIRST)
+    content = bytearray(plain)
+    struct.pack_into("<Q", content, footer + FIRST, summary + 9)
+    assert "the footer states another place of the summary than where it is" in index_faults(bytes(content))
+    struct.pack_into("<Q", content, footer + FIRST, summary)
+    content[-len(MAGIC) - 1] ^= 1
+    assert index_faults(bytes(content)) == ["the checksum of the summary is wrong"]
+
+
+def test_any_flipped_bit_of_a_recording_is_named(make_file: MakeFile) -> None:
+    path = make_file(20)
+    data = path.read_bytes()
+    dice = random.Random(8)
+    parts = (range(len(MAGIC), len(data)), range(len(MAGIC), len(data) // 4), range(len(data) - 3000, len(data)))
+    for place in (place for part in parts for place in dice.sample(part, 40)):
+        content = bytearray(data)
+        content[place] ^= 1 << dice.randrange(8)
+        path.write_bytes(content)
+        assert not verify([path]).sound, place
+
+
+def test_what_the_reader_of_the_format_fails_on_is_named(plain: bytes, tmp_path: Path) -> None:
+    """Flip a bit here and there in a file without a checksum of its data, where any reader takes another text."""
+    path = tmp_path / "flipped.mcap"
+    failed = 0
+    for place in range(len(MAGIC), len(plain), 7):
+        content = bytearray(plain)
+        content[place] ^= 1 << place % 8
+        if reads_the_same(bytes(content), plain):
+            continue
+        failed += 1
+        path.write_bytes(content)
+        assert not verify([path]).sound, place
+    assert failed > 150
+
+
+def reads_the_same(data: bytes, original: bytes) -> bool:
+    try:
+        return contents(data) == contents(original)
+    except (McapError, ValueError, KeyError, struct.error, OverflowError, MemoryError, zstandard.ZstdError):
+        return False
+
+
+def contents(data: bytes) -> tuple[object, ...]:
+    reader = SeekingReader(io.BytesIO(data), validate_crcs=True)
+    summary = reader.get_summary()
+    messages = [(channel, message) for _, channel, message in reader.iter_messages()]
+    return summary, messages, list(reader.iter_attachments())
+
+
+def test_a_file_that_was_not_closed_is_reported_as_that(make_file: MakeFile) -> None:
+    path = make_file(20, finish=False)
+    assert not scan(path.read_bytes()).finished
+    assert {finding.check for finding in verify([path]).findings} == {"end"}
