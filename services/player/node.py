@@ -16,7 +16,7 @@ import zmq
 
 from proto.errors import ConfigError, RefusedError
 from proto.messages import Scalar, SessionControl
-from proto.nodes import LINK, name_of
+from proto.nodes import LINK, is_console, name_of
 from recording.channel_filter import Selection
 from recording.messages import RecordedChannel, RecordedMessage
 from recording.multi_file import RecordingSource
@@ -71,6 +71,9 @@ class ReplayPlan:
         self._selection = selection
         self._remap = dict(remap or {})
         selected = [channel for channel in recording.channels if self.plays(channel)]
+        # consoles whose name stays free
+        commanded = {channel.src for channel in recording.channels if channel.topic == "session/control"}
+        self.left_out = sorted(node for node in commanded if is_console(node) and not self._plays_node(node))
         self.nodes = sorted({self.node(channel) for channel in selected})
         absent = [node for node in self.nodes if node not in book.nodes]
         if absent:
@@ -84,11 +87,19 @@ class ReplayPlan:
         Health is not, because the player publishes its own, nor a journal, because nobody takes those turns now.
         """
         node = node_of(channel)
-        name = name_of(node)
-        if not node or name in _EXCLUDED_NODES or channel.topic in _EXCLUDED_TOPICS:
+        if not node or name_of(node) in _EXCLUDED_NODES or channel.topic in _EXCLUDED_TOPICS:
             return False
-        by_node = not self._selection.nodes or any(test(node) for test in self._selection.nodes)
-        return by_node and self._selection.names(channel.channel_topic)
+        return self._plays_node(node) and self.chooses(channel.channel_topic)
+
+    def chooses(self, channel_topic: str) -> bool:
+        """Return whether a channel of this name was chosen."""
+        return self._selection.names(channel_topic)
+
+    def _plays_node(self, node: str) -> bool:
+        """Return whether a node was chosen; a console only by its name, because the replay is commanded from there."""
+        if not self._selection.nodes:
+            return not is_console(node)
+        return any(test(node) for test in self._selection.nodes)
 
     def node(self, channel: RecordedChannel) -> str:
         """Return the node at whose endpoint a channel is published."""
@@ -190,8 +201,13 @@ class PlayerNode(Node):
         settings: PlaySettings,
         *,
         observe: Callable[["PlayerNode"], None] = lambda player: None,
+        warnings: Sequence[str] = (),
     ) -> None:
-        """Prepare to play; `observe` is called twenty times a second, for a status line and keys."""
+        """Prepare to play.
+
+        Parameters: observe is called twenty times a second, for a status line and keys; warnings are published at the
+        start.
+        """
         super().__init__(context)
         self.playback = playback
         self.finished = False
@@ -203,6 +219,7 @@ class PlayerNode(Node):
         self._plan = plan
         self._publishers = publishers
         self._observe = observe
+        self._warnings = warnings
         self._sequence_shift = SequenceShift()
         self._pending_state: deque[RecordedMessage] = deque()
         self._steps = 0
@@ -314,8 +331,7 @@ class PlayerNode(Node):
     def _due_ns(self) -> int | None:
         if self._pending_state or self._steps:
             return self.clock.monotonic_ns()
-        message = self.playback.peek()
-        return self.playback_clock.due_ns(self.playback.end_ns if message is None else message.log_ns)
+        return self.playback_clock.due_ns(self.playback.next_ns)
 
     def _play(self, now_ns: int) -> None:
         for _ in range(_BATCH):
@@ -328,7 +344,7 @@ class PlayerNode(Node):
             if message is None:
                 self._handle_end()
                 return
-            due = now_ns if self._steps else self.playback_clock.due_ns(message.log_ns)
+            due = now_ns if self._steps else self.playback_clock.due_ns(self.playback.next_ns)
             if due is None or due > now_ns or not self._send(message):
                 return
             self.playback.pop()
@@ -396,13 +412,15 @@ class PlayerNode(Node):
         self.state = "running"
         for publisher in self._publishers.values():
             self._publish_health(publisher, 0.0, "running")
-        self._pending_state.extend(self.playback.state_at(self.playback.start_ns))
+        self._pending_state.extend(self.playback.state())
         self._sequence_shift.jump()
         self.playback_clock.change(self.clock.monotonic_ns(), self.playback.position_ns)
         if unsubscribed:
             self.event(
                 "recording", "warning", f"no reader has subscribed to {', '.join(unsubscribed)}", state="unsubscribed"
             )
+        for text in self._warnings:
+            self.event("recording", "warning", text, state="warning")
         self._publish_status("started")
 
     def _publish_status(self, state: str) -> None:

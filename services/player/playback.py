@@ -4,13 +4,13 @@ No socket and no clock of the machine: `Playback` knows times of the recording o
 the time of playing.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 from proto import TOPICS
 from proto.errors import RecordingError
 from recording.messages import ChannelFilter, RecordedChannel, RecordedMessage
 from recording.multi_file import RecordingSource
+from services.player.sender_time import SenderClock, SenderOrder, Sent
 
 _NS = 1e9
 _LONGEST_S = 1e9
@@ -26,15 +26,18 @@ class Span:
 
 
 class Playback:
-    """The selected messages of a recording in the order of their reception.
+    """The selected messages of a recording in the order of their sending.
 
-    Positions are in ns on the recorder's clock.
+    Positions are in ns on the recorder's clock, at the time of sending.
     """
 
     def __init__(self, recording: RecordingSource, channel_filter: ChannelFilter, span: Span) -> None:
         """Start at the beginning of the span; RecordingError when there is nothing to play."""
         self.recording = recording
-        self.origin_ns, last_ns = recording.span_ns
+        first_ns, last_ns = recording.span_ns
+        self._clock = SenderClock(recording)
+        first = next(recording.select(), None)
+        self.origin_ns = first_ns if first is None else min(first_ns, self._clock.time_ns(first))
         self.channel_filter = channel_filter
         self.loop = span.loop
         self.length_s = (last_ns - self.origin_ns) / _NS
@@ -50,9 +53,7 @@ class Playback:
                 f"there is nothing from {span.start_s:g} s to {self.length_s if span.end_s is None else span.end_s:g} s"
             )
         self.position_ns = self.start_ns
-        self._messages: Iterator[RecordedMessage] = iter(())
-        self._next: RecordedMessage | None = None
-        self._move_to(self.start_ns)
+        self._order = self._from(self.start_ns)
 
     def at(self, time_s: float) -> int:
         """Return the position [ns] of a time [s] from the start of the recording; none is further than thirty years."""
@@ -65,45 +66,58 @@ class Playback:
 
     def peek(self) -> RecordedMessage | None:
         """Return the next message without moving on; None at the end of the span."""
-        return self._next
+        found = self._next()
+        return None if found is None else found.message
+
+    @property
+    def next_ns(self) -> int:
+        """When the next message was sent [ns]; the end of the span where there is none."""
+        found = self._next()
+        return self.end_ns if found is None else found.time_ns
 
     def pop(self) -> RecordedMessage:
         """Return the next message and move past it; RecordingError at the end."""
-        message = self._next
-        if message is None:
+        found = self._next()
+        if found is None:
             raise RecordingError(f"{self.recording.path}: there is no message after {self.time_s:.3f} s")
-        self.position_ns = max(self.position_ns, message.log_ns)
-        self._next = next(self._messages, None)
-        return message
+        self.position_ns = max(self.position_ns, found.time_ns)
+        self._order.pop()
+        return found.message
 
     def seek(self, position_ns: int) -> list[RecordedMessage]:
-        """Move to a position [ns], clamped to the recording; return the state there, as `state_at`."""
+        """Move to a position [ns], clamped to the recording; return the state there, as `state`."""
         target = min(max(position_ns, self.origin_ns), self._last_ns)
         if target >= self.end_ns:
             # beyond the end of the span: the user wants to see it
             self.end_ns = self._last_ns + 1
-        self._move_to(target)
-        return self.state_at(target)
+        return self._move_to(target)
 
     def rewind(self) -> list[RecordedMessage]:
         """Move to the start of the span; return the state there."""
-        self._move_to(self.start_ns)
-        return self.state_at(self.start_ns)
+        return self._move_to(self.start_ns)
 
-    def state_at(self, position_ns: int) -> list[RecordedMessage]:
-        """Return the last value before a position [ns] of each state topic, by time: what a reader must know there.
+    def state(self) -> list[RecordedMessage]:
+        """Return the last value of each state topic before the place last moved to, by time: what a reader must know.
 
         Topics of which every message counts, such as commands and events, are not repeated.
         """
-        newest = self.recording.newest_before(
-            position_ns, lambda channel: self.channel_filter(channel) and is_state(channel)
-        )
-        return sorted(newest.values(), key=lambda message: message.log_ns)
+
+        def is_wanted(channel: RecordedChannel) -> bool:
+            return self.channel_filter(channel) and is_state(channel)
+
+        earlier = self.recording.newest_before(self.position_ns, is_wanted)
+        found = {channel: (self._clock.time_ns(message), message) for channel, message in earlier.items()}
+        # what was sent before the position and received after it
+        found |= {channel: sent[::2] for channel, sent in self._order.before.items() if is_wanted(channel)}
+        return [message for _, message in sorted(found.values(), key=lambda row: row[0])]
 
     def next_event_ns(self) -> int | None:
         """Return the time [ns] of the next session/event of the recording after the position; None without one."""
-        events = self.recording.select(lambda channel: channel.topic == "session/event", self.position_ns + 1)
-        return next((event.log_ns for event in events), None)
+        events = self.recording.select(
+            lambda channel: channel.topic == "session/event" and channel.via == "direct", self.position_ns + 1
+        )
+        times_ns = map(self._clock.time_ns, events)
+        return next((time_ns for time_ns in times_ns if time_ns > self.position_ns), None)
 
     def limit(self, start_ns: int | None = None, end_ns: int | None = None) -> None:
         """Change the bounds [ns] of what is played: the points A and B of a loop.
@@ -116,15 +130,19 @@ class Playback:
             begin_s = (start - self.origin_ns) / _NS
             raise RecordingError(f"the end of a loop must come after its start at {begin_s:.3f} s")
         self.start_ns, self.end_ns = start, end
-        self._open(self.position_ns + 1 if self._next is None else self._next.log_ns)
 
-    def _move_to(self, position_ns: int) -> None:
+    def _move_to(self, position_ns: int) -> list[RecordedMessage]:
         self.position_ns = position_ns
-        self._open(position_ns)
+        self._order = self._from(position_ns)
+        return self.state()
 
-    def _open(self, first_ns: int) -> None:
-        self._messages = self.recording.select(self.channel_filter, first_ns, self.end_ns)
-        self._next = next(self._messages, None)
+    def _from(self, position_ns: int) -> SenderOrder:
+        first_ns = position_ns if position_ns > self.origin_ns else None
+        return SenderOrder(self.recording, self.channel_filter, self._clock, first_ns)
+
+    def _next(self) -> Sent | None:
+        found = self._order.peek()
+        return None if found is None or found.time_ns >= self.end_ns else found
 
 
 def is_state(channel: RecordedChannel) -> bool:

@@ -1,22 +1,27 @@
 """A process that plays recordings on the bus in the place of nodes."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import zmq
 
 from presets import DEFAULT_SITE_FILE
-from proto.errors import ConfigError
-from proto.nodes import PLAYER
+from proto import TOPICS
+from proto.errors import ConfigError, RecordingError
+from proto.nodes import LINK, PLAYER, is_console, name_of
 from recording.channel_filter import Selection
-from recording.multi_file import open_recordings
+from recording.messages import RecordedChannel
+from recording.multi_file import RecordingSource, open_recordings
 from services.player.node import PlayerNode, PlaySettings, ReplayPlan, ReplayPublisher
 from services.player.playback import Playback, Span
+from services.runtime.address_book import AddressBook
 from services.runtime.main import load_site
 from services.runtime.participant import StopSignals, open_participant, run_loop
 from services.runtime.realtime import shallow_idle
 
+# of the beginning, in which one message of each channel is tried; the first of most comes within a second
+_TRIED_NS = 5_000_000_000
 # at every message the loop would spin through the gap to the next; these few µs are what a sleep is late by
 _SPIN_S = 20e-6
 
@@ -42,12 +47,19 @@ class Replayed:
     nodes: list[str]
     sent: int
     time_s: float
+    warnings: list[str]
 
 
-def run_replay(request: ReplayRequest, observe: Callable[[PlayerNode], None] = lambda player: None) -> Replayed:
+def run_replay(
+    request: ReplayRequest,
+    observe: Callable[[PlayerNode], None] = lambda player: None,
+    warn: Callable[[str], None] = lambda text: None,
+) -> Replayed:
     """Play recordings into the rig of a site file until they end or the process is stopped.
 
-    Raises RecordingError, ConfigError, and EndpointError when a node that is to be played runs.
+    `warn` is called before the start with each sentence on what this replay cannot do.
+    Raises RecordingError, also when there is nothing to play, ConfigError, and EndpointError when a node that is to be
+    played runs.
     """
     recording = open_recordings(request.files)
     book = load_site(request.site_file)
@@ -55,6 +67,12 @@ def run_replay(request: ReplayRequest, observe: Callable[[PlayerNode], None] = l
         raise ConfigError(f"{request.site_file}: nodes: {PLAYER} is missing, the player needs an endpoint")
     plan = ReplayPlan(recording, book, Selection.of(request.topics, request.exclude, request.nodes), request.remap)
     playback = Playback(recording, plan.plays, request.span)
+    if playback.peek() is None:
+        nodes = ", ".join(plan.nodes)
+        raise RecordingError(f"{recording.path}: has no message of {nodes} in what was selected: nothing can be played")
+    warnings = [*refused_messages(recording, playback), *absent_topics(plan, book), *remote_control(plan, book)]
+    for text in warnings:
+        warn(text)
     signals = StopSignals()
     with open_participant(PLAYER, book, signals.descriptor) as participant, shallow_idle():
         publisher = participant.bind(PLAYER)
@@ -62,6 +80,45 @@ def run_replay(request: ReplayRequest, observe: Callable[[PlayerNode], None] = l
         sources = book.sources(PLAYER, PlayerNode.inputs)
         live = {node: topics for node, topics in sources.items() if node not in publishers}
         bus = participant.bus_of(publisher, participant.subscribers(live))
-        player = PlayerNode(participant.context(bus), playback, plan, publishers, request.settings, observe=observe)
+        player = PlayerNode(
+            participant.context(bus), playback, plan, publishers, request.settings, observe=observe, warnings=warnings
+        )
         run_loop(player, bus, signals, spin_s=_SPIN_S)
-    return Replayed(plan.nodes, player.sent, playback.time_s)
+    return Replayed(plan.nodes, player.sent, playback.time_s, warnings)
+
+
+def refused_messages(recording: RecordingSource, playback: Playback) -> Iterator[str]:
+    """Yield a sentence for each channel whose messages every reader refuses, as those of another version."""
+    tried: set[RecordedChannel] = set()
+    first_ns = playback.start_ns
+    for message in recording.select(playback.channel_filter, first_ns, first_ns + _TRIED_NS):
+        if message.channel in tried:
+            continue
+        tried.add(message.channel)
+        try:
+            message.decode()
+        except RecordingError as error:
+            yield f"every reader of this version refuses what is played on {message.channel_topic}: {error}"
+
+
+def absent_topics(plan: ReplayPlan, book: AddressBook) -> Iterator[str]:
+    """Yield a sentence for each node that is played without what it publishes at a rate, which readers wait for."""
+    for node in plan.nodes:
+        if name_of(node) == LINK:
+            continue
+        played = {topic for channel, topic in plan.topics.items() if plan.node(channel) == node}
+        rated = [topic for topic in book.published_by(node) if TOPICS[topic].rate_hz and topic != "node/health"]
+        lacking = [topic for topic in rated if topic not in played and plan.chooses(topic)]
+        if lacking:
+            yield f"{node} is played without {', '.join(lacking)}, which is not in the recording"
+
+
+def remote_control(plan: ReplayPlan, book: AddressBook) -> Iterator[str]:
+    """Yield a sentence when no console can command the player, and one when the commands of a console are left out."""
+    consoles = [node for node in book.nodes if is_console(node)]
+    if not consoles:
+        yield "there is no remote control: the site file has no console; the keys work"
+    elif set(consoles) <= set(plan.nodes):
+        yield f"there is no remote control: {', '.join(consoles)} is played; the keys work"
+    for node in plan.left_out:
+        yield f"the commands of {node} are not played, so that it can control the replay; `--nodes {node}` plays them"

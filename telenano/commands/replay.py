@@ -124,8 +124,13 @@ def replay(
             PlaySettings(rate, paused, wait),
         )
         with RawKeyboard() as keys:
-            done = run_replay(request, PlayerKeyBindings(keys, step_topic))
+            done = run_replay(request, PlayerKeyBindings(keys, step_topic), _warn)
         if as_json:
-            print_json({"nodes": done.nodes, "messages": done.sent, "time_s": done.time_s})
+            document = {"nodes": done.nodes, "messages": done.sent, "time_s": done.time_s}
+            print_json({**document, "warnings": done.warnings})
         else:
             typer.echo(f"played {done.sent} messages of {', '.join(done.nodes)} up to {done.time_s:.3f} s")
+
+
+def _warn(text: str) -> None:
+    typer.echo(f"telenano: warning: {text}", err=True)

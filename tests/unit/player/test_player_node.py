@@ -6,11 +6,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 import zmq
 from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state, sample, session_control, teleop_forward
 
 from proto import decode, encode
-from proto.errors import ConfigError, RefusedError
+from proto.errors import ConfigError, RecordingError, RefusedError
 from proto.messages import HapticState, Message, NodeHealth, SessionControl, SessionEvent
 from proto.nodes import PLAYER
 from recording.channel_filter import Selection
@@ -18,6 +19,7 @@ from recording.reader import Recording
 from recording.writer import RecordingWriter
 from services.player.node import PlayerNode, PlaySettings, ReplayPlan, ReplayPublisher
 from services.player.playback import Playback, Span
+from services.player.run import ReplayRequest, absent_topics, refused_messages, remote_control, run_replay
 from services.recorder.config import RecorderConfig
 from services.runtime.address_book import AddressBook
 from services.runtime.bus import ZmqBus, ZmqPublisher
@@ -351,3 +353,81 @@ def test_forwarded_copies_belong_to_the_link(make_file: MakeFile, book: AddressB
     assert plan.nodes == [FAR]
     assert {channel.channel_topic for channel in plan.topics} == {"teleop/forward@slave"}
     assert teleop_forward(0).src == "controller@master"
+
+
+def commands(folder: Path, *nodes: str) -> Recording:
+    """Write a recording of a hand and of a command of each console."""
+    writer = RecordingWriter.create(NODE, RecorderConfig(directory=folder))
+    hand = writer.channel("haptic/state", HAND, "master")
+    for seq in range(10):
+        writer.write(hand, EPOCH_NS + seq, EPOCH_NS + seq, seq, encode(haptic_state(seq)))
+    for node in nodes:
+        channel = writer.channel("session/control", node, "master")
+        writer.write(channel, EPOCH_NS, EPOCH_NS, 0, encode(sample("session/control", 0, src=node)))
+    writer.finish()
+    return Recording(writer.path)
+
+
+def test_a_full_replay_leaves_the_console_to_who_commands_it(tmp_path: Path) -> None:
+    recording = commands(tmp_path, "launcher@master", "console@master")
+    nodes = (HAND, PLAYER, "console@master", "launcher@master")
+    book = AddressBook(nodes={node: f"ipc://{tmp_path}/{node}" for node in nodes})
+    plan = ReplayPlan(recording, book, Selection())
+    assert plan.nodes == [HAND, "launcher@master"]
+    assert plan.left_out == ["console@master"]
+    (text,) = remote_control(plan, book)
+    assert text.startswith("the commands of console@master are not played, so that it can control the replay")
+    # by its name it is played all the same, and then nobody can command the player
+    named = ReplayPlan(recording, book, Selection.of(nodes=["console"]))
+    assert (named.nodes, named.left_out) == (["console@master"], [])
+    assert list(remote_control(named, book)) == ["there is no remote control: console@master is played; the keys work"]
+    without = AddressBook(nodes={HAND: f"ipc://{tmp_path}/hand", "launcher@master": f"ipc://{tmp_path}/launcher"})
+    (text, _) = remote_control(ReplayPlan(recording, without, Selection()), without)
+    assert text == "there is no remote control: the site file has no console; the keys work"
+
+
+def test_messages_of_another_version_are_named_before_they_are_played(tmp_path: Path) -> None:
+    writer = RecordingWriter.create(NODE, RecorderConfig(directory=tmp_path))
+    hand = writer.channel("haptic/state", HAND, "master")
+    for seq in range(3):
+        newer = haptic_state(seq).model_copy(update={"v": 2})
+        writer.write(hand, EPOCH_NS + seq, EPOCH_NS + seq, seq, encode(newer))
+    writer.finish()
+    recording = Recording(writer.path)
+    (text,) = refused_messages(recording, Playback(recording, lambda channel: True, Span()))
+    assert text.startswith("every reader of this version refuses what is played on haptic/state: haptic/state, seq 0:")
+    assert "schema version 2" in text
+
+
+def test_what_a_played_node_lacks_is_named(tmp_path: Path, book: AddressBook) -> None:
+    recording = commands(tmp_path)
+    assert list(absent_topics(ReplayPlan(recording, book, Selection()), book)) == []
+    moved = ReplayPlan(recording, book, Selection(), {HAND: "controller@slave"})
+    (text,) = absent_topics(moved, book)
+    assert text == (
+        "controller@slave is played without teleop/backward, afm/command, law/status, which is not in the recording"
+    )
+    # what was not chosen is not missed
+    chosen = ReplayPlan(recording, book, Selection.of(["haptic/state"]), {HAND: "controller@slave"})
+    assert list(absent_topics(chosen, book)) == []
+
+
+def test_a_replay_of_nothing_is_refused(tmp_path: Path) -> None:
+    site_file = tmp_path / "site.yaml"
+    site_file.write_text(yaml.safe_dump({"nodes": {node: f"ipc://{tmp_path}/{node}" for node in (HAND, PLAYER)}}))
+    writer = RecordingWriter.create(NODE, RecorderConfig(directory=tmp_path))
+    writer.channel("haptic/state", HAND, "master")
+    event = writer.channel("session/event", NODE, "master")
+    writer.write(event, EPOCH_NS, EPOCH_NS, 0, encode(sample("session/event", 0, src=NODE)))
+    writer.finish()
+    with pytest.raises(RecordingError, match=rf"has no message of {HAND} in what was selected: nothing can be played"):
+        run_replay(ReplayRequest([writer.path], site_file, nodes=["haptic_node"]))
+
+
+def test_warnings_are_published_at_the_start(stage: Callable[..., Stage], make_file: MakeFile) -> None:
+    rig = stage(make_file(), wait_s=0.0)
+    rig.player._warnings = ["something is not played"]
+    rig.run_ms(100)
+    assert [(event.level, event.text) for event in rig.events if event.data["state"] == "warning"] == [
+        ("warning", "something is not played")
+    ]

@@ -1,0 +1,243 @@
+"""The messages of a recording in the order and at the times of their sending.
+
+A recording is in the order of reception, and a recorder at ordinary priority may be late by seconds, by a different
+time for each publisher. Played at those times a stream of one message a millisecond would come in bursts with pauses
+between them, and the devices would take each pause for a loss of the connection.
+"""
+
+from collections import deque
+from collections.abc import Callable, Iterator
+from heapq import heappop, heappush
+from typing import NamedTuple
+
+from proto import TOPICS
+from proto.ends import END_TOPIC, read_end
+from proto.errors import RecordingError
+from proto.messages import LinkFates
+from proto.nodes import site_of
+from recording.messages import RecordedChannel, RecordedMessage
+from recording.multi_file import RecordingSource
+
+FATES_TOPIC = "link/fates"
+_NS = 1_000_000_000
+# a recorder that lags by more would have lost messages: then the publisher has another clock
+_LONGEST_LAG_NS = 30 * _NS
+# how far behind the newest message that was read one may still come that was sent before it, beyond the lag seen
+_LEAST_HORIZON_NS = 3 * _NS // 2
+# what the link did to a message is reported within a tenth of a second, and may lag as well
+_FATE_PATIENCE_NS = _NS
+_MOST_FATES = 100_000
+# below this rate [Hz] a topic may have several sources with the same numbers, and the exact time matters less
+_FAST_HZ = 100.0
+# reports of the link that are read for the offset of the other site's clock
+_CLOCK_REPORTS_NS = 5 * _NS
+
+
+class Sent(NamedTuple):
+    """A message and when it was sent [ns], on the recorder's clock; `place` is that in the file."""
+
+    time_ns: int
+    place: int
+    message: RecordedMessage
+
+
+class SenderClock:
+    """Time of sending of messages received at their publisher, on the recorder's clock [ns].
+
+    Processes of one machine share a clock, and their stamps are taken as they are. The other site of two machines is
+    shifted by the offset that the link has measured. A source whose stamps are those of another time, because it was
+    itself a replay, is shifted by the lag of its first message.
+    """
+
+    def __init__(self, recording: RecordingSource) -> None:
+        self._slave_ahead_ns = _clock_offset_ns(recording)
+        self._shifts: dict[str, int] = {}
+
+    def time_ns(self, message: RecordedMessage) -> int:
+        """Return when a message was sent."""
+        shift = self._shifts.get(message.src)
+        if shift is None:
+            shift = self._shifts[message.src] = self._shift_ns(message)
+        return message.publish_ns + shift
+
+    def _shift_ns(self, message: RecordedMessage) -> int:
+        shift = -self._slave_ahead_ns if message.src and site_of(message.src) == "slave" else 0
+        lag = message.log_ns - message.publish_ns - shift
+        return shift if -_LEAST_HORIZON_NS <= lag <= _LONGEST_LAG_NS else message.log_ns - message.publish_ns
+
+
+class SenderOrder:
+    """Selected messages of a recording from a time of sending on, in the order of sending.
+
+    What left the link is sent by the link: its time is that of `link/fates`, and where a recording lacks those, that of
+    the publisher and the delay reported last, or the least seen on the channel. The last message of a publisher is left
+    out: it counts messages, and a replay may send others.
+    """
+
+    def __init__(
+        self,
+        recording: RecordingSource,
+        wanted: Callable[[RecordedChannel], bool],
+        clock: SenderClock,
+        first_ns: int | None = None,
+    ) -> None:
+        """Begin with what was sent at `first_ns` [ns] or later, None for the beginning."""
+        self._clock = clock
+        self._wanted = wanted
+        links = any(channel.via == "link" and wanted(channel) for channel in recording.channels)
+        reports = any(channel.topic == FATES_TOPIC for channel in recording.channels)
+        self._fates: _Fates | None = _Fates() if links and reports else None
+        start_ns = None if first_ns is None else max(0, first_ns - _LEAST_HORIZON_NS)
+        self._source: Iterator[RecordedMessage] = recording.select(self._needs, start_ns)
+        self._heap: list[Sent] = []
+        # by channel, what left the link and is not reported yet; with the time at which it was sent to the link
+        self._waiting: dict[RecordedChannel, deque[Sent]] = {}
+        self._read_ns = 0
+        self._most_lag_ns = 0
+        self._place = 0
+        # by channel, the delay of the link that it reported last, or else the least that was seen
+        self._delay_ns: dict[RecordedChannel, int] = {}
+        self._next: Sent | None = None
+        self._exhausted = False
+        # the newest message of each channel that was sent before the beginning
+        self.before: dict[RecordedChannel, Sent] = {}
+        while first_ns is not None and (found := self.peek()) is not None and found.time_ns < first_ns:
+            self.before[found.message.channel] = found
+            self.pop()
+
+    def peek(self) -> Sent | None:
+        """Return the next message without moving on; None at the end."""
+        if self._next is not None:
+            return self._next
+        while not self._exhausted and not (self._heap and self._settled(self._heap[0])):
+            self._read_next()
+        self._next = self._heap[0] if self._heap else None
+        return self._next
+
+    def pop(self) -> None:
+        """Move past the next message."""
+        heappop(self._heap)
+        self._next = None
+
+    def _needs(self, channel: RecordedChannel) -> bool:
+        return self._wanted(channel) or (self._fates is not None and channel.topic == FATES_TOPIC)
+
+    def _settled(self, first: Sent) -> bool:
+        """Return whether nothing that has not been read yet, or waits for its fate, can have been sent before."""
+        if self._read_ns <= first.time_ns + self._most_lag_ns * 5 // 4 + _LEAST_HORIZON_NS:
+            return False
+        return all(not waiting or waiting[0].time_ns > first.time_ns for waiting in self._waiting.values())
+
+    def _read_next(self) -> None:
+        message = next(self._source, None)
+        if message is None:
+            self._exhausted = True
+            self._release_waiting(0)
+            return
+        self._place += 1
+        self._read_ns = max(self._read_ns, message.log_ns)
+        if message.channel.via == "link":
+            self._add_forwarded(message)
+        else:
+            self._add_direct(message)
+        if self._fates is not None and message.topic == FATES_TOPIC:
+            self._release_waiting(_FATE_PATIENCE_NS + 2 * self._most_lag_ns)
+
+    def _add_direct(self, message: RecordedMessage) -> None:
+        time_ns = self._clock.time_ns(message)
+        self._most_lag_ns = max(self._most_lag_ns, message.log_ns - time_ns)
+        if self._fates is not None and message.topic == FATES_TOPIC:
+            self._fates.record(message, time_ns - message.publish_ns)
+        if self._wanted(message.channel) and not _is_end(message):
+            heappush(self._heap, Sent(time_ns, self._place, message))
+
+    def _add_forwarded(self, message: RecordedMessage) -> None:
+        if self._fates is not None and _is_fast(message.topic):
+            waiting = self._waiting.setdefault(message.channel, deque())
+            waiting.append(Sent(self._clock.time_ns(message), self._place, message))
+        else:
+            self._add_guessed(message, self._place)
+
+    def _release_waiting(self, patience_ns: int) -> None:
+        """Move on what has its fate, and what was received longer ago than the patience [ns]."""
+        for waiting in self._waiting.values():
+            while waiting:
+                arrived_ns, place, message = waiting[0]
+                time_ns = None if self._fates is None else self._fates.take(message.topic, message.seq)
+                if time_ns is not None:
+                    self._delay_ns[message.channel] = time_ns - arrived_ns
+                    heappush(self._heap, Sent(time_ns, place, message))
+                elif message.log_ns <= self._read_ns - patience_ns:
+                    self._add_guessed(message, place)
+                else:
+                    break
+                waiting.popleft()
+
+    def _add_guessed(self, message: RecordedMessage, place: int) -> None:
+        sent_ns = self._clock.time_ns(message)
+        delay_ns = message.log_ns - sent_ns
+        delay_ns = min(delay_ns, self._delay_ns.get(message.channel, delay_ns))
+        self._delay_ns[message.channel] = delay_ns
+        heappush(self._heap, Sent(sent_ns + max(0, delay_ns), place, message))
+
+
+class _Fates:
+    """When the link sent messages on [ns], by topic and seq; of a duplicate the second time as well."""
+
+    def __init__(self) -> None:
+        self._times_ns: dict[tuple[str, int], list[int]] = {}
+
+    def record(self, message: RecordedMessage, shift_ns: int) -> None:
+        """Take note of a report, whose times are shifted onto the recorder's clock."""
+        try:
+            report = message.decode()
+        except RecordingError:
+            return
+        for fate in report.fates if isinstance(report, LinkFates) else ():
+            if not fate.dropped and _is_fast(fate.topic):
+                times = self._times_ns.setdefault((fate.topic, fate.seq), [])
+                times.append(fate.arrived_ns + fate.delay_ns + shift_ns)
+        while len(self._times_ns) > _MOST_FATES:
+            del self._times_ns[next(iter(self._times_ns))]
+
+    def take(self, topic: str, seq: int) -> int | None:
+        """Return and forget when a message was sent on; None where that is not known."""
+        times = self._times_ns.get((topic, seq))
+        if times is None:
+            return None
+        time_ns = times.pop(0)
+        if not times:
+            del self._times_ns[topic, seq]
+        return time_ns
+
+
+def _is_fast(topic: str) -> bool:
+    row = TOPICS.get(topic)
+    return row is not None and (row.rate_hz or 0.0) >= _FAST_HZ
+
+
+def _is_end(message: RecordedMessage) -> bool:
+    if message.topic != END_TOPIC:
+        return False
+    try:
+        return read_end(message.fields()) is not None
+    except RecordingError:
+        return False
+
+
+def _clock_offset_ns(recording: RecordingSource) -> int:
+    """Return what the slave's clock is ahead of the master's [ns], measured by the link; 0 within its uncertainty."""
+    start_ns = recording.span_ns[0]
+    reports = recording.select(lambda channel: channel.topic == "link/status", start_ns, start_ns + _CLOCK_REPORTS_NS)
+    best: tuple[float, float] | None = None
+    for message in reports:
+        try:
+            clock = message.fields().get("clock")
+        except RecordingError:
+            continue
+        if not isinstance(clock, dict) or clock.get("valid") is not True:
+            continue
+        offset_s, uncertainty_s = clock.get("offset_s"), clock.get("uncertainty_s")
+        if isinstance(offset_s, float) and isinstance(uncertainty_s, float):
+            best = min(best or (uncertainty_s, offset_s), (uncertainty_s, offset_s))
+    return 0 if best is None or abs(best[1]) <= best[0] else round(best[1] * _NS)
