@@ -47,6 +47,8 @@ FAULTS = {
     "the cable is pulled for 60 s": "hand let go, tip holds, then withdraws; connected again without a restart",
     "the slave's site is killed and started again": "hand let go; the session goes on, the tip waits to be armed",
     "the master's site is killed and started again": "tip holds, then withdraws; a new session begins by itself",
+    "an arm that waited in a stopped AFM": "refused and answered; the tip stays in emergency stop",
+    "an emergency stop while a console is at work": "both devices stop",
     "the AFM's process is killed in its container": "hand let go; restarted by the engine, waits to be armed",
 }
 
