@@ -267,7 +267,7 @@ def _scenario(recording: RecordingSource) -> Scenario:
 
 def _force_scale(recording: RecordingSource, scenario: Scenario) -> float:
     config = validate(ControllerConfig, scenario.controller, f"{recording.path}: scenario.yaml", "controller")
-    scale: float = config.section().force_scale
+    scale: float = config.law_config().force_scale
     return scale
 
 

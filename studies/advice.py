@@ -64,7 +64,7 @@ class Candidate:
     @property
     def free_n_s_per_m(self) -> float:
         """Return the damping of free motion at the hand: B_v over the gain of the hand's force."""
-        section = self.results[0].cell.controller().section()
+        section = self.results[0].cell.controller().law_config()
         gain = getattr(section, "force_gain", 1.0) or 1.0
         return float(section.damping_n_s_per_m / gain)
 

@@ -271,7 +271,7 @@ class Scales(NamedTuple):
 
 def scales_of(controller: ControllerConfig) -> Scales:
     """Return the scales of the law in force."""
-    section = controller.section()
+    section = controller.law_config()
     return Scales(section.force_scale, section.position_scale)
 
 

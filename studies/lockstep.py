@@ -28,11 +28,11 @@ import numpy.typing as npt
 from services.afm_node import safety as afm_safety
 from services.afm_node.spring import SpringParams
 from services.afm_node.spring import initial_state as initial_spring_state
-from services.afm_node.step import LONGEST_STEP_NS, AfmInputs, AfmOutputs, AfmParams, initial_afm_state, patience_ns
+from services.afm_node.step import LONGEST_STEP_NS, AfmInputs, AfmOutputs, AfmParams, command_wait_ns, initial_afm_state
 from services.controller.clamp import ClampParams, clamped
 from services.controller.config import ControllerConfig
 from services.controller.deadband import DeadbandParams, deadband, fresh
-from services.controller.law import NO_SIGNAL, HandSample, PortSignal, TipSample, longest_pause_periods
+from services.controller.law import NO_SIGNAL, HandSample, PortSignal, TipMeasurement, longest_pause_periods
 from services.haptic_node import safety as haptic_safety
 from services.haptic_node.config import HapticConfig
 from services.haptic_node.step import HapticInputs, HapticParams
@@ -97,7 +97,7 @@ class Rig:
 def build_rig(controller: ControllerConfig, haptic: HapticConfig, instrument: AfmParams | SpringParams) -> Rig:
     """Prepare a rig: the hand where its configuration puts it and off, the instrument retracted."""
     start = initial_spring_state(instrument) if isinstance(instrument, SpringParams) else initial_afm_state(instrument)
-    period_s, silence_s = controller.period_s, controller.section().silence_limit_s
+    period_s, silence_s = controller.period_s, controller.law_config().silence_limit_s
     return Rig(
         controller.params(),
         controller.deadband.to_params(),
@@ -180,10 +180,10 @@ def simulate(rig: Rig, schedule: Schedule, session_tick: int) -> Trajectory:
 
 
 @compiled
-def _tip_of(answer: AfmOutputs) -> TipSample:
+def _tip_of(answer: AfmOutputs) -> TipMeasurement:
     """Return the part of the instrument's answer that the slave half uses."""
     following = answer.mode == afm_safety.MODE_FOLLOW or answer.mode == afm_safety.MODE_HOLD
-    return TipSample(answer.base_m, answer.force_n, answer.distance_m, True, answer.in_contact, following)
+    return TipMeasurement(answer.base_m, answer.force_n, answer.distance_m, True, answer.in_contact, following)
 
 
 @compiled
@@ -251,7 +251,7 @@ def _run(
     # when the sample behind the newest answer would have been back without the link, and that behind the command
     answer_hand_ns, command_hand_ns = -1, -1
 
-    tip = TipSample(0.0, 0.0, 0.0, False, False, False)
+    tip = TipMeasurement(0.0, 0.0, 0.0, False, False, False)
     slave = slave_start(law, tip)
     slave_tick, heard, heard_ns = -1, NO_SIGNAL, -1
     # the time that a command counts from is that of the hand's sample, told delay included
@@ -343,12 +343,12 @@ def _run(
                 instrument, instrument_state, AfmInputs(base_reference_m, command_age_s, action, arm, False), step_s
             )
             instrument_ns = event_ns
-            moved = felt_tip.base_m - tip.position_m if armed else 0.0
+            moved = felt_tip.base_m - tip.base_position_m if armed else 0.0
             tip_energy += 0.5 * (felt_tip.force_n + tip.force_n) * moved
             tip = _tip_of(felt_tip)
             mode = felt_tip.mode
             armed = armed or mode == afm_safety.MODE_FOLLOW
-            own_ns = event_ns + (patience_ns(period_ns) if commanded or local else period_ns)
+            own_ns = event_ns + (command_wait_ns(period_ns) if commanded or local else period_ns)
             if commanded or local:
                 slave, signal = slave_send(law, slave, tip, dt)
             if commanded:
@@ -357,6 +357,6 @@ def _run(
                 f += 1
         row = rows[n]
         row[0], row[1], row[2], row[3] = session_s, hand.force_n, hand.position_m, command_m
-        row[4], row[5], row[6], row[7] = rendered_n, tip.position_m, tip.force_n, tip.separation_m
+        row[4], row[5], row[6], row[7] = rendered_n, tip.base_position_m, tip.force_n, tip.separation_m
         row[8], row[9] = hand_energy, tip_energy
         row[10], row[11], row[12] = int(tip.in_contact), mode, int(hand.following)

@@ -209,7 +209,7 @@ def line_result(line: Line, cells: tuple[CellResult, ...], link_ms: float | None
 def theory_of(line: Line) -> tuple[float | None, float | None]:
     """Return T_c and T_d [s] of a line, where its law and environment make a linear loop with a constant delay."""
     controller = line.cell(0.0).controller()
-    model = loop_model(line.law, controller.section(), line.stiffness_n_per_m)
+    model = loop_model(line.law, controller.law_config(), line.stiffness_n_per_m)
     if model is None or line.axes.environment != "spring" or line.jitter.value or line.loss:
         return None, None
     return critical_delay_s(model), critical_link_delay_s(model, controller.period_s)

@@ -204,7 +204,7 @@ def two_port_figure(results: Sequence[LineResult]) -> "Figure | None":
     longest = max(results[0].line.axes.delays_ms)
     drawn: dict[str, list[tuple[float, npt.NDArray[np.float64]]]] = {}
     for law, rows in _by_law(results).items():
-        section = rows[0].line.cell(0.0).controller().section()
+        section = rows[0].line.cell(0.0).controller().law_config()
         for delay_ms in dict.fromkeys((0.0, 0.2 * longest, longest)):
             hybrid = hybrid_of(law, section, delay_ms * 1e-3, omega)
             if hybrid is not None:

@@ -213,7 +213,7 @@ def _root(tip: TipSample, spring: _Spring, b: int, low: float, high: float, star
 
 def initial_state(plant: Plant, base_m: float) -> PlantState:
     """Equilibrium at the base position x_s [m] of a tip that came from far away."""
-    far = max(plant.rest_distance_m - base_m, plant.tip.break_m, plant.tip.release_m) + _FAR_M
+    far = max(plant.rest_distance_m - base_m, plant.tip.meniscus_break_m, plant.tip.contact_end_m) + _FAR_M
     return equilibrium(plant, PlantState(far, False, False), base_m)
 
 
@@ -234,7 +234,9 @@ def build_plant(tip: TipSample, stiffness_n_per_m: float, rest_distance_m: float
     for b, rows in enumerate(intervals):
         branches[b, 0, :3] = (len(rows), *_passages(tip, b))
         branches[b, 1 : 1 + len(rows)] = np.reshape(rows, (-1, 4))
-    lowest = -tip.strength_n - tip.hamaker_j * tip.radius_m / tip.sigma_m**2 - 2.0 * tip.table.contact.force_unit_n
+    lowest = (
+        -tip.capillary_force_n - tip.hamaker_j * tip.radius_m / tip.sigma_m**2 - 2.0 * tip.table.contact.force_unit_n
+    )
     return Plant(tip, k, L, volts_per_m, lowest, branches)
 
 
@@ -246,13 +248,13 @@ def _limits(tip: TipSample, b: int) -> tuple[float, float]:
     if tip.as_printed:
         # Eq. 6 in print knows the retract law from the first contact to the break, and no meniscus inside contact.
         if contact:
-            return -math.inf, tip.release_m
-        return tip.hand_over_m, tip.break_m if meniscus else math.inf
-    low = -math.inf if contact else tip.hand_over_m
-    high = tip.release_m if contact else math.inf
+            return -math.inf, tip.contact_end_m
+        return tip.contact_onset_m, tip.meniscus_break_m if meniscus else math.inf
+    low = -math.inf if contact else tip.contact_onset_m
+    high = tip.contact_end_m if contact else math.inf
     if tip.has_meniscus and not meniscus:
-        low = max(low, tip.bridge_m)
-    return low, min(high, tip.break_m) if meniscus else high
+        low = max(low, tip.meniscus_width_m)
+    return low, min(high, tip.meniscus_break_m) if meniscus else high
 
 
 def _passages(tip: TipSample, b: int) -> tuple[int, int]:
@@ -262,9 +264,9 @@ def _passages(tip: TipSample, b: int) -> tuple[int, int]:
         below = 2 + int(tip.has_meniscus)
         above = meniscus if contact else 0
         return below, above
-    forms = tip.has_meniscus and not meniscus and (contact == 1 or tip.bridge_m > tip.hand_over_m)
+    forms = tip.has_meniscus and not meniscus and (contact == 1 or tip.meniscus_width_m > tip.contact_onset_m)
     below = 2 * contact + 1 if forms else 2 + meniscus
-    breaks = meniscus and (not contact or tip.break_m < tip.release_m or not tip.has_meniscus)
+    breaks = meniscus and (not contact or tip.meniscus_break_m < tip.contact_end_m or not tip.has_meniscus)
     above = 2 * contact if breaks else meniscus
     return below, above
 
@@ -304,7 +306,7 @@ def _intervals(tip: TipSample, k: float, L: float, b: int) -> list[tuple[float, 
 
 def _corners(tip: TipSample, contact: bool) -> tuple[float, ...]:
     """Distances at which the force or its gradient jumps inside a branch."""
-    return (tip.contact_distance_m,) if contact else (tip.bridge_m,)
+    return (tip.contact_distance_m,) if contact else (tip.meniscus_width_m,)
 
 
 def _grid(tip: TipSample, low: float, high: float, contact: bool) -> list[float]:

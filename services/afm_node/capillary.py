@@ -18,42 +18,48 @@ KELVIN_LENGTH_M = 0.54e-9  # water at 20 degrees Celsius, the number under Eq. 6
 
 @compiled
 def meniscus_force(
-    distance_m: float, strength_n: float, bridge_m: float, contact_distance_m: float
+    distance_m: float, capillary_force_n: float, meniscus_width_m: float, contact_distance_m: float
 ) -> tuple[float, float]:
     """Force and gradient of an existing meniscus, `consistent` reading.
 
     F = -4 pi R gamma_L / (1 + (h - a0) / 2 r1) for h > a0, its value at a0 below        (Eq. 6, E3, E4)
 
-    Parameters: distance_m, h [m]; strength_n, 4 pi R gamma_L [N]; bridge_m, 2 r1 [m], > 0; contact_distance_m, a0 [m].
+    Parameters: distance_m, h [m]; capillary_force_n, 4 pi R gamma_L [N]; meniscus_width_m, 2 r1 [m], > 0;
+    contact_distance_m, a0 [m].
     Returns: force_n [N], <= 0, and gradient_n_per_m dF/dh [N/m].
     """
     if distance_m < contact_distance_m:
-        return -strength_n, 0.0
-    q = 1.0 / (1.0 + (distance_m - contact_distance_m) / bridge_m)
-    return -strength_n * q, strength_n * q * q / bridge_m
+        return -capillary_force_n, 0.0
+    q = 1.0 / (1.0 + (distance_m - contact_distance_m) / meniscus_width_m)
+    return -capillary_force_n * q, capillary_force_n * q * q / meniscus_width_m
 
 
 @compiled
 def printed_meniscus_force(
-    distance_m: float, retracting: bool, strength_n: float, bridge_m: float, contact_distance_m: float, break_m: float
+    distance_m: float,
+    retracting: bool,
+    capillary_force_n: float,
+    meniscus_width_m: float,
+    contact_distance_m: float,
+    meniscus_break_m: float,
 ) -> tuple[float, float]:
     """Force and gradient of Eq. 6 as it stands in print; outside contact only.
 
     Approach: -4 pi R gamma_L / (1 + (h - a0) / 2 r1) u(h - 2 r1); retract: -4 pi R gamma_L / (1 + (h + delta) / 2 r1)
     u(delta - h).
 
-    Parameters: as for `meniscus_force`; retracting selects the branch; break_m, delta [m].
+    Parameters: as for `meniscus_force`; retracting selects the branch; meniscus_break_m, delta [m].
     Returns: force_n [N], <= 0, and gradient_n_per_m dF/dh [N/m] (the steps themselves have no gradient).
     """
     if retracting:
-        if distance_m > break_m:
+        if distance_m > meniscus_break_m:
             return 0.0, 0.0
-        q = 1.0 / (1.0 + (distance_m + break_m) / bridge_m)
+        q = 1.0 / (1.0 + (distance_m + meniscus_break_m) / meniscus_width_m)
     else:
-        if distance_m < bridge_m:
+        if distance_m < meniscus_width_m:
             return 0.0, 0.0
-        q = 1.0 / (1.0 + (distance_m - contact_distance_m) / bridge_m)
-    return -strength_n * q, strength_n * q * q / bridge_m
+        q = 1.0 / (1.0 + (distance_m - contact_distance_m) / meniscus_width_m)
+    return -capillary_force_n * q, capillary_force_n * q * q / meniscus_width_m
 
 
 def meniscus_radius_m(relative_humidity: float) -> float:

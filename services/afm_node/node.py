@@ -8,9 +8,9 @@ from proto.messages import AfmCommand, ClockPing, LinkDelay, SessionControl
 from services.afm_node import safety
 from services.afm_node.config import AfmConfig
 from services.afm_node.driver import AfmDriver
-from services.afm_node.step import LONGEST_STEP_NS, AfmSample, patience_ns
+from services.afm_node.step import LONGEST_STEP_NS, AfmSample, command_wait_ns
 from services.runtime.bus import Received
-from services.runtime.frames import across, along
+from services.runtime.frames import to_paper_axis, to_site_frame
 from services.runtime.freshness import LOOP_DEADLINE_NS, HandAge, age_s
 from services.runtime.node import Node, NodeContext
 from services.runtime.replay_guard import ReplayGuard
@@ -18,7 +18,7 @@ from services.runtime.replay_guard import ReplayGuard
 INPUTS = ("afm/command", "clock/ping", "link/delay", "session/control", "node/health")
 PERIOD_S = 1e-3
 _PERIOD_NS = round(PERIOD_S * 1e9)
-_PATIENCE_NS = patience_ns(_PERIOD_NS)
+_COMMAND_WAIT_NS = command_wait_ns(_PERIOD_NS)
 _LONGEST_STEP_S = LONGEST_STEP_NS * 1e-9
 _ACTION_CODES = {name: code for code, name in safety.ACTION_NAMES.items()}
 _ALARMING = (
@@ -82,7 +82,7 @@ class AfmNode(Node):
             command_age_s = self._command_age_s()
             self.stale += command_age_s > self._limits.command_deadline_s
             self._step(self.clock.monotonic_ns(), command_age_s)
-            self._due_ns = self._stepped_ns + _PATIENCE_NS
+            self._due_ns = self._stepped_ns + _COMMAND_WAIT_NS
         elif isinstance(message, LinkDelay):
             self._hand_age.record(message)
         elif isinstance(message, ClockPing):
@@ -140,10 +140,10 @@ class AfmNode(Node):
         self._stepped_ns = now_ns
         command = self._command
         asked = safety.SafetyInputs(
-            reference_m=0.0 if command is None else along(command.base_position_m),
+            reference_m=0.0 if command is None else to_paper_axis(command.base_position_m),
             command_age_s=self._command_age_s() if command_age_s is None else command_age_s,
             action=safety.ACTION_HOLD if command is None else _ACTION_CODES[command.mode],
-            arm=arm,
+            arm_requested=arm,
             estop=estop,
             force_n=self._force_n,
         )
@@ -160,7 +160,7 @@ class AfmNode(Node):
         self.publish(
             "afm/state",
             command_seq=0 if command is None else command.seq,
-            base_position_m=across(sample.base_m),
+            base_position_m=to_site_frame(sample.base_m),
             deflection_m=sample.deflection_m,
             tip_force_n=(0.0, 0.0, sample.force_n),
             separation_m=sample.distance_m,

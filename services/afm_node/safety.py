@@ -118,7 +118,7 @@ class SafetyInputs(NamedTuple):
     reference_m: float
     command_age_s: float
     action: int
-    arm: bool
+    arm_requested: bool
     estop: bool
     force_n: float
 
@@ -150,7 +150,7 @@ def safety_step(
         raise ValueError("dt in s must be finite and > 0")
     mode, reason = _next_mode(params, state, inputs)
     refusal = ARM_NOT_REFUSED
-    if inputs.arm:
+    if inputs.arm_requested:
         refusal = _arm_refusal(params, state, inputs)
         if refusal == ARM_NOT_REFUSED:
             mode, reason = MODE_FOLLOW, REASON_ARMED

@@ -57,7 +57,7 @@ class AfmInputs(NamedTuple):
     reference_m: float
     command_age_s: float
     action: int
-    arm: bool
+    arm_requested: bool
     estop: bool
 
 
@@ -78,7 +78,7 @@ class AfmOutputs(NamedTuple):
 
 
 @compiled
-def patience_ns(period_ns: int) -> int:
+def command_wait_ns(period_ns: int) -> int:
     """Return how long after a commanded step the instrument steps by itself [ns].
 
     A command that is late by less than half a period still makes the step, so that there is one step a command.
@@ -105,7 +105,7 @@ def step(params: AfmParams, state: AfmStepState, inputs: AfmInputs, dt: float) -
     Raises: ValueError, if dt is not positive and finite.
     """
     asked = SafetyInputs(
-        inputs.reference_m, inputs.command_age_s, inputs.action, inputs.arm, inputs.estop, state.force_n
+        inputs.reference_m, inputs.command_age_s, inputs.action, inputs.arm_requested, inputs.estop, state.force_n
     )
     safety, allowed = safety_step(params.safety, state.safety, asked, dt)
     tip, sample = measure(params.plant, state.plant, allowed.base_m)

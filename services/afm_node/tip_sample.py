@@ -52,11 +52,11 @@ class TipSample(NamedTuple):
     hamaker_j: float
     sigma_m: float
     contact_distance_m: float  # a0
-    strength_n: float  # 4 pi R gamma_L
-    bridge_m: float  # 2 r1
-    break_m: float  # delta_b
-    hand_over_m: float  # h*: contact begins
-    release_m: float  # contact ends, >= h*
+    capillary_force_n: float  # 4 pi R gamma_L
+    meniscus_width_m: float  # 2 r1
+    meniscus_break_m: float  # delta_b
+    contact_onset_m: float  # h*: contact begins
+    contact_end_m: float  # contact ends, >= h*
     as_printed: bool
     has_meniscus: bool
     table: ContactTable
@@ -78,11 +78,18 @@ def branch_force(tip: TipSample, distance_m: float, contact: bool, meniscus: boo
         return force, gradient
     if not tip.as_printed:
         if meniscus:
-            pull, slope = meniscus_force(distance_m, tip.strength_n, tip.bridge_m, tip.contact_distance_m)
+            pull, slope = meniscus_force(
+                distance_m, tip.capillary_force_n, tip.meniscus_width_m, tip.contact_distance_m
+            )
             return force + pull, gradient + slope
     elif not contact:
         pull, slope = printed_meniscus_force(
-            distance_m, meniscus, tip.strength_n, tip.bridge_m, tip.contact_distance_m, tip.break_m
+            distance_m,
+            meniscus,
+            tip.capillary_force_n,
+            tip.meniscus_width_m,
+            tip.contact_distance_m,
+            tip.meniscus_break_m,
         )
         return force + pull, gradient + slope
     return force, gradient
@@ -108,11 +115,11 @@ def build_tip_sample(properties: TipSampleProperties, largest_force_n: float) ->
         hamaker_j=p.hamaker_j,
         sigma_m=p.sigma_m,
         contact_distance_m=a0,
-        strength_n=4.0 * math.pi * p.radius_m * p.liquid_energy_j_per_m2,
-        bridge_m=2.0 * p.meniscus_radius_m,
-        break_m=p.break_distance_m,
-        hand_over_m=hand_over,
-        release_m=release,
+        capillary_force_n=4.0 * math.pi * p.radius_m * p.liquid_energy_j_per_m2,
+        meniscus_width_m=2.0 * p.meniscus_radius_m,
+        meniscus_break_m=p.break_distance_m,
+        contact_onset_m=hand_over,
+        contact_end_m=release,
         as_printed=as_printed,
         has_meniscus=p.meniscus,
         table=table,

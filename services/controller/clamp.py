@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 from pydantic import Field
 
-from services.controller.law import PortSignal, SlaveReference, TipSample
+from services.controller.law import PortSignal, SlaveReference, TipMeasurement
 from services.controller.ranges import DampingNSPerM, ForceOrNoneN
 from services.runtime.compiled import compiled
 from services.runtime.config import Settings
@@ -59,10 +59,10 @@ class ClampConfig(Settings):
 
 
 @compiled
-def clamped(params: ClampParams, wanted: SlaveReference, signal: PortSignal, tip: TipSample) -> SlaveReference:
+def clamped(params: ClampParams, wanted: SlaveReference, signal: PortSignal, tip: TipMeasurement) -> SlaveReference:
     """Return the reference of the base that the clamp lets through in a period."""
     if not (params.enabled and tip.following and signal.active):
         return wanted
     allowed = max(params.force_scale * signal.force_n, 0.0) + params.margin_n - params.force_scale * tip.force_n
-    most = tip.position_m + params.reach_m_per_n * allowed
+    most = tip.base_position_m + params.reach_m_per_n * allowed
     return SlaveReference(min(wanted.position_m, most), wanted.active)

@@ -49,16 +49,16 @@ class ControllerConfig(Settings):
     )
     smith: SmithConfig = Field(default=SmithConfig(), description="Parameters of the Smith predictor")
 
-    def section(self) -> Any:
+    def law_config(self) -> Any:
         """Return the parameters of the law in force; every law's have position_scale, force_scale, silence_limit_s."""
         return getattr(self, self.law)
 
     def params(self) -> Any:
-        return self.clamp.applied_to(self.section().to_params(self.period_s))
+        return self.clamp.applied_to(self.law_config().to_params(self.period_s))
 
     def clamp_params(self) -> ClampParams:
         """Return the constants of the clamp behind the slave half."""
-        section = self.section()
+        section = self.law_config()
         scales = section.position_scale, section.force_scale
         return self.clamp.to_params(section.to_params(self.period_s), *scales, self.period_s)
 
@@ -73,7 +73,7 @@ def changed_config(config: ControllerConfig, parameters: Mapping[str, Scalar]) -
     if not parameters:
         raise RefusedError("set needs parameters, such as virtual_impedance.force_gain=10")
     if "period_s" in parameters:
-        raise RefusedError("period_s cannot be changed while the rig runs")
+        raise RefusedError("controller.period_s cannot be changed while the rig runs")
     try:
         document = merge(config.model_dump(), nested(parameters, "session/control"))
         return validate(ControllerConfig, document, "session/control", "controller")

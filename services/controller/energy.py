@@ -41,13 +41,13 @@ def moved_to(port: Port, position_m: float, force_n: float) -> Port:
 
 
 @compiled
-def entered(port: Port, position_m: float, force_n: float) -> Port:
+def with_inflow(port: Port, position_m: float, force_n: float) -> Port:
     """Count the work of a force [N] held over the way to a position [m], into the law: the master's port."""
     return Port(position_m, force_n, port.energy_j + force_n * (position_m - port.position_m))
 
 
 @compiled
-def left(port: Port, position_m: float, force_n: float) -> Port:
+def with_outflow(port: Port, position_m: float, force_n: float) -> Port:
     """Count the work against a force [N] that goes straight from the last to this one, out of the law: the slave's."""
     work = 0.5 * (port.force_n + force_n) * (position_m - port.position_m)
     return Port(position_m, force_n, port.energy_j - work)
@@ -57,4 +57,4 @@ def left(port: Port, position_m: float, force_n: float) -> Port:
 def is_passive(net_j: float, net_valid: bool, account: EnergyAccount) -> bool:
     """Return whether the energies observed agree with passivity: E_net + granted >= 0 and nothing overdrawn."""
     enough = not net_valid or net_j + account.granted_j >= -TOLERANCE_J
-    return enough and account.left_j >= -TOLERANCE_J
+    return enough and account.remaining_j >= -TOLERANCE_J

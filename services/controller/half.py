@@ -21,7 +21,7 @@ from services.controller.law import (
 )
 from services.controller.warm_up import warm_up
 from services.runtime.bus import Received
-from services.runtime.frames import across, along
+from services.runtime.frames import to_paper_axis, to_site_frame
 from services.runtime.node import Node, NodeContext
 
 STATUS_PERIOD_S = 0.01
@@ -53,7 +53,7 @@ class ControllerHalf(Node):
         self._signal_ns: int | None = None
         self._signal_hand_ns = 0
         self.input_age = InputAge(context, self.clock.now_ns())
-        self._hand = (0, 0)
+        self._hand_stamp = (0, 0)
         self._period_ns = round(config.period_s * 1e9)
         self._status_ticks = max(1, round(STATUS_PERIOD_S / config.period_s))
         self._reported_j = 0.0
@@ -129,11 +129,11 @@ class ControllerHalf(Node):
         backward = isinstance(message, TeleopBackward)
         self._signal_ns, self._signal_hand_ns = received_ns, message.hand_t_ns
         self.signal = PortSignal(
-            position_m=along(message.position_m),
-            velocity_m_per_s=along(message.velocity_m_per_s),
+            position_m=to_paper_axis(message.position_m),
+            velocity_m_per_s=to_paper_axis(message.velocity_m_per_s),
             # F_s is the reaction along +z, F_m the push along -z
-            force_n=message.force_n[2] if backward else along(message.force_n),
-            wave_sqrt_w=along(message.wave_sqrt_w) if message.wave_sqrt_w is not None else 0.0,
+            force_n=message.force_n[2] if backward else to_paper_axis(message.force_n),
+            wave_sqrt_w=to_paper_axis(message.wave_sqrt_w) if message.wave_sqrt_w is not None else 0.0,
             energy_j=message.energy_j if message.energy_j is not None else 0.0,
             separation_m=message.separation_m if isinstance(message, TeleopBackward) else 0.0,
             separation_valid=message.separation_valid if isinstance(message, TeleopBackward) else False,
@@ -168,17 +168,17 @@ class ControllerHalf(Node):
     def longest_pause_periods(self) -> int:
         return LONGEST_BRIDGED_PERIODS
 
-    def wire(self, signal: PortSignal) -> dict[str, object]:
+    def signal_fields(self, signal: PortSignal) -> dict[str, object]:
         """Return the part of a teleop message that both directions share, without the force."""
         return {
             "law": self.law.name,
             "active": signal.active,
-            "position_m": across(signal.position_m),
-            "velocity_m_per_s": across(signal.velocity_m_per_s),
-            "wave_sqrt_w": across(signal.wave_sqrt_w) if self.law.uses_waves else None,
+            "position_m": to_site_frame(signal.position_m),
+            "velocity_m_per_s": to_site_frame(signal.velocity_m_per_s),
+            "wave_sqrt_w": to_site_frame(signal.wave_sqrt_w) if self.law.uses_waves else None,
             "energy_j": signal.energy_j if self.law.uses_energy else None,
-            "hand_seq": self._hand[0],
-            "hand_t_ns": self._hand[1],
+            "hand_seq": self._hand_stamp[0],
+            "hand_t_ns": self._hand_stamp[1],
         }
 
     def passes_deadband(self, signal: PortSignal, dt: float) -> bool:
@@ -186,7 +186,7 @@ class ControllerHalf(Node):
         self._band_state, send = deadband(self._band, self._band_state, signal, dt)
         return send or self.switching
 
-    def report(self, other_energy_j: float | None) -> None:
+    def report_status(self, other_energy_j: float | None) -> None:
         """Publish law/status every so many ticks; other_energy_j [J]: what has entered at the other port, if known."""
         if self.steps % self._status_ticks or self.law_state is None:
             return
@@ -204,7 +204,7 @@ class ControllerHalf(Node):
             port_power_w=entered_j / (self._status_ticks * self.config.period_s),
             net_valid=known,
             net_energy_j=net_j if known else 0.0,
-            left_j=account.left_j,
+            left_j=account.remaining_j,
             dissipated_j=account.dissipated_j,
             passive=bool(energy.is_passive(net_j, known, account)),
             saved_percent=100.0 * (offered - self._band_state.sent) / offered if offered else 0.0,

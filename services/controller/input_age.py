@@ -23,12 +23,12 @@ class InputAge:
 
     def __init__(self, context: NodeContext, now_ns: int) -> None:
         self._context = context
-        self._hand = HandAge(context.key, now_ns)
+        self._hand_age = HandAge(context.key, now_ns)
         self._stalls = StallDetector()
         # topics whose newest message was rejected, and reported
         self._rejected: set[str] = set()
         self.deadline_ns = self._stalls.deadline_ns
-        self.record = self._hand.record
+        self.record = self._hand_age.record
 
     def stalled(self, now_ns: int) -> bool:
         """Return whether this process stood still until now [ns], and report it."""
@@ -47,7 +47,7 @@ class InputAge:
     def sampled_ns(self, received: Received) -> int:
         """Return the time stamp of a sample of this site's device [ns]; of one from a recording, that of reception."""
         t_ns = received.message.t_ns
-        return received.received_ns if self._hand.is_played(t_ns) else t_ns
+        return received.received_ns if self._hand_age.is_played(t_ns) else t_ns
 
     def rejects(self, received: Received) -> bool:
         """Return whether a sample or signal is past its deadline; the first of a row is reported."""
@@ -55,7 +55,7 @@ class InputAge:
         limit_s = _SIGNALS_S.get(topic)
         if limit_s is not None:
             signal = cast(TeleopForward | TeleopBackward, received.message)
-            old_s = self._hand.age_s(received.received_ns, signal.hand_t_ns)
+            old_s = self._hand_age.age_s(received.received_ns, signal.hand_t_ns)
         else:
             limit_s = _SAMPLES_S.get(topic)
             if limit_s is None:

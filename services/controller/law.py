@@ -27,10 +27,10 @@ class HandSample(NamedTuple):
     following: bool
 
 
-class TipSample(NamedTuple):
-    """A sample of the AFM: x_s applied [m], F_s [N], h [m] where known; `following`: it obeys commands."""
+class TipMeasurement(NamedTuple):
+    """What the AFM measured: base x_s applied [m], F_s [N], h [m] where known; `following`: it obeys commands."""
 
-    position_m: float
+    base_position_m: float
     force_n: float
     separation_m: float
     separation_valid: bool
@@ -82,11 +82,11 @@ class SlaveReference(NamedTuple):
 class EnergyAccount(NamedTuple):
     """What a half of a law knows about energy, at the hand's scale [J].
 
-    left_j: received and not yet given out or sent on; dissipated_j: taken out on purpose by the controller; granted_j:
-    what the law lets itself have at the start, and by which its two ports may fall below passivity.
+    remaining_j: received and not yet given out or sent on; dissipated_j: taken out on purpose by the controller;
+    granted_j: what the law lets itself have at the start, and by which its two ports may fall below passivity.
     """
 
-    left_j: float
+    remaining_j: float
     dissipated_j: float
     granted_j: float
 

@@ -23,11 +23,11 @@ from services.controller.law import (
     MasterReference,
     PortSignal,
     SlaveReference,
-    TipSample,
+    TipMeasurement,
     longest_pause_periods,
 )
 from services.runtime.bus import Received
-from services.runtime.frames import across, along
+from services.runtime.frames import to_paper_axis, to_site_frame
 from services.runtime.node import NodeContext
 
 MASTER_INPUTS = ("haptic/state", "teleop/backward", "law/status", "link/delay", "session/control")
@@ -52,8 +52,8 @@ class MasterController(ControllerHalf):
         self._switch_s = 0.0
         self._dt_s = config.period_s
         self._command_due = False
-        self._answered = (0, 0)
-        self._far: LawStatus | None = None
+        self._answered_hand_stamp = (0, 0)
+        self._slave_status: LawStatus | None = None
 
     def on_message(self, received: Received) -> None:
         if self.rejects(received):
@@ -64,11 +64,11 @@ class MasterController(ControllerHalf):
         elif isinstance(message, TeleopBackward):
             if self.receive_signal(message, received.received_ns) and self.switching:
                 self._take_over()
-            self._answered = (message.hand_seq, message.hand_t_ns)
+            self._answered_hand_stamp = (message.hand_seq, message.hand_t_ns)
             if self._command_due:
-                self._command()
+                self._publish_command()
         elif isinstance(message, LawStatus):
-            self._far = message
+            self._slave_status = message
         elif isinstance(message, LinkDelay):
             self.input_age.record(message)
 
@@ -86,7 +86,9 @@ class MasterController(ControllerHalf):
     def round_trip_s(self) -> tuple[float, bool]:
         if self._signal_ns is None:
             return NEVER
-        return max(0, round((self._hand[1] - self._signal_hand_ns) / self._period_ns)) * self.config.period_s, True
+        return max(
+            0, round((self._hand_stamp[1] - self._signal_hand_ns) / self._period_ns)
+        ) * self.config.period_s, True
 
     def _switch(self) -> None:
         super()._switch()
@@ -106,14 +108,14 @@ class MasterController(ControllerHalf):
 
     def _on_hand(self, message: HapticState) -> None:
         if self._command_due:
-            self._command()
-        elapsed = self.elapsed_s(message.t_ns, self._hand[1])
-        self._hand = (message.seq, message.t_ns)
+            self._publish_command()
+        elapsed = self.elapsed_s(message.t_ns, self._hand_stamp[1])
+        self._hand_stamp = (message.seq, message.t_ns)
         following = self.hand.following
         self.hand = HandSample(
-            along(message.position_m),
-            along(message.velocity_m_per_s),
-            along(message.operator_force_n),
+            to_paper_axis(message.position_m),
+            to_paper_axis(message.velocity_m_per_s),
+            to_paper_axis(message.operator_force_n),
             message.mode != "off",
         )
         if self.law_state is None:
@@ -122,7 +124,7 @@ class MasterController(ControllerHalf):
             self.port = energy.opened(self.hand.position_m, self.hand.force_n)
         # the sample's force acted over the way to the sample's position
         counts = elapsed is not None and following and self.hand.following and self.reference.active
-        count = energy.entered if counts and not self.switching else energy.moved_to
+        count = energy.with_inflow if counts and not self.switching else energy.moved_to
         self.port = count(self.port, self.hand.position_m, self.hand.force_n)
         # after a pause the law goes on from its own state: a hand that was restarted is off, and a law stays with an
         # off hand, while one that was only held up finds its reference where it was
@@ -131,30 +133,30 @@ class MasterController(ControllerHalf):
         self.law_state, signal = self.law.master_send(self.params, self.law_state, hand, self._dt_s)
         self._tip_reference_m = signal.position_m
         if self.passes_deadband(signal, self._dt_s):
-            self.publish("teleop/forward", **self.wire(signal), force_n=across(signal.force_n))
+            self.publish("teleop/forward", **self.signal_fields(signal), force_n=to_site_frame(signal.force_n))
         self.steps += 1
         self._command_due = True
-        far = self._far
-        self.report(far.port_energy_j if far is not None and far.law == self.law.name else None)
+        slave = self._slave_status
+        self.report_status(slave.port_energy_j if slave is not None and slave.law == self.law.name else None)
 
-    def _command(self) -> None:
+    def _publish_command(self) -> None:
         self._command_due = False
-        self.reference = self._coasting() if self.switching else self._received()
+        self.reference = self._coasting() if self.switching else self._step_law()
         self.state = "running" if self.reference.active else "safe"
         self.publish(
             "haptic/command",
             mode="position" if self.reference.active else "off",
-            position_m=across(self.reference.position_m),
-            velocity_m_per_s=across(self.reference.velocity_m_per_s),
+            position_m=to_site_frame(self.reference.position_m),
+            velocity_m_per_s=to_site_frame(self.reference.velocity_m_per_s),
             force_n=(0.0, 0.0, self.reference.force_n),
-            hand_seq=self._answered[0],
-            hand_t_ns=self._answered[1],
+            hand_seq=self._answered_hand_stamp[0],
+            hand_t_ns=self._answered_hand_stamp[1],
         )
 
-    def _received(self) -> MasterReference:
+    def _step_law(self) -> MasterReference:
         signal = self.latest_signal()
-        self.law_state, step = self.law.master_receive(self.params, self.law_state, self.hand, signal, self._dt_s)
-        return cast(MasterReference, step)
+        self.law_state, reference = self.law.master_receive(self.params, self.law_state, self.hand, signal, self._dt_s)
+        return cast(MasterReference, reference)
 
     def _coasting(self) -> MasterReference:
         """Return the reference while the other half is waited for: it comes to rest, and the force shown stays."""
@@ -175,12 +177,14 @@ class SlaveController(ControllerHalf):
 
     def __init__(self, context: NodeContext, config: ControllerConfig) -> None:
         super().__init__(context, config)
-        self.tip = TipSample(0.0, 0.0, 0.0, False, False, False)
+        self.tip = TipMeasurement(0.0, 0.0, 0.0, False, False, False)
         self.reference = SlaveReference(0.0, True)
         self._dt_s = config.period_s
-        self._awaited: int | None = None
-        self._answers = True  # whether the awaited command belongs to a signal, and not to the local loop
-        self._commanded: int | None = None
+        self._awaited_command_seq: int | None = None
+        self._command_answers_signal = (
+            True  # whether the awaited command belongs to a signal, and not to the local loop
+        )
+        self._last_command_seq: int | None = None
         self._clamp = config.clamp_params()
         self._local = config.local_loop
         self._instrument_ns = 0
@@ -200,7 +204,7 @@ class SlaveController(ControllerHalf):
 
     def forget(self) -> None:
         super().forget()
-        self._awaited = None
+        self._awaited_command_seq = None
         if self.tip.following:
             self._lose_instrument()
 
@@ -214,7 +218,7 @@ class SlaveController(ControllerHalf):
 
     def longest_pause_periods(self) -> int:
         """Return what the last signal counts for: until then the half has gone on by itself."""
-        return longest_pause_periods(self.config.section().silence_limit_s, self.config.period_s)
+        return longest_pause_periods(self.config.law_config().silence_limit_s, self.config.period_s)
 
     def _switch(self) -> None:
         super()._switch()
@@ -223,15 +227,15 @@ class SlaveController(ControllerHalf):
 
     def _standing(self) -> Any:
         """Return the state of a half that begins at the last reference of the base."""
-        return self.law.slave_start(self.params, self.tip._replace(position_m=self.reference.position_m))
+        return self.law.slave_start(self.params, self.tip._replace(base_position_m=self.reference.position_m))
 
     def _on_forward(self, message: TeleopForward, received_ns: int) -> None:
-        if self._awaited is not None:
+        if self._awaited_command_seq is not None:
             # the instrument has not answered the last tick: its newest sample has to do, for as long as it is fresh
             self._doubt_instrument()
-            self._answer()
-        elapsed = self.elapsed_s(message.hand_t_ns, self._hand[1])
-        self._hand = (message.hand_seq, message.hand_t_ns)
+            self._send_answer()
+        elapsed = self.elapsed_s(message.hand_t_ns, self._hand_stamp[1])
+        self._hand_stamp = (message.hand_seq, message.hand_t_ns)
         if self.receive_signal(message, received_ns) and message.active:
             self.switching = False
         if self.law_state is None or (elapsed is None and not self.switching):
@@ -241,9 +245,9 @@ class SlaveController(ControllerHalf):
             self.reference = SlaveReference(self.reference.position_m, False)
         elif not self.switching:
             self._receive(self.latest_signal())
-        self._command(answers=True)
+        self._publish_command(answers=True)
         self.steps += 1
-        self.report(None)
+        self.report_status(None)
 
     def _receive(self, signal: PortSignal) -> None:
         """Step the half by one period, whatever time has passed: the force is measured once a period."""
@@ -252,17 +256,17 @@ class SlaveController(ControllerHalf):
         )
         self.reference = clamped(self._clamp, wanted, signal, self.tip)
 
-    def _command(self, *, answers: bool) -> None:
+    def _publish_command(self, *, answers: bool) -> None:
         mode: Literal["position", "hold"] = "position" if self.reference.active else "hold"
         command = self.publish(
             "afm/command",
             mode=mode,
-            base_position_m=across(self.reference.position_m),
-            hand_seq=self._hand[0],
-            hand_t_ns=self._hand[1],
+            base_position_m=to_site_frame(self.reference.position_m),
+            hand_seq=self._hand_stamp[0],
+            hand_t_ns=self._hand_stamp[1],
         )
-        self._awaited = self._commanded = command.seq
-        self._answers = answers
+        self._awaited_command_seq = self._last_command_seq = command.seq
+        self._command_answers_signal = answers
 
     def _doubt_instrument(self) -> None:
         """Mark an instrument that has been silent for too long as not following, whatever it published last."""
@@ -279,8 +283,8 @@ class SlaveController(ControllerHalf):
         self._instrument_lost = True
 
     def _on_instrument(self, message: AfmState) -> None:
-        self.tip = TipSample(
-            along(message.base_position_m),
+        self.tip = TipMeasurement(
+            to_paper_axis(message.base_position_m),
             message.tip_force_n[2],
             message.separation_m,
             message.separation_valid,
@@ -290,12 +294,16 @@ class SlaveController(ControllerHalf):
         self.state = "running" if self.tip.following else "safe"
         if self._instrument_lost:
             self._instrument_lost = False
-            self.reference = SlaveReference(self.tip.position_m, True)
+            self.reference = SlaveReference(self.tip.base_position_m, True)
             self.law_state = self._standing()
-        self._count()
-        if self._awaited is not None and message.command_seq == self._awaited and message.hand_t_ns > 0:
-            self._answer()
-        elif self._awaited is None and message.command_seq == self._commanded:
+        self._count_port_energy()
+        if (
+            self._awaited_command_seq is not None
+            and message.command_seq == self._awaited_command_seq
+            and message.hand_t_ns > 0
+        ):
+            self._send_answer()
+        elif self._awaited_command_seq is None and message.command_seq == self._last_command_seq:
             self._step_locally()
 
     def _step_locally(self) -> None:
@@ -303,28 +311,28 @@ class SlaveController(ControllerHalf):
         if not self._local or self.switching or self.law_state is None or self._signal_ns is None:
             return
         signal = self.latest_signal()
-        if signal.active and signal.silence_s <= self.config.section().silence_limit_s and self.tip.following:
+        if signal.active and signal.silence_s <= self.config.law_config().silence_limit_s and self.tip.following:
             self._receive(signal)
-            self._command(answers=False)
+            self._publish_command(answers=False)
 
-    def _count(self) -> None:
-        section = self.config.section()
-        count = energy.left if self.tip.following else energy.moved_to
+    def _count_port_energy(self) -> None:
+        section = self.config.law_config()
+        count = energy.with_outflow if self.tip.following else energy.moved_to
         self.port = count(
-            self.port, self.tip.position_m / section.position_scale, section.force_scale * self.tip.force_n
+            self.port, self.tip.base_position_m / section.position_scale, section.force_scale * self.tip.force_n
         )
 
-    def _answer(self) -> None:
+    def _send_answer(self) -> None:
         """Let the half account for what its command did, and send the answer if it was to a signal."""
-        self._awaited = None
+        self._awaited_command_seq = None
         if self.switching:
             self.law_state = self._standing()
         self.law_state, signal = self.law.slave_send(self.params, self.law_state, self.tip, self.config.period_s)
-        if not self._answers or not self.passes_deadband(signal, self._dt_s):
+        if not self._command_answers_signal or not self.passes_deadband(signal, self._dt_s):
             return
         self.publish(
             "teleop/backward",
-            **self.wire(signal),
+            **self.signal_fields(signal),
             force_n=(0.0, 0.0, signal.force_n),
             separation_m=signal.separation_m,
             separation_valid=signal.separation_valid,

@@ -6,13 +6,13 @@ from services.controller import energy
 from services.controller.clamp import clamped
 from services.controller.config import ControllerConfig
 from services.controller.deadband import deadband, fresh
-from services.controller.law import HandSample, Law, SlaveReference, TipSample
+from services.controller.law import HandSample, Law, SlaveReference, TipMeasurement
 
 
 def warm_up(law: Law, params: Any, config: ControllerConfig) -> None:
     """Compile the steps of a law before the first tick needs them."""
     period_s = config.period_s
-    hand, tip = HandSample(0.0, 0.0, 0.0, False), TipSample(0.0, 0.0, 0.0, False, False, False)
+    hand, tip = HandSample(0.0, 0.0, 0.0, False), TipMeasurement(0.0, 0.0, 0.0, False, False, False)
     state = law.master_resume(params, hand, 0.0)
     state, signal = law.master_send(params, law.master_start(params, hand), hand, period_s)
     state, _ = law.master_receive(params, state, hand, signal, period_s)
@@ -24,5 +24,5 @@ def warm_up(law: Law, params: Any, config: ControllerConfig) -> None:
     deadband(config.deadband.to_params(), fresh(signal), signal, period_s)
     clamped(config.clamp_params(), SlaveReference(0.0, True), signal, tip)
     port = energy.moved_to(energy.opened(0.0, 0.0), 0.0, 0.0)
-    energy.entered(port, 0.0, 0.0)
-    energy.left(port, 0.0, 0.0)
+    energy.with_inflow(port, 0.0, 0.0)
+    energy.with_outflow(port, 0.0, 0.0)

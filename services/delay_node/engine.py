@@ -118,18 +118,20 @@ class DirectionEngine:
         """
         now_ns = self._now_ns = max(self._now_ns, now_ns)
         self._advance(now_ns)
-        old = self._pipeline.blocks
+        old = self._pipeline.shared_models
         self._pipeline.adopt(settings, files, now_ns)
         # opened again at once: what a topic has after a change follows from the settings and from what it had before
         self._topic_pipelines = {topic: self._pipeline.of_topic(topic) for topic in self._topic_pipelines}
         self._pipeline.forget_unused()
         self._queues = self._all_queues()
-        for pattern, block in old.items():
-            if block.queue is not None and all(block.queue is not queue for queue in self._queues):
-                self._empty(block.queue, now_ns)
-                follower = self._pipeline.blocks[pattern].queue if pattern in self._pipeline.blocks else None
+        for pattern, shared in old.items():
+            if shared.queue is not None and all(shared.queue is not queue for queue in self._queues):
+                self._empty(shared.queue, now_ns)
+                follower = (
+                    self._pipeline.shared_models[pattern].queue if pattern in self._pipeline.shared_models else None
+                )
                 if follower is not None:
-                    follower.wait_until(block.queue.free_ns)
+                    follower.wait_until(shared.queue.free_ns)
 
     def capture_state(self) -> dict[str, Any]:
         """Return all that has changed since the engine was built for its settings, as plain values.
@@ -150,9 +152,9 @@ class DirectionEngine:
                 for release_ns, pushed, release in self._heap
             ],
             "waiting": {
-                pattern: [self._captured(entry.item) for entry in block.queue.waiting]
-                for pattern, block in self._pipeline.blocks.items()
-                if block.queue is not None
+                pattern: [self._captured(entry.item) for entry in shared.queue.waiting]
+                for pattern, shared in self._pipeline.shared_models.items()
+                if shared.queue is not None
             },
         }
 
@@ -179,7 +181,7 @@ class DirectionEngine:
             payload = damaged or find(fate.topic, fate.src, fate.seq, fate.arrived_ns, fate.size_bytes)
             self._heap.append((release_ns, pushed, Release(fate.topic, payload, fate)))
         for pattern, waiting in state["waiting"].items():
-            queue = pipeline.blocks[pattern].queue
+            queue = pipeline.shared_models[pattern].queue
             if queue is None:
                 raise ValueError(f"{pattern or 'the direction'} has no queue")
             queue.refill(_waiting(self._restored(message, find)) for message in waiting)
@@ -188,7 +190,7 @@ class DirectionEngine:
         pipeline, order, seq, copy, payload, *rest = message
         topic, now = pipeline.topic, self._topic_pipelines[pipeline.topic]
         # all that its way from the queue on depends on
-        if (pipeline.ordered, pipeline.block.gate) != (now.ordered, now.block.gate):
+        if (pipeline.ordered, pipeline.shared.slot_gate) != (now.ordered, now.shared.slot_gate):
             raise TypeError(f"a message on {topic} waits under an order or slots that are no longer in force")
         return [topic, len(payload), order, seq, copy, payload if message.corrupted else b"", *rest]
 
@@ -205,7 +207,7 @@ class DirectionEngine:
             self._schedule(message, sent_ns, now_ns)
 
     def _all_queues(self) -> list[ServedQueue[InFlight]]:
-        return [block.queue for block in self._pipeline.blocks.values() if block.queue is not None]
+        return [shared.queue for shared in self._pipeline.shared_models.values() if shared.queue is not None]
 
     def _open(self, topic: str) -> TopicPipeline:
         pipeline = self._topic_pipelines[topic] = self._pipeline.of_topic(topic)
@@ -218,14 +220,14 @@ class DirectionEngine:
         """
         delay_ns = pipeline.constant_ns or 0
         release_ns = now_ns + delay_ns
-        progress = pipeline.progress
+        latest_release = pipeline.latest_release
         # The delay may have become shorter with messages in flight.
-        reordered = release_ns < progress.latest_ns
+        reordered = release_ns < latest_release.latest_ns
         if reordered:
             self._figures.reordered += 1
         else:
-            progress.latest_ns = release_ns
-            progress.order = self._arrivals
+            latest_release.latest_ns = release_ns
+            latest_release.order = self._arrivals
         size_bytes = len(payload)
         fate = Fate(
             self._direction, pipeline.topic, seq, 0, size_bytes, now_ns, release_ns, delay_ns, 0, 0, "", False,
@@ -249,17 +251,17 @@ class DirectionEngine:
         corrupted = pipeline.corruptor is not None and pipeline.corruptor.happens() and len(payload) > 0
         duplicated = pipeline.duplicates is not None and pipeline.duplicates()
         overtakes = pipeline.overtakes is not None and pipeline.overtakes()
-        fixed_ns = pipeline.course_ns(now_ns)
+        fixed_ns = pipeline.fixed_delay_ns(now_ns)
         delay_ns = _random_delay_ns(fixed_ns, pipeline.jitter)
         copy_ns = _random_delay_ns(fixed_ns, pipeline.copy_jitter)
 
-        block = pipeline.block
+        shared = pipeline.shared
         message = InFlight(pipeline, self._arrivals, seq, 0, payload, now_ns, now_ns, 0, False, False, False, src)
         if not applies:
             self._enqueue(message, bypass=True)
             return
-        end_ns = None if block.outages is None else block.outages.end_ns(now_ns)
-        if end_ns is not None and block.settings.outage.mode == "drop" and not pipeline.reliable:
+        end_ns = None if shared.outages is None else shared.outages.end_ns(now_ns)
+        if end_ns is not None and shared.settings.outage.mode == "drop" and not pipeline.reliable:
             lost_by = "outage"
         if lost_by:
             self._drop(message, lost_by)
@@ -283,7 +285,7 @@ class DirectionEngine:
     def _enqueue(self, message: InFlight, *, bypass: bool) -> None:
         """Put a message into the queue, or schedule it at once where it bypasses the queue."""
         pipeline = message.pipeline
-        queue = pipeline.block.queue
+        queue = pipeline.shared.queue
         # Where order is asked for nobody leaves the line, not even a message that passes untouched.
         if queue is None or (bypass and not pipeline.ordered):
             past_queue = queue is not None and queue.holds_before(pipeline.topic, message.order)
@@ -316,12 +318,14 @@ class DirectionEngine:
         release_ns = sent_ns + message.delay_ns
         for before in pipeline.ordered:
             release_ns = max(release_ns, before.latest_ns)
-        if pipeline.block.gate is not None and message.gated:
-            release_ns = pipeline.block.gate.slot_ns(reached_ns, release_ns, len(message.payload))
-        reordered = past_queue or (release_ns < pipeline.progress.latest_ns and pipeline.progress.order < message.order)
+        if pipeline.shared.slot_gate is not None and message.gated:
+            release_ns = pipeline.shared.slot_gate.slot_ns(reached_ns, release_ns, len(message.payload))
+        reordered = past_queue or (
+            release_ns < pipeline.latest_release.latest_ns and pipeline.latest_release.order < message.order
+        )
         self._figures.reordered += reordered
-        if release_ns > pipeline.progress.latest_ns:
-            pipeline.progress.latest_ns, pipeline.progress.order = release_ns, message.order
+        if release_ns > pipeline.latest_release.latest_ns:
+            pipeline.latest_release.latest_ns, pipeline.latest_release.order = release_ns, message.order
         for before in pipeline.ordered:
             before.latest_ns = release_ns
         fate = _fate(self._direction, message)._replace(

@@ -30,7 +30,7 @@ _FATES_AT_ONCE = 32
 _MOST_FATES = 1000
 
 
-class Outlet(Protocol):
+class SiteEndpoint(Protocol):
     """The endpoint at a site: sends bytes as they are."""
 
     def send(self, topic: str, payload: bytes) -> None:
@@ -43,13 +43,13 @@ class Outlet(Protocol):
         """Return the seq of the link's next message on each topic."""
 
 
-class Way(NamedTuple):
+class DirectionPath(NamedTuple):
     """A direction of the link; a tuple, which is no state of the node (the engine captures its own)."""
 
     name: Direction
     engine: DirectionEngine
     endpoint: str
-    outlet: Outlet
+    outlet: SiteEndpoint
 
 
 class DelayNode(Node):
@@ -65,8 +65,8 @@ class DelayNode(Node):
         self,
         context: NodeContext,
         settings: LinkSettings,
-        to_slave: Outlet,
-        to_master: Outlet,
+        to_slave: SiteEndpoint,
+        to_master: SiteEndpoint,
         folder: Path,
         *,
         spans_machines: bool = False,
@@ -78,8 +78,8 @@ class DelayNode(Node):
         """
         super().__init__(context)
         self.engine = LinkEngine(settings, self.clock.now_ns(), folder=folder, keep_fates=True)
-        self._forward = Way("forward", self.engine.forward, f"{LINK}@slave", to_slave)
-        self._backward = Way("backward", self.engine.backward, f"{LINK}@master", to_master)
+        self._forward = DirectionPath("forward", self.engine.forward, f"{LINK}@slave", to_slave)
+        self._backward = DirectionPath("backward", self.engine.backward, f"{LINK}@master", to_master)
         self._ways = (self._forward, self._backward)
         self._forwarded = {way.endpoint: 0 for way in self._ways}
         # of each topic the newest message that was sent on
@@ -163,7 +163,7 @@ class DelayNode(Node):
             newest = self._newest[way.endpoint].values()
             publish_end(publisher, way.endpoint, {(fate.topic, fate.src): fate.seq + 1 for fate in newest})
 
-    def _send(self, way: Way, releases: Sequence[Release]) -> None:
+    def _send(self, way: DirectionPath, releases: Sequence[Release]) -> None:
         if not releases:
             return
         declared, newest = self._declared(way), self._newest[way.endpoint]
@@ -174,10 +174,10 @@ class DelayNode(Node):
             newest[release.topic] = release.fate
         self._forwarded[way.endpoint] += len(releases)
 
-    def _declared(self, way: Way) -> DeclaredDelay:
+    def _declared(self, way: DirectionPath) -> DeclaredDelay:
         return self._forward_delay if way is self._forward else self._backward_delay
 
-    def _declare(self, way: Way) -> None:
+    def _declare(self, way: DirectionPath) -> None:
         """Publish the delay of a direction where it counts: that of the way back does at the master only."""
         fields = {"direction": way.name, **self._declared(way).current._asdict(), **self._between._asdict()}
         for outlet in (way.outlet,) if way is self._backward else (way.outlet, self._backward.outlet):
@@ -237,7 +237,7 @@ def _link_fate(fate: Fate) -> LinkFate:
     return limited(LinkFate, report)
 
 
-def _direction(way: Way, settings: dict[str, Setting], profile: str) -> LinkDirection:
+def _direction(way: DirectionPath, settings: dict[str, Setting], profile: str) -> LinkDirection:
     stats, prefix = way.engine.stats(), way.name + "."
     figures = {
         "profile": profile,

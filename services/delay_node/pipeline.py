@@ -40,7 +40,7 @@ class Files(NamedTuple):
     samples: tuple[float, ...]
 
 
-class Progress:
+class LatestRelease:
     """Latest release of a topic, or of an ordered group, and the place in the order of arrival it had."""
 
     __slots__ = ("latest_ns", "order")
@@ -50,15 +50,15 @@ class Progress:
         self.order = -1
 
 
-class Block(NamedTuple):
+class SharedModels(NamedTuple):
     """What the topics under the same settings share; None stands for a model that does nothing."""
 
     settings: Impairment
     files: Files
-    progress: Progress
+    latest_release: LatestRelease
     course_origin_ns: int
     queue: "ServedQueue[InFlight] | None"
-    gate: SlotGate | None
+    slot_gate: SlotGate | None
     outages: Outages | None
 
 
@@ -66,10 +66,10 @@ class TopicPipeline(NamedTuple):
     """The models that a topic goes through; None stands for a model that does nothing."""
 
     topic: str
-    block: Block
+    shared: SharedModels
     reliable: bool
-    progress: Progress
-    ordered: tuple[Progress, ...]  # no message may be released before the latest of these
+    latest_release: LatestRelease
+    ordered: tuple[LatestRelease, ...]  # no message may be released before the latest of these
     fixed_ns: int
     constant_ns: int | None  # the whole effect, if it is a constant delay and nothing else
     applies: Occurrence | None
@@ -80,12 +80,12 @@ class TopicPipeline(NamedTuple):
     jitter: JitterSource | None
     copy_jitter: JitterSource | None
 
-    def course_ns(self, now_ns: int) -> int:
+    def fixed_delay_ns(self, now_ns: int) -> int:
         """Return fixed and recorded delay [ns] of a message that arrives now."""
-        course, trace = self.block.files.course, self.block.settings.delay_trace
+        course, trace = self.shared.files.course, self.shared.settings.delay_trace
         if course is None:
             return self.fixed_ns
-        elapsed_ns = now_ns - self.block.course_origin_ns
+        elapsed_ns = now_ns - self.shared.course_origin_ns
         return self.fixed_ns + delay_at(course, elapsed_ns, interpolation=trace.interpolation, repeat=trace.repeat)
 
     def lost_by(self) -> str:
@@ -150,8 +150,8 @@ class Pipeline:
         self._streams: dict[tuple[str, ...], RandomStream] = {}
         self._models: dict[tuple[str, ...], tuple[object, Any]] = {}
         self._used: set[tuple[str, ...]] = set()
-        self._progress: dict[tuple[str, str], Progress] = {}
-        self.blocks: dict[str, Block] = {}
+        self._progress: dict[tuple[str, str], LatestRelease] = {}
+        self.shared_models: dict[str, SharedModels] = {}
         self._adopt(settings, files, now_ns)
 
     def adopt(self, settings: LinkSettings, files: dict[str, Files], now_ns: int) -> None:
@@ -159,7 +159,7 @@ class Pipeline:
         if settings.seed != self._seed:
             self._streams.clear()
             self._models.clear()
-        if tuple(files) != tuple(self.blocks):
+        if tuple(files) != tuple(self.shared_models):
             # Topics may move between queues: none is kept, so that what waits goes first and order holds.
             self._models = {key: model for key, model in self._models.items() if key[:2] != ("shared", "queue")}
         self._used.clear()
@@ -177,7 +177,7 @@ class Pipeline:
                 (list(key), model if isinstance(model, int) else capture_model(model))
                 for key, (_, model) in self._models.items()
             ],
-            "progress": [(list(key), found.latest_ns, found.order) for key, found in self._progress.items()],
+            "latest_release": [(list(key), found.latest_ns, found.order) for key, found in self._progress.items()],
         }
 
     def restore_state(self, state: dict[str, Any], settings: LinkSettings, files: dict[str, Files]) -> None:
@@ -193,8 +193,8 @@ class Pipeline:
                 self._models[tuple(key)] = (definition, captured)
             else:
                 restore_model(model, captured)
-        for (kind, name), latest_ns, order in state["progress"]:
-            found = self._progress.setdefault((kind, name), Progress())
+        for (kind, name), latest_ns, order in state["latest_release"]:
+            found = self._progress.setdefault((kind, name), LatestRelease())
             found.latest_ns, found.order = latest_ns, order
         # what a block has of its models by value
         self._adopt(settings, files, 0)
@@ -202,21 +202,21 @@ class Pipeline:
     def _adopt(self, settings: LinkSettings, files: dict[str, Files], now_ns: int) -> None:
         self._seed = settings.seed
         self._settings: DirectionSettings = getattr(settings, self._direction)
-        self.blocks = {pattern: self._block(pattern, held, now_ns) for pattern, held in files.items()}
+        self.shared_models = {pattern: self._shared_models_of(pattern, held, now_ns) for pattern, held in files.items()}
 
     def of_topic(self, topic: str) -> TopicPipeline:
-        block = self.blocks[self._settings.pattern_of(topic)]
-        s, reliable = block.settings, self._settings.is_reliable(topic)
-        progress = self._progress.setdefault(("topic", topic), Progress())
+        shared = self.shared_models[self._settings.pattern_of(topic)]
+        s, reliable = shared.settings, self._settings.is_reliable(topic)
+        latest_release = self._progress.setdefault(("topic", topic), LatestRelease())
         order = "topic" if reliable and s.order == "any" else s.order
         lossy = Impairment() if reliable else s
         duplicates = self._event(topic, "duplication", lossy.duplication.probability, lossy.duplication.correlation)
         pipeline = TopicPipeline(
             topic,
-            block,
+            shared,
             reliable,
-            progress,
-            ordered={"any": (), "topic": (progress,), "link": (progress, block.progress)}[order],
+            latest_release,
+            ordered={"any": (), "topic": (latest_release,), "link": (latest_release, shared.latest_release)}[order],
             fixed_ns=round(s.delay_s * NS_PER_S),
             constant_ns=None,
             applies=None if s.apply_probability == 1.0 else self._applies(topic, s.apply_probability),
@@ -224,8 +224,8 @@ class Pipeline:
             corruptor=self._corruptor(topic, lossy),
             duplicates=duplicates,
             overtakes=self._overtaking(topic, lossy),
-            jitter=self._jitter(topic, "original", block),
-            copy_jitter=None if duplicates is None else self._jitter(topic, "copy", block),
+            jitter=self._jitter(topic, "original", shared),
+            copy_jitter=None if duplicates is None else self._jitter(topic, "copy", shared),
         )
         return pipeline._replace(constant_ns=pipeline.fixed_ns) if _is_constant(pipeline) else pipeline
 
@@ -243,15 +243,15 @@ class Pipeline:
         kept: Model = known[1]
         return kept
 
-    def _block(self, pattern: str, files: Files, now_ns: int) -> Block:
+    def _shared_models_of(self, pattern: str, files: Files, now_ns: int) -> SharedModels:
         s = self._settings.block(pattern)
-        return Block(
+        return SharedModels(
             s,
             files,
-            progress=self._progress.setdefault(("block", pattern), Progress()),
+            latest_release=self._progress.setdefault(("block", pattern), LatestRelease()),
             course_origin_ns=self._kept(("shared", "course", pattern), (s.delay_trace, files.course), lambda: now_ns),
             queue=self._queue(pattern, s, files.delivery_ns, now_ns),
-            gate=self._gate(pattern, s.slots, now_ns),
+            slot_gate=self._gate(pattern, s.slots, now_ns),
             outages=self._outages(pattern, s.outage, now_ns),
         )
 
@@ -333,8 +333,8 @@ class Pipeline:
             return None
         return self._kept((topic, "overtaking"), s.reordering, lambda: Overtaking(happens, s.reordering.gap))
 
-    def _jitter(self, topic: str, which: str, block: Block) -> JitterSource | None:
-        settings, samples = block.settings.jitter, block.files.samples
+    def _jitter(self, topic: str, which: str, shared: SharedModels) -> JitterSource | None:
+        settings, samples = shared.settings.jitter, shared.files.samples
         if settings.scale_s == 0.0:
             return None
         return self._kept(
@@ -346,5 +346,5 @@ class Pipeline:
 
 def _is_constant(pipeline: TopicPipeline) -> bool:
     models = (pipeline.applies, pipeline.corruptor, pipeline.duplicates, pipeline.overtakes, pipeline.jitter)
-    shared = (pipeline.block.files.course, pipeline.block.queue, pipeline.block.gate, pipeline.block.outages)
+    shared = (pipeline.shared.files.course, pipeline.shared.queue, pipeline.shared.slot_gate, pipeline.shared.outages)
     return not pipeline.losses and not pipeline.ordered and all(model is None for model in (*models, *shared))

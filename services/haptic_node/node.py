@@ -9,7 +9,7 @@ from services.haptic_node.config import HapticConfig
 from services.haptic_node.driver import DeviceReading, DriveCommand, HapticDevice
 from services.runtime.bus import Received
 from services.runtime.deadlines import PeriodicDeadline
-from services.runtime.frames import across, along
+from services.runtime.frames import to_paper_axis, to_site_frame
 from services.runtime.freshness import LOOP_DEADLINE_NS, HandAge, age_s
 from services.runtime.node import Node, NodeContext
 from services.runtime.replay_guard import ReplayGuard
@@ -51,8 +51,8 @@ class HapticNode(Node):
         self._command: HapticCommand | None = None
         self._command_received_ns = 0
         self._command_is_new = False
-        self._estop_asked = False
-        self._arm_asked = False
+        self._estop_requested = False
+        self._arm_requested = False
         self._session_ticks: int | None = None
         self._reported = (safety.MODE_OFF, safety.REASON_COMMAND_STALE)
         device.open()
@@ -98,10 +98,10 @@ class HapticNode(Node):
             self._session_ticks = None
             return "the operator's programme has ended"
         if control.command == "estop":
-            self._estop_asked = True
+            self._estop_requested = True
             return "emergency stop latched: the motor is off until armed"
         if control.command == "arm":
-            self._arm_asked = True
+            self._arm_requested = True
             return "armed: the motor follows fresh commands"
         return super().on_control(control)
 
@@ -141,14 +141,14 @@ class HapticNode(Node):
             self.stale += command_age_s > self._limits.command_deadline_s
         asked = safety.SafetyInputs(
             command_mode=safety.MODE_OFF if command is None else _MODE_CODES[command.mode],
-            position_reference_m=0.0 if command is None else along(command.position_m),
-            force_reference_n=0.0 if command is None else along(command.force_n),
+            position_reference_m=0.0 if command is None else to_paper_axis(command.position_m),
+            force_reference_n=0.0 if command is None else to_paper_axis(command.force_n),
             command_age_s=command_age_s,
-            estop=self._estop_asked,
-            arm=self._arm_asked,
+            estop=self._estop_requested,
+            arm_requested=self._arm_requested,
             position_m=self._position_m,
         )
-        self._estop_asked = self._arm_asked = False
+        self._estop_requested = self._arm_requested = False
         # one period of motion at most, however long the process was held up: no jump at the hand
         self._guard, applied = safety.step(self._limits, self._guard, asked, PERIOD_S)
         return applied
@@ -157,11 +157,11 @@ class HapticNode(Node):
         command = self._command
         self.publish(
             "haptic/state",
-            position_m=across(reading.position_m),
-            velocity_m_per_s=across(reading.velocity_m_per_s),
-            operator_force_n=across(reading.operator_force_n),
-            motor_force_n=across(reading.motor_force_n),
-            reference_m=across(applied.position_reference_m),
+            position_m=to_site_frame(reading.position_m),
+            velocity_m_per_s=to_site_frame(reading.velocity_m_per_s),
+            operator_force_n=to_site_frame(reading.operator_force_n),
+            motor_force_n=to_site_frame(reading.motor_force_n),
+            reference_m=to_site_frame(applied.position_reference_m),
             mode=safety.MODE_NAMES[applied.mode],
             estop=applied.estop_latched,
             limited=applied.reason in _LIMITS or _device_limited(reading),

@@ -88,15 +88,15 @@ def _impedance_step(
     first = params.values[0]
     path0 = interpolate(params.times_s, params.values, inputs.session_time_s - dt, first)
     path1 = interpolate(params.times_s, params.values, inputs.session_time_s, first)
-    arm = params.stiffness_n_per_m * 0.5 * (path0 + path1 - x0 - x1)
-    arm += params.damping_n_s_per_m * ((path1 - path0) / dt - v)
+    arm_force_n = params.stiffness_n_per_m * 0.5 * (path0 + path1 - x0 - x1)
+    arm_force_n += params.damping_n_s_per_m * ((path1 - path0) / dt - v)
     # Midpoint rule for m v_h' = -F, F = k_p e + b_p w with e = x_h - x_m: solved for the mean rate w of e.
     m, kp, bp = params.mass_kg, params.pad_stiffness_n_per_m, params.pad_damping_n_s_per_m
     e = state.hand_position_m - x0
     w = (2.0 * m * (state.hand_velocity_m_per_s - v) - dt * kp * e) / (2.0 * m + dt * (0.5 * dt * kp + bp))
     pad = kp * (e + 0.5 * dt * w) + bp * w
     hand = OperatorState(state.hand_position_m + dt * (w + v), 2.0 * (w + v) - state.hand_velocity_m_per_s)
-    return hand, arm + pad
+    return hand, arm_force_n + pad
 
 
 @compiled

@@ -68,7 +68,7 @@ class SafetyInputs(NamedTuple):
     force_reference_n: float
     command_age_s: float
     estop: bool
-    arm: bool
+    arm_requested: bool
     position_m: float
 
 
@@ -124,7 +124,7 @@ def step(
     An e-stop wins over an arm in the same step. A command exactly at the deadline is still good, and so is a reference
     exactly at a limit.
     """
-    latched = inputs.estop or (state.estop_latched and not inputs.arm)
+    latched = inputs.estop or (state.estop_latched and not inputs.arm_requested)
     reason = _refusal(params, inputs, latched)
     mode = inputs.command_mode if reason == REASON_NONE else MODE_OFF
     position, force = inputs.position_m, 0.0

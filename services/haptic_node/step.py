@@ -52,7 +52,7 @@ class HapticInputs(NamedTuple):
     command_age_s: float
     session_time_s: float
     estop: bool
-    arm: bool
+    arm_requested: bool
 
 
 class HapticOutputs(NamedTuple):
@@ -80,12 +80,12 @@ def plant_step(
 ) -> tuple[PlantState, DeviceReading]:
     """Advance device and hand by dt [s], > 0, under a guarded command."""
     inputs = motor.MotorInputs(command.mode, command.position_reference_m)
-    arm, drive = motor.step(params.motor, state.motor, inputs, dt)
-    ends = operator.OperatorInputs(session_time_s, state.motor.position_m, arm.position_m)
+    motion, drive = motor.step(params.motor, state.motor, inputs, dt)
+    ends = operator.OperatorInputs(session_time_s, state.motor.position_m, motion.position_m)
     hand, felt = operator.step(params.operator, state.operator, ends, dt)
     reading = DeviceReading(
-        arm.position_m,
-        arm.velocity_m_per_s,
+        motion.position_m,
+        motion.velocity_m_per_s,
         felt.force_n,
         felt.limited,
         drive.force_n,
@@ -94,7 +94,7 @@ def plant_step(
         drive.voltage_limited,
         drive.torque_limited,
     )
-    return PlantState(arm, hand), reading
+    return PlantState(motion, hand), reading
 
 
 @compiled
@@ -110,7 +110,7 @@ def step(
         inputs.force_reference_n,
         inputs.command_age_s,
         inputs.estop,
-        inputs.arm,
+        inputs.arm_requested,
         state.plant.motor.position_m,
     )
     guard, applied = safety.step(params.safety, state.safety, guarded, dt)

@@ -273,7 +273,7 @@ class NodeLoop:
 
     def _report_gap(self, received: Received) -> None:
         source = received.message.src
-        text = f"messages on {received.topic} from {source} were lost before number {received.message.seq}"
+        text = f"{received.topic}: messages from {source} were lost before number {received.message.seq}"
         self.node.event("fault", "warning", text, topic=received.topic, source=source, seq=received.message.seq)
 
     def _report_rejections(self) -> None:

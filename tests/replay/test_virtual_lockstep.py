@@ -221,7 +221,7 @@ def test_they_agree_about_a_silent_link(tmp_path: Path, law: str) -> None:
 def test_a_changed_gain_is_seen(undisturbed: Callable[[Cell], Trajectory], law: str) -> None:
     """One per cent of a law's force gain, or where it has none of its force scale, is no rounding."""
     cell = cell_of(law, "spring", 0.0)
-    section = cell.controller().section()
+    section = cell.controller().law_config()
     name = "force_gain" if hasattr(section, "force_gain") else "force_scale"
     changed = cell.model_copy(update={"settings": ((f"{law}.{name}", 1.01 * getattr(section, name)),)})
     found = differences(undisturbed(cell), in_lockstep(changed))

@@ -38,7 +38,7 @@ from services.controller.law import (
     MasterReference,
     PortSignal,
     SlaveReference,
-    TipSample,
+    TipMeasurement,
 )
 from services.controller.laws.pass_through import measured
 from services.controller.laws.surface import (
@@ -277,14 +277,14 @@ def master_receive(
 
 
 @compiled
-def slave_start(params: ModelMediatedParams, tip: TipSample) -> SlaveState:
+def slave_start(params: ModelMediatedParams, tip: TipMeasurement) -> SlaveState:
     """Start at the position of the base."""
-    return SlaveState(tip.position_m)
+    return SlaveState(tip.base_position_m)
 
 
 @compiled
 def slave_receive(
-    params: ModelMediatedParams, state: SlaveState, signal: PortSignal, tip: TipSample, dt: float
+    params: ModelMediatedParams, state: SlaveState, signal: PortSignal, tip: TipMeasurement, dt: float
 ) -> tuple[SlaveState, SlaveReference]:
     """Follow the reference, towards the sample no faster than the force guard allows.
 
@@ -303,7 +303,7 @@ def slave_receive(
 
 @compiled
 def slave_send(
-    params: ModelMediatedParams, state: SlaveState, tip: TipSample, dt: float
+    params: ModelMediatedParams, state: SlaveState, tip: TipMeasurement, dt: float
 ) -> tuple[SlaveState, PortSignal]:
     """Send the measured state of the tip: the sample that the model is fitted to."""
     return state, measured(tip)

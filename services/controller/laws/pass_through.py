@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from services.controller.law import PortSignal, SlaveReference, TipSample
+from services.controller.law import PortSignal, SlaveReference, TipMeasurement
 from services.runtime.compiled import compiled
 
 
@@ -13,10 +13,10 @@ class SlaveState(NamedTuple):
 
 
 @compiled
-def measured(tip: TipSample) -> PortSignal:
+def measured(tip: TipMeasurement) -> PortSignal:
     """Return the signal that carries the measured state of the tip."""
     return PortSignal(
-        tip.position_m,
+        tip.base_position_m,
         0.0,
         tip.force_n,
         0.0,
@@ -31,20 +31,20 @@ def measured(tip: TipSample) -> PortSignal:
 
 
 @compiled
-def slave_start(params: object, tip: TipSample) -> SlaveState:
+def slave_start(params: object, tip: TipMeasurement) -> SlaveState:
     """Start at the position of the base."""
-    return SlaveState(tip.position_m)
+    return SlaveState(tip.base_position_m)
 
 
 @compiled
 def slave_receive(
-    params: object, state: SlaveState, signal: PortSignal, tip: TipSample, dt: float
+    params: object, state: SlaveState, signal: PortSignal, tip: TipMeasurement, dt: float
 ) -> tuple[SlaveState, SlaveReference]:
     """Pass the reference on to the base."""
     return SlaveState(signal.position_m), SlaveReference(signal.position_m, True)
 
 
 @compiled
-def slave_send(params: object, state: SlaveState, tip: TipSample, dt: float) -> tuple[SlaveState, PortSignal]:
+def slave_send(params: object, state: SlaveState, tip: TipMeasurement, dt: float) -> tuple[SlaveState, PortSignal]:
     """Send the measured force back."""
     return state, measured(tip)

@@ -56,7 +56,7 @@ from services.controller.law import (
     MasterReference,
     PortSignal,
     SlaveReference,
-    TipSample,
+    TipMeasurement,
 )
 from services.controller.laws.virtual_mass import (
     Mass,
@@ -136,7 +136,7 @@ class Account(NamedTuple):
 
     in_j: float
     received_j: float
-    left_j: float
+    remaining_j: float
     lost_j: float
 
 
@@ -165,8 +165,8 @@ class SlaveState(NamedTuple):
 def credited(account: Account, energy_j: float, cap_j: float) -> Account:
     """Add what the other side has put in since its last signal; what goes beyond the cap is dissipated."""
     added_j = max(energy_j - account.received_j, 0.0)
-    left = min(account.left_j + added_j, cap_j)
-    lost = account.lost_j + (account.left_j + added_j - left)
+    left = min(account.remaining_j + added_j, cap_j)
+    lost = account.lost_j + (account.remaining_j + added_j - left)
     return Account(account.in_j, account.received_j + added_j, left, lost)
 
 
@@ -174,13 +174,13 @@ def credited(account: Account, energy_j: float, cap_j: float) -> Account:
 def charged(account: Account, work_j: float, lost_j: float) -> Account:
     """Charge the work done on the channel (positive) or by it (negative), and what the controller dissipated."""
     put_in, spent = max(work_j, 0.0), max(-work_j, 0.0)
-    return Account(account.in_j + put_in, account.received_j, account.left_j - spent, account.lost_j + lost_j)
+    return Account(account.in_j + put_in, account.received_j, account.remaining_j - spent, account.lost_j + lost_j)
 
 
 @compiled
 def received_anew(account: Account, energy_j: float) -> Account:
     """Start counting the other side's energy at a signal; what is left to spend stays."""
-    return Account(account.in_j, energy_j, account.left_j, account.lost_j)
+    return Account(account.in_j, energy_j, account.remaining_j, account.lost_j)
 
 
 @compiled
@@ -210,19 +210,19 @@ def master_send(
 
 
 @compiled
-def paid_motion(motion_m: float, own_m: float, force_n: float, left_j: float) -> tuple[float, float]:
+def paid_motion(motion_m: float, own_m: float, force_n: float, remaining_j: float) -> tuple[float, float]:
     """Limit a motion [m] of the hand to the energy left; return it with the work [J] done on the channel.
 
     motion_m: what the mass would do under hand and channel, own_m: without the channel's force F [N]. Into the channel
     (F d >= 0) nothing is cut.
     """
-    if force_n * motion_m >= -left_j:
+    if force_n * motion_m >= -remaining_j:
         return motion_m, force_n * motion_m
     back = math.copysign(1.0, motion_m)
-    paid = left_j / abs(force_n)
+    paid = remaining_j / abs(force_n)
     if own_m * back > paid:
         return back * min(own_m * back, motion_m * back), 0.0
-    return back * paid, -left_j
+    return back * paid, -remaining_j
 
 
 @compiled
@@ -242,7 +242,7 @@ def master_receive(
         free = moved(p, mass, hand.force_n - force)
         wanted = free.position_m - mass.position_m
         own = moved(p, mass, hand.force_n).position_m - mass.position_m
-        motion, work = paid_motion(wanted, own, force, account.left_j)
+        motion, work = paid_motion(wanted, own, force, account.remaining_j)
         if motion != wanted:
             mean = motion / p.period_s
             speed = min(abs(free.velocity_m_per_s), abs(mean))
@@ -253,29 +253,31 @@ def master_receive(
 
 
 @compiled
-def slave_start(params: PassivityParams, tip: TipSample) -> SlaveState:
+def slave_start(params: PassivityParams, tip: TipMeasurement) -> SlaveState:
     """Start at the position of the base."""
     stretch = params.mass.force_scale * tip.force_n / params.coupling_n_per_m
-    return SlaveState(tip.position_m, stretch, stretch, 0.0, Account(0.0, 0.0, params.start_j, 0.0), False)
+    return SlaveState(tip.base_position_m, stretch, stretch, 0.0, Account(0.0, 0.0, params.start_j, 0.0), False)
 
 
 @compiled
-def paid_stretch(stretch_m: float, motion_m: float, stiffness_n_per_m: float, left_j: float) -> tuple[float, float]:
+def paid_stretch(
+    stretch_m: float, motion_m: float, stiffness_n_per_m: float, remaining_j: float
+) -> tuple[float, float]:
     """Limit a motion [m] of the coupling's end to the energy left; return it with the work [J] done on the channel.
 
     The channel gives out F d + K d^2 / 2 with F = K stretch, exactly.
     """
     force, k = stiffness_n_per_m * stretch_m, stiffness_n_per_m
     out = force * motion_m + 0.5 * k * motion_m * motion_m
-    if out <= left_j:
+    if out <= remaining_j:
         return motion_m, -out
-    root = math.sqrt(force * force + 2.0 * k * max(left_j, 0.0))
-    return (math.copysign(root, motion_m) - force) / k, -left_j
+    root = math.sqrt(force * force + 2.0 * k * max(remaining_j, 0.0))
+    return (math.copysign(root, motion_m) - force) / k, -remaining_j
 
 
 @compiled
 def slave_receive(
-    params: PassivityParams, state: SlaveState, signal: PortSignal, tip: TipSample, dt: float
+    params: PassivityParams, state: SlaveState, signal: PortSignal, tip: TipMeasurement, dt: float
 ) -> tuple[SlaveState, SlaveReference]:
     """Make the base follow the reference for a period, within the energy that the channel has.
 
@@ -295,7 +297,7 @@ def slave_receive(
     most = (limit + params.margin_n) / k
     due = (signal.position_m - base) / p.position_scale + state.lead_m - stretch
     wanted = min(max(min(due, most - stretch), -params.step_m), params.step_m)
-    motion, work = paid_stretch(stretch, wanted, k, account.left_j)
+    motion, work = paid_stretch(stretch, wanted, k, account.remaining_j)
     refused = k * wanted * (stretch + 0.5 * wanted) + work
     account = charged(account, work, refused if motion != wanted else 0.0)
     stretch += motion
@@ -307,10 +309,12 @@ def slave_receive(
 
 
 @compiled
-def slave_send(params: PassivityParams, state: SlaveState, tip: TipSample, dt: float) -> tuple[SlaveState, PortSignal]:
+def slave_send(
+    params: PassivityParams, state: SlaveState, tip: TipMeasurement, dt: float
+) -> tuple[SlaveState, PortSignal]:
     """Send the force of the coupling back, and the energy that has gone into the channel here."""
     return state, PortSignal(
-        tip.position_m,
+        tip.base_position_m,
         0.0,
         params.coupling_n_per_m * state.stretch_m / params.mass.force_scale,
         0.0,
@@ -328,20 +332,20 @@ def slave_send(params: PassivityParams, state: SlaveState, tip: TipSample, dt: f
 def retune(old: PassivityParams, new: PassivityParams, state: MasterState) -> MasterState:
     """Keep the tip's reference constant when alpha_p changes; the energy left stays below the new cap."""
     a = state.account
-    account = Account(a.in_j, a.received_j, min(a.left_j, new.cap_j), a.lost_j)
+    account = Account(a.in_j, a.received_j, min(a.remaining_j, new.cap_j), a.lost_j)
     return MasterState(rescaled(old.mass, new.mass, state.mass), account)
 
 
 @compiled
 def master_energy_account(params: PassivityParams, state: MasterState) -> EnergyAccount:
     """Return what this port may still give out, what its controller dissipated, and what both ports began with."""
-    return EnergyAccount(state.account.left_j, state.account.lost_j, 2.0 * params.start_j)
+    return EnergyAccount(state.account.remaining_j, state.account.lost_j, 2.0 * params.start_j)
 
 
 @compiled
 def slave_energy_account(params: PassivityParams, state: SlaveState) -> EnergyAccount:
     """Return what this port may still give out, what its controller dissipated, and what both ports began with."""
-    return EnergyAccount(state.account.left_j, state.account.lost_j, 2.0 * params.start_j)
+    return EnergyAccount(state.account.remaining_j, state.account.lost_j, 2.0 * params.start_j)
 
 
 PASSIVITY = Law(

@@ -25,16 +25,16 @@ FARTHEST_M, FASTEST_M_PER_S = 1e6, 1e9
 
 
 class MassParams(NamedTuple):
-    """Scales, limits, and the exact step of the mass: x += glide_s v + travel F, v = keep v + kick F."""
+    """Scales, limits, and the exact step of the mass: x += phi_xv v + gamma_x F, v = phi_vv v + gamma_v F."""
 
     position_scale: float
     force_scale: float
     silence_limit_s: float
     period_s: float
-    glide_s: float
-    keep: float
-    travel_m_per_n: float
-    kick_m_per_n_s: float
+    phi_xv_s: float
+    phi_vv: float
+    gamma_x_m_per_n: float
+    gamma_v_m_per_n_s: float
 
 
 class Mass(NamedTuple):
@@ -76,10 +76,10 @@ class MassConfig(ScaledConfig):
             force_scale=self.force_scale,
             silence_limit_s=self.silence_limit_s,
             period_s=period_s,
-            glide_s=step.phi_xv,
-            keep=step.phi_vv,
-            travel_m_per_n=step.gamma_x,
-            kick_m_per_n_s=step.gamma_v,
+            phi_xv_s=step.phi_xv,
+            phi_vv=step.phi_vv,
+            gamma_x_m_per_n=step.gamma_x,
+            gamma_v_m_per_n_s=step.gamma_v,
         )
 
 
@@ -148,8 +148,8 @@ def let_go(params: MassParams, mass: Mass, hand: HandSample) -> Mass:
 @compiled
 def moved(params: MassParams, mass: Mass, force_n: float) -> Mass:
     """Move the mass by one period under a held force [N]."""
-    position = mass.position_m + params.glide_s * mass.velocity_m_per_s + params.travel_m_per_n * force_n
-    velocity = params.keep * mass.velocity_m_per_s + params.kick_m_per_n_s * force_n
+    position = mass.position_m + params.phi_xv_s * mass.velocity_m_per_s + params.gamma_x_m_per_n * force_n
+    velocity = params.phi_vv * mass.velocity_m_per_s + params.gamma_v_m_per_n_s * force_n
     return Mass(bounded(position, FARTHEST_M), bounded(velocity, FASTEST_M_PER_S), mass.tip_offset_m, True)
 
 

@@ -54,7 +54,7 @@ from services.controller.law import (
     MasterReference,
     PortSignal,
     SlaveReference,
-    TipSample,
+    TipMeasurement,
 )
 from services.controller.laws.virtual_mass import (
     Mass,
@@ -240,17 +240,29 @@ def master_receive(
 
 
 @compiled
-def slave_start(params: WaveParams, tip: TipSample) -> SlaveState:
+def slave_start(params: WaveParams, tip: TipMeasurement) -> SlaveState:
     """Start at the position of the base."""
     force = params.mass.force_scale * tip.force_n
     return SlaveState(
-        tip.position_m, emptied(0.0, 0.0), 0.0, 0.0, 0.0, 0.0, 0.0, tip.position_m, force, 0.0, 0.0, False, False
+        tip.base_position_m,
+        emptied(0.0, 0.0),
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        tip.base_position_m,
+        force,
+        0.0,
+        0.0,
+        False,
+        False,
     )
 
 
 @compiled
 def slave_receive(
-    params: WaveParams, state: SlaveState, signal: PortSignal, tip: TipSample, dt: float
+    params: WaveParams, state: SlaveState, signal: PortSignal, tip: TipMeasurement, dt: float
 ) -> tuple[SlaveState, SlaveReference]:
     """Move the base with the incoming wave against the force measured last.
 
@@ -302,14 +314,14 @@ def slave_receive(
 
 
 @compiled
-def slave_send(params: WaveParams, state: SlaveState, tip: TipSample, dt: float) -> tuple[SlaveState, PortSignal]:
+def slave_send(params: WaveParams, state: SlaveState, tip: TipMeasurement, dt: float) -> tuple[SlaveState, PortSignal]:
     """Account for the work on the environment and send the remaining wave back."""
     p, b = params.mass, params.impedance_n_s_per_m
     force = p.force_scale * tip.force_n
     sent_m, sent_j, reserve, wave = state.sent_m, state.sent_j, state.reserve_j, 0.0
     bias, granted = state.bias_n, state.granted_j
     if state.coupled:
-        moved_m = (tip.position_m - state.last_m) / p.position_scale
+        moved_m = (tip.base_position_m - state.last_m) / p.position_scale
         mean = 0.5 * (force + state.last_n) - bias
         granted += abs(bias * moved_m)
         bias *= params.fade
@@ -328,7 +340,7 @@ def slave_send(params: WaveParams, state: SlaveState, tip: TipSample, dt: float)
         sent_j,
         wave,
         reserve,
-        tip.position_m,
+        tip.base_position_m,
         force,
         bias,
         granted,

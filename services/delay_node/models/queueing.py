@@ -14,7 +14,7 @@ _LONGEST_WALK = 20_000
 
 
 class Passage(NamedTuple):
-    """Way of a message through a server."""
+    """DirectionPath of a message through a server."""
 
     leave_ns: int  # leaves the queue; from here on nothing can drop it
     finish_ns: int  # last byte sent

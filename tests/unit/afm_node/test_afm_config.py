@@ -27,13 +27,13 @@ def test_the_default_is_table_2():
     assert round(params.plant.tip.table.contact.transition, 5) == 0.82538
     assert params.plant.stiffness_n_per_m == 40.0
     assert params.plant.rest_distance_m == 10e-9
-    assert params.plant.tip.bridge_m == 2.4e-9
+    assert params.plant.tip.meniscus_width_m == 2.4e-9
     assert params.safety.command_deadline_s == 0.050
 
 
 def test_humidity_sets_the_meniscus():
     wet = AfmConfig(tip_sample=TipSampleConfig(relative_humidity=0.6376281516))
-    assert math.isclose(wet.to_params().plant.tip.bridge_m, 2.4e-9, rel_tol=1e-9)
+    assert math.isclose(wet.to_params().plant.tip.meniscus_width_m, 2.4e-9, rel_tol=1e-9)
     with pytest.raises(ValidationError, match="either meniscus_radius_m or relative_humidity"):
         TipSampleConfig(relative_humidity=0.5, meniscus_radius_m=1e-9)
 
@@ -75,7 +75,9 @@ def test_what_has_no_model_is_refused_on_reading():
 
 def test_zero_is_legal_where_it_means_something():
     assert SafetyConfig(hold_time_s=0.0).hold_time_s == 0.0
-    assert AfmConfig(tip_sample=TipSampleConfig(liquid_energy_j_per_m2=0.0)).to_params().plant.tip.strength_n == 0.0
+    assert (
+        AfmConfig(tip_sample=TipSampleConfig(liquid_energy_j_per_m2=0.0)).to_params().plant.tip.capillary_force_n == 0.0
+    )
     assert CantileverConfig(stiffness_n_per_m=1).stiffness_n_per_m == 1.0
 
 

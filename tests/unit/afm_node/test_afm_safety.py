@@ -17,7 +17,7 @@ PARAMS = SafetyParams(
     command_deadline_s=0.050,
     hold_time_s=0.2,
 )
-FRESH = SafetyInputs(reference_m=0.0, command_age_s=0.0, action=0, arm=False, estop=False, force_n=0.0)
+FRESH = SafetyInputs(reference_m=0.0, command_age_s=0.0, action=0, arm_requested=False, estop=False, force_n=0.0)
 FOLLOWING = SafetyState(safety.MODE_FOLLOW, 0.0, safety.REASON_ARMED)
 HOLDING = SafetyState(safety.MODE_HOLD, 0.0, safety.REASON_COMMAND_DEADLINE)
 RETRACTED = initial_safety_state(PARAMS)
@@ -101,7 +101,7 @@ def test_every_transition(state, changes, mode, reason):
     ],
 )
 def test_arming_is_refused_with_a_reason(state, changes, refusal):
-    after, outputs = tick(state, arm=True, **changes)
+    after, outputs = tick(state, arm_requested=True, **changes)
     assert outputs.arm_refusal == refusal
     if refusal != safety.ARM_NOT_REFUSED:
         assert after.reason != safety.REASON_ARMED or state.reason == safety.REASON_ARMED
@@ -139,7 +139,7 @@ def test_arming_approaches_at_full_speed_also_after_a_hold():
     state, _ = tick(held(), command_age_s=1.0)
     while state.mode == safety.MODE_RETRACTING:
         state, _ = tick(state)
-    assert tick(state, arm=True)[1].base_m == pytest.approx(-98e-9, rel=1e-12, abs=0.0)
+    assert tick(state, arm_requested=True)[1].base_m == pytest.approx(-98e-9, rel=1e-12, abs=0.0)
 
 
 @pytest.mark.parametrize("cause", [{"force_n": 1e-6}, {"command_age_s": 1.0}, {"action": 2}])
@@ -163,7 +163,7 @@ def test_estop_retracts_and_is_latched():
     for _ in range(150):
         state, outputs = tick(state)
     assert (outputs.mode, outputs.base_m) == (safety.MODE_ESTOP, -100e-9)
-    state, outputs = tick(state, arm=True, reference_m=-99e-9)
+    state, outputs = tick(state, arm_requested=True, reference_m=-99e-9)
     assert (outputs.mode, outputs.reason, outputs.base_m) == (safety.MODE_FOLLOW, safety.REASON_ARMED, -99e-9)
 
 
@@ -171,7 +171,7 @@ def test_retracting_never_moves_towards_the_sample():
     far = SafetyState(safety.MODE_FOLLOW, -150e-9, safety.REASON_ARMED)
     state, outputs = tick(far, action=2)
     assert (outputs.mode, outputs.base_m) == (safety.MODE_RETRACTED, -150e-9)
-    assert tick(state, arm=True, reference_m=-150e-9)[1].mode == safety.MODE_FOLLOW
+    assert tick(state, arm_requested=True, reference_m=-150e-9)[1].mode == safety.MODE_FOLLOW
 
 
 @pytest.mark.parametrize(

@@ -80,13 +80,13 @@ def slow_walk(p, state, base_m, step_m=2e-13):
             return PlantState(h, contact, meniscus)
         direction = sign
         h += sign * step_m
-        if not contact and h < p.tip.hand_over_m:
+        if not contact and h < p.tip.contact_onset_m:
             contact = True
-        elif contact and h > p.tip.release_m:
+        elif contact and h > p.tip.contact_end_m:
             contact = False
-        if p.tip.has_meniscus and not meniscus and h < p.tip.bridge_m:
+        if p.tip.has_meniscus and not meniscus and h < p.tip.meniscus_width_m:
             meniscus = True
-        elif meniscus and h > p.tip.break_m:
+        elif meniscus and h > p.tip.meniscus_break_m:
             meniscus = False
     raise AssertionError("the walk did not end")
 
@@ -204,11 +204,11 @@ def test_as_printed_the_tip_rests_at_the_inverted_step():
     held = []
     for base in np.linspace(0.0, 9e-9, 9001):
         state = equilibrium(p, state, base)
-        if state.distance_m == p.tip.bridge_m:
+        if state.distance_m == p.tip.meniscus_width_m:
             force = p.stiffness_n_per_m * deflection_m(p, state.distance_m, base)
             held.append(force)
-    inside = branch_force(p.tip, math.nextafter(p.tip.bridge_m, 0), False, False)[0]
-    outside = branch_force(p.tip, p.tip.bridge_m, False, False)[0]
+    inside = branch_force(p.tip, math.nextafter(p.tip.meniscus_width_m, 0), False, False)[0]
+    outside = branch_force(p.tip, p.tip.meniscus_width_m, False, False)[0]
     assert len(held) > 100
     assert outside <= min(held) < max(held) <= inside
 

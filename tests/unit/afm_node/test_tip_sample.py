@@ -29,39 +29,39 @@ def build(**changes):
 
 def test_hand_over_of_table_2():
     tip = build()
-    assert round(tip.hand_over_m * 1e9, 4) == 0.2735
-    assert tip.release_m == tip.hand_over_m
-    outside = branch_force(tip, tip.hand_over_m, False, False)[0]
-    inside = branch_force(tip, tip.hand_over_m, True, False)[0]
+    assert round(tip.contact_onset_m * 1e9, 4) == 0.2735
+    assert tip.contact_end_m == tip.contact_onset_m
+    outside = branch_force(tip, tip.contact_onset_m, False, False)[0]
+    inside = branch_force(tip, tip.contact_onset_m, True, False)[0]
     assert round(outside * 1e9, 3) == -3.605
     assert math.isclose(outside, inside, rel_tol=1e-9)
     # outermost: no crossing further out on the contact proper
     contact_end = tip.contact_distance_m - tip.table.start_m
-    further = np.linspace(tip.hand_over_m * (1 + 1e-6), contact_end * (1 - 1e-9), 500)
+    further = np.linspace(tip.contact_onset_m * (1 + 1e-6), contact_end * (1 - 1e-9), 500)
     differences = [branch_force(tip, h, False, False)[0] - branch_force(tip, h, True, False)[0] for h in further]
     assert min(differences) > 0
 
 
 def test_the_whole_force_is_continuous_where_it_says_so():
     tip = build()
-    for h in (tip.hand_over_m, tip.contact_distance_m):
+    for h in (tip.contact_onset_m, tip.contact_distance_m):
         for meniscus in (False, True):
             below = branch_force(tip, math.nextafter(h, 0), True, meniscus)[0]
-            above = branch_force(tip, h, h < tip.hand_over_m, meniscus)[0]
+            above = branch_force(tip, h, h < tip.contact_onset_m, meniscus)[0]
             assert math.isclose(below, above, rel_tol=1e-9)
 
 
 def test_largest_pull_with_meniscus():
     tip = build()
     h = np.linspace(tip.contact_distance_m, 1e-9, 20000)
-    pulls = [branch_force(tip, x, x < tip.hand_over_m, True)[0] for x in h.tolist()]
+    pulls = [branch_force(tip, x, x < tip.contact_onset_m, True)[0] for x in h.tolist()]
     assert round(min(pulls) * 1e9, 1) == -12.5
 
 
 def test_as_printed_jumps_at_the_contact_point():
     tip = build(reading=AS_PRINTED)
     a0 = tip.contact_distance_m
-    assert tip.hand_over_m == tip.release_m == a0
+    assert tip.contact_onset_m == tip.contact_end_m == a0
     assert abs(branch_force(tip, a0, False, False)[0]) < 1e-20
     assert round(branch_force(tip, a0, True, False)[0] * 1e9, 3) == -3.225
     # Eq. 4 has no capillary force in contact, in either branch
@@ -98,9 +98,9 @@ def test_no_crossing_is_an_error_that_names_the_cause():
 def test_a_stiff_sample_hands_over_on_the_cohesive_branch():
     # close to DMT the contact pulls harder than van der Waals everywhere; only the cohesive branch comes down to it
     tip = build(reduced_modulus_pa=20e9)
-    delta = tip.contact_distance_m - tip.hand_over_m
+    delta = tip.contact_distance_m - tip.contact_onset_m
     assert tip.table.cohesive_end_m < delta < tip.table.start_m
-    outside = branch_force(tip, tip.hand_over_m, False, False)[0]
+    outside = branch_force(tip, tip.contact_onset_m, False, False)[0]
     assert math.isclose(table_force(tip.table, delta)[0], outside, rel_tol=1e-6)
 
 
@@ -108,15 +108,15 @@ def test_a_folding_contact_holds_on_to_its_end():
     # a softer sample has a larger lambda
     soft = build(reduced_modulus_pa=2e9)
     assert soft.table.contact.transition > 0.938
-    assert soft.release_m > soft.hand_over_m
-    inside = branch_force(soft, soft.release_m * (1 - 1e-12), True, False)[0]
-    assert inside < branch_force(soft, soft.release_m, False, False)[0]
-    assert branch_force(soft, soft.release_m * (1 + 1e-12), True, False)[0] == 0.0
-    assert build().release_m == build().hand_over_m
+    assert soft.contact_end_m > soft.contact_onset_m
+    inside = branch_force(soft, soft.contact_end_m * (1 - 1e-12), True, False)[0]
+    assert inside < branch_force(soft, soft.contact_end_m, False, False)[0]
+    assert branch_force(soft, soft.contact_end_m * (1 + 1e-12), True, False)[0] == 0.0
+    assert build().contact_end_m == build().contact_onset_m
 
 
 def test_minimum_lies_inside_the_hand_over():
-    assert minimum_distance_m(3.49e-10) < build().hand_over_m
+    assert minimum_distance_m(3.49e-10) < build().contact_onset_m
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import pytest
 
 from services.controller.clamp import ClampConfig, clamped
 from services.controller.config import LAWS, ControllerConfig
-from services.controller.law import NO_SIGNAL, HandSample, TipSample
+from services.controller.law import NO_SIGNAL, HandSample, TipMeasurement
 
 PERIOD_S = 1e-3
 LOST = -1
@@ -53,7 +53,7 @@ def loop(
     params, behind = config.params(), config.clamp_params()
     scales = getattr(params, "mass", getattr(params, "impedance", params))
     hand = HandSample(0.0, 0.0, 0.0, True)
-    tip = TipSample(0.0, environment(0.0), 0.0, False, touches(environment(0.0)), True)
+    tip = TipMeasurement(0.0, environment(0.0), 0.0, False, touches(environment(0.0)), True)
     master, slave = law.master_start(params, hand), law.slave_start(params, tip)
     out: list[tuple[int, int, Any]] = []
     back: list[tuple[int, int, Any]] = []
@@ -77,8 +77,8 @@ def loop(
             slave, wanted = law.slave_receive(params, slave, last._replace(silence_s=silence), tip, PERIOD_S)
             wanted = clamped(behind, wanted, last, tip)
             force = environment(wanted.position_m)
-            before, tip = tip, TipSample(wanted.position_m, force, 0.0, False, touches(force), True)
-            way = (tip.position_m - before.position_m) / scales.position_scale
+            before, tip = tip, TipMeasurement(wanted.position_m, force, 0.0, False, touches(force), True)
+            way = (tip.base_position_m - before.position_m) / scales.position_scale
             left += 0.5 * (before.force_n + tip.force_n) * scales.force_scale * way
             slave, reply = law.slave_send(params, slave, tip, PERIOD_S)
             if due and backward(n) != LOST:
@@ -93,7 +93,7 @@ def loop(
         master, reference = law.master_receive(params, master, hand, signal, PERIOD_S)
         entered += hand.force_n * (reference.position_m - x)
         x = reference.position_m
-        rows.append((x, reference.force_n, tip.position_m, tip.force_n, entered, left))
+        rows.append((x, reference.force_n, tip.base_position_m, tip.force_n, entered, left))
         masters.append(master)
         slaves.append(slave)
     return Run(*np.array(rows).T, masters, slaves)

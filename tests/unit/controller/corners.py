@@ -18,7 +18,7 @@ from proto.ranges import ENERGY, FORCE, POSITION, VELOCITY, WAVE, WAY, Range
 from services.controller.clamp import clamped
 from services.controller.config import LAWS, ControllerConfig
 from services.controller.deadband import deadband, fresh
-from services.controller.law import LONGEST_BRIDGED_PERIODS, NO_SIGNAL, HandSample, Law, PortSignal, TipSample
+from services.controller.law import LONGEST_BRIDGED_PERIODS, NO_SIGNAL, HandSample, Law, PortSignal, TipMeasurement
 
 TICKS = 40
 PERIODS_S = (1e-4, 1e-3, 0.1)
@@ -72,9 +72,9 @@ def hand_sample(rng: random.Random) -> HandSample:
     return HandSample(quantity(POSITION, rng), quantity(VELOCITY, rng), quantity(FORCE, rng), rng.random() < 0.8)
 
 
-def tip_sample(rng: random.Random) -> TipSample:
+def tip_sample(rng: random.Random) -> TipMeasurement:
     position, force, apart = quantity(POSITION, rng), quantity(FORCE, rng), quantity(POSITION, rng)
-    return TipSample(position, force, apart, rng.random() < 0.5, rng.random() < 0.7, rng.random() < 0.8)
+    return TipMeasurement(position, force, apart, rng.random() < 0.5, rng.random() < 0.7, rng.random() < 0.8)
 
 
 def signal_at_corners(rng: random.Random) -> PortSignal:
@@ -171,13 +171,13 @@ def run_together(halves: Halves) -> None:
     """Let the halves answer each other on a stiff spring: what is unstable grows until the ranges stop it."""
     stiffness = halves.rng.choice((1.0, 20.0, 1e9))
     hand_n = halves.rng.choice((1.0, 1e6))
-    halves.hand, halves.tip = HandSample(0.0, 0.0, hand_n, True), TipSample(0.0, 0.0, 0.0, True, True, True)
+    halves.hand, halves.tip = HandSample(0.0, 0.0, hand_n, True), TipMeasurement(0.0, 0.0, 0.0, True, True, True)
     for _ in range(TICKS):
         forward = over_the_wire(halves.forward())._replace(active=True, silence_s=0.0)
         base, answer = halves.backward(forward)
         base = min(max(base, POSITION.low), POSITION.high)
         force = min(max(stiffness * base, FORCE.low), FORCE.high)
-        halves.tip = TipSample(base, force, -base, True, True, True)
+        halves.tip = TipMeasurement(base, force, -base, True, True, True)
         late_s = halves.rng.choice((0.0, 1.0, 4.0)) * halves.period_s
         answer = over_the_wire(answer)._replace(active=True, silence_s=0.0, round_trip_s=late_s)
         reference = halves.receive(answer)

@@ -6,13 +6,13 @@ import pytest
 
 from services.controller.clamp import NO_LIMIT_N, ClampConfig, ClampParams, clamped
 from services.controller.config import LAWS, ControllerConfig
-from services.controller.law import NO_SIGNAL, SlaveReference, TipSample
+from services.controller.law import NO_SIGNAL, SlaveReference, TipMeasurement
 
 PARAMS = ClampParams(True, 1e8, 1.5e-6 * 1e-3 / 30.0, 0.1)
 
 
-def tip(force_n: float, *, following: bool = True) -> TipSample:
-    return TipSample(1e-8, force_n, 0.0, False, force_n != 0.0, following)
+def tip(force_n: float, *, following: bool = True) -> TipMeasurement:
+    return TipMeasurement(1e-8, force_n, 0.0, False, force_n != 0.0, following)
 
 
 def pressing(force_n: float, *, active: bool = True) -> Any:

@@ -326,7 +326,7 @@ def test_local_loop_goes_on_with_the_instruments_own_steps(bench_of: Any, law: s
         # what a command of its own did is accounted for, and not sent
         node.on_message(bench.received("afm/state", "afm_node@slave", **tip_fields(2e-8, command.seq)))
     # for as long as the last signal counts, then it stands, so that the guard of the instrument judges the silence
-    assert commands == int((node.config.section().silence_limit_s - 1e-3) / 1.5e-3)
+    assert commands == int((node.config.law_config().silence_limit_s - 1e-3) / 1.5e-3)
     assert bench.take("teleop/backward") == []
 
 

@@ -7,11 +7,11 @@ import pytest
 from pydantic import ValidationError
 
 from services.controller.config import LAWS, ControllerConfig
-from services.controller.law import NO_SIGNAL, HandSample, TipSample
+from services.controller.law import NO_SIGNAL, HandSample, TipMeasurement
 
 T = 1e-3
 HAND = HandSample(5e-3, 0.01, 0.7, True)
-TIP = TipSample(1.1e-8, 7e-9, 1e-10, True, True, True)
+TIP = TipMeasurement(1.1e-8, 7e-9, 1e-10, True, True, True)
 
 
 def params_of(name: str, **parameters: Any) -> Any:
@@ -22,8 +22,8 @@ def params_of(name: str, **parameters: Any) -> Any:
 def test_table_config_and_section_agree(name: str) -> None:
     config = ControllerConfig.model_validate({"law": name})
     assert LAWS[name].name == name
-    assert type(config.section()) is LAWS[name].config
-    assert (config.section().position_scale, config.section().force_scale) == (1.5e-6, 1e8)
+    assert type(config.law_config()) is LAWS[name].config
+    assert (config.law_config().position_scale, config.law_config().force_scale) == (1.5e-6, 1e8)
 
 
 def test_no_two_laws_share_a_class_of_parameters() -> None:
@@ -64,7 +64,7 @@ def test_every_law_holds_a_spring_at_other_periods(name: str, period_s: float) -
     law = LAWS[name]
     params = ControllerConfig.model_validate({"law": name, "period_s": period_s}).params()
     x, base = 0.0, 0.0
-    tip = TipSample(0.0, 0.0, 0.0, False, True, True)
+    tip = TipMeasurement(0.0, 0.0, 0.0, False, True, True)
     master, slave = law.master_start(params, HandSample(0.0, 0.0, 0.0, True)), law.slave_start(params, tip)
     answer = NO_SIGNAL
     for _ in range(round(4.0 / period_s)):
@@ -72,7 +72,7 @@ def test_every_law_holds_a_spring_at_other_periods(name: str, period_s: float) -
         master, signal = law.master_send(params, master, hand, period_s)
         slave, wanted = law.slave_receive(params, slave, signal._replace(silence_s=0.0), tip, period_s)
         base = wanted.position_m
-        tip = TipSample(base, 20.0 * base, 0.0, False, True, True)
+        tip = TipMeasurement(base, 20.0 * base, 0.0, False, True, True)
         slave, answer = law.slave_send(params, slave, tip, period_s)
         master, reference = law.master_receive(params, master, hand, answer._replace(silence_s=0.0), period_s)
         x = reference.position_m

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.controller.law import NO_SIGNAL, HandSample, TipSample
+from services.controller.law import NO_SIGNAL, HandSample, TipMeasurement
 from services.controller.laws.passivity import (
     Account,
     PassivityConfig,
@@ -90,7 +90,7 @@ def test_account_takes_growing_counters_only_and_caps_its_store() -> None:
     st.integers(0, 9),
 )
 def test_channel_is_passive_whatever_hand_tip_and_link_do(ticks: list[tuple[float, float, int]], delay: int) -> None:
-    tip = TipSample(0.0, 0.0, 0.0, False, True, True)
+    tip = TipMeasurement(0.0, 0.0, 0.0, False, True, True)
     hand = HandSample(0.0, 0.0, 0.0, True)
     master, slave = master_start(PARAMS, hand), slave_start(PARAMS, tip)
     sent: list[Any] = []
@@ -102,7 +102,7 @@ def test_channel_is_passive_whatever_hand_tip_and_link_do(ticks: list[tuple[floa
         # some signals are lost, and an old one may come again
         received = sent[max(0, n - delay - lost)]
         slave, wanted = slave_receive(PARAMS, slave, received._replace(silence_s=0.0), tip, T)
-        tip = TipSample(wanted.position_m, tip_force, 0.0, False, True, True)
+        tip = TipMeasurement(wanted.position_m, tip_force, 0.0, False, True, True)
         slave, reply = slave_send(PARAMS, slave, tip, T)
         replies.append(reply)
         answer = replies[max(0, len(replies) - 1 - delay - lost)]

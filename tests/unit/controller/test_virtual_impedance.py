@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from services.controller.law import NO_SIGNAL, HandSample, PortSignal, TipSample
+from services.controller.law import NO_SIGNAL, HandSample, PortSignal, TipMeasurement
 from services.controller.laws.virtual_impedance import (
     MasterState,
     VirtualImpedanceConfig,
@@ -121,7 +121,7 @@ def test_change_of_position_scale_does_not_move_the_tip() -> None:
 
 
 def test_slave_half_passes_through() -> None:
-    tip = TipSample(9e-9, -3e-9, 2e-10, True, True, True)
+    tip = TipMeasurement(9e-9, -3e-9, 2e-10, True, True, True)
     state = slave_start(PARAMS, tip)
     assert state.position_m == 9e-9
     state, reference = slave_receive(PARAMS, state, answer(0.0)._replace(position_m=1.1e-8), tip, PERIOD_S)

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.controller.law import NO_SIGNAL, HandSample, TipSample
+from services.controller.law import NO_SIGNAL, HandSample, TipMeasurement
 from services.controller.laws.wave import (
     Inbox,
     WaveConfig,
@@ -111,7 +111,7 @@ def test_all_that_was_lost_on_the_way_arrives_with_the_next_signal() -> None:
 
 @given(st.lists(st.tuples(st.floats(-20.0, 20.0), st.floats(-2e-8, 2e-8), st.integers(0, 3)), min_size=5, max_size=60))
 def test_neither_half_sends_or_gives_more_than_it_received(ticks: list[tuple[float, float, int]]) -> None:
-    tip = TipSample(0.0, 0.0, 0.0, False, True, True)
+    tip = TipMeasurement(0.0, 0.0, 0.0, False, True, True)
     master = master_start(PARAMS, HandSample(0.0, 0.0, 0.0, True))
     slave = slave_start(PARAMS, tip)
     answer = NO_SIGNAL._replace(active=True, silence_s=0.0)
@@ -121,8 +121,8 @@ def test_neither_half_sends_or_gives_more_than_it_received(ticks: list[tuple[flo
         master, signal = master_send(PARAMS, master, hand, T)
         if lost != 1:
             slave, wanted = slave_receive(PARAMS, slave, signal._replace(silence_s=0.0), tip, T)
-            before, tip = tip, TipSample(wanted.position_m, tip_force, 0.0, False, True, True)
-            at_tip += 0.5e8 * (before.force_n + tip.force_n) * (tip.position_m - before.position_m) / 1.5e-6
+            before, tip = tip, TipMeasurement(wanted.position_m, tip_force, 0.0, False, True, True)
+            at_tip += 0.5e8 * (before.force_n + tip.force_n) * (tip.base_position_m - before.position_m) / 1.5e-6
             sent_before = slave.sent_j
             slave, reply = slave_send(PARAMS, slave, tip, T)
             if slave.sent_j > sent_before:

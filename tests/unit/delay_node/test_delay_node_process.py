@@ -30,7 +30,7 @@ HALF = {
 }
 
 
-class Outlet:
+class SiteEndpoint:
     """The socket towards a site, which keeps what it is given."""
 
     def __init__(self, bench: Any) -> None:
@@ -55,7 +55,7 @@ class Link:
 
     def __init__(self, bench: Any, settings: LinkSettings, *, spans_machines: bool = False) -> None:
         self.bench = bench
-        self.to_slave, self.to_master = Outlet(bench), Outlet(bench)
+        self.to_slave, self.to_master = SiteEndpoint(bench), SiteEndpoint(bench)
         files = Path()
         self.node = DelayNode(
             bench.context, settings, self.to_slave, self.to_master, files, spans_machines=spans_machines
@@ -75,7 +75,7 @@ class Link:
             self.node.on_deadline(clock.monotonic_ns())
         clock.advance_ns(end - clock.monotonic_ns())
 
-    def delivered(self, outlet: Outlet) -> list[bytes]:
+    def delivered(self, outlet: SiteEndpoint) -> list[bytes]:
         return [payload for topic, payload in outlet.sent if topic.startswith("teleop/")]
 
 
@@ -204,11 +204,11 @@ def test_offset_of_the_other_clock_is_measured_with_its_uncertainty(
     assert arrives_ns - told["clock_ahead_ns"] == pytest.approx(told["transit_ns"], rel=1e-6, abs=0.0)
 
 
-def declared(outlet: Outlet) -> list[dict[str, Any]]:
+def declared(outlet: SiteEndpoint) -> list[dict[str, Any]]:
     return [msgpack.unpackb(payload) for topic, payload in outlet.sent if topic == "link/delay"]
 
 
-def pairs(outlet: Outlet) -> list[tuple[str, int, int, int]]:
+def pairs(outlet: SiteEndpoint) -> list[tuple[str, int, int, int]]:
     return [(row["direction"], row["hand_t_ns"], row["delay_ns"], row["clock_ahead_ns"]) for row in declared(outlet)]
 
 
@@ -308,6 +308,6 @@ def test_at_its_end_the_link_counts_what_it_has_sent_on_at_each_site(link_of: An
     assert at_master is not None and at_master["teleop/backward", "controller@slave"] == 1
 
 
-def decoded(outlet: Outlet) -> dict[str, Any]:
+def decoded(outlet: SiteEndpoint) -> dict[str, Any]:
     fields: dict[str, Any] = msgpack.unpackb(outlet.sent[-1][1])
     return fields

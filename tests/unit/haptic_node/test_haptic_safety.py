@@ -71,9 +71,9 @@ def test_estop_latches_until_armed_and_wins_over_arm():
     assert (out.mode, out.reason, out.estop_latched) == (MODE_OFF, safety.REASON_ESTOP, True)
     state, out = guard(state)
     assert (out.mode, out.estop_latched) == (MODE_OFF, True)
-    state, out = guard(state, estop=True, arm=True)
+    state, out = guard(state, estop=True, arm_requested=True)
     assert (out.mode, out.estop_latched) == (MODE_OFF, True)
-    state, out = guard(state, arm=True, position_m=0.3, position_reference_m=0.3)
+    state, out = guard(state, arm_requested=True, position_m=0.3, position_reference_m=0.3)
     assert (out.mode, out.reason, out.estop_latched) == (MODE_POSITION, safety.REASON_NONE, False)
     assert out.position_reference_m == 0.3
 
@@ -81,7 +81,7 @@ def test_estop_latches_until_armed_and_wins_over_arm():
 def test_estop_is_latched_while_commands_are_stale_too():
     state, _ = guard(estop=True, command_age_s=math.inf)
     assert state.estop_latched
-    state, out = guard(state, arm=True, command_age_s=math.inf)
+    state, out = guard(state, arm_requested=True, command_age_s=math.inf)
     assert (out.mode, out.reason) == (MODE_OFF, safety.REASON_COMMAND_STALE)
 
 

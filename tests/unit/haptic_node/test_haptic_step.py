@@ -76,7 +76,7 @@ def test_the_driver_behind_the_guard_is_the_compiled_chain(kind):
     device.open()
     for index in range(900):
         given = command(index)
-        inputs = safety.SafetyInputs(*given[:4], given.estop, given.arm, position)
+        inputs = safety.SafetyInputs(*given[:4], given.estop, given.arm_requested, position)
         guard, applied = safety.step(params.safety, guard, inputs, DT)
         device.write(DriveCommand(applied.mode, applied.position_reference_m, applied.force_reference_n))
         reading = device.read(given.session_time_s, DT)
