@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
+from analysis.holds import Instrument, judge_holds, verdict_of
 from analysis.missing import Spans, account, cut_off, gaps
-from analysis.stability import Instrument, judge_holds, verdict_of
 from proto import TOPICS
 from proto.errors import RecordingError, ReportError
 from recording.arrays import columns, last_session, replay_shifts

@@ -20,9 +20,9 @@ from typing import NamedTuple
 import numpy as np
 
 from services.afm_node.capillary import meniscus_force, printed_meniscus_force
+from services.afm_node.contact_table import ContactTable, build_contact_table, table_force
 from services.afm_node.lennard_jones import contact_distance_m, lennard_jones_force
 from services.afm_node.maugis_dugdale import FOLD_TRANSITION, cohesive_stress_pa, maugis_dugdale
-from services.afm_node.table import ContactTable, build_contact_table, table_force
 from services.runtime.compiled import compiled
 
 CONSISTENT = 0

@@ -40,8 +40,8 @@ from services.controller.law import (
     SlaveReference,
     TipMeasurement,
 )
-from services.controller.laws.pass_through import measured
-from services.controller.laws.surface import (
+from services.controller.laws.shared.pass_through import measured
+from services.controller.laws.shared.surface import (
     KAPPA_UNIT,
     NANO,
     Fit,
@@ -53,7 +53,7 @@ from services.controller.laws.surface import (
     potential,
     unknown,
 )
-from services.controller.laws.virtual_mass import (
+from services.controller.laws.shared.virtual_mass import (
     Mass,
     MassParams,
     SteeredConfig,

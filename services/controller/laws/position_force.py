@@ -14,8 +14,8 @@ present delay, with the last force and position held.
 from typing import NamedTuple
 
 from services.controller.law import HandSample, Law, MasterReference, PortSignal
-from services.controller.laws.pass_through import slave_receive, slave_send, slave_start
-from services.controller.laws.virtual_mass import (
+from services.controller.laws.shared.pass_through import slave_receive, slave_send, slave_start
+from services.controller.laws.shared.virtual_mass import (
     Mass,
     MassConfig,
     MassParams,

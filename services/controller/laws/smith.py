@@ -32,9 +32,9 @@ from pydantic import Field
 from services.controller.discretisation import decay
 from services.controller.law import HandSample, Law, MasterReference, PortSignal
 from services.controller.laws import virtual_impedance as impedance
-from services.controller.laws.pass_through import slave_receive, slave_send, slave_start
+from services.controller.laws.shared.pass_through import slave_receive, slave_send, slave_start
+from services.controller.laws.shared.virtual_mass import periods_in
 from services.controller.laws.virtual_impedance import ImpedanceConfig, VirtualImpedanceParams
-from services.controller.laws.virtual_mass import periods_in
 from services.controller.ranges import LengthM, StiffnessNPerM, StiffnessOrNoneNPerM, StiffnessRateNPerMS, TimeS
 from services.runtime.compiled import compiled
 

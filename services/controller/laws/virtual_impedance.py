@@ -13,8 +13,8 @@ from pydantic import Field
 
 from services.controller.discretisation import Discretisation, exact_discretisation
 from services.controller.law import HandSample, Law, MasterReference, PortSignal
-from services.controller.laws.pass_through import slave_receive, slave_send, slave_start
-from services.controller.laws.virtual_mass import FARTHEST_M, FASTEST_M_PER_S, ScaledConfig, bounded
+from services.controller.laws.shared.pass_through import slave_receive, slave_send, slave_start
+from services.controller.laws.shared.virtual_mass import FARTHEST_M, FASTEST_M_PER_S, ScaledConfig, bounded
 from services.controller.ranges import DampingOrNoneNSPerM, Gain, MassKg, StiffnessOrNoneNPerM
 from services.runtime.compiled import compiled
 

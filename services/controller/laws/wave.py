@@ -56,7 +56,7 @@ from services.controller.law import (
     SlaveReference,
     TipMeasurement,
 )
-from services.controller.laws.virtual_mass import (
+from services.controller.laws.shared.virtual_mass import (
     Mass,
     MassParams,
     SteeredConfig,

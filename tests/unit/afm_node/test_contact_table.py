@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 
 from services.afm_node import maugis_dugdale as md
-from services.afm_node.table import FORCE_FLOOR, FORCE_TOLERANCE, STIFFNESS_TOLERANCE, build_contact_table, table_force
+from services.afm_node.contact_table import (
+    FORCE_FLOOR,
+    FORCE_TOLERANCE,
+    STIFFNESS_TOLERANCE,
+    build_contact_table,
+    table_force,
+)
 
 UNIT_N, UNIT_M = 2.26e-9, 2.49e-10
 LARGEST_N = 400e-9

@@ -20,8 +20,8 @@ from services.controller.laws.model_mediated import (
     slave_start,
     updated,
 )
-from services.controller.laws.surface import Surface, force_nn, potential
-from services.controller.laws.virtual_mass import tip_reference
+from services.controller.laws.shared.surface import Surface, force_nn, potential
+from services.controller.laws.shared.virtual_mass import tip_reference
 
 T = 1e-3
 PARAMS = ModelMediatedConfig().to_params(T)

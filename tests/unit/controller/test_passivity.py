@@ -75,14 +75,14 @@ def test_cut_stretch_holds_exactly_the_energy_left() -> None:
 
 def test_account_takes_growing_counters_only_and_caps_its_store() -> None:
     account = credited(Account(0.0, 0.0, 1e-3, 0.0), 3e-3, 1.0)
-    assert account.left_j == pytest.approx(4e-3, rel=1e-14, abs=0.0)
+    assert account.remaining_j == pytest.approx(4e-3, rel=1e-14, abs=0.0)
     assert credited(account, 2e-3, 1.0) == account
     assert credited(account, 3e-3, 1.0) == account
     capped = credited(account, 9e-3, 5e-3)
-    assert (capped.left_j, capped.received_j) == (5e-3, 9e-3)
+    assert (capped.remaining_j, capped.received_j) == (5e-3, 9e-3)
     assert capped.lost_j == pytest.approx(5e-3, rel=1e-12, abs=0.0)
     assert charged(capped, 2e-3, 0.0)[:3] == (2e-3, 9e-3, 5e-3)
-    assert charged(capped, -2e-3, 1e-4).left_j == pytest.approx(3e-3, rel=1e-14, abs=0.0)
+    assert charged(capped, -2e-3, 1e-4).remaining_j == pytest.approx(3e-3, rel=1e-14, abs=0.0)
 
 
 @given(
@@ -108,8 +108,8 @@ def test_channel_is_passive_whatever_hand_tip_and_link_do(ticks: list[tuple[floa
         answer = replies[max(0, len(replies) - 1 - delay - lost)]
         master, _ = master_receive(PARAMS, master, hand, answer._replace(silence_s=0.0), T)
         for port, other in ((master.account, slave.account), (slave.account, master.account)):
-            out = port.received_j + PARAMS.start_j - port.left_j
-            assert port.left_j >= 0.0
+            out = port.received_j + PARAMS.start_j - port.remaining_j
+            assert port.remaining_j >= 0.0
             assert port.received_j <= other.in_j * (1.0 + 1e-12)
             assert out <= other.in_j + PARAMS.start_j + 1e-15
 
@@ -189,5 +189,5 @@ def test_retune_keeps_the_tip_and_the_cap() -> None:
     state = master_start(PARAMS, HandSample(5e-3, 0.0, 0.0, True))
     other = PassivityConfig(energy_cap_j=1e-4, position_scale=3e-6).to_params(T)
     after = retune(PARAMS, other, state)
-    assert after.account.left_j == 1e-4
+    assert after.account.remaining_j == 1e-4
     assert 3e-6 * 5e-3 + after.mass.tip_offset_m == pytest.approx(7.5e-9, rel=1e-13, abs=0.0)

@@ -18,7 +18,7 @@ from services.controller.laws.position_force import (
     slave_send,
     slave_start,
 )
-from services.controller.laws.virtual_mass import tip_reference
+from services.controller.laws.shared.virtual_mass import tip_reference
 
 PARAMS = PositionForceConfig().to_params(1e-3)
 

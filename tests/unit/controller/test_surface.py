@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from services.afm_node.cantilever import base_for
 from services.afm_node.config import AfmConfig
 from services.controller.laws.model_mediated import ModelMediatedConfig
-from services.controller.laws.surface import (
+from services.controller.laws.shared.surface import (
     Surface,
     fitted,
     force_nn,

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from services.controller.law import NO_SIGNAL, HandSample
-from services.controller.laws.virtual_mass import (
+from services.controller.laws.shared.virtual_mass import (
     Mass,
     MassConfig,
     at_rest,

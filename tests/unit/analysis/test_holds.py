@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from analysis.stability import SETTLING_SHARE, Instrument, constant_stretches, judge_holds, verdict_of
+from analysis.holds import SETTLING_SHARE, Instrument, constant_stretches, judge_holds, verdict_of
 
 TIME_S = np.arange(9000) * 1e-3
 # at rest, pressed with 1 N, pressed with 2 N; the steps between them are ramps of half a second

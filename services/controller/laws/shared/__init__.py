@@ -1,0 +1,1 @@
+"""What several laws have in common; no law of its own."""
