@@ -35,6 +35,7 @@ from services.delay_node.node import DelayNode
 from services.haptic_node.config import HapticConfig
 from services.haptic_node.node import HapticNode
 from services.haptic_node.sim import SimulatedHaptic
+from services.launcher.processes import StopObserver
 from services.launcher.session import SessionNode
 from services.launcher.supervisor import Supervisor
 from services.player.node import PlayerNode, PlaySettings, ReplayPlan
@@ -127,7 +128,7 @@ class Children:
     def log_path(self, node: str) -> Path:
         return Path(node)
 
-    def stop(self) -> None:
+    def stop(self, observer: StopObserver) -> None:
         """There is nothing to stop."""
 
 

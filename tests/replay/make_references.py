@@ -29,9 +29,12 @@ DURATION_S = 1.1
 BEFORE_S = 0.6
 # all inputs and outputs of the nodes with a journal
 TOPICS = {
-    node: ("haptic/*", "teleop/*", "afm/*", "law/*", "clock/*", "session/control*", "session/event", "node/journal")
+    node: (
+        "haptic/*", "teleop/*", "afm/*", "law/*", "link/delay*", "clock/*", "session/control*", "session/event",
+        "node/journal",
+    )
     for node in OUTPUTS
-}
+}  # fmt: skip
 TOPICS[LINK_NODE] = (
     "teleop/*", "law/*", "clock/*", "session/*", "node/health*", "link/*", "node/journal", "recorder/rejected"
 )  # fmt: skip

@@ -237,7 +237,7 @@ def test_a_changed_longest_pause_is_seen(tmp_path: Path, monkeypatch: pytest.Mon
     assert differences(on_bus(cell, tmp_path, pause), in_lockstep(cell, pause))
 
 
-def test_a_changed_patience_of_the_instrument_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_changed_wait_of_the_instrument_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With its own steps half a period later, the instrument finds the silence too long one tick later."""
     cell, lost = cell_of("virtual_impedance", "spring", 4.0), ((FIRST_PAUSE, LONGEST_BRIDGED_PERIODS + 1),)
     # a limit that falls between the two places of a step in its tick
@@ -245,7 +245,7 @@ def test_a_changed_patience_of_the_instrument_is_seen(tmp_path: Path, monkeypatc
     settings = [f"afm_node.safety.command_deadline_s={deadline_s}"]
     expected = in_lockstep(cell, lost, command_deadline_s=deadline_s)
     assert differences(on_bus(cell, tmp_path / "same", lost, settings), expected) == {}
-    monkeypatch.setattr(afm_node, "_PATIENCE_NS", 2 * PERIOD_NS)
+    monkeypatch.setattr(afm_node, "_COMMAND_WAIT_NS", 2 * PERIOD_NS)
     assert "instrument_mode" in differences(on_bus(cell, tmp_path, lost, settings), expected)
 
 
@@ -257,8 +257,8 @@ def test_a_changed_patience_of_the_instrument_is_seen(tmp_path: Path, monkeypatc
         (controller_half, "services.controller.law", "LONGEST_BRIDGED_PERIODS"),
         (lockstep, "services.afm_node.step", "LONGEST_STEP_NS"),
         (afm_node, "services.afm_node.step", "LONGEST_STEP_NS"),
-        (lockstep, "services.afm_node.step", "patience_ns"),
-        (afm_node, "services.afm_node.step", "patience_ns"),
+        (lockstep, "services.afm_node.step", "command_wait_ns"),
+        (afm_node, "services.afm_node.step", "command_wait_ns"),
     ],
 )
 def test_shared_constants_are_imported(user: Any, module: str, name: str) -> None:

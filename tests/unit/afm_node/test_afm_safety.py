@@ -66,11 +66,11 @@ def test_a_node_starts_retracted_and_stays_so_without_arming():
         (HOLDING, {"action": 2}, safety.MODE_RETRACTING, safety.REASON_RETRACT_REQUESTED),
         (HOLDING, {"force_n": 201e-9}, safety.MODE_RETRACTING, safety.REASON_FORCE_LIMIT),
         (HOLDING, {"estop": True}, safety.MODE_ESTOP, safety.REASON_ESTOP),
-        (RETRACTED, {"arm": True}, safety.MODE_FOLLOW, safety.REASON_ARMED),
+        (RETRACTED, {"arm_requested": True}, safety.MODE_FOLLOW, safety.REASON_ARMED),
         (RETRACTED, {"estop": True}, safety.MODE_ESTOP, safety.REASON_ESTOP),
         (RETRACTED, {"action": 2}, safety.MODE_RETRACTED, safety.REASON_START),
         (STOPPED, {}, safety.MODE_ESTOP, safety.REASON_ESTOP),
-        (STOPPED, {"arm": True}, safety.MODE_FOLLOW, safety.REASON_ARMED),
+        (STOPPED, {"arm_requested": True}, safety.MODE_FOLLOW, safety.REASON_ARMED),
     ],
 )
 def test_every_transition(state, changes, mode, reason):

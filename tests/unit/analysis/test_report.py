@@ -105,14 +105,16 @@ def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
         write_files(tmp_path / "taken" / "below", {"summary.json": b"{}"})
 
 
-def test_a_session_that_was_recorded_from_its_start_to_its_end_lacks_nothing_at_either() -> None:
+def test_a_session_that_was_recorded_from_its_start_to_its_end_lacks_nothing_at_either(tmp_path: Path) -> None:
     recording = Recording(WHOLE)
     session_s = columns(recording, "haptic/state", ["session_s"])["session_s"]
     running = np.flatnonzero(session_s >= 0.0)
     if running[-1] == session_s.size - 1:
         session_s = np.append(session_s, -1.0)
     assert cut_off(recording, session_s, running) == []
-    assert cut_off(recording, session_s[: running[-1] + 1], running) == [
+    filter_recording(WHOLE, tmp_path / "beginning.mcap", ALL, end_s=1.0)
+    beginning = Recording(tmp_path / "beginning.mcap")
+    assert cut_off(beginning, session_s[: running[-1] + 1], running) == [
         f"the recording ends within the operator's programme, {session_s[running[-1]]:.3f} s after its start"
     ]
     assert cut_off(recording, session_s + 2.0, running[:-1])[0].startswith("the recording begins 2.0")

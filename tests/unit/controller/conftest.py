@@ -78,7 +78,7 @@ def loop(
             wanted = clamped(behind, wanted, last, tip)
             force = environment(wanted.position_m)
             before, tip = tip, TipMeasurement(wanted.position_m, force, 0.0, False, touches(force), True)
-            way = (tip.base_position_m - before.position_m) / scales.position_scale
+            way = (tip.base_position_m - before.base_position_m) / scales.position_scale
             left += 0.5 * (before.force_n + tip.force_n) * scales.force_scale * way
             slave, reply = law.slave_send(params, slave, tip, PERIOD_S)
             if due and backward(n) != LOST:

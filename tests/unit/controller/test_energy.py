@@ -2,7 +2,7 @@
 
 import pytest
 
-from services.controller.energy import TOLERANCE_J, entered, is_passive, left, moved_to, opened
+from services.controller.energy import TOLERANCE_J, is_passive, moved_to, opened, with_inflow, with_outflow
 from services.controller.law import EnergyAccount
 
 NONE = EnergyAccount(0.0, 0.0, 0.0)
@@ -11,7 +11,7 @@ NONE = EnergyAccount(0.0, 0.0, 0.0)
 def test_held_force_times_way() -> None:
     port = opened(1e-3, 0.0)
     for n in range(1, 11):
-        port = entered(port, 1e-3 + 1e-4 * n, 2.0)
+        port = with_inflow(port, 1e-3 + 1e-4 * n, 2.0)
     assert port.energy_j == pytest.approx(2e-3, rel=1e-12, abs=0.0)
 
 
@@ -20,13 +20,13 @@ def test_work_on_a_spring_is_its_energy_whatever_the_steps() -> None:
         port = opened(0.0, 0.0)
         for n in range(1, steps + 1):
             x = 2e-3 * n / steps
-            port = left(port, x, 3000.0 * x)
+            port = with_outflow(port, x, 3000.0 * x)
         assert port.energy_j == pytest.approx(-0.5 * 3000.0 * 4e-6, rel=1e-12, abs=0.0)
-        assert left(port, 0.0, 0.0).energy_j == pytest.approx(0.0, abs=1e-15)
+        assert with_outflow(port, 0.0, 0.0).energy_j == pytest.approx(0.0, abs=1e-15)
 
 
 def test_motion_out_of_force_is_no_work() -> None:
-    port = moved_to(entered(opened(0.0, 0.0), 1e-3, 1.0), 5e-3, 9.0)
+    port = moved_to(with_inflow(opened(0.0, 0.0), 1e-3, 1.0), 5e-3, 9.0)
     assert port.energy_j == pytest.approx(1e-3, rel=1e-14, abs=0.0)
 
 

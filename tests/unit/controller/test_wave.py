@@ -122,7 +122,7 @@ def test_neither_half_sends_or_gives_more_than_it_received(ticks: list[tuple[flo
         if lost != 1:
             slave, wanted = slave_receive(PARAMS, slave, signal._replace(silence_s=0.0), tip, T)
             before, tip = tip, TipMeasurement(wanted.position_m, tip_force, 0.0, False, True, True)
-            at_tip += 0.5e8 * (before.force_n + tip.force_n) * (tip.base_position_m - before.position_m) / 1.5e-6
+            at_tip += 0.5e8 * (before.force_n + tip.force_n) * (tip.base_position_m - before.base_position_m) / 1.5e-6
             sent_before = slave.sent_j
             slave, reply = slave_send(PARAMS, slave, tip, T)
             if slave.sent_j > sent_before:

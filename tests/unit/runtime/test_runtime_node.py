@@ -315,7 +315,7 @@ def test_a_gap_is_reported_on_lossless_topics_alone() -> None:
     assert len(rig.node.messages) == 3
     (event,) = rig.events
     assert (event.kind, event.level, event.id) == ("fault", "warning", "")
-    assert event.text == "messages on session/event from afm_node@slave were lost before number 7"
+    assert event.text == "session/event: messages from afm_node@slave were lost before number 7"
     assert event.data == {"topic": "session/event", "source": "afm_node@slave", "seq": 7}
 
 

@@ -57,12 +57,15 @@ def test_flags_and_environment_reach_a_section(path: Path, monkeypatch: pytest.M
 @pytest.mark.parametrize(
     ("flag", "message"),
     [
-        ("duration_s=0.0", "duration_s: Input should be greater than 0, got 0.0"),
+        ("duration_s=0.0", "duration_s: Input should be greater than 0 (allowed is from above 0 to 86400), got 0.0"),
         ("duration_s=.nan", "duration_s: "),
         ("duration_s=.inf", "duration_s: "),
         ("name=Fig 12", "name: String should match pattern"),
         ("duration=8.0", "duration: unknown key, known are name, description, duration_s, realtime, haptic_node"),
-        ("realtime.priority=99", "realtime.priority: Input should be less than or equal to 98, got 99"),
+        (
+            "realtime.priority=99",
+            "realtime.priority: Input should be less than or equal to 98 (allowed is from 1 to 98), got 99",
+        ),
         ("realtime.speed=1", "realtime.speed: unknown key, known are scheduler, priority"),
         ("realtime.scheduler=fast", "realtime.scheduler: Input should be 'auto', 'fifo' or 'normal', got 'fast'"),
         ("afm_node=3", "afm_node: "),
@@ -77,7 +80,10 @@ def test_a_wrong_scenario_names_file_and_key(path: Path, flag: str, message: str
 @pytest.mark.parametrize(
     ("flag", "message"),
     [
-        ("afm_node.gap_m=10.0", "afm_node.gap_m: Input should be less than or equal to 1, got 10.0"),
+        (
+            "afm_node.gap_m=10.0",
+            "afm_node.gap_m: Input should be less than or equal to 1 (allowed is from 0 to 1), got 10.0",
+        ),
         ("afm_node.gap_m=.nan", "afm_node.gap_m: "),
         ("afm_node.gap_nm=10", "afm_node.gap_nm: unknown key, known are gap_m, ambient"),
     ],

@@ -53,13 +53,17 @@ def in_the_way(tmp_path: Path) -> Path:
     return tmp_path / "file"
 
 
-def test_a_report_that_cannot_be_written_names_its_folder(in_the_way: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert refused("report", SESSION, "--out", in_the_way) == f"{in_the_way}: cannot be written: File exists"
-    below = in_the_way / "report"
-    assert refused("report", SESSION, "--out", below) == f"{below}: cannot be written: Not a directory"
-    monkeypatch.setattr("matplotlib.figure.Figure.savefig", no_space)
-    out = in_the_way.with_name("out")
-    assert refused("report", SESSION, "--out", out) == f"{out}: cannot be written: No space left on device"
+def test_a_report_that_cannot_be_written_names_its_folder_and_shows_the_summary(
+    in_the_way: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cases = [(in_the_way, "File exists"), (in_the_way / "report", "Not a directory")]
+    for out, reason in cases:
+        code, table, err = run("report", SESSION, "--out", out)
+        assert (code, err) == (1, f"telenano: {out}: cannot be written: {reason}\n")
+        assert "scenario" in table
+    monkeypatch.setattr("analysis.report.write_files", no_space)
+    code, table, err = run("report", SESSION, "--out", in_the_way.with_name("out"))
+    assert code == 1 and "cannot be written: No space left on device" in err and "scenario" in table
     assert in_the_way.read_text() == "kept"
 
 
