@@ -24,7 +24,7 @@ import zmq
 
 from presets import DEFAULT_SITE_FILE
 from proto.errors import TelenanoError
-from services.launcher.command_client import send_control
+from services.console.command_client import send_control
 from services.runtime.commands import Command
 from services.runtime.main import load_site
 

@@ -3,6 +3,8 @@
 from fnmatch import fnmatchcase
 from typing import Literal, NamedTuple
 
+Site = Literal["master", "slave"]
+
 
 class NodeRow(NamedTuple):
     """One row of the table: a node, as `name@site`.

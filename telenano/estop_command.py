@@ -10,7 +10,7 @@ from typing import Literal, NamedTuple
 
 from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE, site_file_named
 from proto.errors import ConfigError, RigError, TelenanoError
-from services.launcher.estop import Answer, LocalRig, emergency_stop
+from services.console.emergency_stop import Answer, LocalRig, emergency_stop
 from telenano.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED
 
 
@@ -105,7 +105,7 @@ def _stop(request: EstopRequest) -> dict[str, Answer]:
 def _stop_by_console(request: EstopRequest, site_file: Path, on_answer: Callable[[Answer], None]) -> None:
     """Send the command as any other: over a network, to nodes of an older version, to what is not a device."""
     # with models and keys, which takes longer
-    from services.launcher.command_client import send_control
+    from services.console.command_client import send_control
     from services.runtime.commands import Command
 
     site: Literal["master", "slave"] = "slave" if request.site == "slave" else "master"

@@ -3,20 +3,18 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import yaml
 
 from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE, find_scenario
 from proto.errors import ConfigError, RigError
-from proto.nodes import LAUNCHER, LINK, OPTIONAL_NODES, RECORDER, SERVICES, START_ORDER, name_of, site_of
+from proto.nodes import LAUNCHER, LINK, OPTIONAL_NODES, RECORDER, SERVICES, START_ORDER, Site, name_of, site_of
 from services.delay_node.config import LinkSettings, changes_text
 from services.runtime.address_book import AddressBook
 from services.runtime.config import environment_overrides, flag_overrides, layered, merge, validate
 from services.runtime.main import load_site, node_kind
 from services.runtime.scenario import LoadedScenario, Scenario
-
-Site = Literal["master", "slave"]
 
 RECORDING_NAME = "session.mcap"
 ALLOW_REPLAY = ("afm_node.allow_replay=true", "haptic_node.allow_replay=true")

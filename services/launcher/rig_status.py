@@ -17,12 +17,9 @@ from proto.messages import (
 )
 from proto.nodes import RECORDER, START_ORDER, is_visitor, name_of, site_of
 from services.launcher.readiness import oldest_input_s, unmet
-from services.runtime.observer import Observer
+from services.runtime.observer import RIG_HINT, Observer
 
 M = TypeVar("M", bound=Message)
-
-# what to check when nothing is received
-RIG_HINT = "is `telenano up` running with this site file?"
 
 # what the law sends at 1 kHz is not needed here, and reading it would cost the rig processor time
 NEEDED = ("node/health", "link/status", "law/status", "haptic/state", "afm/state", "session/event")

@@ -18,6 +18,9 @@ from services.runtime.address_book import AddressBook
 from services.runtime.bus import ConnectionEvent, Received
 from services.runtime.participant import OBSERVER, open_participant
 
+# what to check when nothing is received
+RIG_HINT = "is `telenano up` running with this site file?"
+
 _WAIT_MS = 100
 
 

@@ -11,8 +11,7 @@ from proto.errors import RigError
 from proto.nodes import LINK
 from recording.tables import json_fields
 from services.delay_node.profiles import PROFILES
-from services.launcher.rig_status import RIG_HINT
-from services.runtime.observer import Observer, messages_of
+from services.runtime.observer import RIG_HINT, Observer, messages_of
 from telenano.commands.session import SessionCommand, send_command
 from telenano.commands.topic import open_observer
 from telenano.options import JsonOption, SiteFileOption, command_group

@@ -9,7 +9,7 @@ import typer
 
 from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE
 from proto.messages import SessionEvent
-from services.launcher.command_client import parse_parameters, send_control
+from services.console.command_client import parse_parameters, send_control
 from services.runtime.commands import Command
 from telenano.estop_command import EstopRequest, run_estop
 from telenano.exit_codes import EXIT_FAILED

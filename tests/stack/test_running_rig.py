@@ -20,7 +20,7 @@ from stack_rig import CONSTANT_PUSH, Rig
 from presets import DEFAULT_SITE_FILE
 from proto.errors import RigError
 from recording.reader import Recording
-from services.launcher.command_client import send_control
+from services.console.command_client import send_control
 from services.runtime.bus import ZmqPublisher
 from services.runtime.clock import SystemClock
 from services.runtime.commands import Command

@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
+from services.console.command_client import parse_parameters
 from services.delay_node.config import LinkSettings, profile_changes
 from services.delay_node.profiles import PROFILES
-from services.launcher.command_client import parse_parameters
 from services.launcher.plan import Plan, UpRequest, make_plan
 from services.runtime.observer import known_name
 from telenano.lazy_commands import load

@@ -20,7 +20,7 @@ from proto.errors import EndpointError
 from proto.messages import SessionControl
 from proto.nodes import DEVICES
 from proto.topics import TOPICS
-from services.launcher.estop import LocalRig, Reach, _answer, _Inlet, _Sender
+from services.console.emergency_stop import LocalRig, Reach, _answer, _Inlet, _Sender
 from services.runtime.address_book import AddressBook
 from services.runtime.bus import ZmqPublisher
 from services.runtime.clock import SystemClock
@@ -152,7 +152,7 @@ def test_a_rig_that_does_not_run_is_told_at_once(site_file: Path, capsys: pytest
 def test_a_device_that_does_not_answer_is_named(
     run: Callable[..., Device], site_file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("services.launcher.estop._DEADLINE_S", 0.3)
+    monkeypatch.setattr("services.console.emergency_stop._DEADLINE_S", 0.3)
     run(HAND)
     with (
         zmq.Context() as context,

@@ -6,7 +6,7 @@ import pytest
 
 from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE
 from proto.errors import ConfigError
-from services.launcher.command_client import addressed, console_of, parse_parameters, send_control
+from services.console.command_client import addressed, console_of, parse_parameters, send_control
 from services.runtime.address_book import AddressBook
 from services.runtime.commands import Command
 from services.runtime.config import validate
