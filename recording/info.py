@@ -178,6 +178,9 @@ class Account:
         if statistics is None:
             statistics = self.channels[channel] = ChannelStatistics(message)
         statistics.add(message)
+        # a gap before a message is none at the end, whatever numbers the publisher begins with again
+        if self._gaps and channel.src:
+            self._gaps.pop((channel.channel_topic, channel.src), None)
         if channel.topic == GAP_TOPIC:
             self._add_gap(message)
         elif channel.via == "direct" and channel.src and channel.topic not in RECORDS:

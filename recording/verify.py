@@ -85,6 +85,8 @@ class _Check:
         self._at_end: set[tuple[RecordedChannel, int, int]] = set()
         # the recorder's own record of a gap, and when it was written
         self._recorded_gaps: dict[tuple[str, str, int, int], int] = {}
+        # by channel and source, those after which no message came
+        self._open_gaps: dict[tuple[str, str], tuple[int, int, int]] = {}
         self._reported: dict[tuple[str, str], int] = {}
         self._last_ns = 0
 
@@ -95,10 +97,10 @@ class _Check:
             self._check_message(message)
         for text in describe_damage(damage):
             self._report("crc", "error", "", text)
-        for (channel_topic, src, first, last), log_ns in self._recorded_gaps.items():
-            for channel, newest in self._last.items():
-                if (channel.channel_topic, channel.src) == (channel_topic, src) and newest.seq + 1 == first:
-                    self._end_channel(channel, last + 1, log_ns)
+        for channel, newest in self._last.items():
+            first, last, log_ns = self._open_gaps.get((channel.channel_topic, channel.src), (0, 0, 0))
+            if first == newest.seq + 1:
+                self._end_channel(channel, last + 1, log_ns)
         self._report_gaps()
         for note in notes_of((self._recording.metadata,)):
             self._report("end", "error", "", note)
@@ -153,6 +155,7 @@ class _Check:
         numbers = [int(fields.get(name, 0)) for name in ("first_missing", "last_missing")]
         first, last = (number & _SEQUENCE_MASK for number in numbers)
         self._recorded_gaps[found[0], found[1], first, last] = message.log_ns
+        self._open_gaps[found[0], found[1]] = (first, last, message.log_ns)
 
     def _check_end(self, message: RecordedMessage) -> None:
         """Compare the counts of a publisher that has ended with what was recorded of it."""
@@ -177,6 +180,7 @@ class _Check:
 
     def _check_sequence(self, message: RecordedMessage) -> None:
         channel = message.channel
+        self._open_gaps.pop((channel.channel_topic, channel.src), None)
         self.first.setdefault(channel, message.seq)
         newest = self._last.get(channel)
         if newest is None:

@@ -224,6 +224,24 @@ def test_the_end_is_known_from_the_record_of_the_gap_where_the_event_was_not_rec
     assert "the recorder recorded the gap" in finding.text
 
 
+def test_a_gap_before_a_restart_is_none_at_the_end(tmp_path: Path) -> None:
+    writer = RecordingWriter.create(NODE, RecorderConfig(directory=tmp_path))
+    # received through the link, which may drop a message: that is the experiment
+    hand = writer.channel("haptic/state", "haptic_node@master", "slave")
+    gap = GapRecord(
+        channel_topic="haptic/state@slave", src="haptic_node@master", first_missing=1, last_missing=1, count=1
+    )
+    for n, seq in enumerate((0, 2, 0)):
+        if seq == 2:
+            writer.write_gap(EPOCH_NS + n * MILLISECOND_NS, gap)
+        state = sample("haptic/state", seq, t_ns=EPOCH_NS + n * MILLISECOND_NS)
+        writer.write(hand, state.t_ns, state.t_ns, seq, encode(state))
+    writer.finish()
+    assert (Recording(writer.path).info().lost, Recording(writer.path).info().missing) == (0, ())
+    # the drop of the link, and the restart
+    assert [found.level for found in verify([writer.path]).findings if found.check == "gap"] == ["info", "info"]
+
+
 def test_a_process_that_follows_one_that_has_ended_has_lost_nothing(tmp_path: Path) -> None:
     first = with_end(tmp_path, list(range(3)), 3)
     second = states(tmp_path, list(range(6, 9)), "b.mcap")
