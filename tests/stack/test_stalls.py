@@ -88,7 +88,7 @@ class Session:
     def arm(self) -> None:
         """Take the tip up again, as an operator does after a withdrawal."""
         self.rig.wait_until(
-            lambda: self.rig.tell("session", "arm", "--target", "afm_node").returncode == 0, "an armed instrument"
+            lambda: self.rig.telenano("session", "arm", "--target", "afm_node").returncode == 0, "an armed instrument"
         )
         time.sleep(0.2 + 2e-3 * self.link_ms)
 
