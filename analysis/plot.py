@@ -9,10 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from proto.errors import ConfigError, RecordingError
-from recording.arrays import columns
+from recording.arrays import columns, replay_shifts
 from recording.reader import Recording
 
 Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int64]
 
 # dots of a braille character: column, row from the top
 _DOTS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])
@@ -21,7 +22,7 @@ _LABEL_COLUMNS = 12
 
 
 class Trace(NamedTuple):
-    """A field over time [s] from the start of the recording, by the time of reception."""
+    """A field over time [s] from the earliest message of those drawn, by the publisher's time of sending."""
 
     name: str
     time_s: Floats
@@ -31,18 +32,25 @@ class Trace(NamedTuple):
 def read_traces(path: Path, names: Sequence[str]) -> list[Trace]:
     """Read the fields named TOPIC.FIELD; ConfigError or RecordingError names what is wrong with one."""
     recording = Recording(path)
-    origin_ns = recording.span_ns[0]
-    traces = []
+    # the recorder lags, by a time that changes: against its times a ramp is a staircase
+    shifts = replay_shifts(recording)
+    found_of: dict[str, tuple[Ints, Floats]] = {}
     for name in names:
         topic, _, field = name.partition(".")
         if not field:
             raise ConfigError(f"{name}: is not of the form TOPIC.FIELD, such as afm/state.tip_force_n.2")
-        found = columns(recording, topic, ("log_ns", field))
+        found = columns(recording, topic, ("publish_ns", "src", field))
         if found[field].dtype == object:
             raise RecordingError(f"{path}: {topic}: {field} is text, which cannot be drawn")
-        time_s = (found["log_ns"] - origin_ns) * 1e-9
-        traces.append(Trace(name, np.asarray(time_s, dtype=np.float64), found[field].astype(np.float64)))
-    return traces
+        sent_ns = found["publish_ns"] + np.array([shifts.get(src, 0) for src in found["src"]], dtype=np.int64)
+        # several publishers of a topic, and messages that overtook others on the link
+        order = np.argsort(sent_ns, kind="stable")
+        found_of[name] = (sent_ns[order], found[field][order].astype(np.float64))
+    origin_ns = min((int(sent_ns[0]) for sent_ns, _ in found_of.values() if sent_ns.size), default=0)
+    return [
+        Trace(name, np.asarray((sent_ns - origin_ns) * 1e-9, dtype=np.float64), values)
+        for name, (sent_ns, values) in found_of.items()
+    ]
 
 
 def save_png(traces: Sequence[Trace], path: Path, title: str) -> None:
@@ -56,7 +64,7 @@ def save_png(traces: Sequence[Trace], path: Path, title: str) -> None:
         panel.plot(trace.time_s, trace.values, linewidth=0.8)
         panel.set_ylabel(trace.name.replace(".", "\n", 1), fontsize=8)
         panel.grid(alpha=0.3)
-    panels[-1].set_xlabel("time since the start of the recording, s")
+    panels[-1].set_xlabel("time of sending since the first message, s")
     panels[0].set_title(title, fontsize=9)
     try:
         figure.savefig(path, dpi=120)

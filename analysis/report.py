@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
+from analysis.conditions import conditions, title
 from analysis.holds import Instrument, judge_holds, verdict_of
 from analysis.missing import Spans, account, cut_off, gaps
 from proto import TOPICS
@@ -45,6 +46,7 @@ class Session:
     tip: dict[str, Series]
     force_scale: float
     scenario: str
+    conditions: dict[str, Any]
     missing: tuple[str, ...] = ()
 
     @property
@@ -158,6 +160,7 @@ def read_session(recording: RecordingSource) -> Session:
         tip=_within(_series(recording, "afm/state", _TIP_FIELDS, shifts), start_ns, end_ns),
         force_scale=_force_scale(recording, document),
         scenario=document.name,
+        conditions=conditions(recording, document, start_ns, end_ns),
         missing=tuple(cut_off(recording, hand["session_s"], running)),
     )
 
@@ -172,6 +175,7 @@ def summarise(session: Session, info: RecordingInfo, traffic: Traffic, missing: 
     last_s = session.duration_s - RELEASE_WINDOW_S
     return {
         "scenario": session.scenario,
+        **session.conditions,
         "duration_s": round(session.duration_s, 3),
         "stable": verdict == "stable",
         "verdict": verdict,
@@ -277,4 +281,4 @@ def _title(session: Session, summary: Mapping[str, Any]) -> str:
     hold = f", hold ratio {ratio:.3f}" if ratio is not None else ""
     # a figure goes further than the summary: what it does not show has to stand in it
     whole = "" if summary["recording"]["complete"] else "\nthe recording is not whole: what is missing is grey"
-    return f"{session.scenario}: {verdict}{hold}{whole}"
+    return f"{session.scenario}, {title(session.conditions)}: {verdict}{hold}{whole}"

@@ -1,6 +1,7 @@
 """Origin of a recording: the files that describe the rig, and versions."""
 
 import platform
+import subprocess
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from proto.errors import RecordingError
 from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
 
+_ROOT = Path(__file__).resolve().parents[2]
 _PACKAGES = ("telenano", "mcap", "msgpack", "numpy", "pydantic", "pyzmq", "zstandard")
 
 
@@ -18,6 +20,7 @@ def versions() -> dict[str, str]:
     """Return the versions of packages, Python, platform and message schemas; `unknown` where a package has none."""
     found = {"python": platform.python_version(), "platform": platform.platform(), "libzmq": zmq.zmq_version()}
     found |= {f"package {name}": _package_version(name) for name in _PACKAGES}
+    found["commit"] = _commit()
     found |= {f"schema {name}": str(row.model.version) for name, row in TOPICS.items()}
     return found
 
@@ -33,7 +36,7 @@ def write_provenance(
     for name, path in (("site", site_file), ("scenario", scenario_file)):
         if path is None:
             continue
-        files[f"{name}_file"] = str(path.absolute())
+        files[f"{name}_file"] = _shown(path)
         try:
             data = path.read_bytes()
         except OSError as error:
@@ -43,6 +46,26 @@ def write_provenance(
     writer.add_metadata("recording", {"node": writer.node, "started_ns": str(now_ns), **files, **settings})
     writer.add_metadata("versions", versions())
     writer.flush()
+
+
+def _shown(path: Path) -> str:
+    """Return a path as it is found again: what comes with the project by its place in it."""
+    absolute = path.absolute()
+    return str(absolute.relative_to(_ROOT)) if absolute.is_relative_to(_ROOT / "presets") else str(absolute)
+
+
+def _commit() -> str:
+    """Return the commit that is checked out where this runs from, `+` after it where files differ; else `unknown`."""
+    if not (_ROOT / ".git").exists():
+        return "unknown"
+    try:
+        done = subprocess.run(
+            ["git", "-C", str(_ROOT), "describe", "--always", "--dirty=+", "--exclude=*"],
+            capture_output=True, text=True, timeout=5.0, check=True,
+        )  # fmt: skip
+    except (OSError, subprocess.SubprocessError):
+        return "unknown"
+    return done.stdout.strip() or "unknown"
 
 
 def _package_version(name: str) -> str:

@@ -1,0 +1,91 @@
+"""Under which conditions a session ran: law, parameters, delay, link and versions, as its recording states them."""
+
+from typing import Any
+
+import numpy as np
+
+from proto.nodes import LINK
+from recording.arrays import columns
+from recording.multi_file import RecordingSource
+from services.controller.config import ControllerConfig
+from services.delay_node.config import LinkSettings
+from services.runtime.config import validate
+from services.runtime.scenario import Scenario
+
+_MASTER = "controller@master"
+
+
+def conditions(recording: RecordingSource, scenario: Scenario, start_ns: int, end_ns: int) -> dict[str, Any]:
+    """Return what a figure or a table has to state beside its numbers.
+
+    Parameters: scenario, as attached; start_ns, end_ns, of the session [ns].
+    Returns: `law`, those in force one after the other; `parameters` of the law that the scenario names;
+    `changed`, what was set while the session ran; `link_round_trip_ms`, median of the delays that the link added there
+    and back; `round_trip_ms`, median age, in whole periods, of the sample that the newest answer descends from, as the
+    law has to bridge it (both null where nothing was recorded); profile and seed of the link; versions.
+    Raises: ConfigError naming a section of the scenario that cannot be read.
+    """
+    origin = f"{recording.path}: scenario.yaml"
+    controller = validate(ControllerConfig, scenario.controller, origin, "controller")
+    link = validate(LinkSettings, scenario.delay_node, origin, LINK)
+    laws, round_trip_ms = _law_status(recording, start_ns, end_ns)
+    versions = recording.metadata.get("versions", {})
+    return {
+        "law": laws or [controller.law],
+        "parameters": controller.law_config().model_dump(mode="json"),
+        "changed": _changed(recording, start_ns, end_ns),
+        "link_round_trip_ms": _link_round_trip_ms(recording, start_ns, end_ns),
+        "round_trip_ms": round_trip_ms,
+        "link_profile": link.profile,
+        "link_seed": link.seed,
+        "version": versions.get("package telenano", "unknown"),
+        "commit": versions.get("commit", "unknown"),
+    }
+
+
+def title(found: dict[str, Any]) -> str:
+    """Return the conditions as the words of a title: law, round trip, and the profile of a link that is not clean."""
+    words = [" then ".join(found["law"])]
+    for key, name in (("link_round_trip_ms", "round trip of the link"), ("round_trip_ms", "round trip")):
+        if found[key] is not None:
+            words.append(f"{name} {found[key]:g} ms")
+            break
+    if found["link_profile"] != "clean":
+        words.append(f"link {found['link_profile']}")
+    return ", ".join(words)
+
+
+def _law_status(recording: RecordingSource, start_ns: int, end_ns: int) -> tuple[list[str], float | None]:
+    if not any(channel.channel_topic == "law/status" for channel in recording.channels):
+        return [], None
+    found = columns(recording, "law/status", ("t_ns", "src", "law", "round_trip_s", "round_trip_valid"))
+    inside = (found["src"] == _MASTER) & (found["t_ns"] >= start_ns) & (found["t_ns"] <= end_ns)
+    laws = [str(law) for law in found["law"][inside]]
+    in_turn = [law for before, law in zip(["", *laws], laws, strict=False) if law != before]
+    told_s = found["round_trip_s"][inside & found["round_trip_valid"].astype(bool)]
+    return in_turn, round(1e3 * float(np.median(told_s)), 3) if told_s.size else None
+
+
+def _link_round_trip_ms(recording: RecordingSource, start_ns: int, end_ns: int) -> float | None:
+    if not any(channel.channel_topic == "link/status" for channel in recording.channels):
+        return None
+    ways = [(f"{way}.delay_mean_s", f"{way}.delay_valid") for way in ("forward", "backward")]
+    found = columns(recording, "link/status", ("t_ns", *(name for way in ways for name in way)))
+    inside = (found["t_ns"] >= start_ns) & (found["t_ns"] <= end_ns)
+    for _, valid in ways:
+        inside &= found[valid].astype(bool)
+    if not inside.any():
+        return None
+    return round(1e3 * float(np.median(sum(found[mean_s][inside] for mean_s, _ in ways))), 3)
+
+
+def _changed(recording: RecordingSource, start_ns: int, end_ns: int) -> list[str]:
+    """Return what nodes acknowledged to have set while the session ran, each with its node."""
+    events = recording.select(lambda channel: channel.topic == "session/event" and channel.via == "direct")
+    texts = []
+    for event in events:
+        fields = event.fields()
+        text = str(fields.get("text", ""))
+        if fields.get("kind") == "ack" and text.startswith("set ") and start_ns <= event.publish_ns <= end_ns:
+            texts.append(f"{event.src}: {text}")
+    return texts

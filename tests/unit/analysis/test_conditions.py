@@ -1,0 +1,68 @@
+"""What a figure states beside its numbers comes from the recording, not from what was asked for."""
+
+from pathlib import Path
+
+import pytest
+from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, sample
+
+from analysis.conditions import conditions, title
+from analysis.report import read_session
+from proto import encode
+from recording.reader import Recording
+from recording.writer import FileSettings, RecordingWriter
+from services.runtime.scenario import Scenario
+
+REPLAY = Path(__file__).resolve().parents[2] / "replay"
+SCENARIO = Scenario(
+    name="trial", description="", duration_s=1.0, controller={"law": "wave"}, delay_node={"profile": "lte", "seed": 7}
+)
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    """A session of 100 ms in which the law was switched, with a link that adds 20 and 30 ms."""
+    writer = RecordingWriter.create(NODE, FileSettings(directory=tmp_path_factory.mktemp("conditions")))
+    ways = {}
+    for way, delay_s in (("forward", 0.02), ("backward", 0.03)):
+        given = sample("link/status", 0).model_dump()[way]
+        ways[way] = given | {"delay_valid": True, "delay_mean_s": delay_s, "delay_min_s": 0.0, "delay_max_s": 0.1}
+    messages = []
+    for n in range(10):
+        law = {"law": "wave" if n < 5 else "passivity", "round_trip_valid": n > 0, "round_trip_s": 0.05}
+        messages.append(("law/status", "controller@master", law))
+        # the other half is not asked
+        messages.append(("law/status", "controller@slave", {"law": "smith"}))
+    ack = {"kind": "ack", "text": "set law = passivity", "level": "info"}
+    messages += [("link/status", "delay_node@master", ways), ("session/event", "controller@master", ack)]
+    for n, (topic, src, fields) in enumerate(messages):
+        message = sample(topic, n, src=src, t_ns=EPOCH_NS + n * MILLISECOND_NS, **fields)
+        channel = writer.channel(topic, src, src.partition("@")[2])
+        writer.write(channel, message.t_ns, message.t_ns, n, encode(message))
+    writer.finish()
+    return Recording(writer.path)
+
+
+def test_the_laws_that_ran_and_the_delay_that_was_are_stated(recording: Recording) -> None:
+    found = conditions(recording, SCENARIO, EPOCH_NS, EPOCH_NS + 100 * MILLISECOND_NS)
+    assert found["law"] == ["wave", "passivity"]
+    assert found["changed"] == ["controller@master: set law = passivity"]
+    assert (found["link_round_trip_ms"], found["round_trip_ms"]) == (50.0, 50.0)
+    assert (found["link_profile"], found["link_seed"]) == ("lte", 7)
+    assert found["parameters"]["impedance_n_s_per_m"] == 100.0
+    assert title(found) == "wave then passivity, round trip of the link 50 ms, link lte"
+
+
+def test_what_happened_outside_the_session_does_not_count(recording: Recording) -> None:
+    found = conditions(recording, SCENARIO, EPOCH_NS, EPOCH_NS + 3 * MILLISECOND_NS)
+    assert (found["law"], found["changed"], found["link_round_trip_ms"]) == (["wave"], [], None)
+    # where nothing was received, the law is that of the scenario
+    before = conditions(recording, SCENARIO, 0, 1)
+    assert (before["law"], before["round_trip_ms"]) == (["wave"], None)
+    assert title(before) == "wave, link lte"
+
+
+def test_a_session_states_its_round_trip_and_versions() -> None:
+    found = read_session(Recording(REPLAY / "wave.mcap")).conditions
+    # 4 ms each way, and what the loop itself takes, in whole periods
+    assert 8.0 <= found["round_trip_ms"] <= 12.0
+    assert found["version"] != "unknown"
