@@ -15,6 +15,7 @@ from proto.errors import ConfigError, RecordingError
 from recording.channel_filter import ALL, Selection
 from recording.mcap_scan import Damage, describe_damage
 from recording.messages import RawChannel, RawMessage, RecordedMessage
+from recording.quantities import quantity
 from recording.reader import Recording
 from recording.records import RECORDS
 from recording.rewrite import CopyResult, CopyWriter
@@ -28,10 +29,16 @@ def export_recording(source: Path, target: Path, kind: Format, selection: Select
     """Write the chosen channels of a recording in another format.
 
     `parquet` and `csv` make a folder with a file for each channel, `hdf5` a file with a group for each, `mcap-json`
-    an MCAP file. Raises RecordingError when the source is not a recording or the target exists or cannot be written,
-    ConfigError when a package that the format needs is not installed.
+    an MCAP file. Columns carry unit and description: as metadata of a field (`parquet`), as attributes of a dataset
+    (`hdf5`), in the table `columns.csv` (`csv`).
+
+    Raises RecordingError when nothing is selected, the source is not a recording, or the target exists or cannot be
+    written, ConfigError when a package that the format needs is not installed.
     """
     recording = Recording(source)
+    if selection is not ALL and not any(map(selection, recording.channels)):
+        known = ", ".join(sorted({channel.channel_topic for channel in recording.channels})) or "none"
+        raise RecordingError(f"{source}: has no channel that was asked for; its channels are {known}")
     try:
         if target.exists():
             raise RecordingError(f"{target}: already exists and is not overwritten")
@@ -47,12 +54,16 @@ def _export(recording: Recording, target: Path, kind: Format, selection: Selecti
         return _export_json(recording, target, selection)
     if kind == "hdf5":
         return _export_hdf5(recording, target, selection)
-    write = _write_csv if kind == "csv" else _parquet_writer()
+    write = _write_csv if kind == "csv" else _parquet_writer(recording)
     target.mkdir(parents=True)
     total = 0
+    described: list[tuple[str, ...]] = [("channel", "column", "unit", "description")]
     for name, columns in _tables(recording, selection):
-        write(target / f"{file_stem(name)}.{kind}", columns)
+        write(target / f"{file_stem(name)}.{kind}", name, columns)
+        described += [(name, column, *quantity(topic_of(name), column)) for column in columns]
         total += len(columns["log_ns"])
+    if kind == "csv":
+        _write_rows(target / "columns.csv", described)
     return CopyResult(path=str(target), messages=total, skipped=describe_damage(recording.structural_damage))
 
 
@@ -102,19 +113,32 @@ def _tables(recording: Recording, selection: Selection) -> Iterator[tuple[str, C
             yield name, columns
 
 
-def _write_csv(path: Path, columns: Columns) -> None:
+def topic_of(channel_topic: str) -> str:
+    """Return the topic of a channel, which may have the site of its reception after an `@`."""
+    return channel_topic.partition("@")[0]
+
+
+def _write_csv(path: Path, channel_topic: str, columns: Columns) -> None:
+    # float repr has all digits
+    _write_rows(path, [tuple(columns), *zip(*columns.values(), strict=True)])
+
+
+def _write_rows(path: Path, rows: list[tuple[Any, ...]]) -> None:
     with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(columns)
-        # float repr has all digits
-        writer.writerows(zip(*columns.values(), strict=True))
+        csv.writer(file).writerows(rows)
 
 
-def _parquet_writer() -> Callable[[Path, Columns], None]:
+def _parquet_writer(recording: Recording) -> Callable[[Path, str, Columns], None]:
     arrow, parquet = _package("pyarrow", "parquet"), _package("pyarrow.parquet", "parquet")
+    origin = {f"telenano.{name}": json.dumps(facts) for name, facts in recording.metadata.items()}
+    origin |= {f"telenano.{name}": data.decode(errors="replace") for name, data in recording.attachments.items()}
 
-    def write(path: Path, columns: Columns) -> None:
-        parquet.write_table(arrow.table(columns), path, compression="zstd")
+    def write(path: Path, channel_topic: str, columns: Columns) -> None:
+        made = arrow.table(columns)
+        for place, name in enumerate(made.column_names):
+            facts = quantity(topic_of(channel_topic), name)._asdict()
+            made = made.set_column(place, made.field(place).with_metadata(facts), made.column(place))
+        parquet.write_table(made.replace_schema_metadata(origin), path, compression="zstd")
 
     return write
 
@@ -129,9 +153,11 @@ def _export_hdf5(recording: Recording, target: Path, selection: Selection) -> Co
             file[f"attachments/{name}"] = np.void(data)
         for name, columns in _tables(recording, selection):
             group = file.create_group(name)
+            group.attrs["topic"] = topic_of(name)
             total += len(columns["log_ns"])
             for column, values in columns.items():
                 _write_dataset(h5py, group, column, values)
+                group[column].attrs.update(quantity(topic_of(name), column)._asdict())
     return CopyResult(path=str(target), messages=total, skipped=describe_damage(recording.structural_damage))
 
 

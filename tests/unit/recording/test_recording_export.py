@@ -18,6 +18,7 @@ from proto.errors import ConfigError, RecordingError
 from proto.messages import AfmScanline, Array
 from recording.channel_filter import Selection
 from recording.export import export_recording, plain_schema
+from recording.quantities import quantity
 from recording.reader import Recording
 from recording.records import REJECTED_TOPIC, RejectedRecord
 from recording.tables import line, plain
@@ -72,8 +73,8 @@ def test_parquet_holds_every_digit(rich: Path, tmp_path: Path) -> None:
 
 def test_csv_holds_every_digit(rich: Path, tmp_path: Path) -> None:
     export_recording(rich, tmp_path / "csv", "csv", Selection.of(["haptic/*"]))
-    (path,) = (tmp_path / "csv").iterdir()
-    with path.open(newline="", encoding="utf-8") as file:
+    assert {path.name for path in (tmp_path / "csv").iterdir()} == {"columns.csv", "haptic_state.csv"}
+    with (tmp_path / "csv" / "haptic_state.csv").open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert [float(row["operator_force_n.2"]) for row in rows] == [
         haptic_state(seq).operator_force_n[2] for seq in range(10)
@@ -95,6 +96,43 @@ def test_hdf5_has_a_group_a_channel_and_the_attachments(rich: Path, tmp_path: Pa
         assert file["afm/scanline/height_m"][2].tolist() == (HEIGHTS * 2).tolist()
         assert file["attachments/site.yaml"][()].tobytes() == b"nodes: {}\n"
         assert file["metadata/versions"].attrs["python"] == "3"
+
+
+def test_columns_carry_units_and_descriptions_and_where_they_are_from(rich: Path, tmp_path: Path) -> None:
+    for kind in ("parquet", "csv", "hdf5"):
+        export_recording(rich, tmp_path / kind, kind)
+    schema = parquet.read_schema(tmp_path / "parquet" / "haptic_state.parquet")
+    force = schema.field("operator_force_n.2").metadata
+    assert (force[b"unit"], force[b"description"][:5]) == (b"N", b"Force")
+    assert json.loads(schema.metadata[b"telenano.versions"]) == {"python": "3"}
+    assert schema.metadata[b"telenano.site.yaml"] == b"nodes: {}\n"
+    with h5py.File(tmp_path / "hdf5") as file:
+        assert file["teleop/forward@slave/position_m.2"].attrs["unit"] == "m"
+        assert file["afm/scanline/height_m"].attrs["unit"] == "m"
+        assert file["haptic/state/limited"].attrs["unit"] == ""
+    with (tmp_path / "csv" / "columns.csv").open(newline="") as file:
+        described = {(row["channel"], row["column"]): row for row in csv.DictReader(file)}
+    assert described["teleop/forward@slave", "velocity_m_per_s.0"]["unit"] == "m/s"
+    assert described["haptic/state", "log_ns"] == {
+        "channel": "haptic/state", "column": "log_ns", "unit": "ns", "description": "Recorder's clock at the reception",
+    }  # fmt: skip
+
+
+def test_a_quantity_in_a_name_has_its_unit_in_the_contract() -> None:
+    units = {"m": "m", "n": "N", "s": "s", "ns": "ns", "j": "J", "w": "W", "rad": "rad", "percent": "%"}
+    for topic, row in TOPICS.items():
+        for name in row.model.model_fields:
+            expected = units.get(name.rpartition("_")[2]) if "_per_" not in name and "sqrt" not in name else None
+            if expected is not None:
+                assert quantity(topic, name).unit.startswith(expected), (topic, name)
+
+
+def test_what_matches_nothing_is_an_error(rich: Path, tmp_path: Path) -> None:
+    with pytest.raises(
+        RecordingError, match="no channel that was asked for; its channels are afm/scanline"
+    ):
+        export_recording(rich, tmp_path / "x", "csv", Selection.of(["haptic"]))
+    assert not (tmp_path / "x").exists()
 
 
 def test_the_json_recording_is_read_by_the_reference_reader(rich: Path, tmp_path: Path) -> None:

@@ -1,0 +1,59 @@
+"""Unit and description of each column of a table of messages, from the declared contract."""
+
+import re
+from collections.abc import Iterator
+from functools import cache
+from typing import Any, NamedTuple, get_args
+
+from pydantic import BaseModel
+
+from proto import TOPICS
+from recording.records import RECORDS
+
+# "Base position [m]; z = -x_s", "Time [s], 0 = none"
+_UNIT = re.compile(r"\[([^\[\]0-9]+)\]")
+_RECORD = {
+    "log_ns": ("ns", "Recorder's clock at the reception"),
+    "publish_ns": ("ns", "Publisher's clock at the sending"),
+}
+
+
+class Quantity(NamedTuple):
+    """Unit (empty for what has none) and description of a column."""
+
+    unit: str
+    description: str
+
+
+def quantity(topic: str, column: str) -> Quantity:
+    """Return unit and description of a column of a topic, such as `tip_force_n.2`; empty where none is known."""
+    return _quantities(topic).get(_without_index(column), Quantity("", ""))
+
+
+def _without_index(column: str) -> str:
+    name, _, last = column.rpartition(".")
+    return name if last.isdecimal() else column
+
+
+@cache
+def _quantities(topic: str) -> dict[str, Quantity]:
+    model = RECORDS.get(topic) or (TOPICS[topic].model if topic in TOPICS else None)
+    found = {name: Quantity(*facts) for name, facts in _RECORD.items()}
+    return found if model is None else found | dict(_of_model(model, ""))
+
+
+def _of_model(model: type[BaseModel], prefix: str) -> Iterator[tuple[str, Quantity]]:
+    for name, field in model.model_fields.items():
+        text = field.description or ""
+        unit = _UNIT.search(text)
+        yield prefix + name, Quantity(unit[1] if unit else "", text)
+        for part in _models_in(field.annotation):
+            yield from _of_model(part, f"{prefix}{name}.")
+
+
+def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for argument in get_args(annotation):
+        if isinstance(argument, type) and issubclass(argument, BaseModel):
+            yield argument
