@@ -51,6 +51,12 @@ def row(message: RecordedMessage) -> dict[str, Any]:
         fields = message.decode().__dict__
     except RecordingError:
         fields = message.fields()
+    return found | flat(fields)
+
+
+def flat(fields: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the fields of a message as a flat row, as `row` does."""
+    found: dict[str, Any] = {}
     for key, value in fields.items():
         _flatten(key, value, found)
     return found
@@ -60,7 +66,7 @@ def table(messages: Iterable[RecordedMessage]) -> dict[str, list[Any]]:
     """Return columns of equal length with values of one type each; None where a message has no such value."""
     rows = [row(message) for message in messages]
     names = list(dict.fromkeys(name for found in rows for name in found))
-    return {name: _uniform([found.get(name) for found in rows]) for name in names}
+    return {name: uniform([found.get(name) for found in rows]) for name in names}
 
 
 def _flatten(name: str, value: Any, found: dict[str, Any]) -> None:
@@ -78,7 +84,8 @@ def _flatten(name: str, value: Any, found: dict[str, Any]) -> None:
         found[name] = json.dumps(_plain(value))
 
 
-def _uniform(values: Sequence[Any]) -> list[Any]:
+def uniform(values: Sequence[Any]) -> list[Any]:
+    """Return values of one type: whole numbers among others as floats, and anything else that is mixed as JSON."""
     kinds = {type(value) for value in values if value is not None}
     if len(kinds) <= 1:
         return list(values)

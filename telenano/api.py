@@ -1,0 +1,196 @@
+"""Recordings and running rigs for programs of one's own: tables with session time and units.
+
+    import telenano
+    session = telenano.open("out/fig12/session.mcap")
+    tip = session.table("afm/state")
+    tip["time_s"], tip["tip_force_n.2"], tip.units["tip_force_n.2"]
+    session.df("law/status", "controller@master")     # pandas, where it is installed
+
+    with telenano.live() as rig:
+        print(rig.table("afm/state", duration_s=1.0)["tip_force_n.2"])
+
+Vectors are those of the wire: in the frame of a site, z away from the sample, a column for each component.
+"""
+
+import importlib
+import os
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import closing, contextmanager
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from proto.errors import ConfigError, RecordingError
+from proto.messages import Message
+from recording.arrays import replay_shifts
+from recording.export import topic_of
+from recording.multi_file import open_recordings
+from recording.quantities import quantity
+from recording.tables import flat, row, uniform
+
+Column = npt.NDArray[Any]
+_LOOP = "haptic/state"
+
+
+class Table(Mapping[str, Column]):
+    """Columns of equal length, in the order of sending; each of shape (n,).
+
+    `time_s` is the time of sending since the start of the operator's programme [s], NaN where none ran, and `src`
+    the publisher; the others are the fields of the message, `position_m.2` for a component. `units` and `descriptions`
+    have an entry for each column. A value that a message lacks is NaN, or None among text and lists.
+    """
+
+    def __init__(self, topic: str, columns: Mapping[str, Column]) -> None:
+        facts = {name: quantity(topic, name) for name in columns}
+        self._columns = dict(columns)
+        self.topic = topic
+        self.units = {name: found.unit for name, found in facts.items()} | {"time_s": "s"}
+        self.descriptions = {name: found.description for name, found in facts.items()}
+        self.descriptions["time_s"] = "Time of sending since the start of the operator's programme"
+
+    def __getitem__(self, name: str) -> Column:
+        """Return a column; KeyError names those that there are."""
+        if name not in self._columns:
+            raise KeyError(f"{self.topic} has no column {name!r}; its columns are {', '.join(self._columns)}")
+        return self._columns[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._columns)
+
+    def __len__(self) -> int:
+        return len(self._columns)
+
+    def to_pandas(self) -> Any:
+        """Return a pandas DataFrame, with `units` in its attrs; ConfigError where pandas is not installed."""
+        try:
+            pandas = importlib.import_module("pandas")
+        except ImportError as error:
+            raise ConfigError("tables as data frames need the package pandas: pip install pandas") from error
+        frame = pandas.DataFrame({name: list(values) if values.ndim > 1 else values for name, values in self.items()})
+        frame.attrs.update(topic=self.topic, units=self.units)
+        return frame
+
+
+class RecordedSession:
+    """A recording, or all parts of one, for reading; made by `open`."""
+
+    def __init__(self, paths: Iterable[Path]) -> None:
+        self._source = open_recordings(list(paths))
+
+    @property
+    def channels(self) -> dict[str, tuple[str, ...]]:
+        """The publishers of each channel; `teleop/forward@slave` is what came out of the link there."""
+        found: dict[str, list[str]] = {}
+        for channel in self._source.channels:
+            found.setdefault(channel.channel_topic, []).append(channel.src)
+        return {name: tuple(sorted(sources)) for name, sources in sorted(found.items())}
+
+    @cached_property
+    def summary(self) -> dict[str, Any]:
+        """Conditions, figures and verdict, as in `summary.json`; RecordingError when the programme never ran."""
+        from analysis.report import read_session, read_traffic, summarise
+
+        session = read_session(self._source)
+        return summarise(session, self._source.info(), read_traffic(self._source, session))
+
+    @cached_property
+    def start_ns(self) -> int | None:
+        """When the operator's programme last began, on the publishers' clock [ns]; None if it never ran."""
+        from analysis.report import read_session
+
+        try:
+            return read_session(self._source).start_ns
+        except RecordingError:
+            return None
+
+    def table(self, channel: str, src: str | None = None) -> Table:
+        """Return the messages of a channel, from one of its publishers where there are several.
+
+        Raises: RecordingError naming the channels, or the publishers, that there are.
+        """
+        sources = self.channels.get(channel)
+        if sources is None:
+            raise RecordingError(f"{self._source.path}: has no channel {channel}; it has {', '.join(self.channels)}")
+        if src is None and len(sources) > 1:
+            raise RecordingError(f"{channel}: has several publishers, give one of {', '.join(sources)}")
+        if src is not None and src not in sources:
+            raise RecordingError(f"{channel}: {src} published nothing on it; {', '.join(sources)} did")
+        shift_ns = replay_shifts(self._source).get(src or sources[0], 0)
+        messages = (message for message in self._source.messages([channel]) if src in (None, message.src))
+        rows = [(message.publish_ns + shift_ns, row(message)) for message in messages]
+        return _table(topic_of(channel), rows, self.start_ns)
+
+    def df(self, channel: str, src: str | None = None) -> Any:
+        """Return `table` as a pandas DataFrame."""
+        return self.table(channel, src).to_pandas()
+
+
+class LiveRig:
+    """A rig that is running, for reading; made by `live`."""
+
+    def __init__(self, observer: Any) -> None:
+        self._observer = observer
+
+    def messages(self, duration_s: float | None = None) -> Iterator[tuple[str, Message]]:
+        """Yield channel and message as they come, for a time [s], None for no end."""
+        for observed in self._observer.listen(duration_s):
+            yield observed.name, observed.received.message
+
+    def table(self, channel: str, src: str | None = None, *, duration_s: float) -> Table:
+        """Return what is received on a channel within a time [s]; `time_s` is that of the hand's programme."""
+        rows: list[tuple[int, dict[str, Any]]] = []
+        start_ns: int | None = None
+        for name, message in self.messages(duration_s):
+            session_s = getattr(message, "session_s", -1.0)
+            if name == _LOOP and session_s >= 0.0:
+                start_ns = message.t_ns - round(session_s * 1e9)
+            if name == channel and src in (None, message.src):
+                rows.append((message.t_ns, flat(message.__dict__)))
+        return _table(topic_of(channel), rows, start_ns)
+
+
+def open(path: str | os.PathLike[str], *further: str | os.PathLike[str]) -> RecordedSession:
+    """Open a recording, or all parts of one, in their order.
+
+    Raises: RecordingError naming a file that cannot be read.
+    """
+    return RecordedSession(map(Path, (path, *further)))
+
+
+@contextmanager
+def live(site_file: str | os.PathLike[str] | None = None) -> Iterator[LiveRig]:
+    """Connect to a running rig, by the packaged site file of one machine or one of your own.
+
+    Raises: ConfigError naming what is wrong with the site file, or the key that this machine lacks.
+    """
+    from presets import DEFAULT_SITE_FILE
+    from services.runtime.main import load_site
+    from services.runtime.observer import Observer
+
+    book = load_site(Path(site_file) if site_file is not None else DEFAULT_SITE_FILE)
+    with closing(Observer(book)) as observer:
+        yield LiveRig(observer)
+
+
+def _table(topic: str, rows: list[tuple[int, dict[str, Any]]], start_ns: int | None) -> Table:
+    rows.sort(key=lambda sent: sent[0])
+    sent_ns = np.array([at_ns for at_ns, _ in rows], dtype=np.int64)
+    time_s = (sent_ns - start_ns) * 1e-9 if start_ns is not None else np.full(sent_ns.size, np.nan)
+    columns: dict[str, Column] = {"time_s": np.asarray(time_s, dtype=np.float64)}
+    for name in dict.fromkeys(name for _, values in rows for name in values):
+        columns[name] = _column(uniform([values.get(name) for _, values in rows]))
+    return Table(topic, columns)
+
+
+def _column(values: list[Any]) -> Column:
+    kinds = {type(value) for value in values if value is not None}
+    if kinds <= {float, int} and kinds and (float in kinds or None in values):
+        return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
+    if kinds in ({int}, {bool}) and None not in values:
+        return np.array(values)
+    column = np.empty(len(values), dtype=object)
+    column[:] = values
+    return column

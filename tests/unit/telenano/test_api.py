@@ -1,0 +1,107 @@
+"""Tables for programs: session time, units, one publisher at a time."""
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import zmq
+from recorder_samples import sample
+
+import telenano
+from proto.errors import ConfigError, RecordingError
+from services.runtime.bus import ZmqPublisher
+from services.runtime.clock import SystemClock
+
+WAVE = Path(__file__).resolve().parents[2] / "replay" / "wave.mcap"
+
+
+@pytest.fixture(scope="module")
+def session() -> telenano.RecordedSession:
+    return telenano.open(WAVE)
+
+
+def test_a_table_has_the_time_of_the_session_and_a_unit_for_each_column(session: telenano.RecordedSession) -> None:
+    hand = session.table("haptic/state")
+    running = hand["session_s"] >= 0.0
+    # the hand's own account of it, in whole periods of 1 ms
+    assert np.abs(hand["time_s"] - hand["session_s"])[running].max() < 0.01
+    assert (np.diff(hand["time_s"]) >= 0.0).all()
+    assert set(hand.units) == set(hand) == set(hand.descriptions)
+    assert (hand.units["operator_force_n.2"], hand.units["time_s"], hand.units["mode"]) == ("N", "s", "")
+    # the hand presses towards the sample, which is -z
+    assert hand["operator_force_n.2"].min() < -0.1
+    with pytest.raises(KeyError, match=r"haptic/state has no column 'force'; its columns are time_s, log_ns"):
+        hand["force"]
+
+
+def test_publishers_of_a_channel_are_kept_apart(session: telenano.RecordedSession) -> None:
+    with pytest.raises(RecordingError, match="several publishers, give one of controller@master, controller@slave"):
+        session.table("law/status")
+    halves = [session.table("law/status", src) for src in session.channels["law/status"]]
+    assert [set(half["src"]) for half in halves] == [{"controller@master"}, {"controller@slave"}]
+    # only the master has a round trip
+    assert [half["round_trip_valid"].any() for half in halves] == [True, False]
+    with pytest.raises(RecordingError, match="law/status: recorder@master published nothing on it"):
+        session.table("law/status", "recorder@master")
+    with pytest.raises(RecordingError, match="has no channel afm; it has afm/command, afm/state"):
+        session.table("afm")
+
+
+def test_a_value_that_is_not_there_is_nan(session: telenano.RecordedSession) -> None:
+    assert np.isfinite(session.table("teleop/forward")["wave_sqrt_w.2"]).all()
+    other = telenano.open(WAVE.with_name("virtual_impedance.mcap")).table("teleop/forward")
+    assert set(other["wave_sqrt_w"]) == {None}
+
+
+def test_the_summary_is_that_of_the_report(session: telenano.RecordedSession) -> None:
+    assert (session.summary["scenario"], session.summary["law"]) == ("fig12", ["wave"])
+
+
+def test_a_data_frame_is_the_table(session: telenano.RecordedSession) -> None:
+    frame = session.df("afm/state")
+    assert frame["tip_force_n.2"].tolist() == session.table("afm/state")["tip_force_n.2"].tolist()
+    assert frame.attrs["units"]["tip_force_n.2"] == "N"
+
+
+def test_without_pandas_its_absence_is_named(
+    session: telenano.RecordedSession, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(ConfigError, match="pip install pandas"):
+        session.df("afm/state")
+
+
+def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match=r"none\.mcap"):
+        telenano.open(tmp_path / "none.mcap")
+
+
+def test_a_running_rig_is_read(tmp_path: Path) -> None:
+    endpoint = f"ipc://{tmp_path}/hand"
+    site = tmp_path / "site.yaml"
+    site.write_text(f"nodes: {{haptic_node@master: '{endpoint}'}}\n")
+    given = sample("haptic/state", 0, session_s=2.5).__dict__
+    fields = {name: value for name, value in given.items() if name not in ("seq", "t_ns", "src", "v")}
+    with zmq.Context[Any]() as context, telenano.live(site) as rig:
+        hand = ZmqPublisher(context, SystemClock(), "haptic_node@master", endpoint)
+        try:
+            found: tuple[str, Any] | None = None
+            while found is None:
+                hand.publish("haptic/state", **fields)
+                found = next(rig.messages(0.1), None)
+            assert (found[0], found[1].src) == ("haptic/state", "haptic_node@master")
+            hand.publish("haptic/state", **fields)
+            table = rig.table("haptic/state", duration_s=0.2)
+        finally:
+            hand.close()
+    assert table["time_s"][-1] == pytest.approx(2.5, abs=1e-6)
+
+
+def test_the_command_does_not_pay_for_it() -> None:
+    code = "import sys, telenano; sys.exit('numpy' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+    with pytest.raises(AttributeError, match="no attribute 'close'"):
+        telenano.close  # noqa: B018
