@@ -6,7 +6,7 @@ Nothing here reads a clock: a node passes the time of its turn, so that a re-run
 from bisect import bisect_right
 
 from proto.messages import LinkDelay
-from proto.nodes import site_of
+from proto.nodes import LINK, name_of, site_of
 from proto.topics import LOOP_DEADLINE_S
 
 LOOP_DEADLINE_NS = round(LOOP_DEADLINE_S * 1e9)
@@ -67,7 +67,9 @@ class HandAge:
         self._newest_from_ns = self._newest_lag_ns = 0
 
     def record(self, message: LinkDelay) -> None:
-        """Record what the link reports of one direction."""
+        """Record what the link reports of one direction; nobody else knows it."""
+        if name_of(message.src) != LINK:
+            return
         forward, backward = self._forward, self._backward
         for history in (forward, backward):
             history.forget_before(self._judged_ns)

@@ -37,6 +37,12 @@ def test_without_a_word_of_the_link_an_age_is_the_plain_one() -> None:
     assert age_ms(hand, LATER_NS, LATER_NS - 70 * MS, 0.2) == pytest.approx(200.0, rel=1e-9, abs=0.0)
 
 
+def test_only_the_link_says_what_its_delay_is() -> None:
+    hand = HandAge("afm_node@slave", START_NS)
+    hand.record(told("forward", START_NS, 150.0).model_copy(update={"src": "console@master"}))
+    assert age_ms(hand, LATER_NS, LATER_NS - 160 * MS) == pytest.approx(160.0, rel=1e-9, abs=0.0)
+
+
 def test_the_slave_takes_off_the_way_there_and_the_master_both() -> None:
     there, both = HandAge("controller@slave", START_NS), HandAge("haptic_node@master", START_NS)
     for hand in (there, both):
