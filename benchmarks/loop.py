@@ -1,210 +1,196 @@
-"""The age of the zero-delay loop, as a ratio to the same hops over bare Unix-domain sockets in the same run.
+"""The age of the zero-delay loop, as a ratio to the same hops without the project's work in the same run.
 
     python benchmarks/loop.py [--rounds N] [--duration S] [--json]
 
-The floor: five processes pass bytes of the very sizes of our messages along the eight hops of the loop
-(hand, master half, link, slave half, AFM, slave half, link, master half, hand) over connected Unix-domain sockets,
-paced at 1 kHz, doing nothing else. It is measured twice: `plain`, as any program would run, and `placed`, under the
-scheduling that the rig's nodes ask for (SCHED_FIFO, a processor for each side of the link). The rig: `telenano up
---scenario fig12`, the age of the loop as its own recording has it. All take turns, and the medians of the rounds are
-compared.
+The floors (`chains.py`): five processes pass bytes of the very sizes of our messages along the eight hops of the loop
+(hand, master half, link, slave half, AFM, slave half, link, master half, hand), paced at 1 kHz, doing nothing else:
+over connected Unix-domain sockets, `plain` as any program would run and `placed` under the scheduling that the rig's
+nodes ask for; and placed over `zeromq`, with a subscriber that drains everything in the recorder's place. The rig:
+`telenano up --scenario fig12`, the age of the loop as its own recording has it, the processor time and memory of each
+process as the kernel has it, and the time to the first tick of the hand. A last run of each round with
+`realtime.trace` tells how long each part of a hop takes. All take turns, and the medians of the rounds are compared.
 """
 
 import argparse
+import contextlib
 import json
-import multiprocessing
 import os
-import socket
 import statistics
 import subprocess
 import sys
 import tempfile
+import threading
 import time
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
+from typing import Any, NamedTuple, cast
 
-from proto import encode
-from proto.messages import (
-    AfmCommand,
-    AfmState,
-    HapticCommand,
-    HapticState,
-    Message,
-    TeleopBackward,
-    TeleopForward,
-)
-from services.runtime.log import StructuredLog
-from services.runtime.realtime import RealtimeConfig, apply_realtime, freeze_garbage, shallow_idle
+from chains import measure_sockets, measure_zeromq
 
-PERIOD_NS = 1_000_000
-SPIN_NS = 100_000
+from proto import decode
+from proto.messages import HapticState
+from recording.reader import Recording
+from services.runtime.hop_trace import PARTS
+from services.runtime.realtime import shallow_idle
 
-
-def hop_sizes() -> dict[str, int]:
-    """Give the bytes of each message of the loop, topic frame included."""
-    vector = (0.0, 0.0, -7.123456789e-3)
-    header = {"seq": 4321, "t_ns": 1_790_000_000_123_456_789, "src": "controller@master", "v": 1}
-    hand = {"hand_seq": 4321, "hand_t_ns": 1_790_000_000_123_456_789}
-    teleop = {
-        "law": "virtual_impedance",
-        "active": True,
-        "position_m": vector,
-        "velocity_m_per_s": vector,
-        "force_n": vector,
-        "wave_sqrt_w": None,
-        "energy_j": None,
-    }
-    known = {"separation_m": 1e-9, "separation_valid": True, "in_contact": True}
-    messages: dict[str, Message] = {
-        "haptic/state": HapticState(
-            **header,
-            position_m=vector,
-            velocity_m_per_s=vector,
-            operator_force_n=vector,
-            motor_force_n=vector,
-            reference_m=vector,
-            mode="position",
-            estop=False,
-            limited=False,
-            session_s=1.234,
-            answered_seq=4320,
-            answered_t_ns=header["t_ns"],
-            answered_at_ns=header["t_ns"],
-            step_s=1e-3,
-        ),
-        "teleop/forward": TeleopForward(**header, **hand, **teleop),
-        "afm/command": AfmCommand(**header, **hand, mode="position", base_position_m=vector),
-        "afm/state": AfmState(
-            **header,
-            **hand,
-            **known,
-            command_seq=4321,
-            base_position_m=vector,
-            deflection_m=1.23456e-10,
-            tip_force_n=vector,
-            meniscus=True,
-            mode="follow",
-            limited=False,
-            step_s=1e-3,
-        ),
-        "teleop/backward": TeleopBackward(**header, **hand, **teleop, **known),
-        "haptic/command": HapticCommand(
-            **header, **hand, mode="position", position_m=vector, velocity_m_per_s=vector, force_n=vector
-        ),
-    }
-    return {topic: len(topic) + len(encode(message)) for topic, message in messages.items()}
+FLOORS = {
+    "plain": ("sockets, plain", lambda ticks: measure_sockets(ticks, placed=False)),
+    "placed": ("sockets, placed", lambda ticks: measure_sockets(ticks, placed=True)),
+    "zeromq": ("ZeroMQ, placed", lambda ticks: measure_zeromq(ticks, placed=True)),
+}
+FIGURES = ("p50", "p99", "max")
 
 
-def relay(node: str, placed: bool, near: socket.socket, far: socket.socket, there: bytes, back: bytes) -> None:
-    """Pass a message on and its answer back, until the near side closes."""
-    prepare(node, placed)
-    while near.recv(4096):
-        far.send(there)
-        far.recv(4096)
-        near.send(back)
+class RigRun(NamedTuple):
+    """What one run of the rig showed: age of the loop [ms], by process [% of one core] and [MB], start [s], parts [us].
+
+    `start_s`: from the command to the first sample of the hand, and to the first tick of its programme. `parts_us`: by
+    process, empty in a run without trace.
+    """
+
+    age_ms: dict[str, float]
+    processor_percent: dict[str, float]
+    memory_mb: dict[str, float]
+    start_s: dict[str, float]
+    parts_us: dict[str, dict[str, float]]
 
 
-def turn(placed: bool, near: socket.socket, answer: bytes) -> None:
-    """Answer every message."""
-    prepare("afm_node@slave", placed)
-    while near.recv(4096):
-        near.send(answer)
-
-
-def prepare(node: str, placed: bool) -> None:
-    """Ask for the scheduling that the rig's nodes ask for, if it is wanted."""
-    if placed:
-        apply_realtime(RealtimeConfig(), StructuredLog("floor"), node)
-    freeze_garbage()
-
-
-def measure_floor(ticks: int, *, placed: bool) -> list[float]:
-    """Give the age [ms] of each of `ticks` round trips over eight hops of Unix-domain sockets."""
-    sizes = {topic: bytes(size) for topic, size in hop_sizes().items()}
-    pairs = [socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET) for _ in range(4)]
-    there = [sizes["teleop/forward"], sizes["teleop/forward"], sizes["afm/command"]]
-    back = [sizes["haptic/command"], sizes["teleop/backward"], sizes["teleop/backward"]]
-    context = multiprocessing.get_context("fork")
-    relays = enumerate(("controller@master", "delay_node@master", "controller@slave"))
-    tasks = [(node, placed, pairs[hop][1], pairs[hop + 1][0], there[hop], back[hop]) for hop, node in relays]
-    workers = [context.Process(target=relay, args=task, daemon=True) for task in tasks]
-    workers.append(context.Process(target=turn, args=(placed, pairs[3][1], sizes["afm/state"]), daemon=True))
-    for worker in workers:
-        worker.start()
-    master = context.Pipe(duplex=False)
-    pacer = context.Process(
-        target=pace, args=(placed, pairs[0][0], sizes["haptic/state"], ticks, master[1]), daemon=True
-    )
-    pacer.start()
-    ages: list[float] = master[0].recv()
-    for process in (pacer, *workers):
-        process.terminate()
-        process.join()
-    for pair in pairs:
-        for end in pair:
-            end.close()
-    return ages
-
-
-def pace(
-    placed: bool, near: socket.socket, payload: bytes, ticks: int, result: "multiprocessing.connection.Connection"
-) -> None:
-    """Send on an absolute grid as the haptic node does and time the answers."""
-    prepare("haptic_node@master", placed)
-    ages = []
-    deadline = time.monotonic_ns() + 200 * PERIOD_NS
-    for _ in range(ticks):
-        deadline += PERIOD_NS
-        time.sleep(max(0, deadline - SPIN_NS - time.monotonic_ns()) * 1e-9)
-        while time.monotonic_ns() < deadline:
-            pass
-        start = time.monotonic_ns()
-        near.send(payload)
-        near.recv(4096)
-        ages.append((time.monotonic_ns() - start) * 1e-6)
-    result.send(ages)
-
-
-def measure_rig(duration_s: float) -> dict[str, float]:
-    """Give p50, p99 and max [ms] of the age of the loop of one run of the rig."""
+def measure_rig(duration_s: float, *, trace: bool) -> RigRun:
+    """Run the rig once, with the time of each part of a hop in its logs if `trace`."""
     with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "out"
         environment = {**os.environ, "TELENANO_RUNTIME_DIR": folder}
         command = [sys.executable, "-m", "telenano", "up", "--scenario", "fig12", "--json"]
-        command += ["--duration", str(duration_s), "--out", str(Path(folder) / "out")]
-        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
-    age: dict[str, float] = json.loads(done.stdout)["loop_age_ms"]
-    return age
+        command += ["--duration", str(duration_s), "--out", str(out), *(["--set", "realtime.trace=true"] * trace)]
+        begin_ns = time.time_ns()
+        with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) as rig:
+            watch = ProcessWatch(rig.pid)
+            printed = rig.communicate()[0]
+            watch.end()
+        if rig.returncode:
+            raise SystemExit(f"the rig ended with exit code {rig.returncode}")
+        start_s = _start_s(Recording(out / "session.mcap"), begin_ns)
+        share, memory = watch.while_running(duration_s)
+        return RigRun(json.loads(printed)["loop_age_ms"], share, memory, start_s, _traced(out / "logs"))
+
+
+class ProcessWatch:
+    """Processor time [s] and resident memory [MB] of the processes of a rig, as the kernel has them."""
+
+    def __init__(self, launcher: int) -> None:
+        self._launcher = launcher
+        self._samples: list[tuple[float, dict[str, tuple[float, float]]]] = []
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def end(self) -> None:
+        self._ended.set()
+        self._thread.join()
+
+    def while_running(self, duration_s: float) -> tuple[dict[str, float], dict[str, float]]:
+        """Return for each process its share of a processor [%] and its memory [MB], while all of them ran."""
+        most = max(len(found) for _, found in self._samples)
+        whole = [sample for sample in self._samples if len(sample[1]) == most]
+        end_s, last = whole[-1]
+        # the start of the rig does not count, nor the first second of its session
+        begin_s, first = next(sample for sample in whole if end_s - sample[0] <= duration_s - 1.0)
+        share = {name: 100.0 * (last[name][0] - first[name][0]) / (end_s - begin_s) for name in last if name in first}
+        return share, {name: memory for name, (_, memory) in last.items()}
+
+    def _run(self) -> None:
+        while not self._ended.wait(0.25):
+            self._samples.append((time.monotonic(), dict(self._found())))
+
+    def _found(self) -> Iterator[tuple[str, tuple[float, float]]]:
+        """Yield name, processor time [s] and memory [MB] of the launcher and its children."""
+        for folder in Path("/proc").glob("[0-9]*"):
+            # a process may end meanwhile
+            with contextlib.suppress(OSError, IndexError):
+                after_name = (folder / "stat").read_text().rpartition(")")[2].split()
+                if self._launcher not in (int(folder.name), int(after_name[1])):
+                    continue
+                words = (folder / "cmdline").read_text().split("\0")
+                name = next((word.removeprefix("services.") for word in words if word.startswith("services.")), "")
+                site = words[words.index("--site") + 1] if "--site" in words else "master"
+                used_s = (int(after_name[11]) + int(after_name[12])) / os.sysconf("SC_CLK_TCK")
+                pages = int((folder / "statm").read_text().split()[1])
+                memory_mb = pages * os.sysconf("SC_PAGE_SIZE") * 1e-6
+                yield f"{name or 'launcher'}@{site}", (used_s, memory_mb)
+
+
+def _start_s(recording: Recording, begin_ns: int) -> dict[str, float]:
+    found: dict[str, float] = {}
+    for message in recording.messages(["haptic/state"]):
+        state = cast(HapticState, decode("haptic/state", message.payload))
+        found.setdefault("first sample of the hand", (state.t_ns - begin_ns) * 1e-9 - 1e-3 * state.seq)
+        if state.session_s >= 0.0:
+            found["first tick of its programme"] = (state.t_ns - begin_ns) * 1e-9
+            return found
+    return found
+
+
+def _traced(logs: Path) -> dict[str, dict[str, float]]:
+    entries = [json.loads(line) for log in sorted(logs.glob("*.log")) for line in log.read_text().splitlines()]
+    return {entry["node"]: entry["parts"] for entry in entries if "parts" in entry}
+
+
+def _medians(found: Iterable[Mapping[str, float]]) -> dict[str, float]:
+    rows = list(found)
+    keys = dict.fromkeys(key for row in rows for key in row)
+    return {key: statistics.median(row[key] for row in rows if key in row) for key in keys}
+
+
+def measure(rounds: int, duration_s: float) -> dict[str, Any]:
+    """Return all figures, medians of the rounds."""
+    ages: dict[str, list[dict[str, float]]] = {name: [] for name in (*FLOORS, "rig")}
+    runs, traced = [], []
+    for _ in range(rounds):
+        for name, (_, floor) in FLOORS.items():
+            with shallow_idle():
+                found = sorted(floor(round(duration_s * 1000)))
+            ages[name].append({"p50": statistics.median(found), "p99": found[int(0.99 * len(found))], "max": found[-1]})
+        runs.append(measure_rig(duration_s, trace=False))
+        ages["rig"].append(runs[-1].age_ms)
+        traced.append(measure_rig(duration_s, trace=True))
+    age_ms = {name: _medians(turns) for name, turns in ages.items()}
+    ratio = {floor: {key: age_ms["rig"][key] / age_ms[floor][key] for key in FIGURES} for floor in FLOORS}
+    nodes = sorted({node for run in traced for node in run.parts_us})
+    return {
+        "age_ms": age_ms,
+        "ratio": ratio,
+        "processor_percent": _medians(run.processor_percent for run in runs),
+        "memory_mb": _medians(run.memory_mb for run in runs),
+        "start_s": _medians(run.start_s for run in runs),
+        "parts_us": {node: _medians(run.parts_us[node] for run in traced if node in run.parts_us) for node in nodes},
+    }
 
 
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--rounds", type=int, default=3, help="turns of floor and rig")
+    parser.add_argument("--rounds", type=int, default=3, help="turns of floors and rig")
     parser.add_argument("--duration", type=float, default=5.0, help="length of each turn [s]")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     given = parser.parse_args()
-    rounds: dict[str, list[dict[str, float]]] = {"plain": [], "placed": [], "rig": []}
-    for _ in range(given.rounds):
-        for floor in ("plain", "placed"):
-            with shallow_idle():
-                ages = sorted(measure_floor(round(given.duration * 1000), placed=floor == "placed"))
-            rounds[floor].append({"p50": statistics.median(ages), "p99": ages[int(0.99 * len(ages))], "max": ages[-1]})
-        rounds["rig"].append(measure_rig(given.duration))
-    ages_ms = {
-        name: {key: statistics.median(found[key] for found in turns) for key in ("p50", "p99", "max")}
-        for name, turns in rounds.items()
-    }
-    ratios = {
-        floor: {key: ages_ms["rig"][key] / ages_ms[floor][key] for key in ("p50", "p99", "max")}
-        for floor in ("plain", "placed")
-    }
+    found = measure(given.rounds, given.duration)
     if given.json:
-        print(json.dumps({"age_ms": ages_ms, "ratio": ratios}))
+        print(json.dumps(found))
         return
-    print(f"{'':28}{'p50':>9}{'p99':>9}{'max':>9}")
-    for name, label in (("plain", "sockets, plain, ms"), ("placed", "sockets, placed, ms"), ("rig", "rig, ms")):
-        print(f"{label:28}" + "".join(f"{value:9.3f}" for value in ages_ms[name].values()))
-    for floor, ratio in ratios.items():
-        print(f"{'rig / sockets, ' + floor:28}" + "".join(f"{value:9.2f}" for value in ratio.values()))
+    print(f"{'':28}" + "".join(f"{key:>9}" for key in FIGURES))
+    for name, label in (*((name, label) for name, (label, _) in FLOORS.items()), ("rig", "rig")):
+        print(f"{label + ', ms':28}" + "".join(f"{found['age_ms'][name][key]:9.3f}" for key in FIGURES))
+    for name, (label, _) in FLOORS.items():
+        print(f"{'rig / ' + label:28}" + "".join(f"{found['ratio'][name][key]:9.2f}" for key in FIGURES))
+    print(f"\n{'median of a hop, us':28}" + "".join(f"{part:>9}" for part in PARTS))
+    for node, parts in found["parts_us"].items():
+        print(f"{node:28}" + "".join(f"{parts.get(part, 0.0):9.1f}" for part in PARTS))
+    print(f"\n{'':28}{'processor, %':>14}{'memory, MB':>12}")
+    for node, share in sorted(found["processor_percent"].items()):
+        print(f"{node:28}{share:14.1f}{found['memory_mb'][node]:12.1f}")
+    print(f"{'together':28}{sum(found['processor_percent'].values()):14.1f}")
+    for what, start_s in found["start_s"].items():
+        print(f"start to {what}: {start_s:.2f} s")
 
 
 if __name__ == "__main__":

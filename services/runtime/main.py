@@ -12,6 +12,7 @@ from pydantic import BaseModel
 
 from proto.errors import TelenanoError
 from proto.nodes import sites_of
+from services.runtime import hop_trace
 from services.runtime.address_book import AddressBook
 from services.runtime.config import read_yaml, validate
 from services.runtime.log import StructuredLog, configure_logging
@@ -128,9 +129,12 @@ def _run(kind: NodeKind[C], given: NodeArguments, log: StructuredLog) -> None:
     status = apply_realtime(wanted, log, key)
     signals = StopSignals()
     raise_file_limit()
+    report_trace = hop_trace.install(log) if loaded.scenario.realtime.trace and kind.realtime else None
     with open_participant(key, book, signals.descriptor) as participant:
         wiring = Wiring(**vars(participant), site_file=given.site_file, scenario_file=given.scenario)
         node, bus = kind.build(wiring, config)
         log.info("ready", realtime=status.fifo, memory_locked=status.memory_locked)
         run_loop(node, bus, signals, status, spin_s=wanted.spin_s)
+    if report_trace is not None:
+        report_trace()
     log.info("stopped")

@@ -48,6 +48,9 @@ class RealtimeConfig(BaseModel):
         description="Processor that a process stays on. auto: under SCHED_FIFO the master's nodes on one, link and "
         "slave's nodes on another; free: any; or a mapping of node or node@site to a processor",
     )
+    trace: bool = Field(
+        default=False, description="Write the time that each part of a hop takes to the log of each node at its end"
+    )
 
 
 class RealtimeStatus(BaseModel):
