@@ -8,7 +8,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from proto.codec import MAX_MESSAGE_BYTES, WireError, accept, decode, decode_header, encode
+    from proto.codec import MAX_MESSAGE_BYTES, WireError, accept, compose, decode, decode_header, encode
     from proto.messages import Message
     from proto.topics import TOPICS, Topic
 
@@ -19,6 +19,7 @@ __all__ = [
     "Topic",
     "WireError",
     "accept",
+    "compose",
     "decode",
     "decode_header",
     "encode",

@@ -3,7 +3,7 @@
 A message is one msgpack map with a string key a field. Any bytes decode to a message or raise one `WireError`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, get_args, get_origin
 
@@ -11,8 +11,9 @@ import msgpack
 from pydantic import BaseModel, ValidationError
 
 from proto.messages import MAX_ITEMS, MAX_KEYS, Message, SessionControl
-from proto.ranges import any_range, is_out_of_range
+from proto.ranges import any_range, is_out_of_range, limited
 from proto.topics import TOPICS, Topic
+from proto.typed import typed_form
 
 MAX_MESSAGE_BYTES = 1 << 20
 # a message without maps and arrays of data inside, of which the longest has 500
@@ -59,12 +60,33 @@ def accept(topic: str, payload: bytes) -> Message:
     Raises WireError naming the topic, the key at fault and what would be right; `range` where a quantity is beyond its
     range (`proto.ranges`).
     """
+    typed = _TYPED.get(topic)
+    if typed is not None and (quick := typed.read(payload)) is not None:
+        return quick
     form, fields = _read(topic, payload)
     try:
-        return form.model.model_validate(fields)
+        message = form.model.model_validate(fields)
     except ValidationError as error:
         fault = _first_fault(error)
         raise WireError(fault[0], f"{topic}: {fault[1]}") from error
+    if typed is not None:
+        typed.note(message)
+    return message
+
+
+def compose(topic: str, fields: Mapping[str, Any], report: Callable[[str], None]) -> tuple[Message, bytes]:
+    """Return a message and its bytes, with what is beyond its range at the nearer end (`proto.ranges.limited`).
+
+    Parameters: report, called with a sentence when something was limited. Raises pydantic.ValidationError when the
+    fields do not make a valid message, WireError as `encode` does.
+    """
+    typed = _TYPED.get(topic)
+    if typed is not None and (quick := typed.compose(fields)) is not None:
+        return quick
+    message = limited(_FORMS[topic].model, fields, report)
+    if typed is not None:
+        typed.note(message)
+    return message, encode(message)
 
 
 def decode(topic: str, payload: bytes) -> Message:
@@ -72,6 +94,9 @@ def decode(topic: str, payload: bytes) -> Message:
 
     For recordings and examples: what acts on a message takes `accept`. Raises WireError as that does, but for `range`.
     """
+    typed = _TYPED.get(topic)
+    if typed is not None and (quick := typed.read(payload)) is not None:
+        return quick
     form, fields = _read(topic, payload)
     try:
         return form.model.model_validate(fields)
@@ -92,6 +117,9 @@ def decode_header(topic: str, payload: bytes) -> tuple[tuple[int, int, str], dic
     take three times as long. The form of `src` is left to the caller, who meets the same few again and again.
     Raises WireError as `decode` does.
     """
+    typed = _TYPED.get(topic)
+    if typed is not None and (quick := typed.fields(payload)) is not None:
+        return (quick["seq"], quick["t_ns"], quick["src"]), quick
     _, fields = _read(topic, payload)
     seq, t_ns, src, version = fields.get("seq"), fields.get("t_ns"), fields.get("src"), fields.get("v")
     if not (type(seq) is int and type(t_ns) is int and type(src) is str and type(version) is int):
@@ -142,6 +170,9 @@ def _most_pairs(annotation: Any) -> int:
 
 
 _FORMS = {name: _form_of(row) for name, row in TOPICS.items()}
+_TYPED = {
+    name: typed for name, form in _FORMS.items() if form.plain and (typed := typed_form(form.model, form.most_bytes))
+}
 _MOST_BYTES = {form.model: form.most_bytes for form in _FORMS.values()}
 
 

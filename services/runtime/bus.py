@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, Protocol, cast
 
 import zmq
 
-from proto import TOPICS, WireError, accept, decode_header, encode
+from proto import TOPICS, WireError, accept, compose, decode_header
 from proto.codec import MAX_MESSAGE_BYTES
 from proto.errors import EndpointError
 from proto.messages import MAX_ROWS, SUPERSEDED, InputHealth, Message
@@ -125,8 +125,8 @@ class _NumberingPublisher(ABC):
         seq = self._sequence.get(topic, 0)
         model = TOPICS[topic].model
         header = {"seq": seq, "t_ns": self._clock.now_ns(), "src": self.node, "v": model.version_of(fields)}
-        message = limited(model, {**header, **fields}, self.on_limited)
-        self.send(topic, encode(message))
+        message, payload = compose(topic, {**header, **fields}, self.on_limited)
+        self.send(topic, payload)
         self._sequence[topic] = seq + 1
         return message
 

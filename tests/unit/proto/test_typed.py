@@ -1,0 +1,191 @@
+"""The fast way through the contract: what it accepts the declared models accept, and it decides nothing else."""
+
+import math
+import random
+from typing import Any
+
+import msgpack
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from proto import TOPICS, Message, WireError, accept, compose, encode
+from proto.codec import MAX_PLAIN_BYTES
+from proto.messages import AfmCommand
+from proto.ranges import POSITION, limited
+from proto.typed import typed_form
+
+LOOP = ("haptic/state", "haptic/command", "teleop/forward", "teleop/backward", "afm/command", "afm/state")
+HEADER = {"seq": 7, "t_ns": 1_790_000_000_123_456_789, "src": "controller@slave", "v": 1}
+COMMAND: dict[str, Any] = {
+    "hand_seq": 5, "hand_t_ns": 9, **HEADER, "mode": "position", "base_position_m": (0.0, 0.0, -7e-3)
+}  # fmt: skip
+
+
+def declared(topic: str, payload: bytes) -> Message | tuple[str, str]:
+    """Return what the declared model makes of a payload: the message, or reason and text of its error."""
+    try:
+        message = accept(topic, payload)
+    except WireError as error:
+        return error.reason, str(error)
+    return message
+
+
+def example(topic: str) -> dict[str, Any]:
+    fields: dict[str, Any] = {}
+    for name, field in TOPICS[topic].model.model_fields.items():
+        kind = str(field.annotation)
+        fields[name] = HEADER.get(name, (0.5, -0.25, 1e-9) if "tuple" in kind else 3)
+        if field.annotation is bool:
+            fields[name] = True
+        elif field.annotation is float:
+            fields[name] = 0.125
+        elif "Literal" in kind:
+            fields[name] = kind.split("'")[1]
+        elif name == "law":
+            fields[name] = "wave"
+        elif name == "energy_j":
+            fields[name] = None
+    return fields
+
+
+def corrupted(payload: bytes, rng: random.Random) -> bytes:
+    damaged = bytearray(payload)
+    for _ in range(rng.choice((1, 1, 2))):
+        place, kind = rng.randrange(len(damaged)), rng.random()
+        if kind < 0.7:
+            damaged[place] = rng.randrange(256)
+        elif kind < 0.85:
+            damaged.insert(place, rng.randrange(256))
+        else:
+            del damaged[place]
+    return bytes(damaged)
+
+
+@pytest.mark.parametrize("topic", LOOP)
+def test_the_messages_of_the_loop_take_the_fast_way_with_the_same_bytes(topic: str) -> None:
+    form = typed_form(TOPICS[topic].model, MAX_PLAIN_BYTES)
+    assert form is not None
+    fields = example(topic)
+    message = limited(TOPICS[topic].model, fields)
+    payload = encode(message)
+    assert form.read(payload) is None  # its texts are not known yet
+    form.note(message)
+    assert form.read(payload) == message
+    assert repr(form.read(payload)) == repr(message)
+    composed = form.compose(dict(reversed(fields.items())))
+    assert composed == (message, payload)
+    assert composed is not None
+    assert list(composed[0].__dict__) == list(message.__dict__)
+    assert composed[0].model_copy(update={"seq": 8}).seq == 8
+
+
+@pytest.mark.parametrize("topic", LOOP)
+def test_what_it_accepts_of_corrupted_payloads_the_declared_model_accepts_as_well(
+    topic: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    form = typed_form(TOPICS[topic].model, MAX_PLAIN_BYTES)
+    assert form is not None
+    message = limited(TOPICS[topic].model, example(topic))
+    form.note(message)
+    monkeypatch.setattr("proto.codec._TYPED", {})
+    rng, accepted = random.Random(topic), 0
+    for _ in range(1500):
+        payload = corrupted(encode(message), rng)
+        found = form.read(payload)
+        if found is not None:
+            accepted += 1
+            assert declared(topic, payload) == found
+            assert encode(found) == encode(accept(topic, payload))
+    assert accepted > 100
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("base_position_m", (math.nan, 0.0, 0.0)),
+        ("base_position_m", (0.0, math.inf, 0.0)),
+        ("base_position_m", (0.0, 0.0, math.nextafter(POSITION.high, math.inf))),
+        ("base_position_m", (0.0, 0.0)),
+        ("base_position_m", (True, 0.0, 0.0)),
+        ("base_position_m", "abc"),
+        ("seq", -1),
+        ("seq", 2**63),
+        ("seq", 1.0),
+        ("seq", True),
+        ("v", 0),
+        ("v", AfmCommand.version + 1),
+        ("mode", "sideways"),
+        ("mode", b"hold"),
+        ("src", "Controller@slave"),
+        ("src", "afm_node@slave"),
+        ("extra", 1),
+    ],
+)
+def test_anything_else_is_left_to_the_declared_model(key: str, value: object) -> None:
+    form = typed_form(AfmCommand, MAX_PLAIN_BYTES)
+    assert form is not None
+    form.note(AfmCommand(**COMMAND))
+    assert form.read(msgpack.packb(COMMAND)) is not None
+    fields = {**COMMAND, key: value}
+    assert form.read(msgpack.packb(fields)) is None
+    assert form.compose(fields) is None
+
+
+def test_missing_and_repeated_keys_are_left_to_the_declared_model() -> None:
+    form = typed_form(AfmCommand, MAX_PLAIN_BYTES)
+    assert form is not None
+    form.note(AfmCommand(**COMMAND))
+    payload = encode(AfmCommand(**COMMAND))
+    for name in COMMAND:
+        pair = msgpack.packb(name) + msgpack.packb(COMMAND[name])
+        assert form.read(payload.replace(pair, b"")) is None
+        first = next(key for key in COMMAND if key != name)
+        twice = payload.replace(msgpack.packb(first) + msgpack.packb(COMMAND[first]), pair)
+        assert form.read(twice) is None
+        with pytest.raises(WireError):
+            accept("afm/command", twice)
+    assert form.read(payload + b"\0") is None
+    assert form.read(msgpack.packb(dict(reversed(msgpack.unpackb(payload).items())))) is None
+    assert form.read(payload[:-1]) is None
+
+
+def test_bounds_are_included_and_whole_numbers_become_floating_point() -> None:
+    form = typed_form(AfmCommand, MAX_PLAIN_BYTES)
+    assert form is not None
+    form.note(AfmCommand(**COMMAND))
+    fields = {**COMMAND, "base_position_m": (POSITION.low, POSITION.high, 1), "seq": 2**63 - 1}
+    composed = form.compose(fields)
+    assert composed == (AfmCommand(**fields), encode(AfmCommand(**fields)))
+    read = form.read(msgpack.packb(fields))
+    assert read is not None
+    assert repr(read) == repr(AfmCommand(**fields))
+
+
+def test_a_publisher_limits_and_reports_as_ever() -> None:
+    said: list[str] = []
+    message, payload = compose("afm/command", {**COMMAND, "base_position_m": (0.0, 0.0, -11.0)}, said.append)
+    assert message == AfmCommand(**{**COMMAND, "base_position_m": (0.0, 0.0, -10.0)})
+    assert payload == encode(message)
+    assert said == [
+        "AfmCommand: base_position_m.2 = -11.0 is out of range and is sent at the end of the range",
+    ]
+    message, _ = compose("afm/command", {**COMMAND, "base_position_m": (np.float64(0.5), 0.0, 0.0)}, said.append)
+    assert isinstance(message, AfmCommand)
+    assert message.base_position_m == (0.5, 0.0, 0.0)
+    with pytest.raises(ValidationError):
+        compose("afm/command", {**COMMAND, "base_position_m": (math.nan, 0.0, 0.0)}, said.append)
+
+
+def test_a_peer_that_makes_up_names_fills_no_memory() -> None:
+    form = typed_form(AfmCommand, MAX_PLAIN_BYTES)
+    assert form is not None
+    for number in range(1000):
+        form.note(AfmCommand(**{**COMMAND, "src": f"node{number}@slave"}))
+    taken = [number for number in range(1000) if form.compose({**COMMAND, "src": f"node{number}@slave"}) is not None]
+    assert taken == list(range(256))
+
+
+@pytest.mark.parametrize("topic", ["session/control", "session/event", "node/health", "node/journal", "afm/scanline"])
+def test_what_holds_more_than_scalars_and_vectors_has_no_fast_way(topic: str) -> None:
+    assert typed_form(TOPICS[topic].model, MAX_PLAIN_BYTES) is None
