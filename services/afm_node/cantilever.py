@@ -149,7 +149,7 @@ def _descend(
     """Next h below with X(h) >= x_s on the branch b, or its lower end and False."""
     i = _interval(branches, b, h)
     while True:
-        low, x_low = branches[b, i, 0], branches[b, i, 2]
+        low, x_low = float(branches[b, i, 0]), float(branches[b, i, 2])
         if x_low >= spring.base_m:
             # The lowest interval has no end: there F / k is all that can hold the tip away from L - x_s.
             bound = spring.L - spring.base_m + spring.lowest_force_n / spring.k
@@ -167,7 +167,7 @@ def _ascend(tip: TipSample, spring: _Spring, branches: npt.NDArray[np.float64], 
     """Next h above with X(h) <= x_s on the branch b, or its upper end and False."""
     i = _interval(branches, b, h)
     while True:
-        high, x_high = branches[b, i, 1], branches[b, i, 3]
+        high, x_high = float(branches[b, i, 1]), float(branches[b, i, 3])
         if x_high <= spring.base_m:
             if high == math.inf:
                 # Its force attracts, so the tip stays below L - x_s.
