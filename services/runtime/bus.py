@@ -2,7 +2,7 @@
 
 import select
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import islice
 from typing import Any, NamedTuple, Protocol, cast
 
@@ -219,6 +219,8 @@ class Subscriber:
         self.last_error = ""
         # everything has been taken; until it has, ZeroMQ's descriptor may be silent although messages wait
         self.drained = True
+        # somebody else calls the socket as well, which may take the signal of its descriptor
+        self.shared = not connect
         self.socket = context.socket(zmq.SUB)
         self.socket.set(zmq.AFFINITY, _FIRST_THREAD)
         self.socket.set(zmq.RCVHWM, _NEWEST_HIGH_WATER_MARK if newest_only else RECEIVE_HIGH_WATER_MARK)
@@ -240,14 +242,17 @@ class Subscriber:
             self.socket.connect(endpoint)
         self.descriptor: int = self.socket.fileno()
 
-    def receive_raw(self) -> list[tuple[list[bytes], int]]:
-        """Return the frames of what has arrived, a bounded number, and the time [ns] at which each was taken."""
+    def receive_raw(self, *, signalled: bool = False) -> list[tuple[list[bytes], int]]:
+        """Return the frames of what has arrived, a bounded number, and the time [ns] at which each was taken.
+
+        Parameters: signalled, the descriptor has become readable, so that as a rule something has.
+        """
         receive, pending, now_ns = self.socket.recv, self.pending, self._clock.now_ns
         waiting: list[tuple[list[bytes], int]] = []
         self.drained = False
         for taken in range(_BATCH):
             # asked first, because learning it from an exception costs as much as taking a message; not where many come
-            if taken < _FEW and not pending():
+            if taken < _FEW and not (signalled and taken == 0) and not pending():
                 self.drained = True
                 break
             try:
@@ -263,9 +268,9 @@ class Subscriber:
             waiting.append((frames, now_ns()))
         return waiting
 
-    def receive(self) -> list[Received]:
+    def receive(self, *, signalled: bool = False) -> list[Received]:
         """Return the messages that have arrived: valid, not overtaken on `latest` topics, repeated only if commands."""
-        return self.take(self.receive_raw())
+        return self.take(self.receive_raw(signalled=signalled))
 
     def take(self, waiting: Sequence[Taken]) -> list[Received]:
         """Decode, validate and track what waited together, each message with the time of reception [ns]."""
@@ -368,11 +373,21 @@ class ZmqBus:
             self._accounts.append(self._network)
         self._counted = [0] * len(self._accounts)
         self._last_error = ""
+        # what the last wait found readable; none where every socket has to be asked
+        self._readable: Sequence[int] = ()
 
-    def receive(self) -> Iterator[Received]:
+    def receive(self) -> list[Received]:
         """Return what has arrived on every connection, without waiting."""
+        readable, self._readable = self._readable, ()
+        if not readable:
+            return [received for subscriber in self.subscribers for received in subscriber.receive()]
+        found: list[Received] = []
         for subscriber in self.subscribers:
-            yield from subscriber.receive()
+            if subscriber.descriptor in readable:
+                found += subscriber.receive(signalled=True)
+            elif subscriber.shared:
+                found += subscriber.receive()
+        return found
 
     def wait(self, deadline_ns: int) -> None:
         """Wait until something has arrived or the monotonic clock has reached `deadline_ns`; it may end for nothing.
@@ -381,8 +396,10 @@ class ZmqBus:
         that it signalled has been taken.
         """
         remaining = deadline_ns - self._clock.monotonic_ns()
+        self._readable = ()
         if remaining > 0 and not self._events_pending and all([subscriber.drained for subscriber in self.subscribers]):
             ready, _, _ = select.select(self._descriptors, (), (), remaining * 1e-9)
+            self._readable = ready
             if self._network_descriptors:
                 self._events_pending = not self._network_descriptors.isdisjoint(ready)
 

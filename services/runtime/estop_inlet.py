@@ -23,6 +23,7 @@ class EstopInlet(Subscriber):
         super().__init__(context, clock, {endpoint: ["session/control"]}, connect=False, permit=_permit)
         self._path = Path(endpoint.removeprefix("ipc://"))
         bind(self.socket, endpoint, node)
+        self.shared = False
 
     def input_health(self) -> tuple[InputHealth, ...]:
         """Return the account of every sender; silence is nothing to report."""
