@@ -376,7 +376,7 @@ class ZmqBus:
         # what the last wait found readable; none where every socket has to be asked
         self._readable: Sequence[int] = ()
 
-    def receive(self) -> list[Received]:
+    def receive(self) -> Iterable[Received]:
         """Return what has arrived on every connection, without waiting."""
         readable, self._readable = self._readable, ()
         if not readable:
