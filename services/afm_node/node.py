@@ -76,16 +76,16 @@ class AfmNode(Node):
     def on_message(self, received: Received) -> None:
         self._handle_stall(received.received_ns - self.clock.epoch_offset_ns)
         message = received.message
-        if isinstance(message, AfmCommand):
+        if type(message) is AfmCommand:
             self._command = message
             self._command_received_ns = received.received_ns
             command_age_s = self._command_age_s()
             self.stale += command_age_s > self._limits.command_deadline_s
             self._step(self.clock.monotonic_ns(), command_age_s)
             self._due_ns = self._stepped_ns + _COMMAND_WAIT_NS
-        elif isinstance(message, LinkDelay):
+        elif type(message) is LinkDelay:
             self._hand_age.record(message)
-        elif isinstance(message, ClockPing):
+        elif type(message) is ClockPing:
             self.publish("clock/pong", ping_t_ns=message.t_ns, received_ns=received.received_ns)
 
     def on_deadline(self, now_ns: int) -> None:

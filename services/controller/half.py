@@ -126,18 +126,22 @@ class ControllerHalf(Node):
         """Take a signal of the other half; one of another law is not understood and counts as silence."""
         if message.law != self.law.name:
             return False
-        backward = isinstance(message, TeleopBackward)
         self._signal_ns, self._signal_hand_ns = received_ns, message.hand_t_ns
+        # F_s is the reaction along +z, F_m the push along -z
+        force_n, separation_m, separation_valid, in_contact = to_paper_axis(message.force_n), 0.0, False, False
+        # the classes of messages answer `isinstance` in Python, which takes longer than all of this
+        if type(message) is TeleopBackward:
+            force_n, separation_m = message.force_n[2], message.separation_m
+            separation_valid, in_contact = message.separation_valid, message.in_contact
         self.signal = PortSignal(
             position_m=to_paper_axis(message.position_m),
             velocity_m_per_s=to_paper_axis(message.velocity_m_per_s),
-            # F_s is the reaction along +z, F_m the push along -z
-            force_n=message.force_n[2] if backward else to_paper_axis(message.force_n),
+            force_n=force_n,
             wave_sqrt_w=to_paper_axis(message.wave_sqrt_w) if message.wave_sqrt_w is not None else 0.0,
             energy_j=message.energy_j if message.energy_j is not None else 0.0,
-            separation_m=message.separation_m if isinstance(message, TeleopBackward) else 0.0,
-            separation_valid=message.separation_valid if isinstance(message, TeleopBackward) else False,
-            in_contact=message.in_contact if isinstance(message, TeleopBackward) else False,
+            separation_m=separation_m,
+            separation_valid=separation_valid,
+            in_contact=in_contact,
             active=message.active,
             silence_s=0.0,
             round_trip_s=0.0,

@@ -59,17 +59,17 @@ class MasterController(ControllerHalf):
         if self.rejects(received):
             return
         message = received.message
-        if isinstance(message, HapticState):
+        if type(message) is HapticState:
             self._on_hand(message)
-        elif isinstance(message, TeleopBackward):
+        elif type(message) is TeleopBackward:
             if self.receive_signal(message, received.received_ns) and self.switching:
                 self._take_over()
             self._answered_hand_stamp = (message.hand_seq, message.hand_t_ns)
             if self._command_due:
                 self._publish_command()
-        elif isinstance(message, LawStatus):
+        elif type(message) is LawStatus:
             self._slave_status = message
-        elif isinstance(message, LinkDelay):
+        elif type(message) is LinkDelay:
             self.input_age.record(message)
 
     def forget(self) -> None:
@@ -194,12 +194,12 @@ class SlaveController(ControllerHalf):
         if self.rejects(received):
             return
         message = received.message
-        if isinstance(message, TeleopForward):
+        if type(message) is TeleopForward:
             self._on_forward(message, received.received_ns)
-        elif isinstance(message, AfmState):
+        elif type(message) is AfmState:
             self._instrument_ns = self.input_age.sampled_ns(received)
             self._on_instrument(message)
-        elif isinstance(message, LinkDelay):
+        elif type(message) is LinkDelay:
             self.input_age.record(message)
 
     def forget(self) -> None:

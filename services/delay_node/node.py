@@ -100,7 +100,7 @@ class DelayNode(Node):
 
     def on_message(self, received: Received) -> None:
         self._report_stall(received.received_ns - self.clock.epoch_offset_ns)
-        if isinstance(received.message, ClockPong):
+        if type(received.message) is ClockPong:
             pong = received.message
             self._offset.record(Exchange(pong.ping_t_ns, pong.received_ns, pong.t_ns, received.received_ns))
         direction = TOPICS[received.topic].bridged

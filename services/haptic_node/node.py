@@ -67,11 +67,11 @@ class HapticNode(Node):
         return self._grid.deadline_ns
 
     def on_message(self, received: Received) -> None:
-        if isinstance(received.message, HapticCommand):
+        if type(received.message) is HapticCommand:
             self._command = received.message
             self._command_received_ns = received.received_ns
             self._command_is_new = True
-        elif isinstance(received.message, LinkDelay):
+        elif type(received.message) is LinkDelay:
             self._hand_age.record(received.message)
 
     def on_deadline(self, now_ns: int) -> None:

@@ -40,6 +40,9 @@ _FEW = 3
 _EVENTS, _READABLE, _DONTWAIT, _SNDMORE = int(zmq.EVENTS), int(zmq.POLLIN), int(zmq.DONTWAIT), int(zmq.SNDMORE)
 # of a context's threads, the one that moves the messages of a node; what strangers can reach is left to another one
 _FIRST_THREAD = 1
+# of topics whose messages have one version whatever keys they have
+_VERSIONS = {name: row.model.version for name, row in TOPICS.items() if not row.model.additions}
+_FRAMES = {topic: topic.encode() for topic in TOPICS}
 # sources that one node keeps account of; a peer that makes up names must not fill the memory
 _MOST_TRACKERS = 1024
 # how long a node that ends goes on sending what a reader that is behind has not yet taken, its recorder above all;
@@ -123,8 +126,8 @@ class _NumberingPublisher(ABC):
         Raises pydantic.ValidationError when the fields do not make a valid message, WireError when it is too large.
         """
         seq = self._sequence.get(topic, 0)
-        model = TOPICS[topic].model
-        header = {"seq": seq, "t_ns": self._clock.now_ns(), "src": self.node, "v": model.version_of(fields)}
+        version = _VERSIONS.get(topic) or TOPICS[topic].model.version_of(fields)
+        header = {"seq": seq, "t_ns": self._clock.now_ns(), "src": self.node, "v": version}
         message, payload = compose(topic, {**header, **fields}, self.on_limited)
         self.send(topic, payload)
         self._sequence[topic] = seq + 1
@@ -175,7 +178,7 @@ class ZmqPublisher(_NumberingPublisher):
 
     def send(self, topic: str, payload: bytes) -> None:
         """Send bytes as they are: what the link forwards keeps the header of its publisher."""
-        self.socket.send(topic.encode(), _SNDMORE)
+        self.socket.send(_FRAMES[topic], _SNDMORE)
         self.socket.send(payload)
 
     def also_bind(self, endpoint: str) -> None:
@@ -278,12 +281,8 @@ class Subscriber:
             # commands, and what tells how a delay changed, before what they apply to
             left = without_superseded(waiting, self._conflated, self._header)
             waiting = sorted(left, key=lambda taken: taken[0][0] in self._conflated)
-        received = []
-        for frames, received_ns in waiting:
-            message = self.decode_and_track(frames, received_ns)
-            if message is not None:
-                received.append(message)
-        return received
+        taken = [self.decode_and_track(frames, received_ns) for frames, received_ns in waiting]
+        return [received for received in taken if received is not None]
 
     def _header(self, frames: Sequence[bytes]) -> Header | None:
         if len(frames) != 2:
@@ -305,9 +304,10 @@ class Subscriber:
             if not topic or len(frames) != 2:
                 topic, payload = split_frames(frames)
             message = accept(topic, payload)
+            src = message.src
             if self.permit is not None:
-                self.permit(topic, message.src)
-            tracker = self.tracker(topic, message.src)
+                self.permit(topic, src)
+            tracker = self.trackers.get((topic, src)) or self.tracker(topic, src)
         except WireError as error:
             self.rejected[error.reason] = self.rejected.get(error.reason, 0) + 1
             self.last_error = str(error)
@@ -395,9 +395,12 @@ class ZmqBus:
         ZeroMQ's descriptor is edge-triggered, by changes of connections too: it may be waited for once everything
         that it signalled has been taken.
         """
-        remaining = deadline_ns - self._clock.monotonic_ns()
         self._readable = ()
-        if remaining > 0 and not self._events_pending and all([subscriber.drained for subscriber in self.subscribers]):
+        for subscriber in self.subscribers:
+            if not subscriber.drained:
+                return
+        remaining = deadline_ns - self._clock.monotonic_ns()
+        if remaining > 0 and not self._events_pending:
             ready, _, _ = select.select(self._descriptors, (), (), remaining * 1e-9)
             self._readable = ready
             if self._network_descriptors:

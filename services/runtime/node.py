@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
-from typing import ClassVar, Literal, Protocol
+from typing import ClassVar, Literal, Protocol, cast
 
 from proto import TOPICS
 from proto.errors import RefusedError
@@ -172,15 +172,16 @@ class NodeLoop:
 
     def turn(self) -> None:
         """Wait for the next message or deadline and act on it."""
-        wanted = self.node.deadline_ns() - self._spin.ns
-        self._bus.wait(min(wanted, self.health_due_ns))
+        wanted, health = self.node.deadline_ns() - self._spin.ns, self.health_due_ns
+        self._bus.wait(wanted if wanted < health else health)
         woken = self._note_awake()
         taken = list(self._bus.receive())
         if taken and self._journal is not None:
             taken = self._retimed(taken, woken)
         for received in taken:
             self._dispatch(received)
-        self._report_connections(self._bus.process_events())
+        if notices := self._bus.process_events():
+            self._report_connections(notices)
         # a message may have moved the deadline
         deadline = self.node.deadline_ns()
         now = self._clock.monotonic_ns()
@@ -253,11 +254,13 @@ class NodeLoop:
             journal.clock.time_ns = received.received_ns
         self.node.on_message(received)
         executed = False
-        if isinstance(received.message, SessionControl):
+        # not isinstance, which the classes of messages answer in Python
+        kind = type(received.message)
+        if kind is SessionControl:
             self._note_awake()
-            executed = self._commands.handle(received.message, self.node.clock.now_ns())
+            executed = self._commands.handle(cast(SessionControl, received.message), self.node.clock.now_ns())
         # of the health of others as a rule only `admits` takes note, and what came of that is in the journal
-        if journal is not None and (self.node.acts_on_health or not isinstance(received.message, NodeHealth)):
+        if journal is not None and (kind is not NodeHealth or self.node.acts_on_health):
             journal.record_message(received, executed=executed)
 
     def _retimed(self, taken: list[Received], woken_ns: int) -> list[Received]:

@@ -20,12 +20,12 @@ class ReplayGuard:
     def admits(self, received: Received) -> bool:
         """Return whether a message may be acted on; the first rejection of a source is reported as an event."""
         message = received.message
-        if isinstance(message, NodeHealth):
+        if type(message) is NodeHealth:
             self._record(message)
             return True
         if self._allow or message.src not in self._replayed:
             return True
-        if isinstance(message, SessionControl) and message.command == "estop":
+        if type(message) is SessionControl and message.command == "estop":
             return True
         self._report(message.src)
         return False
