@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import IO, Annotated, Literal, Protocol
 
 import msgpack
-from mcap.writer import CompressionType, Writer
+from mcap.writer import CompressionType
 from pydantic import BaseModel, ConfigDict, Field
 
 from proto import TOPICS
@@ -16,6 +16,7 @@ from proto.errors import RecordingError
 from proto.messages import Record
 from proto.nodes import site_of
 from recording.info import END_NAME
+from recording.mcap_messages import MessageWriter
 from recording.records import GAP_TOPIC, RECORDS, REJECTED_TOPIC, GapRecord, RejectedRecord
 
 _COMPRESSION = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4, "none": CompressionType.NONE}
@@ -86,7 +87,7 @@ class RecordingWriter:
         self._schemas: dict[str, int] = {}
         self._own_channels: dict[str, int] = {}
         self._own_counts = dict.fromkeys(RECORDS, 0)
-        self._mcap: _McapWriter = Writer(
+        self._mcap: _McapWriter = MessageWriter(
             stream,
             chunk_size=settings.chunk_size_bytes,
             compression=_COMPRESSION[settings.compression],

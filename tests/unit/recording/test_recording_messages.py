@@ -1,0 +1,47 @@
+"""Messages written the short way: the same file as by the library, byte for byte."""
+
+from io import BytesIO
+
+import pytest
+from mcap.writer import CompressionType, Writer
+
+from recording.mcap_messages import MessageWriter
+
+
+def written(kind: type[Writer], compression: CompressionType, chunk_size: int) -> bytes:
+    stream = BytesIO()
+    writer = kind(stream, chunk_size=chunk_size, compression=compression, enable_data_crcs=True)
+    writer.start("telenano")
+    schema = writer.register_schema("Message", "jsonschema", b"{}")
+    channels = [writer.register_channel(f"topic/{number}", "msgpack", schema, {}) for number in range(3)]
+    # times of reception from several sockets are not in order, and may begin at 0
+    for number in range(400):
+        log_ns = (number * 7919) % 1009 * 1000
+        writer.add_message(channels[number % 3], log_ns, bytes([number % 251]) * (number % 97), log_ns + 5, number)
+        if number == 150:
+            writer.flush()
+            writer.register_channel("topic/late", "msgpack", schema, {})
+    writer.finish()
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.NONE])
+@pytest.mark.parametrize("chunk_size", [4096, 1 << 20])
+def test_the_file_is_the_library_s(compression: CompressionType, chunk_size: int) -> None:
+    assert written(MessageWriter, compression, chunk_size) == written(Writer, compression, chunk_size)
+
+
+def test_the_library_is_as_the_short_way_expects_it() -> None:
+    assert MessageWriter(BytesIO()).is_quick
+
+
+def test_another_inside_of_the_library_is_left_to_it() -> None:
+    stream, expected = BytesIO(), BytesIO()
+    writers = MessageWriter(stream, use_chunking=False), Writer(expected, use_chunking=False)
+    assert not writers[0].is_quick
+    for writer in writers:
+        writer.start("telenano")
+        channel = writer.register_channel("topic", "msgpack", 0, {})
+        writer.add_message(channel, 3, b"abc", 4, 5)
+        writer.finish()
+    assert stream.getvalue() == expected.getvalue()
