@@ -24,6 +24,7 @@ from services.runtime.realtime import (
     apply_realtime,
     die_with_parent,
     raise_file_limit,
+    use_huge_pages,
 )
 from services.runtime.scenario import load_scenario
 
@@ -133,7 +134,8 @@ def _run(kind: NodeKind[C], given: NodeArguments, log: StructuredLog) -> None:
     with open_participant(key, book, signals.descriptor) as participant:
         wiring = Wiring(**vars(participant), site_file=given.site_file, scenario_file=given.scenario)
         node, bus = kind.build(wiring, config)
-        log.info("ready", realtime=status.fifo, memory_locked=status.memory_locked)
+        huge_pages = use_huge_pages() if loaded.scenario.realtime.huge_pages else 0
+        log.info("ready", realtime=status.fifo, memory_locked=status.memory_locked, huge_pages=huge_pages)
         run_loop(node, bus, signals, status, spin_s=wanted.spin_s)
     if report_trace is not None:
         report_trace()

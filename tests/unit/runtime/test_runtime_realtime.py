@@ -6,6 +6,8 @@ import gc
 import json
 import os
 import signal
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -254,3 +256,45 @@ def test_ranges(wrong: dict[str, float]) -> None:
 def test_every_key_is_described() -> None:
     schema = RealtimeConfig.model_json_schema()
     assert all("description" in field for field in schema["properties"].values()), json.dumps(schema)
+
+
+_IN_A_PROCESS_OF_ITS_OWN = """
+import ctypes, mmap, sys
+from services.runtime.realtime import use_huge_pages
+size = 8 << 20
+full, sparse = (mmap.mmap(-1, 2 * size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS) for _ in range(2))
+full.write(bytes(range(256)) * (2 * size // 256))
+for place in range(0, 2 * size, size // 8):
+    sparse[place] = 1
+
+def place(memory):
+    return ctypes.addressof(ctypes.c_char.from_buffer(memory))
+
+def present(memory):
+    pages = (ctypes.c_ubyte * (len(memory) // 4096))()
+    assert libc.mincore(place(memory), len(memory), pages) == 0
+    return sum(bit & 1 for bit in pages)
+
+def huge_kb():
+    with open("/proc/self/smaps_rollup") as lines:
+        return sum(int(line.split()[1]) for line in lines if line.startswith("AnonHugePages:"))
+
+libc = ctypes.CDLL(None)
+libc.madvise.argtypes = [ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int]
+libc.mincore.argtypes = [ctypes.c_void_p, ctypes.c_size_t, ctypes.c_void_p]
+probe = -(-place(full) // (2 << 20)) * (2 << 20)
+if libc.madvise(probe, 2 << 20, 25):
+    sys.exit("this kernel gives no huge pages on request")
+count = use_huge_pages()
+assert count >= 6, count
+assert huge_kb() >= 6 * 2048, huge_kb()
+assert present(sparse) < 64, present(sparse)
+assert full[:] == bytes(range(256)) * (2 * size // 256)
+"""
+
+
+def test_memory_in_use_goes_to_huge_pages_and_keeps_its_content() -> None:
+    done = subprocess.run([sys.executable, "-c", _IN_A_PROCESS_OF_ITS_OWN], capture_output=True, text=True, check=False)
+    if "no huge pages" in done.stderr:
+        pytest.skip(done.stderr.strip())
+    assert done.returncode == 0, done.stderr
