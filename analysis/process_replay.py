@@ -413,6 +413,10 @@ def _build(recording: Recording, key: str, clock: TurnClock, bus: ReplayBus, set
     document = merge(yaml.safe_load(attached), flag_overrides(settings))
     loaded = LoadedScenario(validate(Scenario, document, origin), origin, document)
     kind = node_kind(name_of(key))
+    config = loaded.section(kind.name, kind.config)
+    if getattr(config, "driver", "simulated") != "simulated":
+        text = f"node {key} drove a real device ({kind.name}.driver: {config.driver}), which cannot be run again"
+        raise ConfigError(f"{text}; its messages are in {recording.path}")
     wiring = _ReplayWiring(
         key=key,
         book=AddressBook(nodes={}),
@@ -426,7 +430,7 @@ def _build(recording: Recording, key: str, clock: TurnClock, bus: ReplayBus, set
         wake_descriptor=-1,
         replay_bus=bus,
     )
-    node, _ = kind.build(wiring, loaded.section(kind.name, kind.config))
+    node, _ = kind.build(wiring, config)
     return node
 
 

@@ -101,6 +101,15 @@ class Message(Record):
         return max((added for key, added in cls.additions.items() if key in keys), default=first)
 
 
+class _Extended(Message):
+    """A message with keys that may be absent."""
+
+    @model_serializer(mode="wrap")
+    def _present(self, serialize: SerializerFunctionWrapHandler) -> dict[str, object]:
+        fields: dict[str, object] = serialize(self)
+        return {key: value for key, value in fields.items() if value is not None or key not in self.additions}
+
+
 class Array(Record):
     """An array of numbers, little-endian, in C order."""
 
@@ -147,8 +156,14 @@ class _HandSample(Record):
     hand_t_ns: Count = Field(description="t_ns of that haptic/state, on the master's clock [ns]; 0 = none yet")
 
 
-class HapticState(Message):
+DeviceStatus = Literal["ok", "stale", "lost"]
+
+
+class HapticState(_Extended):
     """The operator's device: what was measured and what was really applied."""
+
+    version: ClassVar[int] = 2
+    additions: ClassVar[Mapping[str, int]] = {"device": 2, "sample_age_s": 2}
 
     position_m: PositionVector = Field(
         description="Hand position in the master frame [m]; z = -x_m, 0 where the arm starts"
@@ -171,6 +186,13 @@ class HapticState(Message):
     answered_t_ns: Count = Field(description="hand_t_ns of the newest haptic/command [ns]; 0 = none yet")
     answered_at_ns: Count = Field(description="When that command reached this device, on this clock [ns]")
     step_s: DurationS = Field(description="Time that this step of the device covers [s]")
+    device: DeviceStatus | None = Field(
+        default=None,
+        description="State of a real device: stale repeats its last sample, lost is not driven. Absent if simulated",
+    )
+    sample_age_s: DurationS | None = Field(
+        default=None, description="Age of the sample of a real device when published [s]; absent if simulated"
+    )
 
 
 class HapticCommand(Message, _HandSample):
@@ -215,8 +237,11 @@ class AfmCommand(Message, _HandSample):
     )
 
 
-class AfmState(Message, _HandSample):
+class AfmState(_Extended, _HandSample):
     """The AFM: what was measured and what was really applied."""
+
+    version: ClassVar[int] = 2
+    additions: ClassVar[Mapping[str, int]] = {"device": 2, "sample_age_s": 2}
 
     command_seq: Count = Field(description="seq of the afm/command in force; meaningful once hand_t_ns > 0")
     base_position_m: PositionVector = Field(description="Base position applied after every limit [m]; z = -x_s")
@@ -229,6 +254,13 @@ class AfmState(Message, _HandSample):
     mode: Literal["retracted", "follow", "hold", "retracting", "estop"] = Field(description="What the AFM does")
     limited: bool = Field(description="A travel or speed limit is acting")
     step_s: DurationS = Field(description="Time that this step of the instrument covers [s]")
+    device: DeviceStatus | None = Field(
+        default=None,
+        description="State of a real device: stale repeats its last sample, lost is not driven. Absent if simulated",
+    )
+    sample_age_s: DurationS | None = Field(
+        default=None, description="Age of the sample of a real device when published [s]; absent if simulated"
+    )
 
 
 class AfmScanline(Message):
@@ -361,7 +393,7 @@ class ClockPong(Message):
     received_ns: Count = Field(description="When the question arrived, on the answering clock [ns]")
 
 
-class SessionControl(Message):
+class SessionControl(_Extended):
     """A command to the nodes of a session; each node it concerns answers with a session/event of the same id."""
 
     version: ClassVar[int] = 2
@@ -381,11 +413,6 @@ class SessionControl(Message):
         default=None,
         description="By node@site: t_ns of the newest message received from it, on the clock of that node [ns]",
     )
-
-    @model_serializer(mode="wrap")
-    def _present(self, serialize: SerializerFunctionWrapHandler) -> dict[str, object]:
-        fields: dict[str, object] = serialize(self)
-        return {key: value for key, value in fields.items() if value is not None or key not in self.additions}
 
 
 class SessionEvent(Message):

@@ -32,6 +32,8 @@ from services.runtime.node import NodeContext
 
 MASTER_INPUTS = ("haptic/state", "teleop/backward", "law/status", "link/delay", "session/control")
 SLAVE_INPUTS = ("teleop/forward", "afm/state", "link/delay", "session/control")
+# a hand whose device is stale or lost is that of an inactive site; a simulated device says nothing
+_FOLLOWING_DEVICE = (None, "ok")
 # while the other half is waited for, the hand comes to rest like a virtual mass that is left alone
 _COASTING_S = 0.005
 
@@ -116,7 +118,7 @@ class MasterController(ControllerHalf):
             to_paper_axis(message.position_m),
             to_paper_axis(message.velocity_m_per_s),
             to_paper_axis(message.operator_force_n),
-            message.mode != "off",
+            message.mode != "off" and message.device in _FOLLOWING_DEVICE,
         )
         if self.law_state is None:
             self.law_state = self.law.master_start(self.params, self.hand)

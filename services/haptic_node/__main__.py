@@ -1,8 +1,10 @@
-"""Run the haptic node with its simulated device."""
+"""Run the haptic node with the device that its configuration names."""
 
 import sys
+from pathlib import Path
 
 from services.haptic_node.config import HapticConfig
+from services.haptic_node.driver import HapticDevice
 from services.haptic_node.node import INPUTS, HapticNode
 from services.haptic_node.sim import SimulatedHaptic
 from services.runtime.main import NodeKind, ordinary, run_node
@@ -10,8 +12,18 @@ from services.runtime.node import NodeContext
 
 
 def build(context: NodeContext, config: HapticConfig) -> HapticNode:
-    """Build the node with its simulated device."""
-    return HapticNode(context, config, SimulatedHaptic(config.to_plant_params(), config.device.start_position_m))
+    """Build the node with its device."""
+    return HapticNode(context, config, _device(config))
+
+
+def _device(config: HapticConfig) -> HapticDevice:
+    if config.serial is None or config.driver == "simulated":
+        return SimulatedHaptic(config.to_plant_params(), config.device.start_position_m)
+    from services.haptic_node.calibration import read_calibration
+    from services.haptic_node.serial_driver import SerialHandle
+
+    calibration = read_calibration(Path(config.serial.calibration))
+    return SerialHandle(config.serial.port, config.serial.baud, calibration, config.limits)
 
 
 HAPTIC_NODE = NodeKind("haptic_node", HapticConfig, ordinary(build, INPUTS))

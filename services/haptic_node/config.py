@@ -281,9 +281,23 @@ class ImpedanceConfig(Settings):
 OperatorConfig = Annotated[ForceProfileConfig | ImpedanceConfig, Field(discriminator="kind")]
 
 
+class SerialConfig(Settings):
+    """A handle on a serial port, in handle protocol 1."""
+
+    port: str = Field(
+        min_length=1, description="Device file, best one of /dev/serial/by-id, whose name stays when it is plugged in"
+    )
+    baud: int = Field(1_000_000, ge=115_200, le=12_000_000, description="Bits a second; without effect on native USB")
+    calibration: str = Field(min_length=1, description="Calibration file of this very device (handle.yaml)")
+
+
 class HapticConfig(Settings):
     """Section `haptic_node` of a scenario."""
 
+    driver: Literal["simulated", "serial"] = Field(
+        default="simulated", description="simulated: device and operator below; serial: a real handle"
+    )
+    serial: SerialConfig | None = Field(default=None, description="The real handle, for driver serial")
     device: DeviceConfig = Field(default=DeviceConfig(), description="The simulated device")
     limits: LimitsConfig = Field(default=LimitsConfig(), description="The guard in front of the device")
     operator: OperatorConfig = Field(
@@ -292,7 +306,16 @@ class HapticConfig(Settings):
     allow_replay: bool = Field(default=False, description="Whether commands that come from a recording are obeyed")
 
     @model_validator(mode="after")
+    def _serial_is_described(self) -> "HapticConfig":
+        if self.driver == "serial" and self.serial is None:
+            raise ValueError("driver: serial needs a section serial with port and calibration")
+        return self
+
+    @model_validator(mode="after")
     def _limits_inside_travel(self) -> "HapticConfig":
+        if self.driver != "simulated":
+            # the travel of a real device is in its calibration
+            return self
         device, limits = self.device, self.limits
         for name, value in (("position_min_m", limits.position_min_m), ("position_max_m", limits.position_max_m)):
             if not device.position_min_m <= value <= device.position_max_m:

@@ -5,11 +5,15 @@ A driver obeys; it does not judge. The guard in `safety.py` stands in front of i
 sample.
 """
 
-from typing import NamedTuple, Protocol
+from typing import Literal, NamedTuple, Protocol
+
+from proto.errors import ConfigError
+
+Status = Literal["ok", "stale", "lost"]
 
 
-class DeviceError(RuntimeError):
-    """The device cannot do what it was asked: not open, not there, or not able."""
+class DeviceError(ConfigError, RuntimeError):
+    """The device cannot do what it was asked: not open, not there, not the one that was configured, or not able."""
 
 
 class Capabilities(NamedTuple):
@@ -25,6 +29,10 @@ class Capabilities(NamedTuple):
     workspace_min_m: float
     workspace_max_m: float
     modes: tuple[int, ...]
+    identity: str = ""
+    force_source: Literal["sensor", "estimate", "none"] = "sensor"
+    # from the moment of a sample to the tick that publishes it, in the mean
+    latency_s: float = 0.0
 
 
 class DriveCommand(NamedTuple):
@@ -49,12 +57,30 @@ class DeviceReading(NamedTuple):
     torque_limited: bool
 
 
+class DeviceReport(NamedTuple):
+    """How a real device is doing; a simulated one is sampled in the moment of the reading and has none.
+
+    status: `stale` repeats the last sample, `lost` means that nothing drives the arm. age_s: of the sample [s].
+    estop_pressed: the emergency stop of the device itself. text: the newest sentence for a person, such as why the
+    device is lost.
+    """
+
+    status: Status
+    age_s: float
+    estop_pressed: bool
+    text: str
+
+
 class HapticDevice(Protocol):
     """A device with one arm and one force sensor. All methods belong to the thread of the loop."""
 
     @property
     def capabilities(self) -> Capabilities:
-        """Return what the device can do; constant, and known before it is open."""
+        """Return what the device can do; constant, and of a real device known once it is open."""
+
+    @property
+    def report(self) -> DeviceReport | None:
+        """Return how the device was at the last reading; None if it is simulated."""
 
     def open(self) -> None:
         """Connect and come up in the safe state. Raises DeviceError saying what is missing."""
@@ -63,10 +89,13 @@ class HapticDevice(Protocol):
         """Switch the drive off and disconnect; harmless when already closed."""
 
     def write(self, command: DriveCommand) -> None:
-        """Write the command of this period. Raises DeviceError if not open or the mode is not one of its own."""
+        """Write the command of this period, without waiting. Raises DeviceError if not open or not a mode of its own.
+
+        A device that is lost raises nothing: its report says so.
+        """
 
     def read(self, session_time_s: float, dt_s: float) -> DeviceReading:
-        """Sample the device. Raises DeviceError if not open.
+        """Return the newest sample of the device, without waiting. Raises DeviceError if not open.
 
         session_time_s (negative: not started) and dt_s (since the previous reading, > 0) are for a device whose hand is
         simulated; one with a real hand does not need them.

@@ -6,7 +6,7 @@ from typing import ClassVar
 from proto.messages import HapticCommand, LinkDelay, SessionControl
 from services.haptic_node import safety
 from services.haptic_node.config import HapticConfig
-from services.haptic_node.driver import DeviceReading, DriveCommand, HapticDevice
+from services.haptic_node.driver import DeviceReading, DeviceReport, DriveCommand, HapticDevice, Status
 from services.runtime.bus import Received
 from services.runtime.deadlines import PeriodicDeadline
 from services.runtime.frames import to_paper_axis, to_site_frame
@@ -20,6 +20,8 @@ _MODE_CODES = {name: code for code, name in safety.MODE_NAMES.items()}
 # what acts on the way to the device without being a change of its mode
 _LIMITS = (safety.REASON_TRAVEL_LIMIT, safety.REASON_SPEED_LIMIT, safety.REASON_FORCE_LIMIT)
 _NOT_RUNNING_S = -1.0
+# a sample of a real device that is younger has nothing to be said about
+_FRESH_S = 2 * PERIOD_S
 
 
 class HapticNode(Node):
@@ -42,6 +44,7 @@ class HapticNode(Node):
         self._allow_replay = config.allow_replay
         self._hand_age = HandAge(context.key, self.clock.now_ns())
         self.device = device
+        device.open()
         self._limits = config.limits.to_params(
             has_position_mode=safety.MODE_POSITION in device.capabilities.modes,
             has_force_mode=safety.MODE_FORCE in device.capabilities.modes,
@@ -55,7 +58,9 @@ class HapticNode(Node):
         self._arm_requested = False
         self._session_ticks: int | None = None
         self._reported = (safety.MODE_OFF, safety.REASON_COMMAND_STALE)
-        device.open()
+        self._device_text = ""
+        self._device_status: Status = "ok"
+        self._report_device(device.report)
         # compile before the grid starts, not in its first tick
         self._guarded()
         self._grid = PeriodicDeadline(self.clock.monotonic_ns(), round(PERIOD_S * 1e9))
@@ -86,8 +91,10 @@ class HapticNode(Node):
         self.device.write(DriveCommand(applied.mode, applied.position_reference_m, applied.force_reference_n))
         reading = self.device.read(self._session_s(), elapsed_s)
         self._position_m = reading.position_m
-        self._publish_state(applied, reading, elapsed_s)
+        report = self.device.report
+        self._publish_state(applied, reading, elapsed_s, report)
         self._report_changes(applied)
+        self._report_device(report)
         self.steps += 1
 
     def on_control(self, control: SessionControl) -> str:
@@ -147,14 +154,18 @@ class HapticNode(Node):
             estop=self._estop_requested,
             arm_requested=self._arm_requested,
             position_m=self._position_m,
+            device_lost=self._device_status == "lost",
         )
         self._estop_requested = self._arm_requested = False
         # one period of motion at most, however long the process was held up: no jump at the hand
         self._guard, applied = safety.step(self._limits, self._guard, asked, PERIOD_S)
         return applied
 
-    def _publish_state(self, applied: safety.SafetyOutputs, reading: DeviceReading, elapsed_s: float) -> None:
+    def _publish_state(
+        self, applied: safety.SafetyOutputs, reading: DeviceReading, elapsed_s: float, report: DeviceReport | None
+    ) -> None:
         command = self._command
+        device = {} if report is None else {"device": report.status, "sample_age_s": report.age_s}
         self.publish(
             "haptic/state",
             position_m=to_site_frame(reading.position_m),
@@ -170,7 +181,19 @@ class HapticNode(Node):
             answered_t_ns=0 if command is None else command.hand_t_ns,
             answered_at_ns=self._command_received_ns,
             step_s=elapsed_s,
+            **device,
         )
+
+    def _report_device(self, report: DeviceReport | None) -> None:
+        """Take up the state of a real device: its emergency stop latches here, and what it says is an event, once."""
+        if report is None:
+            return
+        self._device_status = report.status
+        self._estop_requested |= report.estop_pressed
+        if report.text != self._device_text:
+            self._device_text = report.text
+            ready = report.status == "ok" and report.age_s <= _FRESH_S
+            self.event("node" if ready else "fault", "info" if ready else "warning", report.text)
 
     def _report_changes(self, applied: safety.SafetyOutputs) -> None:
         self.state = "running" if applied.mode != safety.MODE_OFF else "safe"

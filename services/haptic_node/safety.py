@@ -27,6 +27,7 @@ REASON_REFERENCE_INVALID = 5
 REASON_TRAVEL_LIMIT = 6
 REASON_SPEED_LIMIT = 7
 REASON_FORCE_LIMIT = 8
+REASON_DEVICE_LOST = 9
 REASONS: dict[int, str] = {
     REASON_NONE: "command applied as it came",
     REASON_ESTOP: "emergency stop is latched: off until armed",
@@ -37,6 +38,7 @@ REASONS: dict[int, str] = {
     REASON_TRAVEL_LIMIT: "reference held at the end of the allowed travel",
     REASON_SPEED_LIMIT: "reference moves at the speed limit towards the commanded position",
     REASON_FORCE_LIMIT: "reference held at the force limit",
+    REASON_DEVICE_LOST: "the device is lost: off until it is back",
 }
 
 
@@ -61,7 +63,10 @@ class SafetyState(NamedTuple):
 
 
 class SafetyInputs(NamedTuple):
-    """The newest command, its age (infinite if there never was one), stop and arm requests, measured position."""
+    """The newest command, its age (infinite if there never was one), stop and arm requests, measured position.
+
+    device_lost: position_m is not where the arm is now, and nothing drives it.
+    """
 
     command_mode: int
     position_reference_m: float
@@ -70,6 +75,7 @@ class SafetyInputs(NamedTuple):
     estop: bool
     arm_requested: bool
     position_m: float
+    device_lost: bool = False
 
 
 class SafetyOutputs(NamedTuple):
@@ -87,6 +93,8 @@ def _refusal(params: SafetyParams, inputs: SafetyInputs, latched: bool) -> int:
     """Return the reason to be off whatever the command is, or REASON_NONE."""
     if latched:
         return REASON_ESTOP
+    if inputs.device_lost:
+        return REASON_DEVICE_LOST
     # Written so that an age that is not a number counts as stale.
     if not inputs.command_age_s <= params.command_deadline_s:
         return REASON_COMMAND_STALE

@@ -42,6 +42,10 @@ class SimulatedHaptic:
     def capabilities(self) -> Capabilities:
         return self._capabilities
 
+    @property
+    def report(self) -> None:
+        return None
+
     def open(self) -> None:
         """Start in the safe state, where the arm was left."""
         self._command = _OFF

@@ -112,6 +112,7 @@ def step(
         inputs.estop,
         inputs.arm_requested,
         state.plant.motor.position_m,
+        False,
     )
     guard, applied = safety.step(params.safety, state.safety, guarded, dt)
     command = DriveCommand(applied.mode, applied.position_reference_m, applied.force_reference_n)

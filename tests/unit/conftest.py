@@ -47,7 +47,7 @@ class Bench:
         seq = self._sequence.get((topic, src), 0)
         self._sequence[topic, src] = seq + 1
         model = TOPICS[topic].model
-        header = {"seq": seq, "t_ns": self.clock.now_ns(), "src": src, "v": model.version}
+        header = {"seq": seq, "t_ns": self.clock.now_ns(), "src": src, "v": model.version_of(fields)}
         return build(model, {**header, **fields})
 
     def received(self, topic: str, src: str, **fields: Any) -> Received:

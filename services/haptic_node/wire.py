@@ -1,0 +1,266 @@
+"""Handle protocol 1: frames of a serial haptic device as bytes and back (firmware/handle/PROTOCOL.md).
+
+On the line a frame is COBS(payload + CRC) + 0x00. The CRC is CRC-16/CCITT-FALSE, low byte first. Nothing here knows a
+port or a clock. Quantities are raw counts of the device; `calibration.py` gives them units.
+"""
+
+import binascii
+import struct
+from collections.abc import Iterator
+from typing import Literal, NamedTuple
+
+MAJOR = 1
+MINOR = 0
+# with the CRC below 254, where COBS adds exactly one byte
+MAX_PAYLOAD = 60
+_CRC_START = 0xFFFF
+_CRC_BYTES = 2
+# a frame without its closing zero: payload, CRC, one byte of COBS
+_MAX_ENCODED = MAX_PAYLOAD + _CRC_BYTES + 1
+
+ASK, CONFIG, COMMAND, STOP = 0x01, 0x02, 0x10, 0x1F
+HELLO, CONFIGURED, STATE, FAULT = 0x81, 0x82, 0x90, 0x9F
+
+Fault = Literal["cobs", "crc", "length", "type"]
+
+# flags of HELLO
+HAS_POSITION_MODE, HAS_FORCE_MODE, HAS_FORCE_SENSOR, FORCE_IS_ESTIMATED = 1, 2, 4, 8
+HAS_ESTOP_INPUT, IS_BACK_DRIVABLE, SENSES_CURRENT, IS_EMULATED = 16, 32, 64, 128
+# flags of STATE
+IS_CONFIGURED, WATCHDOG_TRIPPED, ESTOP_PRESSED, AT_MIN, AT_MAX = 1, 2, 4, 8, 16
+VOLTAGE_LIMITED, CURRENT_LIMITED, FORCE_SATURATED = 32, 64, 128
+# flag of COMMAND
+SESSION_RUNS = 1
+
+SEVERITY_FATAL = 2
+
+_HEAD = struct.Struct("<BBH")
+_ASK = struct.Struct("<BBHBBHI")
+_HELLO = struct.Struct("<BBHBBHQHHfffHBB16s")
+_CONFIG = struct.Struct("<BBHHHiiiiii")
+_COMMAND = struct.Struct("<BBHHBBii")
+_STATE = struct.Struct("<BBHHBBIiiiihHHH")
+_STOP = struct.Struct("<BBHH")
+_FAULT = struct.Struct("<BBHBB32s")
+
+
+class Hello(NamedTuple):
+    """Identity of a device and what it can do; `session` is new at every boot."""
+
+    flags: int
+    seq: int
+    major: int
+    minor: int
+    nonce: int
+    device_id: int
+    session: int
+    max_rate_hz: int
+    nominal_m_per_count: float
+    nominal_n_per_count: float
+    nominal_drive_n_per_count: float
+    firmware: int
+    reset_cause: int
+    model: str
+
+
+class Limits(NamedTuple):
+    """What the device enforces by itself, in counts; the payload of CONFIG and of the answer to it."""
+
+    watchdog_ms: int
+    travel_min: int
+    travel_max: int
+    max_speed_per_s: int
+    max_drive: int
+    servo_gain_q16: int
+    servo_damping_q16: int
+
+
+class Configured(NamedTuple):
+    """Answer to CONFIG: what is in force now."""
+
+    seq: int
+    session: int
+    limits: Limits
+
+
+class State(NamedTuple):
+    """One sample of the device."""
+
+    flags: int
+    seq: int
+    command_seq: int
+    mode: int
+    fault: int
+    time_us: int
+    position: int
+    velocity_per_s: int
+    force: int
+    drive: int
+    supply_10mv: int
+    overruns: int
+    receive_errors: int
+    session: int
+
+
+class DeviceFault(NamedTuple):
+    """A fault that the device reports; severity 2 means that it cannot go on."""
+
+    seq: int
+    code: int
+    severity: int
+    text: str
+
+
+Answer = Hello | Configured | State | DeviceFault
+Request = tuple[int, bytes]
+
+
+class MalformedFrameError(ValueError):
+    """Bytes between two zeros that are not a frame; `fault` is the kind that is counted."""
+
+    def __init__(self, fault: Fault, text: str) -> None:
+        super().__init__(text)
+        self.fault: Fault = fault
+
+
+def encode_ask(seq: int, nonce: int) -> bytes:
+    """Return the frame that asks a device who it is."""
+    return encode_frame(_ASK.pack(ASK, 0, seq & 0xFFFF, MAJOR, MINOR, nonce & 0xFFFF, 0))
+
+
+def encode_config(seq: int, session: int, limits: Limits) -> bytes:
+    """Return the frame that sets the limits of a session."""
+    return encode_frame(_CONFIG.pack(CONFIG, 0, seq & 0xFFFF, session, *limits))
+
+
+def encode_command(seq: int, session: int, flags: int, mode: int, position: int, force: int) -> bytes:
+    """Return the frame with the reference of a period; position and drive force in counts."""
+    return encode_frame(_COMMAND.pack(COMMAND, flags, seq & 0xFFFF, session, mode, 0, position, force))
+
+
+def encode_stop(seq: int, session: int) -> bytes:
+    """Return the frame that switches the drive off until the next CONFIG."""
+    return encode_frame(_STOP.pack(STOP, 0, seq & 0xFFFF, session))
+
+
+def encode_frame(payload: bytes) -> bytes:
+    """Return a payload as it goes on the line; ValueError if it is longer than a frame may be."""
+    if not 0 < len(payload) <= MAX_PAYLOAD:
+        raise ValueError(f"a payload has 1 to {MAX_PAYLOAD} bytes, not {len(payload)}")
+    whole = payload + binascii.crc_hqx(payload, _CRC_START).to_bytes(_CRC_BYTES, "little")
+    # below 254 bytes COBS is this: each run without a zero, behind its length + 1
+    return b"".join(bytes((len(run) + 1,)) + run for run in whole.split(b"\0")) + b"\0"
+
+
+def decode_frame(encoded: bytes) -> bytes:
+    """Return the payload of a frame without its closing zero; MalformedFrameError if it is none."""
+    whole = _unstuffed(encoded)
+    if len(whole) <= _CRC_BYTES:
+        raise MalformedFrameError("length", f"{len(whole)} bytes are too few for a payload and its CRC")
+    payload, crc = whole[:-_CRC_BYTES], int.from_bytes(whole[-_CRC_BYTES:], "little")
+    if binascii.crc_hqx(payload, _CRC_START) != crc:
+        raise MalformedFrameError("crc", f"the CRC is 0x{crc:04X} and does not fit {len(payload)} bytes of payload")
+    return payload
+
+
+def parse_answer(payload: bytes) -> Answer:
+    """Return the answer of a device that a payload holds; MalformedFrameError for a type or length that there is not.
+
+    A longer payload of a known type comes from a later minor version: what is appended is left out.
+    """
+    form = _ANSWERS.get(payload[0])
+    if form is None:
+        raise MalformedFrameError("type", f"type 0x{payload[0]:02X} is not an answer of a device")
+    if len(payload) < form.size:
+        raise MalformedFrameError("length", f"type 0x{payload[0]:02X} has {len(payload)} bytes, {form.size} are needed")
+    kind, flags, seq, *rest = form.unpack_from(payload)
+    if kind == STATE:
+        return State(flags, seq, *rest)
+    if kind == HELLO:
+        *numbers, _, model = rest
+        return Hello(flags, seq, *numbers, _text(model))
+    if kind == CONFIGURED:
+        return Configured(seq, rest[0], Limits(*rest[1:]))
+    return DeviceFault(seq, rest[0], rest[1], _text(rest[2]))
+
+
+_ANSWERS = {HELLO: _HELLO, CONFIGURED: _CONFIG, STATE: _STATE, FAULT: _FAULT}
+
+
+def pack_hello(hello: Hello) -> bytes:
+    """Return the payload of HELLO, for a device that is emulated and for tests."""
+    *numbers, model = hello
+    return _HELLO.pack(HELLO, *numbers, 0, model.encode())
+
+
+def pack_state(state: State) -> bytes:
+    """Return the payload of STATE, for tests."""
+    return _STATE.pack(STATE, *state)
+
+
+def pack_configured(answer: Configured) -> bytes:
+    """Return the payload that answers CONFIG, for tests."""
+    return _CONFIG.pack(CONFIGURED, 0, answer.seq, answer.session, *answer.limits)
+
+
+def pack_fault(fault: DeviceFault) -> bytes:
+    """Return the payload of FAULT, for tests."""
+    return _FAULT.pack(FAULT, 0, fault.seq, fault.code, fault.severity, fault.text.encode())
+
+
+class FrameReader:
+    """Splits a stream of bytes into payloads; whatever is none is counted by kind, and the next zero begins anew."""
+
+    def __init__(self) -> None:
+        self.errors: dict[Fault, int] = {"cobs": 0, "crc": 0, "length": 0, "type": 0}
+        self._pending = b""
+        self._skipping = False
+
+    def payloads(self, received: bytes) -> Iterator[bytes]:
+        """Return the payloads that these bytes complete."""
+        *frames, rest = (self._pending + received).split(b"\0")
+        for index, encoded in enumerate(frames):
+            skipped = index == 0 and self._skipping
+            # zeros in a row are legal: a sender may put one ahead of a frame to end whatever came before
+            if skipped or not encoded:
+                continue
+            try:
+                yield decode_frame(encoded)
+            except MalformedFrameError as error:
+                self.errors[error.fault] += 1
+        if frames:
+            self._skipping = False
+        self._pending = rest
+        if len(rest) > _MAX_ENCODED:
+            self._pending = b""
+            self.errors["length"] += not self._skipping
+            self._skipping = True
+
+    def answers(self, received: bytes) -> Iterator[Answer]:
+        """Return the answers of a device that these bytes complete."""
+        for payload in self.payloads(received):
+            try:
+                yield parse_answer(payload)
+            except MalformedFrameError as error:
+                self.errors[error.fault] += 1
+
+    def reset(self) -> None:
+        """Forget the half of a frame, for a port that was opened again."""
+        self._pending, self._skipping = b"", False
+
+
+def _unstuffed(encoded: bytes) -> bytes:
+    if not 1 < len(encoded) <= _MAX_ENCODED:
+        raise MalformedFrameError("length", f"{len(encoded)} bytes between zeros, a frame has 2 to {_MAX_ENCODED}")
+    runs, at = [], 0
+    while at < len(encoded):
+        end = at + encoded[at]
+        if end > len(encoded):
+            raise MalformedFrameError("cobs", f"a run of {encoded[at] - 1} bytes goes beyond the end of the frame")
+        runs.append(encoded[at + 1 : end])
+        at = end
+    return b"\0".join(runs)
+
+
+def _text(field: bytes) -> str:
+    return "".join(char if char.isprintable() else "?" for char in field.rstrip(b"\0").decode("ascii", "replace"))

@@ -1,0 +1,351 @@
+"""The serial driver against the firmware, in virtual time: handshake, samples, and each row of the table of faults."""
+
+import shutil
+from typing import Any
+
+import pytest
+
+if shutil.which("cc") is None:
+    pytest.skip("the emulated handle needs a C compiler: apt install gcc libc6-dev", allow_module_level=True)
+
+from handle_line import PATH, Line, calibration
+
+from proto.errors import ConfigError
+from services.haptic_node import wire
+from services.haptic_node.config import HapticConfig
+from services.haptic_node.driver import DeviceError, DriveCommand
+from services.haptic_node.node import HapticNode
+from services.haptic_node.safety import MODE_FORCE, MODE_OFF, MODE_POSITION
+
+OFF = DriveCommand(MODE_OFF, 0.0, 0.0)
+
+
+def towards(position_m: float) -> DriveCommand:
+    return DriveCommand(MODE_POSITION, position_m, 0.0)
+
+
+@pytest.fixture
+def line() -> Line:
+    found = Line()
+    found.driver.open()
+    return found
+
+
+def tick(line: Line, command: DriveCommand = OFF, count: int = 1, session_s: float = -1.0) -> Any:
+    """Let the driver do what a node does in so many milliseconds; return the last reading."""
+    for _ in range(count):
+        line.driver.write(command)
+        line.pass_ms(1)
+        reading = line.driver.read(session_s, 1e-3)
+    return reading
+
+
+def test_opens_configures_and_follows(line: Line) -> None:
+    assert line.driver.report.status == "ok"
+    assert "telenano posix 0102030405060708, firmware 1.0, emulated is ready" in line.driver.report.text
+    assert line.driver.capabilities.modes == (MODE_OFF, MODE_POSITION)
+    reading = tick(line, towards(5e-3), 500)
+    assert line.handle.position_m == pytest.approx(5e-3, abs=5e-6, rel=0.0)
+    # the sample is that of the tick before; the arm stands, to a count
+    assert reading.position_m == pytest.approx(line.handle.position_m, abs=1e-8, rel=0.0)
+    assert line.driver.missed == 0
+    assert sum(line.driver.reader.errors.values()) == line.handle.core.receive_errors == 0
+
+
+def test_device_limits_travel_speed_and_drive_by_itself(line: Line) -> None:
+    before_m = line.handle.position_m
+    tick(line, towards(1.0), 100)
+    speed = (line.handle.position_m - before_m) / 0.1
+    assert speed <= 0.036
+    tick(line, towards(1.0), 600)
+    assert line.handle.position_m == pytest.approx(0.0145, abs=5e-6, rel=0.0)
+
+
+def test_hand_moves_with_the_session_and_its_force_is_measured(line: Line) -> None:
+    tick(line, towards(0.0), 3)
+    reading = tick(line, towards(0.0), 1300, session_s=0.1)
+    assert reading.operator_force_n == pytest.approx(1.0, abs=1e-4, rel=0.0)
+
+
+def test_age_is_that_of_the_sample(line: Line) -> None:
+    tick(line, count=100)
+    # the answer is seen a millisecond after the command; a half of that is the way back
+    young_s = line.driver.report.age_s
+    assert 0.5e-3 <= young_s <= 1.6e-3
+    line.to_host = lambda sent: b""
+    tick(line, count=4)
+    assert line.driver.report.age_s == pytest.approx(young_s + 4e-3, abs=1e-9, rel=0.0)
+
+
+def test_modes_that_the_device_has_not_are_refused(line: Line) -> None:
+    with pytest.raises(DeviceError, match="no mode force"):
+        line.driver.write(DriveCommand(MODE_FORCE, 0.0, 1.0))
+
+
+def test_silence_switches_the_motor_off_within_the_watchdog(line: Line) -> None:
+    tick(line, towards(5e-3), 50)
+    assert line.handle.core.mode == MODE_POSITION
+    since_ms = 0
+    while line.handle.core.mode != MODE_OFF:
+        line.pass_ms(1)
+        since_ms += 1
+    # the last command came at the beginning of a millisecond that has passed
+    assert since_ms == 19
+    assert line.handle.drive_v == 0.0
+
+
+def test_watchdog_is_left_only_by_a_command_off(line: Line) -> None:
+    tick(line, towards(5e-3), 50)
+    line.pass_ms(25)
+    line.driver.read(-1.0, 1e-3)
+    assert line.driver.report.status == "lost"
+    tick(line, towards(5e-3), 20)
+    assert (line.handle.core.mode, line.driver.report.status) == (MODE_OFF, "lost")
+    tick(line, OFF, 2)
+    assert line.driver.report.status == "ok"
+    tick(line, towards(5e-3), 2)
+    assert line.handle.core.mode == MODE_POSITION
+
+
+def test_cable_out_is_lost_at_the_next_tick_and_comes_back_where_the_arm_is(line: Line) -> None:
+    tick(line, towards(5e-3), 100)
+    line.plugged = False
+    tick(line, towards(5e-3))
+    assert line.driver.report.status == "lost"
+    assert "gone" in line.driver.report.text
+    line.pass_ms(20)
+    assert line.handle.core.mode == MODE_OFF
+    # somebody moves the arm meanwhile: no memory of where it was
+    moved_m = line.handle.position_m
+    tick(line, towards(5e-3), 700)
+    assert line.closed == 1
+    line.plugged = True
+    tick(line, OFF, 600)
+    reading = line.driver.read(-1.0, 1e-3)
+    assert line.driver.report.status == "ok"
+    assert reading.position_m == pytest.approx(moved_m, abs=1e-4, rel=0.0)
+    assert line.handle.core.mode == MODE_OFF
+
+
+def test_garbage_and_half_frames_are_dropped_counted_and_told_once(line: Line) -> None:
+    tick(line, count=1100)
+    line.to_host = lambda sent: b"AT+CGMI\r\0\x05" + sent
+    tick(line, towards(1e-3), 20)
+    # what is glued to a frame takes it along: samples get old, and nothing else happens
+    assert line.driver.report.status != "ok"
+    assert sum(line.driver.reader.errors.values()) > 10
+    line.to_host = lambda sent: sent
+    tick(line, towards(1e-3), 3)
+    assert line.driver.report.status == "ok"
+    assert "bad frames were dropped" in line.driver.report.text
+
+
+def test_garbage_to_the_device_is_counted_and_not_obeyed(line: Line) -> None:
+    tick(line, towards(1e-3), 10)
+    line.to_device = lambda frame: b"ATZ\r\0" + frame
+    tick(line, towards(1e-3), 10)
+    assert line.handle.core.receive_errors == 10
+    assert (line.handle.core.mode, line.driver.report.status) == (MODE_POSITION, "ok")
+
+
+def test_dropped_frames_are_counted_by_their_numbers(line: Line) -> None:
+    tick(line, count=10)
+    line.to_host = lambda sent: b""
+    tick(line, count=3)
+    line.to_host = lambda sent: sent
+    tick(line, count=3)
+    assert line.driver.missed == 3
+    assert line.driver.report.status == "ok"
+
+
+def test_flipped_bits_reach_neither_side(line: Line) -> None:
+    tick(line, towards(1e-3), 60)
+    flips = iter(range(10_000))
+
+    def flip(sent: bytes) -> bytes:
+        place = next(flips)
+        damaged = bytearray(sent)
+        if damaged:
+            damaged[place % len(damaged)] ^= 1 << (place % 8)
+        return bytes(damaged)
+
+    before_m = line.handle.position_m
+    line.to_host = line.to_device = flip
+    readings = [tick(line, towards(1e-3)) for _ in range(15)]
+    assert all(abs(reading.position_m - before_m) < 1e-4 for reading in readings)
+    assert line.driver.missed + sum(line.driver.reader.errors.values()) > 0
+
+
+def test_silent_device_is_stale_and_then_lost(line: Line) -> None:
+    tick(line, count=5)
+    line.to_host = lambda sent: b""
+    seen = []
+    for _ in range(60):
+        tick(line)
+        seen.append(line.driver.report.status)
+    assert seen[:4] == ["ok"] * 4
+    assert set(seen[6:48]) == {"stale"}
+    assert seen[-1] == "lost"
+    assert "silent for 50 ms" in line.driver.report.text
+
+
+def test_reset_in_mid_session_is_lost_and_configured_again(line: Line) -> None:
+    tick(line, towards(2e-3), 50)
+    line.handle.reset(0x1234)
+    tick(line, towards(2e-3), 30)
+    assert line.driver.report.status == "lost"
+    assert "was reset" in line.driver.report.text
+    assert line.handle.core.mode == MODE_OFF
+    tick(line, OFF, 700)
+    assert line.driver.report.status == "ok"
+    assert line.driver.hello is not None and line.driver.hello.session == 0x1234
+
+
+def test_slow_device_is_told_once(line: Line) -> None:
+    tick(line, count=100)
+    line.latency_ms = 8
+    texts = set()
+    for _ in range(2500):
+        tick(line)
+        texts.add(line.driver.report.text)
+    assert sum("latency timer" in text for text in texts) == 1
+    assert line.driver.report.status == "ok"
+
+
+def test_full_buffer_drops_commands_and_fifty_in_a_row_are_a_loss(line: Line) -> None:
+    tick(line, towards(1e-3), 10)
+    line.reading = False
+    tick(line, towards(1e-3), 49)
+    assert line.driver.dropped == 49
+    assert line.driver.report.status == "lost"  # by its watchdog, long before
+    tick(line, towards(1e-3), 1)
+    assert "were dropped" in line.driver.report.text
+    assert line.closed == 1
+
+
+@pytest.mark.parametrize(
+    ("answer", "text"),
+    [
+        ({"major": 2}, r"speaks protocol 2.0, 1 is needed: flash its firmware"),
+        ({"device_id": 0xFF}, r"the handle is 00000000000000ff, and the calibration is that of 0102030405060708"),
+        ({"max_rate_hz": 200}, r"takes 200 commands a second, 1000 are needed"),
+    ],
+)
+def test_wrong_device_is_refused_at_open_and_nothing_is_driven(answer: dict[str, Any], text: str) -> None:
+    line = Line()
+
+    def other(sent: bytes) -> bytes:
+        found = list(wire.FrameReader().answers(sent))
+        hellos = [wire.pack_hello(hello._replace(**answer)) for hello in found if isinstance(hello, wire.Hello)]
+        return b"".join(map(wire.encode_frame, hellos))
+
+    line.to_host = other
+    with pytest.raises(ConfigError, match=text):
+        line.driver.open()
+    assert line.closed == 1
+    assert not line.handle.core.mode
+
+
+def test_nobody_there_is_a_sentence_after_three_seconds() -> None:
+    line = Line()
+    line.to_host = lambda sent: b""
+    began_ns = line.now_ns
+    with pytest.raises(DeviceError, match=r"nothing answers in handle protocol 1 at 1000000 baud"):
+        line.driver.open()
+    assert 3.0 <= (line.now_ns - began_ns) * 1e-9 < 3.2
+    line.plugged = False
+    with pytest.raises(DeviceError, match=PATH):
+        line.driver.open()
+
+
+def test_fault_of_the_device_is_a_loss_with_its_text(line: Line) -> None:
+    fault = wire.encode_frame(wire.pack_fault(wire.DeviceFault(0, 9, 2, "supply too low")))
+    line.to_host = lambda sent: sent + fault
+    tick(line)
+    assert line.driver.report.status == "lost"
+    assert "fault 9: supply too low" in line.driver.report.text
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({"position": {"zero_raw": 0, "m_per_count": 0.0}}, r"position: m_per_count must not be 0"),
+        ({"drive": {"n_per_count": -1.0}}, r"drive.n_per_count"),
+        ({"device_id": "1234"}, r"device_id"),
+        ({"unit": "mm"}, r"unit"),
+        ({"watchdog_s": 1.0}, r"watchdog_s"),
+        ({"max_force_n": 1e-9}, r"max_force_n"),
+    ],
+)
+def test_bad_calibration_names_the_key(change: dict[str, Any], text: str) -> None:
+    with pytest.raises(ConfigError, match=text):
+        calibration(**change)
+
+
+def test_sign_of_the_calibration_turns_everything_round() -> None:
+    zero = calibration().position.zero_raw
+    turned = calibration(position={"zero_raw": zero, "m_per_count": -1e-8})
+    limits = turned.device_limits(HapticConfig().limits)
+    assert limits.travel_min < limits.travel_max
+    assert turned.position_raw(1e-3) == zero - 100_000
+    assert turned.drive_raw(2.5 * turned.drive.n_per_count) == -2
+    assert turned.drive_force_n(4) < 0.0
+
+
+class Rig:
+    """A haptic node with the emulated handle on a bench."""
+
+    def __init__(self, bench: Any) -> None:
+        self.bench, self.line = bench, Line()
+        self.node = HapticNode(bench.context, HapticConfig(), self.line.driver)
+        self.x_m = 0.0
+
+    def tick(self, count: int = 1) -> None:
+        for _ in range(count):
+            now_ns = self.bench.clock.now_ns()
+            command = {"mode": "position", "position_m": (0.0, 0.0, -self.x_m), "velocity_m_per_s": (0.0, 0.0, 0.0)}
+            stamps = {"force_n": (0.0, 0.0, 0.0), "hand_seq": 0, "hand_t_ns": now_ns}
+            received = self.bench.received("haptic/command", "controller@master", **command, **stamps)
+            self.node.on_message(received)
+            before_ns = self.bench.clock.monotonic_ns()
+            self.bench.clock.advance_ns(max(0, self.node.deadline_ns() - before_ns))
+            self.line.pass_ms(1)
+            self.node.on_deadline(self.bench.clock.monotonic_ns())
+
+
+def test_node_publishes_state_and_age_and_recovers_without_a_jump(bench_of: Any) -> None:
+    rig = Rig(bench_of("haptic_node@master"))
+    rig.tick(20)
+    states = rig.bench.take("haptic/state")
+    assert {(state.v, state.device, state.mode) for state in states[1:]} == {(2, "ok", "position")}
+    assert all(0.0 <= state.sample_age_s < 3e-3 for state in states[1:])
+    rig.line.plugged = False
+    rig.x_m = 8e-3
+    rig.tick(40)
+    lost = rig.bench.take("haptic/state")[-1]
+    assert (lost.device, lost.mode) == ("lost", "off")
+    rig.line.plugged = True
+    stood_m = rig.line.handle.position_m
+    rig.tick(700)
+    states = rig.bench.take("haptic/state")
+    back = next(index for index, state in enumerate(states) if state.mode == "position")
+    assert -states[back].reference_m[2] == pytest.approx(stood_m, abs=1e-4, rel=0.0)
+    steps = [abs(a.position_m[2] - b.position_m[2]) for a, b in zip(states[back:], states[back + 1 :], strict=False)]
+    assert max(steps) <= 0.036e-3 * 1.05
+    assert rig.line.handle.position_m > 3e-3
+    texts = [event.text for event in rig.bench.take("session/event")]
+    assert any("calibration 0102030405060708" in text for text in texts)
+    assert any("the device is gone" in text for text in texts)
+    assert any("the device is lost: off until it is back" in text for text in texts)
+
+
+def test_emergency_stop_of_the_device_latches_at_the_node(bench_of: Any) -> None:
+    rig = Rig(bench_of("haptic_node@master"))
+    rig.tick(10)
+    rig.line.handle.estop_pressed = True
+    rig.tick(3)
+    assert rig.line.handle.core.mode == MODE_OFF
+    rig.line.handle.estop_pressed = False
+    rig.tick(20)
+    state = rig.bench.take("haptic/state")[-1]
+    assert (state.mode, state.estop) == ("off", True)
