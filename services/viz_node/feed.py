@@ -1,0 +1,147 @@
+"""What the pages are told: everything that changed since the last time, and a snapshot for a page that comes later."""
+
+from collections import deque
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+from proto.ends import read_end
+from proto.nodes import site_of
+from services.viz_node.streams import BY_SOURCE, STREAMS, Batch
+
+# at most a second of the loop at once: more would hold up the page, and is past anyway
+_MOST_SAMPLES = 1000
+_EVENTS_KEPT = 60
+_MOST_LINES = 4096
+_MOST_NODES = 64
+HEALTH_KEYS = ("state", "uptime_s", "rate_hz", "overruns", "cpu_percent", "memory_bytes", "replay", "lateness_p99_s")
+_STATE_KEYS = {
+    "haptic/state": ("mode", "estop", "limited", "session_s"),
+    "afm/state": ("mode", "limited", "in_contact", "meniscus"),
+    "law/status": ("law", "switching", "passive", "heard", "silence_s", "dissipated_j", "left_j"),
+}
+# the operator's time changes with each sample, and is shown with a tenth of a second
+_COARSE = {"session_s": 1, "silence_s": 1, "uptime_s": 0}
+_WAY_KEYS = ("profile", "settings", "queue_depth", "delay_mean_s", "delay_max_s", "delay_valid", "dropped")
+
+
+class Seen(NamedTuple):
+    """A message as it came: topic, publisher, when it was sent [ns], and its fields, which nobody has checked."""
+
+    topic: str
+    src: str
+    t_ns: int
+    fields: Mapping[str, Any]
+
+
+class Feed:
+    """Collects messages and gives what changed.
+
+    A message whose fields are not those of its topic is counted in `unreadable` and left out.
+    """
+
+    def __init__(self) -> None:
+        self.origin_ns = 0
+        self.unreadable = 0
+        self._batches = {stream.name: Batch(stream, _MOST_SAMPLES) for stream in STREAMS}
+        self._nodes: dict[str, dict[str, Any]] = {}
+        self._state: dict[str, dict[str, Any]] = {}
+        self._events: deque[dict[str, Any]] = deque(maxlen=_EVENTS_KEPT)
+        self._lines: dict[tuple[str, int], dict[str, Any]] = {}
+        self._changes: dict[str, Any] = {}
+        # what the clock of the slave's machine is ahead, as the link measures it
+        self._slave_ahead_ns = 0
+
+    def record(self, seen: Seen) -> None:
+        """Take a message."""
+        if not self.origin_ns:
+            self.origin_ns = seen.t_ns
+        try:
+            self._record(seen)
+        except (KeyError, TypeError, IndexError, ValueError, AttributeError):
+            self.unreadable += 1
+
+    def take(self) -> dict[str, Any]:
+        """Return what changed since the last call, empty when nothing did."""
+        changes, self._changes = self._changes, {}
+        streams = {name: taken for name, batch in self._batches.items() if (taken := batch.take(self.origin_ns))}
+        return {**changes, "streams": streams} if streams else changes
+
+    def snapshot(self) -> dict[str, Any]:
+        """Return the state as a page needs it that knows nothing yet; curves begin with what comes next."""
+        return {
+            "origin_ns": self.origin_ns,
+            "nodes": dict(self._nodes),
+            "state": dict(self._state),
+            "events": list(self._events),
+            "lines": list(self._lines.values()),
+        }
+
+    @property
+    def skipped(self) -> int:
+        """How many samples no page got, because this process stood still."""
+        return sum(batch.skipped for batch in self._batches.values())
+
+    def _record(self, seen: Seen) -> None:
+        stream = BY_SOURCE.get((seen.topic, site_of(seen.src)))
+        if stream is not None:
+            ahead_ns = self._slave_ahead_ns if stream.site == "slave" else 0
+            self._batches[stream.name].add(seen.t_ns - ahead_ns, seen.fields)
+        if keys := _STATE_KEYS.get(seen.topic):
+            self._set_state(f"{seen.topic}/{site_of(seen.src)}", _facts(seen.fields, keys))
+        elif seen.topic == "link/status":
+            ways = {way: _facts(seen.fields[way], _WAY_KEYS) for way in ("forward", "backward")}
+            clock = seen.fields["clock"]
+            is_apart = clock["valid"] and abs(clock["offset_s"]) > clock["uncertainty_s"]
+            self._slave_ahead_ns = round(clock["offset_s"] * 1e9) if is_apart else 0
+            self._set_state("link", {**ways, "clock": dict(clock)})
+        elif seen.topic == "node/health":
+            self._record_health(seen)
+        elif seen.topic == "session/event":
+            self._record_event(seen)
+        elif seen.topic == "afm/scanline":
+            self._record_line(seen)
+
+    def _set_state(self, name: str, facts: dict[str, Any]) -> None:
+        if self._state.get(name) != facts:
+            self._state[name] = facts
+            self._changes.setdefault("state", {})[name] = facts
+
+    def _record_health(self, seen: Seen) -> None:
+        if seen.src not in self._nodes and len(self._nodes) >= _MOST_NODES:
+            return
+        facts = _facts(seen.fields, HEALTH_KEYS)
+        inputs = seen.fields["inputs"]
+        facts["lost"] = sum(row["lost"] for row in inputs)
+        facts["rejected"] = sum(n for reason, n in seen.fields["rejected"].items() if reason != "superseded")
+        facts["beat"] = seen.t_ns
+        self._set_node(seen.src, facts)
+
+    def _record_event(self, seen: Seen) -> None:
+        event = _facts(seen.fields, ("kind", "level", "text")) | {
+            "src": seen.src,
+            "t": seen.t_ns,
+            "seq": seen.fields["seq"],
+        }
+        if read_end(seen.fields) is not None and seen.src in self._nodes:
+            self._set_node(seen.src, {**self._nodes[seen.src], "state": "ended", "beat": seen.t_ns})
+        self._events.append(event)
+        self._changes.setdefault("events", []).append(event)
+
+    def _set_node(self, src: str, facts: dict[str, Any]) -> None:
+        self._nodes[src] = facts
+        self._changes.setdefault("nodes", {})[src] = facts
+
+    def _record_line(self, seen: Seen) -> None:
+        fields = seen.fields
+        line = _facts(fields, ("line", "lines", "direction", "start_m", "end_m"))
+        line["height"] = dict(fields["height_m"])
+        if line["line"] == 0:
+            # another image begins
+            self._lines = {key: kept for key, kept in self._lines.items() if key[0] != line["direction"]}
+        if len(self._lines) < _MOST_LINES:
+            self._lines[str(line["direction"]), int(line["line"])] = line
+        self._changes.setdefault("lines", []).append(line)
+
+
+def _facts(fields: Mapping[str, Any], keys: tuple[str, ...]) -> dict[str, Any]:
+    return {key: round(fields[key], _COARSE[key]) if key in _COARSE else fields[key] for key in keys}

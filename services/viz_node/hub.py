@@ -1,0 +1,243 @@
+"""The pages that are open: each gets what changed, thirty times a second, and none can hold up another."""
+
+import asyncio
+import contextlib
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol
+
+import msgpack
+
+from proto.errors import RefusedError, TelenanoError
+from proto.messages import Scalar
+from services.viz_node.access import Role
+from services.viz_node.feed import Feed
+from services.viz_node.requests import CommandRequest, EstopRequest, HandRequest, Request, TransportRequest
+from services.viz_node.source import Source
+from services.viz_node.streams import described
+
+TICK_S = 1.0 / 30.0
+# without a page only what a page that comes later has to be told is collected
+IDLE_S = 0.25
+# two seconds: a page that is further behind begins anew
+MOST_QUEUED = 60
+# a browser draws 60 frames a second; a page that sends nothing for this long has lost its hand
+HAND_DEADLINE_S = 0.1
+_REQUESTS_PER_S = 200
+
+Answers = Mapping[str, tuple[str, str]]
+
+
+class Commander(Protocol):
+    """How the commands of a page reach the rig. The methods block, and are called in threads."""
+
+    def send(self, command: str, target: str, parameters: Mapping[str, Scalar]) -> Answers:
+        """Send a command; return by node `ack` or `refused` and a sentence. TelenanoError says why not."""
+
+    def estop(self) -> Answers:
+        """Stop the devices at once; return by node the answer. TelenanoError says why not."""
+
+
+class HandOutlet(Protocol):
+    """Where the force of an operator at a page goes."""
+
+    def push(self, force_n: float) -> None:
+        """Publish a force [N], towards the sample."""
+
+    def close(self) -> None:
+        """Publish that there is none any more, and let go of the endpoint."""
+
+
+class Session:
+    """One page: its role, and the frames that wait to be sent to it."""
+
+    def __init__(self, role: Role) -> None:
+        self.role = role
+        self.ready = asyncio.Event()
+        self._frames: deque[bytes] = deque()
+        self._times_s: deque[float] = deque(maxlen=_REQUESTS_PER_S)
+
+    def offer(self, frame: bytes) -> bool:
+        """Queue a frame; false when the page is so far behind that it has to begin anew."""
+        if len(self._frames) >= MOST_QUEUED:
+            return False
+        self._frames.append(frame)
+        self.ready.set()
+        return True
+
+    def restart(self, frame: bytes) -> None:
+        """Drop what waits, and queue a snapshot."""
+        self._frames.clear()
+        self._frames.append(frame)
+        self.ready.set()
+
+    async def next_frame(self) -> bytes:
+        """Wait for the next frame."""
+        while not self._frames:
+            self.ready.clear()
+            await self.ready.wait()
+        return self._frames.popleft()
+
+    def may_ask(self, now_s: float) -> bool:
+        """Return whether a request comes within the rate that a page may have."""
+        if len(self._times_s) == _REQUESTS_PER_S and now_s - self._times_s[0] < 1.0:
+            return False
+        self._times_s.append(now_s)
+        return True
+
+
+class Hub:
+    """Reads the source, tells the pages, and carries out what they ask as far as their role permits."""
+
+    def __init__(
+        self,
+        source: Source,
+        commander: Commander | None = None,
+        forms: Mapping[str, Any] | None = None,
+        open_hand: Callable[[], HandOutlet] | None = None,
+    ) -> None:
+        """Prepare to serve a source.
+
+        Parameters: commander, None where there is nothing to command; forms, JSON schemas of what `set` changes, by
+        node; open_hand, opens the way of the page's force to the haptic node, None where there is none.
+        """
+        self.sessions: set[Session] = set()
+        self._source = source
+        self._commander = commander
+        self._forms = dict(forms or {})
+        self._open_hand = open_hand
+        self._feed = Feed()
+        self._turn = asyncio.Lock()
+        self._about: Mapping[str, Any] = {}
+        self._hand: HandOutlet | None = None
+        self._holder: Session | None = None
+        self._hand_s = 0.0
+
+    async def run(self) -> None:
+        """Tell the pages what changed, until cancelled."""
+        due_s = time.monotonic()
+        try:
+            while True:
+                self.tick()
+                period_s = TICK_S if self.sessions else IDLE_S
+                due_s = max(due_s + period_s, time.monotonic())
+                await asyncio.sleep(due_s - time.monotonic())
+        finally:
+            self._release()
+
+    def tick(self) -> None:
+        """Collect what has come and queue it for every page."""
+        restarted = self._source.take_restart()
+        if restarted:
+            self._feed = Feed()
+        for seen in self._source.poll(watched=bool(self.sessions)):
+            self._feed.record(seen)
+        for session in self.sessions if restarted else ():
+            session.restart(self.snapshot(session))
+        changes = self._feed.take()
+        about = self._source.about()
+        if about != self._about:
+            self._about = about
+            changes["source"] = about
+        if self._holder is not None and time.monotonic() - self._hand_s > HAND_DEADLINE_S:
+            self._release()
+        if not changes:
+            return
+        frame = _packed({"k": "tick", **changes})
+        for session in self.sessions:
+            if not session.offer(frame):
+                session.restart(self.snapshot(session))
+
+    def join(self, role: Role) -> Session:
+        """Return the session of a new page, with a snapshot waiting for it."""
+        session = Session(role)
+        # what has come since belongs to the pages that are there
+        self.tick()
+        self.sessions.add(session)
+        session.offer(self.snapshot(session))
+        return session
+
+    def leave(self, session: Session) -> None:
+        self.sessions.discard(session)
+        if session is self._holder:
+            self._release()
+
+    def snapshot(self, session: Session) -> bytes:
+        """Return everything that a page needs to begin."""
+        return _packed(
+            {
+                "k": "snapshot",
+                "role": session.role,
+                "commands": self._commander is not None,
+                "hand": self._open_hand is not None,
+                "streams": described(),
+                "forms": self._forms,
+                "source": self._source.about(),
+                **self._feed.snapshot(),
+            }
+        )
+
+    async def handle(self, session: Session, request: Request) -> None:
+        """Carry out a request and queue the answer; what a role may not do is refused."""
+        if isinstance(request, HandRequest):
+            self._push(session, request)
+            return
+        identifier = getattr(request, "id", "")
+        try:
+            answers = await self._carried_out(session, request)
+            refused = any(kind == "refused" for kind, _ in answers.values())
+            text = "; ".join(f"{node}: {text}" for node, (_, text) in sorted(answers.items()))
+            session.offer(_packed({"k": "answer", "id": identifier, "ok": not refused, "text": text}))
+        except TelenanoError as error:
+            session.offer(_packed({"k": "answer", "id": identifier, "ok": False, "text": str(error)}))
+
+    async def _carried_out(self, session: Session, request: Request) -> Answers:
+        if not session.may_ask(time.monotonic()):
+            raise RefusedError(f"this page asks more than {_REQUESTS_PER_S} times a second")
+        if session.role is not Role.OPERATOR:
+            raise RefusedError("this page was opened with the token of an observer, who may look and not command")
+        if isinstance(request, TransportRequest):
+            return {"transport": ("ack", self._source.transport(request.action, request.value))}
+        if self._commander is None:
+            raise RefusedError("a recording cannot be commanded")
+        if isinstance(request, EstopRequest):
+            # beside whatever else is being sent: it waits for nobody
+            return await asyncio.to_thread(self._commander.estop)
+        if isinstance(request, CommandRequest):
+            async with self._turn:
+                return await asyncio.to_thread(
+                    self._commander.send, request.command, request.target, request.parameters
+                )
+        raise RefusedError("a page says hello once")
+
+    def _push(self, session: Session, request: HandRequest) -> None:
+        """Pass on the force of the page that holds the hand; one at a time holds it."""
+        free = self._holder in (None, session)
+        if self._open_hand is None or session.role is not Role.OPERATOR or not free:
+            reason = "another page holds the hand" if not free else "this page cannot hold the hand"
+            if request.held:
+                session.offer(_packed({"k": "hand", "held": False, "text": reason}))
+            return
+        if not request.held:
+            self._release()
+            return
+        try:
+            if self._hand is None:
+                self._hand = self._open_hand()
+            self._holder, self._hand_s = session, time.monotonic()
+            self._hand.push(request.force_n)
+        except TelenanoError as error:
+            session.offer(_packed({"k": "hand", "held": False, "text": str(error)}))
+
+    def _release(self) -> None:
+        """Let go of the hand: the force at the device is none."""
+        hand, self._hand, self._holder = self._hand, None, None
+        if hand is not None:
+            with contextlib.suppress(TelenanoError):
+                hand.close()
+
+
+def _packed(fields: Mapping[str, Any]) -> bytes:
+    packed: bytes = msgpack.packb(fields)
+    return packed

@@ -1,0 +1,134 @@
+"""A recording as the source of a page, with a transport: play, pause, seek, rate."""
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+from proto.errors import RecordingError, RefusedError
+from recording.messages import RecordedChannel, RecordedMessage
+from recording.multi_file import RecordingSource
+from services.viz_node.feed import Seen
+from services.viz_node.source import LOOP_TOPICS, TOPICS_SHOWN
+
+_LEAST_RATE, _MOST_RATE = 0.01, 100.0
+# what is shown of the time before a place that was sought, so that no curve begins empty
+_LEAD_S = 5.0
+# messages in one call: a rate of 100 must not hold up the pages
+_MOST_MESSAGES = 20_000
+
+
+class RecordingPlayback:
+    """Messages of a recording at their own pace, or another one.
+
+    After a seek come the newest message of each slow topic from before that place, and the curves of a few seconds.
+    """
+
+    def __init__(self, recording: RecordingSource, monotonic_s: Callable[[], float]) -> None:
+        """Begin to play at the start; RecordingError when there is nothing to show."""
+        self._recording = recording
+        self._monotonic_s = monotonic_s
+        self._start_ns, self._end_ns = recording.span_ns
+        if not self._end_ns or not any(map(_is_shown, recording.channels)):
+            raise RecordingError(f"{recording.path}: has none of the topics that the view shows")
+        self._rate, self._playing, self._watched = 1.0, True, False
+        self._restarted = False
+        self._messages: Iterator[RecordedMessage] = iter(())
+        self._waiting: RecordedMessage | None = None
+        self._seek(0.0)
+        self._restarted = False
+
+    @property
+    def position_s(self) -> float:
+        """Place in the recording [s]; time stands still while nobody looks."""
+        if not (self._playing and self._watched):
+            return self._from_s
+        elapsed_s = (self._monotonic_s() - self._from_monotonic_s) * self._rate
+        return min(self._from_s + elapsed_s, self.length_s)
+
+    @property
+    def length_s(self) -> float:
+        return (self._end_ns - self._start_ns) * 1e-9
+
+    def poll(self, *, watched: bool) -> Iterator[Seen]:
+        if watched != self._watched:
+            self._look(watched)
+            return
+        until_ns = self._start_ns + round(self.position_s * 1e9)
+        for _ in range(_MOST_MESSAGES):
+            message = self._waiting or next(self._messages, None)
+            self._waiting = message
+            if message is None or message.log_ns > until_ns:
+                break
+            self._waiting = None
+            yield _seen(message)
+
+    def take_restart(self) -> bool:
+        restarted, self._restarted = self._restarted, False
+        return restarted
+
+    def about(self) -> Mapping[str, Any]:
+        return {
+            "kind": "recording",
+            "name": self._recording.path.name,
+            "position_s": round(self.position_s, 1),
+            "length_s": self.length_s,
+            "playing": self._playing and self.position_s < self.length_s,
+            "rate": self._rate,
+        }
+
+    def transport(self, action: str, value: float) -> str:
+        if not math.isfinite(value):
+            raise RefusedError(f"{action}: a finite number is needed")
+        if action == "seek":
+            return self._seek(value)
+        if action not in ("play", "pause", "rate"):
+            raise RefusedError(f"{action}: unknown, the transport knows play, pause, seek and rate")
+        place_s = self.position_s
+        if action == "rate":
+            if not _LEAST_RATE <= value <= _MOST_RATE:
+                raise RefusedError(f"rate {value:g}: must be between {_LEAST_RATE:g} and {_MOST_RATE:g}")
+            self._rate = value
+        self._begin_at(place_s)
+        if action == "play" and place_s >= self.length_s:
+            self._seek(0.0)
+        self._playing = action == "play" or (action == "rate" and self._playing)
+        return {"play": "plays", "pause": "pauses", "rate": f"plays at {self._rate:g} times the pace"}[action]
+
+    def close(self) -> None:
+        """Do nothing: the file is open only while it is read."""
+
+    def _look(self, watched: bool) -> None:
+        """Hold the place when the last page has closed, and begin there, or anew, with the curves that led there."""
+        place_s = self.position_s
+        self._watched = watched
+        self._seek(0.0 if watched and place_s >= self.length_s else place_s)
+
+    def _begin_at(self, place_s: float) -> None:
+        self._from_s, self._from_monotonic_s = place_s, self._monotonic_s()
+
+    def _seek(self, place_s: float) -> str:
+        self._begin_at(min(max(place_s, 0.0), self.length_s))
+        self._restarted = True
+        lead_ns = self._start_ns + round(max(0.0, self._from_s - _LEAD_S) * 1e9)
+        self._waiting = None
+        self._messages = self._from(lead_ns)
+        return f"at {self._from_s:.1f} s"
+
+    def _from(self, start_ns: int) -> Iterator[RecordedMessage]:
+        slow = self._recording.newest_before(
+            start_ns, lambda found: _is_shown(found) and found.topic not in LOOP_TOPICS
+        )
+        yield from sorted(slow.values(), key=lambda message: message.log_ns)
+        yield from self._recording.select(_is_shown, start_ns)
+
+
+def _is_shown(channel: RecordedChannel) -> bool:
+    return channel.topic in TOPICS_SHOWN and channel.via == "direct"
+
+
+def _seen(message: RecordedMessage) -> Seen:
+    try:
+        return Seen(message.topic, message.src, message.publish_ns, message.fields())
+    except RecordingError:
+        # a feed counts a message without fields as one that cannot be read
+        return Seen(message.topic, message.src, message.publish_ns, {})

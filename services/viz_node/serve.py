@@ -1,0 +1,91 @@
+"""Binding and running the web server of the page."""
+
+import socket
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from proto.errors import ConfigError, EndpointError
+from services.viz_node.access import LOOPBACK, Access, is_loopback
+
+DEFAULT_PORT = 8650
+_WEB = Path(__file__).parent / "web"
+_BACKLOG = 64
+_PING_S = 5.0
+_STOP_S = 1
+
+
+class Tls(NamedTuple):
+    """Files of the certificate and of its key, in PEM."""
+
+    certificate: Path
+    key: Path
+
+
+def page_folder() -> Path | None:
+    """Return the folder of the built page, None where it has not been built."""
+    folder = _WEB / "dist"
+    return folder if (folder / "index.html").is_file() else None
+
+
+def bind(host: str = LOOPBACK, port: int | None = None) -> socket.socket:
+    """Bind an address; without a port the usual one, or any other where that one is taken.
+
+    Raises: EndpointError with the reason.
+    """
+    for wanted in (DEFAULT_PORT, 0) if port is None else (port,):
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        bound = socket.socket(family, socket.SOCK_STREAM)
+        bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            bound.bind((host.strip("[]"), wanted))
+            bound.listen(_BACKLOG)
+        except OSError as error:
+            bound.close()
+            fault = EndpointError(
+                f"the view cannot bind {host}:{wanted}: {error.strerror or error}: give another --port"
+            )
+        else:
+            return bound
+    raise fault
+
+
+def check_exposure(host: str, tls: Tls | None) -> None:
+    """Raise ConfigError for a server that others could reach without encryption: they could read the token."""
+    if not is_loopback(host) and tls is None:
+        raise ConfigError(
+            f"--host {host}: beyond this machine the token and every command would cross the network in the clear: "
+            "give --certificate and --key (docs/view.md), or leave it at 127.0.0.1 and use `ssh -L`"
+        )
+    for file in tls or ():
+        if not file.is_file():
+            raise ConfigError(f"{file}: is not a file; a certificate and its key in PEM are needed")
+
+
+def address_of(bound: socket.socket, access: Access, *, tls: bool, observer: bool = False, name: str = "") -> str:
+    """Return the address to open, with the token behind # where it reaches no server and no log."""
+    host, port = bound.getsockname()[:2]
+    shown = name or (f"[{host}]" if ":" in host else host)
+    token = access.observer_token if observer else access.operator_token
+    return f"{'https' if tls else 'http'}://{shown}:{port}/#{token}"
+
+
+def serve(app: Any, bound: socket.socket, tls: Tls | None = None) -> None:
+    """Serve until SIGINT or SIGTERM."""
+    import uvicorn
+
+    from services.viz_node.requests import LARGEST_FRAME
+
+    config = uvicorn.Config(
+        app,
+        log_level="warning",
+        access_log=False,
+        server_header=False,
+        ws_max_size=LARGEST_FRAME,
+        ws_max_queue=32,
+        ws_ping_interval=_PING_S,
+        ws_ping_timeout=_PING_S,
+        timeout_graceful_shutdown=_STOP_S,
+        ssl_certfile=str(tls.certificate) if tls else None,
+        ssl_keyfile=str(tls.key) if tls else None,
+    )
+    uvicorn.Server(config).run(sockets=[bound])

@@ -1,0 +1,202 @@
+"""The web server of the page: static files, and one web socket a page. The browser never touches the bus."""
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator, Awaitable, Callable, MutableMapping
+from pathlib import Path
+from typing import Any
+
+import msgpack
+from starlette.applications import Starlette
+from starlette.responses import PlainTextResponse
+from starlette.routing import BaseRoute, Mount, Route, WebSocketRoute
+from starlette.staticfiles import StaticFiles
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from services.viz_node.access import Access, Role
+from services.viz_node.hub import Hub, Session
+from services.viz_node.requests import PROTOCOL, Hello, RequestError, read_request
+
+MOST_PAGES = 16
+# connections that have not shown a token yet
+_MOST_STRANGERS = 8
+_HELLO_S = 5.0
+# a token is tried once a connection, and a connection takes this long
+_WRONG_TOKEN_S = 0.5
+# close codes of RFC 6455
+_POLICY, _TRY_LATER, _UNSUPPORTED = 1008, 1013, 1003
+# styles of elements are set by the libraries through the object model, which needs no exception
+_HEADERS = (
+    (
+        b"content-security-policy",
+        b"default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self'; "
+        b"font-src 'self'; manifest-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    ),
+    (b"x-content-type-options", b"nosniff"),
+    (b"referrer-policy", b"no-referrer"),
+    (b"cross-origin-opener-policy", b"same-origin"),
+    (b"cross-origin-resource-policy", b"same-origin"),
+    (b"permissions-policy", b"camera=(), microphone=(), geolocation=(), xr-spatial-tracking=(self), gamepad=(self)"),
+    (b"cache-control", b"no-cache"),
+)
+
+Scope = MutableMapping[str, Any]
+Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
+Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
+
+
+class _Gate:
+    """Refuses addresses and host names that are not admitted, before anything else; adds the headers of the page."""
+
+    def __init__(self, app: Any, access: Access) -> None:
+        self._app = app
+        self._access = access
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] not in ("http", "websocket"):
+            await self._app(scope, receive, send)
+            return
+        fault = self._fault(scope)
+        if fault and scope["type"] == "http":
+            await PlainTextResponse(f"telenano: {fault}\n", 403)(scope, receive, send)
+        elif fault:
+            await receive()
+            await send({"type": "websocket.close", "code": _POLICY, "reason": fault})
+        else:
+            await self._app(scope, receive, lambda message: send(_with_headers(message)))
+
+    def _fault(self, scope: Scope) -> str:
+        client = scope.get("client")
+        address = client[0] if client else ""
+        if not self._access.admits_address(address):
+            return f"connections from {address or 'an unknown address'} are not allowed: start the view with --allow"
+        headers = dict(scope["headers"])
+        host = headers.get(b"host", b"").decode("latin-1")
+        if not self._access.admits_host(host):
+            return f"{host!r} is not a name of this server: use one of {', '.join(self._access.hosts)}"
+        origin = headers.get(b"origin", b"").decode("latin-1")
+        if scope["type"] == "websocket" and not self._access.admits_origin(origin, host):
+            return f"a page from {origin!r} may not connect: open the address that the view printed"
+        return ""
+
+
+def _with_headers(message: MutableMapping[str, Any]) -> MutableMapping[str, Any]:
+    if message["type"] == "http.response.start":
+        message["headers"] = [*message.get("headers", ()), *_HEADERS]
+    return message
+
+
+class _PageSocket:
+    """The web socket of one page, from its first frame to its last."""
+
+    def __init__(self, hub: Hub, access: Access) -> None:
+        self._hub = hub
+        self._access = access
+        self._strangers = 0
+
+    async def serve(self, socket: WebSocket) -> None:
+        await socket.accept()
+        with contextlib.suppress(WebSocketDisconnect, RuntimeError):
+            role = await self._role(socket)
+            if role is not None:
+                await self._converse(socket, role)
+
+    async def _role(self, socket: WebSocket) -> Role | None:
+        """Return the role of a page that has shown its token; None when it was refused."""
+        if self._strangers >= _MOST_STRANGERS or len(self._hub.sessions) >= MOST_PAGES:
+            await _refuse(socket, _TRY_LATER, f"{len(self._hub.sessions)} pages are open, which is as many as may be")
+            return None
+        self._strangers += 1
+        try:
+            request = read_request(await asyncio.wait_for(_receive(socket), _HELLO_S))
+            if not isinstance(request, Hello):
+                raise RequestError("the first frame must be hello, with the token")
+            if request.protocol != PROTOCOL:
+                text = (
+                    f"this page speaks version {request.protocol}, the server version {PROTOCOL}: load the page again"
+                )
+                await _refuse(socket, _POLICY, text)
+                return None
+            role = self._access.role_of(request.token)
+            if role is None:
+                await asyncio.sleep(_WRONG_TOKEN_S)
+                await _refuse(socket, _POLICY, "the token is wrong: open the address that the view printed")
+            return role
+        except TimeoutError:
+            await _refuse(socket, _POLICY, f"no token came within {_HELLO_S:g} s")
+        except RequestError as error:
+            await _refuse(socket, _UNSUPPORTED, str(error))
+        finally:
+            self._strangers -= 1
+        return None
+
+    async def _converse(self, socket: WebSocket, role: Role) -> None:
+        session = self._hub.join(role)
+        sender = asyncio.create_task(_send_all(socket, session))
+        tasks: set[asyncio.Task[None]] = set()
+        try:
+            while True:
+                request = read_request(await _receive(socket))
+                # an emergency stop does not wait for the command before it
+                task = asyncio.create_task(self._hub.handle(session, request))
+                tasks.add(task)
+                task.add_done_callback(tasks.discard)
+        except RequestError as error:
+            await _refuse(socket, _UNSUPPORTED, str(error))
+        finally:
+            self._hub.leave(session)
+            sender.cancel()
+            with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
+                await sender
+
+
+async def _receive(socket: WebSocket) -> bytes:
+    """Return the bytes of the next frame; RequestError for a frame of text."""
+    message = await socket.receive()
+    if message["type"] == "websocket.disconnect":
+        raise WebSocketDisconnect(message.get("code", 1000))
+    data = message.get("bytes")
+    if data is None:
+        raise RequestError("a frame is text: the page sends msgpack in binary frames")
+    return bytes(data)
+
+
+async def _send_all(socket: WebSocket, session: Session) -> None:
+    while True:
+        await socket.send_bytes(await session.next_frame())
+
+
+async def _refuse(socket: WebSocket, code: int, text: str) -> None:
+    """Send the reason as a frame, because a page cannot read that of every close, and close."""
+    await socket.send_bytes(msgpack.packb({"k": "refused", "text": text}))
+    await socket.close(code, text.encode()[:120].decode(errors="ignore"))
+
+
+def make_app(hub: Hub, access: Access, page: Path | None) -> Any:
+    """Return the application: the page of a folder, its web socket at /bus, and /health.
+
+    Parameters: page, None where none has been built: the server then says how to build it.
+    """
+
+    @contextlib.asynccontextmanager
+    async def lifespan(app: Starlette) -> AsyncIterator[None]:
+        task = asyncio.create_task(hub.run())
+        try:
+            yield
+        finally:
+            task.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await task
+
+    async def health(request: Any) -> PlainTextResponse:
+        return PlainTextResponse("ok\n")
+
+    async def missing(request: Any) -> PlainTextResponse:
+        return PlainTextResponse("telenano: the page has not been built: make page\n", 503)
+
+    routes: list[BaseRoute] = [
+        WebSocketRoute("/bus", _PageSocket(hub, access).serve),
+        Route("/health", health),
+        Mount("/", StaticFiles(directory=page, html=True)) if page is not None else Route("/", missing),
+    ]
+    return _Gate(Starlette(routes=routes, lifespan=lifespan), access)

@@ -1,0 +1,60 @@
+import { make } from "./dom";
+import type { Setting } from "./schema";
+
+export type Values = Record<string, number | boolean | string>;
+
+/** Fields for settings, with units and limits; only those that a person has filled in are sent. */
+export class Form {
+  readonly element = make("div");
+  private readonly inputs = new Map<string, HTMLInputElement>();
+
+  constructor(
+    private readonly settings: Setting[],
+    prefix: string,
+  ) {
+    for (const setting of settings) {
+      const id = `${prefix}-${setting.key.replaceAll(".", "-")}`;
+      const limits = setting.min !== undefined || setting.max !== undefined ? ` [${setting.min ?? "−∞"}, ${setting.max ?? "∞"}]` : "";
+      const input = make("input", {
+        id,
+        title: `${setting.about}${limits}`,
+        type: setting.kind === "boolean" ? "checkbox" : setting.kind === "text" ? "text" : "number",
+        ...(setting.kind === "number" && { step: "any" }),
+        ...(setting.min !== undefined && { min: setting.min }),
+        ...(setting.max !== undefined && { max: setting.max }),
+        ...(setting.kind !== "boolean" && { placeholder: String(setting.initial ?? "none") }),
+      });
+      if (setting.kind === "boolean") input.indeterminate = true;
+      this.inputs.set(setting.key, input);
+      this.element.append(make("div", { class: "field" }, make("label", { for: id, title: setting.about }, setting.label), input, make("span", { class: "quiet" }, setting.unit)));
+    }
+  }
+
+  /** Show what is in force where nothing was typed. */
+  showInForce(values: Record<string, unknown>): void {
+    for (const [key, input] of this.inputs) {
+      if (!(key in values)) continue;
+      if (input.type !== "checkbox") input.placeholder = String(values[key]);
+      else if (input.indeterminate) input.title = `in force: ${String(values[key])}`;
+    }
+  }
+
+  values(): Values {
+    const found: Values = {};
+    for (const setting of this.settings) {
+      const input = this.inputs.get(setting.key)!;
+      if (setting.kind === "boolean") {
+        if (!input.indeterminate) found[setting.key] = input.checked;
+      } else if (input.value !== "") found[setting.key] = setting.kind === "text" ? input.value : Number(input.value);
+    }
+    return found;
+  }
+
+  /** Empty what was applied: it is in force now. */
+  clear(): void {
+    for (const input of this.inputs.values()) {
+      input.value = "";
+      if (input.type === "checkbox") input.indeterminate = true;
+    }
+  }
+}

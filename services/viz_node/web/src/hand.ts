@@ -1,0 +1,190 @@
+import type { Connection } from "./connection";
+import { colour, make, part, quantity } from "./dom";
+import type { Store } from "./store";
+
+/** The spring between the pointer and the arm: an operator of 200 N/m, softer than a real arm, for the page is late. */
+export const STIFFNESS_N_PER_M = 200;
+export const LIMIT_N = 5;
+/** Height of the pad in the travel of the arm [m]. */
+const TRAVEL_M = 0.025;
+const TOP_M = -0.005;
+const SEND_MS = 15;
+const RUMBLE_N = 3;
+/** A stick pushed to its end means to be this far [m]. */
+const STICK_M = 0.015;
+const DEAD = 0.12;
+
+/** The force of a hand that means to be at one place while the arm is at another [N], towards the sample. */
+export function springForce(meant_m: number, arm_m: number): number {
+  const force = STIFFNESS_N_PER_M * (meant_m - arm_m);
+  return Math.max(-LIMIT_N, Math.min(LIMIT_N, force));
+}
+
+/** A hand for those who have no device: drag down to push, and see the arm lag behind the pointer. */
+export class Hand {
+  private readonly canvas = make("canvas", { "aria-hidden": "true" });
+  private readonly pad = make("div", {
+    class: "pad",
+    id: "hand-pad",
+    tabindex: 0,
+    role: "slider",
+    "aria-label": "Virtual hand: drag down, or hold the arrow keys, to push towards the sample",
+    "aria-valuemin": -LIMIT_N,
+    "aria-valuemax": LIMIT_N,
+    "aria-valuenow": 0,
+  });
+  private readonly text = make("div", { class: "quiet", id: "hand-text" });
+  private meant: number | undefined;
+  private grabbedAt = { y: 0, arm: 0 };
+  private force = 0;
+  private sentAt = 0;
+  private refusal = "";
+  private rumbledAt = 0;
+
+  constructor(
+    private readonly connection: Connection,
+    private readonly store: Store,
+  ) {
+    this.pad.append(this.canvas);
+    part("hand").append(make("h2", {}, "Virtual hand"), this.pad, this.text);
+    this.pad.addEventListener("pointerdown", (event) => {
+      this.pad.setPointerCapture(event.pointerId);
+      this.grabbedAt = { y: event.clientY, arm: this.arm };
+      this.hold(this.arm);
+    });
+    this.pad.addEventListener("pointermove", (event) => {
+      if (this.meant === undefined || !this.pad.hasPointerCapture(event.pointerId)) return;
+      this.hold(this.grabbedAt.arm + ((event.clientY - this.grabbedAt.y) / this.pad.clientHeight) * TRAVEL_M);
+    });
+    for (const name of ["pointerup", "pointercancel", "lostpointercapture"]) this.pad.addEventListener(name, () => this.letGo());
+    this.pad.addEventListener("keydown", (event) => {
+      const step = { ArrowDown: 1e-3, ArrowUp: -1e-3 }[event.key];
+      if (step === undefined) return;
+      event.preventDefault();
+      this.hold((this.meant ?? this.arm) + step);
+    });
+    this.pad.addEventListener("keyup", (event) => {
+      if (event.key === "ArrowDown" || event.key === "ArrowUp") this.letGo();
+    });
+    this.pad.addEventListener("blur", () => this.letGo());
+    // a timer and not the frames: a page in the background draws none, and its hand has to be let go in any case
+    setInterval(() => this.send(), SEND_MS);
+  }
+
+  build(): void {
+    part("hand").hidden = !(this.store.hand && this.store.role === "operator");
+  }
+
+  /** Take hold, or move, by a controller in VR: how far it went down [m]; null to let go. */
+  press(down: number | null): void {
+    if (down === null) this.letGo();
+    else {
+      if (this.meant === undefined) this.grabbedAt = { y: 0, arm: this.arm };
+      this.hold(this.grabbedAt.arm + down * 0.1);
+    }
+  }
+
+  refuse(text: string): void {
+    this.refusal = text;
+    this.letGo();
+  }
+
+  draw(): void {
+    if (part("hand").hidden) return;
+    this.readGamepad();
+    const { clientWidth: width, clientHeight: height } = this.pad;
+    if (this.canvas.width !== width || this.canvas.height !== height) Object.assign(this.canvas, { width, height });
+    const pen = this.canvas.getContext("2d")!;
+    const toY = (m: number): number => ((m - TOP_M) / TRAVEL_M) * height;
+    pen.clearRect(0, 0, width, height);
+    pen.font = "11px system-ui";
+    for (let mm = 0; mm <= 20; mm += 5) {
+      pen.fillStyle = colour("line");
+      pen.fillRect(0, toY(mm / 1e3), width, 1);
+      pen.fillStyle = colour("quiet");
+      pen.fillText(`${mm} mm`, 4, toY(mm / 1e3) - 3);
+    }
+    const x = width * 0.55;
+    const arm = toY(this.arm);
+    if (this.meant !== undefined) {
+      pen.strokeStyle = colour("accent");
+      pen.lineWidth = 1 + 3 * Math.abs(this.force / LIMIT_N);
+      pen.setLineDash([4, 3]);
+      pen.beginPath();
+      pen.moveTo(x, arm);
+      pen.lineTo(x, toY(this.meant));
+      pen.stroke();
+      pen.setLineDash([]);
+      disc(pen, x, toY(this.meant), 8, colour("accent"), false);
+    }
+    disc(pen, x, arm, 12, colour("c1"), true);
+    // the force that comes back, away from the sample, as an arrow beside the arm
+    const back = this.store.last("command", "tip_force");
+    if (Math.abs(back) > 0.02) {
+      pen.fillStyle = colour("c2");
+      pen.fillRect(x + 18, arm, 5, -(back / LIMIT_N) * height * 0.4);
+      pen.fillText(`${back.toFixed(2)} N`, x + 28, arm + 4);
+    }
+    const own = this.meant === undefined ? "Drag down to push" : `Your force ${quantity(this.force, "N")}`;
+    this.text.textContent = this.refusal || `${own} · felt from the tip ${quantity(back, "N")}`;
+    this.pad.dataset["held"] = String(this.meant !== undefined);
+    this.pad.setAttribute("aria-valuenow", this.force.toFixed(2));
+    this.rumble(back);
+  }
+
+  private get arm(): number {
+    const found = this.store.last("hand", "position");
+    return Number.isNaN(found) ? 0 : found;
+  }
+
+  private hold(meant_m: number): void {
+    this.refusal = "";
+    this.meant = Math.max(TOP_M, Math.min(TOP_M + TRAVEL_M, meant_m));
+  }
+
+  private letGo(): void {
+    if (this.meant === undefined) return;
+    this.meant = undefined;
+    this.force = 0;
+    this.connection.send({ k: "hand", force_n: 0, held: false });
+  }
+
+  private send(): void {
+    if (this.meant === undefined || performance.now() - this.sentAt < SEND_MS - 2) return;
+    this.sentAt = performance.now();
+    this.force = springForce(this.meant, this.arm);
+    this.connection.send({ k: "hand", force_n: this.force, held: true });
+  }
+
+  private stick = false;
+
+  private readGamepad(): void {
+    const pad = navigator.getGamepads?.().find((found) => found?.connected);
+    const push = pad?.axes[1] ?? 0;
+    if (Math.abs(push) > DEAD) {
+      this.stick = true;
+      this.hold(push * STICK_M);
+    } else if (this.stick) {
+      this.stick = false;
+      this.letGo();
+    }
+  }
+
+  private rumble(back_n: number): void {
+    const now = performance.now();
+    if (!this.stick || now - this.rumbledAt < 90) return;
+    this.rumbledAt = now;
+    const strength = Math.min(1, Math.abs(back_n) / RUMBLE_N);
+    const motor = navigator.getGamepads().find((found) => found?.connected)?.vibrationActuator;
+    void motor?.playEffect("dual-rumble", { duration: 100, strongMagnitude: strength, weakMagnitude: strength / 2 }).catch(() => undefined);
+  }
+}
+
+function disc(pen: CanvasRenderingContext2D, x: number, y: number, radius: number, stroke: string, filled: boolean): void {
+  pen.beginPath();
+  pen.arc(x, y, radius, 0, 7);
+  pen.lineWidth = 2;
+  pen.strokeStyle = pen.fillStyle = stroke;
+  if (filled) pen.fill();
+  else pen.stroke();
+}

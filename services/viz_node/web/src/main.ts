@@ -1,0 +1,92 @@
+import "./styles.css";
+import { Connection } from "./connection";
+import { Controls } from "./controls";
+import { make, part } from "./dom";
+import { Hand } from "./hand";
+import type { ServerFrame } from "./protocol";
+import { Scopes } from "./scopes";
+import { Status } from "./status";
+import { Store } from "./store";
+import { View } from "./scene";
+
+const STATUS_MS = 200;
+/** Frames kept for the benchmark: a minute at 60 a second. */
+const FRAMES_KEPT = 3600;
+
+const token = decodeURIComponent(location.hash.slice(1));
+const url = `${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/bus`;
+const store = new Store();
+const connection = new Connection(url, token);
+const status = new Status(store);
+const scopes = new Scopes(part("scopes"), store);
+const controls = new Controls(connection, store);
+const hand = new Hand(connection, store);
+let view: View | undefined;
+try {
+  view = new View(part("scene"), store);
+  view.onPress = (down) => hand.press(down);
+  store.onLines = (lines) => view?.addLines(lines);
+  store.onRestart = () => view?.clear();
+} catch (error) {
+  part("scene").append(make("p", { class: "note error" }, `No picture in three dimensions: ${String(error)}. Everything else works.`));
+}
+
+const frames: number[] = [];
+let dirty = false;
+let statusAt = 0;
+let before = 0;
+
+connection.onState = (state, text) => status.setConnection(state, text);
+connection.onFrame = (frame: ServerFrame) => {
+  if (frame.k === "snapshot") {
+    store.begin(frame);
+    controls.build();
+    hand.build();
+  } else if (frame.k === "tick") store.take(frame);
+  else if (frame.k === "hand") hand.refuse(frame.text);
+  dirty = true;
+};
+
+function draw(now: number): void {
+  if (before) frames.push(now - before);
+  if (frames.length > FRAMES_KEPT) frames.shift();
+  before = now;
+  if (dirty) {
+    dirty = false;
+    scopes.draw();
+  }
+  hand.draw();
+  if (now - statusAt > STATUS_MS) {
+    statusAt = now;
+    status.draw();
+    controls.draw();
+  }
+  requestAnimationFrame(draw);
+}
+
+function setTheme(name: string): void {
+  document.documentElement.dataset["theme"] = name;
+  part("theme").textContent = name === "dark" ? "Light" : "Dark";
+  localStorage.setItem("theme", name);
+  scopes.recolour();
+  view?.recolour();
+}
+
+part("theme").addEventListener("click", () => setTheme(document.documentElement.dataset["theme"] === "dark" ? "light" : "dark"));
+setTheme(localStorage.getItem("theme") ?? (matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light"));
+addEventListener("keydown", (event) => {
+  if (event.target instanceof HTMLInputElement || event.target instanceof HTMLSelectElement || event.ctrlKey || event.metaKey) return;
+  if (event.key === "p") scopes.pause();
+  if (event.key === "m") part("mark").click();
+});
+if (!token) status.setConnection("refused", "open the address that `telenano view` printed: it ends with a token");
+else connection.open();
+requestAnimationFrame(draw);
+
+/** What the benchmark and the tests read; nothing of it changes the rig. */
+declare global {
+  interface Window {
+    telenano: { store: Store; frames: number[]; connection: Connection; view: View | undefined };
+  }
+}
+window.telenano = { store, frames, connection, view };

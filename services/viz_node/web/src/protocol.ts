@@ -1,0 +1,142 @@
+import { decode, encode } from "@msgpack/msgpack";
+
+/** What this page was built for; the server refuses another version in words. */
+export const PROTOCOL = 1;
+
+export interface ColumnAbout {
+  name: string;
+  unit: string;
+  about: string;
+}
+
+export interface StreamAbout {
+  name: string;
+  topic: string;
+  columns: ColumnAbout[];
+}
+
+export interface StreamData {
+  n: number;
+  t0: number;
+  data: Uint8Array;
+}
+
+export interface NodeFacts {
+  state: string;
+  uptime_s: number;
+  rate_hz: number;
+  overruns: number;
+  cpu_percent: number;
+  memory_bytes: number;
+  replay: boolean;
+  lateness_p99_s: number;
+  lost: number;
+  rejected: number;
+  beat: number;
+}
+
+export interface EventFacts {
+  src: string;
+  seq: number;
+  t: number;
+  kind: string;
+  level: "info" | "warning" | "error";
+  text: string;
+}
+
+export interface WireArray {
+  dtype: "u1" | "i2" | "i4" | "i8" | "f4" | "f8";
+  shape: number[];
+  data: Uint8Array;
+}
+
+export interface Line {
+  line: number;
+  lines: number;
+  direction: "trace" | "retrace";
+  start_m: [number, number, number];
+  end_m: [number, number, number];
+  height: WireArray;
+}
+
+export interface SourceAbout {
+  kind: "live" | "recording";
+  name: string;
+  position_s?: number;
+  length_s?: number;
+  playing?: boolean;
+  rate?: number;
+}
+
+export type Facts = Record<string, unknown>;
+
+export interface Changes {
+  nodes?: Record<string, NodeFacts>;
+  state?: Record<string, Facts>;
+  events?: EventFacts[];
+  lines?: Line[];
+  streams?: Record<string, StreamData> | StreamAbout[];
+  source?: SourceAbout;
+}
+
+export interface Tick extends Changes {
+  k: "tick";
+  streams?: Record<string, StreamData>;
+}
+
+export interface Snapshot extends Changes {
+  k: "snapshot";
+  role: "operator" | "observer";
+  commands: boolean;
+  hand: boolean;
+  streams: StreamAbout[];
+  forms: Facts;
+  source: SourceAbout;
+}
+
+export interface Answer {
+  k: "answer";
+  id: string;
+  ok: boolean;
+  text: string;
+}
+
+export interface Refused {
+  k: "refused";
+  text: string;
+}
+
+export interface HandNotice {
+  k: "hand";
+  held: boolean;
+  text: string;
+}
+
+export type ServerFrame = Tick | Snapshot | Answer | Refused | HandNotice;
+
+export function read(frame: ArrayBuffer): ServerFrame {
+  return decode(new Uint8Array(frame)) as ServerFrame;
+}
+
+export function pack(fields: Facts): Uint8Array<ArrayBuffer> {
+  return encode(fields) as Uint8Array<ArrayBuffer>;
+}
+
+/** Numbers of a stream: little-endian float 32, wherever they lie in the frame. */
+export function floats(data: Uint8Array): Float32Array {
+  return new Float32Array(data.slice().buffer);
+}
+
+const READERS: Record<WireArray["dtype"], (bytes: ArrayBuffer) => ArrayLike<number>> = {
+  u1: (bytes) => new Uint8Array(bytes),
+  i2: (bytes) => new Int16Array(bytes),
+  i4: (bytes) => new Int32Array(bytes),
+  i8: (bytes) => Array.from(new BigInt64Array(bytes), Number),
+  f4: (bytes) => new Float32Array(bytes),
+  f8: (bytes) => new Float64Array(bytes),
+};
+
+/** Numbers of an array of the wire (SPEC.md, arrays of data). */
+export function numbers(array: WireArray): ArrayLike<number> {
+  return READERS[array.dtype](array.data.slice().buffer);
+}

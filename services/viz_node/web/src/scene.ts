@@ -1,0 +1,389 @@
+import {
+  AmbientLight,
+  ArrowHelper,
+  BoxGeometry,
+  CanvasTexture,
+  Color,
+  ConeGeometry,
+  DirectionalLight,
+  GridHelper,
+  Group,
+  Mesh,
+  MeshStandardMaterial,
+  PerspectiveCamera,
+  PlaneGeometry,
+  Raycaster,
+  RingGeometry,
+  Scene,
+  SphereGeometry,
+  Sprite,
+  SpriteMaterial,
+  Vector2,
+  Vector3,
+  WebGLRenderer,
+  type Object3D,
+  type XRTargetRaySpace,
+} from "three";
+import { OrbitControls } from "three/addons/controls/OrbitControls.js";
+import { AnaglyphEffect } from "three/addons/effects/AnaglyphEffect.js";
+import { StereoEffect } from "three/addons/effects/StereoEffect.js";
+import { gradient } from "./colormap";
+import { colour, make, quantity } from "./dom";
+import type { Line } from "./protocol";
+import type { Store } from "./store";
+import { Surface } from "./surface";
+
+type Stereo = "off" | "anaglyph" | "side by side";
+
+const NM = 1e9;
+const PLANE_NM = 120;
+const CANTILEVER_NM = 130;
+const TIP_NM = 34;
+const TIP_RADIUS_NM = 2.5;
+/** How much more the cantilever is bent in the picture than in the instrument. */
+const DEFLECTION_FACTOR = 5;
+const ARROW_NM = 34;
+/** A hundred nanometres are forty centimetres on a table in front of the viewer. */
+const XR_SCALE = 0.004;
+const XR_PLACE = new Vector3(0, 1.0, -0.6);
+const BEAM_PARTS = 16;
+
+/** Tip, cantilever and surface, in nanometres, z away from the sample. */
+export class View {
+  readonly surface = new Surface();
+  /** Called in VR while a trigger is held: how far the controller has moved down since then [m]; null when let go. */
+  onPress: (down: number | null) => void = () => {};
+  frames = 0;
+  private readonly renderer: WebGLRenderer;
+  private readonly scene = new Scene();
+  private readonly camera = new PerspectiveCamera(40, 1, 1, 4000);
+  private readonly orbit: OrbitControls;
+  private readonly world = new Group();
+  private readonly tip = new Group();
+  private readonly beam: Mesh[] = [];
+  private readonly normal = arrow(0xd2322d);
+  private readonly lateral = arrow(0x7c3aed);
+  private readonly contact: Mesh;
+  private readonly plane: Mesh<PlaneGeometry, MeshStandardMaterial>;
+  private grid: GridHelper;
+  private readonly mark: Mesh;
+  private readonly readouts = new Map<string, HTMLElement>();
+  private readonly note = make("div", { class: "note" });
+  private readonly ends = make("div", { class: "ends" });
+  private readonly legend = make("div", { class: "legend", hidden: true }, make("div", { class: "ramp" }), this.ends);
+  private readonly vrButton: HTMLButtonElement;
+  private anaglyph: AnaglyphEffect | undefined;
+  private sideBySide: StereoEffect | undefined;
+  private stereo: Stereo = "off";
+  private greatestForce = 1e-9;
+  private picked = "";
+  private readonly grabs = new Map<XRTargetRaySpace, { parent: Object3D }>();
+  private pressed: { controller: XRTargetRaySpace; from: number } | undefined;
+
+  constructor(
+    private readonly root: HTMLElement,
+    private readonly store: Store,
+  ) {
+    this.renderer = new WebGLRenderer({ antialias: true, preserveDrawingBuffer: true });
+    this.renderer.setPixelRatio(Math.min(2, devicePixelRatio));
+    this.renderer.domElement.setAttribute("role", "img");
+    this.renderer.domElement.setAttribute("aria-label", "Tip, cantilever and surface in three dimensions");
+    root.append(this.renderer.domElement);
+    this.scene.add(new AmbientLight(0xffffff, 1.1), this.world);
+    const sun = new DirectionalLight(0xffffff, 2.2);
+    sun.position.set(-60, 160, 90);
+    this.scene.add(sun);
+    // the world has z up, the library y
+    this.world.rotation.x = -Math.PI / 2;
+    this.plane = new Mesh(new PlaneGeometry(PLANE_NM, PLANE_NM), new MeshStandardMaterial({ roughness: 0.9, transparent: true, opacity: 0.92 }));
+    this.grid = new GridHelper();
+    this.contact = new Mesh(new RingGeometry(3.5, 5.5, 40), new MeshStandardMaterial({ color: 0xd2322d, emissive: 0xd2322d, emissiveIntensity: 0.5 }));
+    this.mark = new Mesh(new SphereGeometry(0.9), new MeshStandardMaterial({ color: 0xffb000, emissive: 0xffb000 }));
+    this.mark.visible = false;
+    this.buildTip();
+    this.world.add(this.plane, this.surface.mesh, this.tip, this.contact, this.mark, this.normal, this.lateral);
+    this.world.add(bar(20, "20 nm", [-PLANE_NM / 2 + 12, -PLANE_NM / 2 - 6, 0], "x"), bar(20, "20 nm", [-PLANE_NM / 2 - 6, -PLANE_NM / 2 + 12, 0], "y"));
+    this.world.add(bar(10, "10 nm", [-PLANE_NM / 2 - 6, -PLANE_NM / 2 - 6, 5], "z"));
+    this.orbit = new OrbitControls(this.camera, this.renderer.domElement);
+    this.orbit.enableDamping = false;
+    this.orbit.maxDistance = 1500;
+    this.orbit.listenToKeyEvents(this.renderer.domElement);
+    this.renderer.domElement.tabIndex = 0;
+    this.vrButton = make("button", { type: "button", id: "vr", hidden: true, onclick: () => void this.toggleVr() }, "Enter VR");
+    this.buildOverlay();
+    this.buildXr();
+    this.reset();
+    this.recolour();
+    new ResizeObserver(() => this.resize()).observe(root);
+    this.resize();
+    this.renderer.setAnimationLoop(() => this.draw());
+    this.renderer.domElement.addEventListener("dblclick", (event) => this.pick(event));
+  }
+
+  addLines(lines: Line[]): void {
+    for (const line of lines) this.surface.add(line);
+    this.plane.visible = this.grid.visible = this.surface.isEmpty;
+    this.legend.hidden = this.surface.isEmpty;
+    this.ends.replaceChildren(`${this.surface.greatest.toPrecision(3)} nm`, `${this.surface.least.toPrecision(3)} nm`);
+  }
+
+  clear(): void {
+    this.surface.clear();
+    this.plane.visible = this.grid.visible = true;
+    this.legend.hidden = true;
+    this.greatestForce = 1e-9;
+  }
+
+  /** Look from above the front, as at a table. */
+  reset(): void {
+    this.camera.position.set(55, 80, 185);
+    this.orbit.target.set(-8, 8, 0);
+    this.orbit.update();
+  }
+
+  recolour(): void {
+    this.scene.background = new Color(colour("scene"));
+    this.plane.material.color.set(colour("line"));
+    this.world.remove(this.grid);
+    this.grid = new GridHelper(PLANE_NM, 12, colour("quiet"), colour("quiet"));
+    (this.grid.material as { opacity: number; transparent: boolean }).opacity = 0.35;
+    (this.grid.material as { transparent: boolean }).transparent = true;
+    this.grid.rotation.x = Math.PI / 2;
+    this.grid.position.z = 0.05;
+    this.grid.visible = this.surface.isEmpty;
+    this.world.add(this.grid);
+  }
+
+  setStereo(stereo: Stereo): void {
+    this.stereo = stereo;
+    if (stereo === "anaglyph") this.anaglyph ??= new AnaglyphEffect(this.renderer);
+    if (stereo === "side by side") this.sideBySide ??= new StereoEffect(this.renderer);
+    this.resize();
+    if (stereo === "off") this.renderer.setScissorTest(false);
+  }
+
+  private draw(): void {
+    this.frames++;
+    this.place();
+    if (this.renderer.xr.isPresenting) this.followController();
+    if (this.renderer.xr.isPresenting || this.stereo === "off") this.renderer.render(this.scene, this.camera);
+    else (this.stereo === "anaglyph" ? this.anaglyph : this.sideBySide)!.render(this.scene, this.camera);
+  }
+
+  private place(): void {
+    const of = (column: string): number => this.store.last("tip", column);
+    const [x, y] = [or(of("x")) * NM, or(of("y")) * NM];
+    const force = of("force");
+    const [forceX, forceY] = [or(of("force_x")), or(of("force_y"))];
+    const separation = of("separation");
+    const height = this.surface.heightAt(x, y);
+    const apex = height + (Number.isNaN(separation) ? or(of("base")) * -NM + 10 : separation * NM);
+    this.tip.position.set(x, y, apex);
+    this.bend(or(of("deflection")) * NM * DEFLECTION_FACTOR);
+    const inContact = this.store.fact("afm/state/slave", "in_contact") === true;
+    const meniscus = this.store.fact("afm/state/slave", "meniscus") === true;
+    this.contact.visible = inContact || meniscus;
+    this.contact.position.set(x, y, height + 0.15);
+    (this.contact.material as MeshStandardMaterial).color.set(inContact ? 0xd2322d : 0x1f7fd0);
+    (this.contact.material as MeshStandardMaterial).emissive.set(inContact ? 0xd2322d : 0x1f7fd0);
+    this.greatestForce = Math.max(this.greatestForce, Math.abs(or(force)), Math.hypot(forceX, forceY));
+    point(this.normal, [x, y, apex], [0, 0, or(force)], ARROW_NM / this.greatestForce);
+    point(this.lateral, [x, y, apex], [forceX, forceY, 0], ARROW_NM / this.greatestForce);
+    this.show("Normal force", quantity(force, "N"));
+    this.show("Deflection", quantity(of("deflection"), "m"));
+    this.show("Tip to sample", quantity(separation, "m"));
+    this.show("Hand", quantity(this.store.last("hand", "position"), "m"));
+    this.note.textContent = [
+      this.surface.isEmpty ? "No image yet: the plane of contact. Grid 10 nm." : "Height field as measured, to scale.",
+      `Cantilever bent ${DEFLECTION_FACTOR} times as far as measured. Longest force arrow ${quantity(this.greatestForce, "N", 2)}.`,
+      this.picked || "Double-click a point for its coordinates.",
+    ].join(" ");
+  }
+
+  /** Bend the beam like one clamped at its end and loaded at the tip: z = d (3 s^2 - s^3) / 2. */
+  private bend(deflection: number): void {
+    this.beam.forEach((piece, i) => {
+      // the apex is where the tip is: the clamp moves against it
+      const s = (i + 0.5) / BEAM_PARTS;
+      const lift = deflection * ((3 * s * s - s ** 3) / 2 - 1);
+      piece.position.z = TIP_NM + 2 + lift;
+      piece.rotation.y = Math.atan((deflection * (6 * s - 3 * s * s)) / 2 / CANTILEVER_NM);
+    });
+  }
+
+  private buildTip(): void {
+    const silicon = new MeshStandardMaterial({ color: 0x8fa3b8, metalness: 0.35, roughness: 0.45 });
+    const cone = new Mesh(new ConeGeometry(10, TIP_NM - TIP_RADIUS_NM, 32), silicon);
+    cone.rotation.x = -Math.PI / 2;
+    cone.position.z = (TIP_NM + TIP_RADIUS_NM) / 2;
+    const apex = new Mesh(new SphereGeometry(TIP_RADIUS_NM, 24, 16), silicon);
+    apex.position.z = TIP_RADIUS_NM;
+    this.tip.add(cone, apex);
+    for (let i = 0; i < BEAM_PARTS; i++) {
+      const length = CANTILEVER_NM / BEAM_PARTS;
+      const piece = new Mesh(new BoxGeometry(length * 1.08, 26, 3), silicon);
+      // the free end, with the tip, is at the origin; the clamp is on the side of -x
+      piece.position.set(-CANTILEVER_NM + (i + 0.5) * length + 8, 0, TIP_NM + 2);
+      this.beam.push(piece);
+      this.tip.add(piece);
+    }
+  }
+
+  private buildOverlay(): void {
+    const stereo = make(
+      "select",
+      { id: "stereo", "aria-label": "Stereo", onchange: () => this.setStereo(stereo.value as Stereo) },
+      ...["off", "anaglyph", "side by side"].map((name) => make("option", { value: name }, name === "off" ? "Stereo off" : name)),
+    );
+    const zoom = (factor: number) => () => {
+      this.camera.position.sub(this.orbit.target).multiplyScalar(factor).add(this.orbit.target);
+      this.orbit.update();
+    };
+    const bar = make("div", { class: "bar" });
+    bar.append(
+      make("button", { type: "button", id: "reset-view", onclick: () => this.reset() }, "Reset view"),
+      make("button", { type: "button", "aria-label": "Zoom in", onclick: zoom(0.8) }, "+"),
+      make("button", { type: "button", "aria-label": "Zoom out", onclick: zoom(1.25) }, "−"),
+      stereo,
+      this.vrButton,
+    );
+    const readout = make("div", { class: "readout", "aria-label": "Tip now" });
+    for (const name of ["Normal force", "Deflection", "Tip to sample", "Hand"]) {
+      const [value, unit] = [make("b"), make("span")];
+      readout.append(make("span", { class: "quiet" }, name), value, unit);
+      this.readouts.set(name, value);
+    }
+    (this.legend.firstElementChild as HTMLElement).style.background = gradient();
+    this.root.append(bar, readout, this.note, this.legend);
+  }
+
+  private show(name: string, text: string): void {
+    const [value, unit = ""] = text.split(" ");
+    const cell = this.readouts.get(name)!;
+    if (cell.textContent !== value) cell.textContent = value!;
+    const next = cell.nextElementSibling!;
+    if (next.textContent !== unit) next.textContent = unit;
+  }
+
+  private pick(event: MouseEvent): void {
+    const bounds = this.renderer.domElement.getBoundingClientRect();
+    const at = new Vector2(((event.clientX - bounds.left) / bounds.width) * 2 - 1, 1 - ((event.clientY - bounds.top) / bounds.height) * 2);
+    const ray = new Raycaster();
+    ray.setFromCamera(at, this.camera);
+    const hit = ray.intersectObject(this.surface.isEmpty ? this.plane : this.surface.mesh)[0];
+    if (!hit) return;
+    const place = this.world.worldToLocal(hit.point.clone());
+    const z = this.surface.heightAt(place.x, place.y);
+    this.mark.visible = true;
+    this.mark.position.set(place.x, place.y, z);
+    this.picked = `Point: x ${place.x.toFixed(2)} nm, y ${place.y.toFixed(2)} nm, z ${z.toFixed(3)} nm.`;
+  }
+
+  private resize(): void {
+    const { clientWidth: width, clientHeight: height } = this.root;
+    if (!width || !height || this.renderer.xr.isPresenting) return;
+    this.camera.aspect = width / height;
+    this.camera.updateProjectionMatrix();
+    this.renderer.setSize(width, height);
+    this.anaglyph?.setSize(width, height);
+    this.sideBySide?.setSize(width, height);
+  }
+
+  private buildXr(): void {
+    const xr = navigator.xr;
+    if (!xr) return;
+    this.renderer.xr.enabled = true;
+    void xr.isSessionSupported("immersive-vr").then((supported) => (this.vrButton.hidden = !supported));
+    for (const i of [0, 1]) {
+      const controller = this.renderer.xr.getController(i);
+      this.scene.add(controller);
+      controller.addEventListener("squeezestart", () => {
+        controller.attach(this.world);
+        this.grabs.set(controller, { parent: controller });
+      });
+      controller.addEventListener("squeezeend", () => {
+        this.scene.attach(this.world);
+        this.grabs.delete(controller);
+      });
+      controller.addEventListener("selectstart", () => {
+        this.pressed = { controller, from: controller.getWorldPosition(new Vector3()).y };
+      });
+      controller.addEventListener("selectend", () => {
+        this.pressed = undefined;
+        this.onPress(null);
+      });
+    }
+  }
+
+  private followController(): void {
+    if (!this.pressed) return;
+    this.onPress(this.pressed.from - this.pressed.controller.getWorldPosition(new Vector3()).y);
+  }
+
+  private async toggleVr(): Promise<void> {
+    const running = this.renderer.xr.getSession();
+    if (running) {
+      await running.end();
+      return;
+    }
+    const session = await navigator.xr!.requestSession("immersive-vr", { optionalFeatures: ["local-floor"] });
+    const background = this.scene.background;
+    this.scene.background = new Color(0x10171e);
+    this.world.scale.setScalar(XR_SCALE);
+    this.world.position.copy(XR_PLACE);
+    this.vrButton.textContent = "Leave VR";
+    session.addEventListener("end", () => {
+      this.scene.attach(this.world);
+      this.world.scale.setScalar(1);
+      this.world.position.set(0, 0, 0);
+      this.world.rotation.set(-Math.PI / 2, 0, 0);
+      this.scene.background = background;
+      this.pressed = undefined;
+      this.onPress(null);
+      this.vrButton.textContent = "Enter VR";
+      this.resize();
+    });
+    await this.renderer.xr.setSession(session);
+  }
+}
+
+function or(value: number): number {
+  return Number.isNaN(value) ? 0 : value;
+}
+
+function arrow(rgb: number): ArrowHelper {
+  return new ArrowHelper(new Vector3(0, 0, 1), new Vector3(), 1, rgb, 5, 3);
+}
+
+function point(helper: ArrowHelper, from: [number, number, number], force: [number, number, number], scale: number): void {
+  const vector = new Vector3(...force).multiplyScalar(scale);
+  const length = vector.length();
+  helper.visible = length > 0.5;
+  if (!helper.visible) return;
+  helper.position.set(...from);
+  helper.setDirection(vector.normalize());
+  helper.setLength(length, Math.min(6, length * 0.4), 3.2);
+}
+
+function bar(length: number, text: string, at: [number, number, number], axis: "x" | "y" | "z"): Group {
+  const size: [number, number, number] = [0.9, 0.9, 0.9];
+  size["xyz".indexOf(axis)] = length;
+  const group = new Group();
+  const label = caption(text);
+  label.position.set(axis === "y" ? -9 : 0, axis === "x" ? -6 : 0, axis === "z" ? length / 2 + 5 : 0);
+  group.add(new Mesh(new BoxGeometry(...size), new MeshStandardMaterial({ color: 0x64748b })), label);
+  group.position.set(...at);
+  return group;
+}
+
+function caption(text: string): Sprite {
+  const canvas = make("canvas", { width: 256, height: 64 });
+  const pen = canvas.getContext("2d")!;
+  pen.font = "600 44px system-ui, sans-serif";
+  pen.textAlign = "center";
+  pen.fillStyle = "#475569";
+  pen.fillText(text, 128, 48);
+  const sprite = new Sprite(new SpriteMaterial({ map: new CanvasTexture(canvas), transparent: true }));
+  sprite.scale.set(20, 5, 1);
+  return sprite;
+}

@@ -1,0 +1,71 @@
+import type { Facts } from "./protocol";
+
+/** What a number of a form may be, from the JSON Schema of the node that takes it. */
+export interface Setting {
+  key: string;
+  kind: "number" | "integer" | "boolean" | "text";
+  unit: string;
+  label: string;
+  about: string;
+  initial: number | boolean | string | null;
+  min?: number;
+  max?: number;
+}
+
+/** Units by the end of a key: the longest that fits. */
+const UNITS: readonly (readonly [string, string])[] = [
+  ["_n_per_m1_5", "N/m^1.5"],
+  ["_n_s_per_m", "N s/m"],
+  ["_n_per_m_s", "N/(m s)"],
+  ["_n_per_s", "N/s"],
+  ["_n_per_m", "N/m"],
+  ["_m_per_s", "m/s"],
+  ["_sqrt_w", "√W"],
+  ["_bytes_per_s", "B/s"],
+  ["_kg", "kg"],
+  ["_s", "s"],
+  ["_m", "m"],
+  ["_n", "N"],
+  ["_j", "J"],
+];
+
+type Schema = Record<string, unknown>;
+
+/** Settings of a section of a schema, by dotted key; sections within it and lists are left out. */
+export function settings(root: Facts, section: string): Setting[] {
+  let found = root as Schema;
+  for (const name of section.split(".").filter(Boolean)) {
+    found = resolved(root, ((found["properties"] ?? {}) as Record<string, Schema>)[name] ?? {});
+  }
+  const properties = (found["properties"] ?? {}) as Record<string, Schema>;
+  return Object.entries(properties).flatMap(([name, schema]) => {
+    const setting = settingOf(section ? `${section}.${name}` : name, name, schema);
+    return setting ? [setting] : [];
+  });
+}
+
+function resolved(root: Schema, schema: Schema): Schema {
+  const reference = schema["$ref"];
+  if (typeof reference !== "string") return schema;
+  return ((root["$defs"] ?? {}) as Record<string, Schema>)[reference.slice(reference.lastIndexOf("/") + 1)] ?? {};
+}
+
+function settingOf(key: string, name: string, schema: Schema): Setting | undefined {
+  const choices = (schema["anyOf"] as Schema[] | undefined)?.filter((choice) => choice["type"] !== "null");
+  const plain = choices?.length === 1 ? { ...schema, ...choices[0] } : schema;
+  const type = plain["type"];
+  const kind = type === "number" || type === "integer" || type === "boolean" ? type : type === "string" ? "text" : undefined;
+  if (!kind) return undefined;
+  const unit = UNITS.find(([end]) => name.endsWith(end));
+  const [min, max] = [plain["minimum"] ?? plain["exclusiveMinimum"], plain["maximum"] ?? plain["exclusiveMaximum"]];
+  return {
+    key,
+    kind,
+    unit: unit?.[1] ?? "",
+    label: (unit ? name.slice(0, -unit[0].length) : name).replaceAll("_", " "),
+    about: String(plain["description"] ?? ""),
+    initial: (plain["default"] ?? null) as Setting["initial"],
+    ...(typeof min === "number" && { min }),
+    ...(typeof max === "number" && { max }),
+  };
+}

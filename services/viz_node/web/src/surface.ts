@@ -1,0 +1,153 @@
+import { BufferAttribute, BufferGeometry, DoubleSide, Mesh, MeshStandardMaterial } from "three";
+import { viridis } from "./colormap";
+import { numbers, type Line } from "./protocol";
+
+const NM = 1e9;
+/** Colours are made anew when the range of heights has grown by this share. */
+const RECOLOUR = 0.02;
+const MOST_POINTS = 1024;
+
+/** The surface as a height field that grows line by line; lengths in nm, colours by height. */
+export class Surface {
+  readonly mesh: Mesh<BufferGeometry, MeshStandardMaterial>;
+  least = 0;
+  greatest = 0;
+  /** Vertices uploaded for the last line: only what changed goes to the graphics processor. */
+  uploaded = 0;
+  private lines = 0;
+  private points = 0;
+  private filled: boolean[] = [];
+  private coloured: [number, number] = [Infinity, -Infinity];
+  private heights = new Float32Array(0);
+
+  constructor() {
+    const material = new MeshStandardMaterial({ vertexColors: true, flatShading: true, side: DoubleSide, roughness: 0.75 });
+    this.mesh = new Mesh(new BufferGeometry(), material);
+    this.mesh.visible = false;
+  }
+
+  get isEmpty(): boolean {
+    return !this.mesh.visible;
+  }
+
+  clear(): void {
+    this.mesh.visible = false;
+    this.lines = 0;
+    this.points = 0;
+  }
+
+  /** Put a line of the trace in its place; the retrace is the same surface, measured again. */
+  add(line: Line): void {
+    const heights = numbers(line.height);
+    const points = Math.min(MOST_POINTS, heights.length);
+    if (line.direction !== "trace" || points < 2 || line.line >= line.lines || line.lines < 2) return;
+    if (line.lines !== this.lines || points !== this.points) this.begin(Math.min(line.lines, MOST_POINTS), points);
+    if (line.line >= this.lines) return;
+    if (line.line === 0 && this.filled[this.lines - 1]) this.filled.fill(false);
+    const position = this.mesh.geometry.getAttribute("position") as BufferAttribute;
+    const [x0, y0] = [line.start_m[0] * NM, line.start_m[1] * NM];
+    const [x1, y1] = [line.end_m[0] * NM, line.end_m[1] * NM];
+    const first = line.line * points;
+    for (let i = 0; i < points; i++) {
+      const share = i / (points - 1);
+      const z = (heights[i] as number) * NM;
+      this.heights[first + i] = z;
+      position.setXYZ(first + i, x0 + share * (x1 - x0), y0 + share * (y1 - y0), z);
+    }
+    this.filled[line.line] = true;
+    this.uploaded = points;
+    position.addUpdateRange(first * 3, points * 3);
+    position.needsUpdate = true;
+    this.colour(line.line);
+    this.join(line.line);
+    this.mesh.visible = this.filled.filter(Boolean).length > 1;
+    this.mesh.geometry.boundingSphere = null;
+    this.mesh.geometry.boundingBox = null;
+  }
+
+  /** Height at a place of the plane [nm]: that of the nearest measured point; 0 where nothing was measured. */
+  heightAt(x: number, y: number): number {
+    if (this.isEmpty) return 0;
+    const position = this.mesh.geometry.getAttribute("position") as BufferAttribute;
+    let [nearest, found] = [Infinity, 0];
+    for (let row = 0; row < this.lines; row++) {
+      if (!this.filled[row]) continue;
+      const first = row * this.points;
+      const [x0, x1] = [position.getX(first), position.getX(first + this.points - 1)];
+      const share = Math.min(1, Math.max(0, (x - x0) / (x1 - x0 || 1)));
+      const place = first + Math.round(share * (this.points - 1));
+      const distance = (position.getX(place) - x) ** 2 + (position.getY(place) - y) ** 2;
+      if (distance < nearest) [nearest, found] = [distance, this.heights[place] as number];
+    }
+    return found;
+  }
+
+  /** Heights of the measured line nearest to a place [nm], with the distance along it [nm]. */
+  section(y: number): { distance: number[]; height: number[] } {
+    const position = this.mesh.geometry.getAttribute("position") as BufferAttribute | undefined;
+    const rows = this.filled.map((filled, row) => (filled ? row : -1)).filter((row) => row >= 0);
+    if (!position || !rows.length) return { distance: [], height: [] };
+    const row = rows.reduce((best, r) =>
+      Math.abs(position.getY(r * this.points) - y) < Math.abs(position.getY(best * this.points) - y) ? r : best,
+    );
+    const first = row * this.points;
+    const from = [position.getX(first), position.getY(first)] as const;
+    const places = Array.from({ length: this.points }, (_, i) => first + i);
+    return {
+      distance: places.map((p) => Math.hypot(position.getX(p) - from[0], position.getY(p) - from[1])),
+      height: places.map((p) => this.heights[p] as number),
+    };
+  }
+
+  private begin(lines: number, points: number): void {
+    this.lines = lines;
+    this.points = points;
+    this.filled = new Array<boolean>(lines).fill(false);
+    this.heights = new Float32Array(lines * points);
+    this.coloured = [Infinity, -Infinity];
+    [this.least, this.greatest] = [Infinity, -Infinity];
+    this.mesh.geometry.dispose();
+    this.mesh.geometry = new BufferGeometry();
+    this.mesh.geometry.setAttribute("position", new BufferAttribute(new Float32Array(lines * points * 3), 3));
+    this.mesh.geometry.setAttribute("color", new BufferAttribute(new Float32Array(lines * points * 3), 3));
+    this.mesh.geometry.setIndex(new BufferAttribute(new Uint32Array((lines - 1) * (points - 1) * 6), 1));
+    this.mesh.geometry.setDrawRange(0, 0);
+  }
+
+  private colour(row: number): void {
+    for (let i = row * this.points; i < (row + 1) * this.points; i++) {
+      this.least = Math.min(this.least, this.heights[i] as number);
+      this.greatest = Math.max(this.greatest, this.heights[i] as number);
+    }
+    const margin = RECOLOUR * (this.coloured[1] - this.coloured[0]);
+    const grown = this.least < this.coloured[0] - margin || this.greatest > this.coloured[1] + margin;
+    const colours = this.mesh.geometry.getAttribute("color") as BufferAttribute;
+    if (grown) this.coloured = [this.least, this.greatest];
+    const rows = grown ? this.filled.map((filled, r) => (filled ? r : -1)).filter((r) => r >= 0) : [row];
+    const range = this.coloured[1] - this.coloured[0] || 1;
+    for (const r of rows) {
+      for (let i = r * this.points; i < (r + 1) * this.points; i++) {
+        colours.setXYZ(i, ...viridis(((this.heights[i] as number) - this.coloured[0]) / range));
+      }
+      colours.addUpdateRange(r * this.points * 3, this.points * 3);
+    }
+    colours.needsUpdate = true;
+  }
+
+  /** Join a line to those beside it; where one is missing the triangles are degenerate, and nothing is drawn. */
+  private join(row: number): void {
+    const index = this.mesh.geometry.getIndex() as BufferAttribute;
+    const size = (this.points - 1) * 6;
+    for (const lower of [row - 1, row]) {
+      if (!this.filled[lower] || !this.filled[lower + 1]) continue;
+      for (let i = 0; i + 1 < this.points; i++) {
+        const a = lower * this.points + i;
+        const b = a + this.points;
+        index.array.set([a, a + 1, b, a + 1, b + 1, b], lower * size + i * 6);
+      }
+      index.addUpdateRange(lower * size, size);
+    }
+    index.needsUpdate = true;
+    this.mesh.geometry.setDrawRange(0, index.count);
+  }
+}

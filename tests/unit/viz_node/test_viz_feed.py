@@ -1,0 +1,123 @@
+"""What pages are told, from golden messages of the wire."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import msgpack
+import numpy as np
+import pytest
+
+import proto
+from services.viz_node.feed import Feed, Seen
+from services.viz_node.source import TOPICS_SHOWN
+from services.viz_node.streams import STREAMS, described
+
+VECTORS = json.loads((Path(proto.__file__).parent / "golden" / "vectors.json").read_text())
+START_NS = 10**18
+
+
+def golden(topic: str, case: str = "ordinary") -> dict[str, Any]:
+    payload = next(v["hex"] for v in VECTORS if v["topic"] == topic and v["case"] == case)
+    fields: dict[str, Any] = msgpack.unpackb(bytes.fromhex(payload))
+    return fields
+
+
+def seen(topic: str, src: str, t_ns: int = START_NS, **changes: Any) -> Seen:
+    return Seen(topic, src, t_ns, {**golden(topic), **changes})
+
+
+def columns(taken: dict[str, Any], name: str) -> dict[str, Any]:
+    stream = next(stream for stream in STREAMS if stream.name == name)
+    data = taken["streams"][name]
+    table = np.frombuffer(data["data"], dtype="<f4").reshape(-1, data["n"])
+    return dict(zip(["time", *(column.name for column in stream.columns)], table, strict=True))
+
+
+@pytest.mark.parametrize("topic", TOPICS_SHOWN)
+@pytest.mark.parametrize("case", ["minimal", "ordinary", "nil"])
+def test_every_golden_message_of_a_shown_topic_is_understood(topic: str, case: str) -> None:
+    feed = Feed()
+    fields = golden(topic, case)
+    for site in ("master", "slave"):
+        feed.record(Seen(topic, f"node@{site}", START_NS, fields))
+    assert feed.unreadable == 0
+    assert feed.take()
+    assert feed.take() == {}
+    # what a page is sent is msgpack
+    msgpack.packb(feed.snapshot())
+
+
+def test_a_curve_has_the_paper_s_axis_and_the_time_of_its_publisher() -> None:
+    feed = Feed()
+    for i in range(3):
+        position, force = (0.0, 0.0, -1e-3 * i), (0.0, 0.0, -2.0)
+        changes = {"position_m": position, "operator_force_n": force, "answered_t_ns": 0}
+        feed.record(seen("haptic/state", "haptic_node@master", START_NS + i * 1_000_000, **changes))
+    hand = columns(feed.take(), "hand")
+    np.testing.assert_allclose(hand["time"], [0.0, 1e-3, 2e-3], rtol=1e-6, atol=0)
+    np.testing.assert_allclose(hand["position"], [0.0, 1e-3, 2e-3], rtol=1e-6, atol=0)
+    assert set(hand["force"]) == {2.0}
+    # no command has been answered: the age of the loop is not known
+    assert np.isnan(hand["loop_age"]).all()
+
+
+def test_the_clock_of_the_slave_is_put_right_by_what_the_link_measures() -> None:
+    feed = Feed()
+    clock = {"valid": True, "offset_s": 2.0, "uncertainty_s": 1e-3, "round_trip_s": 2e-3, "exchanges": 9}
+    feed.record(seen("link/status", "delay_node@master", clock=clock))
+    feed.record(seen("afm/state", "afm_node@slave", START_NS + 2_000_000_000))
+    assert feed.take()["streams"]["tip"]["t0"] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_only_what_changed_is_told_again() -> None:
+    feed = Feed()
+    feed.record(seen("afm/state", "afm_node@slave", mode="follow"))
+    assert feed.take()["state"]["afm/state/slave"]["mode"] == "follow"
+    feed.record(seen("afm/state", "afm_node@slave", mode="follow"))
+    assert "state" not in feed.take()
+    feed.record(seen("afm/state", "afm_node@slave", mode="estop"))
+    assert feed.take()["state"]["afm/state/slave"]["mode"] == "estop"
+    assert feed.snapshot()["state"]["afm/state/slave"]["mode"] == "estop"
+
+
+def test_after_a_stall_the_newest_samples_are_left_and_the_rest_is_counted() -> None:
+    feed = Feed()
+    for i in range(2500):
+        feed.record(seen("haptic/command", "controller@master", START_NS + i * 1_000_000))
+    command = feed.take()["streams"]["command"]
+    assert command["n"] == 1000
+    assert command["t0"] == pytest.approx(1.5)
+    assert feed.skipped == 1500
+
+
+def test_a_node_that_has_ended_is_shown_as_ended() -> None:
+    feed = Feed()
+    feed.record(seen("node/health", "afm_node@slave"))
+    end = {"kind": "node", "data": {"state": "ended", "sent.afm/state": 7}}
+    feed.record(seen("session/event", "afm_node@slave", **end))
+    assert feed.take()["nodes"]["afm_node@slave"]["state"] == "ended"
+
+
+def test_lines_of_an_image_are_kept_for_a_page_that_comes_later_until_another_image_begins() -> None:
+    feed = Feed()
+    for line in (0, 1, 2):
+        feed.record(seen("afm/scanline", "afm_node@slave", line=line, lines=3, direction="trace"))
+    assert [line["line"] for line in feed.take()["lines"]] == [0, 1, 2]
+    assert [line["line"] for line in feed.snapshot()["lines"]] == [0, 1, 2]
+    feed.record(seen("afm/scanline", "afm_node@slave", line=0, lines=3, direction="trace"))
+    assert [line["line"] for line in feed.snapshot()["lines"]] == [0]
+
+
+@pytest.mark.parametrize("fields", [{}, {"position_m": 1}, {"position_m": [1.0]}, {"inputs": None}])
+@pytest.mark.parametrize("topic", TOPICS_SHOWN)
+def test_a_message_that_is_none_is_counted_and_stops_nothing(topic: str, fields: dict[str, Any]) -> None:
+    feed = Feed()
+    feed.record(Seen(topic, "haptic_node@master" if topic.startswith("haptic") else "afm_node@slave", START_NS, fields))
+    assert feed.unreadable == 1 or topic == "haptic/command"
+
+
+def test_the_page_is_told_names_and_units_in_the_order_of_the_columns() -> None:
+    for stream, about in zip(STREAMS, described(), strict=True):
+        assert [column["name"] for column in about["columns"]] == [column.name for column in stream.columns]
+        assert all(column["unit"] and column["about"] for column in about["columns"])

@@ -1,0 +1,108 @@
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from proto.errors import RecordingError, RefusedError
+from recording.reader import Recording
+from services.viz_node.playback import RecordingPlayback
+
+
+class Time:
+    now_s = 100.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+@pytest.fixture
+def time() -> Time:
+    return Time()
+
+
+@pytest.fixture
+def playback(make_file: Callable[..., Path], time: Time) -> RecordingPlayback:
+    """40 ms of haptic/state at 1 kHz, which a page has just begun to show."""
+    found = RecordingPlayback(Recording(make_file()), time)
+    assert list(found.poll(watched=True)) == []
+    assert found.take_restart() is True
+    return found
+
+
+def numbers(playback: RecordingPlayback) -> list[int]:
+    return [seen.fields["seq"] for seen in playback.poll(watched=True)]
+
+
+def test_messages_come_at_the_pace_of_the_recording(playback: RecordingPlayback, time: Time) -> None:
+    assert numbers(playback) == [0]
+    time.now_s += 0.010
+    assert numbers(playback) == list(range(1, 11))
+    time.now_s += 1.0
+    assert numbers(playback) == list(range(11, 40))
+    assert playback.about()["playing"] is False
+
+
+def test_time_stands_still_while_no_page_is_open(make_file: Callable[..., Path], time: Time) -> None:
+    playback = RecordingPlayback(Recording(make_file()), time)
+    time.now_s += 50.0
+    list(playback.poll(watched=False))
+    assert playback.position_s == 0.0
+    list(playback.poll(watched=True))
+    time.now_s += 0.010
+    assert numbers(playback) == list(range(11))
+    list(playback.poll(watched=False))
+    time.now_s += 50.0
+    list(playback.poll(watched=True))
+    assert playback.position_s == pytest.approx(0.010)
+    # the next page gets the curves up to there
+    assert numbers(playback) == list(range(11))
+
+
+def test_pause_holds_the_place_and_rate_changes_the_pace(playback: RecordingPlayback, time: Time) -> None:
+    time.now_s += 0.010
+    numbers(playback)
+    assert playback.transport("pause", 0.0) == "pauses"
+    time.now_s += 5.0
+    assert numbers(playback) == []
+    assert playback.position_s == pytest.approx(0.010)
+    playback.transport("play", 0.0)
+    playback.transport("rate", 10.0)
+    time.now_s += 0.001
+    assert numbers(playback) == list(range(11, 21))
+
+
+def test_after_a_seek_the_page_begins_anew_with_what_led_there(playback: RecordingPlayback, time: Time) -> None:
+    assert playback.take_restart() is False
+    numbers(playback)
+    playback.transport("pause", 0.0)
+    assert playback.transport("seek", 0.02) == "at 0.0 s"
+    assert playback.take_restart() is True
+    assert playback.take_restart() is False
+    # paused at 20 ms: the curves up to there are shown
+    assert numbers(playback) == list(range(21))
+    playback.transport("seek", -7.0)
+    assert playback.position_s == 0.0
+
+
+def test_play_at_the_end_begins_again(playback: RecordingPlayback, time: Time) -> None:
+    time.now_s += 9.0
+    numbers(playback)
+    playback.transport("play", 0.0)
+    assert playback.take_restart() is True
+    assert numbers(playback) == [0]
+
+
+@pytest.mark.parametrize(
+    ("action", "value", "fault"),
+    [("rate", 0.0, "must be between"), ("seek", float("nan"), "finite"), ("eject", 1.0, "unknown")],
+)
+def test_what_the_transport_cannot_do_is_refused(
+    playback: RecordingPlayback, action: str, value: float, fault: str
+) -> None:
+    with pytest.raises(RefusedError, match=fault):
+        playback.transport(action, value)
+
+
+def test_a_recording_without_anything_to_show_is_named(make_file: Callable[..., Path], time: Time) -> None:
+    with pytest.raises(RecordingError, match="none of the topics"):
+        RecordingPlayback(Recording(make_file(0)), time)

@@ -1,0 +1,317 @@
+"""The web server against pages as they should not be, without a rig and without a port."""
+
+import threading
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import msgpack
+import pytest
+
+pytest.importorskip("starlette")
+pytest.importorskip("httpx2")
+from starlette.testclient import TestClient
+from starlette.websockets import WebSocketDisconnect
+
+from proto.errors import RigError
+from services.viz_node import hub as hubs
+from services.viz_node import server
+from services.viz_node.access import Access
+from services.viz_node.feed import Seen
+from services.viz_node.hub import Hub
+from services.viz_node.source import NoTransport
+
+ACCESS = Access("operator-token-0123", "observer-token-0123", hosts=("testserver",), networks=("127.0.0.0/8",))
+HEADERS = {"origin": "http://testserver"}
+
+
+class Source(NoTransport):
+    """A rig of which each message is put in by hand."""
+
+    def __init__(self) -> None:
+        self.waiting: list[Seen] = []
+
+    def poll(self, *, watched: bool) -> list[Seen]:
+        taken, self.waiting = self.waiting, []
+        return taken
+
+    def about(self) -> Mapping[str, Any]:
+        return {"kind": "live", "name": "test"}
+
+    def close(self) -> None:
+        pass
+
+
+class Commander:
+    def __init__(self) -> None:
+        self.sent: list[tuple[Any, ...]] = []
+        self.held = threading.Event()
+        self.held.set()
+
+    def send(self, command: str, target: str, parameters: Mapping[str, Any]) -> dict[str, tuple[str, str]]:
+        self.held.wait(5.0)
+        self.sent.append((command, target, dict(parameters)))
+        if target == "nobody":
+            raise RigError("no node is meant by target 'nobody'")
+        return {
+            "controller@master": ("ack", "set"),
+            "controller@slave": ("refused" if parameters.get("x") == -1 else "ack", "x"),
+        }
+
+    def estop(self) -> dict[str, tuple[str, str]]:
+        self.sent.append(("estop",))
+        return {"afm_node@slave": ("ack", "latched")}
+
+
+class Hand:
+    forces: list[float]
+
+    def __init__(self, log: list[Any]) -> None:
+        self.log = log
+
+    def push(self, force_n: float) -> None:
+        self.log.append(force_n)
+
+    def close(self) -> None:
+        self.log.append("closed")
+
+
+class Rig:
+    def __init__(self) -> None:
+        self.source, self.commander = Source(), Commander()
+        self.hand: list[Any] = []
+        self.hub = Hub(self.source, self.commander, {"laws": ["wave"]}, lambda: Hand(self.hand))
+
+
+@pytest.fixture
+def rig() -> Rig:
+    return Rig()
+
+
+@pytest.fixture
+def page(tmp_path: Path) -> Path:
+    (tmp_path / "index.html").write_text("<p>page</p>")
+    return tmp_path
+
+
+@pytest.fixture
+def client(rig: Rig, page: Path) -> Iterator[TestClient]:
+    with TestClient(server.make_app(rig.hub, ACCESS, page), client=("127.0.0.1", 5)) as found:
+        yield found
+
+
+class Page:
+    """A page as far as its web socket goes."""
+
+    def __init__(self, stack: ExitStack, client: TestClient, token: str = ACCESS.operator_token, **hello: Any) -> None:
+        self.socket = stack.enter_context(client.websocket_connect("/bus", headers=HEADERS))
+        self.send({"k": "hello", "token": token, "protocol": 1, **hello})
+
+    def send(self, fields: Mapping[str, Any]) -> None:
+        self.socket.send_bytes(msgpack.packb(fields))
+
+    def take(self, kind: str) -> dict[str, Any]:
+        """Return the next frame of a kind."""
+        while True:
+            frame: dict[str, Any] = msgpack.unpackb(self.socket.receive_bytes())
+            if frame["k"] == kind:
+                return frame
+
+    def ask(self, **fields: Any) -> dict[str, Any]:
+        self.send({"id": "a-1", **fields})
+        return self.take("answer")
+
+
+@pytest.fixture
+def stack() -> Iterator[ExitStack]:
+    with ExitStack() as opened:
+        yield opened
+
+
+def command(**changes: Any) -> dict[str, Any]:
+    return {"k": "command", "command": "set", "target": "controller", "parameters": {}, **changes}
+
+
+def test_the_page_comes_with_a_policy_that_permits_nothing_from_elsewhere(client: TestClient) -> None:
+    answer = client.get("/")
+    assert answer.text == "<p>page</p>"
+    policy = answer.headers["content-security-policy"]
+    assert "default-src 'none'" in policy
+    assert "unsafe" not in policy
+    assert answer.headers["referrer-policy"] == "no-referrer"
+
+
+@pytest.mark.parametrize(
+    "headers", [{"host": "evil.example"}, {"host": "evil.example", "origin": "http://evil.example"}]
+)
+def test_a_name_that_is_not_ours_gets_nothing(client: TestClient, headers: dict[str, str]) -> None:
+    answer = client.get("/", headers=headers)
+    assert answer.status_code == 403
+    assert "'evil.example' is not a name of this server" in answer.text
+
+
+def test_an_address_that_is_not_allowed_gets_nothing(rig: Rig, page: Path) -> None:
+    with TestClient(server.make_app(rig.hub, ACCESS, page), client=("10.0.0.9", 5)) as stranger:
+        answer = stranger.get("/")
+        assert (answer.status_code, "10.0.0.9 are not allowed" in answer.text) == (403, True)
+        with pytest.raises(WebSocketDisconnect), stranger.websocket_connect("/bus", headers=HEADERS):
+            pass
+
+
+def test_a_page_of_another_server_cannot_open_the_socket(client: TestClient) -> None:
+    opening = client.websocket_connect("/bus", headers={"origin": "http://evil.example"})
+    with pytest.raises(WebSocketDisconnect) as refused, opening:
+        pass
+    assert "evil.example" in refused.value.reason
+
+
+def test_a_page_that_has_not_been_built_says_how(rig: Rig) -> None:
+    with TestClient(server.make_app(rig.hub, ACCESS, None), client=("127.0.0.1", 5)) as bare:
+        assert "make page" in bare.get("/").text
+
+
+@pytest.mark.parametrize(
+    ("hello", "fault"),
+    [
+        ({"token": "wrong-token-01234"}, "the token is wrong"),
+        ({"protocol": 2}, "load the page again"),
+        ({"token": 7}, "token: must be a text"),
+        ({"k": "estop", "id": "a"}, "the first frame must be hello"),
+    ],
+)
+def test_who_does_not_say_hello_properly_is_told_why(
+    client: TestClient, stack: ExitStack, monkeypatch: pytest.MonkeyPatch, hello: dict[str, Any], fault: str
+) -> None:
+    monkeypatch.setattr(server, "_WRONG_TOKEN_S", 0.01)
+    page = Page(stack, client, **hello) if "token" not in hello else Page(stack, client, **{"token": hello["token"]})
+    assert fault in page.take("refused")["text"]
+
+
+def test_who_says_nothing_is_sent_away(client: TestClient, stack: ExitStack, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server, "_HELLO_S", 0.01)
+    socket = stack.enter_context(client.websocket_connect("/bus", headers=HEADERS))
+    assert "no token came" in msgpack.unpackb(socket.receive_bytes())["text"]
+
+
+def test_a_page_gets_a_snapshot_and_then_what_changes(rig: Rig, client: TestClient, stack: ExitStack) -> None:
+    page = Page(stack, client)
+    snapshot = page.take("snapshot")
+    assert (snapshot["role"], snapshot["commands"], snapshot["hand"]) == ("operator", True, True)
+    assert snapshot["forms"] == {"laws": ["wave"]}
+    fields = {"kind": "mode", "level": "info", "text": "gap closed", "seq": 0, "data": {}}
+    rig.source.waiting.append(Seen("session/event", "afm_node@slave", 10**18, fields))
+    assert page.take("tick")["events"][0]["text"] == "gap closed"
+
+
+@pytest.mark.parametrize("frame", [b"", b"\xc1", b"\x81" * 50, msgpack.packb({"k": "nonsense"})])
+def test_a_malformed_frame_ends_that_page_and_no_other(
+    rig: Rig, client: TestClient, stack: ExitStack, frame: bytes
+) -> None:
+    good, bad = Page(stack, client), Page(stack, client)
+    bad.take("snapshot")
+    bad.socket.send_bytes(frame)
+    assert bad.take("refused")["text"]
+    assert good.ask(**command())["ok"] is True
+
+
+def test_text_is_refused(client: TestClient, stack: ExitStack) -> None:
+    page = Page(stack, client)
+    page.take("snapshot")
+    page.socket.send_text("{}")
+    assert "binary frames" in page.take("refused")["text"]
+
+
+def test_fifty_pages_are_too_many_and_those_that_are_in_go_on(client: TestClient, stack: ExitStack) -> None:
+    pages = [Page(stack, client) for _ in range(server.MOST_PAGES)]
+    for page in pages:
+        page.take("snapshot")
+    for _ in range(50 - server.MOST_PAGES):
+        with ExitStack() as short:
+            assert "16 pages are open" in Page(short, client).take("refused")["text"]
+    assert all(page.ask(**command())["ok"] for page in pages)
+
+
+def test_a_command_is_answered_with_what_the_nodes_said(rig: Rig, client: TestClient, stack: ExitStack) -> None:
+    page = Page(stack, client)
+    good = page.ask(**command(parameters={"law": "wave"}))
+    assert (good["ok"], good["text"]) == (True, "controller@master: set; controller@slave: x")
+    assert page.ask(**command(parameters={"x": -1}))["ok"] is False
+    assert page.ask(**command(target="nobody"))["text"] == "no node is meant by target 'nobody'"
+    assert rig.commander.sent[0] == ("set", "controller", {"law": "wave"})
+
+
+def test_an_observer_commands_nothing(rig: Rig, client: TestClient, stack: ExitStack) -> None:
+    page = Page(stack, client, ACCESS.observer_token)
+    for request in (command(), {"k": "estop"}, {"k": "transport", "action": "play", "value": 0}):
+        assert "observer" in page.ask(**request)["text"]
+    page.send({"k": "hand", "force_n": 1.0, "held": True})
+    assert page.take("hand")["held"] is False
+    assert (rig.commander.sent, rig.hand) == ([], [])
+
+
+def test_an_emergency_stop_does_not_wait_for_the_command_before_it(
+    rig: Rig, client: TestClient, stack: ExitStack
+) -> None:
+    page = Page(stack, client)
+    rig.commander.held.clear()
+    page.send({"id": "slow", **command()})
+    assert page.ask(k="estop") == {"k": "answer", "id": "a-1", "ok": True, "text": "afm_node@slave: latched"}
+    rig.commander.held.set()
+    assert page.take("answer")["id"] == "slow"
+
+
+def test_a_running_rig_has_no_transport(client: TestClient, stack: ExitStack) -> None:
+    assert "only a recording" in Page(stack, client).ask(k="transport", action="seek", value=1)["text"]
+
+
+def push(page: Page, force_n: float, held: bool = True) -> None:
+    page.send({"k": "hand", "force_n": force_n, "held": held})
+
+
+def until(condition: Any) -> None:
+    end = time.monotonic() + 5.0
+    while not condition() and time.monotonic() < end:
+        time.sleep(0.002)
+    assert condition()
+
+
+def test_one_page_holds_the_hand_until_it_lets_go(
+    rig: Rig, client: TestClient, stack: ExitStack, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(hubs, "HAND_DEADLINE_S", 60.0)
+    first, second = Page(stack, client), Page(stack, client)
+    push(first, 1.5)
+    until(lambda: rig.hand == [1.5])
+    push(second, 9.0)
+    assert second.take("hand")["text"] == "another page holds the hand"
+    push(first, 0.0, held=False)
+    until(lambda: rig.hand == [1.5, "closed"])
+    push(second, 2.0)
+    until(lambda: rig.hand == [1.5, "closed", 2.0])
+
+
+def test_the_hand_of_a_page_that_falls_silent_or_closes_is_let_go(
+    rig: Rig, client: TestClient, stack: ExitStack
+) -> None:
+    silent = Page(stack, client)
+    push(silent, 1.0)
+    until(lambda: rig.hand == [1.0, "closed"])
+    with ExitStack() as short:
+        push(Page(short, client), 2.0)
+        until(lambda: 2.0 in rig.hand)
+    until(lambda: rig.hand == [1.0, "closed", 2.0, "closed"])
+
+
+def test_a_page_that_does_not_read_holds_up_nobody_and_begins_anew(rig: Rig) -> None:
+    slow, quick = hubs.Session(server.Role.OBSERVER), hubs.Session(server.Role.OBSERVER)
+    rig.hub.sessions = {slow, quick}
+    for i in range(hubs.MOST_QUEUED + 1):
+        fields = {"kind": "mode", "level": "info", "text": str(i), "seq": i, "data": {}}
+        rig.source.waiting.append(Seen("session/event", "afm_node@slave", 10**18, fields))
+        rig.hub.tick()
+        quick._frames.clear()
+    assert len(slow._frames) == 1
+    snapshot = msgpack.unpackb(slow._frames[0])
+    assert (snapshot["k"], snapshot["events"][-1]["text"]) == ("snapshot", str(hubs.MOST_QUEUED))
