@@ -37,10 +37,15 @@ class TypedForm(NamedTuple):
 
 
 def typed_form(model: type[Message], most_bytes: int) -> TypedForm | None:
-    """Return the fast way for a model, None if it holds more than scalars and vectors of them."""
+    """Return the fast way for a model, None if it holds more than scalars and vectors of them.
+
+    Of a model with keys that later versions added, it is that of messages without them.
+    """
     texts: dict[str, set[str]] = {}
     types: dict[str, Any] = {}
     for name, field in model.model_fields.items():
+        if name in model.additions:
+            continue
         form = _form(field.annotation, tuple(field.metadata))
         if form is None or not field.is_required():
             return None
@@ -48,7 +53,7 @@ def typed_form(model: type[Message], most_bytes: int) -> TypedForm | None:
             texts[name] = set()
         types[name] = form
     # a version that is not known here, and any text that was not met before, is for the declared model to judge
-    types["v"] = Annotated[int, msgspec.Meta(ge=1, le=model.version)]
+    types["v"] = Annotated[int, msgspec.Meta(ge=1, le=model.version_of(types))]
     return _compiled(model, types, texts, most_bytes)
 
 
@@ -116,10 +121,12 @@ def _constructor(model: type[Message]) -> Callable[[dict[str, Any]], Message]:
     slots = vars(BaseModel)
     set_fields, set_names = slots["__dict__"].__set__, slots["__pydantic_fields_set__"].__set__
     set_extra, set_private = slots["__pydantic_extra__"].__set__, slots["__pydantic_private__"].__set__
-    new, names = object.__new__, set(model.model_fields)
+    new, names = object.__new__, set(model.model_fields).difference(model.additions)
+    absent = dict.fromkeys(model.additions)
 
     def construct(fields: dict[str, Any]) -> Message:
         message = new(model)
+        fields.update(absent)
         set_fields(message, fields)
         set_names(message, names)
         set_extra(message, None)

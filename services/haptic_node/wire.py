@@ -178,7 +178,7 @@ def parse_answer(payload: bytes) -> Answer:
         return State(flags, seq, *rest)
     if kind == HELLO:
         *numbers, _, model = rest
-        return Hello(flags, seq, *numbers, _text(model))
+        return Hello._make((flags, seq, *numbers, _text(model)))
     if kind == CONFIGURED:
         return Configured(seq, rest[0], Limits(*rest[1:]))
     return DeviceFault(seq, rest[0], rest[1], _text(rest[2]))

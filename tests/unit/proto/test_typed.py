@@ -34,6 +34,8 @@ def declared(topic: str, payload: bytes) -> Message | tuple[str, str]:
 def example(topic: str) -> dict[str, Any]:
     fields: dict[str, Any] = {}
     for name, field in TOPICS[topic].model.model_fields.items():
+        if name in TOPICS[topic].model.additions:
+            continue
         kind = str(field.annotation)
         fields[name] = HEADER.get(name, (0.5, -0.25, 1e-9) if "tuple" in kind else 3)
         if field.annotation is bool:
