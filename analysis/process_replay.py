@@ -273,7 +273,7 @@ class ReplayBus:
         self.numbers[name] = seq + 1
         recorded = None if topic in _NOT_COMPARED else self._recorded.output(name, seq, self._clock.time_ns)
         t_ns = self._clock.time_ns if recorded is None else recorded.publish_ns
-        message = limited(model, {"seq": seq, "t_ns": t_ns, "src": src, "v": model.version, **fields})
+        message = limited(model, {"seq": seq, "t_ns": t_ns, "src": src, "v": model.version_of(fields), **fields})
         if recorded is not None:
             self._compare(message, recorded)
             self.compared[name] = self.compared.get(name, 0) + 1
