@@ -169,6 +169,8 @@ class ZmqPublisher(_NumberingPublisher):
         self.socket.set(zmq.SNDHWM, SEND_HIGH_WATER_MARK)
         self.socket.set(zmq.LINGER, round(LINGER_S * 1e3))
         self.socket.set(zmq.MAXMSGSIZE, _LARGEST_SUBSCRIPTION)
+        # of the base class: the method of the class looks first at what only other kinds of sockets know
+        self._send = super(zmq.Socket, self.socket).send
         prepare(self.socket)
         try:
             bind(self.socket, endpoint, node)
@@ -178,8 +180,8 @@ class ZmqPublisher(_NumberingPublisher):
 
     def send(self, topic: str, payload: bytes) -> None:
         """Send bytes as they are: what the link forwards keeps the header of its publisher."""
-        self.socket.send(_FRAMES[topic], _SNDMORE)
-        self.socket.send(payload)
+        self._send(_FRAMES[topic], _SNDMORE)
+        self._send(payload)
 
     def also_bind(self, endpoint: str) -> None:
         """Bind a further endpoint; if that fails, everything is closed and EndpointError gives the reason."""
