@@ -12,7 +12,6 @@ from pydantic import BaseModel
 
 from proto.errors import TelenanoError
 from proto.nodes import sites_of
-from services.runtime import hop_trace
 from services.runtime.address_book import AddressBook
 from services.runtime.config import read_yaml, validate
 from services.runtime.log import StructuredLog, configure_logging
@@ -130,7 +129,11 @@ def _run(kind: NodeKind[C], given: NodeArguments, log: StructuredLog) -> None:
     status = apply_realtime(wanted, log, key)
     signals = StopSignals()
     raise_file_limit()
-    report_trace = hop_trace.install(log) if loaded.scenario.realtime.trace and kind.realtime else None
+    report_trace = None
+    if loaded.scenario.realtime.trace and kind.realtime:
+        from services.runtime import hop_trace
+
+        report_trace = hop_trace.install(log)
     with open_participant(key, book, signals.descriptor) as participant:
         wiring = Wiring(**vars(participant), site_file=given.site_file, scenario_file=given.scenario)
         node, bus = kind.build(wiring, config)

@@ -3,7 +3,6 @@
 from typing import NamedTuple
 
 import zmq
-from zmq.utils.monitor import recv_monitor_message
 
 LISTENING = int(zmq.EVENT_LISTENING)
 ACCEPTED = int(zmq.EVENT_ACCEPTED)
@@ -36,13 +35,17 @@ class Monitor:
         """Monitor a socket for the events that are added up in `wanted`."""
         self.has_pending = False
         self.socket: zmq.Socket[bytes] = socket.get_monitor_socket(wanted)
+        # here, because it imports asyncio and ssl, and a rig on one machine monitors nothing
+        from zmq.utils.monitor import recv_monitor_message
+
+        self._receive = recv_monitor_message
 
     def events(self) -> list[MonitorEvent]:
         """Return what has happened, a bounded number; `has_pending` if there may be more."""
         found: list[MonitorEvent] = []
         for _ in range(_BATCH):
             try:
-                event = recv_monitor_message(self.socket, zmq.NOBLOCK)
+                event = self._receive(self.socket, zmq.NOBLOCK)
             except zmq.Again:
                 self.has_pending = False
                 return found
