@@ -12,9 +12,10 @@ One function decides, for recordings, maps and the check of the bus against lock
 - stable: none of these.
 
 A growth rate counts where it exceeds three of its standard errors and changes the motion by more than a tenth over the
-later part of the hold. Over a link with jitter or loss a motion that the link's randomness keeps up is a limit cycle
-too, and a trend has to be a factor of two, because it may be chance. White noise of the read-out is estimated from the
-data and is no motion.
+later part of the hold, and where the mode is more than a tenth of the motion that is left: friction makes that no sum
+of exponentials, and leaves a fit with modes a hundredth as large. Over a link with jitter or loss a motion that the
+link's randomness keeps up is a limit cycle too, and a trend has to be a factor of two, because it may be chance. White
+noise of the read-out is estimated from the data and is no motion.
 """
 
 import math
@@ -60,6 +61,8 @@ _CLEAR_TREND = 0.85
 _LATE_ONSET = 4.0
 # cycles in a hold below which a motion is a drift and no swing; and below which noise makes its growth uncertain
 _DRIFT_CYCLES = 0.25
+# of the motion at the end of the hold: a growing mode that is smaller is a residue of the rest
+_RESIDUE_SHARE = 0.1
 
 
 class Verdict(NamedTuple):
@@ -139,7 +142,12 @@ def _decided(
     least = _NOISY_CHANGE if known.noisy else _SUSTAINED_CHANGE
     span_s = _SPAN * motion.length_s
     large = [mode for mode in motion.modes if _reach(mode) > small_n]
-    growing = [mode for mode in motion.modes if _sure(mode, 1.0, span_s, least) and (mode.explained or not known.noisy)]
+    residue_n = _RESIDUE_SHARE * float(motion.sizes_n[-1])
+    growing = [
+        mode
+        for mode in motion.modes
+        if _sure(mode, 1.0, span_s, least) and (mode.explained or not known.noisy) and 2.0 * mode.end_n > residue_n
+    ]
     leading = max(large or motion.modes, key=lambda mode: mode.growth_per_s, default=None)
     rate = leading.growth_per_s if leading is not None and leading.explained else motion.growth_per_s
     if growing:

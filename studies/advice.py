@@ -23,7 +23,7 @@ from studies.tuning import Settings, tuned
 
 FREE_PRICE = 0.02
 _FREE_N_S_PER_M = 100.0
-_LEVELS_N: dict[str, float] = {"spring": 1.0, "wall": 1.0, "contact": 2.0}
+_LEVELS_N: dict[str, float] = {"spring": 1.0, "wall": 1.0, "contact": 2.0, "body": 1.0}
 # the laws as they are, and the two that pass position and force on as they are behind the force clamp
 CANDIDATES: tuple[tuple[str, bool], ...] = (
     *((law, False) for law in LAWS),

@@ -21,17 +21,17 @@ from analysis.verdict import Circumstances, judge
 from proto.errors import ConfigError
 from services.afm_node.config import AfmConfig, CantileverConfig, SafetyConfig
 from services.afm_node.safety import MODE_FOLLOW, MODE_HOLD, SafetyParams
-from services.afm_node.spring import SpringParams, spring_params
-from services.afm_node.step import AfmParams
+from services.afm_node.spring import spring_params
 from services.controller.config import LAWS, ControllerConfig
 from services.haptic_node.config import ARMS, HapticConfig
 from services.runtime.compiled import source_digest
 from services.runtime.config import Settings, merge, nested, validate
+from studies.body import body_params
 from studies.link import schedule_of, symmetric_link
-from studies.lockstep import Rig, Series, Trajectory, build_rig, simulate
+from studies.lockstep import Instrument, Rig, Series, Trajectory, build_rig, simulate
 
-Environment = Literal["spring", "wall", "contact"]
-ENVIRONMENTS: tuple[Environment, ...] = ("spring", "wall", "contact")
+Environment = Literal["spring", "wall", "contact", "body"]
+ENVIRONMENTS: tuple[Environment, ...] = ("spring", "wall", "contact", "body")
 # a hand of constant force, or one of the arms of `services.haptic_node.config.ARMS`
 Hand = Literal["force", "soft", "ordinary", "stiff"]
 # K of the theory's examples; in the contact it is the cantilever's k of Table 2
@@ -39,11 +39,14 @@ DEFAULT_STIFFNESS: dict[str, tuple[float, ...]] = {
     "spring": (10.0, 20.0, 38.0),
     "wall": (10.0, 38.0),
     "contact": (40.0,),
+    "body": (20.0,),
 }
 
-_LEVELS_N: dict[str, tuple[float, ...]] = {"spring": (1.0,), "wall": (1.0,), "contact": (1.0, 2.0)}
-# the wall only pushes, and is met from here [m]
+_LEVELS_N: dict[str, tuple[float, ...]] = {"spring": (1.0,), "wall": (1.0,), "contact": (1.0, 2.0), "body": (1.0,)}
+# wall and body only push, and are met from here [m]
 WALL_DISTANCE_M = 3e-9
+# the cantilever that touches the body, of Table 2 [N/m]
+CANTILEVER_N_PER_M = 40.0
 # where a steady contact with the sample of Table 2 begins, and how far the base goes on for a newton at the hand [m]
 _CONTACT_M, _CONTACT_M_PER_N = 1.05e-8, 0.65e-9
 _QUIET_S = 0.2
@@ -51,7 +54,7 @@ _RAMP_S = 0.4
 # every time of a cell grows with the round trip, so that a slow loop is given as many of its own periods
 _APPROACH_S, _APPROACH_ROUND_TRIPS = 2.4, 10.0
 # near its onset a limit cycle of the contact takes seconds to reach its size
-_HOLD_S: dict[str, float] = {"spring": 6.0, "wall": 6.0, "contact": 12.0}
+_HOLD_S: dict[str, float] = {"spring": 6.0, "wall": 6.0, "contact": 12.0, "body": 6.0}
 _HOLD_ROUND_TRIPS = 40.0
 _SETTLE_S, _SETTLE_ROUND_TRIPS = 0.3, 4.0
 # the first part of a hold is the answer to the step before it
@@ -64,11 +67,14 @@ class Cell(Settings):
 
     law: str = Field(description="Name of the law")
     environment: Environment = Field(
-        description="spring: F = K (x_s - L); wall: the same, but only pushing, met from 3 nm; contact: tip and sample"
+        description="spring: F = K (x_s - L); wall: the same, but only pushing, met from 3 nm; contact: tip and sample;"
+        " body: mass, damper and spring K, met from 3 nm by a cantilever of 40 N/m"
     )
     hand: Hand = Field(default="force", description="force: constant force; else an arm on its way along a path")
     round_trip_ms: float = Field(ge=0.0, le=1e5, description="Round trip of the link [ms], half of it each way; >= 0")
     stiffness_n_per_m: float = Field(gt=0.0, le=1e6, description="K of the spring or k of the cantilever [N/m]; > 0")
+    mass_kg: float = Field(default=0.01, gt=0.0, le=1e3, description="Mass of the body [kg]; of no other environment")
+    damping_n_s_per_m: float = Field(default=0.02, ge=0.0, le=1e6, description="Damper of the body [N s/m]")
     gain: float | None = Field(default=None, ge=0.0, description="Force gain K_f; none: the law's own")
     jitter_ms: float = Field(default=0.0, ge=0.0, le=1e5, description="Half-width of the uniform jitter each way [ms]")
     loss: float = Field(default=0.0, ge=0.0, le=1.0, description="Share of messages lost each way; 0..1")
@@ -122,6 +128,10 @@ class Cell(Settings):
             before = level
         return tuple(points)
 
+    def instrument(self) -> Instrument:
+        """Return the constants of what the tip meets; ConfigError for a body that cannot be simulated."""
+        return _instrument(self.environment, self.stiffness_n_per_m, self.mass_kg, self.damping_n_s_per_m)
+
     def operator(self, points: Sequence[tuple[float, float]]) -> dict[str, Any]:
         """Return the section `haptic_node.operator` of a programme: corners (time [s], force [N]).
 
@@ -131,9 +141,11 @@ class Cell(Settings):
             return {"kind": "force_profile", "points": [{"time_s": time, "force_n": force} for time, force in points]}
         scales = scales_of(self.controller())
         first_m, per_newton_m = 0.0, 1.0 / (scales.force_scale * self.stiffness_n_per_m)
-        if self.environment == "wall":
+        if self.environment in ("wall", "body"):
             first_m = WALL_DISTANCE_M
-        elif self.environment == "contact":
+        if self.environment == "body":
+            per_newton_m += 1.0 / (scales.force_scale * CANTILEVER_N_PER_M)
+        if self.environment == "contact":
             first_m, per_newton_m = _CONTACT_M, _CONTACT_M_PER_N
         arm_m_per_n = 1.0 / ARMS[self.hand].stiffness_n_per_m
         path = []
@@ -154,6 +166,8 @@ class CellResult:
     two-port and device have made energy; guarded: whether the instrument's safety chain ended the session; peak_n:
     greatest alpha_f F_s of the session [N]. In the later half of the hold, on average: tip_n, alpha_f F_s [N]; hand_n,
     F_m [N]; apart_m, how far the hand is ahead of the tip, x_m - x_s / alpha_p [m]. hand_work_j: work of the hand [J].
+    guarded_share: part of the session in which a guard had taken over: the instrument did not follow, or the motor was
+    off.
     """
 
     cell: Cell
@@ -170,6 +184,7 @@ class CellResult:
     hand_n: float | None = None
     apart_m: float | None = None
     hand_work_j: float | None = None
+    guarded_share: float | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Return the result as plain data; `from_dict` is the inverse."""
@@ -250,6 +265,7 @@ def judged(cell: Cell, course: Trajectory) -> CellResult:
         float(force[:ended].max(initial=0.0)),
         *_held(course, scales, later),
         float(course.hand_energy_j[-1] - course.hand_energy_j[0]),
+        float(np.mean((course.instrument_mode != MODE_FOLLOW) | ~course.hand_following)),
     )
 
 
@@ -291,11 +307,20 @@ def _work(force_n: Series, position_m: Series) -> Series:
 
 
 @functools.lru_cache(maxsize=64)
-def _instrument(environment: Environment, stiffness_n_per_m: float) -> AfmParams | SpringParams:
+def _instrument(
+    environment: Environment, stiffness_n_per_m: float, mass_kg: float, damping_n_s_per_m: float
+) -> Instrument:
     if environment == "contact":
         return AfmConfig(cantilever=CantileverConfig(stiffness_n_per_m=stiffness_n_per_m)).to_params()
     # The spring also pulls, so it is met at its rest position and not from a retracted base.
     safety = SafetyParams(**SafetyConfig(retract_position_m=0.0).model_dump())
+    if environment == "body":
+        try:
+            return body_params(
+                safety, stiffness_n_per_m, damping_n_s_per_m, mass_kg, CANTILEVER_N_PER_M, WALL_DISTANCE_M
+            )
+        except ValueError as error:
+            raise ConfigError(f"--mass: {error}") from error
     if environment == "wall":
         return spring_params(safety, stiffness_n_per_m, WALL_DISTANCE_M, False)
     return spring_params(safety, stiffness_n_per_m, 0.0, True)
@@ -304,7 +329,7 @@ def _instrument(environment: Environment, stiffness_n_per_m: float) -> AfmParams
 def rig_of(cell: Cell, hand_points: Sequence[tuple[float, float]]) -> Rig:
     """Prepare the rig of a cell and its hand. Raises ConfigError for one that cannot be built."""
     haptic = validate(HapticConfig, {"operator": cell.operator(hand_points)}, "--hand", "haptic_node")
-    return build_rig(cell.controller(), haptic, _instrument(cell.environment, cell.stiffness_n_per_m))
+    return build_rig(cell.controller(), haptic, cell.instrument())
 
 
 @functools.lru_cache(maxsize=1)

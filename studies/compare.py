@@ -6,12 +6,15 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from studies.cells import CellResult, energies_of, scales_of, trajectory_of
-from studies.page import Page, png_of, write_parquet
+from studies.cells import Cell, CellResult, Hand, energies_of, scales_of, trajectory_of
+from studies.figures import hybrid_figure, impedance_figure, merits_figure
+from studies.merits import FIGURES, Merit, Network, Trial, in_words, run_merits
+from studies.page import Page, png_of, text, write_parquet
 from studies.stability import Axes, Jitter, Line, LineResult, run_stability
 from studies.stability_page import COLOURS, SAMPLE_PERIOD, VERDICTS, broken_assumption
 from studies.sweep import Sweep
-from studies.transparency import Transparency, measure
+from studies.transparency import STIFFEST_N_PER_M, Spectrum, Transparency, measure, spectrum
+from studies.tuning import tuned
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -22,7 +25,10 @@ HARD_JITTER = Jitter(0.5, relative=True)
 
 @dataclass(frozen=True)
 class Request:
-    """What to compare: laws, the delays of the maps, the delays that are looked at closely, stiffnesses, seed."""
+    """What to compare: laws, the delays of the maps, the delays that are looked at closely, stiffnesses, seeds, hands.
+
+    frequencies_hz: of hybrid matrix and impedances.
+    """
 
     laws: tuple[str, ...]
     map_delays_ms: tuple[float, ...]
@@ -30,18 +36,30 @@ class Request:
     spring_n_per_m: tuple[float, ...]
     contact_n_per_m: float
     seed: int
+    seeds: int
+    hands: tuple[Hand, ...]
+    frequencies_hz: tuple[float, ...]
+
+    @property
+    def trial(self) -> Trial:
+        """Return what the figures of merit are taken from: the contact, over good and bad links of every delay."""
+        networks = [Network(delay) for delay in self.delays_ms]
+        networks += [Network(delay, HARD_JITTER, HARD_LOSS) for delay in self.delays_ms]
+        return Trial(self.laws, tuple(networks), self.hands, "contact", self.contact_n_per_m, self.seed, self.seeds)
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Maps on the spring and in the contact; the contact at the chosen delays over a good and over a bad link; feel."""
+    """Maps on the spring and in the contact; courses at the chosen delays over a good and a bad link; merits; feel."""
 
     request: Request
     spring: list[LineResult]
     contact: list[LineResult]
     good: list[CellResult]
     bad: list[CellResult]
+    merits: list[Merit]
     transparency: list[Transparency]
+    spectra: list[Spectrum]
 
 
 def run_comparison(request: Request, sweep: Sweep) -> Comparison:
@@ -57,16 +75,43 @@ def run_comparison(request: Request, sweep: Sweep) -> Comparison:
         run_stability(contact, sweep),
         sweep.run(cells[0]),
         sweep.run(cells[1]),
-        measure_all(spring, request.delays_ms),
+        run_merits(request.trial, sweep),
+        measure_all(spring, request.delays_ms, for_delay=True),
+        spectra_of(spring, request.delays_ms, request.frequencies_hz, for_delay=True),
     )
 
 
-def measure_all(axes: Axes, delays_ms: Sequence[float]) -> list[Transparency]:
-    """Measure every law on the first spring of the axes, at every delay."""
+def _first_lines(axes: Axes) -> list[Line]:
+    """Return the line of each law on the first spring of the axes."""
     lines: dict[str, Line] = {}
     for line in axes.lines():
         lines.setdefault(line.law, line)
-    return [measure(line.cell(delay)) for line in lines.values() for delay in delays_ms]
+    return list(lines.values())
+
+
+def _cells(axes: Axes, delays_ms: Sequence[float], *, for_delay: bool) -> list[Cell]:
+    """Return a cell for every law, on the first spring of the axes, and delay; tuned for the delay if asked."""
+    cells = [line.cell(delay) for line in _first_lines(axes) for delay in delays_ms]
+    if not for_delay:
+        return cells
+    return [
+        cell.model_copy(
+            update={"settings": (*cell.settings, *tuned(cell.law, cell.stiffness_n_per_m, cell.round_trip_s))}
+        )
+        for cell in cells
+    ]
+
+
+def measure_all(axes: Axes, delays_ms: Sequence[float], *, for_delay: bool = False) -> list[Transparency]:
+    """Measure every law on the first spring of the axes, at every delay; tuned for the delay if asked."""
+    return [measure(cell) for cell in _cells(axes, delays_ms, for_delay=for_delay)]
+
+
+def spectra_of(
+    axes: Axes, delays_ms: Sequence[float], frequencies_hz: tuple[float, ...], *, for_delay: bool = False
+) -> list[Spectrum]:
+    """Measure every law over frequency on the first spring of the axes, at every delay; tuned for it if asked."""
+    return [spectrum(cell, frequencies_hz) for cell in _cells(axes, delays_ms, for_delay=for_delay)]
 
 
 def write_comparison(result: Comparison, out: Path, command: str) -> dict[str, Any]:
@@ -76,10 +121,14 @@ def write_comparison(result: Comparison, out: Path, command: str) -> dict[str, A
     images = {
         "courses.png": png_of(_drawn(result, "tip's force, hand's scale [N]", energy=False)),
         "energies.png": png_of(_drawn(result, "energy held [mJ]", energy=True)),
+        "merits.png": png_of(merits_figure(result.merits)),
+        **spectrum_images(result.spectra),
     }
     for name, png in images.items():
         (out / name).write_bytes(png)
     write_parquet(out / "compare.parquet", [cell.as_dict() for cell in (*result.good, *result.bad)])
+    write_parquet(out / "merits.parquet", [merit.as_dict() for merit in result.merits])
+    write_parquet(out / "spectra.parquet", [row for found in result.spectra for row in found.rows()])
     (out / "compare.json").write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
     _page(result, images, command).write(out / "compare.html")
     return summary
@@ -98,8 +147,29 @@ def summarise(result: Comparison) -> dict[str, Any]:
             "contact": {f"{c.cell.round_trip_ms:g}": _outcome(c) for c in result.good if c.cell.law == law},
             "contact_lossy": {f"{c.cell.round_trip_ms:g}": _outcome(c) for c in result.bad if c.cell.law == law},
             "transparency": [asdict(t) for t in result.transparency if t.law == law],
+            "z_width": {f"{s.round_trip_ms:g}": z_width_of(s) for s in result.spectra if s.law == law},
+            "merits": [merit.as_dict() for merit in result.merits if merit.law == law],
         }
-    return {"study": "compare", "longest_delay_ms": max(result.request.map_delays_ms), "laws": laws}
+    return {
+        "study": "compare",
+        "longest_delay_ms": max(result.request.map_delays_ms),
+        "advice": in_words(result.merits),
+        "laws": laws,
+    }
+
+
+def z_width_of(found: Spectrum) -> dict[str, float | None]:
+    """Return the stiffest spring that is rendered passively [N/m] and the width [dB]."""
+    return {"passive_n_per_m": found.passive_n_per_m, "z_width_db": found.z_width_db}
+
+
+def spectrum_images(spectra: Sequence[Spectrum]) -> dict[str, bytes]:
+    """Draw what is measured over frequency: impedances at every delay, a hybrid matrix for each delay."""
+    images = {"impedances.png": png_of(impedance_figure(spectra))}
+    for delay in sorted({found.round_trip_ms for found in spectra}):
+        some = [found for found in spectra if found.round_trip_ms == delay]
+        images[f"hybrid-{delay:g}ms.png"] = png_of(hybrid_figure(some))
+    return images
 
 
 def _outcome(cell: CellResult) -> dict[str, Any]:
@@ -140,6 +210,13 @@ def _page(result: Comparison, images: dict[str, bytes], command: str) -> Page:
     delay = max(result.request.delays_ms)
     page = Page("The laws compared")
     page.code(command)
+    page.heading("Which law for which network")
+    for sentence in in_words(result.merits):
+        page.paragraph(sentence)
+    page.paragraph(
+        f"In the contact, every law tuned for the delay and with the force clamp off and on; hands:"
+        f" {', '.join(result.request.hands)}. Ranked by the price of `telenano study advise`, over all hands and seeds."
+    )
     page.heading("Delay that each law bears (round trip, ms)")
     names = [f"spring {k:g} N/m" for k in result.request.spring_n_per_m]
     page.table(
@@ -164,9 +241,52 @@ def _page(result: Comparison, images: dict[str, bytes], command: str) -> Page:
         f"Energy that the two-port holds at {delay:g} ms: put in by the hand less given to the tip, at the hand's"
         " scale. Below zero it has made energy.",
     )
-    page.heading("Transparency")
+    page.heading("What the laws do with arms, tuned for the delay")
+    page.image(
+        images["merits.png"],
+        "Each mark is a law, tuned for the delay; bars reach over the seeds of a random link. A cross stands for runs"
+        " of which one is not stable. Grey line: what would be ideal.",
+    )
+    page.table(
+        ("law", "clamp", "network", "hand", "verdict", "stable runs", *FIGURES.values()), map(_merit_row, result.merits)
+    )
+    page.heading("Transparency, tuned for the delay")
     write_transparency(page, result.transparency)
+    write_spectra(page, result.spectra, images)
     return page
+
+
+def _merit_row(merit: Merit) -> tuple[Any, ...]:
+    figures = [None if spread is None else str(spread) for spread in merit.figures.values()]
+    runs = f"{merit.stable}/{len(merit.results)}"
+    clamp = "on" if merit.clamp else "off"
+    return (merit.law, clamp, str(merit.network), merit.hand, merit.verdict, runs, *figures)
+
+
+def write_spectra(page: Page, spectra: Sequence[Spectrum], images: dict[str, bytes]) -> None:
+    """Add the Z-width and the figures over frequency."""
+    page.table(
+        ("law", "round trip [ms]", "stiffest spring rendered passively [N/m]", "Z-width at 1 Hz [dB]"),
+        [(s.law, s.round_trip_ms, _limit(s.passive_n_per_m), s.z_width_db) for s in spectra],
+    )
+    page.paragraph(
+        "Z-width after Colgate and Brown (1994): from free motion to the stiffest spring at the tip on which the"
+        " impedance at the device has no negative real part at any frequency of the figures. A law can be stable with a"
+        " hand of constant force beyond it; then an arm of some impedance exists that makes it unstable. A dash: none."
+    )
+    page.image(
+        images["impedances.png"],
+        f"What the hand feels over frequency, on a spring of {spectra[0].stiffness_n_per_m:g} N/m and on nothing; sines"
+        " of 0.3 N. A stiffness below zero: the mass of the law and of its device.",
+    )
+    for name, png in images.items():
+        if name.startswith("hybrid"):
+            delay = name.removeprefix("hybrid-").removesuffix("ms.png")
+            page.image(png, f"Hybrid matrix (Hannaford 1989) at a round trip of {delay} ms, at the hand's scale.")
+
+
+def _limit(value: float | None) -> str | None:
+    return f">= {STIFFEST_N_PER_M:g}" if value == STIFFEST_N_PER_M else text(value)
 
 
 def write_transparency(page: Page, rows: Sequence[Transparency]) -> None:

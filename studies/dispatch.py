@@ -16,6 +16,8 @@ from services.afm_node.spring import SpringParams
 from services.afm_node.step import AfmParams
 from services.controller.config import LAWS, ControllerConfig
 from services.controller.law import Law
+from studies import body
+from studies.body import BodyParams
 
 Step = Callable[..., Any]
 
@@ -32,7 +34,7 @@ def _laws_by_parameters() -> dict[type, Law]:
 
 
 _LAW_OF = _laws_by_parameters()
-_INSTRUMENT_OF: dict[type, Step] = {AfmParams: afm.step, SpringParams: spring.step}
+_INSTRUMENT_OF: dict[type, Step] = {AfmParams: afm.step, SpringParams: spring.step, BodyParams: body.step}
 
 
 def _chosen(name: str) -> Callable[[type], Step]:

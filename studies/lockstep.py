@@ -40,6 +40,8 @@ from services.haptic_node.step import HapticStepState as HapticChainState
 from services.haptic_node.step import step as haptic_step
 from services.runtime.compiled import compiled
 from services.runtime.freshness import DELAY_STEP_NS
+from studies.body import BodyParams
+from studies.body import initial_state as initial_body_state
 from studies.dispatch import (
     instrument_step,
     master_receive,
@@ -52,6 +54,7 @@ from studies.dispatch import (
 from studies.link import Schedule
 
 Series = npt.NDArray[np.float64]
+Instrument = AfmParams | SpringParams | BodyParams
 
 _NEVER_NS = 2**62
 COLUMNS = (
@@ -89,14 +92,19 @@ class Rig:
     slave: "SlaveLoop"
     haptic: HapticParams
     haptic_start: HapticChainState
-    instrument: AfmParams | SpringParams
+    instrument: Instrument
     instrument_start: Any
     period_s: float
 
 
-def build_rig(controller: ControllerConfig, haptic: HapticConfig, instrument: AfmParams | SpringParams) -> Rig:
+def _at_rest(instrument: Instrument) -> Any:
+    if isinstance(instrument, SpringParams):
+        return initial_spring_state(instrument)
+    return initial_body_state(instrument) if isinstance(instrument, BodyParams) else initial_afm_state(instrument)
+
+
+def build_rig(controller: ControllerConfig, haptic: HapticConfig, instrument: Instrument) -> Rig:
     """Prepare a rig: the hand where its configuration puts it and off, the instrument retracted."""
-    start = initial_spring_state(instrument) if isinstance(instrument, SpringParams) else initial_afm_state(instrument)
     period_s, silence_s = controller.period_s, controller.law_config().silence_limit_s
     return Rig(
         controller.params(),
@@ -110,7 +118,7 @@ def build_rig(controller: ControllerConfig, haptic: HapticConfig, instrument: Af
         haptic.to_params(),
         haptic.initial_state(),
         instrument,
-        start,
+        _at_rest(instrument),
         period_s,
     )
 

@@ -15,11 +15,18 @@ if TYPE_CHECKING:
 
 _STYLE = """
 :root { color-scheme: light dark; --line: #8886; --soft: #8882; }
-body { font: 16px/1.5 system-ui, sans-serif; max-width: 70rem; margin: 2rem auto; padding: 0 1rem; }
+body { font: 16px/1.5 system-ui, sans-serif; max-width: 90rem; margin: 2rem auto; padding: 0 1rem; }
 h1 { font-size: 1.6rem; } h2 { font-size: 1.2rem; margin-top: 2.2rem; }
 img { max-width: 100%; background: #fff; border: 1px solid var(--line); }
 table { border-collapse: collapse; font-size: .92rem; display: block; overflow-x: auto; }
-th, td { padding: .25rem .7rem; border-bottom: 1px solid var(--line); text-align: right; white-space: nowrap; }
+th, td { padding: .25rem .7rem; border-bottom: 1px solid var(--line); text-align: right; }
+td { white-space: nowrap; } td.words { white-space: normal; min-width: 14rem; text-align: left; }
+@page { size: A4 landscape; margin: 12mm; }
+@media print {
+  body { max-width: none; margin: 0; font-size: 10px; }
+  table { display: table; overflow: visible; font-size: 8px; width: 100%; }
+  th, td { padding: .1rem .25rem; } td { white-space: normal; } tr, img { break-inside: avoid; }
+}
 th:first-child, td:first-child { text-align: left; }
 code { background: var(--soft); padding: .1rem .3rem; }
 .stable { background: #009e7355; } .limit_cycle { background: #e69f0055; } .diverged { background: #d55e0055; }
@@ -27,6 +34,8 @@ code { background: var(--soft); padding: .1rem .3rem; }
 .guarded { background: #0072b255; } .cannot_say { background: #99999955; }
 """
 _DPI = 140
+# characters
+_LONGEST_FIGURE = 32
 
 
 def text(value: Any) -> str:
@@ -77,7 +86,9 @@ class Page:
 def _cell(value: Any) -> str:
     verdict = value if value in KINDS else ""
     words = text(value).replace("_", " ") if verdict else text(value)
-    return f'<td class="{verdict}">{escape(words)}</td>' if verdict else f"<td>{escape(words)}</td>"
+    # sentences are broken into lines, so that no table is wider than its page
+    kind = verdict or ("words" if len(words) > _LONGEST_FIGURE else "")
+    return f'<td class="{kind}">{escape(words)}</td>' if kind else f"<td>{escape(words)}</td>"
 
 
 def png_of(figure: "Figure") -> bytes:

@@ -4,11 +4,32 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
-from studies.cells import Cell, CellResult, Environment
+from services.haptic_node.config import ARMS, ArmConstants, DeviceConfig
+from services.haptic_node.motor import closed_loop_coefficients
+from studies.cells import Cell, CellResult, Environment, Hand
 from studies.sweep import Sweep
-from studies.theory import critical_delay_s, critical_link_delay_s, loop_model
+from studies.theory import (
+    Arm,
+    Device,
+    LoopModel,
+    arm_response,
+    critical_delay_s,
+    critical_link_delay_s,
+    loop_model,
+    margin_of,
+)
+
+
+class Body(NamedTuple):
+    """Mass [kg] and damper [N s/m] of the environment that has them."""
+
+    mass_kg: float = 0.01
+    damping_n_s_per_m: float = 0.02
+
+
+DEFAULT_BODY = Body()
 
 
 @dataclass(frozen=True)
@@ -25,6 +46,8 @@ class Axes:
     seed: int = 0
     session_s: float | None = None
     settings: tuple[tuple[str, float | int | str | bool], ...] = ()
+    hand: Hand = "force"
+    body: Body = DEFAULT_BODY
 
     def lines(self) -> list["Line"]:
         """Return every combination of what is not the delay."""
@@ -63,8 +86,11 @@ class Line:
         return Cell(
             law=self.law,
             environment=self.axes.environment,
+            hand=self.axes.hand,
             round_trip_ms=round_trip_ms,
             stiffness_n_per_m=self.stiffness_n_per_m,
+            mass_kg=self.axes.body.mass_kg,
+            damping_n_s_per_m=self.axes.body.damping_n_s_per_m,
             gain=self.gain,
             jitter_ms=self.jitter.at_ms(round_trip_ms),
             loss=self.loss,
@@ -105,6 +131,7 @@ class LineResult:
         return {
             "law": line.law,
             "environment": line.axes.environment,
+            "hand": line.axes.hand,
             "stiffness_n_per_m": line.stiffness_n_per_m,
             "gain": line.gain,
             "jitter": str(line.jitter),
@@ -209,7 +236,18 @@ def line_result(line: Line, cells: tuple[CellResult, ...], link_ms: float | None
 def theory_of(line: Line) -> tuple[float | None, float | None]:
     """Return T_c and T_d [s] of a line, where its law and environment make a linear loop with a constant delay."""
     controller = line.cell(0.0).controller()
-    model = loop_model(line.law, controller.law_config(), line.stiffness_n_per_m)
-    if model is None or line.axes.environment != "spring" or line.jitter.value or line.loss:
+    section = controller.law_config()
+    model = loop_model(line.law, section, line.stiffness_n_per_m)
+    if model is None or line.axes.environment != "spring" or line.jitter.value or line.loss or controller.clamp.enabled:
         return None, None
+    if line.axes.hand != "force":
+        # the arm and the device are not sampled, so the hold is taken to be worth half a period, as it is without them
+        critical_s = arm_margin_s(model, getattr(section, "force_gain", 1.0), ARMS[line.axes.hand])
+        return critical_s, critical_s - 0.5 * controller.period_s
     return critical_delay_s(model), critical_link_delay_s(model, controller.period_s)
+
+
+def arm_margin_s(model: LoopModel, hand_gain: float, arm: ArmConstants) -> float:
+    """Return T_c [s] of a loop with an arm on the 30 Hz device; `hand_gain` as in `theory.arm_response`."""
+    device = Device(*closed_loop_coefficients(DeviceConfig().to_params()))
+    return margin_of(arm_response(model, hand_gain, Arm(*arm), device)).delay_s

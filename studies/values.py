@@ -53,6 +53,15 @@ def _range(option: str, text: str, unit: str) -> list[float]:
     return [round(start + i * step, 9) for i in range(count)]
 
 
+def frequencies(text: str) -> tuple[float, ...]:
+    """Read frequencies [Hz] whose periods are whole milliseconds, so that whole periods are whole ticks."""
+    found = numbers("--frequency", text, 0.05, 50.0, "Hz")
+    for frequency in found:
+        if abs(1e3 / frequency - round(1e3 / frequency)) > 1e-6:
+            raise ConfigError(f"--frequency {frequency:g}: a period of {1e3 / frequency:g} ms; give one of whole ms")
+    return found
+
+
 def laws(text: str) -> tuple[str, ...]:
     """Read names of laws, or `all`."""
     if text.strip() == "all":

@@ -9,98 +9,55 @@ import os
 import sys
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
+from rich.table import Column, Table
 
 from proto.errors import ConfigError
 from studies.page import Page, text, write_parquet
+from telenano.commands.study_options import (
+    BodyDampingOption,
+    Environment,
+    EnvironmentName,
+    EnvironmentOption,
+    FrequencyOption,
+    Hand,
+    HandName,
+    HandOption,
+    JitterOption,
+    LawOption,
+    LengthOption,
+    LossOption,
+    MassOption,
+    OutOption,
+    SampleName,
+    SchedulerOption,
+    SeedOption,
+    SetOption,
+    StiffnessOption,
+    WorkersOption,
+)
 from telenano.exit_codes import EXIT_FAILED
 from telenano.options import JsonOption, command_group
 from telenano.output import console, print_json, report_errors
 
 if TYPE_CHECKING:
-    from studies.stability import Axes
+    from studies.stability import Axes, Body
     from studies.sweep import Sweep
+    from studies.validate import Agreement
 
 _INTERRUPTED = "interrupted: the journal keeps the finished cells, the same command continues"
 _LONGEST_MS = 10_000.0
 _STIFFEST_N_PER_M = 1e5
 _PIPE_COLUMNS = 160
-
-# that of `studies.cells`, which imports numba
-Environment = Literal["spring", "wall", "contact"]
+_SAMPLES_N_PER_M = {SampleName.SOFT: 5.0, SampleName.ORDINARY: 20.0, SampleName.STIFF: 80.0}
+_FREQUENCIES = "0.2,0.5,1,2,5,10"
 
 app = command_group()
-
-
-class EnvironmentName(StrEnum):
-    """The environment that the tip touches."""
-
-    SPRING = "spring"
-    WALL = "wall"
-    CONTACT = "contact"
-
-
-class SampleName(StrEnum):
-    """A sample in words, and its stiffness."""
-
-    SOFT = "soft"
-    ORDINARY = "ordinary"
-    STIFF = "stiff"
-
-
-_SAMPLES_N_PER_M = {SampleName.SOFT: 5.0, SampleName.ORDINARY: 20.0, SampleName.STIFF: 80.0}
-
-
-LawOption = Annotated[str, typer.Option("--law", metavar="LAW[,LAW]|all", help="Laws to study.")]
-EnvironmentOption = Annotated[
-    EnvironmentName,
-    typer.Option(
-        "--environment",
-        help="spring: F = K (x_s - L); wall: the same, but only pushing; contact: the tip-sample force of Table 2.",
-    ),
-]
-StiffnessOption = Annotated[
-    str | None,
-    typer.Option(
-        "--stiffness",
-        metavar="LIST|RANGE",
-        help="K of the spring, or k of the cantilever [N/m]; default: 10,20,38 for spring, 40 for contact.",
-    ),
-]
-JitterOption = Annotated[
-    str,
-    typer.Option("--jitter", metavar="LIST", help="Half-width of uniform jitter each way [ms], or n% of the delay."),
-]
-LossOption = Annotated[
-    str, typer.Option("--loss", metavar="LIST", help="Share of messages lost each way, 0 to 1, or n%.")
-]
-SeedOption = Annotated[int, typer.Option("--seed", min=0, help="Seed of the link's random streams.")]
-LengthOption = Annotated[
-    float | None,
-    typer.Option("--duration", metavar="S", help="Length of each session [s]; default: grows with the delay."),
-]
-SetOption = Annotated[
-    list[str] | None,
-    typer.Option("--set", metavar="LAW.KEY=VALUE", help="Change a parameter of a law (SI units); may be repeated."),
-]
-WorkersOption = Annotated[
-    int | None, typer.Option("--workers", min=1, metavar="N", help="Processes on this machine; default: one a core.")
-]
-SchedulerOption = Annotated[
-    str | None,
-    typer.Option("--scheduler", metavar="ADDRESS", help="Dask scheduler to run on, such as tcp://host:8786."),
-]
-OutOption = Annotated[
-    Path,
-    typer.Option("--out", metavar="DIR", help="Folder for page, figures, table and journal; resumes a journal."),
-]
 
 
 @app.command()
@@ -119,6 +76,9 @@ def stability(
     loss: LossOption = "0",
     seed: SeedOption = 0,
     duration: LengthOption = None,
+    hand: HandOption = HandName.FORCE,
+    mass: MassOption = None,
+    body_damping: BodyDampingOption = None,
     settings: SetOption = None,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
@@ -129,7 +89,8 @@ def stability(
         from studies.stability import run_stability
         from studies.stability_page import write_stability
 
-        given = _Given(law, environment, stiffness, gain, jitter, loss, seed, duration, settings)
+        given = _Given(law, environment, stiffness, gain, jitter, loss, seed, duration, settings, hand,
+                       mass, body_damping)  # fmt: skip
         axes = given.axes(delay)
         with _sweep(out, workers, scheduler, shown=not as_json) as sweep:
             results = run_stability(axes, sweep)
@@ -157,29 +118,53 @@ def transparency(
     ] = "0,20,40,100,200",
     stiffness: StiffnessOption = None,
     seed: SeedOption = 0,
+    hand: HandOption = HandName.FORCE,
+    frequency: FrequencyOption = _FREQUENCIES,
+    tuned: Annotated[
+        bool, typer.Option("--tuned", help="Tune each law for each delay, by the rule of `study advise`.")
+    ] = False,
     settings: SetOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Measure tracking error, rendered stiffness, contrast and perceived delay of each law on a spring."""
+    """Measure what the hand feels: tracking, stiffness, hybrid matrix over frequency, Z-width of each law."""
     with report_errors(as_json, _INTERRUPTED):
-        from studies.compare import measure_all, write_transparency
+        from studies import values
+        from studies.compare import (
+            measure_all,
+            spectra_of,
+            spectrum_images,
+            write_spectra,
+            write_transparency,
+            z_width_of,
+        )
 
-        given = _Given(law, EnvironmentName.SPRING, stiffness or "10", None, "0", "0", seed, None, settings)
+        given = _Given(law, EnvironmentName.SPRING, stiffness or "10", None, "0", "0", seed, None, settings, hand)
         axes = given.axes(delay)
-        rows = measure_all(axes, axes.delays_ms)
+        frequencies = values.frequencies(frequency)
+        rows = measure_all(axes, axes.delays_ms, for_delay=tuned)
+        spectra = spectra_of(axes, axes.delays_ms, frequencies, for_delay=tuned)
         _make_folder(out)
+        images = spectrum_images(spectra)
+        for name, png in images.items():
+            (out / name).write_bytes(png)
         page = Page("Transparency under delay")
         page.code(_command())
         write_transparency(page, rows)
+        write_spectra(page, spectra, images)
         page.write(out / "transparency.html")
-        records = [asdict(row) for row in rows]
+        records = [
+            {**asdict(row), "hand": hand.value, **z_width_of(found)} for row, found in zip(rows, spectra, strict=True)
+        ]
         write_parquet(out / "transparency.parquet", records)
+        write_parquet(out / "spectra.parquet", [line for found in spectra for line in found.rows()])
         summary = {"study": "transparency", "rows": records}
         (out / "transparency.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
-        head = ("law", "delay [ms]", "verdict", "tracking [%]", "rendered [N/m]", "perceived [ms]", "contrast [dB]")
+        head = ("law", "delay [ms]", "verdict", "tracking [%]", "rendered [N/m]", "perceived [ms]", "contrast [dB]",
+                "passive to [N/m]", "Z-width [dB]")  # fmt: skip
         _print_result(summary, head, [
             (r.law, r.round_trip_ms, r.verdict, r.tracking_error_percent, r.rendered_stiffness_n_per_m,
-             r.perceived_delay_ms, r.contrast_db) for r in rows
+             r.perceived_delay_ms, r.contrast_db, found.passive_n_per_m, found.z_width_db)
+            for r, found in zip(rows, spectra, strict=True)
         ], out / "transparency.html", as_json=as_json)  # fmt: skip
 
 
@@ -195,11 +180,16 @@ def compare(
     ] = "0:500:20",
     stiffness: StiffnessOption = None,
     seed: SeedOption = 0,
+    seeds: Annotated[int, typer.Option("--seeds", min=1, max=1000, help="Seeds of the random link.")] = 3,
+    hand: Annotated[
+        str, typer.Option("--hand", "--arm", metavar="HAND[,HAND]|all", help="force, soft, ordinary, stiff.")
+    ] = "force,ordinary",
+    frequency: FrequencyOption = _FREQUENCIES,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Compare all laws on one page: critical delays, contact over a good and a bad link, transparency."""
+    """Compare all laws on one page: advice, critical delays, holds with a force and with arms, transparency."""
     with report_errors(as_json, _INTERRUPTED):
         from studies import values
         from studies.cells import DEFAULT_STIFFNESS
@@ -213,10 +203,16 @@ def compare(
             springs,
             DEFAULT_STIFFNESS["contact"][0],
             seed,
+            seeds,
+            _hands(hand),
+            values.frequencies(frequency),
         )
         with _sweep(out, workers, scheduler, shown=not as_json) as sweep:
             result = run_comparison(request, sweep)
         summary = write_comparison(result, out, _command())
+        if not as_json:
+            for sentence in summary["advice"]:
+                typer.echo(sentence)
         head = ("law", *(f"spring {k:g} N/m" for k in springs), "contact")
         _print_result(summary, head, [
             (name, *(_ms(v) for v in found["critical_delay_ms"].values()), _ms(found["critical_delay_contact_ms"]))
@@ -296,7 +292,15 @@ def validate(
     loss: LossOption = "0",
     seed: SeedOption = 0,
     duration: LengthOption = None,
+    hand: HandOption = HandName.FORCE,
     settings: SetOption = None,
+    sample: Annotated[
+        int | None,
+        typer.Option(
+            "--sample", min=1, max=1000, metavar="N", help="Run so many drawn cells instead of those of the options."
+        ),
+    ] = None,
+    sample_seed: Annotated[int, typer.Option("--sample-seed", min=0, help="Seed of the draw.")] = 1,
     site_file: Annotated[
         Path | None, typer.Option("--site-file", metavar="FILE", help="Address book of the rig; default: this machine.")
     ] = None,
@@ -304,11 +308,15 @@ def validate(
 ) -> None:
     """Run cells on real processes over the link and compare with lockstep; exit code 1 where they disagree."""
     with report_errors(as_json, _INTERRUPTED):
-        from studies.validate import Bus, bus_edges, validate_cells
+        from studies.sample import drawn_cells
+        from studies.validate import SEEDS, TOLERANCE_SHARE, Bus, bus_edges, scenario_of, validate_cells
 
-        given = _Given(law, environment, stiffness, None, jitter, loss, seed, duration, settings)
+        given = _Given(law, environment, stiffness, None, jitter, loss, seed, duration, settings, hand)
         axes = given.axes(delay)
         cells = [line.cell(d) for line in axes.lines() for d in axes.delays_ms]
+        cells = drawn_cells(sample, sample_seed) if sample is not None else cells
+        for cell in cells:
+            scenario_of(cell)
         _make_folder(out)
         agreements = validate_cells(cells, Bus(site_file, out), lambda text: typer.echo(text, err=True))
         records = [asdict(agreement) for agreement in agreements]
@@ -321,18 +329,22 @@ def validate(
             "cells": records,
         }
         (out / "validate.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
-        head = ("law", "stiffness [N/m]", "delay [ms]", "lockstep", "bus", "growth, lockstep [1/s]",
-                "growth, bus [1/s]", "difference", "agree")  # fmt: skip
+        head = ("law", "environment", "stiffness [N/m]", "hand", "delay [ms]", "jitter [ms]", "loss", "lockstep", "bus",
+                "growth, lockstep [1/s]", "growth, bus [1/s]", "difference", "at most", "agree")  # fmt: skip
         rows = [
-            (a.law, a.stiffness_n_per_m, a.round_trip_ms, a.lockstep, a.bus, a.lockstep_growth_per_s,
-             a.bus_growth_per_s, a.difference_share, "yes" if a.agree else "no") for a in agreements
+            (a.law, a.environment, a.stiffness_n_per_m, a.hand, a.round_trip_ms, a.jitter_ms, a.loss, a.lockstep, a.bus,
+             a.lockstep_growth_per_s, a.bus_growth_per_s, a.difference_share, a.tolerance_share, _agreed(a))
+            for a in agreements
         ]  # fmt: skip
-        page = Page(f"The bus against lockstep: {environment.value}")
+        what = f"{sample} drawn cells" if sample is not None else environment.value
+        page = Page(f"The bus against lockstep: {what}")
         page.code(_command())
         page.table(head, rows)
         page.paragraph(
             "Difference: RMS of the tip's force on the bus less that in lockstep, over the session, as a share of the"
-            f" hand's force; at most {agreements[0].tolerance_share:g} where both are stable."
+            f" hand's force; at most {TOLERANCE_SHARE:g} where both are stable. Over a random link lockstep runs"
+            f" {SEEDS} draws: the bus has to be as near to one of them as they are to each other. Undecided: the draws"
+            " differ in the verdict, so that only the courses can disagree."
         )
         if edges:
             page.table(("law", "stiffness [N/m]", "critical delay on the bus [ms]"), [(e[0], *e[2:]) for e in edges])
@@ -359,6 +371,9 @@ class _Given:
     seed: int
     duration: float | None
     settings: list[str] | None
+    hand: HandName = HandName.FORCE
+    mass_kg: float | None = None
+    body_damping_n_s_per_m: float | None = None
 
     def axes(self, delay: str) -> "Axes":
         """Validate all options; ConfigError names the option."""
@@ -381,12 +396,48 @@ class _Given:
             self.seed,
             self.duration,
             values.settings(self.settings or ()),
+            self.hand.value,
+            self._body(),
         )
         for line in axes.lines():
             cell = line.cell(max(axes.delays_ms))
             cell.controller()
             cell.hold_s()
+            cell.instrument()
         return axes
+
+    def _body(self) -> "Body":
+        """Return mass and damper of the body; ConfigError where there is none, or a value is out of range."""
+        from studies.stability import DEFAULT_BODY, Body
+
+        for option, value in (("--mass", self.mass_kg), ("--body-damping", self.body_damping_n_s_per_m)):
+            if value is not None and self.environment is not EnvironmentName.BODY:
+                raise ConfigError(f"{option}: {self.environment.value} has none; give --environment body")
+            if value is not None and not 0.0 <= value <= 1e3:
+                raise ConfigError(f"{option}: {value:g} is outside 0 to 1000")
+        default = DEFAULT_BODY
+        return Body(
+            default.mass_kg if self.mass_kg is None else self.mass_kg,
+            default.damping_n_s_per_m if self.body_damping_n_s_per_m is None else self.body_damping_n_s_per_m,
+        )
+
+
+def _hands(text_given: str) -> tuple[Hand, ...]:
+    """Read names of hands, or `all`."""
+    names: tuple[Hand, ...] = get_args(Hand)
+    if text_given.strip() == "all":
+        return names
+    given = [name.strip() for name in text_given.split(",")]
+    for name in given:
+        if name not in names:
+            raise ConfigError(f"--hand: unknown hand {name!r}, known are all, {', '.join(names)}")
+    return tuple(name for name in names if name in given)
+
+
+def _agreed(agreement: "Agreement") -> str:
+    if not agreement.agree:
+        return "no"
+    return "undecided" if agreement.undecided else "yes"
 
 
 @contextlib.contextmanager
@@ -430,7 +481,8 @@ def _print_result(
     if as_json:
         print_json(summary)
         return
-    table = Table(*head)
+    # folded, so that no figure is cut off on a narrow terminal
+    table = Table(*(Column(name, overflow="fold") for name in head))
     for row in rows:
         table.add_row(*(text(value) for value in row))
     out = console(_PIPE_COLUMNS)

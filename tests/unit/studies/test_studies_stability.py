@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +12,19 @@ import pytest
 from proto.errors import ConfigError
 from services.afm_node.safety import MODE_HOLD, MODE_RETRACTING
 from studies import sweep as sweep_module
-from studies.cells import Cell, CellResult, judged, run_cell, trajectory_of
-from studies.stability import Axes, Edge, Jitter, LineResult, find_edges, line_result, neutral, run_stability
+from studies.cells import Cell, CellResult, Hand, judged, run_cell, trajectory_of
+from studies.stability import (
+    Axes,
+    Edge,
+    Jitter,
+    Line,
+    LineResult,
+    find_edges,
+    line_result,
+    neutral,
+    run_stability,
+    theory_of,
+)
 from studies.stability_page import broken_assumption, summarise, write_stability
 from studies.sweep import Journal, Sweep
 
@@ -256,3 +268,23 @@ def test_pause_in_the_commands_is_no_verdict_but_a_retraction_is(mode: int, verd
     result = judged(cell, dataclasses.replace(course, instrument_mode=modes))
     assert result.verdict == verdict
     assert result.guarded is (mode == MODE_RETRACTING)
+
+
+def test_arm_bears_more_delay_by_theory_and_friction_keeps_a_small_motion_up_below_it() -> None:
+    def line(hand: Hand) -> Line:
+        axes = Axes(("virtual_impedance",), "spring", (0.0, 200.0), (5.0,), hand=hand)
+        return axes.lines()[0]
+
+    force, ordinary, stiff = (theory_of(line(hand))[0] for hand in ("force", "ordinary", "stiff"))
+    assert force == pytest.approx(0.1946, rel=1e-3, abs=0.0)
+    assert ordinary == pytest.approx(0.2670, rel=1e-3, abs=0.0)
+    assert stiff == math.inf
+    # between the two edges the arm holds what the constant force does not
+    cells = {hand: line(hand).cell(200.0).model_copy(update={"session_s": 12.0}) for hand in ("force", "ordinary")}
+    assert run_cell(cells["force"]).verdict != "stable"
+    assert run_cell(cells["ordinary"]).verdict == "stable"
+
+
+def test_residue_of_a_motion_that_friction_brakes_is_no_growth() -> None:
+    cell = Cell(law="virtual_impedance", environment="spring", hand="soft", round_trip_ms=93.0, stiffness_n_per_m=10.0)
+    assert run_cell(cell).verdict == "stable"

@@ -6,8 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from services.haptic_node.config import DeviceConfig
+from services.haptic_node.motor import closed_loop_coefficients
 from studies.cells import Cell
-from studies.transparency import FREQUENCY_HZ, hand_programme, measure
+from studies.transparency import FREQUENCY_HZ, Spectrum, drift_m, hand_programme, measure, spectrum
 
 
 def cell(delay_ms: float, **more: Any) -> Cell:
@@ -56,3 +58,53 @@ def test_programme_is_a_sine_on_a_ramp() -> None:
     sine = forces[2:] - 1.0
     assert np.abs(sine).max() == pytest.approx(0.3, rel=1e-4, abs=0.0)
     assert abs(sine.mean()) < 1e-6
+
+
+def servo(omega: float) -> complex:
+    """Return x_m/x_mr of the device, whose command acts a period after the force that it answers."""
+    square, damping = closed_loop_coefficients(DeviceConfig().to_params())
+    return complex(square * np.exp(-1e-3j * omega)) / complex(square - omega**2, damping * omega)
+
+
+def test_hybrid_matrix_is_that_of_the_law_and_its_device() -> None:
+    delay_s, omega = 30e-3, 2.0 * math.pi * 5.0
+    found = spectrum(cell(30.0), (5.0,))
+    assert found.hybrid[0] is not None
+    h11, h12, h21, h22 = found.hybrid[0]
+    # at the device the motion is D v; the hold is worth half a period, and what the tip feels is noted at a tick's end
+    assert h11 == pytest.approx(complex(2000.0, 10.0 * omega) / 20.0 / servo(omega), rel=0.02, abs=0.0)
+    assert h12 == pytest.approx(1.05 * np.exp(-1j * omega * (0.5 * delay_s - 0.5e-3)), rel=0.02, abs=0.0)
+    assert h21 == pytest.approx(-np.exp(-1j * omega * 0.5 * delay_s) / servo(omega), rel=0.03, abs=0.0)
+    assert abs(h22) < 1e-2 / abs(h11)
+
+
+def passive_to(round_trip_s: float, frequencies_hz: tuple[float, ...]) -> float:
+    """Return K [N/m] from which Re Z < 0 at one of the frequencies, Z = (Z_v + G e^(-sT)/s) / (K_f D)."""
+
+    def least(stiffness: float) -> float:
+        shares = []
+        for omega in (2.0 * math.pi * frequency for frequency in frequencies_hz):
+            held = 21.0 * 150.0 * stiffness * np.exp(-1j * omega * (round_trip_s + 0.5e-3)) / (1j * omega)
+            impedance = (complex(2000.0, 10.0 * omega) + held) / servo(omega)
+            shares.append(impedance.real / abs(impedance))
+        return min(shares) + 2e-3
+
+    low, high = 0.5, 400.0
+    for _ in range(50):
+        middle = math.sqrt(low * high)
+        low, high = (middle, high) if least(middle) >= 0.0 else (low, middle)
+    return low
+
+
+def test_z_width_ends_where_the_impedance_turns_active() -> None:
+    frequencies = (2.0,)
+    found: Spectrum = spectrum(cell(60.0), frequencies)
+    # seven halvings of a factor of 800 leave 5 %
+    assert found.passive_n_per_m == pytest.approx(passive_to(0.06, frequencies), rel=0.08, abs=0.0)
+    assert found.z_width_db is not None
+
+
+def test_hand_walks_only_where_the_law_lets_it() -> None:
+    still = drift_m(cell(20.0))
+    assert still is not None
+    assert abs(still) < 1e-6

@@ -17,7 +17,9 @@ from services.runtime.scenario import Scenario
 from studies import validate as study
 from studies.cells import Cell, trajectory_of
 from studies.link import symmetric_link
-from studies.validate import Agreement, Bus, StudyError, bus_edges, compare, run_on_bus, scenario_of
+from studies.lockstep import Trajectory
+from studies.sample import drawn_cells
+from studies.validate import Agreement, Bus, StudyError, bus_edges, compare, draws_of, run_on_bus, scenario_of
 
 
 def cell(**changes: Any) -> Cell:
@@ -45,7 +47,7 @@ def test_scenario_says_what_the_cell_says() -> None:
 
 def test_the_same_course_agrees() -> None:
     course = trajectory_of(cell())
-    found = compare(cell(), course, course)
+    found = compare(cell(), [course], course)
     assert found.agree
     assert found.difference_share == 0.0
     assert found.lockstep == found.bus == "stable"
@@ -56,15 +58,15 @@ def test_courses_agree_up_to_the_tolerance(offset_share: float, agrees: bool) ->
     course = trajectory_of(cell())
     # 2 N is the hand's greatest force
     moved = dataclasses.replace(course, tip_force_n=course.tip_force_n + offset_share * 2.0 / 1e8)
-    found = compare(cell(), course, moved)
+    found = compare(cell(), [course], moved)
     assert found.difference_share == pytest.approx(offset_share, rel=1e-6, abs=0.0)
     assert found.agree is agrees
 
 
 def test_other_verdict_is_no_agreement_and_another_way_of_failing_is_one() -> None:
     stable, cycling = trajectory_of(cell()), trajectory_of(cell(round_trip_ms=70.0))
-    assert not compare(cell(), stable, cycling).agree
-    found = compare(cell(round_trip_ms=70.0), cycling, cycling)
+    assert not compare(cell(), [stable], cycling).agree
+    found = compare(cell(round_trip_ms=70.0), [cycling], cycling)
     assert found.agree
     assert found.difference_share is None
 
@@ -72,9 +74,56 @@ def test_other_verdict_is_no_agreement_and_another_way_of_failing_is_one() -> No
 def test_bus_that_starts_within_a_tick_is_compared_in_time() -> None:
     course = trajectory_of(cell())
     late = dataclasses.replace(course, time_s=course.time_s + 4e-4)
-    found = compare(cell(), course, late)
+    found = compare(cell(), [course], late)
     assert found.difference_share is not None
     assert 0.0 < found.difference_share < 0.02
+
+
+def moved_by(course: Trajectory, share: float) -> Trajectory:
+    """Return a course with a force at the tip that differs by a share of the hand's 2 N."""
+    return dataclasses.replace(course, tip_force_n=course.tip_force_n + share * 2.0 / 1e8)
+
+
+@pytest.mark.parametrize(("share", "agrees"), [(0.0, True), (0.115, True), (0.125, False)])
+def test_over_a_random_link_the_bus_has_to_be_as_near_as_the_draws_are(share: float, agrees: bool) -> None:
+    course = trajectory_of(cell())
+    draws = [moved_by(course, offset) for offset in (0.0, 0.02, 0.06)]
+    found = compare(cell(loss=0.1), draws, moved_by(course, share))
+    assert found.tolerance_share == pytest.approx(0.06, rel=1e-6, abs=0.0)
+    assert found.agree is agrees
+
+
+def test_draws_that_differ_leave_the_verdict_undecided() -> None:
+    stable, cycling = trajectory_of(cell()), trajectory_of(cell(round_trip_ms=70.0))
+    for bus in (stable, cycling):
+        found = compare(cell(loss=0.1), [stable, stable, cycling], bus)
+        assert found.undecided
+        assert found.agree
+    far = compare(cell(loss=0.1), [stable, stable, cycling], moved_by(stable, 20.0))
+    assert not far.agree
+
+
+def test_constant_link_has_one_draw_and_a_random_one_several(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(study, "SEEDS", 3)
+    assert len(draws_of(cell(session_s=5.0))) == 1
+    draws = draws_of(cell(session_s=5.0, loss=0.2))
+    assert len(draws) == study.SEEDS
+    assert len({float(course.tip_force_n.sum()) for course in draws}) == study.SEEDS
+
+
+def test_drawn_sample_is_that_of_its_seed_and_can_run_on_the_bus() -> None:
+    cells = drawn_cells(20, 1)
+    assert cells == drawn_cells(20, 1)
+    assert cells != drawn_cells(20, 2)
+    assert len(set(cells)) == 20
+    assert len({c.law for c in cells}) >= 4
+    for drawn in cells[:5]:
+        assert validate(Scenario, scenario_of(drawn), "test").duration_s == drawn.hold_s()[1]
+
+
+def test_body_cannot_run_on_the_bus() -> None:
+    with pytest.raises(ConfigError, match="cannot simulate a body"):
+        scenario_of(cell(environment="body"))
 
 
 def test_spring_needs_an_instrument_that_can_be_one(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -49,6 +49,12 @@ def test_bad_numbers_name_option_and_remedy(text: str, words: str) -> None:
     assert str(caught.value).startswith("--delay")
 
 
+def test_frequencies_have_whole_periods() -> None:
+    assert values.frequencies("5,0.5") == (0.5, 5.0)
+    with pytest.raises(ConfigError, match=r"--frequency 3: a period of 333\.333 ms"):
+        values.frequencies("3")
+
+
 def test_laws_jitter_and_loss() -> None:
     assert values.laws("all") == tuple(LAWS)
     assert values.laws("wave, smith,wave") == ("wave", "smith")
@@ -75,6 +81,8 @@ def test_laws_jitter_and_loss() -> None:
         (["--set", "virtual_impedance.mass_kg"], "not of the form"),
         (["--set", "virtual_impedance.mass_kg=-1"], "mass_kg"),
         (["--set", "virtual_impedance.unknown=1"], "unknown"),
+        (["--mass", "0.1"], "--mass: spring has none; give --environment body"),
+        (["--environment", "body", "--mass", "1e-7"], "it must be at least"),
     ],
 )
 def test_bad_options_end_in_a_sentence_and_code_2(tmp_path: Path, options: list[str], words: str) -> None:
@@ -102,6 +110,15 @@ def test_stability_prints_one_object(tmp_path: Path) -> None:
     assert {p.name for p in tmp_path.iterdir()} >= {"stability.html", "stability.png", "stability.parquet"}
 
 
+def test_loop_that_no_delay_upsets_ends_in_a_page(tmp_path: Path) -> None:
+    options = ["--delay", "0,20", "--stiffness", "5", "--hand", "stiff", "--workers", "1", "--out", str(tmp_path)]
+    result = RUN.invoke(app, [*STABILITY, *options, "--json"])
+    assert result.exit_code == 0, result.output
+    (line,) = json.loads(result.stdout)["lines"]
+    assert (line["hand"], line["theory_unlimited"], line["theory_delay_ms"]) == ("stiff", True, None)
+    assert "any" in (tmp_path / "stability.html").read_text()
+
+
 def test_stability_prints_a_table(tmp_path: Path) -> None:
     options = ["--delay", "0,60", "--stiffness", "38", "--workers", "1", "--out", str(tmp_path)]
     result = RUN.invoke(app, [*STABILITY, *options])
@@ -112,19 +129,29 @@ def test_stability_prints_a_table(tmp_path: Path) -> None:
 
 def test_transparency_prints_one_object(tmp_path: Path) -> None:
     options = ["--law", "virtual_impedance", "--delay", "0,100", "--out", str(tmp_path), "--json"]
-    result = RUN.invoke(app, ["transparency", *options])
+    result = RUN.invoke(app, ["transparency", *options, "--frequency", "2,5"])
     assert result.exit_code == 0, result.output
     first, second = json.loads(result.stdout)["rows"]
     assert first["verdict"] == "stable"
     assert second["rendered_stiffness_n_per_m"] is None
+    # the delay takes stiffness from what can be rendered passively: B_v = 2000 N s/m over K_f + 1 and the delay
+    assert first["passive_n_per_m"] > 5.0 * second["passive_n_per_m"] > 0.0
     assert "http" not in (tmp_path / "transparency.html").read_text()
+    assert {p.name for p in tmp_path.iterdir()} >= {"impedances.png", "hybrid-0ms.png", "spectra.parquet"}
 
 
 def test_compare_puts_laws_on_one_page(tmp_path: Path) -> None:
     options = ["--law", "virtual_impedance", "--delay", "60", "--map-delay", "0,100", "--stiffness", "20"]
+    options += ["--hand", "force", "--seeds", "1", "--frequency", "5"]
     result = RUN.invoke(app, ["compare", *options, "--workers", "1", "--out", str(tmp_path), "--json"])
     assert result.exit_code == 0, result.output
-    law = json.loads(result.stdout)["laws"]["virtual_impedance"]
+    summary = json.loads(result.stdout)
+    law = summary["laws"]["virtual_impedance"]
+    # tuned for the delay it holds, and that is what the page tells to take
+    assert {row["verdict"] for row in law["merits"] if row["loss"] == 0.0} == {"stable"}
+    assert summary["advice"][0].startswith("Over a constant link take at 60 ms virtual_impedance with the clamp")
+    assert len(summary["advice"]) == 3
+    assert (tmp_path / "merits.png").exists()
     assert law["critical_delay_ms"]["20"] == pytest.approx(45.51, rel=2e-3, abs=0.0)
     assert 50.0 < law["critical_delay_contact_ms"] < 53.0
     assert law["contact"]["60"]["verdict"] == "limit_cycle"

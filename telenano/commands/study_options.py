@@ -1,0 +1,105 @@
+"""Options that the studies share.
+
+What imports numba is not imported here, so that `telenano study --help` answers at once.
+"""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+# that of `studies.cells`, which imports numba
+Environment = Literal["spring", "wall", "contact", "body"]
+Hand = Literal["force", "soft", "ordinary", "stiff"]
+
+
+class EnvironmentName(StrEnum):
+    """The environment that the tip touches."""
+
+    SPRING = "spring"
+    WALL = "wall"
+    CONTACT = "contact"
+    BODY = "body"
+
+
+class HandName(StrEnum):
+    """What presses: a constant force, or an arm on its way along a path."""
+
+    FORCE = "force"
+    SOFT = "soft"
+    ORDINARY = "ordinary"
+    STIFF = "stiff"
+
+
+class SampleName(StrEnum):
+    """A sample in words, and its stiffness."""
+
+    SOFT = "soft"
+    ORDINARY = "ordinary"
+    STIFF = "stiff"
+
+
+_SAMPLES_N_PER_M = {SampleName.SOFT: 5.0, SampleName.ORDINARY: 20.0, SampleName.STIFF: 80.0}
+
+
+LawOption = Annotated[str, typer.Option("--law", metavar="LAW[,LAW]|all", help="Laws to study.")]
+EnvironmentOption = Annotated[
+    EnvironmentName,
+    typer.Option(
+        "--environment",
+        help="spring: F = K (x_s - L); wall: the same, but only pushing; contact: the tip-sample force of Table 2;"
+        " body: mass, damper and spring K, touched through the cantilever.",
+    ),
+]
+HandOption = Annotated[
+    HandName,
+    typer.Option(
+        "--hand", "--arm", help="force: a constant force whatever the device does; else an arm of 50, 300 or 1000 N/m."
+    ),
+]
+MassOption = Annotated[
+    float | None, typer.Option("--mass", metavar="KG", help="Mass of the body, at the tip; default 0.01 kg.")
+]
+BodyDampingOption = Annotated[
+    float | None,
+    typer.Option("--body-damping", metavar="N*S/M", help="Damper of the body, at the tip; default 0.02 N s/m."),
+]
+FrequencyOption = Annotated[
+    str, typer.Option("--frequency", metavar="LIST", help="Sines of the hand [Hz], of a whole number of ms each.")
+]
+StiffnessOption = Annotated[
+    str | None,
+    typer.Option(
+        "--stiffness",
+        metavar="LIST|RANGE",
+        help="K of the spring, or k of the cantilever [N/m]; default: 10,20,38 for spring, 40 for contact.",
+    ),
+]
+JitterOption = Annotated[
+    str,
+    typer.Option("--jitter", metavar="LIST", help="Half-width of uniform jitter each way [ms], or n% of the delay."),
+]
+LossOption = Annotated[
+    str, typer.Option("--loss", metavar="LIST", help="Share of messages lost each way, 0 to 1, or n%.")
+]
+SeedOption = Annotated[int, typer.Option("--seed", min=0, help="Seed of the link's random streams.")]
+LengthOption = Annotated[
+    float | None,
+    typer.Option("--duration", metavar="S", help="Length of each session [s]; default: grows with the delay."),
+]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="LAW.KEY=VALUE", help="Change a parameter of a law (SI units); may be repeated."),
+]
+WorkersOption = Annotated[
+    int | None, typer.Option("--workers", min=1, metavar="N", help="Processes on this machine; default: one a core.")
+]
+SchedulerOption = Annotated[
+    str | None,
+    typer.Option("--scheduler", metavar="ADDRESS", help="Dask scheduler to run on, such as tcp://host:8786."),
+]
+OutOption = Annotated[
+    Path,
+    typer.Option("--out", metavar="DIR", help="Folder for page, figures, table and journal; resumes a journal."),
+]
