@@ -40,6 +40,9 @@ LAZY_COMMANDS = {
         "app",
         "Study each law in lockstep: stability, transparency.",
     ),
+    "sample": LazyCommand(
+        "telenano.commands.sample", "sample", "Make or read a surface, and show what a round tip sees of it."
+    ),
     "keys": LazyCommand("telenano.commands.keys", "app", "Make, show and list the keys that identify machines."),
     "doctor": LazyCommand("telenano.doctor.report", "doctor", "Check whether this machine can run a rig."),
 }

@@ -1,0 +1,88 @@
+"""Images for other programs: .gwy and .gsf of Gwyddion, PNG for the eye.
+
+Rows are given with y rising, as everywhere here; in the files the first row is the top of the picture.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from services.afm_node.surface_files import GSF_MAGIC
+
+
+class Image(NamedTuple):
+    """One channel: title, unit of its values, values of shape (rows, columns) with y rising, sides [m]."""
+
+    title: str
+    unit: str
+    values: npt.NDArray[np.float64]
+    width_m: float
+    depth_m: float
+
+
+def write_gsf(path: Path, image: Image) -> None:
+    """Write one channel as a Gwyddion Simple Field: a header in words, then 32-bit numbers."""
+    rows, columns = image.values.shape
+    header = (
+        f"XRes = {columns}\nYRes = {rows}\nXReal = {float(image.width_m)!r}\nYReal = {float(image.depth_m)!r}\n"
+        f"XYUnits = m\nZUnits = {image.unit}\nTitle = {image.title}\n"
+    )
+    content = GSF_MAGIC + header.encode()
+    content += b"\0" * (4 - len(content) % 4)
+    path.write_bytes(content + np.ascontiguousarray(image.values[::-1], dtype="<f4").tobytes())
+
+
+def write_gwy(path: Path, images: Mapping[str, Image]) -> None:
+    """Write channels into one Gwyddion file; the titles are those of the images."""
+    from gwyfile.objects import GwyContainer, GwyDataField, GwySIUnit
+
+    container = GwyContainer()
+    for number, image in enumerate(images.values()):
+        field = GwyDataField(
+            np.ascontiguousarray(image.values[::-1], dtype="<f8"),
+            xreal=image.width_m,
+            yreal=image.depth_m,
+            si_unit_xy=GwySIUnit(unitstr="m"),
+            si_unit_z=GwySIUnit(unitstr=image.unit),
+        )
+        container[f"/{number}/data"] = field
+        container[f"/{number}/data/title"] = image.title
+    container.tofile(str(path))
+
+
+def write_png(path: Path, images: Mapping[str, Image]) -> None:
+    """Draw channels beside each other, each with its scale."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    count = len(images)
+    columns = min(count, 3)
+    rows = -(-count // columns)
+    figure = Figure(figsize=(4.6 * columns, 3.9 * rows), layout="constrained")
+    FigureCanvasAgg(figure)
+    for place, image in enumerate(images.values(), start=1):
+        axes = figure.add_subplot(rows, columns, place)
+        factor, unit = _readable(image.values, image.unit)
+        side, side_unit = _readable(np.array([image.width_m, image.depth_m]), "m")
+        extent = (0.0, image.width_m * side, 0.0, image.depth_m * side)
+        shown = axes.imshow(image.values * factor, origin="lower", extent=extent, cmap="afmhot", aspect="equal")
+        figure.colorbar(shown, ax=axes, label=unit)
+        axes.set_title(image.title)
+        axes.set_xlabel(f"x [{side_unit}]")
+        axes.set_ylabel(f"y [{side_unit}]")
+    figure.savefig(path, dpi=120)
+
+
+_PREFIXES = ((1e-18, "a"), (1e-15, "f"), (1e-12, "p"), (1e-9, "n"), (1e-6, "µ"), (1e-3, "m"), (1.0, ""), (1e3, "k"))
+
+
+def _readable(values: npt.NDArray[np.float64], unit: str) -> tuple[float, str]:
+    """Return the factor and the unit with which values are between 1 and 1000."""
+    if unit in ("deg", "rad", ""):
+        return 1.0, unit
+    largest = float(np.abs(values).max())
+    base, prefix = max((row for row in _PREFIXES if row[0] <= largest), default=(1.0, ""))
+    return 1.0 / base, prefix + unit

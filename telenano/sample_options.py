@@ -1,0 +1,55 @@
+"""Options of the commands that put a sample under the tip."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from proto.errors import ConfigError
+from services.runtime.config import flag_overrides, validate
+
+if TYPE_CHECKING:
+    from services.afm_node.sample import SampleConfig
+
+SampleOption = Annotated[
+    str,
+    typer.Option(
+        "--sample",
+        metavar="NAME|FILE|MODULE:FUNCTION",
+        help="flat, dots, grating, a height map (.gsf, .gwy, .ibw, .npy), or a function of x and y [m].",
+    ),
+]
+SampleSizeOption = Annotated[
+    float | None,
+    typer.Option("--size", metavar="NM", help="Side of the sample [nm], for all but files that say it; default: 150."),
+]
+ChannelOption = Annotated[
+    str | None, typer.Option("--channel", metavar="NAME", help="Part of the name of a file's channel; default: height.")
+]
+SampleSetOption = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Change a key of the sample, such as dot_count=20 (repeatable)."),
+]
+
+
+def sample_config(
+    name: str, size_nm: float | None, channel: str | None, settings: Sequence[str] | None
+) -> "SampleConfig":
+    """Return the sample that the options describe; ConfigError names the option or key."""
+    from services.afm_node.sample import SampleConfig
+
+    given: dict[str, Any] = {"name": name, **flag_overrides(settings or ())}
+    if size_nm is not None:
+        given["size_m"] = size_nm * 1e-9
+    if channel is not None:
+        given["channel"] = channel
+    return validate(SampleConfig, given, "--sample")
+
+
+def make_folder(out: Path) -> None:
+    """Make a folder for results; ConfigError when it cannot be made."""
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"--out {out}: cannot be made: {error.strerror}") from error

@@ -1,0 +1,143 @@
+"""Samples from files and functions: what is read is what was written, and what is wrong is named."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from analysis.image_files import Image, write_gsf, write_gwy
+from proto.errors import ConfigError
+from services.afm_node.sample import SampleConfig
+from services.afm_node.surface_files import read_surface
+
+DATA = Path(__file__).parents[4] / "shared" / "data" / "spot_1-1000nm.ibw"
+HEIGHTS = np.random.default_rng(5).normal(0.0, 3e-9, (7, 11)).astype(np.float32).astype(float)
+IMAGE = Image("Height", "m", HEIGHTS, 110e-9, 35e-9)
+
+
+def waves(x_m, y_m):
+    return 2e-9 * np.sin(x_m / 10e-9) + 0.0 * y_m
+
+
+def broken(x_m, y_m):
+    raise ZeroDivisionError
+
+
+@pytest.fixture
+def gsf(tmp_path):
+    write_gsf(tmp_path / "map.gsf", IMAGE)
+    return tmp_path / "map.gsf"
+
+
+def damaged(path, old, new):
+    content = path.read_bytes()
+    assert old in content
+    # the header is padded to a multiple of four
+    header, data = content.replace(old, new, 1).split(b"\0", 1)
+    path.write_bytes(header + b"\0" * (4 - len(header) % 4) + data.lstrip(b"\0"))
+    return path
+
+
+def test_a_simple_field_comes_back_as_it_was_written(gsf):
+    surface = read_surface(gsf)
+    assert np.array_equal(surface.height_m, HEIGHTS)
+    assert (surface.width_m, surface.depth_m) == pytest.approx((110e-9, 35e-9), rel=1e-12, abs=0)
+
+
+def test_a_channel_of_a_gwyddion_file_is_found_by_its_height_or_name(tmp_path):
+    path = tmp_path / "map.gwy"
+    phase = IMAGE._replace(title="Phase", unit="deg", values=HEIGHTS * 1e9)
+    other = IMAGE._replace(title="Retrace Height", values=2 * HEIGHTS)
+    write_gwy(path, {"phase": phase, "height": IMAGE, "other": other})
+    assert np.array_equal(read_surface(path).height_m, HEIGHTS)
+    assert np.array_equal(read_surface(path, "retrace").height_m, 2 * HEIGHTS)
+    with pytest.raises(ConfigError, match="the unit of the heights of channel Phase is 'deg'"):
+        read_surface(path, "phase")
+    with pytest.raises(ConfigError, match="has no channel 'current'; it has: Phase, Height, Retrace Height"):
+        read_surface(path, "current")
+
+
+def test_a_file_in_nanometres_is_converted(tmp_path):
+    write_gsf(tmp_path / "nm.gsf", IMAGE._replace(unit="nm", values=HEIGHTS * 1e9))
+    assert np.allclose(read_surface(tmp_path / "nm.gsf").height_m, HEIGHTS, rtol=1e-6, atol=0)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "what"),
+    [
+        (b"Gwyddion Simple", b"Gwyddion Sample", "is no Gwyddion Simple Field"),
+        (b"ZUnits = m", b"ZUnits = V", "the unit of the heights of channel Height is 'V'; it must be a length"),
+        (b"XYUnits = m\n", b"", "the unit of the sides of channel Height is none"),
+        (b"XRes = 11", b"XRes = 12", "has 308 bytes of heights; 12 x 7 of 4 bytes are 336"),
+        (b"XRes = 11", b"XRes = -1", "XRes is -1; it must be a whole number"),
+        (b"YRes = 7\n", b"", "YRes is missing"),
+        (b"XReal = 1.1e-07", b"XReal = nan", "XReal is nan"),
+        (b"Title = Height", b"Title", "has the line 'Title'"),
+    ],
+)
+def test_a_wrong_simple_field_is_named_with_what_is_wrong(gsf, old, new, what):
+    with pytest.raises(ConfigError, match=what) as error:
+        read_surface(damaged(gsf, old, new))
+    assert str(error.value).startswith(f"{gsf}: ")
+
+
+def test_no_truncation_gives_a_traceback_or_a_map(tmp_path, gsf):
+    write_gwy(tmp_path / "map.gwy", {"height": IMAGE})
+    np.save(tmp_path / "map.npy", HEIGHTS[:, :7])
+    for path in (gsf, tmp_path / "map.gwy", tmp_path / "map.npy"):
+        whole = path.read_bytes()
+        size_m = 1e-7 if path.suffix == ".npy" else None
+        for length in (0, 5, 30, len(whole) // 2, len(whole) - 1):
+            path.write_bytes(whole[:length])
+            with pytest.raises(ConfigError, match=str(path)):
+                read_surface(path, size_m=size_m)
+
+
+def test_an_array_needs_its_side_and_must_be_square_finite_and_of_numbers(tmp_path):
+    path = tmp_path / "map.npy"
+    np.save(path, HEIGHTS[:, :7])
+    assert read_surface(path, size_m=70e-9).width_m == pytest.approx(70e-9, rel=1e-12, abs=0)
+    with pytest.raises(ConfigError, match="give the side of the map"):
+        read_surface(path)
+    for values, what in (
+        (HEIGHTS, "must be square"),
+        (np.full((3, 3), np.inf), "no finite number"),
+        (np.array([["a"]]), "no array of numbers"),
+        (np.array([[None]]), "allow_pickle"),
+        (HEIGHTS[:, :7] * 1e9, "is its unit of height right"),
+    ):
+        np.save(path, values)
+        with pytest.raises(ConfigError, match=what):
+            read_surface(path, size_m=70e-9)
+
+
+def test_files_of_other_kinds_and_sizes_that_contradict_are_refused(gsf, tmp_path):
+    with pytest.raises(ConfigError, match=r"map.spm: is no height map that can be read; these are .gsf, .gwy"):
+        read_surface(tmp_path / "map.spm")
+    with pytest.raises(ConfigError, match="says its own size"):
+        read_surface(gsf, size_m=1e-7)
+    with pytest.raises(ConfigError, match="cannot be read: No such file"):
+        read_surface(tmp_path / "none.ibw")
+
+
+def test_a_sample_of_ones_own_is_a_function_of_x_and_y():
+    surface = SampleConfig(name=f"{__name__}:waves", size_m=1e-7, pixels=50).build()
+    assert surface.height_m[3, 10] == pytest.approx(2e-9 * np.sin(10.5 * 2e-9 / 10e-9), rel=1e-12, abs=0)
+    for name, what in (
+        (f"{__name__}:missing", "has no such function"),
+        ("no_such_module:f", "has no such function"),
+        (f"{__name__}:broken", "failed for arrays of x and y in m: ZeroDivisionError"),
+    ):
+        with pytest.raises(ConfigError, match=what):
+            SampleConfig(name=name, pixels=8).build()
+
+
+@pytest.mark.skipif(not DATA.exists(), reason="measured data are not beside the project: ../shared/data")
+def test_a_measured_topography_is_read_in_metres():
+    surface = read_surface(DATA)
+    assert surface.height_m.shape == (256, 256)
+    # 20 um over 255 intervals, 256 pixels
+    assert surface.width_m == pytest.approx(20e-6 * 256 / 255, rel=1e-6, abs=0)
+    assert surface.height_m.std() == pytest.approx(89.45e-9, rel=1e-3, abs=0)
+    with pytest.raises(ConfigError, match="PhaseTrace is 'deg'"):
+        read_surface(DATA, "phase")
