@@ -195,6 +195,14 @@ class HapticState(_Extended):
     )
 
 
+class OperatorForce(Message):
+    """The force of an operator who has no device, for a simulated one: from the page of the view."""
+
+    force_n: ForceVector = Field(
+        description="Force on the device by the operator in the master frame [N]; pushing is -z, F_m = -z"
+    )
+
+
 class HapticCommand(Message, _HandSample):
     """What the master half of the law asks of the device."""
 

@@ -47,6 +47,7 @@ NODES = (
         required=False,
         no_rerun="it repeats the messages of another recording: `telenano bag diff` compares the two",
     ),
+    NodeRow("view@master", "visitor", required=False, no_rerun=_BY_HAND),
     NodeRow("estop@master", "visitor", required=False, no_rerun=_BY_HAND),
     NodeRow("estop@slave", "visitor", required=False, no_rerun=_BY_HAND),
 )
@@ -56,6 +57,7 @@ HAND, TIP = "haptic_node@master", "afm_node@slave"
 DEVICES = (HAND, TIP)
 LAUNCHER = "launcher@master"
 PLAYER = "player@master"
+VIEW = "view@master"
 RECORDER = "recorder@master"
 # the name of the process between the sites, and its endpoint at either one
 LINK = "delay_node"

@@ -278,7 +278,21 @@ class ImpedanceConfig(Settings):
         )
 
 
-OperatorConfig = Annotated[ForceProfileConfig | ImpedanceConfig, Field(discriminator="kind")]
+class InteractiveConfig(Settings):
+    """A hand that presses with the force of operator/force while the session runs: a person at the page of the view."""
+
+    kind: Literal["interactive"] = Field(description="Selects this model of the hand")
+    force_deadline_s: float = Field(
+        default=0.1, ge=0.01, le=1.0, description="Age of the newest force from which on there is none [s]; [0.01, 1]"
+    )
+    max_force_n: MaxForce = 10.0
+
+    def to_params(self) -> OperatorParams:
+        # a profile of one corner, which the device holds until it is told another force
+        return OperatorParams(FORCE_PROFILE, np.zeros(1), np.zeros(1), 0.0, 0.0, 0.0, 0.0, 0.0, self.max_force_n)
+
+
+OperatorConfig = Annotated[ForceProfileConfig | ImpedanceConfig | InteractiveConfig, Field(discriminator="kind")]
 
 
 class SerialConfig(Settings):

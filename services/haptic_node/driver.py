@@ -5,7 +5,7 @@ A driver obeys; it does not judge. The guard in `safety.py` stands in front of i
 sample.
 """
 
-from typing import Literal, NamedTuple, Protocol
+from typing import Literal, NamedTuple, Protocol, runtime_checkable
 
 from proto.errors import ConfigError
 
@@ -103,3 +103,11 @@ class HapticDevice(Protocol):
 
     def make_safe(self) -> None:
         """Bring the drive to its safe state (off) now; never raises, also when closed."""
+
+
+@runtime_checkable
+class PushedDevice(Protocol):
+    """A device whose hand is simulated and takes its force from outside."""
+
+    def push(self, force_n: float) -> None:
+        """Hold a force of the hand [N], towards the sample, until the next one."""

@@ -3,10 +3,17 @@
 import math
 from typing import ClassVar
 
-from proto.messages import HapticCommand, LinkDelay, SessionControl
+from proto.messages import HapticCommand, LinkDelay, OperatorForce, SessionControl
 from services.haptic_node import safety
-from services.haptic_node.config import HapticConfig
-from services.haptic_node.driver import DeviceReading, DeviceReport, DriveCommand, HapticDevice, Status
+from services.haptic_node.config import HapticConfig, InteractiveConfig
+from services.haptic_node.driver import (
+    DeviceReading,
+    DeviceReport,
+    DriveCommand,
+    HapticDevice,
+    PushedDevice,
+    Status,
+)
 from services.runtime.bus import Received
 from services.runtime.deadlines import PeriodicDeadline
 from services.runtime.frames import to_paper_axis, to_site_frame
@@ -14,7 +21,7 @@ from services.runtime.freshness import LOOP_DEADLINE_NS, HandAge, age_s
 from services.runtime.node import Node, NodeContext
 from services.runtime.replay_guard import ReplayGuard
 
-INPUTS = ("haptic/command", "link/delay", "session/control", "node/health")
+INPUTS = ("haptic/command", "operator/force", "link/delay", "session/control", "node/health")
 PERIOD_S = 1e-3
 _MODE_CODES = {name: code for code, name in safety.MODE_NAMES.items()}
 # what acts on the way to the device without being a change of its mode
@@ -54,6 +61,11 @@ class HapticNode(Node):
         self._command: HapticCommand | None = None
         self._command_received_ns = 0
         self._command_is_new = False
+        operator = config.operator
+        self._force_deadline_s = operator.force_deadline_s if isinstance(operator, InteractiveConfig) else None
+        # the force of an operator without a device, when it came, and the one that the simulated hand holds
+        self._operator_force_n, self._operator_force_ns, self._pushed_n = 0.0, 0, 0.0
+        self._ignored_force = False
         self._estop_requested = False
         self._arm_requested = False
         self._session_ticks: int | None = None
@@ -78,6 +90,8 @@ class HapticNode(Node):
             self._command_is_new = True
         elif type(received.message) is LinkDelay:
             self._hand_age.record(received.message)
+        elif isinstance(received.message, OperatorForce):
+            self._on_operator_force(received.message, received.received_ns)
 
     def on_deadline(self, now_ns: int) -> None:
         """Guard the command, drive and sample the device, publish what it did."""
@@ -88,6 +102,7 @@ class HapticNode(Node):
         if self._session_ticks is not None:
             self._session_ticks += periods
         applied = self._guarded()
+        self._push()
         self.device.write(DriveCommand(applied.mode, applied.position_reference_m, applied.force_reference_n))
         reading = self.device.read(self._session_s(), elapsed_s)
         self._position_m = reading.position_m
@@ -124,8 +139,29 @@ class HapticNode(Node):
         late_ns = now_ns - self._grid.deadline_ns
         if late_ns > LOOP_DEADLINE_NS and self.steps:
             self._command = None
+            self._operator_force_n = 0.0
             text = f"this process stalled for {late_ns * 1e-6:.0f} ms: the motor is off until the next command"
             self.event("fault", "warning", text, stalled_s=late_ns * 1e-9)
+
+    def _on_operator_force(self, message: OperatorForce, received_ns: int) -> None:
+        """Take the force of a person without a device; say once where the scenario has another operator."""
+        if self._force_deadline_s is not None:
+            self._operator_force_n, self._operator_force_ns = to_paper_axis(message.force_n), received_ns
+        elif not self._ignored_force:
+            self._ignored_force = True
+            text = f"the force of {message.src} is ignored: haptic_node.operator.kind must be interactive for it"
+            self.event("fault", "warning", text, source=message.src)
+
+    def _push(self) -> None:
+        """Let the simulated hand hold the newest force, or none where that is too old: its page may be gone."""
+        if self._force_deadline_s is None or not isinstance(self.device, PushedDevice):
+            return
+        # by its reception: the page and the rig may have been started with different clocks
+        fresh = age_s(self.clock.now_ns(), self._operator_force_ns) <= self._force_deadline_s
+        force_n = self._operator_force_n if fresh else 0.0
+        if force_n != self._pushed_n:
+            self._pushed_n = force_n
+            self.device.push(force_n)
 
     def _command_age_s(self) -> float:
         """Return the age of the command, or of the sample that it answers if it moves anything, if greater [s]."""

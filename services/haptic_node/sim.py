@@ -1,5 +1,7 @@
 """The simulated haptic device: motor and hand behind the driver protocol. No socket, no clock: time is passed in."""
 
+import numpy as np
+
 from services.haptic_node.driver import Capabilities, DeviceError, DeviceReading, DriveCommand
 from services.haptic_node.safety import MODE_NAMES, MODE_OFF, MODE_POSITION
 from services.haptic_node.step import PlantParams, PlantState, initial_plant, plant_step
@@ -74,6 +76,11 @@ class SimulatedHaptic:
             raise ValueError(f"dt_s of a reading must be a positive time in s, not {dt_s!r}")
         self._state, reading = plant_step(self._params, self._state, self._command, session_time_s, dt_s)
         return reading
+
+    def push(self, force_n: float) -> None:
+        """Hold a force of the hand from now on [N], towards the sample, in the place of the profile."""
+        values = np.array([force_n])
+        self._params = self._params._replace(operator=self._params.operator._replace(values=values))
 
     def make_safe(self) -> None:
         """Drive voltage zero from now on: the shorted motor brakes and the screw, not back-drivable, stands."""

@@ -11,9 +11,14 @@ from typing import Any
 
 from proto.errors import ConfigError, TelenanoError
 from proto.messages import Scalar
+from proto.nodes import VIEW
 from services.console.command_client import send_control
 from services.console.emergency_stop import Answer, LocalRig, emergency_stop
 from services.runtime.commands import Command, CommandName
+from services.runtime.ends import publish_end
+from services.runtime.frames import to_site_frame
+from services.runtime.main import load_site
+from services.runtime.participant import open_participant
 from services.viz_node.access import Access
 from services.viz_node.serve import address_of, bind, page_folder
 
@@ -61,6 +66,28 @@ class RigCommander:
                 lambda event: note(Answer(event.src, event.kind, event.text)),
             )
         return answers
+
+
+class RigHand:
+    """The force of an operator at a page, on `operator/force`: what a scenario with an interactive operator follows."""
+
+    def __init__(self, site_file: Path) -> None:
+        """Bind the endpoint of the view; ConfigError or EndpointError when the site file has none, or it is taken."""
+        self._open = contextlib.ExitStack()
+        participant = self._open.enter_context(open_participant(VIEW, load_site(site_file)))
+        try:
+            self._publisher = participant.bind(VIEW)
+        except TelenanoError:
+            self._open.close()
+            raise
+
+    def push(self, force_n: float) -> None:
+        self._publisher.publish("operator/force", force_n=to_site_frame(force_n))
+
+    def close(self) -> None:
+        """Publish the last message, and close the endpoint."""
+        publish_end(self._publisher, VIEW)
+        self._open.close()
 
 
 def forms() -> dict[str, Any]:

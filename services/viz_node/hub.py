@@ -43,10 +43,10 @@ class HandOutlet(Protocol):
     """Where the force of an operator at a page goes."""
 
     def push(self, force_n: float) -> None:
-        """Publish a force [N], towards the sample."""
+        """Publish a force [N], towards the sample; 0 when the hand lets go."""
 
     def close(self) -> None:
-        """Publish that there is none any more, and let go of the endpoint."""
+        """Let go of the endpoint."""
 
 
 class Session:
@@ -94,18 +94,20 @@ class Hub:
         self,
         source: Source,
         commander: Commander | None = None,
-        forms: Mapping[str, Any] | None = None,
+        forms: Callable[[], Mapping[str, Any]] | None = None,
         open_hand: Callable[[], HandOutlet] | None = None,
     ) -> None:
         """Prepare to serve a source.
 
         Parameters: commander, None where there is nothing to command; forms, JSON schemas of what `set` changes, by
-        node; open_hand, opens the way of the page's force to the haptic node, None where there is none.
+        node, which may take a second; open_hand, opens the way of the page's force to the haptic node, None where
+        there is none.
         """
         self.sessions: set[Session] = set()
         self._source = source
         self._commander = commander
-        self._forms = dict(forms or {})
+        self._make_forms = forms
+        self._forms: Mapping[str, Any] = {}
         self._open_hand = open_hand
         self._feed = Feed()
         self._turn = asyncio.Lock()
@@ -116,6 +118,7 @@ class Hub:
 
     async def run(self) -> None:
         """Tell the pages what changed, until cancelled."""
+        making = asyncio.create_task(self._prepare_forms())
         due_s = time.monotonic()
         try:
             while True:
@@ -124,7 +127,18 @@ class Hub:
                 due_s = max(due_s + period_s, time.monotonic())
                 await asyncio.sleep(due_s - time.monotonic())
         finally:
+            making.cancel()
             self._release()
+            if self._hand is not None:
+                self._hand.close()
+
+    async def _prepare_forms(self) -> None:
+        """Make the forms beside everything else, and tell the pages that have come meanwhile."""
+        if self._make_forms is None:
+            return
+        self._forms = await asyncio.to_thread(self._make_forms)
+        for session in self.sessions:
+            session.offer(_packed({"k": "forms", "forms": self._forms}))
 
     def tick(self) -> None:
         """Collect what has come and queue it for every page."""
@@ -231,11 +245,11 @@ class Hub:
             session.offer(_packed({"k": "hand", "held": False, "text": str(error)}))
 
     def _release(self) -> None:
-        """Let go of the hand: the force at the device is none."""
-        hand, self._hand, self._holder = self._hand, None, None
-        if hand is not None:
+        """Let go of the hand: the force at the device is none. The endpoint stays open for the next time."""
+        holder, self._holder = self._holder, None
+        if holder is not None and self._hand is not None:
             with contextlib.suppress(TelenanoError):
-                hand.close()
+                self._hand.push(0.0)
 
 
 def _packed(fields: Mapping[str, Any]) -> bytes:

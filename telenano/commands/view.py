@@ -12,7 +12,7 @@ import typer
 from presets import DEFAULT_SITE_FILE
 from proto.errors import ConfigError
 from recording.multi_file import open_recordings
-from services.launcher.view import SOCKET_VARIABLE, RigCommander, forms, missing_for_view, tokens_given
+from services.launcher.view import SOCKET_VARIABLE, RigCommander, RigHand, forms, missing_for_view, tokens_given
 from services.runtime.main import load_site
 from services.runtime.realtime import die_with_parent
 from services.viz_node.access import LOOPBACK, Access
@@ -23,8 +23,8 @@ from services.viz_node.serve import Tls, address_of, bind, check_exposure, page_
 from telenano.options import SiteFileOption
 from telenano.output import report_errors
 
-# behind every node of the rig: what is shown may come late, what is felt may not
-_NICENESS = 10
+# behind the nodes of the rig: what is shown may come late, what is felt may not
+_NICENESS = 5
 
 
 def view(
@@ -83,7 +83,9 @@ def view(
 def _hub_of(files: list[Path] | tuple[Path, ...], site_file: Path) -> Hub:
     if files:
         return Hub(RecordingPlayback(open_recordings(files), time.monotonic))
-    return Hub(LiveSource(load_site(site_file), str(site_file)), RigCommander(site_file), forms())
+    return Hub(
+        LiveSource(load_site(site_file), str(site_file)), RigCommander(site_file), forms, lambda: RigHand(site_file)
+    )
 
 
 def _inherited() -> socket.socket | None:

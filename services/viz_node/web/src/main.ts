@@ -42,6 +42,9 @@ connection.onFrame = (frame: ServerFrame) => {
     store.begin(frame);
     controls.build();
     hand.build();
+  } else if (frame.k === "forms") {
+    store.forms = frame.forms;
+    controls.build();
   } else if (frame.k === "tick") store.take(frame);
   else if (frame.k === "hand") hand.refuse(frame.text);
   dirty = true;

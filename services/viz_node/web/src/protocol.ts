@@ -112,7 +112,12 @@ export interface HandNotice {
   text: string;
 }
 
-export type ServerFrame = Tick | Snapshot | Answer | Refused | HandNotice;
+export interface Forms {
+  k: "forms";
+  forms: Facts;
+}
+
+export type ServerFrame = Forms | Tick | Snapshot | Answer | Refused | HandNotice;
 
 export function read(frame: ArrayBuffer): ServerFrame {
   return decode(new Uint8Array(frame)) as ServerFrame;
