@@ -32,7 +32,7 @@ class Topic:
 _COMMANDERS = ("launcher", "console", "console_*", "estop")
 _ROWS = (
     Topic("haptic/state", m.HapticState, ("haptic_node",), "latest", 1000.0, 0.05, None),
-    # as often as a page draws, and only while a person pushes: nobody waits for it, and no node is at fault where it ends
+    # as often as a page draws, while a person pushes: nobody waits for it, and no node is at fault where it ends
     Topic("operator/force", m.OperatorForce, ("view",), "lossless", None, None, None),
     Topic("haptic/command", m.HapticCommand, ("controller@master",), "latest", 1000.0, 0.05, None),
     Topic("teleop/forward", m.TeleopForward, ("controller@master",), "latest", 1000.0, 0.05, "forward"),

@@ -186,21 +186,21 @@ def _export_json(recording: Recording, target: Path, selection: Selection) -> Co
             if key not in channels:
                 channels[key] = _json_channel(message)
             channel, schema = channels[key]
-            payload = json.dumps(_fitted(plain(message), schema), separators=(",", ":")).encode()
+            payload = json.dumps(fitted(plain(message), schema), separators=(",", ":")).encode()
             writer.add(RawMessage(channel, message.log_ns, message.publish_ns, message.seq, payload))
     return CopyResult(path=str(target), messages=writer.messages, skipped=describe_damage(skipped))
 
 
-def _fitted(value: Any, schema: Mapping[str, Any]) -> Any:
+def fitted(value: Any, schema: Mapping[str, Any]) -> Any:
     """Return a value as its plain schema says: without what is nil, and an array of any shape as one list."""
     if isinstance(value, dict):
         parts = schema.get("properties", {})
-        return {key: _fitted(part, parts.get(key, {})) for key, part in value.items() if part is not None}
+        return {key: fitted(part, parts.get(key, {})) for key, part in value.items() if part is not None}
     if schema.get("type") != "array":
         return value
     if schema["items"].get("type") in ("number", "integer"):
         return list(_elements(value))
-    return [_fitted(part, schema["items"]) for part in value]
+    return [fitted(part, schema["items"]) for part in value]
 
 
 def _elements(value: Any) -> Iterator[Any]:

@@ -26,6 +26,7 @@ LAZY_COMMANDS = {
     "estop": LazyCommand("telenano.commands.estop", "estop", "Stop the devices at once, whoever else sends commands."),
     "status": LazyCommand("telenano.commands.status", "status", "Show the state of a running rig."),
     "view": LazyCommand("telenano.commands.view", "view", "Open the operator's page of a rig or of a recording."),
+    "bridge": LazyCommand("telenano.commands.bridge", "app", "Hand a running rig to the viewers of others."),
     "topic": LazyCommand("telenano.commands.topic", "app", "Inspect the messages of a running rig."),
     "link": LazyCommand("telenano.commands.link", "app", "Show and change the link of a running rig."),
     "node": LazyCommand("telenano.commands.node", "app", "Run one node alone."),

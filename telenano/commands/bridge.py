@@ -1,0 +1,44 @@
+"""`telenano bridge`: a running rig for the viewers of others."""
+
+import contextlib
+import importlib.util
+from typing import Annotated
+
+import typer
+
+from presets import DEFAULT_SITE_FILE
+from proto.errors import ConfigError
+from services.launcher.foxglove_bridge import DEFAULT_PORT, DEFAULT_RATE_HZ, Bridge, FoxgloveServer
+from services.recorder.live import LiveRecording
+from services.runtime.main import load_site
+from telenano.options import DurationOption, SiteFileOption, command_group
+from telenano.output import report_errors
+
+app = command_group()
+
+
+@app.callback()
+def bridge() -> None:
+    """Hand the messages of a running rig to other programs."""
+
+
+@app.command()
+def foxglove(
+    site_file: SiteFileOption = DEFAULT_SITE_FILE,
+    host: Annotated[
+        str, typer.Option("--host", metavar="ADDRESS", help="Address to bind; there is no password.")
+    ] = "127.0.0.1",
+    port: Annotated[int, typer.Option("--port", min=0, max=65535, metavar="N", help="Port.")] = DEFAULT_PORT,
+    rate: Annotated[
+        float, typer.Option("--rate", min=0.0, metavar="HZ", help="Most of each channel a second; 0: all.")
+    ] = DEFAULT_RATE_HZ,
+    duration: DurationOption = None,
+) -> None:
+    """Serve every topic with its schema to Foxglove and Lichtblick, until Ctrl-C."""
+    with report_errors(False):
+        if importlib.util.find_spec("foxglove") is None:
+            raise ConfigError("foxglove-sdk is not installed: pip install 'telenano[foxglove]'")
+        with LiveRecording(load_site(site_file)) as live, contextlib.closing(FoxgloveServer(host, port)) as server:
+            typer.echo(f"open ws://{host}:{server.port} in Foxglove or Lichtblick")
+            with contextlib.suppress(KeyboardInterrupt):
+                Bridge(server, rate).run(live.messages(duration_s=duration))
