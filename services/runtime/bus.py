@@ -180,7 +180,8 @@ class ZmqPublisher(_NumberingPublisher):
 
     def send(self, topic: str, payload: bytes) -> None:
         """Send bytes as they are: what the link forwards keeps the header of its publisher."""
-        self._send(_FRAMES[topic], _SNDMORE)
+        # a player may send under another name
+        self._send(_FRAMES.get(topic) or topic.encode(), _SNDMORE)
         self._send(payload)
 
     def also_bind(self, endpoint: str) -> None:
