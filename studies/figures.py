@@ -104,7 +104,7 @@ def _dots(axis: "Axes", merits: Sequence[Merit], laws: Sequence[str], hands: Seq
         axis.axvline(edge + 0.5, color="0.9", linewidth=0.6, zorder=0)
     axis.set_xlim(-0.5, len(laws) - 0.5)
     axis.margins(y=0.18)
-    axis.tick_params(labelsize="small")
+    axis.tick_params(which="both", labelsize="small")
     axis.ticklabel_format(axis="y", useOffset=False)
 
 
@@ -126,7 +126,7 @@ def impedance_figure(spectra: Sequence[Spectrum]) -> "Figure":
         axes[row, 0].axhline(0.0, color="0.6", linewidth=0.8, zorder=0)
         for column in (0, 1):
             axes[row, column].set_title(f"round trip {delay:g} ms", loc="left", fontsize="small")
-            axes[row, column].tick_params(labelsize="small")
+            axes[row, column].tick_params(which="both", labelsize="small")
     _finish(figure, axes, spectra)
     return figure
 
@@ -144,7 +144,7 @@ def hybrid_figure(spectra: Sequence[Spectrum]) -> "Figure":
             _line(axis, spectrum, [None if found is None else abs(found[entry]) for found in spectrum.hybrid])
         axis.set_title(title, loc="left", fontsize="small")
         axis.set_yscale("log")
-        axis.tick_params(labelsize="small")
+        axis.tick_params(which="both", labelsize="small")
     # below what the hand can feel the entries are what the sums of a run leave
     axes[1, 1].set_ylim(bottom=1e-6)
     _finish(figure, axes, spectra)

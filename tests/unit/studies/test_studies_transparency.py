@@ -75,7 +75,7 @@ def test_hybrid_matrix_is_that_of_the_law_and_its_device() -> None:
     assert h11 == pytest.approx(complex(2000.0, 10.0 * omega) / 20.0 / servo(omega), rel=0.02, abs=0.0)
     assert h12 == pytest.approx(1.05 * np.exp(-1j * omega * (0.5 * delay_s - 0.5e-3)), rel=0.02, abs=0.0)
     assert h21 == pytest.approx(-np.exp(-1j * omega * 0.5 * delay_s) / servo(omega), rel=0.03, abs=0.0)
-    assert abs(h22) < 1e-2 / abs(h11)
+    assert abs(h22) < 5e-2 / abs(h11)
 
 
 def passive_to(round_trip_s: float, frequencies_hz: tuple[float, ...]) -> float:
