@@ -1,19 +1,45 @@
-"""Run the AFM node with its simulated instrument."""
+"""Run the AFM node with the instrument that its configuration names."""
 
 import sys
+from pathlib import Path
 
-from services.afm_node.config import AfmConfig
+from proto.errors import ConfigError
+from services.afm_node.config import AfmConfig, ModbusConfig
+from services.afm_node.driver import AfmDriver
 from services.afm_node.node import INPUTS, AfmNode
+from services.afm_node.safety import SafetyParams
 from services.afm_node.sim import SimulatedAfm, SimulatedSpring
 from services.runtime.main import NodeKind, ordinary, run_node
 from services.runtime.node import NodeContext
 
 
 def build(context: NodeContext, config: AfmConfig) -> AfmNode:
-    """Build the node with its simulated instrument."""
+    """Build the node with its instrument."""
+    return AfmNode(context, config, _driver(config))
+
+
+def _driver(config: AfmConfig) -> AfmDriver:
+    if config.driver == "modbus" and config.modbus is not None:
+        return modbus_driver(config.modbus, config.to_params().safety)
     if config.environment == "spring":
-        return AfmNode(context, config, SimulatedSpring(config.to_spring_params()))
-    return AfmNode(context, config, SimulatedAfm(config.to_params()))
+        return SimulatedSpring(config.to_spring_params())
+    return SimulatedAfm(config.to_params())
+
+
+def modbus_driver(section: ModbusConfig, limits: SafetyParams) -> AfmDriver:
+    """Return the driver of a real instrument; ConfigError names what is wrong with its files."""
+    try:
+        from services.afm_node.modbus_driver import ModbusAfm
+    except ImportError as error:
+        raise ConfigError('afm_node.driver: modbus needs pymodbus: pip install "telenano[afm]"') from error
+    from services.afm_node.calibration import read_calibration
+    from services.afm_node.register_map import read_map
+
+    calibration = read_calibration(Path(section.calibration))
+    own = {"host": section.host, "port": section.port}
+    network = calibration.network.model_copy(update={key: value for key, value in own.items() if value is not None})
+    calibration = calibration.model_copy(update={"network": network})
+    return ModbusAfm(calibration, read_map(calibration.instrument.map), limits)
 
 
 AFM_NODE = NodeKind("afm_node", AfmConfig, ordinary(build, INPUTS))

@@ -130,9 +130,21 @@ class SpringConfig(Settings):
     bilateral: bool = Field(True, description="Whether it also pulls, which is what makes it linear.")
 
 
-class AfmConfig(Settings):
-    """A simulated AFM over a sample."""
+class ModbusConfig(Settings):
+    """A stage and a deflection behind a Modbus instrument."""
 
+    calibration: str = Field(min_length=1, description="Calibration file of this very device (stage.yaml)")
+    host: str | None = Field(None, min_length=1, max_length=255, description="In place of the calibration's host")
+    port: int | None = Field(None, ge=1, le=65535, description="In place of the calibration's port")
+
+
+class AfmConfig(Settings):
+    """An AFM over a sample: simulated, or a real one."""
+
+    driver: Literal["simulated", "modbus"] = Field(
+        "simulated", description="simulated: everything below; modbus: a real one, of which safety below is the guard."
+    )
+    modbus: ModbusConfig | None = Field(None, description="The real instrument, for driver modbus.")
     environment: Literal["tip_sample", "spring"] = Field(
         "tip_sample", description="What the tip meets: the sample, or a linear spring on the base."
     )
@@ -164,6 +176,8 @@ class AfmConfig(Settings):
 
     @model_validator(mode="after")
     def _buildable(self) -> Self:
+        if self.driver == "modbus" and self.modbus is None:
+            raise ValueError("driver: modbus needs a section modbus with calibration")
         # Some combinations have no model (E7): that belongs to reading the file, not to the first tick.
         self.to_params()
         return self

@@ -3,9 +3,27 @@
 A driver moves and measures, no more: what may be sent to it is decided before, by `safety.safety_step`.
 """
 
-from typing import Protocol
+from typing import Literal, NamedTuple, Protocol
 
+from proto.errors import ConfigError
 from services.afm_node.step import AfmSample
+
+
+class DeviceError(ConfigError, OSError):
+    """The instrument cannot be driven: not reachable, not the one that was configured, or not able."""
+
+
+class DeviceReport(NamedTuple):
+    """How a real instrument is doing; a simulated one is measured in the moment of the exchange and has none.
+
+    status: `stale` repeats the last sample, `lost` means that nothing reaches the base. age_s: of the sample [s].
+    force_valid: the input was within its range. text: the newest sentence for a person.
+    """
+
+    status: Literal["ok", "stale", "lost"]
+    age_s: float
+    force_valid: bool
+    text: str
 
 
 class AfmDriver(Protocol):
@@ -15,6 +33,10 @@ class AfmDriver(Protocol):
     def safe_position_m(self) -> float:
         """Base position [m] of the safe state: retracted."""
 
+    @property
+    def report(self) -> DeviceReport | None:
+        """Return how the instrument was at the last exchange; None if it is simulated."""
+
     def open(self) -> None:
         """Connect, and put the device into its safe state.
 
@@ -22,9 +44,10 @@ class AfmDriver(Protocol):
         """
 
     def exchange(self, base_m: float) -> AfmSample:
-        """Apply a base position [m] and return what the device measured; blocks for one device cycle at most.
+        """Apply a base position [m] and return the newest that the device measured, without waiting.
 
-        Raises: ValueError, if the position is not finite; OSError, if the device is lost; RuntimeError, if not open.
+        A device that is lost raises nothing: its report says so, and the sample is the last one.
+        Raises: ValueError, if the position is not finite; RuntimeError, if not open.
         """
 
     def retract(self) -> None:

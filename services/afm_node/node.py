@@ -7,7 +7,7 @@ from proto.errors import RefusedError
 from proto.messages import AfmCommand, ClockPing, LinkDelay, SessionControl
 from services.afm_node import safety
 from services.afm_node.config import AfmConfig
-from services.afm_node.driver import AfmDriver
+from services.afm_node.driver import AfmDriver, DeviceReport
 from services.afm_node.step import LONGEST_STEP_NS, AfmSample, command_wait_ns
 from services.runtime.bus import Received
 from services.runtime.frames import to_paper_axis, to_site_frame
@@ -27,6 +27,7 @@ _ALARMING = (
     safety.REASON_FORCE_INVALID,
     safety.REASON_COMMAND_DEADLINE,
     safety.REASON_HOLD_EXPIRED,
+    safety.REASON_DEVICE_LOST,
 )
 
 
@@ -57,14 +58,17 @@ class AfmNode(Node):
         self._force_n = 0.0
         self._reported = (self._guard.mode, self._guard.reason)
         self.state = "safe"
+        self._device_lost = False
+        self._device_text = ""
         driver.open()
         # compile before the first command comes; dt and inputs change nothing in the retracted state
         asked = safety.SafetyInputs(0.0, math.inf, safety.ACTION_HOLD, False, False, 0.0)
         safety.safety_step(self._limits, self._guard, asked, PERIOD_S)
         driver.exchange(self._guard.base_m)
+        self._report_device(driver.report)
         self._stepped_ns = self.clock.monotonic_ns()
         self._due_ns = self._stepped_ns + _PERIOD_NS
-        if config.environment != "spring" and (doubts := config.doubts()):
+        if config.driver == "simulated" and config.environment != "spring" and (doubts := config.doubts()):
             self.event("fault", "warning", doubts)
 
     def admits(self, received: Received) -> bool:
@@ -146,17 +150,24 @@ class AfmNode(Node):
             arm_requested=arm,
             estop=estop,
             force_n=self._force_n,
+            device_lost=self._device_lost,
         )
         self._guard, allowed = safety.safety_step(self._limits, self._guard, asked, elapsed_s)
         sample = self._driver.exchange(allowed.base_m)
-        self._force_n = sample.force_n
-        self._publish_state(allowed, sample, elapsed_s)
+        report = self._driver.report
+        # a force beyond the range of the input is no number to the guard
+        self._force_n = sample.force_n if report is None or report.force_valid else math.nan
+        self._publish_state(allowed, sample, elapsed_s, report)
         self._report_changes(allowed)
+        self._report_device(report)
         self.steps += 1
         return allowed
 
-    def _publish_state(self, allowed: safety.SafetyOutputs, sample: AfmSample, elapsed_s: float) -> None:
+    def _publish_state(
+        self, allowed: safety.SafetyOutputs, sample: AfmSample, elapsed_s: float, report: DeviceReport | None
+    ) -> None:
         command = self._command
+        device = {} if report is None else {"device": report.status, "sample_age_s": report.age_s}
         self.publish(
             "afm/state",
             command_seq=0 if command is None else command.seq,
@@ -172,7 +183,18 @@ class AfmNode(Node):
             hand_seq=0 if command is None else command.hand_seq,
             hand_t_ns=0 if command is None else command.hand_t_ns,
             step_s=elapsed_s,
+            **device,
         )
+
+    def _report_device(self, report: DeviceReport | None) -> None:
+        """Take up the state of a real instrument; what it says is an event, once."""
+        if report is None:
+            return
+        self._device_lost = report.status == "lost"
+        if report.text != self._device_text:
+            self._device_text = report.text
+            ready = report.status == "ok"
+            self.event("node" if ready else "fault", "info" if ready else "warning", report.text)
 
     def _report_changes(self, allowed: safety.SafetyOutputs) -> None:
         if (allowed.mode, allowed.reason) == self._reported:

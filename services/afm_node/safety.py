@@ -3,15 +3,15 @@
 Modes: RETRACTED (safe state, where a node starts), FOLLOW, HOLD, RETRACTING, ESTOP. One tick is decided in this order:
 
 1. e-stop pressed: ESTOP from every mode. It retracts, and stays when released, until armed.
-2. repulsive force above the limit, or a force that is no number, in FOLLOW or HOLD: RETRACTING.
+2. device lost, repulsive force above the limit, or a force that is no number, in FOLLOW or HOLD: RETRACTING.
 3. no command for longer than the deadline: FOLLOW -> HOLD (the base stays); for hold_time longer: RETRACTING.
 4. a fresh command: retract -> RETRACTING, hold -> HOLD, position -> FOLLOW. An action code that is not known is a hold.
    From HOLD the base takes up its speed gradually: while it stood the reference may have gone on, and the tip must not
    jump after it.
 5. RETRACTING ends in RETRACTED; both are left by arming only.
 
-Arming is one-shot. It is accepted with the base retracted, in RETRACTED, or in ESTOP once released, and only while a
-fresh position command exists; otherwise the outputs carry the reason of the refusal.
+Arming is one-shot. It is accepted with a device that is there and the base retracted, in RETRACTED, or in ESTOP once
+released, and only while a fresh position command exists; otherwise the outputs carry the reason of the refusal.
 
 `reason` is why the last transition happened. The arrival in RETRACTED keeps the reason of the retraction, so that it
 can still be read when the operator comes back.
@@ -50,6 +50,7 @@ REASON_HOLD_EXPIRED = 6
 REASON_COMMANDS_RESUMED = 7
 REASON_HOLD_REQUESTED = 8
 REASON_RETRACT_REQUESTED = 9
+REASON_DEVICE_LOST = 10
 REASON_NAMES: dict[int, str] = {
     REASON_START: "start",
     REASON_ARMED: "armed",
@@ -61,6 +62,7 @@ REASON_NAMES: dict[int, str] = {
     REASON_COMMANDS_RESUMED: "commands_resumed",
     REASON_HOLD_REQUESTED: "hold_requested",
     REASON_RETRACT_REQUESTED: "retract_requested",
+    REASON_DEVICE_LOST: "device_lost",
 }
 
 ARM_NOT_REFUSED = 0
@@ -69,6 +71,7 @@ ARM_REFUSED_ALREADY_ARMED = 2
 ARM_REFUSED_RETRACTING = 3
 ARM_REFUSED_NO_COMMAND = 4
 ARM_REFUSED_NO_POSITION = 5
+ARM_REFUSED_DEVICE_LOST = 6
 ARM_REFUSAL_NAMES: dict[int, str] = {
     ARM_NOT_REFUSED: "not_refused",
     ARM_REFUSED_ESTOP: "estop_active",
@@ -76,6 +79,7 @@ ARM_REFUSAL_NAMES: dict[int, str] = {
     ARM_REFUSED_RETRACTING: "still_retracting",
     ARM_REFUSED_NO_COMMAND: "no_fresh_command",
     ARM_REFUSED_NO_POSITION: "no_position_command",
+    ARM_REFUSED_DEVICE_LOST: "device_lost",
 }
 
 LIMITED_BY_RANGE = 1  # bits of `limited`
@@ -112,7 +116,8 @@ class SafetyInputs(NamedTuple):
     """One tick of inputs.
 
     reference_m: base position asked for [m]; command_age_s: age of that command [s], infinite if none ever came;
-    action: ACTION_*; arm: one-shot; estop: pressed; force_n: tip force last measured [N], repulsive positive.
+    action: ACTION_*; arm: one-shot; estop: pressed; force_n: tip force last measured [N], repulsive positive;
+    device_lost: nothing is known of the tip, and nothing reaches the base.
     """
 
     reference_m: float
@@ -121,6 +126,7 @@ class SafetyInputs(NamedTuple):
     arm_requested: bool
     estop: bool
     force_n: float
+    device_lost: bool = False
 
 
 class SafetyOutputs(NamedTuple):
@@ -176,6 +182,8 @@ def _next_mode(params: SafetyParams, state: SafetyState, inputs: SafetyInputs) -
         return MODE_ESTOP, REASON_ESTOP
     if mode not in (MODE_FOLLOW, MODE_HOLD):
         return mode, reason
+    if inputs.device_lost:
+        return MODE_RETRACTING, REASON_DEVICE_LOST
     if not math.isfinite(inputs.force_n):
         return MODE_RETRACTING, REASON_FORCE_INVALID
     if inputs.force_n > params.force_limit_n:
@@ -195,6 +203,8 @@ def _next_mode(params: SafetyParams, state: SafetyState, inputs: SafetyInputs) -
 def _arm_refusal(params: SafetyParams, state: SafetyState, inputs: SafetyInputs) -> int:
     if inputs.estop:
         return ARM_REFUSED_ESTOP
+    if inputs.device_lost:
+        return ARM_REFUSED_DEVICE_LOST
     if state.mode in (MODE_FOLLOW, MODE_HOLD):
         return ARM_REFUSED_ALREADY_ARMED
     if state.mode == MODE_RETRACTING or state.base_m > params.retract_position_m:

@@ -22,6 +22,10 @@ class SimulatedAfm:
     def safe_position_m(self) -> float:
         return self._safe_position_m
 
+    @property
+    def report(self) -> None:
+        return None
+
     def open(self) -> None:
         """Start with the tip in equilibrium at the safe position.
 
@@ -59,6 +63,10 @@ class SimulatedSpring:
     @property
     def safe_position_m(self) -> float:
         return self._params.safety.retract_position_m
+
+    @property
+    def report(self) -> None:
+        return None
 
     def open(self) -> None:
         """Start at the safe position. Raises RuntimeError if it is already open."""

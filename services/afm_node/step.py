@@ -105,7 +105,13 @@ def step(params: AfmParams, state: AfmStepState, inputs: AfmInputs, dt: float) -
     Raises: ValueError, if dt is not positive and finite.
     """
     asked = SafetyInputs(
-        inputs.reference_m, inputs.command_age_s, inputs.action, inputs.arm_requested, inputs.estop, state.force_n
+        inputs.reference_m,
+        inputs.command_age_s,
+        inputs.action,
+        inputs.arm_requested,
+        inputs.estop,
+        state.force_n,
+        False,
     )
     safety, allowed = safety_step(params.safety, state.safety, asked, dt)
     tip, sample = measure(params.plant, state.plant, allowed.base_m)

@@ -1,0 +1,157 @@
+"""Requests and answers of Modbus TCP as bytes: pymodbus builds and parses, nothing here waits or knows a socket.
+
+Function 76 is LabJack's feedback: reads and writes carried out in order within one request, answered by all that was
+read. Frames: type (0 read, 1 write), address, number of registers, and the registers of a write.
+"""
+
+import struct
+from typing import Any, NamedTuple
+
+from pymodbus.exceptions import ModbusException
+from pymodbus.framer import FramerSocket
+from pymodbus.pdu import DecodePDU, ExceptionResponse, ModbusPDU
+from pymodbus.pdu.register_message import (
+    ReadHoldingRegistersRequest,
+    ReadWriteMultipleRegistersRequest,
+    WriteMultipleRegistersRequest,
+)
+
+_FRAME = struct.Struct(">BHB")
+_HEADER = 8
+_LONGEST = 260
+_READ, _WRITE = 0, 1
+
+
+class Operation(NamedTuple):
+    """A read of `length` registers, or a write of `words`, at an address."""
+
+    address: int
+    length: int
+    words: tuple[int, ...] = ()
+
+
+class FeedbackRequest(ModbusPDU):
+    """Function 76 as the client sends it; `operations` in the order in which they are carried out."""
+
+    function_code = 76
+    operations: tuple[Operation, ...] = ()
+
+    def encode(self) -> bytes:
+        """Return the body of the request."""
+        parts = []
+        for address, count, words in self.operations:
+            parts.append(_FRAME.pack(_WRITE if words else _READ, address, count))
+            parts.append(struct.pack(f">{len(words)}H", *words))
+        return b"".join(parts)
+
+    def decode(self, data: bytes) -> None:
+        """Read the body of a request; ValueError if it is cut or of an unknown type."""
+        found, at = [], 0
+        while at < len(data):
+            kind, address, count = _FRAME.unpack_from(data, at)
+            at += _FRAME.size
+            words: tuple[int, ...] = ()
+            if kind == _WRITE:
+                words = struct.unpack_from(f">{count}H", data, at)
+                at += 2 * count
+            elif kind != _READ:
+                raise ValueError(f"frame type {kind} of function 76 is neither 0 (read) nor 1 (write)")
+            found.append(Operation(address, count, words))
+        self.operations = tuple(found)
+
+
+class FeedbackAnswer(ModbusPDU):
+    """Function 76 as the device answers it: the registers of all reads in a row."""
+
+    function_code = 76
+
+    def encode(self) -> bytes:
+        """Return the body of the answer."""
+        return struct.pack(f">{len(self.registers)}H", *self.registers)
+
+    def decode(self, data: bytes) -> None:
+        """Read the body of an answer; struct.error if half a register is missing."""
+        self.registers = list(struct.unpack(f">{len(data) // 2}H", data))
+
+
+class Answer(NamedTuple):
+    """What a device answered: registers in the order of the reads, or the number of an exception (0: none)."""
+
+    words: tuple[int, ...]
+    exception: int
+
+
+class FramingError(ValueError):
+    """Bytes that are no answer in Modbus TCP: the connection has to be made anew."""
+
+
+class Conversation:
+    """One request out at a time, and the bytes that come back for it."""
+
+    def __init__(self, device_id: int) -> None:
+        self._device_id = device_id
+        decoder = DecodePDU(False)
+        decoder.register(FeedbackAnswer)
+        self._framer: Any = FramerSocket(decoder)
+        self._transaction = 0
+        self._received = b""
+        # answers that came too late, to requests that were given up
+        self.late = 0
+
+    def read(self, address: int, count: int) -> bytes:
+        return self._framed(ReadHoldingRegistersRequest(address=address, count=count))
+
+    def write(self, address: int, words: tuple[int, ...]) -> bytes:
+        return self._framed(WriteMultipleRegistersRequest(address=address, registers=list(words)))
+
+    def read_write(self, read: Operation, write: Operation) -> bytes:
+        return self._framed(
+            ReadWriteMultipleRegistersRequest(
+                read_address=read.address,
+                read_count=read.length,
+                write_address=write.address,
+                write_registers=list(write.words),
+            )
+        )
+
+    def feedback(self, operations: tuple[Operation, ...]) -> bytes:
+        request = FeedbackRequest()
+        request.operations = operations
+        return self._framed(request)
+
+    def answer(self, received: bytes) -> Answer | None:
+        """Take bytes, and return the answer to the newest request once it is complete.
+
+        Raises FramingError for what is not Modbus TCP. An answer to an older request is skipped and counted.
+        """
+        self._received += received
+        while len(self._received) >= _HEADER:
+            transaction, protocol, length = struct.unpack_from(">HHH", self._received)
+            if protocol != 0 or not 2 < length <= _LONGEST - 6:
+                raise FramingError(f"protocol id {protocol} with length {length} is not Modbus TCP")
+            if len(self._received) < length + 6:
+                return None
+            frame, self._received = self._received[: length + 6], self._received[length + 6 :]
+            if transaction != self._transaction:
+                self.late += 1
+                continue
+            return self._parsed(frame)
+        return None
+
+    def _parsed(self, frame: bytes) -> Answer:
+        try:
+            _, pdu = self._framer.handleFrame(frame, 0, 0)
+        except ModbusException as error:
+            raise FramingError(f"an answer of {len(frame)} bytes cannot be read: {error}") from error
+        if pdu is None:
+            raise FramingError(f"an answer of {len(frame)} bytes cannot be read")
+        if isinstance(pdu, ExceptionResponse):
+            return Answer((), int(pdu.exception_code))
+        return Answer(tuple(pdu.registers), 0)
+
+    def _framed(self, request: ModbusPDU) -> bytes:
+        # 0 stands for no transaction in pymodbus
+        self._transaction = self._transaction % 0xFFFF + 1
+        request.transaction_id, request.dev_id = self._transaction, self._device_id
+        frame: bytes = self._framer.buildFrame(request)
+        return frame

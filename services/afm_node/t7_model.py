@@ -1,0 +1,175 @@
+"""A LabJack T7 with a stage and a deflection behind it: registers, converters, watchdog, and the compiled AFM.
+
+Time is passed in, so that a test runs it in virtual time; `t7_server` puts it behind a Modbus server.
+"""
+
+import random
+import struct
+from collections.abc import Sequence
+from datetime import UTC, datetime
+
+from services.afm_node.driver import AfmDriver
+from services.afm_node.modbus_frames import Operation
+
+SERIAL = 470012345
+M_PER_V = 8.0e-8
+REST_V = 2.5
+RANGE_V = 0.1
+_DAC_STEP_V = 5.0 / 4095.0
+_DAC_MOST_V = 5.0
+_ADC_STEPS = 65536.0
+ILLEGAL_ADDRESS, ILLEGAL_VALUE = 2, 3
+
+_DAC0, _AIN0, _AIN0_RANGE = 1000, 0, 40000
+_WATCHDOG, _WATCHDOG_S, _WATCHDOG_DAC0_ENABLE, _WATCHDOG_DAC0 = 61600, 61604, 61640, 61642
+# address, form, value at power-up
+_REGISTERS: tuple[tuple[int, str, float], ...] = (
+    (_AIN0, ">f", 0.0),
+    (_DAC0, ">f", 0.0),
+    (4990, ">I", 0),
+    (_AIN0_RANGE, ">f", 10.0),
+    (41000, ">H", 199),
+    (41500, ">H", 0),
+    (55000, ">I", 0),
+    (55100, ">I", 0x00112233),
+    (55124, ">f", -9999.0),
+    (60000, ">f", 7.0),
+    (60004, ">f", 1.0292),
+    (60028, ">I", SERIAL),
+    (_WATCHDOG, ">I", 0),
+    (_WATCHDOG_S, ">I", 0),
+    (61606, ">I", 0),
+    (61610, ">I", 0),
+    (61620, ">I", 0),
+    (_WATCHDOG_DAC0_ENABLE, ">I", 0),
+    (_WATCHDOG_DAC0, ">f", 0.0),
+)
+_READ_ONLY = (_AIN0, 55000, 55100, 55124, 60000, 60004, 60028)
+
+
+class RegisterError(ValueError):
+    """An access that the device answers with an exception; `code` is its number."""
+
+    def __init__(self, code: int) -> None:
+        super().__init__(f"exception {code}")
+        self.code = code
+
+
+class T7Model:
+    """The device.
+
+    Parameters: afm, opened, whose base the output moves and whose bridge voltage the input reads; noise_v, standard
+    deviation of a reading [V]; seed of that noise; word_swapped, for a device that is not what it should be.
+    """
+
+    def __init__(self, afm: AfmDriver, *, noise_v: float = 0.0, seed: int = 1, word_swapped: bool = False) -> None:
+        self._afm, self._noise_v, self._random = afm, noise_v, random.Random(seed)
+        self._words: dict[int, int] = {}
+        self._forms = {address: form for address, form, _ in _REGISTERS}
+        self._word_swapped = word_swapped
+        self._heard_ns = 0
+        self.trips = 0
+        self.flash_writes = 0
+        for address, _, value in _REGISTERS:
+            self._put(address, value)
+        self._move(0.0)
+
+    @property
+    def output_v(self) -> float:
+        """Voltage of DAC0 [V]."""
+        return self.value(_DAC0)
+
+    def value(self, address: int) -> float:
+        """Return the value of the register that begins at an address."""
+        form = self._forms[address]
+        words = [self._words[address + index] for index in range(struct.calcsize(form) // 2)]
+        return float(struct.unpack(form, struct.pack(f">{len(words)}H", *words))[0])
+
+    def pass_time(self, now_ns: int) -> None:
+        """Let the watchdog judge the silence until now [ns]: it sets DAC0 after whole seconds."""
+        limit_ns = self.value(_WATCHDOG_S) * 1e9
+        if self.value(_WATCHDOG) == 1.0 and self._heard_ns and now_ns - self._heard_ns > limit_ns:
+            self._heard_ns = 0
+            self.trips += 1
+            if self.value(_WATCHDOG_DAC0_ENABLE) == 1.0:
+                self._move(self.value(_WATCHDOG_DAC0))
+
+    def read(self, address: int, count: int, now_ns: int) -> list[int]:
+        """Return registers. Raises RegisterError for one that there is not."""
+        self._hear(now_ns)
+        if address <= _AIN0 + 1:
+            self._sample()
+        wanted = range(address, address + count)
+        if not count or any(place not in self._words for place in wanted):
+            raise RegisterError(ILLEGAL_ADDRESS)
+        found = [self._words[place] for place in wanted]
+        return found[::-1] if self._word_swapped and count == 2 else found
+
+    def write(self, address: int, words: Sequence[int], now_ns: int) -> None:
+        """Write one quantity. Raises RegisterError for a register that there is not, or a value that it refuses."""
+        self._hear(now_ns)
+        form = self._forms.get(address)
+        if form is None or address in _READ_ONLY or struct.calcsize(form) != 2 * len(words):
+            raise RegisterError(ILLEGAL_ADDRESS)
+        (value,) = struct.unpack(form, struct.pack(f">{len(words)}H", *words))
+        if address == _DAC0:
+            self._move(value)
+            return
+        if _WATCHDOG < address <= _WATCHDOG_DAC0 + 1 and self.value(_WATCHDOG) == 1.0:
+            # its settings may change only while it is off
+            raise RegisterError(ILLEGAL_VALUE)
+        self.flash_writes += address >= _WATCHDOG
+        self._put(address, value)
+
+    def feedback(self, operations: Sequence[Operation], now_ns: int) -> list[int]:
+        """Carry out the frames of function 76 in order; return what was read."""
+        found: list[int] = []
+        for address, count, words in operations:
+            if words:
+                self.write(address, words, now_ns)
+            else:
+                found += self.read(address, count, now_ns)
+        return found
+
+    def _hear(self, now_ns: int) -> None:
+        self.pass_time(now_ns)
+        self._heard_ns = now_ns
+
+    def _move(self, volts: float) -> None:
+        steps = round(min(max(volts, 0.0), _DAC_MOST_V) / _DAC_STEP_V)
+        self._put(_DAC0, steps * _DAC_STEP_V)
+        self._bridge_v = self._afm.exchange((steps * _DAC_STEP_V - REST_V) * M_PER_V).bridge_voltage_v
+
+    def _sample(self) -> None:
+        range_v = self.value(_AIN0_RANGE)
+        step_v = 2.0 * range_v / _ADC_STEPS
+        noisy = self._bridge_v + (self._random.gauss(0.0, self._noise_v) if self._noise_v else 0.0)
+        self._put(_AIN0, min(max(round(noisy / step_v) * step_v, -range_v), range_v))
+
+    def _put(self, address: int, value: float) -> None:
+        form = self._forms[address]
+        packed = struct.pack(form, value if form == ">f" else round(value))
+        for index, word in enumerate(struct.unpack(f">{len(packed) // 2}H", packed)):
+            self._words[address + index] = word
+
+
+def calibration_of(
+    volts_per_m: float, stiffness_n_per_m: float, host: str = "127.0.0.1", port: int = 502
+) -> dict[str, object]:
+    """Return the content of a calibration file that fits the model exactly."""
+    return {
+        "schema": 1,
+        "instrument": {"map": "t7", "serial": SERIAL},
+        "calibrated": datetime(2026, 1, 1, tzinfo=UTC),
+        "network": {"host": host, "port": port},
+        "stage": {
+            "m_per_v": M_PER_V,
+            "rest_v": REST_V,
+            "retract_v": 0.0,
+            "min_v": 0.0,
+            "max_v": _DAC_MOST_V,
+            "slew_v_per_s": 25.0,
+        },
+        "deflection": {"range_v": RANGE_V, "resolution_index": 1, "zero_v": 0.0, "v_per_m": volts_per_m},
+        "cantilever": {"stiffness_n_per_m": stiffness_n_per_m},
+    }

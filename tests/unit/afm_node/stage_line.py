@@ -1,0 +1,92 @@
+"""A Modbus connection between the driver and the T7 model in virtual time, whose bytes a test can replace."""
+
+from collections.abc import Callable
+from typing import Any
+
+import yaml
+from pymodbus.framer import FramerSocket
+from pymodbus.pdu import DecodePDU, ModbusPDU
+
+from services.afm_node.calibration import InstrumentCalibration
+from services.afm_node.config import AfmConfig
+from services.afm_node.modbus_driver import ModbusAfm
+from services.afm_node.register_map import RegisterMap, read_map
+from services.afm_node.sim import SimulatedAfm
+from services.afm_node.t7_model import T7Model, calibration_of
+from services.afm_node.t7_server import respond, served_requests
+from services.runtime.config import merge, parse_yaml, validate
+
+MS = 1_000_000
+PARAMS = AfmConfig().to_params()
+
+
+def calibration(**changes: Any) -> InstrumentCalibration:
+    document = merge(calibration_of(PARAMS.plant.volts_per_m, PARAMS.plant.stiffness_n_per_m), changes)
+    text = yaml.safe_dump(document).encode()
+    return validate(InstrumentCalibration, parse_yaml(text, "stage.yaml"), "stage.yaml")
+
+
+class StageLine:
+    """The network, with the device at its end; time passes in `sleep` and `pass_ms`."""
+
+    def __init__(self, calibrated: InstrumentCalibration | None = None, registers: RegisterMap | None = None) -> None:
+        self.now_ns = 10**9
+        afm = SimulatedAfm(PARAMS)
+        afm.open()
+        self.model = T7Model(afm)
+        self.reachable, self.running = True, True
+        self.latency_ms = 0
+        # what the device does with a request, and what the network does with the bytes of its answer
+        self.respond: Callable[[ModbusPDU], ModbusPDU] = lambda request: respond(self.model, request, self.now_ns)
+        self.to_host: Callable[[bytes], bytes] = lambda sent: sent
+        self.opened = self.closed = self.sent = 0
+        self._waiting: list[tuple[int, bytes]] = []
+        decoder = DecodePDU(True)
+        for kind in served_requests(lambda request: request):
+            decoder.register(kind)
+        self._framer: Any = FramerSocket(decoder)
+        self.driver = ModbusAfm(
+            calibration() if calibrated is None else calibrated,
+            read_map("t7") if registers is None else registers,
+            PARAMS.safety,
+            connect=self._connect,
+            now_ns=lambda: self.now_ns,
+            sleep=lambda duration_s: self.pass_ms(max(1, round(duration_s * 1e3))),
+        )
+
+    def _connect(self, host: str, port: int) -> "StageLine":
+        if not self.reachable:
+            raise OSError(111, "Connection refused")
+        self.opened += 1
+        self._waiting.clear()
+        return self
+
+    def ready(self) -> bool:
+        return True
+
+    def send(self, request: bytes) -> None:
+        if not self.reachable:
+            raise OSError(104, "Connection reset by peer")
+        self.sent += 1
+        if not self.running:
+            return
+        _, parsed = self._framer.handleFrame(request, 0, 0)
+        answer = self.respond(parsed)
+        answer.transaction_id, answer.dev_id = parsed.transaction_id, parsed.dev_id
+        sent = self.to_host(self._framer.buildFrame(answer))
+        self._waiting.append((self.now_ns + self.latency_ms * MS, sent))
+
+    def receive(self) -> bytes:
+        if not self.reachable:
+            raise OSError(104, "Connection reset by peer")
+        due = b"".join(sent for at_ns, sent in self._waiting if at_ns <= self.now_ns)
+        self._waiting = [(at_ns, sent) for at_ns, sent in self._waiting if at_ns > self.now_ns]
+        return due
+
+    def close(self) -> None:
+        self.closed += 1
+
+    def pass_ms(self, duration_ms: int) -> None:
+        for _ in range(duration_ms):
+            self.now_ns += MS
+            self.model.pass_time(self.now_ns)

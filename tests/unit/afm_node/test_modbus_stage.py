@@ -1,0 +1,391 @@
+"""The Modbus driver against the T7 model, in virtual time: identity, samples, and each row of the table of faults."""
+
+import math
+from typing import Any
+
+import pytest
+from pymodbus.pdu import ExceptionResponse, ModbusPDU
+from stage_line import MS, PARAMS, StageLine, calibration
+
+from proto.errors import ConfigError
+from services.afm_node import t7_model
+from services.afm_node.config import AfmConfig
+from services.afm_node.driver import DeviceError
+from services.afm_node.modbus_driver import ModbusAfm
+from services.afm_node.modbus_frames import Conversation, FeedbackRequest, FramingError, Operation
+from services.afm_node.node import AfmNode
+from services.afm_node.register_map import Register, RegisterMap, read_map
+from services.afm_node.sim import SimulatedAfm
+
+RETRACTED_M = PARAMS.safety.retract_position_m
+DAC_STEP_M = 5.0 / 4095.0 * t7_model.M_PER_V
+
+
+@pytest.fixture
+def line() -> StageLine:
+    found = StageLine()
+    found.driver.open()
+    return found
+
+
+def tick(line: StageLine, base_m: float = RETRACTED_M, count: int = 1) -> Any:
+    """Let the driver do what a node does in so many milliseconds; return the last sample."""
+    for _ in range(count):
+        line.pass_ms(1)
+        sample = line.driver.exchange(base_m)
+    return sample
+
+
+def test_identifies_sets_up_retracts_and_follows(line: StageLine) -> None:
+    assert line.driver.report.status == "ok"
+    assert "LabJack T7 470012345, firmware 1.0292 is ready and retracted" in line.driver.report.text
+    assert line.model.output_v == 0.0
+    values = {address: line.model.value(address) for address in (40000, 41500, 61600, 61604, 61640, 61642)}
+    assert values == {40000: pytest.approx(0.1), 41500: 1.0, 61600: 1.0, 61604: 1.0, 61640: 1.0, 61642: 0.0}
+    tick(line)
+    sample = tick(line, 0.0, 300)
+    assert sample.base_m == pytest.approx(0.0, abs=DAC_STEP_M, rel=0.0)
+    assert not sample.distance_valid
+
+
+def test_force_is_that_of_the_simulated_instrument_within_a_step_of_the_converters(line: StageLine) -> None:
+    simulated = SimulatedAfm(PARAMS)
+    simulated.open()
+    tick(line)
+    for base_m in (0.0, 8e-9, 14e-9, 20e-9):
+        sample = tick(line, base_m, 200)
+        # along the same way, as the tip has a history
+        for step in range(200):
+            same = simulated.exchange(sample.base_m * step / 199 if base_m == 0.0 else sample.base_m)
+        adc_n = 40.0 * 2 * t7_model.RANGE_V / 65536 / PARAMS.plant.volts_per_m
+        assert sample.force_n == pytest.approx(same.force_n, abs=1.01 * adc_n, rel=0.0)
+        assert sample.in_contact == (sample.force_n > 1e-9)
+
+
+def test_settings_that_are_in_flash_are_written_only_where_they_differ(line: StageLine) -> None:
+    written = line.model.flash_writes
+    assert written > 0
+    line.driver.close()
+    line.driver.open()
+    assert line.model.flash_writes == written
+
+
+def test_a_tick_never_waits_and_has_one_request_out(line: StageLine) -> None:
+    line.latency_ms = 3
+    began_ns, sent, exchanges = line.now_ns, line.sent, line.driver.exchanges
+    tick(line, count=300)
+    assert line.now_ns - began_ns == 300 * MS
+    assert line.sent - sent == pytest.approx(100, abs=2)
+    assert line.driver.exchanges - exchanges == pytest.approx(100, abs=2)
+    assert line.driver.report.status == "ok"
+    assert 3e-3 <= line.driver.report.age_s <= 7e-3
+
+
+def test_voltage_moves_no_faster_than_its_slew_limit(line: StageLine) -> None:
+    tick(line)
+    before_v = line.model.output_v
+    tick(line, 0.0, 20)
+    assert (line.model.output_v - before_v) <= 25.0 * 20e-3 + 2e-3
+    assert line.model.output_v > before_v + 0.2
+
+
+def test_base_that_is_not_finite_is_refused(line: StageLine) -> None:
+    with pytest.raises(ValueError, match="must be finite"):
+        line.driver.exchange(math.nan)
+
+
+def test_input_beyond_its_range_is_no_force_to_the_guard(line: StageLine) -> None:
+    tick(line)
+    line.model._move = lambda volts: None  # type: ignore[method-assign]
+    line.model._bridge_v = 0.2
+    tick(line, count=2)
+    assert not line.driver.report.force_valid
+    assert math.isfinite(line.driver.exchange(RETRACTED_M).force_n)
+
+
+def answering(code: int) -> Any:
+    return lambda request: ExceptionResponse(request.function_code, code)
+
+
+@pytest.mark.parametrize("code", [1, 2, 3, 4, 10, 11])
+def test_exceptions_in_the_loop_are_a_loss_with_the_reason(line: StageLine, code: int) -> None:
+    tick(line)
+    line.respond = answering(code)
+    tick(line, count=2)
+    assert line.driver.report.status == "lost"
+    wanted = {1: "illegal function", 2: "illegal address", 3: "illegal value", 4: "watchdog has tripped"}
+    assert wanted.get(code, "the gateway does not reach the device") in line.driver.report.text
+
+
+@pytest.mark.parametrize("code", [5, 6])
+def test_busy_keeps_the_last_sample_and_age_decides(line: StageLine, code: int) -> None:
+    sample = tick(line, count=100)
+    works, line.respond = line.respond, answering(code)
+    assert tick(line, count=5) == sample
+    assert line.driver.report.status in ("ok", "stale")
+    tick(line, count=10)
+    assert line.driver.report.status == "stale"
+    line.respond = works
+    tick(line, count=3)
+    assert line.driver.report.status == "ok"
+    line.respond = answering(code)
+    tick(line, count=60)
+    assert line.driver.report.status == "lost"
+
+
+def test_stopped_server_is_stale_then_lost_and_comes_back_retracted(line: StageLine) -> None:
+    tick(line)
+    tick(line, 10e-9, 200)
+    line.running = False
+    seen = []
+    for _ in range(60):
+        tick(line, 10e-9)
+        seen.append(line.driver.report.status)
+    assert seen[3] == "ok"
+    assert "stale" in seen[8:45]
+    assert seen[-1] == "lost"
+    # without our script on the device its own watchdog needs whole seconds
+    line.pass_ms(1100)
+    assert (line.model.trips, line.model.output_v) == (1, 0.0)
+    line.running = True
+    tick(line, 10e-9, 1500)
+    # the guard had the base near the sample all the time: nothing moves before it has it retracted
+    assert line.driver.report.status == "ok"
+    assert line.model.output_v == 0.0
+    tick(line)
+    tick(line, 10e-9, 200)
+    assert line.model.output_v == pytest.approx(2.5 + 10e-9 / 8e-8, abs=2e-3)
+
+
+def test_killed_server_is_lost_at_once(line: StageLine) -> None:
+    tick(line, count=3)
+    line.reachable = False
+    tick(line)
+    assert line.driver.report.status == "lost"
+    assert "the connection is gone: Connection reset by peer" in line.driver.report.text
+    tick(line, count=600)
+    assert "cannot be reached: Connection refused" in line.driver.report.text
+
+
+def test_late_answer_of_an_older_request_is_skipped_and_counted() -> None:
+    conversation = Conversation(1)
+    old = conversation.read(0, 2)
+    conversation.read(0, 2)
+    answer = bytes([*old[:4], 0, 7, 1, 3, 4, 1, 2, 3, 4])
+    assert conversation.answer(answer) is None
+    assert conversation.late == 1
+
+
+@pytest.mark.parametrize("garbage", [b"HTTP/1.1 400 Bad Request\r\n", b"\0\1\0\0\xff\xff\1\3", b"\0\1\0\0\0\2\1\3"])
+def test_garbage_closes_the_connection(line: StageLine, garbage: bytes) -> None:
+    tick(line)
+    closed = line.closed
+    line.to_host = lambda sent: garbage
+    tick(line, count=2)
+    assert line.driver.report.status == "lost"
+    assert line.closed == closed + 1
+
+
+def test_cut_and_split_answers_are_put_together(line: StageLine) -> None:
+    kept = b""
+
+    def split(sent: bytes) -> bytes:
+        nonlocal kept
+        whole, kept = kept + sent[:7], sent[7:]
+        return whole
+
+    tick(line)
+    line.to_host = split
+    tick(line, count=4)
+    # the rest of an answer comes only with the next one, which is not asked for: silence, and then a loss
+    assert line.driver.report.status in ("ok", "stale")
+
+
+def refused(change: Any = None, **calibrated: Any) -> str:
+    """Open a device that is not what it should be; return the sentence, nothing having been driven."""
+    line = StageLine(calibration(**calibrated) if calibrated else None)
+    line.model._move(3.0)
+    if change is not None:
+        change(line)
+    with pytest.raises(ConfigError) as caught:
+        line.driver.open()
+    assert line.model.output_v == pytest.approx(3.0, abs=2e-3)
+    return str(caught.value)
+
+
+def test_wrong_devices_are_refused_before_anything_is_driven() -> None:
+    def swap(line: StageLine) -> None:
+        line.model._word_swapped = True
+
+    assert "TEST reads 5.73768e+08 (0x22330011)" in refused(swap)
+    assert "serial 470012345 is not that of the calibration, 5" in refused(instrument={"serial": 5})
+
+    def other_product(line: StageLine) -> None:
+        line.model._put(60000, 4.0)
+
+    assert "PRODUCT_ID reads 4 and should read 7" in refused(other_product)
+
+    def no_functions(line: StageLine) -> None:
+        line.respond = answering(1)
+
+    assert "TEST (address 55100): illegal function" in refused(no_functions)
+
+    def silent(line: StageLine) -> None:
+        line.running = False
+
+    assert "does not answer requests" in refused(silent)
+
+    def unreachable(line: StageLine) -> None:
+        line.reachable = False
+
+    assert "127.0.0.1:502: LabJack T7: cannot be reached: Connection refused" in refused(unreachable)
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"stage": {"m_per_v": 0.0}}, r"stage.m_per_v"),
+        ({"stage": {"m_per_v": -8e-8}}, r"stage.m_per_v"),
+        ({"deflection": {"v_per_m": 0.0}}, r"v_per_m = 0.0 V/m"),
+        ({"stage": {"max_v": 4.0}}, r"safety.base_max_m = 2e-07 m needs 5.000 V"),
+        ({"stage": {"retract_v": 2.4, "unsafe_wiring_acknowledged": True}}, r"nearer to the sample than"),
+        ({"stage": {"retract_v": 0.1}}, r"unsafe_wiring_acknowledged: true"),
+        ({"instrument": {"serial": None}}, r"instrument.serial is missing"),
+        ({"instrument": {"map": "no such"}}, r"instrument.map"),
+    ],
+)
+def test_bad_calibration_says_what_would_be_right(changes: dict[str, Any], text: str) -> None:
+    with pytest.raises(ConfigError, match=text):
+        StageLine(calibration(**changes))
+
+
+def test_unknown_register_type_and_missing_map_are_named(tmp_path: Any) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text(
+        "schema: 1\nmodel: x\nword_order: big\nexchange: feedback\noutput: {name: a, address: 0, type: f16}\n"
+    )
+    with pytest.raises(ConfigError, match=r"output.type"):
+        read_map(str(path))
+    with pytest.raises(ConfigError, match=r"t99"):
+        read_map("t99")
+
+
+@pytest.mark.parametrize(("exchange", "a_cycle"), [("write_then_read", 3), ("read_write", 1)])
+def test_generic_maps_drive_the_same_instrument(exchange: str, a_cycle: int) -> None:
+    whole = read_map("t7").model_dump(by_alias=True)
+    spread = {"readback": {"name": "DAC", "address": 2, "type": "float32"}} if exchange == "read_write" else {}
+    line = StageLine(registers=RegisterMap.model_validate({**whole, "exchange": exchange, **spread}))
+    if exchange == "read_write":
+        # a coupler with function 23 keeps input and readback side by side
+        answer = line.respond
+
+        def both(request: ModbusPDU) -> ModbusPDU:
+            found: Any = request
+            if request.function_code != 23:
+                return answer(request) if request.address != 2 else answer_of(line, [1000])
+            line.model.write(found.write_address, found.write_registers, line.now_ns)
+            return answer_of(line, [0, 1000])
+
+        line.respond = both
+        line._framer.decoder.pdu_table[23] = type(line._framer.decoder).pdu_table[23]
+    line.driver.open()
+    tick(line)
+    sent = line.sent
+    sample = tick(line, 0.0, 300)
+    assert sample.base_m == pytest.approx(0.0, abs=DAC_STEP_M, rel=0.0)
+    assert line.sent - sent == 300
+    assert line.driver.exchanges == pytest.approx(300 / a_cycle, rel=0.05)
+
+
+def answer_of(line: StageLine, addresses: list[int]) -> ModbusPDU:
+    from pymodbus.pdu.register_message import ReadHoldingRegistersResponse, ReadWriteMultipleRegistersResponse
+
+    words = [word for address in addresses for word in line.model.read(address, 2, line.now_ns)]
+    kind = ReadHoldingRegistersResponse if len(addresses) == 1 else ReadWriteMultipleRegistersResponse
+    return kind(registers=words)
+
+
+def test_worked_example_of_a_coupler_is_a_valid_map() -> None:
+    found = read_map("wago_750")
+    assert found.output.encode(10.0, "big") == (32760,)
+    assert found.watchdog is not None
+    assert found.watchdog.settings[0].encode(1.0, "big") == (10,)
+
+
+def test_words_go_in_the_order_of_the_map() -> None:
+    register = Register(name="x", address=0, type="float32")
+    assert register.encode(1.5, "big") == register.encode(1.5, "little")[::-1] == (0x3FC0, 0)
+    assert register.decode((0, 0x3FC0), "little") == 1.5
+    with pytest.raises(ValueError, match="does not fit into uint16"):
+        Register(name="x", address=0, type="uint16").encode(-1.0, "big")
+
+
+def test_function_76_has_the_bytes_of_the_manual() -> None:
+    conversation = Conversation(1)
+    frame = conversation.feedback((Operation(1000, 2, (0x4020, 0)), Operation(0, 2)))
+    assert frame.hex() == "00010000000e014c0103e8024020000000000002"
+    request = FeedbackRequest()
+    request.decode(frame[8:])
+    assert request.operations == (Operation(1000, 2, (0x4020, 0)), Operation(0, 2))
+    with pytest.raises(FramingError):
+        conversation.answer(b"\0" * 12)
+
+
+class Rig:
+    """An AFM node with the T7 model on a bench."""
+
+    def __init__(self, bench: Any) -> None:
+        self.bench, self.line = bench, StageLine()
+        self.node = AfmNode(bench.context, AfmConfig(), self.line.driver)
+
+    def tick(self, count: int = 1, x_s_m: float = 0.0) -> None:
+        for _ in range(count):
+            self.bench.advance_ms(1)
+            self.line.pass_ms(1)
+            fields = {"mode": "position", "base_position_m": (0.0, 0.0, -x_s_m), "hand_seq": 7}
+            fields["hand_t_ns"] = self.bench.clock.now_ns()
+            self.node.on_message(self.bench.received("afm/command", "controller@slave", **fields))
+
+    def control(self, command: str) -> str:
+        fields = {"id": "a", "command": command, "target": "afm_node", "parameters": {}}
+        return self.node.on_control(self.bench.make("session/control", "console@slave", **fields))
+
+
+def test_node_retracts_when_the_device_is_lost_and_waits_for_arm(bench_of: Any) -> None:
+    rig = Rig(bench_of("afm_node@slave"))
+    rig.tick(5)
+    rig.control("arm")
+    rig.tick(400)
+    state = rig.bench.take("afm/state")[-1]
+    assert (state.v, state.device, state.mode, state.separation_valid) == (2, "ok", "follow", False)
+    assert state.base_position_m[2] == pytest.approx(0.0, abs=DAC_STEP_M)
+    assert 0.0 < state.sample_age_s < 3e-3
+    rig.line.reachable = False
+    rig.tick(2)
+    assert rig.bench.take("afm/state")[-1].mode == "retracting"
+    with pytest.raises(Exception, match="device_lost"):
+        rig.tick(200)
+        rig.control("arm")
+    rig.line.reachable = True
+    rig.tick(600)
+    state = rig.bench.take("afm/state")[-1]
+    assert (state.device, state.mode) == ("ok", "retracted")
+    assert rig.line.model.output_v == pytest.approx(2.5 - 100e-9 / 8e-8, abs=2e-3)
+    rig.control("arm")
+    rig.tick(5)
+    assert rig.bench.take("afm/state")[-1].mode == "follow"
+    texts = [event.text for event in rig.bench.take("session/event")]
+    assert any("is ready and retracted, calibration t7 470012345" in text for text in texts)
+    assert any("device_lost" in text for text in texts)
+
+
+def test_leaving_retracts_and_reads_it_back(line: StageLine) -> None:
+    tick(line)
+    tick(line, 10e-9, 200)
+    line.driver.close()
+    assert line.model.output_v == 0.0
+    assert isinstance(line.driver, ModbusAfm)
+    with pytest.raises(RuntimeError, match="not open"):
+        line.driver.exchange(0.0)
+    with pytest.raises(DeviceError):
+        StageLine(calibration(stage={"max_v": 4.0}))
