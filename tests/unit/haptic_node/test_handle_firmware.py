@@ -31,3 +31,13 @@ def test_missing_compiler_and_missing_source_are_sentences(tmp_path: Path, monke
         build_library(folder=tmp_path)
     with pytest.raises(FirmwareError, match="the source of the firmware is missing"):
         build_library(tmp_path)
+
+
+@pytest.mark.skipif(shutil.which("avr-gcc") is None, reason="needs the AVR compiler: apt install gcc-avr avr-libc")
+def test_committed_image_is_what_the_sources_give(tmp_path: Path) -> None:
+    copied = tmp_path / "handle"
+    shutil.copytree(SOURCES, copied)
+    image = copied / "boards/avr328p/handle.hex"
+    image.unlink()
+    subprocess.run(["make", "-C", str(copied)], check=True, capture_output=True)
+    assert image.read_bytes() == (SOURCES / "boards/avr328p/handle.hex").read_bytes()
