@@ -45,6 +45,7 @@ LAZY_COMMANDS = {
         "telenano.commands.sample", "sample", "Make or read a surface, and show what a round tip sees of it."
     ),
     "keys": LazyCommand("telenano.commands.keys", "app", "Make, show and list the keys that identify machines."),
+    "device": LazyCommand("telenano.commands.device", "app", "List, probe and watch real devices; emulate some."),
     "doctor": LazyCommand("telenano.doctor.report", "doctor", "Check whether this machine can run a rig."),
 }
 

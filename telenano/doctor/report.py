@@ -21,6 +21,7 @@ from presets import DEFAULT_SITE_FILE
 from proto.errors import ConfigError, EndpointError
 from telenano.doctor import checks
 from telenano.doctor.checks import Finding
+from telenano.doctor.devices import check_serial_ports
 from telenano.options import JsonOption, SiteFileOption
 from telenano.output import console, fail, print_json, report_errors
 
@@ -68,6 +69,7 @@ def machine(*, container: bool) -> list[Finding]:
         checks.check_timers(checks.measure_lateness_s(_TIMER_SAMPLES, _TIMER_PERIOD_S)),
         checks.check_open_files(_limit(resource.RLIMIT_NOFILE)),
         checks.check_disk(here, shutil.disk_usage(here).free),
+        *check_serial_ports(),
     ]
 
 

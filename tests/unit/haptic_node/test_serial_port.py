@@ -1,0 +1,123 @@
+"""A real serial port (a pseudo-terminal): what it refuses, that it never waits, and a handle at its other end."""
+
+import contextlib
+import os
+import shutil
+import threading
+import tty
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from services.haptic_node.config import HapticConfig, LimitsConfig
+from services.haptic_node.driver import DeviceError
+from services.haptic_node.port import SerialPort, holder_of
+
+
+@pytest.fixture
+def pty() -> Iterator[tuple[int, str]]:
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    name = os.ttyname(slave)
+    os.close(slave)
+    yield master, name
+    # a test may have pulled it out
+    with contextlib.suppress(OSError):
+        os.close(master)
+
+
+def test_bytes_go_both_ways_without_waiting(pty: tuple[int, str]) -> None:
+    master, name = pty
+    port = SerialPort(name, 1_000_000)
+    assert port.read() == b""
+    os.write(master, b"\x01\x02\x00")
+    assert port.read() == b"\x01\x02\x00"
+    assert port.write(b"\x03\x00")
+    assert os.read(master, 10) == b"\x03\x00"
+    port.close()
+    port.close()
+
+
+def test_full_buffer_drops_the_frame_and_the_next_begins_behind_a_zero(pty: tuple[int, str]) -> None:
+    master, name = pty
+    port = SerialPort(name, 1_000_000)
+    frame = b"\x11" * 199 + b"\0"
+    taken = 0
+    while port.write(frame):
+        taken += 1
+        assert taken < 10_000
+    got = b""
+    while len(got) < taken * len(frame):
+        got += os.read(master, 65536)
+    os.set_blocking(master, False)
+    with contextlib.suppress(BlockingIOError):
+        got += os.read(master, 65536)
+    assert port.write(b"\x22\0")
+    got += os.read(master, 65536)
+    *frames, _ = got.split(b"\0")
+    assert frames[-1] == b"\x22"
+    port.close()
+
+
+def test_pulled_cable_is_a_device_error_at_the_next_read_and_write(pty: tuple[int, str]) -> None:
+    master, name = pty
+    port = SerialPort(name, 1_000_000)
+    os.close(master)
+    with pytest.raises(DeviceError, match="the device is gone"):
+        port.read()
+    with pytest.raises(DeviceError, match="the device is gone"):
+        port.write(b"\x01\0")
+    port.close()
+
+
+def test_port_that_is_held_missing_or_no_port_is_refused_in_a_sentence(pty: tuple[int, str], tmp_path: Path) -> None:
+    _, name = pty
+    port = SerialPort(name, 1_000_000)
+    with pytest.raises(DeviceError, match="is in use"):
+        SerialPort(name, 1_000_000)
+    port.close()
+    with pytest.raises(DeviceError, match=r"there is no such port; `telenano device list`"):
+        SerialPort(str(tmp_path / "none"), 1_000_000)
+    (tmp_path / "file").touch()
+    with pytest.raises(DeviceError, match="cannot be opened as a serial port"):
+        SerialPort(str(tmp_path / "file"), 1_000_000)
+
+
+def test_holder_of_a_port_is_named(tmp_path: Path) -> None:
+    device = tmp_path / "ttyX"
+    device.touch()
+    (tmp_path / "proc/4242/fd").mkdir(parents=True)
+    (tmp_path / "proc/4242/comm").write_text("minicom\n")
+    (tmp_path / "proc/4242/fd/3").symlink_to(device)
+    (tmp_path / "proc/version").touch()
+    assert holder_of(str(device), tmp_path / "proc") == "minicom (4242)"
+    assert holder_of(str(tmp_path / "ttyY"), tmp_path / "proc") == ""
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler: apt install gcc libc6-dev")
+def test_handle_on_a_port_is_found_pulled_out_and_found_again(tmp_path: Path) -> None:
+    from services.haptic_node.emulated_handle import EmulatedHandle
+    from services.haptic_node.handle_on_pty import HandleOnPty
+    from services.haptic_node.serial_driver import SerialHandle
+
+    link = tmp_path / "by-id/handle"
+    port = HandleOnPty(EmulatedHandle(HapticConfig(), session=7), link)
+    running = threading.Event()
+    running.set()
+    thread = threading.Thread(target=lambda: port.run(running.is_set))
+    thread.start()
+    try:
+        driver = SerialHandle(str(link), 1_000_000, None, LimitsConfig())
+        assert driver.identify().model == "telenano posix"
+        driver.close()
+    finally:
+        running.clear()
+        thread.join()
+    port.pull_out()
+    assert not link.is_symlink()
+    with pytest.raises(DeviceError, match="there is no such port"):
+        SerialHandle(str(link), 1_000_000, None, LimitsConfig()).identify()
+    port.plug_in()
+    assert link.is_symlink()
+    port.pull_out()

@@ -1,0 +1,52 @@
+"""`telenano device` against an emulated handle, in this process, and what it says of what is not there."""
+
+import json
+import shutil
+import threading
+from pathlib import Path
+
+import pytest
+import yaml
+from typer.testing import CliRunner
+
+from services.afm_node.t7_model import calibration_of
+from services.haptic_node.config import HapticConfig
+from telenano.commands.device import app
+
+needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler: apt install gcc libc6-dev")
+
+
+@needs_compiler
+def test_probe_tells_who_a_handle_is(tmp_path: Path) -> None:
+    from services.haptic_node.emulated_handle import EmulatedHandle
+    from services.haptic_node.handle_on_pty import HandleOnPty
+
+    port = HandleOnPty(EmulatedHandle(HapticConfig(), session=7), tmp_path / "handle")
+    running = threading.Event()
+    running.set()
+    thread = threading.Thread(target=lambda: port.run(running.is_set))
+    thread.start()
+    try:
+        done = CliRunner().invoke(app, ["probe", "--port", str(tmp_path / "handle"), "--json"])
+    finally:
+        running.clear()
+        thread.join()
+        port.pull_out()
+    found = json.loads(done.stdout)
+    assert (found["device_id"], found["protocol"], found["firmware"]) == ("0102030405060708", "1.0", "1.0")
+    assert found["abilities"] == "position mode, force sensor, current is sensed, emulated"
+
+
+def test_what_is_not_there_is_a_sentence_and_exit_code_2(tmp_path: Path) -> None:
+    missing = CliRunner().invoke(app, ["probe", "--port", str(tmp_path / "none")])
+    assert missing.exit_code == 2
+    assert "there is no such port" in missing.output
+    neither = CliRunner().invoke(app, ["probe"])
+    assert neither.exit_code == 2
+    assert "--port for a handle, or --calibration for an instrument" in neither.output
+    # a port that nothing listens at: the connection is refused at once
+    stage = tmp_path / "stage.yaml"
+    stage.write_text(yaml.safe_dump(calibration_of(6.25e6, 40.0, port=1)))
+    silent = CliRunner().invoke(app, ["probe", "--calibration", str(stage)])
+    assert silent.exit_code == 2
+    assert "127.0.0.1:1: LabJack T7" in silent.output
