@@ -57,6 +57,7 @@ function draw(now: number): void {
   if (dirty) {
     dirty = false;
     scopes.draw();
+    view?.invalidate();
   }
   hand.draw();
   if (now - statusAt > STATUS_MS) {

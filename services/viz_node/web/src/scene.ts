@@ -47,6 +47,9 @@ const ARROW_NM = 34;
 const XR_SCALE = 0.004;
 const XR_PLACE = new Vector3(0, 1.0, -0.6);
 const BEAM_PARTS = 16;
+/** From this time between frames on the picture is drawn in one frame of six. */
+const SLOW_MS = 45;
+const SLOW_SHARE = 6;
 
 /** Tip, cantilever and surface, in nanometres, z away from the sample. */
 export class View {
@@ -54,6 +57,11 @@ export class View {
   /** Called in VR while a trigger is held: how far the controller has moved down since then [m]; null when let go. */
   onPress: (down: number | null) => void = () => {};
   frames = 0;
+  private dirty = true;
+  /** Time between frames, smoothed [ms]: where it is long the picture is drawn less often, and the rest stays usable. */
+  private period = 16;
+  private frameAt = 0;
+  private drawnAt = 0;
   private readonly renderer: WebGLRenderer;
   private readonly scene = new Scene();
   private readonly camera = new PerspectiveCamera(40, 1, 1, 4000);
@@ -106,6 +114,7 @@ export class View {
     this.world.add(bar(10, "10 nm", [-PLANE_NM / 2 - 6, -PLANE_NM / 2 - 6, 5], "z"));
     this.orbit = new OrbitControls(this.camera, this.renderer.domElement);
     this.orbit.enableDamping = false;
+    this.orbit.addEventListener("change", () => this.invalidate());
     this.orbit.maxDistance = 1500;
     this.orbit.listenToKeyEvents(this.renderer.domElement);
     this.renderer.domElement.tabIndex = 0;
@@ -118,6 +127,11 @@ export class View {
     this.resize();
     this.renderer.setAnimationLoop(() => this.draw());
     this.renderer.domElement.addEventListener("dblclick", (event) => this.pick(event));
+  }
+
+  /** Draw again: something has changed. Nothing is drawn otherwise, so a page that rests costs nothing. */
+  invalidate(): void {
+    this.dirty = true;
   }
 
   addLines(lines: Line[]): void {
@@ -142,6 +156,7 @@ export class View {
   }
 
   recolour(): void {
+    this.invalidate();
     this.scene.background = new Color(colour("scene"));
     this.plane.material.color.set(colour("line"));
     this.world.remove(this.grid);
@@ -163,6 +178,13 @@ export class View {
   }
 
   private draw(): void {
+    const now = performance.now();
+    this.period += 0.2 * (Math.min(1000, now - this.frameAt) - this.period);
+    this.frameAt = now;
+    const isSlow = this.period > SLOW_MS && now - this.drawnAt < SLOW_SHARE * this.period;
+    if ((!this.dirty || isSlow) && !this.renderer.xr.isPresenting) return;
+    this.dirty = false;
+    this.drawnAt = now;
     this.frames++;
     this.place();
     if (this.renderer.xr.isPresenting) this.followController();
@@ -275,6 +297,7 @@ export class View {
     const place = this.world.worldToLocal(hit.point.clone());
     const z = this.surface.heightAt(place.x, place.y);
     this.mark.visible = true;
+    this.invalidate();
     this.mark.position.set(place.x, place.y, z);
     this.picked = `Point: x ${place.x.toFixed(2)} nm, y ${place.y.toFixed(2)} nm, z ${z.toFixed(3)} nm.`;
   }
@@ -287,6 +310,7 @@ export class View {
     this.renderer.setSize(width, height);
     this.anaglyph?.setSize(width, height);
     this.sideBySide?.setSize(width, height);
+    this.invalidate();
   }
 
   private buildXr(): void {

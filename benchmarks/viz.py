@@ -1,0 +1,175 @@
+"""What the view costs: the age of the loop with and without open pages, bytes to a page, and the time of a frame.
+
+    python benchmarks/viz.py --rounds 4 --window 4
+
+One rig runs throughout. Windows without a page and with `--pages` of them follow one another, and the age of the loop
+in each is read from the recording: the ratio compares moments of the same run. Pages are web sockets that read
+everything; with `--browser` a Chromium draws one of them, and its frames are timed. A browser on the same machine takes
+processor time as any program does, so its ratio says more about the machine than about the view.
+"""
+
+import argparse
+import contextlib
+import json
+import os
+import shutil
+import signal
+import statistics
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import msgpack
+
+from proto.topics import LOOP_DEADLINE_S
+from recording.reader import Recording
+
+SETTLE_S = 1.0
+PATIENCE_S = 90.0
+FLAGS = ["--no-sandbox", "--disable-background-networking", "--use-gl=angle", "--use-angle=swiftshader"]
+
+
+class Reader(threading.Thread):
+    """A page that reads everything and draws nothing."""
+
+    def __init__(self, address: str) -> None:
+        super().__init__(daemon=True)
+        base, _, self._token = address.partition("/#")
+        self._base = base
+        self.bytes = 0
+        self.frames = 0
+        self.closing = threading.Event()
+
+    def run(self) -> None:
+        from websockets.sync.client import connect
+
+        url = self._base.replace("http", "ws") + "/bus"
+        with connect(url, origin=self._base, max_size=None) as socket:  # type: ignore[arg-type]
+            socket.send(msgpack.packb({"k": "hello", "token": self._token, "protocol": 1}))
+            while not self.closing.is_set():
+                with contextlib.suppress(TimeoutError):
+                    self.bytes += len(socket.recv(timeout=0.2))
+                    self.frames += 1
+
+    def close(self) -> None:
+        self.closing.set()
+        self.join(5.0)
+
+
+@contextlib.contextmanager
+def process(arguments: Sequence[str], environment: dict[str, str]) -> Iterator["subprocess.Popen[str]"]:
+    """Run a telenano command while the block runs."""
+    command = [sys.executable, "-m", "telenano", *arguments]
+    with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) as found:
+        try:
+            yield found
+        finally:
+            found.send_signal(signal.SIGINT)
+            try:
+                found.communicate(timeout=PATIENCE_S)
+            except subprocess.TimeoutExpired:
+                found.kill()
+
+
+@contextlib.contextmanager
+def drawn(address: str, wanted: bool) -> Iterator[Any]:
+    """Return a page in Chromium; None where none is wanted."""
+    if not wanted:
+        yield None
+        return
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=FLAGS)
+        page = browser.new_page(viewport={"width": 1360, "height": 850})
+        page.goto(address, wait_until="commit", timeout=PATIENCE_S * 1e3)
+        yield page
+        browser.close()
+
+
+def ages_ms(recording: Path, windows: Sequence[tuple[int, int]]) -> list[float]:
+    """Return the age of the loop of each sample that arrived in the windows [ns]: hand's sample to its answer [ms]."""
+    found = []
+    for begin_ns, end_ns in windows:
+        for message in Recording(recording).messages(["haptic/state"], begin_ns, end_ns):
+            fields = message.fields()
+            if fields["answered_t_ns"]:
+                found.append((fields["answered_at_ns"] - fields["answered_t_ns"]) * 1e-6)
+    return [age for age in found if age < LOOP_DEADLINE_S * 1e3]
+
+
+def figures(values: Sequence[float]) -> dict[str, float]:
+    """Return median, 99th percentile and count."""
+    ordered = sorted(values)
+    return {"p50": statistics.median(ordered), "p99": ordered[int(0.99 * (len(ordered) - 1))], "n": len(ordered)}
+
+
+def measure(given: argparse.Namespace, folder: Path) -> dict[str, Any]:
+    """Run a rig and return the figures."""
+    environment = {**os.environ, "TELENANO_RUNTIME_DIR": tempfile.mkdtemp(prefix="tnv-")}
+    duration_s = 2 * given.rounds * (given.window + SETTLE_S) + 30.0
+    out = folder / "rig"
+    up = ["up", "--scenario", "touch", "--duration", str(duration_s), "--out", str(out), "--json"]
+    without: list[tuple[int, int]] = []
+    with_pages: list[tuple[int, int]] = []
+    received, frames = [], []
+    with process(up, environment), process(["view", "--port", "0"], environment) as view:
+        assert view.stdout is not None
+        address = view.stdout.readline().split()[1]
+        end_s = time.monotonic() + PATIENCE_S
+        while not (out / "session.mcap").exists() and time.monotonic() < end_s:
+            time.sleep(0.2)
+        # the rig compiles nothing any more and the session runs
+        time.sleep(8.0)
+        for _ in range(given.rounds):
+            without.append(_window(given.window))
+            readers = [Reader(address) for _ in range(given.pages - given.browser)]
+            for reader in readers:
+                reader.start()
+            with drawn(address, given.browser) as page:
+                time.sleep(SETTLE_S)
+                before = [(reader.bytes, reader.frames) for reader in readers]
+                with_pages.append(_window(given.window))
+                received += [(r.bytes - b) / given.window for r, (b, _) in zip(readers, before, strict=True)]
+                if page is not None:
+                    frames += page.evaluate("telenano.frames")
+            for reader in readers:
+                reader.close()
+            time.sleep(SETTLE_S)
+    recording = out / "session.mcap"
+    alone, watched = figures(ages_ms(recording, without)), figures(ages_ms(recording, with_pages))
+    return {
+        "pages": given.pages,
+        "browser": bool(given.browser),
+        "loop_age_ms": {"without": alone, "with": watched},
+        "ratio_p50": watched["p50"] / alone["p50"],
+        "ratio_p99": watched["p99"] / alone["p99"],
+        "kilobytes_per_s": statistics.mean(received) / 1e3 if received else None,
+        "frame_ms": figures(frames) if frames else None,
+    }
+
+
+def _window(length_s: float) -> tuple[int, int]:
+    begin_ns = time.time_ns()
+    time.sleep(length_s)
+    return begin_ns, time.time_ns()
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description="What the view costs.")
+    parser.add_argument("--rounds", type=int, default=4)
+    parser.add_argument("--window", type=float, default=4.0, help="length of each measurement [s]")
+    parser.add_argument("--pages", type=int, default=3)
+    parser.add_argument("--browser", action="store_true", help="let a Chromium draw one of the pages")
+    with tempfile.TemporaryDirectory() as folder:
+        print(json.dumps(measure(parser.parse_args(), Path(folder)), indent=2))
+
+
+if __name__ == "__main__":
+    main()

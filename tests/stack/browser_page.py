@@ -1,0 +1,133 @@
+"""The page of the view in a real Chromium, as a person would use it."""
+
+import importlib.util
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+ROOT = Path(__file__).resolve().parents[2]
+PICTURES = ROOT / "docs" / "view"
+# only keeps a broken page from holding the suite
+PATIENCE_S = 60.0
+# a software renderer: the machines of tests have no graphics
+_FLAGS = ("--no-sandbox", "--disable-background-networking", "--use-gl=angle", "--use-angle=swiftshader")
+_FLAGS += ("--enable-unsafe-swiftshader",)
+
+
+def missing() -> str:
+    """Return what this machine lacks for the tests in a browser; empty when it lacks nothing."""
+    if CHROMIUM is None:
+        return "there is no chromium"
+    for package in ("playwright", "starlette", "uvicorn"):
+        if importlib.util.find_spec(package) is None:
+            return f"{package} is not installed"
+    if not (ROOT / "services" / "viz_node" / "web" / "dist" / "index.html").is_file():
+        return "the page has not been built: make page"
+    return ""
+
+
+def until(condition: Callable[[], Any], what: str) -> Any:
+    """Wait until something holds, and return it."""
+    end = time.monotonic() + PATIENCE_S
+    while not (found := condition()):
+        assert time.monotonic() < end, f"waited in vain for {what}"
+        time.sleep(0.05)
+    return found
+
+
+class View:
+    """A `telenano view` and its addresses."""
+
+    def __init__(self, environment: dict[str, str], *arguments: str) -> None:
+        command = [sys.executable, "-m", "telenano", "view", "--port", "0", *arguments]
+        self._process = subprocess.Popen(command, env=environment, cwd=ROOT, stdout=subprocess.PIPE, text=True)
+        assert self._process.stdout is not None
+        lines = [self._process.stdout.readline().split() for _ in range(2)]
+        self.operator, self.observer = (line[1] for line in lines)
+
+    def close(self) -> None:
+        self._process.terminate()
+        self._process.wait(20.0)
+
+
+class Page:
+    """An open page; what goes wrong in it is kept in `faults`."""
+
+    def __init__(self, page: Any) -> None:
+        self.page = page
+        self.faults: list[str] = []
+        page.on("pageerror", lambda error: self.faults.append(str(error)))
+        page.on("console", lambda line: self.faults.append(line.text) if line.type == "error" else None)
+        page.set_default_timeout(PATIENCE_S * 1e3)
+
+    def value(self, expression: str) -> Any:
+        return self.page.evaluate(expression)
+
+    def click(self, selector: str) -> None:
+        """Press a button; without waiting for frames, which a machine without graphics draws a few of a second."""
+        self.page.locator(selector).dispatch_event("click")
+
+    def fill(self, selector: str, text: str) -> None:
+        self.page.locator(selector).fill(text, force=True)
+
+    def choose(self, selector: str, value: str) -> None:
+        self.page.locator(selector).select_option(value, force=True)
+
+    def fact(self, state: str, key: str) -> Any:
+        return self.value(f"telenano.store.fact('{state}', '{key}')")
+
+    def last(self, stream: str, column: str) -> float:
+        found = self.value(f"telenano.store.last('{stream}', '{column}')")
+        return float(found) if found is not None else float("nan")
+
+    def until(self, expression: str, what: str) -> Any:
+        return until(lambda: self.value(expression), what)
+
+    def answered(self, action: Callable[[], object]) -> str:
+        """Do something and return the answer that the page shows to it."""
+        before = self.page.locator(".answer.done, .answer.refused").count()
+        action()
+        shown = self.page.locator(".answer.done, .answer.refused")
+        until(lambda: shown.count() > before, "an answer on the page")
+        return str(shown.last.inner_text())
+
+    def banners(self) -> str:
+        return str(self.page.inner_text("#banners"))
+
+    def picture(self, name: str) -> None:
+        """Keep a picture of the page for the documents."""
+        PICTURES.mkdir(exist_ok=True)
+        self.page.screenshot(path=PICTURES / f"{name}.png")
+
+
+@contextmanager
+def browser() -> Iterator[Any]:
+    """Return a browser that is closed at the end."""
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        found = playwright.chromium.launch(executable_path=CHROMIUM, args=list(_FLAGS))
+        try:
+            yield found
+        finally:
+            found.close()
+
+
+def open_page(found: Any, address: str, **context: Any) -> Page:
+    """Open an address in a window of its own."""
+    view = {"viewport": {"width": 1360, "height": 850}, **context}
+    page = Page(found.new_context(**view).new_page())
+    page.page.goto(address, timeout=PATIENCE_S * 1e3, wait_until="commit")
+    page.until("window.telenano?.store.streams.size", "a page that is connected")
+    return page
+
+
+needs_browser = pytest.mark.skipif(bool(missing()), reason=missing() or "everything is there")
