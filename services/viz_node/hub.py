@@ -227,6 +227,8 @@ class Hub:
 
     def _push(self, session: Session, request: HandRequest) -> None:
         """Pass on the force of the page that holds the hand; one at a time holds it."""
+        if not session.may_ask(time.monotonic()):
+            return
         free = self._holder in (None, session)
         if self._open_hand is None or session.role is not Role.OPERATOR or not free:
             reason = "another page holds the hand" if not free else "this page cannot hold the hand"

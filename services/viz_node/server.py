@@ -2,6 +2,8 @@
 
 import asyncio
 import contextlib
+import signal
+import sys
 from collections.abc import AsyncIterator, Awaitable, Callable, MutableMapping
 from pathlib import Path
 from typing import Any
@@ -150,6 +152,14 @@ class _PageSocket:
                 await sender
 
 
+def _end_with(task: "asyncio.Task[None]") -> None:
+    """End the server with its source, such as a recording that can no longer be read: pages would show the past."""
+    error = None if task.cancelled() else task.exception()
+    if error is not None:
+        sys.stderr.write(f"telenano: the view has ended: {error}\n")
+        signal.raise_signal(signal.SIGTERM)
+
+
 async def _receive(socket: WebSocket) -> bytes:
     """Return the bytes of the next frame; RequestError for a frame of text."""
     message = await socket.receive()
@@ -181,12 +191,13 @@ def make_app(hub: Hub, access: Access, page: Path | None) -> Any:
     @contextlib.asynccontextmanager
     async def lifespan(app: Starlette) -> AsyncIterator[None]:
         task = asyncio.create_task(hub.run())
+        task.add_done_callback(_end_with)
         try:
             yield
         finally:
             task.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await task
+            # what ended it has been reported
+            await asyncio.gather(task, return_exceptions=True)
 
     async def health(request: Any) -> PlainTextResponse:
         return PlainTextResponse("ok\n")

@@ -89,7 +89,11 @@ class Page:
         return float(found) if found is not None else float("nan")
 
     def until(self, expression: str, what: str) -> Any:
-        return until(lambda: self.value(expression), what)
+        try:
+            return until(lambda: self.value(expression), what)
+        except AssertionError as error:
+            note = self.page.inner_text("#scene .note")
+            raise AssertionError(f"{error}; the page says {note!r} {self.banners()!r} {self.faults}") from None
 
     def answered(self, action: Callable[[], object]) -> str:
         """Do something and return the answer that the page shows to it."""

@@ -21,6 +21,7 @@ from services.viz_node import server
 from services.viz_node.access import Access
 from services.viz_node.feed import Seen
 from services.viz_node.hub import Hub
+from services.viz_node.requests import HandRequest
 from services.viz_node.source import NoTransport
 
 ACCESS = Access("operator-token-0123", "observer-token-0123", hosts=("testserver",), networks=("127.0.0.0/8",))
@@ -300,6 +301,32 @@ def test_the_hand_of_a_page_that_falls_silent_or_closes_is_let_go(
         push(Page(short, client), 2.0)
         until(lambda: 2.0 in rig.hand)
     until(lambda: rig.hand == [1.0, 0.0, 2.0, 0.0])
+
+
+def test_the_server_ends_with_a_source_that_cannot_be_read(
+    rig: Rig, page: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ended: list[int] = []
+    monkeypatch.setattr("signal.raise_signal", ended.append)
+
+    def broken(*, watched: bool) -> list[Seen]:
+        raise RigError("session.mcap: cannot be read any more")
+
+    monkeypatch.setattr(rig.source, "poll", broken)
+    with TestClient(server.make_app(rig.hub, ACCESS, page), client=("127.0.0.1", 5)) as client:
+        client.get("/health")
+        until(lambda: ended)
+    assert "the view has ended: session.mcap: cannot be read any more" in capsys.readouterr().err
+
+
+def test_a_hand_that_pushes_without_end_is_passed_on_no_faster_than_a_page_may_ask(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(hubs.time, "monotonic", lambda: 50.0)
+    session = hubs.Session(server.Role.OPERATOR)
+    for i in range(1000):
+        rig.hub._push(session, HandRequest(float(i), True))
+    assert rig.hand == [float(i) for i in range(200)]
 
 
 def test_a_page_that_does_not_read_holds_up_nobody_and_begins_anew(rig: Rig) -> None:

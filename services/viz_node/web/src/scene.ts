@@ -47,6 +47,8 @@ const ARROW_NM = 34;
 const XR_SCALE = 0.004;
 const XR_PLACE = new Vector3(0, 1.0, -0.6);
 const BEAM_PARTS = 16;
+/** Distance of the eyes in that to what they look at: 64 mm at 1.6 m. */
+const EYE_SHARE = 0.04;
 /** From this time between frames on the picture is drawn in one frame of six. */
 const SLOW_MS = 45;
 const SLOW_SHARE = 6;
@@ -97,8 +99,8 @@ export class View {
     this.renderer.domElement.setAttribute("role", "img");
     this.renderer.domElement.setAttribute("aria-label", "Tip, cantilever and surface in three dimensions");
     root.append(this.renderer.domElement);
-    this.scene.add(new AmbientLight(0xffffff, 1.1), this.world);
-    const sun = new DirectionalLight(0xffffff, 2.2);
+    this.scene.add(new AmbientLight(0xffffff, 0.9), this.world);
+    const sun = new DirectionalLight(0xffffff, 1.9);
     sun.position.set(-60, 160, 90);
     this.scene.add(sun);
     // the world has z up, the library y
@@ -118,7 +120,7 @@ export class View {
     this.orbit.maxDistance = 1500;
     this.orbit.listenToKeyEvents(this.renderer.domElement);
     this.renderer.domElement.tabIndex = 0;
-    this.vrButton = make("button", { type: "button", id: "vr", hidden: true, onclick: () => void this.toggleVr() }, "Enter VR");
+    this.vrButton = make("button", { type: "button", id: "vr", hidden: true, onclick: () => void this.toggleVr().catch((error) => this.say(`No session of the headset: ${String(error)}.`)) }, "Enter VR");
     this.buildOverlay();
     this.buildXr();
     this.reset();
@@ -138,7 +140,8 @@ export class View {
     for (const line of lines) this.surface.add(line);
     this.plane.visible = this.grid.visible = this.surface.isEmpty;
     this.legend.hidden = this.surface.isEmpty;
-    this.ends.replaceChildren(`${this.surface.greatest.toPrecision(3)} nm`, `${this.surface.least.toPrecision(3)} nm`);
+    const ends = [this.surface.greatest, this.surface.least].map((height) => make("span", {}, `${height.toPrecision(3)} nm`));
+    this.ends.replaceChildren(...ends);
   }
 
   clear(): void {
@@ -189,7 +192,14 @@ export class View {
     this.place();
     if (this.renderer.xr.isPresenting) this.followController();
     if (this.renderer.xr.isPresenting || this.stereo === "off") this.renderer.render(this.scene, this.camera);
-    else (this.stereo === "anaglyph" ? this.anaglyph : this.sideBySide)!.render(this.scene, this.camera);
+    else {
+      // what the eyes turn to has no parallax, and lies in the plane of the screen
+      const distance = this.camera.position.distanceTo(this.orbit.target);
+      if (this.anaglyph) [this.anaglyph.planeDistance, this.anaglyph.eyeSep] = [distance, distance * EYE_SHARE];
+      this.camera.focus = distance;
+      this.sideBySide?.setEyeSeparation(distance * EYE_SHARE);
+      (this.stereo === "anaglyph" ? this.anaglyph : this.sideBySide)!.render(this.scene, this.camera);
+    }
   }
 
   private place(): void {
@@ -277,6 +287,11 @@ export class View {
     }
     (this.legend.firstElementChild as HTMLElement).style.background = gradient();
     this.root.append(bar, readout, this.note, this.legend);
+  }
+
+  private say(text: string): void {
+    this.picked = text;
+    this.invalidate();
   }
 
   private show(name: string, text: string): void {

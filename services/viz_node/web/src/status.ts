@@ -51,7 +51,7 @@ export class Status {
     if (this.connection !== "open") return [["bad", `DISCONNECTED: ${this.connectionText}`]];
     const nodes = [...store.nodes.values()];
     const isLive = store.source.kind === "live";
-    if (!nodes.length) return [["warn", isLive ? "NO RIG: no node has reported yet" : "recording"]];
+    if (!nodes.length) return [["warn", isLive ? "NO RIG: no node has reported yet" : "REPLAYED: not an instrument"]];
     if (isLive && nodes.every((node) => node.state === "ended" || node.state === "stopping")) return [["bad", "THE RIG HAS ENDED"]];
     if (store.fact("haptic/state/master", "estop") === true || store.fact("afm/state/slave", "mode") === "estop") {
       found.push(["bad", "EMERGENCY STOP: arm to go on"]);

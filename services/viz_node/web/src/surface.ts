@@ -1,4 +1,4 @@
-import { BufferAttribute, BufferGeometry, DoubleSide, Mesh, MeshStandardMaterial } from "three";
+import { BufferAttribute, BufferGeometry, Color, DoubleSide, Mesh, MeshStandardMaterial, SRGBColorSpace } from "three";
 import { viridis } from "./colormap";
 import { numbers, type Line } from "./protocol";
 
@@ -6,6 +6,7 @@ const NM = 1e9;
 /** Colours are made anew when the range of heights has grown by this share. */
 const RECOLOUR = 0.02;
 const MOST_POINTS = 1024;
+const LINEAR = new Color();
 
 /** The surface as a height field that grows line by line; lengths in nm, colours by height. */
 export class Surface {
@@ -127,7 +128,9 @@ export class Surface {
     const range = this.coloured[1] - this.coloured[0] || 1;
     for (const r of rows) {
       for (let i = r * this.points; i < (r + 1) * this.points; i++) {
-        colours.setXYZ(i, ...viridis(((this.heights[i] as number) - this.coloured[0]) / range));
+        // the library computes with linear light
+        LINEAR.setRGB(...viridis(((this.heights[i] as number) - this.coloured[0]) / range), SRGBColorSpace);
+        colours.setXYZ(i, LINEAR.r, LINEAR.g, LINEAR.b);
       }
       colours.addUpdateRange(r * this.points * 3, this.points * 3);
     }
