@@ -4,7 +4,7 @@ Every default is a value of Table 2 or, where the paper gives none, one that its
 """
 
 from functools import lru_cache
-from typing import Annotated, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -18,6 +18,9 @@ from services.afm_node.step import AfmParams
 from services.afm_node.tip_sample import AS_PRINTED, CONSISTENT, TipSampleProperties, build_tip_sample, hamaker_of
 from services.runtime.config import Settings
 
+if TYPE_CHECKING:
+    from services.afm_node.dynamic import DynamicPlant
+
 # The contact table reaches this multiple of the force limit, so that a tick that overshoots is still on it.
 _TABLE_REACH = 2.0
 
@@ -29,6 +32,8 @@ class CantileverConfig(Settings):
     """Spring and read-out of the cantilever (Table 2, Eq. 3)."""
 
     stiffness_n_per_m: float = Field(40.0, ge=1e-3, le=1e4, description="Spring constant k [N/m], 0.001 to 10000.")
+    resonance_hz: float = Field(150e3, gt=0.0, le=1e9, description="Free resonance f [Hz], for the dynamic model.")
+    quality: float = Field(100.0, gt=0.5, le=1e7, description="Quality factor Q in air, above 0.5; dynamic model.")
     bridge_supply_v: float = Field(2.5, gt=0.0, le=100.0, description="Bridge supply voltage V0 [V], up to 100.")
     amplifier_gain: float = Field(1e4, gt=0.0, le=1e7, description="Gain Gc of the bridge amplifier, up to 1e7.")
     sensitivity_per_m: float = Field(
@@ -67,6 +72,14 @@ class TipSampleConfig(Settings):
         gt=0.0,
         lt=1.0,
         description="Relative humidity, a fraction; given instead of meniscus_radius_m, it sets r1.",
+    )
+    liquid_thickness_m: float = Field(0.8e-9, gt=0.0, le=1e-6, description="Thickness L_l of the liquid layer [m].")
+    liquid_viscosity_pa_s: float = Field(
+        0.0, ge=0.0, le=1e6, description="Viscosity tau_l of the liquid layer [Pa s]; dynamic model."
+    )
+    sample_thickness_m: float = Field(1e-9, gt=0.0, le=1e-3, description="Thickness L_s of the damping sample [m].")
+    sample_viscosity_pa_s: float = Field(
+        0.0, ge=0.0, le=1e9, description="Viscosity tau_s of the sample [Pa s]; dynamic model."
     )
     break_distance_m: float = Field(
         4e-9, gt=0.0, le=1e-5, description="Distance delta_b at which the meniscus breaks [m], above 2 r1."
@@ -186,6 +199,22 @@ class AfmConfig(Settings):
         """Return the parameters of the linear environment behind the same guard."""
         guard, spring = self.to_params().safety, self.spring
         return spring_params(guard, spring.stiffness_n_per_m, spring.rest_position_m, spring.bilateral)
+
+    def to_dynamic(
+        self, drive_hz: float | None = None, steps_per_period: int = 96, temperature_k: float = 0.0
+    ) -> "DynamicPlant":
+        """Return the cantilever with its dynamics (Eq. 4), driven at drive_hz [Hz] or at its resonance.
+
+        Raises: ValueError naming value and unit, where the values admit no model.
+        """
+        # a node that asks for no dynamics does not import them
+        from services.afm_node.dynamic import Damping, build_dynamic
+
+        c, t = self.cantilever, self.tip_sample
+        damping = Damping(t.liquid_viscosity_pa_s, t.liquid_thickness_m, t.sample_viscosity_pa_s, t.sample_thickness_m)
+        drive = c.resonance_hz if drive_hz is None else drive_hz
+        plant = self.to_params().plant
+        return build_dynamic(plant, c.resonance_hz, c.quality, drive, damping, steps_per_period, temperature_k)
 
     def to_params(self) -> AfmParams:
         """Build the parameters of the pure step; built once per set of its parameters.
