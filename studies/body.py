@@ -99,7 +99,13 @@ def pushed(
 def step(params: BodyParams, state: BodyState, inputs: AfmInputs, dt: float) -> tuple[BodyState, AfmOutputs]:
     """Advance guard, cantilever and body by dt [s]. Raises ValueError if dt is not positive and finite."""
     asked = SafetyInputs(
-        inputs.reference_m, inputs.command_age_s, inputs.action, inputs.arm_requested, inputs.estop, state.force_n
+        inputs.reference_m,
+        inputs.command_age_s,
+        inputs.action,
+        inputs.arm_requested,
+        inputs.estop,
+        state.force_n,
+        False,
     )
     safety, allowed = safety_step(params.safety, state.safety, asked, dt)
     y_m, velocity = pushed(params, (state.base_m, allowed.base_m), state.pushed_m, state.velocity_m_per_s, dt)

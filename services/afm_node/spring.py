@@ -60,7 +60,13 @@ def initial_state(params: SpringParams) -> SpringState:
 def step(params: SpringParams, state: SpringState, inputs: AfmInputs, dt: float) -> tuple[SpringState, AfmOutputs]:
     """Advance guard and spring by dt [s]. Raises ValueError if dt is not positive and finite."""
     asked = SafetyInputs(
-        inputs.reference_m, inputs.command_age_s, inputs.action, inputs.arm_requested, inputs.estop, state.force_n
+        inputs.reference_m,
+        inputs.command_age_s,
+        inputs.action,
+        inputs.arm_requested,
+        inputs.estop,
+        state.force_n,
+        False,
     )
     safety, allowed = safety_step(params.safety, state.safety, asked, dt)
     force = spring_force(params, allowed.base_m)
