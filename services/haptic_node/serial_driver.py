@@ -72,6 +72,7 @@ class SerialHandle:
         self.dropped = 0
         self.missed = 0
         self.reader = wire.FrameReader()
+        self._modes: tuple[int, ...] = (MODE_OFF,)
         self._baud = baud
         self._calibration = calibration
         self._limits = None if calibration is None else calibration.device_limits(limits)
@@ -104,9 +105,6 @@ class SerialHandle:
             raise DeviceError(f"{self.path}: what the handle can do is known once it is open")
         flags, calibration = self.hello.flags, self._calibration
         ends = sorted(map(calibration.position_m, (self._limits.travel_min, self._limits.travel_max)))
-        modes = [MODE_OFF]
-        modes += [MODE_POSITION] if flags & wire.HAS_POSITION_MODE else []
-        modes += [MODE_FORCE] if flags & wire.HAS_FORCE_MODE else []
         measured = flags & wire.HAS_FORCE_SENSOR
         return Capabilities(
             max_force_n=min(calibration.max_force_n, calibration.force.saturation_n),
@@ -114,7 +112,7 @@ class SerialHandle:
             max_damping_n_s_per_m=calibration.servo.damping_n_s_per_m,
             workspace_min_m=ends[0],
             workspace_max_m=ends[1],
-            modes=tuple(modes),
+            modes=modes_of(self.hello),
             identity=identity_text(self.hello),
             force_source="sensor" if measured else "estimate" if flags & wire.FORCE_IS_ESTIMATED else "none",
             latency_s=_PERIOD_S + (_COMMAND_BYTES + _STATE_BYTES) * _BITS_A_BYTE / self._baud,
@@ -162,7 +160,7 @@ class SerialHandle:
         """Send the command of this period, if there is a device to send it to."""
         if self._phase is not _Phase.READY:
             return
-        if command.mode not in self.capabilities.modes:
+        if command.mode not in self._modes:
             raise DeviceError(f"the handle at {self.path} has no mode {MODE_NAMES.get(command.mode, command.mode)}")
         self._send_command(command)
 
@@ -258,7 +256,7 @@ class SerialHandle:
         if fault:
             self._lose(now_ns, f"{self.path}: {fault}")
             return
-        self.hello = hello
+        self.hello, self._modes = hello, modes_of(hello)
         self._enter(_Phase.CONFIGURING, now_ns)
 
     def _on_configured(self, answer: wire.Configured) -> None:
@@ -354,6 +352,12 @@ class SerialHandle:
     def _next_seq(self) -> int:
         seq, self._seq = self._seq, (self._seq + 1) & 0xFFFF
         return seq
+
+
+def modes_of(hello: wire.Hello) -> tuple[int, ...]:
+    """Return the modes that a device has; every one has off."""
+    bits = ((MODE_POSITION, wire.HAS_POSITION_MODE), (MODE_FORCE, wire.HAS_FORCE_MODE))
+    return (MODE_OFF, *(mode for mode, bit in bits if hello.flags & bit))
 
 
 def identity_text(hello: wire.Hello) -> str:

@@ -332,6 +332,7 @@ def simulate_handle(
             signal.signal(number, lambda found, frame: received.append(found))
         signal.signal(signal.SIGTERM, signal.default_int_handler)
         typer.echo(f"an emulated handle is at {link}; Enter pulls its cable out and puts it in again, Ctrl-C ends it")
+        _run_ahead()
         has_keys = sys.stdin.isatty()
 
         def goes_on() -> bool:
@@ -385,6 +386,7 @@ def simulate_t7(
         if calibration is not None:
             _write(calibration, calibration_of(params.plant.volts_per_m, params.plant.stiffness_n_per_m, host, port))
         signal.signal(signal.SIGTERM, signal.default_int_handler)
+        _run_ahead()
         asyncio.run(
             serve_t7(
                 T7Model(afm, noise_v=noise),
@@ -394,6 +396,15 @@ def simulate_t7(
                 lambda: typer.echo(f"the model of a LabJack T7 is at {host}:{port}; Ctrl-C ends it"),
             )
         )
+
+
+def _run_ahead() -> None:
+    """Request the scheduling of the nodes: a real device has a processor of its own, whatever else runs here."""
+    from services.runtime.log import StructuredLog, configure_logging
+    from services.runtime.realtime import RealtimeConfig, apply_realtime
+
+    configure_logging()
+    apply_realtime(RealtimeConfig(cpus="free"), StructuredLog("device"), "device")
 
 
 def _boot() -> int:

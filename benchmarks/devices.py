@@ -1,0 +1,188 @@
+"""What real drivers cost and how old their samples are, against the emulated handle and the model of the T7.
+
+Both devices are processes of their own: the firmware on a pseudo-terminal, a Modbus server on a socket. Figures are
+ratios to the period or to a bare socket with the same bytes, in the same run.
+
+    python benchmarks/devices.py [--seconds S]
+"""
+
+import argparse
+import json
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from services.afm_node.__main__ import modbus_driver
+from services.afm_node.config import AfmConfig, ModbusConfig
+from services.afm_node.modbus_frames import Conversation, Operation
+from services.haptic_node.calibration import read_calibration
+from services.haptic_node.config import LimitsConfig
+from services.haptic_node.driver import DriveCommand
+from services.haptic_node.safety import MODE_OFF
+from services.haptic_node.serial_driver import SerialHandle
+
+PERIOD_S = 1e-3
+START_S = 60.0
+PORT = 5037
+
+
+def quantiles(values: list[float]) -> dict[str, float]:
+    """Return median, 99 % and greatest of values."""
+    ordered = sorted(values)
+    return {"p50": ordered[len(ordered) // 2], "p99": ordered[len(ordered) * 99 // 100], "max": ordered[-1]}
+
+
+def paced(tick: Callable[[], None], seconds: float) -> list[float]:
+    """Call tick a thousand times a second; return the time inside it over the period."""
+    spent = []
+    due = time.perf_counter()
+    for _ in range(round(seconds / PERIOD_S)):
+        due += PERIOD_S
+        time.sleep(max(0.0, due - time.perf_counter()))
+        began = time.perf_counter()
+        tick()
+        spent.append((time.perf_counter() - began) / PERIOD_S)
+    return spent
+
+
+def started(arguments: list[str], ready: Callable[[], bool]) -> "subprocess.Popen[bytes]":
+    """Start an emulated device, and return its process once it is ready."""
+    command = [sys.executable, "-m", "telenano", "device", "simulate", *arguments]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
+    until = time.monotonic() + START_S
+    while not ready():
+        if process.poll() is not None or time.monotonic() > until:
+            raise SystemExit(f"{' '.join(arguments)} did not start")
+        time.sleep(0.05)
+    return process
+
+
+def handle_figures(folder: Path, seconds: float) -> dict[str, Any]:
+    """Return age of the samples and cost of the serial driver."""
+    link, calibration = folder / "handle", folder / "handle.yaml"
+    process = started(["handle", "--link", str(link), "--calibration", str(calibration)], link.is_symlink)
+    driver = SerialHandle(str(link), 1_000_000, read_calibration(calibration), LimitsConfig())
+    ages: list[float] = []
+
+    def tick() -> None:
+        driver.write(DriveCommand(MODE_OFF, 0.0, 0.0))
+        driver.read(-1.0, PERIOD_S)
+        ages.append(driver.report.age_s / PERIOD_S)
+
+    try:
+        driver.open()
+        spent = paced(tick, seconds)
+    finally:
+        driver.close()
+        process.terminate()
+        process.wait()
+    bad = sum(driver.reader.errors.values())
+    figures = {"age_over_period": quantiles(ages), "inside_driver_over_period": quantiles(spent)}
+    return {**figures, "frames_missing": driver.missed, "frames_bad": bad, "commands_dropped": driver.dropped}
+
+
+def serving() -> bool:
+    """Return whether the model of the T7 accepts connections."""
+    with socket.socket() as probe:
+        return probe.connect_ex(("127.0.0.1", PORT)) == 0
+
+
+def stage_figures(folder: Path, seconds: float, latency_s: float, *, stop: bool) -> dict[str, Any]:
+    """Return age and cost of the Modbus driver; `stop` holds the server up as well, in the place of bare exchanges."""
+    calibration = folder / "stage.yaml"
+    arguments = ["t7", "--port", str(PORT), "--latency", str(latency_s), "--calibration", str(calibration)]
+    process = started(arguments, serving)
+    driver: Any = modbus_driver(ModbusConfig(calibration=str(calibration)), AfmConfig().to_params().safety)
+    ages: list[float] = []
+
+    def tick() -> None:
+        driver.exchange(driver.safe_position_m)
+        ages.append(driver.report.age_s / PERIOD_S)
+
+    try:
+        driver.open()
+        before = driver.exchanges
+        spent = paced(tick, seconds)
+        fresh = (driver.exchanges - before) / len(spent)
+        figures = {
+            "fresh_a_tick": fresh,
+            "age_over_period": quantiles(ages),
+            "inside_exchange_over_period": quantiles(spent),
+        }
+        if stop:
+            process.send_signal(signal.SIGSTOP)
+            figures["inside_exchange_stopped_over_period"] = quantiles(paced(tick, 0.5))
+            figures["lost_when_stopped"] = driver.report.status == "lost"
+            process.send_signal(signal.SIGCONT)
+        else:
+            figures.update(wire_figures(seconds))
+    finally:
+        driver.close()
+        process.terminate()
+        process.wait()
+    return figures
+
+
+def wire_figures(seconds: float) -> dict[str, Any]:
+    """Compare exchanges one after the other: ours, two requests in the place of one, and a bare socket."""
+    write, reads = (
+        Operation(1000, 2, struct.unpack(">2H", struct.pack(">f", 0.0))),
+        (Operation(0, 2), Operation(1000, 2)),
+    )
+    with socket.create_connection(("127.0.0.1", PORT)) as line:
+        line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        conversation = Conversation(1)
+
+        def ask(request: bytes) -> None:
+            line.sendall(request)
+            while conversation.answer(line.recv(4096)) is None:
+                continue
+
+        def bare() -> None:
+            line.sendall(frame)
+            line.recv(4096)
+
+        frame = conversation.feedback((write, *reads))
+
+        def one() -> None:
+            ask(conversation.feedback((write, *reads)))
+
+        def two() -> None:
+            ask(conversation.write(1000, write.words))
+            ask(conversation.read(0, 2))
+
+        taken: dict[str, list[float]] = {"bare": [], "one": [], "two": []}
+        until = time.perf_counter() + seconds
+        while time.perf_counter() < until:
+            for name, exchange in (("bare", bare), ("one", one), ("two", two)):
+                began = time.perf_counter()
+                exchange()
+                taken[name].append(time.perf_counter() - began)
+    medians = {name: quantiles(values)["p50"] for name, values in taken.items()}
+    return {
+        "exchange_over_bare": medians["one"] / medians["bare"],
+        "two_requests_over_one": medians["two"] / medians["one"],
+    }
+
+
+def main() -> None:
+    """Print the figures, one JSON object a device."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seconds", type=float, default=5.0, help="length of each part [s]")
+    seconds = parser.parse_args().seconds
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        print(json.dumps({"handle": handle_figures(folder, seconds)}))
+        print(json.dumps({"stage, at once": stage_figures(folder, seconds, 0.0, stop=False)}))
+        print(json.dumps({"stage, 1.2 ms, then stopped": stage_figures(folder, seconds, 1.2e-3, stop=True)}))
+
+
+if __name__ == "__main__":
+    main()
