@@ -32,7 +32,7 @@ from services.afm_node.step import LONGEST_STEP_NS, AfmInputs, AfmOutputs, AfmPa
 from services.controller.clamp import ClampParams, clamped
 from services.controller.config import ControllerConfig
 from services.controller.deadband import DeadbandParams, deadband, fresh
-from services.controller.law import NO_SIGNAL, HandSample, PortSignal, TipMeasurement, longest_pause_periods
+from services.controller.law import NO_SIGNAL, HandSample, PortSignal, TipMeasurement, longest_pause_periods, paced
 from services.haptic_node import safety as haptic_safety
 from services.haptic_node.config import HapticConfig
 from services.haptic_node.step import HapticInputs, HapticParams
@@ -262,6 +262,7 @@ def _run(
     tip = TipMeasurement(0.0, 0.0, 0.0, False, False, False)
     slave = slave_start(law, tip)
     slave_tick, heard, heard_ns = -1, NO_SIGNAL, -1
+    slave_behind, slave_dt = 0, dt
     # the time that a command counts from is that of the hand's sample, told delay included
     action, base_reference_m, base_hand_ns = afm_safety.ACTION_HOLD, 0.0, -1
     armed = False
@@ -331,15 +332,18 @@ def _run(
                 tick = forward_of[f]
                 elapsed = tick - slave_tick
                 if slave_tick < 0 or elapsed > loop.longest_periods:
-                    slave, elapsed = slave_start(law, tip), 1
+                    slave, elapsed, slave_behind = slave_start(law, tip), 1, 0
                 slave_tick, heard, heard_ns = tick, forward[tick & mask], event_ns
                 base_hand_ns = tick * period_ns + _told(event_ns - tick * period_ns)
             # what the instrument steps by itself, the slave half goes along with, while its last signal counts
             local = loop.local and not commanded and heard_ns >= 0 and event_ns - heard_ns <= loop.longest_ns
             local = local and heard.active and tip.following
             if commanded or local:
+                silent = (event_ns - heard_ns) // period_ns
+                slave_behind, periods = paced(slave_behind, elapsed if commanded else 0, silent)
+                slave_dt = periods * dt
                 present = _as_received(heard, (event_ns - heard_ns) * 1e-9, 0.0)
-                slave, wanted = slave_receive(law, slave, present, tip, dt)
+                slave, wanted = slave_receive(law, slave, present, tip, slave_dt)
                 wanted = clamped(loop.clamp, wanted, present, tip)
                 action = afm_safety.ACTION_POSITION if wanted.active else afm_safety.ACTION_HOLD
                 base_reference_m = wanted.position_m
@@ -358,7 +362,7 @@ def _run(
             armed = armed or mode == afm_safety.MODE_FOLLOW
             own_ns = event_ns + (command_wait_ns(period_ns) if commanded or local else period_ns)
             if commanded or local:
-                slave, signal = slave_send(law, slave, tip, dt)
+                slave, signal = slave_send(law, slave, tip, slave_dt)
             if commanded:
                 backward[f & mask] = signal
                 slave_band, sent_backward[f & mask] = deadband(band, slave_band, signal, elapsed * dt)

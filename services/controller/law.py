@@ -127,9 +127,11 @@ class Law:
 
     - `master_energy_account(params, state) -> EnergyAccount` and `slave_energy_account`: what the half knows of energy
 
-    The slave half steps by one period a call: on each signal, and, where `local_loop` is set, also each time that the
-    instrument has stepped by itself, with the newest signal and the time since; what `slave_send` returns then is not
-    sent. So its local loop goes on with the measured force while nothing arrives.
+    The slave half steps on each signal, and, where `local_loop` is set, also each time that the instrument has stepped
+    by itself, with the newest signal and the time since; what `slave_send` returns then is not sent. So its local loop
+    goes on with the measured force while nothing arrives. dt of both is whole periods, as `paced` counts them, so that
+    the half's time is the hand's: at least one on a signal, none between signals for a half that is not behind. A half
+    that only follows a reference steps by one period a call, whatever dt is.
 
     `uses_waves` and `uses_energy`: which optional parts of the wire message the law fills.
     """
@@ -149,3 +151,23 @@ class Law:
     uses_waves: bool = False
     uses_energy: bool = False
     local_loop: bool = False
+
+
+# the most periods of one step of the slave half: its force is that of the beginning
+MOST_PERIODS_A_STEP = 3
+
+
+@compiled
+def paced(behind: int, elapsed: int, silent: int) -> tuple[int, int]:
+    """Return how many periods the slave half is behind the hand after its next step, and the periods of that step.
+
+    Parameters: behind, before it (negative: ahead); elapsed, periods of the hand that a signal brings, 0 for a step
+    between signals; silent, whole periods since the last signal.
+
+    Its calls come with signals that are late, lost and overtaken, and from an instrument that waits a period and a half
+    for the next: they are no clock. So a step is as many periods long as the half is behind, and none long between
+    signals if it is not.
+    """
+    behind += elapsed
+    periods = min(max(behind + silent, 1 if elapsed > 0 else 0), MOST_PERIODS_A_STEP)
+    return behind - periods, periods

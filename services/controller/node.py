@@ -25,6 +25,7 @@ from services.controller.law import (
     SlaveReference,
     TipMeasurement,
     longest_pause_periods,
+    paced,
 )
 from services.runtime.bus import Received
 from services.runtime.frames import to_paper_axis, to_site_frame
@@ -182,6 +183,8 @@ class SlaveController(ControllerHalf):
         self.tip = TipMeasurement(0.0, 0.0, 0.0, False, False, False)
         self.reference = SlaveReference(0.0, True)
         self._dt_s = config.period_s
+        # periods that the half is behind the hand, and the length of its last step
+        self._behind, self._step_s = 0, config.period_s
         self._awaited_command_seq: int | None = None
         self._command_answers_signal = (
             True  # whether the awaited command belongs to a signal, and not to the local loop
@@ -241,21 +244,22 @@ class SlaveController(ControllerHalf):
         if self.receive_signal(message, received_ns) and message.active:
             self.switching = False
         if self.law_state is None or (elapsed is None and not self.switching):
-            self.law_state = self.law.slave_start(self.params, self.tip)
+            self.law_state, self._behind = self.law.slave_start(self.params, self.tip), 0
         self._dt_s = elapsed if elapsed is not None else self.config.period_s
         if self._instrument_lost:
             self.reference = SlaveReference(self.reference.position_m, False)
         elif not self.switching:
-            self._receive(self.latest_signal())
+            self._receive(self.latest_signal(), round(self._dt_s / self.config.period_s))
         self._publish_command(answers=True)
         self.steps += 1
         self.report_status(None)
 
-    def _receive(self, signal: PortSignal) -> None:
-        """Step the half by one period, whatever time has passed: the force is measured once a period."""
-        self.law_state, wanted = self.law.slave_receive(
-            self.params, self.law_state, signal, self.tip, self.config.period_s
-        )
+    def _receive(self, signal: PortSignal, elapsed: int) -> None:
+        """Step the half by what it is behind the hand; elapsed: periods that a signal has brought, 0 without one."""
+        period_s = self.config.period_s
+        self._behind, periods = paced(self._behind, elapsed, round(1e9 * signal.silence_s) // round(1e9 * period_s))
+        self._step_s = periods * period_s
+        self.law_state, wanted = self.law.slave_receive(self.params, self.law_state, signal, self.tip, self._step_s)
         self.reference = clamped(self._clamp, wanted, signal, self.tip)
 
     def _publish_command(self, *, answers: bool) -> None:
@@ -314,7 +318,7 @@ class SlaveController(ControllerHalf):
             return
         signal = self.latest_signal()
         if signal.active and signal.silence_s <= self.config.law_config().silence_limit_s and self.tip.following:
-            self._receive(signal)
+            self._receive(signal, 0)
             self._publish_command(answers=False)
 
     def _count_port_energy(self) -> None:
@@ -329,7 +333,7 @@ class SlaveController(ControllerHalf):
         self._awaited_command_seq = None
         if self.switching:
             self.law_state = self._standing()
-        self.law_state, signal = self.law.slave_send(self.params, self.law_state, self.tip, self.config.period_s)
+        self.law_state, signal = self.law.slave_send(self.params, self.law_state, self.tip, self._step_s)
         if not self._command_answers_signal or not self.passes_deadband(signal, self._dt_s):
             return
         self.publish(

@@ -264,7 +264,7 @@ def slave_start(params: WaveParams, tip: TipMeasurement) -> SlaveState:
 def slave_receive(
     params: WaveParams, state: SlaveState, signal: PortSignal, tip: TipMeasurement, dt: float
 ) -> tuple[SlaveState, SlaveReference]:
-    """Move the base with the incoming wave against the force measured last.
+    """Move the base for dt [s], whole periods, with the incoming waves against the force measured last.
 
     While the tip does not follow, the reference is the master's; while the master does not, it stays.
     """
@@ -284,16 +284,22 @@ def slave_receive(
     anchor = state.anchor_m if state.coupled else state.position_m
     last_n = state.last_n if state.coupled else p.force_scale * tip.force_n
     bias = state.bias_n if state.coupled else (0.0 if state.begun else last_n)
-    inbox, wave = drawn(inbox, params.share, b, p.period_s)
-    way = (math.sqrt(2.0 * b) * wave - (last_n - bias)) / b * p.period_s
+    # as many periods of waves as the hand has sent, so that none are left over: the way of those is the hand's lead
+    periods = round(dt / p.period_s)
+    total, came_j = 0.0, 0.0
+    for _ in range(periods):
+        inbox, wave = drawn(inbox, params.share, b, p.period_s)
+        total += wave
+        came_j += 0.5 * wave * wave * p.period_s
+    way = (math.sqrt(2.0 * b) * (total / max(periods, 1)) - (last_n - bias)) / b * dt
     if signal.silence_s > params.bridge_s:
         # all waves have died out, and to give way to the force would let the tip off: it stands
         way = 0.0
     elif params.clamped:
         # the wave that goes back is made of the motion that there was, so what the clamp refuses is reflected
         allowed = max(p.force_scale * signal.force_n, 0.0) + params.margin_n - last_n
-        way = min(way, allowed / b * p.period_s)
-    reserve = state.reserve_j + 0.5 * wave * wave * p.period_s
+        way = min(way, allowed / b * dt)
+    reserve = state.reserve_j + came_j
     base = state.position_m + p.position_scale * way
     state = SlaveState(
         base,
@@ -320,7 +326,7 @@ def slave_send(params: WaveParams, state: SlaveState, tip: TipMeasurement, dt: f
     force = p.force_scale * tip.force_n
     sent_m, sent_j, reserve, wave = state.sent_m, state.sent_j, state.reserve_j, 0.0
     bias, granted = state.bias_n, state.granted_j
-    if state.coupled:
+    if state.coupled and dt > 0.0:
         moved_m = (tip.base_position_m - state.last_m) / p.position_scale
         mean = 0.5 * (force + state.last_n) - bias
         granted += abs(bias * moved_m)
