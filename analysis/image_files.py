@@ -5,12 +5,15 @@ Rows are given with y rising, as everywhere here; in the files the first row is 
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from services.afm_node.surface_files import GSF_MAGIC
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 class Image(NamedTuple):
@@ -54,6 +57,11 @@ def write_gwy(path: Path, images: Mapping[str, Image]) -> None:
 
 
 def write_png(path: Path, images: Mapping[str, Image]) -> None:
+    """Draw channels into a file."""
+    image_figure(images).savefig(path, dpi=120)
+
+
+def image_figure(images: Mapping[str, Image]) -> "Figure":
     """Draw channels beside each other, each with its scale."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -73,7 +81,7 @@ def write_png(path: Path, images: Mapping[str, Image]) -> None:
         axes.set_title(image.title)
         axes.set_xlabel(f"x [{side_unit}]")
         axes.set_ylabel(f"y [{side_unit}]")
-    figure.savefig(path, dpi=120)
+    return figure
 
 
 _PREFIXES = ((1e-18, "a"), (1e-15, "f"), (1e-12, "p"), (1e-9, "n"), (1e-6, "µ"), (1e-3, "m"), (1.0, ""), (1e3, "k"))

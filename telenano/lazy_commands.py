@@ -44,6 +44,13 @@ LAZY_COMMANDS = {
     "sample": LazyCommand(
         "telenano.commands.sample", "sample", "Make or read a surface, and show what a round tip sees of it."
     ),
+    "scan": LazyCommand("telenano.commands.scan", "scan", "Image a sample: tapping or contact mode, simulated time."),
+    "curve": LazyCommand(
+        "telenano.commands.curve", "curve", "Measure a force curve of the simulated instrument, beside a measured one."
+    ),
+    "reproduce": LazyCommand(
+        "telenano.commands.reproduce", "reproduce", "Make figures and equations of the paper again, on one page."
+    ),
     "keys": LazyCommand("telenano.commands.keys", "app", "Make, show and list the keys that identify machines."),
     "device": LazyCommand("telenano.commands.device", "app", "List, probe and watch real devices; emulate some."),
     "doctor": LazyCommand("telenano.doctor.report", "doctor", "Check whether this machine can run a rig."),

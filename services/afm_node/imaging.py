@@ -1,0 +1,144 @@
+"""One line of an image: the feedback that holds amplitude or force while the tip goes there and back.
+
+The feedback is proportional and integral, on the error in metres: the amplitude of a tapping tip above its set-point,
+or the deflection in contact below its own. Positive moves the base towards the sample. What the base does is the
+picture: height = -x_s, up to a constant.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from services.afm_node.cantilever import Plant, PlantState, deflection_m, equilibrium
+from services.afm_node.dynamic import KICKS_PER_PERIOD, DynamicPlant, DynamicState, advance
+from services.afm_node.surface import height_at
+from services.runtime.compiled import compiled
+
+Array = npt.NDArray[np.float64]
+
+# columns of a line
+HEIGHT, ERROR, AMPLITUDE, PHASE, DISSIPATED, FORCE = range(6)
+CHANNELS = 6
+
+
+class Feedback(NamedTuple):
+    """Set-point [m], of amplitude or deflection; gains; greatest speed [m/s] and range of the base [m]."""
+
+    setpoint_m: float
+    integral_per_s: float
+    proportional: float
+    speed_m_per_s: float
+    base_min_m: float
+    base_max_m: float
+
+
+class Line(NamedTuple):
+    """Ends of a line on the map [m], its pixels, and the feedback's periods on each."""
+
+    x0_m: float
+    y0_m: float
+    x1_m: float
+    y1_m: float
+    pixels: int
+    periods: int
+
+
+@compiled
+def regulated(feedback: Feedback, base_m: float, integral_m: float, error_m: float, dt: float) -> tuple[float, float]:
+    """Return where the base goes within dt [s], and the integral: both within range and speed."""
+    low, high = feedback.base_min_m, feedback.base_max_m
+    integral_m = min(max(integral_m + feedback.integral_per_s * error_m * dt, low), high)
+    reach = feedback.speed_m_per_s * dt
+    wanted = integral_m + feedback.proportional * error_m
+    return min(max(min(max(wanted, base_m - reach), base_m + reach), low), high), integral_m
+
+
+@compiled
+def tapping_line(
+    plant: DynamicPlant,
+    state: DynamicState,
+    integral_m: float,
+    error_m: float,
+    feedback: Feedback,
+    line: Line,
+    height_m: Array,
+    step_x_m: float,
+    step_y_m: float,
+    drive_m: float,
+    normals: Array,
+    out: Array,
+) -> tuple[DynamicState, float, float]:
+    """Scan a line in tapping mode, the feedback acting once in each period of the drive; fill `out` (pixels, CHANNELS).
+
+    Parameters: integral_m, error_m, of the feedback so far; height_m and its steps, the map as the tip sees it;
+    drive_m, amplitude of the base's vibration; normals, for thermal noise, eight for each period, or none. Returns:
+    state, integral, error.
+    """
+    steps = plant.drive.shape[0]
+    dt = steps * plant.step_s
+    total = line.pixels * line.periods
+    n = 0
+    for i in range(line.pixels):
+        sums = np.zeros(CHANNELS)
+        for _ in range(line.periods):
+            share = (n + 1.0) / total
+            x, y = line.x0_m + share * (line.x1_m - line.x0_m), line.y0_m + share * (line.y1_m - line.y0_m)
+            surface = height_at(height_m, step_x_m, step_y_m, x, y)[0]
+            base, integral_m = regulated(feedback, state.base_m, integral_m, error_m, dt)
+            noise = normals[n * KICKS_PER_PERIOD : (n + 1) * KICKS_PER_PERIOD] if normals.size > 0 else normals
+            before = state.base_m
+            state, reading = advance(plant, state, base, surface, drive_m, steps, noise)
+            amplitude = math.hypot(reading.in_phase_m, reading.quadrature_m)
+            error_m = amplitude - feedback.setpoint_m
+            sums[HEIGHT] -= 0.5 * (before + base)
+            sums[ERROR] += error_m
+            sums[AMPLITUDE] += amplitude
+            sums[PHASE] += math.atan2(reading.quadrature_m, reading.in_phase_m)
+            sums[DISSIPATED] += reading.dissipated_j
+            sums[FORCE] += reading.peak_force_n
+            n += 1
+        for c in range(CHANNELS):
+            out[i, c] = sums[c] / line.periods
+    return state, integral_m, error_m
+
+
+@compiled
+def contact_line(
+    plant: Plant,
+    state: PlantState,
+    base_m: float,
+    integral_m: float,
+    error_m: float,
+    feedback: Feedback,
+    line: Line,
+    height_m: Array,
+    step_x_m: float,
+    step_y_m: float,
+    dt: float,
+    out: Array,
+) -> tuple[PlantState, float, float, float]:
+    """Scan a line in contact at a constant force, with the quasi-static cantilever; fill `out` (pixels, CHANNELS).
+
+    A surface that rises by s is to the tip what a base is that comes nearer by s. Parameters: as `tapping_line`; dt
+    [s], period of the feedback. Returns: state, base, integral, error.
+    """
+    total = line.pixels * line.periods
+    n = 0
+    for i in range(line.pixels):
+        height, error, force = 0.0, 0.0, 0.0
+        for _ in range(line.periods):
+            share = (n + 1.0) / total
+            x, y = line.x0_m + share * (line.x1_m - line.x0_m), line.y0_m + share * (line.y1_m - line.y0_m)
+            surface = height_at(height_m, step_x_m, step_y_m, x, y)[0]
+            base_m, integral_m = regulated(feedback, base_m, integral_m, error_m, dt)
+            state = equilibrium(plant, state, base_m + surface)
+            zeta = deflection_m(plant, state.distance_m, base_m + surface)
+            error_m = feedback.setpoint_m - zeta
+            height -= base_m
+            error += error_m
+            force += plant.stiffness_n_per_m * zeta
+            n += 1
+        out[i, HEIGHT], out[i, ERROR], out[i, FORCE] = height / line.periods, error / line.periods, force / line.periods
+    return state, base_m, integral_m, error_m

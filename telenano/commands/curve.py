@@ -1,0 +1,68 @@
+"""`telenano curve`: a force curve in simulated time, its marks, and a measured one beside it."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from services.runtime.config import flag_overrides, validate
+from telenano.options import JsonOption
+from telenano.output import print_document, report_errors
+from telenano.sample_options import make_folder
+
+
+class CurveModel(StrEnum):
+    """Which cantilever is simulated."""
+
+    QUASI_STATIC = "quasi_static"
+    DYNAMIC = "dynamic"
+
+
+def curve(
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for curve.h5 and curve.png.")],
+    start: Annotated[float, typer.Option("--start", metavar="NM", help="Way above the rest point [nm].")] = 20.0,
+    load: Annotated[float, typer.Option("--load", metavar="NN", help="Force at which the base turns [nN].")] = 20.0,
+    points: Annotated[int, typer.Option("--points", metavar="N", help="Points of each way.")] = 1000,
+    speed: Annotated[float, typer.Option("--speed", metavar="NM/S", help="Speed of the base [nm/s].")] = 200.0,
+    model: Annotated[
+        CurveModel, typer.Option("--model", help="quasi_static: k zeta = F(h); dynamic: Eq. 4 in full.")
+    ] = CurveModel.QUASI_STATIC,
+    afm: Annotated[
+        list[str] | None,
+        typer.Option("--afm", metavar="KEY=VALUE", help="Change a key of afm_node, as in a scenario (repeatable)."),
+    ] = None,
+    overlay: Annotated[
+        Path | None, typer.Option("--overlay", metavar="FILE", help="Measured curve to draw beside it (.ibw, .h5).")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Approach and retract, mark snap-in, contact, pull-off and break, write HDF5 (afmformats) and a figure."""
+    with report_errors(as_json):
+        # first of all: it has every step compiled that is imported after it
+        import studies.force_curve as curves
+        from services.afm_node.config import AfmConfig
+        from studies.force_curve_figure import curve_figure
+
+        config = validate(AfmConfig, flag_overrides(afm or ()), "--afm")
+        measured = None if overlay is None else curves.read_measured(overlay)
+        columns = (TextColumn("curve"), BarColumn(), TimeRemainingColumn())
+        with Progress(*columns, console=Console(stderr=True), disable=as_json, transient=True) as bar:
+            task = bar.add_task("curve", total=2 * points)
+            found = curves.force_curve(
+                config, start * 1e-9, load * 1e-9, points, speed * 1e-9, dynamic=model is CurveModel.DYNAMIC,
+                progress=lambda n, of: bar.update(task, completed=n),
+            )  # fmt: skip
+        marks = curves.marks_of(found)
+        make_folder(out)
+        curves.write_hdf5(out / "curve.h5", found)
+        other = None if measured is None else (measured, curves.marks_of(measured))
+        pairs = [(found, marks), *([] if other is None else [other])]
+        curve_figure(pairs).savefig(out / "curve.png", dpi=130)
+    document = {"model": found.model, "stiffness_n_per_m": found.stiffness_n_per_m, **marks.as_dict()}
+    if other is not None:
+        document["measured"] = {"stiffness_n_per_m": other[0].stiffness_n_per_m, **other[1].as_dict()}
+    document["files"] = [str(out / "curve.h5"), str(out / "curve.png")]
+    print_document(document, str(out), as_json=as_json)

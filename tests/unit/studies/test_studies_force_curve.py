@@ -1,0 +1,93 @@
+"""Force curves against what the tip-sample force says about them, and in the field's own reader."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from proto.errors import ConfigError
+from services.afm_node.config import AfmConfig
+from studies.force_curve import force_curve, marks_of, read_measured, write_hdf5
+
+DATA = Path(__file__).parents[4] / "shared" / "data" / "SiN_FD_plot.ibw"
+
+
+def with_stiffness(k, **changes):
+    return AfmConfig.model_validate({"cantilever": {"stiffness_n_per_m": k}, **changes})
+
+
+@pytest.mark.parametrize("k", [40.0, 8.0, 1.0])
+def test_pull_off_and_loop_are_those_of_the_force(k):
+    config = with_stiffness(k)
+    tip = config.to_params().plant.tip
+    curve = force_curve(config, 60e-9, 20e-9, 2000)
+    marks = marks_of(curve)
+    assert curve.approach.force_n[-1] == pytest.approx(20e-9, rel=1e-6, abs=0)
+    # the strongest pull of the retraction: meniscus and contact together, less what a soft spring jumps over
+    assert -tip.capillary_force_n - 4e-9 < marks.pull_off_force_n < -tip.capillary_force_n
+    assert marks.contact_base_m is not None
+    assert marks.pull_off_base_m < marks.contact_base_m
+    # there is nothing but the sample that could take energy, and the meniscus takes at least its own loop
+    width, breaks, a0 = tip.meniscus_width_m, tip.meniscus_break_m, tip.contact_distance_m
+    least = tip.capillary_force_n * width * math.log((1 + (breaks - a0) / width) / (1 + (width - a0) / width))
+    assert marks.hysteresis_j > 0.98 * least
+
+
+def test_a_stiff_cantilever_over_a_dry_sample_loses_nothing():
+    curve = force_curve(with_stiffness(1000.0, meniscus=False), 20e-9, 20e-9, 2000)
+    marks = marks_of(curve)
+    assert abs(marks.hysteresis_j) < 1e-22
+    assert marks.snap_in_base_m is None
+    assert marks.break_base_m is None
+
+
+def test_the_dynamic_model_measures_the_same_curve():
+    config = AfmConfig()
+    static, moving = (force_curve(config, 8e-9, 10e-9, 60, dynamic=dynamic) for dynamic in (False, True))
+    assert np.abs(static.retract.force_n - moving.retract.force_n).max() < 0.05 * np.abs(static.retract.force_n).max()
+    a, b = marks_of(static), marks_of(moving)
+    assert b.pull_off_force_n == pytest.approx(a.pull_off_force_n, rel=0.02, abs=0)
+
+
+def test_the_fields_reader_opens_the_file_and_ours_reads_it_back(tmp_path):
+    afmformats = pytest.importorskip("afmformats")
+    curve = force_curve(AfmConfig(), 10e-9, 10e-9, 200)
+    write_hdf5(tmp_path / "curve.h5", curve)
+    (found,) = afmformats.load_data(tmp_path / "curve.h5")
+    assert np.array_equal(found["force"][:200], curve.approach.force_n)
+    assert np.array_equal(found["height (measured)"][200:], -curve.retract.base_m)
+    assert found.metadata["spring constant"] == 40.0
+    back = read_measured(tmp_path / "curve.h5")
+    assert np.allclose(back.retract.base_m, curve.retract.base_m, rtol=1e-12, atol=0)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "what"),
+    [
+        ((-1e-9, 1e-9), r"start \[m\] = -1e-09 must be positive"),
+        ((1e-8, math.nan), r"load \[N\] = nan must be positive"),
+        ((1e-8, 1e-6), "is above safety.force_limit_n"),
+        ((1e-8, 1e-9, 3), "3 points a way are outside"),
+    ],
+)
+def test_what_cannot_be_measured_is_refused(arguments, what):
+    with pytest.raises(ConfigError, match=what):
+        force_curve(AfmConfig(), *arguments)
+
+
+def test_a_file_that_is_no_curve_is_named(tmp_path):
+    for name, content in (("a.ibw", b"x" * 400), ("a.h5", b"x"), ("a.txt", b"")):
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(ConfigError, match=str(tmp_path / name)):
+            read_measured(tmp_path / name)
+
+
+@pytest.mark.skipif(not DATA.exists(), reason="measured data are not beside the project: ../shared/data")
+def test_a_measured_curve_is_marked():
+    curve = read_measured(DATA)
+    assert curve.stiffness_n_per_m == 1.1841
+    assert len(curve.approach.base_m) == 1009
+    marks = marks_of(curve)
+    assert marks.pull_off_force_n < marks.snap_in_force_n < 0.0
+    assert marks.hysteresis_j > 0.0
