@@ -95,7 +95,10 @@ def scan(
     leaves the lines so far, as Ctrl-C does. Raises: ConfigError, if the request or the surface cannot be imaged.
     """
     request.check()
-    seen = dilated(surface, config.tip_sample.tip_radius_m)
+    try:
+        seen = dilated(surface, config.tip_sample.tip_radius_m)
+    except ValueError as error:
+        raise ConfigError(str(error)) from error
     first = height_at(*seen, 0.0, 0.5 * surface.depth_m / request.lines)[0]
     rest, amplitude = config.rest_distance_m, request.amplitude_m if request.mode == "tapping" else 0.0
     begin = rest - first - amplitude - _ABOVE_M

@@ -1,6 +1,7 @@
 """Options of the commands that put a sample under the tip."""
 
 from collections.abc import Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -45,6 +46,13 @@ def sample_config(
     if channel is not None:
         given["channel"] = channel
     return validate(SampleConfig, given, "--sample")
+
+
+def require(*modules: str) -> None:
+    """Raise ConfigError naming what is not installed, before anything takes its time."""
+    missing = [name for name in modules if find_spec(name) is None]
+    if missing:
+        raise ConfigError(f"{', '.join(missing)} is not installed: install telenano[instrument]")
 
 
 def make_folder(out: Path) -> None:

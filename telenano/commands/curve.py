@@ -11,7 +11,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from services.runtime.config import flag_overrides, validate
 from telenano.options import JsonOption
 from telenano.output import print_document, report_errors
-from telenano.sample_options import make_folder
+from telenano.sample_options import make_folder, require
 
 
 class CurveModel(StrEnum):
@@ -41,7 +41,8 @@ def curve(
 ) -> None:
     """Approach and retract, mark snap-in, contact, pull-off and break, write HDF5 (afmformats) and a figure."""
     with report_errors(as_json):
-        # first of all: it has every step compiled that is imported after it
+        require("h5py")
+        # before all other models: it has every step compiled that is imported after it
         import studies.force_curve as curves
         from services.afm_node.config import AfmConfig
         from studies.force_curve_figure import curve_figure

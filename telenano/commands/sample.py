@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from proto.errors import ConfigError
 from telenano.options import JsonOption
 from telenano.output import print_document, report_errors
 from telenano.sample_options import (
@@ -13,6 +14,7 @@ from telenano.sample_options import (
     SampleSetOption,
     SampleSizeOption,
     make_folder,
+    require,
     sample_config,
 )
 
@@ -30,12 +32,16 @@ def sample(
 ) -> None:
     """Write a sample and what a tip of this radius sees of it, as .gwy, .gsf and PNG."""
     with report_errors(as_json):
+        require("gwyfile")
         config = sample_config(name, size, channel, settings)
         from analysis.image_files import Image, write_gsf, write_gwy, write_png
         from services.afm_node.surface import dilated
 
         surface = config.build()
-        seen = dilated(surface, tip_radius * 1e-9)
+        try:
+            seen = dilated(surface, tip_radius * 1e-9)
+        except ValueError as error:
+            raise ConfigError(f"--tip-radius: {error}") from error
         make_folder(out)
         images = {
             "sample": Image("Sample", "m", surface.height_m, surface.width_m, surface.depth_m),

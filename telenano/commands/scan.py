@@ -17,6 +17,7 @@ from telenano.sample_options import (
     SampleSetOption,
     SampleSizeOption,
     make_folder,
+    require,
     sample_config,
 )
 
@@ -68,7 +69,8 @@ def scan(
 ) -> None:
     """Image a sample and write .gwy, .gsf and PNG; Ctrl-C ends the image and keeps the lines so far."""
     with report_errors(as_json):
-        # first of all: it has every step compiled that is imported after it
+        require("gwyfile")
+        # before all other models: it has every step compiled that is imported after it
         import studies.scan as scans
         from services.afm_node.config import AfmConfig
 

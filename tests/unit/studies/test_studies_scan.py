@@ -61,6 +61,13 @@ def test_what_cannot_be_imaged_is_refused(changes, what):
         scan(DOTS.build(), ScanRequest(**changes), CONFIG)
 
 
+def test_a_tip_too_large_for_the_map_is_refused():
+    config = AfmConfig.model_validate({"tip_sample": {"tip_radius_m": 1e-6}})
+    fine = checked(np.tile(np.linspace(0.0, 1e-6, 2048), (2048, 1)), 1e-6, 1e-6)
+    with pytest.raises(ConfigError, match="take a coarser map or a smaller tip"):
+        scan(fine, ScanRequest(), config)
+
+
 @pytest.mark.endurance
 @pytest.mark.parametrize(("temperature_k", "bound_m"), [(0.0, 0.3e-9), (300.0, 0.5e-9)])
 def test_the_dots_of_fig_8_are_within_their_bound(temperature_k, bound_m):
