@@ -97,11 +97,11 @@ class Page:
 
     def answered(self, action: Callable[[], object]) -> str:
         """Do something and return the answer that the page shows to it."""
-        before = self.page.locator(".answer.done, .answer.refused").count()
+        self.value("document.querySelectorAll('.answer').forEach((shown) => shown.remove())")
         action()
         shown = self.page.locator(".answer.done, .answer.refused")
-        until(lambda: shown.count() > before, "an answer on the page")
-        return str(shown.last.inner_text())
+        until(shown.count, "an answer on the page")
+        return str(shown.first.inner_text())
 
     def banners(self) -> str:
         return str(self.page.inner_text("#banners"))
