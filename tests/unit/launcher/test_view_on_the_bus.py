@@ -1,0 +1,93 @@
+"""The view on a real bus of this machine: what it receives while a page is open, and the force that it publishes."""
+
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from typing import Any
+
+import pytest
+from recorder_samples import sample
+
+from presets import DEFAULT_SITE_FILE
+from proto.errors import TelenanoError
+from proto.nodes import TIP
+from services.launcher.view import RigHand
+from services.runtime.bus import ZmqPublisher
+from services.runtime.main import load_site
+from services.runtime.observer import Observer
+from services.runtime.participant import open_participant
+from services.viz_node.feed import Seen
+from services.viz_node.live import LiveSource
+
+
+@pytest.fixture(autouse=True)
+def sockets(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    # a socket's path is short by law, pytest's folders are not
+    with tempfile.TemporaryDirectory(prefix="tnv-") as folder:
+        monkeypatch.setenv("TELENANO_RUNTIME_DIR", folder)
+        yield
+
+
+@pytest.fixture
+def instrument() -> Iterator[ZmqPublisher]:
+    with open_participant(TIP, load_site(DEFAULT_SITE_FILE)) as participant:
+        yield participant.bind(TIP)
+
+
+def fields(topic: str) -> dict[str, Any]:
+    return {key: value for key, value in sample(topic, 0).__dict__.items() if key not in ("seq", "t_ns", "src", "v")}
+
+
+def received(source: LiveSource, watched: bool, send: Callable[[], object], wanted: int = 5) -> list[Seen]:
+    """Send and poll in turns until so many messages have come, or long enough that none will."""
+    found: list[Seen] = []
+    for _ in range(200):
+        send()
+        found += source.poll(watched=watched)
+        if len(found) >= wanted:
+            break
+        time.sleep(0.005)
+    return found
+
+
+def test_the_loop_is_subscribed_to_only_while_a_page_is_open(instrument: ZmqPublisher) -> None:
+    state, event = fields("afm/state"), fields("session/event")
+
+    def send() -> None:
+        instrument.publish("afm/state", **state)
+        instrument.publish("session/event", **event)
+
+    with closing(LiveSource(load_site(DEFAULT_SITE_FILE), "local")) as source:
+        assert {seen.topic for seen in received(source, False, send)} == {"session/event"}
+        assert {seen.topic for seen in received(source, True, send, wanted=20)} == {"session/event", "afm/state"}
+        # what was sent before the page was closed may still be on the way
+        received(source, False, send, wanted=20)
+        assert {seen.topic for seen in received(source, False, send)} == {"session/event"}
+
+
+def test_what_is_no_message_is_left_out(instrument: ZmqPublisher) -> None:
+    event = fields("session/event")
+
+    def send() -> None:
+        for payload in (b"", b"\xc1", b"\x80", b"\x93\x01\x02\x03"):
+            instrument.send("session/event", payload)
+        instrument.publish("session/event", **event)
+
+    with closing(LiveSource(load_site(DEFAULT_SITE_FILE), "local")) as source:
+        assert all(seen.src == TIP for seen in received(source, True, send))
+
+
+def test_the_force_of_the_page_is_on_its_topic_along_the_axis_of_the_hand() -> None:
+    with closing(Observer(load_site(DEFAULT_SITE_FILE), ["operator/force"])) as observer:
+        hand = RigHand(DEFAULT_SITE_FILE)
+        end = time.monotonic() + 10.0
+        message: Any = None
+        while message is None and time.monotonic() < end:
+            hand.push(1.5)
+            message = next((seen.received.message for seen in observer.listen(0.02)), None)
+        assert message is not None
+        assert (message.src, message.force_n) == ("view@master", (0.0, 0.0, -1.5))
+        with pytest.raises(TelenanoError, match="in use by process"):
+            RigHand(DEFAULT_SITE_FILE)
+        hand.close()
