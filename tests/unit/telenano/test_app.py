@@ -40,7 +40,7 @@ def leaves(command: object, path: str) -> Iterator[tuple[str, object]]:
 COMMANDS = dict([next(leaves(typer.main.get_command(app), "telenano"))])
 for name in LAZY_COMMANDS:
     COMMANDS.update(leaves(load(name), f"telenano {name}"))
-GROUPS = {"telenano bridge", "telenano topic", "telenano bag", "telenano keys", "telenano link", "telenano study"}
+GROUPS = {path for path in COMMANDS if any(other.startswith(f"{path} ") for other in COMMANDS)} - {"telenano"}
 
 
 def documented_flags(path: str) -> set[str]:
