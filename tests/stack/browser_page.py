@@ -1,6 +1,7 @@
 """The page of the view in a real Chromium, as a person would use it."""
 
 import importlib.util
+import os
 import shutil
 import subprocess
 import sys
@@ -14,7 +15,6 @@ import pytest
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 ROOT = Path(__file__).resolve().parents[2]
-PICTURES = ROOT / "docs" / "view"
 # only keeps a broken page from holding the suite
 PATIENCE_S = 60.0
 # a software renderer: the machines of tests have no graphics
@@ -76,7 +76,9 @@ class Page:
         self.page.locator(selector).dispatch_event("click")
 
     def fill(self, selector: str, text: str) -> None:
-        self.page.locator(selector).fill(text, force=True)
+        """Put a text into a field, wherever it is on the page."""
+        self.until(f"document.querySelector({selector!r}) !== null", f"the field {selector}")
+        self.page.locator(selector).evaluate("(field, text) => { field.value = text; }", text)
 
     def choose(self, selector: str, value: str) -> None:
         self.page.locator(selector).select_option(value, force=True)
@@ -107,9 +109,11 @@ class Page:
         return str(self.page.inner_text("#banners"))
 
     def picture(self, name: str) -> None:
-        """Keep a picture of the page for the documents."""
-        PICTURES.mkdir(exist_ok=True)
-        self.page.screenshot(path=PICTURES / f"{name}.png")
+        """Keep a picture of the page where TELENANO_PICTURES names a folder, once what was last changed is drawn."""
+        drawn = self.value("telenano.view.invalidate() || telenano.view.frames")
+        self.until(f"telenano.view.frames > {drawn}", "a drawn scene")
+        if folder := os.environ.get("TELENANO_PICTURES"):
+            self.page.screenshot(path=Path(folder) / f"{name}.png")
 
 
 @contextmanager

@@ -66,6 +66,7 @@ def since(rig: Rig, topic: str, begin_ns: int) -> list[Any]:
     return [message.decode() for message in rig.recording().messages(topic, begin_ns)]
 
 
+@pytest.mark.endurance
 def test_every_control_changes_the_rig(rig: Rig, operator: Page) -> None:
     operator.fill("#delay", "4")
     assert "acknowledged" in operator.answered(lambda: operator.click("#delay-set"))
@@ -76,7 +77,6 @@ def test_every_control_changes_the_rig(rig: Rig, operator: Page) -> None:
     operator.answered(lambda: operator.choose("#law-name", "wave"))
     rig.wait_until(lambda: newest(rig, "teleop/backward").law == "wave", "the law on the bus")
     operator.answered(lambda: operator.choose("#law-name", "virtual_impedance"))
-    operator.click("#law summary")
     operator.fill("#law-virtual_impedance-force_gain", "12.5")
     operator.answered(lambda: operator.click("#law-apply"))
     begin_ns = time.time_ns()
@@ -91,6 +91,7 @@ def test_every_control_changes_the_rig(rig: Rig, operator: Page) -> None:
     assert operator.faults == []
 
 
+@pytest.mark.endurance
 def test_what_a_node_refuses_is_said_on_the_page(operator: Page) -> None:
     operator.page.evaluate("document.querySelector('#law-virtual_impedance-force_gain').removeAttribute('min')")
     operator.fill("#law-virtual_impedance-force_gain", "-1")
@@ -100,6 +101,7 @@ def test_what_a_node_refuses_is_said_on_the_page(operator: Page) -> None:
     operator.fill("#law-virtual_impedance-force_gain", "")
 
 
+@pytest.mark.endurance
 def test_the_virtual_hand_presses_the_tip_and_the_force_comes_back(rig: Rig, operator: Page) -> None:
     pad = operator.page.locator("#hand-pad")
     pad.evaluate("pad => pad.scrollIntoView()")
@@ -122,6 +124,7 @@ def test_the_virtual_hand_presses_the_tip_and_the_force_comes_back(rig: Rig, ope
     rig.wait_until(lambda: newest(rig, "haptic/state").operator_force_n[2] == 0.0, "a hand that has let go")
 
 
+@pytest.mark.endurance
 def test_an_observer_sees_and_cannot_command(chromium: Any, view: View) -> None:
     observer = open_page(chromium, view.observer)
     observer.until("telenano.store.rings.get('tip')?.length > 100", "curves on the observer's page")
@@ -131,6 +134,7 @@ def test_an_observer_sees_and_cannot_command(chromium: Any, view: View) -> None:
     observer.page.context.close()
 
 
+@pytest.mark.endurance
 def test_a_lost_node_is_shown(rig: Rig, operator: Page) -> None:
     found = rig.process_of("controller@slave")
     assert found is not None
@@ -142,6 +146,7 @@ def test_a_lost_node_is_shown(rig: Rig, operator: Page) -> None:
     until(lambda: "LOST" not in operator.banners(), "its return")
 
 
+@pytest.mark.endurance
 def test_the_emergency_stop_is_on_a_key(rig: Rig, operator: Page) -> None:
     answer = operator.answered(lambda: operator.page.keyboard.press("Escape"))
     assert "acknowledged" in answer
@@ -203,36 +208,6 @@ def test_a_recording_plays_and_its_surface_grows(chromium: Any, tmp_path: Path) 
         page.page.set_viewport_size({"width": 820, "height": 1180})
         page.page.wait_for_timeout(300.0)
         page.picture("tablet")
-        assert page.faults == []
-    finally:
-        view.close()
-
-
-IWER = Path(__file__).resolve().parents[2] / "services/viz_node/web/node_modules/iwer/build/iwer.min.js"
-HEADSET = "window.headset = new IWER.XRDevice(IWER.metaQuest3); window.headset.installRuntime();"
-
-
-@pytest.mark.skipif(not IWER.is_file(), reason="the page has not been built: make page")
-def test_a_headset_enters_presses_and_leaves(chromium: Any, tmp_path: Path) -> None:
-    """In the WebXR runtime that iwer emulates, without a rig: what a trigger gives goes to the virtual hand."""
-    view = View(dict(os.environ), str(scanned(tmp_path)))
-    try:
-        context = chromium.new_context(viewport={"width": 800, "height": 600})
-        context.add_init_script(IWER.read_text() + ";" + HEADSET)
-        page = Page(context.new_page())
-        page.page.goto(view.operator, wait_until="commit")
-        page.until("window.telenano?.view?.surface.greatest > 0", "the surface")
-        page.click("#vr")
-        page.until("document.querySelector('#vr').textContent === 'Leave VR'", "a session of the headset")
-        page.value("window.pressed = []; telenano.view.onPress = (down) => window.pressed.push(down)")
-        page.value("headset.controllers.right.updateButtonValue('trigger', 1)")
-        page.until("window.pressed.length > 2", "a trigger that is held")
-        page.value("headset.controllers.right.position.y -= 0.1")
-        page.until("window.pressed.some((down) => Math.abs(down - 0.1) < 0.01)", "a controller that goes down")
-        page.value("headset.controllers.right.updateButtonValue('trigger', 0)")
-        page.until("window.pressed.at(-1) === null", "a trigger that is let go")
-        page.value("document.querySelector('#vr').click()")
-        page.until("document.querySelector('#vr').textContent === 'Enter VR'", "the end of the session")
         assert page.faults == []
     finally:
         view.close()
