@@ -56,6 +56,8 @@ class View:
     def close(self) -> None:
         self._process.terminate()
         self._process.wait(20.0)
+        assert self._process.stdout is not None
+        self._process.stdout.close()
 
 
 class Page:
