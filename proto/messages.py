@@ -23,6 +23,7 @@ from pydantic import (
 )
 from pydantic_core import CoreSchema, core_schema
 
+from proto.device import DEVICE, SAMPLE_AGE_S, DeviceStatus
 from proto.ranges import (
     ANGLE,
     POSITION,
@@ -156,9 +157,6 @@ class _HandSample(Record):
     hand_t_ns: Count = Field(description="t_ns of that haptic/state, on the master's clock [ns]; 0 = none yet")
 
 
-DeviceStatus = Literal["ok", "stale", "lost"]
-
-
 class HapticState(_Extended):
     """The operator's device: what was measured and what was really applied."""
 
@@ -186,13 +184,8 @@ class HapticState(_Extended):
     answered_t_ns: Count = Field(description="hand_t_ns of the newest haptic/command [ns]; 0 = none yet")
     answered_at_ns: Count = Field(description="When that command reached this device, on this clock [ns]")
     step_s: DurationS = Field(description="Time that this step of the device covers [s]")
-    device: DeviceStatus | None = Field(
-        default=None,
-        description="State of a real device: stale repeats its last sample, lost is not driven. Absent if simulated",
-    )
-    sample_age_s: DurationS | None = Field(
-        default=None, description="Age of the sample of a real device when published [s]; absent if simulated"
-    )
+    device: DeviceStatus | None = DEVICE
+    sample_age_s: DurationS | None = SAMPLE_AGE_S
 
 
 class OperatorForce(Message):
@@ -262,13 +255,8 @@ class AfmState(_Extended, _HandSample):
     mode: Literal["retracted", "follow", "hold", "retracting", "estop"] = Field(description="What the AFM does")
     limited: bool = Field(description="A travel or speed limit is acting")
     step_s: DurationS = Field(description="Time that this step of the instrument covers [s]")
-    device: DeviceStatus | None = Field(
-        default=None,
-        description="State of a real device: stale repeats its last sample, lost is not driven. Absent if simulated",
-    )
-    sample_age_s: DurationS | None = Field(
-        default=None, description="Age of the sample of a real device when published [s]; absent if simulated"
-    )
+    device: DeviceStatus | None = DEVICE
+    sample_age_s: DurationS | None = SAMPLE_AGE_S
 
 
 class AfmScanline(Message):
