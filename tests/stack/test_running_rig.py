@@ -211,7 +211,7 @@ def test_an_emergency_stop_needs_no_turn_and_is_recorded(rig: Any) -> None:
     assert stopped.returncode == 0, stopped.stderr
     assert sorted(line.partition(":")[0] for line in stopped.stdout.splitlines()) == [f"{TIP} ack", f"{HAND} ack"]
     rig.wait_until(lambda: newest(rig, "afm/state").mode == "estop", "the AFM in emergency stop")
-    assert newest(rig, "haptic/state").estop
+    rig.wait_until(lambda: newest(rig, "haptic/state").estop, "the hand in emergency stop")
     stopped_ns = next(state.t_ns for state in decoded(rig, "afm/state", begin_ns) if state.mode == "estop")
     took = f"the tip {(stopped_ns - begin_ns) / 1e6:.0f} ms after the command"
     record("an emergency stop while a console is at work", f"both stopped, {took}")

@@ -24,7 +24,8 @@ def test_the_rig_endures(tmp_path: Path) -> None:
     growth = figures["memory_growth_mb_per_min"]
     assert max(rate for node, rate in growth.items() if not node.startswith("recorder")) < 10.0, figures
     behind_s = figures["recorder_behind_s"]
-    if behind_s > 0.2:
+    if behind_s > 0.2 or growth["recorder@master"] is None:
+        # kept waiting, so that it grew by what queued up, or too shortly before the end to say
         machine.note(
             f"the recorder was {behind_s:.2f} s behind in the soak: growth of {growth['recorder@master']} MB/min"
         )
