@@ -93,5 +93,5 @@ def verdict_of(holds: list[Hold]) -> tuple[Kind, str]:
     """Return the verdict on a session and the reason: that of the first hold which is not stable, or of the last."""
     if not holds:
         return "cannot_say", "the hand never stood still for long enough"
-    told = next((hold for hold in holds if hold.verdict != "stable"), holds[-1])
-    return told.verdict, told.reason
+    decisive = next((hold for hold in holds if hold.verdict != "stable"), holds[-1])
+    return decisive.verdict, decisive.reason

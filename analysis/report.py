@@ -20,7 +20,6 @@ from proto.errors import RecordingError, ReportError
 from recording.arrays import columns, last_session, replay_shifts
 from recording.info import RecordingInfo
 from recording.multi_file import RecordingSource, open_recordings
-from services.controller.config import ControllerConfig
 from services.runtime.config import validate
 from services.runtime.scenario import Scenario
 from services.viz_node.fig12 import SessionSeries, save_fig12
@@ -152,15 +151,16 @@ def read_session(recording: RecordingSource) -> Session:
     start_ns = int(hand["t_ns"][running[0]] - round(hand["session_s"][running[0]] * 1e9))
     end_ns = int(hand["t_ns"][running[-1]])
     document = _scenario(recording)
+    found = conditions(recording, document, start_ns, end_ns)
     return Session(
         start_ns=start_ns,
         end_ns=end_ns,
         hand={name: values[running] for name, values in hand.items()},
         command=_within(_series(recording, "haptic/command", ("position_m.2", "force_n.2"), shifts), start_ns, end_ns),
         tip=_within(_series(recording, "afm/state", _TIP_FIELDS, shifts), start_ns, end_ns),
-        force_scale=_force_scale(recording, document),
+        force_scale=found["parameters"]["force_scale"],
         scenario=document.name,
-        conditions=conditions(recording, document, start_ns, end_ns),
+        conditions=found,
         missing=tuple(cut_off(recording, hand["session_s"], running)),
     )
 
@@ -267,12 +267,6 @@ def _scenario(recording: RecordingSource) -> Scenario:
     except KeyError as error:
         raise RecordingError(f"{recording.path}: has no scenario attached, so its scales are unknown") from error
     return validate(Scenario, yaml.safe_load(text), f"{recording.path}: scenario.yaml")
-
-
-def _force_scale(recording: RecordingSource, scenario: Scenario) -> float:
-    config = validate(ControllerConfig, scenario.controller, f"{recording.path}: scenario.yaml", "controller")
-    scale: float = config.law_config().force_scale
-    return scale
 
 
 def _title(session: Session, summary: Mapping[str, Any]) -> str:

@@ -13,8 +13,8 @@ FASTEST_HZ in contact.
 import math
 from typing import NamedTuple
 
-from services.afm_node.safety import SafetyInputs, SafetyParams, SafetyState, initial_safety_state, safety_step
-from services.afm_node.step import AfmInputs, AfmOutputs
+from services.afm_node.safety import SafetyParams, SafetyState, initial_safety_state
+from services.afm_node.step import AfmInputs, AfmOutputs, guarded
 from services.runtime.compiled import compiled
 
 FASTEST_HZ = 150.0
@@ -98,16 +98,7 @@ def pushed(
 @compiled
 def step(params: BodyParams, state: BodyState, inputs: AfmInputs, dt: float) -> tuple[BodyState, AfmOutputs]:
     """Advance guard, cantilever and body by dt [s]. Raises ValueError if dt is not positive and finite."""
-    asked = SafetyInputs(
-        inputs.reference_m,
-        inputs.command_age_s,
-        inputs.action,
-        inputs.arm_requested,
-        inputs.estop,
-        state.force_n,
-        False,
-    )
-    safety, allowed = safety_step(params.safety, state.safety, asked, dt)
+    safety, allowed = guarded(params.safety, state.safety, inputs, state.force_n, dt)
     y_m, velocity = pushed(params, (state.base_m, allowed.base_m), state.pushed_m, state.velocity_m_per_s, dt)
     gap_m = params.rest_distance_m + y_m - allowed.base_m
     force = params.cantilever_n_per_m * max(-gap_m, 0.0)

@@ -1,6 +1,7 @@
 """Images in simulated time: a raster over a sample, line by line there and back."""
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
@@ -132,7 +133,7 @@ def scan(
     return ScanResult(trace[:done], retrace[:done], truth[:done], surface.width_m, depth, run.simulated_s)
 
 
-class _Run:
+class _Run(ABC):
     """The instrument during a scan: keeps its state from line to line."""
 
     def __init__(self, dwell_s: float, period_s: float) -> None:
@@ -145,8 +146,8 @@ class _Run:
         self.simulated_s += line.pixels * line.periods * self.period_s
         self.scan_line(seen, line, out)
 
-    def scan_line(self, seen: Surface, line: Line, out: Array) -> None:
-        raise NotImplementedError
+    @abstractmethod
+    def scan_line(self, seen: Surface, line: Line, out: Array) -> None: ...
 
 
 class _Tapping(_Run):

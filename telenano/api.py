@@ -91,20 +91,27 @@ class RecordedSession:
     @cached_property
     def summary(self) -> dict[str, Any]:
         """Conditions, figures and verdict, as in `summary.json`; RecordingError when the programme never ran."""
-        from analysis.report import read_session, read_traffic, summarise
+        from analysis.report import read_traffic, summarise
 
-        session = read_session(self._source)
-        return summarise(session, self._source.info(), read_traffic(self._source, session))
+        return summarise(self._session, self._source.info(), read_traffic(self._source, self._session))
 
     @cached_property
     def start_ns(self) -> int | None:
         """When the operator's programme last began, on the publishers' clock [ns]; None if it never ran."""
-        from analysis.report import read_session
-
         try:
-            return read_session(self._source).start_ns
+            return int(self._session.start_ns)
         except RecordingError:
             return None
+
+    @cached_property
+    def _session(self) -> Any:
+        from analysis.report import read_session
+
+        return read_session(self._source)
+
+    @cached_property
+    def _shifts(self) -> dict[str, int]:
+        return replay_shifts(self._source)
 
     def table(self, channel: str, src: str | None = None) -> Table:
         """Return the messages of a channel, from one of its publishers where there are several.
@@ -118,7 +125,7 @@ class RecordedSession:
             raise RecordingError(f"{channel}: has several publishers, give one of {', '.join(sources)}")
         if src is not None and src not in sources:
             raise RecordingError(f"{channel}: {src} published nothing on it; {', '.join(sources)} did")
-        shift_ns = replay_shifts(self._source).get(src or sources[0], 0)
+        shift_ns = self._shifts.get(src or sources[0], 0)
         messages = (message for message in self._source.messages([channel]) if src in (None, message.src))
         rows = [(message.publish_ns + shift_ns, row(message)) for message in messages]
         return _table(topic_of(channel), rows, self.start_ns)

@@ -11,7 +11,7 @@ from services.afm_node.driver import AfmDriver, DeviceReport
 from services.afm_node.step import LONGEST_STEP_NS, AfmSample, command_wait_ns
 from services.runtime.bus import Received
 from services.runtime.frames import to_paper_axis, to_site_frame
-from services.runtime.freshness import LOOP_DEADLINE_NS, HandAge, age_s
+from services.runtime.freshness import LOOP_DEADLINE_NS, HandAge
 from services.runtime.node import Node, NodeContext
 from services.runtime.replay_guard import ReplayGuard
 
@@ -130,11 +130,11 @@ class AfmNode(Node):
         command = self._command
         if command is None:
             return math.inf
-        now_ns, sent_ns = self.clock.now_ns(), command.t_ns
-        if self._allow_replay and self._hand_age.is_played(sent_ns):
-            # its stamp is that of the recording
-            sent_ns = self._command_received_ns
-        return self._hand_age.age_s(now_ns, command.hand_t_ns, age_s(now_ns, sent_ns))
+        now_ns = self.clock.now_ns()
+        command_age_s = self._hand_age.message_age_s(
+            now_ns, command.t_ns, self._command_received_ns, allow_replay=self._allow_replay
+        )
+        return self._hand_age.age_s(now_ns, command.hand_t_ns, command_age_s)
 
     def _step(
         self, now_ns: int, command_age_s: float | None = None, *, arm: bool = False, estop: bool = False

@@ -7,8 +7,8 @@ cantilever and sample a spring on the base itself. The distance reported is L - 
 import math
 from typing import NamedTuple
 
-from services.afm_node.safety import SafetyInputs, SafetyParams, SafetyState, initial_safety_state, safety_step
-from services.afm_node.step import AfmInputs, AfmOutputs
+from services.afm_node.safety import SafetyParams, SafetyState, initial_safety_state
+from services.afm_node.step import AfmInputs, AfmOutputs, guarded
 from services.runtime.compiled import compiled
 
 
@@ -59,16 +59,7 @@ def initial_state(params: SpringParams) -> SpringState:
 @compiled
 def step(params: SpringParams, state: SpringState, inputs: AfmInputs, dt: float) -> tuple[SpringState, AfmOutputs]:
     """Advance guard and spring by dt [s]. Raises ValueError if dt is not positive and finite."""
-    asked = SafetyInputs(
-        inputs.reference_m,
-        inputs.command_age_s,
-        inputs.action,
-        inputs.arm_requested,
-        inputs.estop,
-        state.force_n,
-        False,
-    )
-    safety, allowed = safety_step(params.safety, state.safety, asked, dt)
+    safety, allowed = guarded(params.safety, state.safety, inputs, state.force_n, dt)
     force = spring_force(params, allowed.base_m)
     outputs = AfmOutputs(
         allowed.base_m,

@@ -11,7 +11,14 @@ at most base_speed dt.
 from typing import NamedTuple
 
 from services.afm_node.cantilever import Plant, PlantState, deflection_m, equilibrium, initial_state
-from services.afm_node.safety import SafetyInputs, SafetyParams, SafetyState, initial_safety_state, safety_step
+from services.afm_node.safety import (
+    SafetyInputs,
+    SafetyOutputs,
+    SafetyParams,
+    SafetyState,
+    initial_safety_state,
+    safety_step,
+)
 from services.runtime.compiled import compiled
 
 # the guard's speed limit allows no more than this much motion at once, however long the process was held up
@@ -99,21 +106,29 @@ def measure(plant: Plant, state: PlantState, base_m: float) -> tuple[PlantState,
 
 
 @compiled
-def step(params: AfmParams, state: AfmStepState, inputs: AfmInputs, dt: float) -> tuple[AfmStepState, AfmOutputs]:
-    """Advance the AFM by dt [s].
-
-    Raises: ValueError, if dt is not positive and finite.
-    """
+def guarded(
+    params: SafetyParams, state: SafetyState, inputs: AfmInputs, force_n: float, dt: float
+) -> tuple[SafetyState, SafetyOutputs]:
+    """Guard a tick of a simulated instrument, on which the force was force_n [N]; such a device is never lost."""
     asked = SafetyInputs(
         inputs.reference_m,
         inputs.command_age_s,
         inputs.action,
         inputs.arm_requested,
         inputs.estop,
-        state.force_n,
+        force_n,
         False,
     )
-    safety, allowed = safety_step(params.safety, state.safety, asked, dt)
+    return safety_step(params, state, asked, dt)
+
+
+@compiled
+def step(params: AfmParams, state: AfmStepState, inputs: AfmInputs, dt: float) -> tuple[AfmStepState, AfmOutputs]:
+    """Advance the AFM by dt [s].
+
+    Raises: ValueError, if dt is not positive and finite.
+    """
+    safety, allowed = guarded(params.safety, state.safety, inputs, state.force_n, dt)
     tip, sample = measure(params.plant, state.plant, allowed.base_m)
     outputs = AfmOutputs(
         sample.base_m,

@@ -283,7 +283,7 @@ class SlaveController(ControllerHalf):
             self.event("fault", "warning", text, silence_s=silence_s)
 
     def _lose_instrument(self) -> None:
-        """Hold the base where it was last told to be, until the instrument says where it is."""
+        """Hold the base where it was last commanded to be, until the instrument says where it is."""
         self.tip = self.tip._replace(following=False)
         self.state = "safe"
         self._instrument_lost = True

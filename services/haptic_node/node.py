@@ -168,11 +168,10 @@ class HapticNode(Node):
         command = self._command
         if command is None:
             return math.inf
-        now_ns, sent_ns = self.clock.now_ns(), command.t_ns
-        if self._allow_replay and self._hand_age.is_played(sent_ns):
-            # its stamp is that of the recording
-            sent_ns = self._command_received_ns
-        command_age_s = age_s(now_ns, sent_ns)
+        now_ns = self.clock.now_ns()
+        command_age_s = self._hand_age.message_age_s(
+            now_ns, command.t_ns, self._command_received_ns, allow_replay=self._allow_replay
+        )
         if command.mode == "off":
             return command_age_s
         return self._hand_age.age_s(now_ns, command.hand_t_ns, command_age_s)

@@ -2,6 +2,7 @@
 
 import platform
 import subprocess
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -54,6 +55,7 @@ def _shown(path: Path) -> str:
     return str(absolute.relative_to(_ROOT)) if absolute.is_relative_to(_ROOT / "presets") else str(absolute)
 
 
+@cache
 def _commit() -> str:
     """Return the commit that is checked out where this runs from, `+` after it where files differ; else `unknown`."""
     if not (_ROOT / ".git").exists():

@@ -19,7 +19,7 @@ ENVIRONMENT_PREFIX = "TELENANO__"
 _MERGE_TAG = "tag:yaml.org,2002:merge"
 # sections within sections: far more than there are, and few enough for whoever walks through them
 _DEEPEST = 16
-# faults of one document that are told, so that a thousand wrong keys cost no more than that
+# faults of one document that are reported, so that a thousand wrong keys cost no more than that
 _MOST_FAULTS = 20
 
 

@@ -98,6 +98,10 @@ class HandAge:
         sample_age_s = age_s(now_ns, taken_ns)
         return sample_age_s if sample_age_s > message_age_s else message_age_s
 
+    def message_age_s(self, now_ns: int, t_ns: int, received_ns: int, *, allow_replay: bool) -> float:
+        """Return the age of a message by its own stamp, or, of a played one where that is allowed, by its reception."""
+        return age_s(now_ns, received_ns if allow_replay and self.is_played(t_ns) else t_ns)
+
     def is_played(self, t_ns: int) -> bool:
         """Return whether a time stamp of this site's clock is from before this node began: it is from a recording."""
         return t_ns < self._oldest_ns

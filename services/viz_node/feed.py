@@ -1,4 +1,4 @@
-"""What the pages are told: everything that changed since the last time, and a snapshot for a page that comes later."""
+"""What is sent to the pages: all that changed since the last time, and a snapshot for a page that comes later."""
 
 from collections import deque
 from collections.abc import Mapping
