@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Literal, get_args, get_origin
 
 import msgpack
+import msgspec
 from pydantic import BaseModel, ValidationError
 
 from proto.messages import MAX_ITEMS, MAX_KEYS, Message, SessionControl
@@ -24,6 +25,8 @@ MAX_COMMAND_BYTES = MAX_MESSAGE_BYTES // 2
 MAX_ARRAYS = 64
 _COUNT_LIMIT = 2**63
 _unpackb = msgpack.unpackb
+# goes through a payload without keeping anything of it
+_skim = msgspec.msgpack.Decoder(msgspec.Raw).decode
 
 Reason = Literal["frames", "topic", "oversized", "malformed", "newer_version", "schema", "range", "source", "role"]
 
@@ -188,7 +191,9 @@ def _read(topic: str, payload: bytes) -> tuple[_Form, dict[str, Any]]:
     if len(payload) > form.most_bytes:
         raise WireError("oversized", _size_text(topic, len(payload), form.most_bytes))
     try:
-        # a short frame cannot ask for a large allocation: where no limit is given, msgpack's is the size of the payload
+        # msgpack makes room for every array before it has seen an item: a thousand inside each other, of which none is
+        # complete, would be tens of megabytes
+        _skim(payload)
         if form.plain:
             fields = _unpackb(payload, use_list=False, max_ext_len=0)
         elif len(payload) <= MAX_PLAIN_BYTES:
@@ -197,7 +202,7 @@ def _read(topic: str, payload: bytes) -> tuple[_Form, dict[str, Any]]:
             fields = _unpack_long(payload, form)
     except _TooMuchError as error:
         raise WireError("malformed", f"{topic}: {error}") from error
-    except (ValueError, msgpack.exceptions.UnpackException, RecursionError) as error:
+    except (ValueError, msgpack.exceptions.UnpackException, msgspec.DecodeError, RecursionError) as error:
         # msgpack's own exceptions are not all ValueErrors; StackError and FormatError carry no text
         raise WireError("malformed", f"{topic}: not msgpack: {str(error) or type(error).__name__}") from error
     if type(fields) is not dict:

@@ -460,7 +460,7 @@ class NodeHealth(Message):
     memory_locked: bool = Field(description="Memory is locked")
     replay: bool = Field(description="The messages of this node come from a recording, not from an instrument")
     inputs: Annotated[tuple[InputHealth, ...], FailFast()] = Field(
-        max_length=MAX_ROWS, description="Every input of the node, as many as a table has rows"
+        max_length=MAX_ROWS, description="Every input of the node; of many sources, those that sent most"
     )
 
 

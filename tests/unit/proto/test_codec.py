@@ -224,6 +224,20 @@ def test_a_bomb_costs_little_time_and_memory(topic: str, payload: bytes) -> None
     assert peak < 64 * MAX_MESSAGE_BYTES
 
 
+@pytest.mark.parametrize("items", [1000, 4000, MAX_ITEMS])
+@pytest.mark.parametrize("topic", ["haptic/command", "session/control", "node/health"])
+def test_no_room_is_made_for_arrays_that_are_not_there(topic: str, items: int) -> None:
+    # each announces more items than the whole frame has bytes
+    payload = b"\x81\xaaparameters" + _array32(items) * 800
+    tracemalloc.start()
+    try:
+        assert refused(topic, payload).reason == "malformed"
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 2**18
+
+
 def test_refusing_the_dearest_costs_no_more_than_taking_the_longest() -> None:
     """The longest message that a node sends is a report of 1000 fates."""
     fates = fields_of("link/fates")

@@ -451,7 +451,16 @@ def test_invented_sources_do_not_fill_the_memory(unconnected: Subscriber) -> Non
     assert f"the {MOST_TRACKERS} kept account of" in unconnected.last_error
     # sources that were there before are still received
     assert hand(unconnected, 1, 1, src="n5@b") is not None
-    assert len(unconnected.input_health()) == MOST_TRACKERS
+
+
+def test_of_many_sources_those_are_told_of_that_sent_most(unconnected: Subscriber) -> None:
+    for number in range(MOST_TRACKERS):
+        for seq in range(2 if number % 20 == 7 else 1):
+            hand(unconnected, seq, seq, src=f"n{number}@b")
+    told = [(row.topic, row.src) for row in unconnected.input_health()]
+    assert len(told) < 100
+    assert told == sorted(told)
+    assert {("haptic/state", f"n{number}@b") for number in range(7, MOST_TRACKERS, 20)} <= set(told)
 
 
 def test_a_flood_is_taken_a_bounded_part_at_a_time(context: Context) -> None:
