@@ -8,8 +8,9 @@ from enum import Enum, auto
 MOST_COUNTED = 2**63 - 1
 # a longer gap is counted whole, but only its newest part can still be recognised when it arrives late
 _REMEMBERED_GAP = 4096
-# so many repeated messages in a row, in order and this old, are not duplicates: the publisher's clock was set back, or
-# a recording is played where its publisher, or an earlier replay, was received before
+# so many messages in a row that are in order and this old are neither repeated nor late: the publisher's clock was set
+# back, a recording is played where its publisher, or an earlier replay, was received before, or a number that was far
+# ahead did not come from the publisher
 _REWIND_RUN = 8
 _REWIND_NS = 1_000_000_000
 
@@ -87,16 +88,17 @@ class SequenceTracker:
             return Arrival.AFTER_GAP
         if t_ns > self.last_t_ns:
             return self._restart()
-        if self._is_missing(seq):
+        missing = self._is_missing(seq)
+        # the run is broken by anything that was received in between
+        self._run = self._run + 1 if (seq - 1, self.received) == self._run_at else 1
+        self._run_at = (seq, self.received + missing)
+        if self._run >= _REWIND_RUN and self.last_t_ns - t_ns > _REWIND_NS:
+            return self._restart()
+        if missing:
             self._filled.add(seq)
             self.lost -= self.lost < MOST_COUNTED
             self.late += 1
             return Arrival.LATE
-        # the run is broken by anything that was received in between
-        self._run = self._run + 1 if (seq - 1, self.received) == self._run_at else 1
-        self._run_at = (seq, self.received)
-        if self._run >= _REWIND_RUN and self.last_t_ns - t_ns > _REWIND_NS:
-            return self._restart()
         self.duplicates += 1
         return Arrival.DUPLICATE
 

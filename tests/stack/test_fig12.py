@@ -28,6 +28,8 @@ HOLDS = ("--duration", "4.7")
 BORNE_MS = 51.2
 # more than this beyond the median, and the loop stood still for a moment: that is a blow to a loop at its edge
 HELD_UP_MS = 15.0
+# sessions until the machine lets one through without such a moment
+SESSIONS = 3
 NODES = ("controller@master", "controller@slave", "afm_node@slave", "haptic_node@master", "delay_node@master")
 
 
@@ -122,19 +124,21 @@ def test_every_message_decodes(session: Any) -> None:
 
 
 def test_forty_milliseconds_round_trip_stay_stable_and_without_the_meniscus_the_contact_is_nearer(rig: Any) -> None:
-    summary = rig.run(*readme("--delay-ms 20"), "--set", "afm_node.meniscus=false", "--duration", "6.5")
-    assert summary["contact_x_cm"] == pytest.approx(0.672, abs=0.010)
-    # what the loop takes by itself comes on top of the 40 ms that are set for the link
-    age_ms = summary["loop_age_ms"]["p50"]
-    assert age_ms > 40.0
-    if age_ms < BORNE_MS - 2.0:
-        assert summary["stable"] is True, summary["holds"]
-        # beside its edge the loop has not come wholly to rest when a hold ends
-        assert summary["hold_ratio"] == pytest.approx(1.050, abs=0.020)
-    else:
-        machine.note(
-            f"40 ms through the link were a loop of {age_ms:.1f} ms here, and {BORNE_MS} is what the law bears"
-        )
+    for _ in range(SESSIONS):
+        summary = rig.run(*readme("--delay-ms 20"), "--set", "afm_node.meniscus=false", "--duration", "6.5")
+        assert summary["contact_x_cm"] == pytest.approx(0.672, abs=0.010)
+        # what the loop takes by itself comes on top of the 40 ms that are set for the link
+        age = summary["loop_age_ms"]
+        assert age["p50"] > 40.0
+        if age["p99"] < BORNE_MS - 2.0 and age["max"] < age["p50"] + HELD_UP_MS:
+            assert summary["stable"] is True, (summary["holds"], age)
+            # beside its edge the loop has not come wholly to rest when a hold ends
+            assert summary["hold_ratio"] == pytest.approx(1.050, abs=0.020)
+            return
+    machine.note(
+        f"40 ms through the link were a loop of {age['p50']:.1f} ms here, {age['p99']:.1f} at 99 %, at most "
+        f"{age['max']:.1f}, in each of {SESSIONS} sessions; {BORNE_MS} is what the law bears"
+    )
 
 
 def test_sixty_milliseconds_round_trip_are_a_limit_cycle(rig: Any) -> None:

@@ -159,3 +159,21 @@ def test_after_the_end_any_number_is_that_of_the_next_process(seq: int) -> None:
     # and its own gaps count again
     assert tracker.accept(seq + 3, 21) is Arrival.AFTER_GAP
     assert tracker.lost == 2
+
+
+def test_a_number_far_ahead_in_the_name_of_a_publisher_does_not_make_the_rest_late() -> None:
+    tracker, second_ns = SequenceTracker(), 10**9
+    tracker.accept(100, second_ns)
+    # by a clock that is four seconds ahead
+    assert tracker.accept(3000, 5 * second_ns) is Arrival.AFTER_GAP
+    seen = [tracker.accept(seq, second_ns + seq * 10**6) for seq in range(101, 200)]
+    assert seen[:7] == [Arrival.LATE] * 7
+    assert seen[7] is Arrival.RESTART
+    assert set(seen[8:]) == {Arrival.NEXT}
+
+
+def test_what_was_held_back_for_less_than_a_second_is_late_however_long_it_is() -> None:
+    tracker = SequenceTracker()
+    tracker.accept(0, 0)
+    tracker.accept(900, 900 * 10**6)
+    assert {tracker.accept(seq, seq * 10**6) for seq in range(1, 900)} == {Arrival.LATE}
