@@ -7,6 +7,7 @@ One function decides, for recordings, maps and the check of the bus against lock
 - diverged: a mode of the motion grows (`analysis.modes`), or the motion begins in the last eighth of the hold;
 - drifting: the force goes on in one direction without coming to rest;
 - limit_cycle: the motion neither grows nor dies out and is larger than a twentieth of the hand's force;
+- released: neither hand nor tip presses with a twentieth of the hand's force: there is no hold to judge;
 - contact_lost: the tip does not touch although the hand presses;
 - wrong_force: the tip's force differs from the hand's by more than a tenth;
 - stable: none of these.
@@ -29,12 +30,23 @@ import numpy.typing as npt
 from analysis.modes import LEAST_SAMPLES, Mode, modes_of, noise_floor
 
 Series = npt.NDArray[np.float64]
-Kind = Literal["stable", "limit_cycle", "diverged", "drifting", "wrong_force", "contact_lost", "guarded", "cannot_say"]
+Kind = Literal[
+    "stable",
+    "limit_cycle",
+    "diverged",
+    "drifting",
+    "released",
+    "wrong_force",
+    "contact_lost",
+    "guarded",
+    "cannot_say",
+]
 KINDS: tuple[Kind, ...] = (
     "stable",
     "limit_cycle",
     "diverged",
     "drifting",
+    "released",
     "wrong_force",
     "contact_lost",
     "guarded",
@@ -205,6 +217,10 @@ def _steady(
     """Ask of a hold that stands still whether it is the right one."""
     later = values[len(values) // 2 :]
     mean = float(np.cumsum(later)[-1]) / len(later)
+    small = SMALL_SHARE * hand_force_n
+    if known.expected_n is not None and max(abs(known.expected_n), abs(mean)) < small:
+        words = f"the hand presses with {known.expected_n:.2g} N and the tip with {mean:.2g} N: this is no hold"
+        return "released", rate, words
     if known.touching is not None and known.touching < 1.0:
         share = 100.0 * (1.0 - known.touching)
         return "contact_lost", rate, f"the tip is off the surface for {share:.3g} % of the later half of the hold"

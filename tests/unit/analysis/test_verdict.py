@@ -146,6 +146,15 @@ def test_a_tip_that_is_off_the_surface_is_not_stable() -> None:
     assert "off the surface" in cycling.reason
 
 
+def test_hand_and_tip_without_force_are_no_hold() -> None:
+    found = judge(TIME_S, np.full(8000, 1e-4), 1.0, Circumstances(expected_n=2e-4))
+    assert found.kind == "released"
+    assert found.reason == "the hand presses with 0.0002 N and the tip with 0.0001 N: this is no hold"
+    # a hand that presses with little is one: the arm of a law that gives force away
+    assert judge(TIME_S, np.full(8000, 0.06), 1.0, Circumstances(expected_n=0.06)).kind == "stable"
+    assert judge(TIME_S, np.full(8000, 0.06), 1.0, Circumstances(expected_n=1e-4)).kind == "wrong_force"
+
+
 @pytest.mark.parametrize(("tip_n", "kind"), [(4.0, "wrong_force"), (1.12, "wrong_force"), (0.95, "stable")])
 def test_the_force_has_to_be_the_hands_to_a_tenth(tip_n: float, kind: str) -> None:
     found = judge(TIME_S, np.full(8000, tip_n), 1.0, Circumstances(expected_n=1.0))
