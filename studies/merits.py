@@ -2,8 +2,9 @@
 
 Every law is tuned for the network by the rule of `studies.tuning` and run with the force clamp off and on. Of each run:
 greatest force at the tip, F_s/F_m and x_m - x_s/alpha_p in the later half of the last hold, work of the hand, least
-energy at the device, share of the session in which a guard had taken over; and how far the hand walks in a cycle of
-1 +- 0.3 N at 0.5 Hz. Over a random link each figure is the median of the seeds, with the least and the greatest.
+energy at the device, share of the session in which a guard had taken over; and how far a hand of constant force walks
+in a cycle of 1 +- 0.3 N at 0.5 Hz. Over a random link each figure is the median of the seeds, with the least and the
+greatest.
 """
 
 import math
@@ -144,8 +145,9 @@ def run_merits(trial: Trial, sweep: Sweep) -> list[Merit]:
     found = []
     for key, some in zip(keys, cells, strict=True):
         runs = tuple(next(results) for _ in some)
-        # the drift of the first seed: it is the law's, not the link's
-        found.append(Merit(*key, runs, figures_of(runs, drift_m(some[0]))))
+        # that of the first seed, as it is the law's and not the link's; an arm holds the hand where it is
+        drift = drift_m(some[0]) if some[0].hand == "force" else None
+        found.append(Merit(*key, runs, figures_of(runs, drift)))
     return found
 
 

@@ -175,7 +175,7 @@ def compare(
     law: LawOption = "all",
     delay: Annotated[
         str, typer.Option("--delay", metavar="LIST|RANGE", help="Round trips that are studied in detail [ms].")
-    ] = "40,100,200",
+    ] = "50,120,250",
     map_delay: Annotated[
         str, typer.Option("--map-delay", metavar="LIST|RANGE", help="Round trips of the maps [ms].")
     ] = "0:500:20",
@@ -184,10 +184,10 @@ def compare(
     seeds: Annotated[int, typer.Option("--seeds", min=1, max=1000, help="Seeds of the random link.")] = 3,
     hand: Annotated[
         str, typer.Option("--hand", "--arm", metavar="HAND[,HAND]|all", help="force, soft, ordinary, stiff.")
-    ] = "force,ordinary",
+    ] = "all",
     sample: Annotated[
         str, typer.Option("--sample", metavar="LIST", help="What is pressed on: contact, soft, ordinary, stiff.")
-    ] = "contact",
+    ] = "contact,stiff",
     frequency: FrequencyOption = _FREQUENCIES,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,

@@ -142,7 +142,7 @@ def test_transparency_prints_one_object(tmp_path: Path) -> None:
 
 def test_compare_puts_laws_on_one_page(tmp_path: Path) -> None:
     options = ["--law", "virtual_impedance", "--delay", "60", "--map-delay", "0,100", "--stiffness", "20"]
-    options += ["--hand", "force", "--seeds", "1", "--frequency", "5"]
+    options += ["--hand", "force", "--sample", "contact", "--seeds", "1", "--frequency", "5"]
     result = RUN.invoke(app, ["compare", *options, "--workers", "1", "--out", str(tmp_path), "--json"])
     assert result.exit_code == 0, result.output
     summary = json.loads(result.stdout)
