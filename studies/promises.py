@@ -1,11 +1,13 @@
 """What the laws promise over bad links, tried on drawn cells: passivity at the device, a stable hold, the whole force.
 
-Every seed draws one cell for each sample (springs of 5 to 200 N/m and the contact): round trip of 0 to 500 ms, jitter
-of half the delay, loss of 0, 5 or 20 %, a hand of constant force or an arm of 300 or 1000 N/m. The laws are as they
-come, with the clamp that each has. The energy at the device is what the hand has put in more than the tip was given,
-with the servo of the device in the sum; LEAST_J below zero is what rounding and the trapezoid leave.
+Every seed has a link of its own, a round trip of 0 to 500 ms with jitter of half the delay and a loss of 0, 5 or 20 %,
+and over it a hand for every sample: a constant force or an arm of 300 or 1000 N/m, on springs of 5 to 200 N/m and in
+the contact. The laws are as they come, with the clamp that each has. The energy at the device is what the hand has put
+in more than the tip was given, with the servo of the device in the sum; LEAST_J below zero is what rounding and the
+trapezoid leave.
 """
 
+import itertools
 import random
 import statistics
 from collections.abc import Sequence
@@ -53,33 +55,43 @@ class Outcome(NamedTuple):
     failed: dict[str, int]
 
 
-def drawn_cells(law: str, seeds: int) -> list[Cell]:
-    """Draw a cell for every seed and sample; every law gets the same networks, hands and samples."""
-    return [_drawn(law, seed, *sample) for seed in range(seeds) for sample in SAMPLES]
+def drawn_cells(laws: Sequence[str], seeds: int) -> list[Cell]:
+    """Return a link for every seed with a hand drawn for every sample on it; every law gets the same ones.
+
+    What runs over one link comes together: to draw a random one takes longer than to run over it.
+    """
+    return [cell for seed in range(seeds) for cell in _drawn(laws, seed)]
 
 
-def _drawn(law: str, seed: int, environment: Environment, stiffness_n_per_m: float) -> Cell:
-    source = random.Random(f"{seed} {environment} {stiffness_n_per_m:g}")
-    round_trip_ms = source.choice(ROUND_TRIPS_MS)
-    return Cell(
-        law=law,
-        environment=environment,
-        hand=source.choice(HANDS),
-        round_trip_ms=round_trip_ms,
-        stiffness_n_per_m=stiffness_n_per_m,
-        jitter_ms=_JITTER * round_trip_ms,
-        loss=source.choice(LOSSES),
-        seed=seed,
-    )
+def _drawn(laws: Sequence[str], seed: int) -> list[Cell]:
+    source = random.Random(seed)
+    round_trip_ms = ROUND_TRIPS_MS[seed % len(ROUND_TRIPS_MS)]
+    loss = LOSSES[seed // len(ROUND_TRIPS_MS) % len(LOSSES)]
+    places = [(environment, stiffness, source.choice(HANDS)) for environment, stiffness in SAMPLES]
+    return [
+        Cell(
+            law=law,
+            environment=environment,
+            hand=hand,
+            round_trip_ms=round_trip_ms,
+            stiffness_n_per_m=stiffness,
+            jitter_ms=_JITTER * round_trip_ms,
+            loss=loss,
+            seed=seed,
+        )
+        for environment, stiffness, hand in places
+        for law in laws
+    ]
 
 
-def outcomes(law: str, seeds: int, sweep: Sweep) -> list[Outcome]:
-    """Run the drawn cells of a law; a row for every round trip, of a constant force and of the arms."""
-    results = sweep.run(drawn_cells(law, seeds))
+def outcomes(laws: Sequence[str], seeds: int, sweep: Sweep) -> list[Outcome]:
+    """Run the drawn cells; a row for every law and round trip, of a constant force and of the arms."""
+    results = sweep.run(drawn_cells(laws, seeds))
     rows = []
-    for round_trip_ms in ROUND_TRIPS_MS:
+    for law, round_trip_ms in itertools.product(laws, ROUND_TRIPS_MS):
         for hand, hands in (("force", HANDS[:1]), ("arms", HANDS[1:])):
-            some = [r for r in results if r.cell.round_trip_ms == round_trip_ms and r.cell.hand in hands]
+            some = [r for r in results if (r.cell.law, r.cell.round_trip_ms) == (law, round_trip_ms)]
+            some = [r for r in some if r.cell.hand in hands]
             if some:
                 rows.append(_row(law, hand, round_trip_ms, some))
     return rows

@@ -33,7 +33,7 @@ def promises(
         from studies.sweep import JOURNAL_NAME, Journal, Sweep
 
         sweep = Sweep(Journal(out / JOURNAL_NAME), workers or os.cpu_count() or 1)
-        found = [row for name in values.laws(law) for row in outcomes(name, seeds, sweep)]
+        found = outcomes(values.laws(law), seeds, sweep)
         failed = broken(found)
         summary = {"study": "promises", "seeds": seeds, "held": not failed, "rows": [as_dict(row) for row in found]}
         out.mkdir(parents=True, exist_ok=True)
