@@ -14,7 +14,8 @@ One function decides, for recordings, maps and the check of the bus against lock
 
 A growth rate counts where it exceeds three of its standard errors and changes the motion by more than a tenth over the
 later part of the hold, and where the mode is more than a tenth of the motion that is left: friction makes that no sum
-of exponentials, and leaves a fit with modes a hundredth as large. Over a link with jitter or loss a motion that the
+of exponentials, and leaves a fit with modes a hundredth as large. One of less than a quarter of a cycle is the bend of
+a drift, and has to be larger than a twentieth of the hand's force. Over a link with jitter or loss a motion that the
 link's randomness keeps up is a limit cycle too, and a trend has to be a factor of two, because it may be chance. White
 noise of the read-out is estimated from the data and is no motion.
 """
@@ -158,7 +159,10 @@ def _decided(
     growing = [
         mode
         for mode in motion.modes
-        if _sure(mode, 1.0, span_s, least) and (mode.explained or not known.noisy) and 2.0 * mode.end_n > residue_n
+        if _sure(mode, 1.0, span_s, least)
+        and (mode.explained or not known.noisy)
+        and 2.0 * mode.end_n > residue_n
+        and (mode.frequency_hz * motion.length_s >= _DRIFT_CYCLES or _reach(mode) > small_n)
     ]
     leading = max(large or motion.modes, key=lambda mode: mode.growth_per_s, default=None)
     rate = leading.growth_per_s if leading is not None and leading.explained else motion.growth_per_s

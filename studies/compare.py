@@ -125,8 +125,8 @@ def write_comparison(result: Comparison, out: Path, command: str) -> dict[str, A
         "courses.png": png_of(_drawn(result, "tip's force, hand's scale [N]", energy=False)),
         "energies.png": png_of(_drawn(result, "energy held [mJ]", energy=True)),
         **{
-            name: png_of(merits_figure([merit for merit in result.merits if merit.sample == sample]))
-            for sample, name in _merits_files(result).items()
+            name: png_of(merits_figure([m for m in result.merits if (m.sample, _kind(m.network)) == place]))
+            for place, name in _merits_files(result).items()
         },
         **spectrum_images(result.spectra),
     }
@@ -165,12 +165,17 @@ def summarise(result: Comparison) -> dict[str, Any]:
     }
 
 
-def _merits_files(result: Comparison) -> dict[Sample, str]:
-    """Return the name of the figure of merits of every sample."""
-    samples = result.request.samples
-    if len(samples) == 1:
-        return {samples[0]: "merits.png"}
-    return {sample: f"merits-{sample.environment}-{sample.stiffness_n_per_m:g}.png" for sample in samples}
+def _kind(network: Network) -> str:
+    return "jitter" if network.jitter.value else "loss" if network.loss else "constant"
+
+
+def _merits_files(result: Comparison) -> dict[tuple[Sample, str], str]:
+    """Return the name of the figure of merits of every sample and kind of network: no more than a page is wide."""
+    places = dict.fromkeys((merit.sample, _kind(merit.network)) for merit in result.merits)
+    return {
+        (sample, kind): f"merits-{sample.environment}-{sample.stiffness_n_per_m:g}-{kind}.png"
+        for sample, kind in places
+    }
 
 
 def _best(result: Comparison) -> list[dict[str, Any]]:
@@ -292,7 +297,7 @@ def _page(result: Comparison, images: dict[str, bytes], command: str) -> Page:
         " scale. Below zero it has made energy.",
     )
     page.heading("What the laws do with arms, tuned for the delay")
-    for sample, name in _merits_files(result).items():
+    for (sample, _), name in _merits_files(result).items():
         page.image(
             images[name],
             f"On the {sample}. Each mark is a law, tuned for the network; bars reach over the seeds of a random link. A"

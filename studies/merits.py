@@ -9,6 +9,7 @@ greatest.
 
 import math
 import statistics
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -198,21 +199,25 @@ def tables_of(merits: Sequence[Merit]) -> dict[Place, list[Candidate]]:
 
 
 def in_words(merits: Sequence[Merit]) -> list[str]:
-    """Return three sentences: what to take over constant links, over random ones, and what to take nowhere."""
+    """Return three sentences: what to take over constant links, over random ones, and what holds most and least."""
     tables = tables_of(merits)
     words = []
     for random, name in ((False, "Over a constant link"), (True, "Over a link with loss or jitter")):
         places = [place for place in tables if place[1].random is random]
         if places:
             words.append(f"{name} take {_choices(tables, places)}.")
-    names = [candidate.name for candidate in next(iter(tables.values()))]
-    never = [name for name in names if all(c.failed for found in tables.values() for c in found if c.name == name)]
-    words.append(
-        f"On none of these held all runs of {', '.join(never)}."
-        if never
-        else "Every law held with all hands on one of these at least."
-    )
-    return words
+    return [*words, _extremes(tables)]
+
+
+def _extremes(tables: dict[Place, list[Candidate]]) -> str:
+    """Return which laws held all their runs in most of the places, and which in fewest."""
+    held = Counter({candidate.name: 0 for candidate in next(iter(tables.values()))})
+    held.update(candidate.name for found in tables.values() for candidate in found if not candidate.failed)
+    most, fewest = max(held.values()), min(held.values())
+    if most == fewest:
+        return f"Each law held all of its runs on {most} of these {len(tables)}."
+    named = {number: ", ".join(name for name, times in held.items() if times == number) for number in (most, fewest)}
+    return f"Of these {len(tables)}, {named[most]} held all runs on {most}; on fewest, {fewest}, did {named[fewest]}."
 
 
 def _choices(tables: dict[Place, list[Candidate]], places: Sequence[Place]) -> str:
@@ -221,12 +226,15 @@ def _choices(tables: dict[Place, list[Candidate]], places: Sequence[Place]) -> s
     for place in places:
         first = tables[place][0]
         best.setdefault("no law" if first.failed else first.name, []).append(place)
-    return "; ".join(f"{name} ({_where(some)})" for name, some in best.items())
+    most_first = sorted(best.items(), key=lambda item: -len(item[1]))
+    return "; ".join(f"{name} ({_where(some, places)})" for name, some in most_first)
 
 
-def _where(places: Sequence[Place]) -> str:
-    samples = dict.fromkeys(sample for sample, _ in places)
-    parts = [
-        f"{sample}: {' / '.join(str(network) for other, network in places if other == sample)}" for sample in samples
-    ]
+def _where(places: Sequence[Place], among: Sequence[Place]) -> str:
+    """Return samples, each with its networks, or with "all" for all that there are among some places."""
+    parts = []
+    for sample in dict.fromkeys(sample for sample, _ in places):
+        networks, known = ([network for other, network in some if other == sample] for some in (places, among))
+        several = len(known) > 1 and networks == known
+        parts.append(f"{sample}: {'all' if several else ' / '.join(map(str, networks))}")
     return "; ".join(parts)

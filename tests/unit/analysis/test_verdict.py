@@ -80,6 +80,8 @@ SERIES: dict[str, tuple[np.ndarray, tuple[str, ...], float]] = {
     "cycle": (ringing(0.0, size=0.035), ("limit_cycle",), 0.05),
     "chatter": (ringing(0.0, 437.0, 0.1), ("limit_cycle",), 0.05),
     "nothing": (np.ones_like(TIME_S), ("stable",), 0.05),
+    "small drift that bends": (1.0 + 0.006 * np.exp(0.16 * (TIME_S - 8.0)), ("stable",), 0.0),
+    "large drift that bends": (1.0 + 0.2 * np.exp(0.5 * (TIME_S - 8.0)), ("diverged",), 0.02),
     "drift": (1.0 + 0.1 * TIME_S, ("drifting",), 0.05),
 }
 

@@ -153,7 +153,8 @@ def test_compare_puts_laws_on_one_page(tmp_path: Path) -> None:
     assert summary["advice"][0].endswith(" (contact: 60 ms).")
     assert len(summary["advice"]) == 3
     assert [row["network"] for row in summary["take"]] == ["60 ms", "60 ms, loss 3 %", "60 ms, jitter 50%, loss 20 %"]
-    assert (tmp_path / "merits.png").exists()
+    for kind in ("constant", "loss", "jitter"):
+        assert (tmp_path / f"merits-contact-40-{kind}.png").exists()
     assert law["critical_delay_ms"]["20"] == pytest.approx(45.51, rel=2e-3, abs=0.0)
     assert 50.0 < law["critical_delay_contact_ms"] < 53.0
     assert law["contact"]["60"]["verdict"] == "limit_cycle"
