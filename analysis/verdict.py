@@ -7,13 +7,15 @@ One function decides, for recordings, maps and the check of the bus against lock
 - diverged: a mode of the motion grows (`analysis.modes`), or the motion begins in the last eighth of the hold;
 - drifting: the force goes on in one direction without coming to rest;
 - limit_cycle: the motion neither grows nor dies out and is larger than a twentieth of the hand's force;
+- released: neither hand nor tip presses with a twentieth of the hand's force: there is no hold to judge;
 - contact_lost: the tip does not touch although the hand presses;
 - wrong_force: the tip's force differs from the hand's by more than a tenth;
 - stable: none of these.
 
 A growth rate counts where it exceeds three of its standard errors and changes the motion by more than a tenth over the
 later part of the hold, and where the mode is more than a tenth of the motion that is left: friction makes that no sum
-of exponentials, and leaves a fit with modes a hundredth as large. Over a link with jitter or loss a motion that the
+of exponentials, and leaves a fit with modes a hundredth as large. One of less than a quarter of a cycle is the bend of
+a drift, and has to be larger than a twentieth of the hand's force. Over a link with jitter or loss a motion that the
 link's randomness keeps up is a limit cycle too, and a trend has to be a factor of two, because it may be chance. White
 noise of the read-out is estimated from the data and is no motion.
 """
@@ -29,12 +31,23 @@ import numpy.typing as npt
 from analysis.modes import LEAST_SAMPLES, Mode, modes_of, noise_floor
 
 Series = npt.NDArray[np.float64]
-Kind = Literal["stable", "limit_cycle", "diverged", "drifting", "wrong_force", "contact_lost", "guarded", "cannot_say"]
+Kind = Literal[
+    "stable",
+    "limit_cycle",
+    "diverged",
+    "drifting",
+    "released",
+    "wrong_force",
+    "contact_lost",
+    "guarded",
+    "cannot_say",
+]
 KINDS: tuple[Kind, ...] = (
     "stable",
     "limit_cycle",
     "diverged",
     "drifting",
+    "released",
     "wrong_force",
     "contact_lost",
     "guarded",
@@ -146,7 +159,10 @@ def _decided(
     growing = [
         mode
         for mode in motion.modes
-        if _sure(mode, 1.0, span_s, least) and (mode.explained or not known.noisy) and 2.0 * mode.end_n > residue_n
+        if _sure(mode, 1.0, span_s, least)
+        and (mode.explained or not known.noisy)
+        and 2.0 * mode.end_n > residue_n
+        and (mode.frequency_hz * motion.length_s >= _DRIFT_CYCLES or _reach(mode) > small_n)
     ]
     leading = max(large or motion.modes, key=lambda mode: mode.growth_per_s, default=None)
     rate = leading.growth_per_s if leading is not None and leading.explained else motion.growth_per_s
@@ -205,6 +221,10 @@ def _steady(
     """Ask of a hold that stands still whether it is the right one."""
     later = values[len(values) // 2 :]
     mean = float(np.cumsum(later)[-1]) / len(later)
+    small = SMALL_SHARE * hand_force_n
+    if known.expected_n is not None and max(abs(known.expected_n), abs(mean)) < small:
+        words = f"the hand presses with {known.expected_n:.2g} N and the tip with {mean:.2g} N: this is no hold"
+        return "released", rate, words
     if known.touching is not None and known.touching < 1.0:
         share = 100.0 * (1.0 - known.touching)
         return "contact_lost", rate, f"the tip is off the surface for {share:.3g} % of the later half of the hold"

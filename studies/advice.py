@@ -2,8 +2,8 @@
 
 The laws are tuned by the rule of `studies.tuning`, and run in lockstep on the network with several seeds and four
 hands: one of constant force, and a soft, an ordinary and a stiff arm that go where they would press with the same force
-if hand and sample were one. A law is suited if every one of these runs is stable by `analysis.verdict`. Those that are
-suited are ranked by a price, the sum of
+if hand and sample were one. Each is tried with the force clamp off and on. A law is suited if every one of these runs
+is stable by `analysis.verdict`. Those that are suited are ranked by a price, the sum of
 
 - the share of the force that the worst of the arms lacks or has too much at the tip in a hold,
 - the share by which the greatest force at the tip exceeds the hand's, and
@@ -24,17 +24,13 @@ from studies.tuning import Settings, tuned
 FREE_PRICE = 0.02
 _FREE_N_S_PER_M = 100.0
 _LEVELS_N: dict[str, float] = {"spring": 1.0, "wall": 1.0, "contact": 2.0, "body": 1.0}
-# the laws as they are, and the two that pass position and force on as they are behind the force clamp
-CANDIDATES: tuple[tuple[str, bool], ...] = (
-    *((law, False) for law in LAWS),
-    ("virtual_impedance", True),
-    ("position_force", True),
-)
+# every law, with the force clamp off and on
+CANDIDATES: tuple[tuple[str, bool], ...] = tuple((law, clamp) for law in LAWS for clamp in (False, True))
 
 
 @dataclass(frozen=True)
 class Question:
-    """The network (round trip [ms], jitter each way, loss each way) and the sample (K or k [N/m])."""
+    """The network (round trip [ms], jitter each way, loss each way), the sample (K or k [N/m]), and what is tried."""
 
     round_trip_ms: float
     jitter: Jitter
@@ -42,6 +38,8 @@ class Question:
     environment: Environment
     stiffness_n_per_m: float
     seeds: int = 3
+    seed: int = 0
+    hands: tuple[Hand, ...] = get_args(Hand)
 
 
 @dataclass(frozen=True)
@@ -55,7 +53,7 @@ class Candidate:
 
     @property
     def name(self) -> str:
-        return f"{self.law} with the force clamp" if self.clamp else self.law
+        return f"{self.law} with the clamp {'on' if self.clamp else 'off'}"
 
     @property
     def failed(self) -> list[CellResult]:
@@ -105,15 +103,13 @@ class Candidate:
         }
 
 
-def cells_of(question: Question, law: str, clamp: bool) -> tuple[Settings, list[Cell]]:
-    """Return the parameters of a candidate and its cells: every hand with every seed."""
+def cells_of(question: Question, law: str, clamp: bool) -> list[Cell]:
+    """Return the cells of a candidate: every hand with every seed, the law tuned for the network."""
     jitter_ms = question.jitter.at_ms(question.round_trip_ms)
     longest_s = 1e-3 * (question.round_trip_ms + 2.0 * jitter_ms)
-    settings: Settings = tuned(law, question.stiffness_n_per_m, longest_s)
-    if clamp:
-        settings = (*settings, ("clamp.enabled", True))
+    settings: Settings = (*tuned(law, question.stiffness_n_per_m, longest_s), ("clamp.enabled", clamp))
     random = jitter_ms > 0.0 or question.loss > 0.0
-    cells = [
+    return [
         Cell(
             law=law,
             environment=question.environment,
@@ -125,18 +121,17 @@ def cells_of(question: Question, law: str, clamp: bool) -> tuple[Settings, list[
             seed=seed,
             settings=settings,
         )
-        for hand in get_args(Hand)
-        for seed in range(question.seeds if random else 1)
+        for hand in question.hands
+        for seed in range(question.seed, question.seed + (question.seeds if random else 1))
     ]
-    return settings, cells
 
 
 def advise(question: Question, sweep: Sweep) -> list[Candidate]:
     """Try every candidate, the one to take first; those that are not suited last, the least unsuited first."""
-    prepared = [(law, clamp, *cells_of(question, law, clamp)) for law, clamp in CANDIDATES]
+    prepared = [(law, clamp, cells_of(question, law, clamp)) for law, clamp in CANDIDATES]
     results = iter(sweep.run([cell for *_, cells in prepared for cell in cells]))
     found = [
-        Candidate(law, clamp, settings, tuple(next(results) for _ in cells)) for law, clamp, settings, cells in prepared
+        Candidate(law, clamp, cells[0].settings, tuple(next(results) for _ in cells)) for law, clamp, cells in prepared
     ]
     return sorted(found, key=lambda candidate: (candidate.price(), len(candidate.failed)))
 
@@ -167,7 +162,7 @@ def in_words(question: Question, candidates: Sequence[Candidate]) -> list[str]:
 
 def _settings(candidate: Candidate) -> str:
     keys = [f"{key}={value}" for key, value in candidate.settings if key != "clamp.enabled"]
-    return f" with {', '.join(keys)}" if keys else ""
+    return f" and {', '.join(keys)}" if keys else ""
 
 
 def _figures(candidate: Candidate) -> str:

@@ -27,7 +27,7 @@ from services.haptic_node.config import ARMS, HapticConfig
 from services.runtime.compiled import source_digest
 from services.runtime.config import Settings, merge, nested, validate
 from studies.body import body_params
-from studies.link import schedule_of, symmetric_link
+from studies.link import Schedule, schedule_of, symmetric_link
 from studies.lockstep import Instrument, Rig, Series, Trajectory, build_rig, simulate
 
 Environment = Literal["spring", "wall", "contact", "body"]
@@ -222,8 +222,14 @@ def course_of(cell: Cell, hand_points: Sequence[tuple[float, float]], end_s: flo
     rig = rig_of(cell, hand_points)
     settle = round((_SETTLE_S + _SETTLE_ROUND_TRIPS * cell.round_trip_s) / rig.period_s)
     ticks = settle + max(1, round(end_s / rig.period_s))
-    link = symmetric_link(cell.round_trip_ms * 1e-3, cell.jitter_ms * 1e-3, cell.loss, cell.seed)
-    return simulate(rig, schedule_of(link, ticks, rig.period_s), settle)
+    schedule = _schedule(cell.round_trip_ms * 1e-3, cell.jitter_ms * 1e-3, cell.loss, cell.seed, ticks, rig.period_s)
+    return simulate(rig, schedule, settle)
+
+
+@functools.lru_cache(maxsize=16)
+def _schedule(round_trip_s: float, jitter_s: float, loss: float, seed: int, ticks: int, period_s: float) -> Schedule:
+    """Return the arrivals of a link; laws and hands are tried over the same one, and a random one takes its time."""
+    return schedule_of(symmetric_link(round_trip_s, jitter_s, loss, seed), ticks, period_s)
 
 
 def judged(cell: Cell, course: Trajectory) -> CellResult:

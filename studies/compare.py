@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from studies.cells import Cell, CellResult, Hand, energies_of, scales_of, trajectory_of
 from studies.figures import hybrid_figure, impedance_figure, merits_figure
-from studies.merits import FIGURES, Merit, Network, Trial, in_words, run_merits
+from studies.merits import FIGURES, Merit, Network, Sample, Trial, in_words, run_merits, tables_of
 from studies.page import Page, png_of, text, write_parquet
 from studies.stability import Axes, Jitter, Line, LineResult, run_stability
 from studies.stability_page import COLOURS, SAMPLE_PERIOD, VERDICTS, broken_assumption
@@ -19,6 +19,7 @@ from studies.tuning import tuned
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+LIGHT_LOSS = 0.03
 HARD_LOSS = 0.2
 HARD_JITTER = Jitter(0.5, relative=True)
 
@@ -39,13 +40,15 @@ class Request:
     seeds: int
     hands: tuple[Hand, ...]
     frequencies_hz: tuple[float, ...]
+    samples: tuple[Sample, ...]
 
     @property
     def trial(self) -> Trial:
-        """Return what the figures of merit are taken from: the contact, over good and bad links of every delay."""
+        """Return what the figures of merit are taken from: every delay, constant, with a little loss, and bad."""
         networks = [Network(delay) for delay in self.delays_ms]
+        networks += [Network(delay, loss=LIGHT_LOSS) for delay in self.delays_ms]
         networks += [Network(delay, HARD_JITTER, HARD_LOSS) for delay in self.delays_ms]
-        return Trial(self.laws, tuple(networks), self.hands, "contact", self.contact_n_per_m, self.seed, self.seeds)
+        return Trial(self.laws, tuple(networks), self.hands, self.samples, self.seed, self.seeds)
 
 
 @dataclass(frozen=True)
@@ -121,7 +124,10 @@ def write_comparison(result: Comparison, out: Path, command: str) -> dict[str, A
     images = {
         "courses.png": png_of(_drawn(result, "tip's force, hand's scale [N]", energy=False)),
         "energies.png": png_of(_drawn(result, "energy held [mJ]", energy=True)),
-        "merits.png": png_of(merits_figure(result.merits)),
+        **{
+            name: png_of(merits_figure([m for m in result.merits if (m.sample, _kind(m.network)) == place]))
+            for place, name in _merits_files(result).items()
+        },
         **spectrum_images(result.spectra),
     }
     for name, png in images.items():
@@ -154,8 +160,42 @@ def summarise(result: Comparison) -> dict[str, Any]:
         "study": "compare",
         "longest_delay_ms": max(result.request.map_delays_ms),
         "advice": in_words(result.merits),
+        "take": _best(result),
         "laws": laws,
     }
+
+
+def _kind(network: Network) -> str:
+    return "jitter" if network.jitter.value else "loss" if network.loss else "constant"
+
+
+def _merits_files(result: Comparison) -> dict[tuple[Sample, str], str]:
+    """Return the name of the figure of merits of every sample and kind of network: no more than a page is wide."""
+    places = dict.fromkeys((merit.sample, _kind(merit.network)) for merit in result.merits)
+    return {
+        (sample, kind): f"merits-{sample.environment}-{sample.stiffness_n_per_m:g}-{kind}.png"
+        for sample, kind in places
+    }
+
+
+def _best(result: Comparison) -> list[dict[str, Any]]:
+    """Return the law to take on every sample over every network, with its figures, and the next one."""
+    rows = []
+    for (sample, network), found in tables_of(result.merits).items():
+        suited = [candidate for candidate in found if not candidate.failed]
+        best = suited[0] if suited else None
+        rows.append({
+            "sample": str(sample),
+            "network": str(network),
+            "take": best.name if best else None,
+            "force_share": best.force_share() if best else None,
+            "peak_share": best.peak_share() if best else None,
+            "free_n_s_per_m": best.free_n_s_per_m if best else None,
+            "price": best.price() if best else None,
+            "next": suited[1].name if suited[1:] else None,
+            "suited": len(suited),
+        })  # fmt: skip
+    return rows
 
 
 def z_width_of(found: Spectrum) -> dict[str, float | None]:
@@ -214,8 +254,23 @@ def _page(result: Comparison, images: dict[str, bytes], command: str) -> Page:
     for sentence in in_words(result.merits):
         page.paragraph(sentence)
     page.paragraph(
-        f"In the contact, every law tuned for the delay and with the force clamp off and on; hands:"
-        f" {', '.join(result.request.hands)}. Ranked by the price of `telenano study advise`, over all hands and seeds."
+        f"Every law tuned for the network, with the force clamp off and on; hands: {', '.join(result.request.hands)}."
+        " Ranked by the price of `telenano study advise`, over all hands and seeds; suited is what held in every run."
+    )
+    best = _best(result)
+    page.table(
+        (
+            "sample",
+            "network",
+            "take",
+            "force in the worst hold",
+            "peak force",
+            "free [N s/m]",
+            "price",
+            "next",
+            "suited",
+        ),
+        [tuple(row.values()) for row in best],
     )
     page.heading("Delay that each law bears (round trip, ms)")
     names = [f"spring {k:g} N/m" for k in result.request.spring_n_per_m]
@@ -242,13 +297,15 @@ def _page(result: Comparison, images: dict[str, bytes], command: str) -> Page:
         " scale. Below zero it has made energy.",
     )
     page.heading("What the laws do with arms, tuned for the delay")
-    page.image(
-        images["merits.png"],
-        "Each mark is a law, tuned for the delay; bars reach over the seeds of a random link. A cross stands for runs"
-        " of which one is not stable. Grey line: what would be ideal.",
-    )
+    for (sample, _), name in _merits_files(result).items():
+        page.image(
+            images[name],
+            f"On the {sample}. Each mark is a law, tuned for the network; bars reach over the seeds of a random link. A"
+            " cross stands for runs of which one is not stable. Grey line: what would be ideal.",
+        )
     page.table(
-        ("law", "clamp", "network", "hand", "verdict", "stable runs", *FIGURES.values()), map(_merit_row, result.merits)
+        ("sample", "law", "clamp", "network", "hand", "verdict", "stable runs", *FIGURES.values()),
+        map(_merit_row, result.merits),
     )
     page.heading("Transparency, tuned for the delay")
     write_transparency(page, result.transparency)
@@ -260,7 +317,7 @@ def _merit_row(merit: Merit) -> tuple[Any, ...]:
     figures = [None if spread is None else str(spread) for spread in merit.figures.values()]
     runs = f"{merit.stable}/{len(merit.results)}"
     clamp = "on" if merit.clamp else "off"
-    return (merit.law, clamp, str(merit.network), merit.hand, merit.verdict, runs, *figures)
+    return (str(merit.sample), merit.law, clamp, str(merit.network), merit.hand, merit.verdict, runs, *figures)
 
 
 def write_spectra(page: Page, spectra: Sequence[Spectrum], images: dict[str, bytes]) -> None:

@@ -92,6 +92,9 @@ def _dots(axis: "Axes", merits: Sequence[Merit], laws: Sequence[str], hands: Seq
         place = 2 * hands.index(merit.hand) + merit.clamp
         x = laws.index(merit.law) + 0.8 * ((place + 0.5) / places - 0.5)
         spread = merit.figures[name]
+        if spread is None and merit.stable == len(merit.results):
+            # a figure that this hand does not have
+            continue
         if merit.stable < len(merit.results) or spread is None:
             axis.plot([x], [0.06], "x", color=colour, markersize=4, transform=axis.get_xaxis_transform())
             continue

@@ -2,22 +2,23 @@
 
 Every law is tuned for the network by the rule of `studies.tuning` and run with the force clamp off and on. Of each run:
 greatest force at the tip, F_s/F_m and x_m - x_s/alpha_p in the later half of the last hold, work of the hand, least
-energy at the device, share of the session in which a guard had taken over; and how far the hand walks in a cycle of
-1 +- 0.3 N at 0.5 Hz. Over a random link each figure is the median of the seeds, with the least and the greatest.
+energy at the device, share of the session in which a guard had taken over; and how far a hand of constant force walks
+in a cycle of 1 +- 0.3 N at 0.5 Hz. Over a random link each figure is the median of the seeds, with the least and the
+greatest.
 """
 
 import math
 import statistics
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from studies.advice import Candidate
+from studies.advice import Candidate, Question, cells_of
 from studies.cells import Cell, CellResult, Environment, Hand
 from studies.stability import Jitter
 from studies.sweep import Sweep
 from studies.transparency import drift_m
-from studies.tuning import tuned
 
 
 class Network(NamedTuple):
@@ -35,6 +36,16 @@ class Network(NamedTuple):
         words = f"{self.round_trip_ms:g} ms"
         words += f", jitter {self.jitter}" if self.jitter.value else ""
         return words + (f", loss {100.0 * self.loss:g} %" if self.loss else "")
+
+
+class Sample(NamedTuple):
+    """What the tip touches, and its K or k [N/m]."""
+
+    environment: Environment
+    stiffness_n_per_m: float
+
+    def __str__(self) -> str:
+        return "contact" if self.environment == "contact" else f"{self.environment} of {self.stiffness_n_per_m:g} N/m"
 
 
 class Spread(NamedTuple):
@@ -64,8 +75,9 @@ FIGURES: dict[str, str] = {
 
 @dataclass(frozen=True)
 class Merit:
-    """A law with its clamp on or off, over a network, with a hand. figures: by the names of FIGURES."""
+    """A law with its clamp on or off, on a sample, over a network, with a hand. figures: by the names of FIGURES."""
 
+    sample: Sample
     law: str
     clamp: bool
     network: Network
@@ -85,6 +97,7 @@ class Merit:
     def as_dict(self) -> dict[str, Any]:
         """Return one flat row."""
         row: dict[str, Any] = {
+            "sample": str(self.sample),
             "law": self.law,
             "clamp": self.clamp,
             "round_trip_ms": self.network.round_trip_ms,
@@ -104,40 +117,25 @@ class Merit:
 
 @dataclass(frozen=True)
 class Trial:
-    """What is tried: laws over networks against one environment, with hands and seeds."""
+    """What is tried: laws over networks on samples, with hands and seeds."""
 
     laws: tuple[str, ...]
     networks: tuple[Network, ...]
     hands: tuple[Hand, ...]
-    environment: Environment
-    stiffness_n_per_m: float
+    samples: tuple[Sample, ...]
     seed: int
     seeds: int
 
-    def cells(self, law: str, clamp: bool, network: Network, hand: Hand) -> list[Cell]:
-        jitter_ms = network.jitter.at_ms(network.round_trip_ms)
-        longest_s = 1e-3 * (network.round_trip_ms + 2.0 * jitter_ms)
-        settings = (*tuned(law, self.stiffness_n_per_m, longest_s), ("clamp.enabled", clamp))
-        return [
-            Cell(
-                law=law,
-                environment=self.environment,
-                hand=hand,
-                round_trip_ms=network.round_trip_ms,
-                stiffness_n_per_m=self.stiffness_n_per_m,
-                jitter_ms=jitter_ms,
-                loss=network.loss,
-                seed=seed,
-                settings=settings,
-            )
-            for seed in range(self.seed, self.seed + (self.seeds if network.random else 1))
-        ]
+    def cells(self, sample: Sample, law: str, clamp: bool, network: Network, hand: Hand) -> list[Cell]:
+        """Return the cells that `telenano study advise` runs for this sample, law, network and hand."""
+        return cells_of(Question(*network, *sample, self.seeds, self.seed, (hand,)), law, clamp)
 
 
 def run_merits(trial: Trial, sweep: Sweep) -> list[Merit]:
-    """Run every combination, network by network."""
+    """Run every combination, sample by sample and network by network."""
     keys = [
-        (law, clamp, network, hand)
+        (sample, law, clamp, network, hand)
+        for sample in trial.samples
         for network in trial.networks
         for law in trial.laws
         for clamp in (False, True)
@@ -148,8 +146,9 @@ def run_merits(trial: Trial, sweep: Sweep) -> list[Merit]:
     found = []
     for key, some in zip(keys, cells, strict=True):
         runs = tuple(next(results) for _ in some)
-        # the drift of the first seed: it is the law's, not the link's
-        found.append(Merit(*key, runs, figures_of(runs, drift_m(some[0]))))
+        # that of the first seed, as it is the law's and not the link's; an arm holds the hand where it is
+        drift = drift_m(some[0]) if some[0].hand == "force" else None
+        found.append(Merit(*key, runs, figures_of(runs, drift)))
     return found
 
 
@@ -180,45 +179,62 @@ def _spread(values: Sequence[float | None]) -> Spread | None:
     return Spread(statistics.median(known), min(known), max(known)) if known else None
 
 
-def ranked(merits: Sequence[Merit], network: Network) -> list[Candidate]:
+def ranked(merits: Sequence[Merit], sample: Sample, network: Network) -> list[Candidate]:
     """Return the laws over a network as candidates of `studies.advice`, all hands together, the one to take first."""
     runs: dict[tuple[str, bool], list[CellResult]] = {}
     for merit in merits:
-        if merit.network == network:
+        if merit.sample == sample and merit.network == network:
             runs.setdefault((merit.law, merit.clamp), []).extend(merit.results)
     found = [Candidate(*key, results[0].cell.settings, tuple(results)) for key, results in runs.items()]
     return sorted(found, key=lambda candidate: (candidate.price(), len(candidate.failed)))
 
 
+Place = tuple[Sample, Network]
+
+
+def tables_of(merits: Sequence[Merit]) -> dict[Place, list[Candidate]]:
+    """Return what `ranked` does for every sample and network."""
+    places = dict.fromkeys((merit.sample, merit.network) for merit in merits)
+    return {place: ranked(merits, *place) for place in places}
+
+
 def in_words(merits: Sequence[Merit]) -> list[str]:
-    """Return three sentences: what to take over constant links, over random ones, and what to take nowhere."""
-    networks = list(dict.fromkeys(merit.network for merit in merits))
-    tables = {network: ranked(merits, network) for network in networks}
+    """Return three sentences: what to take over constant links, over random ones, and what holds most and least."""
+    tables = tables_of(merits)
     words = []
-    for random, name in ((False, "Over a constant link"), (True, "Over a link with jitter and loss")):
-        parts = [_choice(network, tables[network]) for network in networks if network.random is random]
-        if parts:
-            words.append(f"{name} take {'; '.join(parts)}.")
-    names = [name_of(candidate) for candidate in tables[networks[0]]]
-    never = [
-        name for name in names if all(c.failed for network in networks for c in tables[network] if name_of(c) == name)
-    ]
-    words.append(
-        f"On none of these networks held all runs of {', '.join(never)}."
-        if never
-        else "Every law held with all hands on one of these networks at least."
-    )
-    return words
+    for random, name in ((False, "Over a constant link"), (True, "Over a link with loss or jitter")):
+        places = [place for place in tables if place[1].random is random]
+        if places:
+            words.append(f"{name} take {_choices(tables, places)}.")
+    return [*words, _extremes(tables)]
 
 
-def name_of(candidate: Candidate) -> str:
-    """Return law and clamp in words."""
-    return f"{candidate.law} with the clamp {'on' if candidate.clamp else 'off'}"
+def _extremes(tables: dict[Place, list[Candidate]]) -> str:
+    """Return which laws held all their runs in most of the places, and which in fewest."""
+    held = Counter({candidate.name: 0 for candidate in next(iter(tables.values()))})
+    held.update(candidate.name for found in tables.values() for candidate in found if not candidate.failed)
+    most, fewest = max(held.values()), min(held.values())
+    if most == fewest:
+        return f"Each law held all of its runs on {most} of these {len(tables)}."
+    named = {number: ", ".join(name for name, times in held.items() if times == number) for number in (most, fewest)}
+    return f"Of these {len(tables)}, {named[most]} held all runs on {most}; on fewest, {fewest}, did {named[fewest]}."
 
 
-def _choice(network: Network, candidates: Sequence[Candidate]) -> str:
-    best = candidates[0]
-    if best.failed:
-        return f"at {network} none (the nearest is {name_of(best)}: {best.failed[0].reason})"
-    share = best.force_share()
-    return f"at {network} {name_of(best)} ({100.0 * share:.0f} % of the force, peak {best.peak_share():.2f})"
+def _choices(tables: dict[Place, list[Candidate]], places: Sequence[Place]) -> str:
+    """Return the laws to take, each with the networks and samples where it is the one."""
+    best: dict[str, list[Place]] = {}
+    for place in places:
+        first = tables[place][0]
+        best.setdefault("no law" if first.failed else first.name, []).append(place)
+    most_first = sorted(best.items(), key=lambda item: -len(item[1]))
+    return "; ".join(f"{name} ({_where(some, places)})" for name, some in most_first)
+
+
+def _where(places: Sequence[Place], among: Sequence[Place]) -> str:
+    """Return samples, each with its networks, or with "all" for all that there are among some places."""
+    parts = []
+    for sample in dict.fromkeys(sample for sample, _ in places):
+        networks, known = ([network for other, network in some if other == sample] for some in (places, among))
+        several = len(known) > 1 and networks == known
+        parts.append(f"{sample}: {'all' if several else ' / '.join(map(str, networks))}")
+    return "; ".join(parts)

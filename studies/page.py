@@ -31,7 +31,7 @@ th:first-child, td:first-child { text-align: left; }
 code { background: var(--soft); padding: .1rem .3rem; }
 .stable { background: #009e7355; } .limit_cycle { background: #e69f0055; } .diverged { background: #d55e0055; }
 .drifting { background: #f0e44255; } .wrong_force { background: #cc79a755; } .contact_lost { background: #56b4e955; }
-.guarded { background: #0072b255; } .cannot_say { background: #99999955; }
+.released { background: #00000022; } .guarded { background: #0072b255; } .cannot_say { background: #99999955; }
 """
 _DPI = 140
 # characters

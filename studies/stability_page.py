@@ -24,6 +24,7 @@ COLOURS = {
     "limit_cycle": "#e69f00",
     "diverged": "#d55e00",
     "drifting": "#f0e442",
+    "released": "#000000",
     "wrong_force": "#cc79a7",
     "contact_lost": "#56b4e9",
     "guarded": "#0072b2",
@@ -37,8 +38,9 @@ VERDICTS = (
     "Stable: the motion of the tip's force dies out while the hand's force stands still, or is smaller than a"
     " twentieth of it, and the tip touches and presses with what the hand presses with, to a tenth. Limit cycle: the"
     " motion neither grows nor dies out (over a link with jitter or loss, a motion that the link's randomness keeps up"
-    " is one too). Diverged: a mode of it grows. Drifting: the force goes on in one direction. Wrong force, contact"
-    " lost, guarded: it stands still, but not as it should. The growth rate is that of the mode that decides."
+    " is one too). Diverged: a mode of it grows. Drifting: the force goes on in one direction. Released: neither hand"
+    " nor tip presses. Wrong force, contact lost, guarded: it stands still, but not as it should. The growth rate is"
+    " that of the mode that decides."
 )
 SAMPLE_PERIOD = (
     "The sample period adds its own delay. A constant delay of the link acts in whole samples, and the law holds the "

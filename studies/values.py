@@ -6,9 +6,24 @@ from collections.abc import Sequence
 from proto.errors import ConfigError
 from services.controller.config import LAWS
 from services.runtime.config import flag_overrides, flatten
+from studies.cells import DEFAULT_STIFFNESS
+from studies.merits import Sample
 from studies.stability import Jitter
 
 _MOST_VALUES = 10_000
+# one-sided walls at the tip, in words
+WALLS_N_PER_M = {"soft": 5.0, "ordinary": 20.0, "stiff": 80.0}
+
+
+def samples(text: str) -> tuple[Sample, ...]:
+    """Read `contact` and the walls of WALLS_N_PER_M, separated by commas."""
+    known = {"contact": Sample("contact", DEFAULT_STIFFNESS["contact"][0])}
+    known |= {name: Sample("wall", stiffness) for name, stiffness in WALLS_N_PER_M.items()}
+    names = [name.strip() for name in text.split(",")]
+    for name in names:
+        if name not in known:
+            raise ConfigError(f"--sample: unknown sample {name!r}, known are {', '.join(known)}")
+    return tuple(known[name] for name in dict.fromkeys(names))
 
 
 def numbers(option: str, text: str, least: float, most: float, unit: str) -> tuple[float, ...]:

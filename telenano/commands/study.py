@@ -41,6 +41,7 @@ from telenano.commands.study_options import (
     StiffnessOption,
     WorkersOption,
 )
+from telenano.commands.study_promises import promises
 from telenano.exit_codes import EXIT_FAILED
 from telenano.options import JsonOption, command_group
 from telenano.output import console, print_json, report_errors
@@ -54,10 +55,10 @@ _INTERRUPTED = "interrupted: the journal keeps the finished cells, the same comm
 _LONGEST_MS = 10_000.0
 _STIFFEST_N_PER_M = 1e5
 _PIPE_COLUMNS = 160
-_SAMPLES_N_PER_M = {SampleName.SOFT: 5.0, SampleName.ORDINARY: 20.0, SampleName.STIFF: 80.0}
 _FREQUENCIES = "0.2,0.5,1,2,5,10"
 
 app = command_group()
+app.command()(promises)
 
 
 @app.command()
@@ -174,7 +175,7 @@ def compare(
     law: LawOption = "all",
     delay: Annotated[
         str, typer.Option("--delay", metavar="LIST|RANGE", help="Round trips that are studied in detail [ms].")
-    ] = "40,100,200",
+    ] = "50,120,250",
     map_delay: Annotated[
         str, typer.Option("--map-delay", metavar="LIST|RANGE", help="Round trips of the maps [ms].")
     ] = "0:500:20",
@@ -183,7 +184,10 @@ def compare(
     seeds: Annotated[int, typer.Option("--seeds", min=1, max=1000, help="Seeds of the random link.")] = 3,
     hand: Annotated[
         str, typer.Option("--hand", "--arm", metavar="HAND[,HAND]|all", help="force, soft, ordinary, stiff.")
-    ] = "force,ordinary",
+    ] = "all",
+    sample: Annotated[
+        str, typer.Option("--sample", metavar="LIST", help="What is pressed on: contact, soft, ordinary, stiff.")
+    ] = "contact,stiff",
     frequency: FrequencyOption = _FREQUENCIES,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
@@ -206,6 +210,7 @@ def compare(
             seeds,
             _hands(hand),
             values.frequencies(frequency),
+            values.samples(sample),
         )
         with _sweep(out, workers, scheduler, shown=not as_json) as sweep:
             result = run_comparison(request, sweep)
@@ -248,7 +253,7 @@ def advise(
         from studies.advice import Question, in_words
         from studies.advice import advise as find
 
-        k = stiffness if stiffness is not None else _SAMPLES_N_PER_M[sample]
+        k = stiffness if stiffness is not None else values.WALLS_N_PER_M[sample.value]
         if not 0.0 < k <= _STIFFEST_N_PER_M:
             raise ConfigError(f"--stiffness: {k:g} N/m is outside 0 to {_STIFFEST_N_PER_M:g} N/m")
         if delay > _LONGEST_MS:

@@ -40,9 +40,6 @@ class SampleName(StrEnum):
     STIFF = "stiff"
 
 
-_SAMPLES_N_PER_M = {SampleName.SOFT: 5.0, SampleName.ORDINARY: 20.0, SampleName.STIFF: 80.0}
-
-
 LawOption = Annotated[str, typer.Option("--law", metavar="LAW[,LAW]|all", help="Laws to study.")]
 EnvironmentOption = Annotated[
     EnvironmentName,

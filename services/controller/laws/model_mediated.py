@@ -59,6 +59,7 @@ from services.controller.laws.shared.virtual_mass import (
     SteeredConfig,
     at_rest,
     is_coupled,
+    is_retracted,
     let_go,
     moved,
     periods_in,
@@ -247,7 +248,10 @@ def master_receive(
     if coupled and signal.silence_s < 0.5 * p.period_s:
         fit = learnt(params, fit, signal)
     if not (coupled and hand.following):
-        mass = let_go(p, mass, hand)
+        mass = let_go(p, mass, hand, signal)
+        if fit.known and is_retracted(p, signal):
+            # what is armed anew may meet another surface
+            fit = unknown(params.fit)
         state = MasterState(mass, fit, fit.surface, fit.known, 0.0, state.injected_j, state.dissipated_j)
         return state, MasterReference(hand.position_m, 0.0, 0.0, coupled)
     if fit.known and not rendered:

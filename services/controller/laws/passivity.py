@@ -36,6 +36,9 @@ velocity, so there is nothing to cap and no force spike; the strongest it can do
   it feels, and the round trip.
 - A half that is taken up while the tip presses begins with the coupling stretched by that force, F_c = F_s, and keeps
   the stretch as an offset between x_d and x_ref: so the tip is not let off when the law or a hand comes back.
+- E_0 is granted at the start, and anew to a tip that has to be armed: a channel that the last contact has emptied could
+  not begin to press. While the tip is retracted each side has E_0, no more and no less, so that what follows an arming
+  does not depend on what was before.
 - E_left is capped (the rest is dissipated): a great store, gathered long ago, would let an instability grow first.
 
 The inequalities use counters that only grow, so they hold under constant and varying delay, loss, reordering and
@@ -64,6 +67,7 @@ from services.controller.laws.shared.virtual_mass import (
     SteeredConfig,
     at_rest,
     is_coupled,
+    is_retracted,
     let_go,
     moved,
     periods_in,
@@ -132,12 +136,13 @@ class PassivityConfig(SteeredConfig):
 
 
 class Account(NamedTuple):
-    """Energy of one port [J]: put into the channel, put in by the other side, left to spend, dissipated."""
+    """Energy of one port [J]: put into the channel, put in by the other side, left to spend, dissipated, granted."""
 
     in_j: float
     received_j: float
     remaining_j: float
     lost_j: float
+    granted_j: float
 
 
 class MasterState(NamedTuple):
@@ -167,32 +172,47 @@ def credited(account: Account, energy_j: float, cap_j: float) -> Account:
     added_j = max(energy_j - account.received_j, 0.0)
     left = min(account.remaining_j + added_j, cap_j)
     lost = account.lost_j + (account.remaining_j + added_j - left)
-    return Account(account.in_j, account.received_j + added_j, left, lost)
+    return Account(account.in_j, account.received_j + added_j, left, lost, account.granted_j)
 
 
 @compiled
 def charged(account: Account, work_j: float, lost_j: float) -> Account:
     """Charge the work done on the channel (positive) or by it (negative), and what the controller dissipated."""
     put_in, spent = max(work_j, 0.0), max(-work_j, 0.0)
-    return Account(account.in_j + put_in, account.received_j, account.remaining_j - spent, account.lost_j + lost_j)
+    left = account.remaining_j - spent
+    return Account(account.in_j + put_in, account.received_j, left, account.lost_j + lost_j, account.granted_j)
 
 
 @compiled
 def received_anew(account: Account, energy_j: float) -> Account:
     """Start counting the other side's energy at a signal; what is left to spend stays."""
-    return Account(account.in_j, energy_j, account.remaining_j, account.lost_j)
+    return Account(account.in_j, energy_j, account.remaining_j, account.lost_j, account.granted_j)
+
+
+@compiled
+def opened(start_j: float) -> Account:
+    """Start to count, with the energy E_0 [J] to spend."""
+    return Account(0.0, 0.0, start_j, 0.0, start_j)
+
+
+@compiled
+def opened_anew(account: Account, start_j: float) -> Account:
+    """Let the port begin with E_0 [J] once more; what is left beyond it is dissipated, what is missing granted."""
+    missing = start_j - account.remaining_j
+    lost, granted = account.lost_j + max(-missing, 0.0), account.granted_j + max(missing, 0.0)
+    return Account(account.in_j, account.received_j, start_j, lost, granted)
 
 
 @compiled
 def master_start(params: PassivityParams, hand: HandSample) -> MasterState:
     """Start with the virtual mass at rest at the hand's position."""
-    return MasterState(at_rest(hand.position_m), Account(0.0, 0.0, params.start_j, 0.0))
+    return MasterState(at_rest(hand.position_m), opened(params.start_j))
 
 
 @compiled
 def master_resume(params: PassivityParams, hand: HandSample, tip_reference_m: float) -> MasterState:
     """Continue with the hand's motion and the tip's reference."""
-    return MasterState(resumed(params.mass, hand, tip_reference_m), Account(0.0, 0.0, params.start_j, 0.0))
+    return MasterState(resumed(params.mass, hand, tip_reference_m), opened(params.start_j))
 
 
 @compiled
@@ -235,7 +255,9 @@ def master_receive(
     coupled = is_coupled(p, signal)
     if not (coupled and hand.following):
         account = received_anew(state.account, signal.energy_j)
-        state = MasterState(let_go(p, state.mass, hand), account)
+        if is_retracted(p, signal):
+            account = opened_anew(account, params.start_j)
+        state = MasterState(let_go(p, state.mass, hand, signal), account)
         return state, MasterReference(hand.position_m, 0.0, force if coupled else 0.0, coupled)
     mass, account = state.mass, credited(state.account, signal.energy_j, params.cap_j)
     for _ in range(periods_in(dt, p.period_s)):
@@ -256,7 +278,7 @@ def master_receive(
 def slave_start(params: PassivityParams, tip: TipMeasurement) -> SlaveState:
     """Start at the position of the base."""
     stretch = params.mass.force_scale * tip.force_n / params.coupling_n_per_m
-    return SlaveState(tip.base_position_m, stretch, stretch, 0.0, Account(0.0, 0.0, params.start_j, 0.0), False)
+    return SlaveState(tip.base_position_m, stretch, stretch, 0.0, opened(params.start_j), False)
 
 
 @compiled
@@ -288,6 +310,8 @@ def slave_receive(
     if not coupled:
         base = state.position_m if tip.following else signal.position_m
         account = received_anew(state.account, signal.energy_j)
+        if not tip.following and not tip.in_contact:
+            account = opened_anew(account, params.start_j)
         stretch = p.force_scale * tip.force_n / k if tip.following else 0.0
         return SlaveState(base, stretch, stretch, 0.0, account, False), SlaveReference(base, True)
     account = credited(state.account, signal.energy_j, params.cap_j)
@@ -332,20 +356,20 @@ def slave_send(
 def retune(old: PassivityParams, new: PassivityParams, state: MasterState) -> MasterState:
     """Keep the tip's reference constant when alpha_p changes; the energy left stays below the new cap."""
     a = state.account
-    account = Account(a.in_j, a.received_j, min(a.remaining_j, new.cap_j), a.lost_j)
+    account = Account(a.in_j, a.received_j, min(a.remaining_j, new.cap_j), a.lost_j, a.granted_j)
     return MasterState(rescaled(old.mass, new.mass, state.mass), account)
 
 
 @compiled
 def master_energy_account(params: PassivityParams, state: MasterState) -> EnergyAccount:
-    """Return what this port may still give out, what its controller dissipated, and what both ports began with."""
-    return EnergyAccount(state.account.remaining_j, state.account.lost_j, 2.0 * params.start_j)
+    """Return what this port may still give out, what its controller dissipated, and what both ports were granted."""
+    return EnergyAccount(state.account.remaining_j, state.account.lost_j, 2.0 * state.account.granted_j)
 
 
 @compiled
 def slave_energy_account(params: PassivityParams, state: SlaveState) -> EnergyAccount:
-    """Return what this port may still give out, what its controller dissipated, and what both ports began with."""
-    return EnergyAccount(state.account.remaining_j, state.account.lost_j, 2.0 * params.start_j)
+    """Return what this port may still give out, what its controller dissipated, and what both ports were granted."""
+    return EnergyAccount(state.account.remaining_j, state.account.lost_j, 2.0 * state.account.granted_j)
 
 
 PASSIVITY = Law(

@@ -76,7 +76,7 @@ def master_receive(
     force = p.force_scale * signal.force_n
     coupled = is_coupled(p, signal)
     if not (coupled and hand.following):
-        return let_go(p, state, hand), MasterReference(hand.position_m, 0.0, force if coupled else 0.0, coupled)
+        return let_go(p, state, hand, signal), MasterReference(hand.position_m, 0.0, force if coupled else 0.0, coupled)
     for _ in range(periods_in(dt, p.period_s)):
         state = moved(p, state, hand.force_n - force)
     return state, MasterReference(state.position_m, state.velocity_m_per_s, force, True)

@@ -33,7 +33,7 @@ from services.controller.discretisation import decay
 from services.controller.law import HandSample, Law, MasterReference, PortSignal
 from services.controller.laws import virtual_impedance as impedance
 from services.controller.laws.shared.pass_through import slave_receive, slave_send, slave_start
-from services.controller.laws.shared.virtual_mass import periods_in
+from services.controller.laws.shared.virtual_mass import is_retracted, periods_in
 from services.controller.laws.virtual_impedance import ImpedanceConfig, VirtualImpedanceParams
 from services.controller.ranges import LengthM, StiffnessNPerM, StiffnessOrNoneNPerM, StiffnessRateNPerMS, TimeS
 from services.runtime.compiled import compiled
@@ -170,6 +170,9 @@ def master_receive(
     coupled = signal.active and signal.silence_s <= p.silence_limit_s and hand.following
     then = reference_then(state, signal.round_trip_s, p.period_s)
     estimate = estimated(params, state.estimate, then, signal)
+    if is_retracted(p, signal):
+        # what is armed anew may meet another sample
+        estimate = Estimate(0.0, 0.0, 0.0, 0.0, params.stiffness_n_per_m, False)
     wanted = estimate.stiffness_n_per_m if signal.in_contact and coupled else 0.0
     reach = params.rate_n_per_m * periods_in(dt, p.period_s)
     in_use = min(max(wanted, state.in_use_n_per_m - reach), state.in_use_n_per_m + reach)

@@ -14,7 +14,13 @@ from pydantic import Field
 from services.controller.discretisation import Discretisation, exact_discretisation
 from services.controller.law import HandSample, Law, MasterReference, PortSignal
 from services.controller.laws.shared.pass_through import slave_receive, slave_send, slave_start
-from services.controller.laws.shared.virtual_mass import FARTHEST_M, FASTEST_M_PER_S, ScaledConfig, bounded
+from services.controller.laws.shared.virtual_mass import (
+    FARTHEST_M,
+    FASTEST_M_PER_S,
+    ScaledConfig,
+    bounded,
+    is_retracted,
+)
 from services.controller.ranges import DampingOrNoneNSPerM, Gain, MassKg, StiffnessOrNoneNPerM
 from services.runtime.compiled import compiled
 
@@ -97,12 +103,14 @@ def master_receive(
     """Integrate the virtual impedance over dt [s], a whole number of periods (Eq. 16-17).
 
     The hand is let go, and the virtual mass stays with it, while either device does not follow or the other half has
-    been silent for longer than the limit: a force nobody measures must not move anybody.
+    been silent for longer than the limit: a force nobody measures must not move anybody. Over a retracted tip hand and
+    tip are on the line through zero again.
     """
     scaled_force = params.force_scale * signal.force_n
     coupled = signal.active and signal.silence_s <= params.silence_limit_s
     if not (coupled and hand.following):
-        held = MasterState(hand.position_m, 0.0, _offset_that_keeps(params, state, hand.position_m))
+        offset = 0.0 if is_retracted(params, signal) else _offset_that_keeps(params, state, hand.position_m)
+        held = MasterState(hand.position_m, 0.0, offset)
         return held, MasterReference(hand.position_m, 0.0, scaled_force if coupled else 0.0, coupled)
     drive = params.force_gain * (hand.force_n - scaled_force) - scaled_force
     step = params.impedance

@@ -12,6 +12,10 @@ Sources: G. Niemeyer and J.-J. E. Slotine, "Stable adaptive teleoperation", IEEE
 "Telemanipulation with time delays", Int. J. Robotics Research 23 (2004), for waves, matching and filter; the same,
 "Towards force-reflecting teleoperation over the Internet", ICRA 1998, for the integrals of wave and wave energy.
 
+A hand whose device is off for a moment, because its guard misses a command, stands: it is driven by a screw that does
+not turn back. For the line that is the port v = 0, F_e = -sqrt(2 b) w, which reflects all waves, u = -w, and needs no
+power. So the line goes on through such gaps, of up to the silence limit, and what is on its way is not lost.
+
 A line that is taken up for the first time while the tip presses begins under the force F_0 that it finds: both halves
 take F - F_0 for F, and F_0 fades with tau_0 as the waves take over. So the tip is not let off when the law comes into
 force. The energy of F_0 (its work at the two ports) is what the line is granted; it is zero where the tip starts free,
@@ -116,7 +120,10 @@ class Inbox(NamedTuple):
 
 
 class MasterState(NamedTuple):
-    """The mass, the incoming wave, what has left (int F_e dt / b [m], wave energy [J]), F_0 [N] and its work [J]."""
+    """The mass, the incoming wave, what has left (int F_e dt / b [m], wave energy [J]), F_0 [N] and its work [J].
+
+    `up`: the line is taken up; `stood_s`: for how long the hand has stood, because its device was off [s].
+    """
 
     mass: Mass
     inbox: Inbox
@@ -126,6 +133,8 @@ class MasterState(NamedTuple):
     bias_n: float
     granted_j: float
     begun: bool
+    up: bool
+    stood_s: float
 
 
 class SlaveState(NamedTuple):
@@ -178,15 +187,20 @@ def emptied(position_m: float, energy_j: float) -> Inbox:
 
 
 @compiled
+def _begun(mass: Mass) -> MasterState:
+    return MasterState(mass, emptied(0.0, 0.0), 0.0, 0.0, 0.0, 0.0, 0.0, False, False, 0.0)
+
+
+@compiled
 def master_start(params: WaveParams, hand: HandSample) -> MasterState:
     """Start with the virtual mass at rest at the hand's position."""
-    return MasterState(at_rest(hand.position_m), emptied(0.0, 0.0), 0.0, 0.0, 0.0, 0.0, 0.0, False)
+    return _begun(at_rest(hand.position_m))
 
 
 @compiled
 def master_resume(params: WaveParams, hand: HandSample, tip_reference_m: float) -> MasterState:
     """Continue with the hand's motion and the tip's reference."""
-    return MasterState(resumed(params.mass, hand, tip_reference_m), emptied(0.0, 0.0), 0.0, 0.0, 0.0, 0.0, 0.0, False)
+    return _begun(resumed(params.mass, hand, tip_reference_m))
 
 
 @compiled
@@ -196,9 +210,8 @@ def master_send(params: WaveParams, state: MasterState, hand: HandSample, dt: fl
     position = tip_reference(p, mass) + p.position_scale * state.impulse_m
     velocity = p.position_scale * mass.velocity_m_per_s
     force = hand.force_n / p.force_scale
-    active = hand.following and mass.coupled
     return state, PortSignal(
-        position, velocity, force, state.wave_sqrt_w, state.sent_j, 0.0, False, False, active, 0.0, 0.0
+        position, velocity, force, state.wave_sqrt_w, state.sent_j, 0.0, False, False, state.up, 0.0, 0.0
     )
 
 
@@ -206,26 +219,30 @@ def master_send(params: WaveParams, state: MasterState, hand: HandSample, dt: fl
 def master_receive(
     params: WaveParams, state: MasterState, hand: HandSample, signal: PortSignal, dt: float
 ) -> tuple[MasterState, MasterReference]:
-    """Move the virtual mass over dt [s] at the end of the line."""
+    """Move the virtual mass over dt [s] at the end of the line; a hand whose device is off for a moment stands."""
     p, b = params.mass, params.impedance_n_s_per_m
     position = signal.position_m / p.position_scale
     coupled = is_coupled(p, signal)
-    if not (coupled and hand.following):
+    stood = 0.0 if hand.following else state.stood_s + dt
+    if not (coupled and (hand.following or (state.up and stood <= p.silence_limit_s))):
         inbox = emptied(position, signal.energy_j)
-        free, granted, begun = let_go(p, state.mass, hand), state.granted_j, state.begun
-        state = MasterState(free, inbox, 0.0, state.sent_j, 0.0, 0.0, granted, begun)
+        free, granted, begun = let_go(p, state.mass, hand, signal), state.granted_j, state.begun
+        state = MasterState(free, inbox, 0.0, state.sent_j, 0.0, 0.0, granted, begun, False, stood)
         return state, MasterReference(hand.position_m, 0.0, 0.0, coupled)
     # what was sent before the tip was felt is no wave: start to count here
-    inbox = state.inbox if state.mass.coupled else emptied(position, signal.energy_j)
+    inbox = state.inbox if state.up else emptied(position, signal.energy_j)
     inbox = received(inbox, position, signal.energy_j)
-    bias = state.bias_n if state.mass.coupled else (0.0 if state.begun else p.force_scale * signal.force_n)
+    bias = state.bias_n if state.up else (0.0 if state.begun else p.force_scale * signal.force_n)
     mass, impulse, sent, force, out = state.mass, state.impulse_m, state.sent_j, 0.0, 0.0
+    if not hand.following:
+        mass = let_go(p, mass, hand, signal)
     granted = state.granted_j
     root, period = math.sqrt(2.0 * b), p.period_s
     for _ in range(periods_in(dt, period)):
         inbox, wave = drawn(inbox, params.share, b, period)
         before = mass.position_m
-        mass = moved(p, mass, hand.force_n - bias + root * wave)
+        if hand.following:
+            mass = moved(p, mass, hand.force_n - bias + root * wave)
         # the mean velocity gives the mean force of the damper b exactly, and never more energy than it took
         velocity = (mass.position_m - before) / period
         force = b * velocity - root * wave
@@ -235,7 +252,7 @@ def master_receive(
         granted += abs(bias * velocity) * period
         force += bias
         bias *= params.fade
-    state = MasterState(mass, inbox, impulse, sent, out, bias, granted, True)
+    state = MasterState(mass, inbox, impulse, sent, out, bias, granted, True, True, stood)
     return state, MasterReference(mass.position_m, mass.velocity_m_per_s, force, True)
 
 
@@ -383,6 +400,8 @@ def retune(old: WaveParams, new: WaveParams, state: MasterState) -> MasterState:
         state.bias_n,
         state.granted_j,
         state.begun,
+        state.up,
+        state.stood_s,
     )
 
 

@@ -80,6 +80,8 @@ SERIES: dict[str, tuple[np.ndarray, tuple[str, ...], float]] = {
     "cycle": (ringing(0.0, size=0.035), ("limit_cycle",), 0.05),
     "chatter": (ringing(0.0, 437.0, 0.1), ("limit_cycle",), 0.05),
     "nothing": (np.ones_like(TIME_S), ("stable",), 0.05),
+    "small drift that bends": (1.0 + 0.006 * np.exp(0.16 * (TIME_S - 8.0)), ("stable",), 0.0),
+    "large drift that bends": (1.0 + 0.2 * np.exp(0.5 * (TIME_S - 8.0)), ("diverged",), 0.02),
     "drift": (1.0 + 0.1 * TIME_S, ("drifting",), 0.05),
 }
 
@@ -144,6 +146,15 @@ def test_a_tip_that_is_off_the_surface_is_not_stable() -> None:
     cycling = judge(TIME_S, ringing(0.0), 1.0, Circumstances(touching=0.8))
     assert cycling.kind == "limit_cycle"
     assert "off the surface" in cycling.reason
+
+
+def test_hand_and_tip_without_force_are_no_hold() -> None:
+    found = judge(TIME_S, np.full(8000, 1e-4), 1.0, Circumstances(expected_n=2e-4))
+    assert found.kind == "released"
+    assert found.reason == "the hand presses with 0.0002 N and the tip with 0.0001 N: this is no hold"
+    # a hand that presses with little is one: the arm of a law that gives force away
+    assert judge(TIME_S, np.full(8000, 0.06), 1.0, Circumstances(expected_n=0.06)).kind == "stable"
+    assert judge(TIME_S, np.full(8000, 0.06), 1.0, Circumstances(expected_n=1e-4)).kind == "wrong_force"
 
 
 @pytest.mark.parametrize(("tip_n", "kind"), [(4.0, "wrong_force"), (1.12, "wrong_force"), (0.95, "stable")])

@@ -74,7 +74,7 @@ def test_cut_stretch_holds_exactly_the_energy_left() -> None:
 
 
 def test_account_takes_growing_counters_only_and_caps_its_store() -> None:
-    account = credited(Account(0.0, 0.0, 1e-3, 0.0), 3e-3, 1.0)
+    account = credited(Account(0.0, 0.0, 1e-3, 0.0, 1e-3), 3e-3, 1.0)
     assert account.remaining_j == pytest.approx(4e-3, rel=1e-14, abs=0.0)
     assert credited(account, 2e-3, 1.0) == account
     assert credited(account, 3e-3, 1.0) == account

@@ -47,9 +47,18 @@ def test_damper_of_the_line_adds_to_that_of_the_mass() -> None:
 
 def test_let_go_moves_the_mass_and_not_the_tip() -> None:
     mass = Mass(7e-3, 0.02, 3e-10, True)
-    free = let_go(PARAMS, mass, HandSample(5e-3, 0.0, 1.0, True))
+    free = let_go(PARAMS, mass, HandSample(5e-3, 0.0, 1.0, True), NO_SIGNAL)
     assert (free.position_m, free.velocity_m_per_s, free.coupled) == (5e-3, 0.0, False)
     assert tip_reference(PARAMS, free) == pytest.approx(tip_reference(PARAMS, mass), rel=1e-14, abs=0.0)
+
+
+def test_over_a_retracted_tip_hand_and_tip_are_on_the_line_through_zero() -> None:
+    mass, hand = Mass(7e-3, 0.02, 3e-10, True), HandSample(5e-3, 0.0, 1.0, True)
+    retracted = NO_SIGNAL._replace(silence_s=0.0)
+    assert let_go(PARAMS, mass, hand, retracted) == Mass(5e-3, 0.0, 0.0, False)
+    # a tip that still touches, or that nobody hears, may be on the sample
+    for other in (retracted._replace(in_contact=True), retracted._replace(active=True), NO_SIGNAL):
+        assert let_go(PARAMS, mass, hand, other).tip_offset_m == pytest.approx(3.3e-9, rel=1e-12, abs=0.0)
 
 
 def test_resumed_keeps_motion_and_tip() -> None:

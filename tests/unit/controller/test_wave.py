@@ -179,6 +179,48 @@ def test_silence_lets_the_hand_go_and_keeps_the_tip(run_loop: Any) -> None:
     assert run.base_m[-1] == run.base_m[2005]
 
 
+@pytest.mark.parametrize("off", [(), (3000, 3400, 3401, 3800, 3850)])
+def test_hand_whose_device_is_off_for_a_moment_keeps_what_is_on_its_way(off: tuple[int, ...]) -> None:
+    # the guard of the device misses a command: off for 20 ms each time, over 60 ms each way
+    tip, x, delay = TipMeasurement(0.0, 0.0, 0.0, False, False, True), 0.0, 60
+    master, slave = master_start(PARAMS, HandSample(0.0, 0.0, 0.0, True)), slave_start(PARAMS, tip)
+    sent: list[Any] = [NO_SIGNAL] * delay
+    answers: list[Any] = [NO_SIGNAL] * delay
+    entered, left, least = 0.0, 0.0, 0.0
+    for n in range(8000):
+        hand = HandSample(x, 0.0, 1.0, not any(0 <= n - begin < 20 for begin in off))
+        master, signal = master_send(PARAMS, master, hand, T)
+        sent.append(signal._replace(silence_s=0.0))
+        slave, wanted = slave_receive(PARAMS, slave, sent[n], tip, T)
+        before, tip = tip, TipMeasurement(wanted.position_m, 20.0 * wanted.position_m, 0.0, False, True, True)
+        left += 0.5e8 * (before.force_n + tip.force_n) * (tip.base_position_m - before.base_position_m) / 1.5e-6
+        slave, answer = slave_send(PARAMS, slave, tip, T)
+        answers.append(answer._replace(silence_s=0.0))
+        master, reference = master_receive(PARAMS, master, hand, answers[n], T)
+        if hand.following:
+            entered += reference.position_m - x
+            x = reference.position_m
+        least = min(least, entered - left)
+    assert 1e8 * tip.force_n == pytest.approx(1.0, rel=1e-3, abs=0.0)
+    # F (T + tau_f)/b; a line that is taken up anew each time lost 1.3 mm at 120 ms
+    assert x - tip.base_position_m / 1.5e-6 == pytest.approx((0.06 + 0.02) / B, rel=0.15, abs=0.0)
+    assert least >= -1e-9
+
+
+def test_line_of_a_hand_that_stays_off_is_let_down_after_the_silence_limit() -> None:
+    state, answer = (
+        master_start(PARAMS, HandSample(0.0, 0.0, 0.0, True)),
+        NO_SIGNAL._replace(active=True, silence_s=0.0),
+    )
+    state, _ = master_receive(PARAMS, state, HandSample(0.0, 0.0, 1.0, True), answer, T)
+    off = HandSample(1e-3, 0.0, 1.0, False)
+    for n in range(502):
+        assert master_send(PARAMS, state, off, T)[1].active == (n <= 500), n
+        state, reference = master_receive(PARAMS, state, off, answer, T)
+        assert reference.active
+    assert (state.up, state.impulse_m) == (False, 0.0)
+
+
 def test_resumed_line_starts_without_a_wave() -> None:
     state = master_resume(PARAMS, HandSample(5e-3, 0.01, 1.0, True), 1e-8)
     state, signal = master_send(PARAMS, state, HandSample(5e-3, 0.01, 1.0, False), T)

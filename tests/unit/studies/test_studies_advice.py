@@ -1,15 +1,16 @@
 """Arms, tuning for a delay, and the advice that is made of them."""
 
 import math
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 
 from services.controller.config import LAWS
 from services.haptic_node.config import ARMS
 from studies import lockstep
-from studies.advice import CANDIDATES, Question, advise, in_words
-from studies.cells import Cell, CellResult, run_cell, trajectory_of
+from studies.advice import CANDIDATES, Question, advise, cells_of, in_words
+from studies.cells import Cell, CellResult, Hand, run_cell, trajectory_of
+from studies.merits import Network, Sample, Trial
 from studies.stability import Jitter
 from studies.sweep import Journal, Sweep
 from studies.theory import critical_delay_s, loop_model
@@ -100,12 +101,15 @@ def test_advice_takes_the_law_that_costs_least_and_says_why_others_are_not_suite
     question = Question(120.0, Jitter(), 0.03, "wall", 80.0)
     sweep = Told({"wave": ("stable", 0.6, 1.0), "model_mediated": ("stable", 0.97, 1.1)}, tmp_path)
     found = advise(question, sweep)
-    assert [candidate.law for candidate in found[:2]] == ["model_mediated", "wave"]
+    assert [candidate.law for candidate in found[:3]] == ["model_mediated", "model_mediated", "wave"]
+    assert [candidate.clamp for candidate in found[:2]] == [False, True]
     assert len(sweep.cells) == len(CANDIDATES) * 4 * 3
     words = in_words(question, found)
-    assert words[0].startswith("120 ms, 3 % loss, wall of 80 N/m: take model_mediated; all of its 12 runs held")
-    assert words[1].startswith("Next come wave, with 0.60 of the force in the worst hold")
-    assert "smith (it grows)" in words[2]
+    assert words[0].startswith(
+        "120 ms, 3 % loss, wall of 80 N/m: take model_mediated with the clamp off; all of its 12 runs held"
+    )
+    assert words[1].startswith("Next come model_mediated with the clamp on, with 0.97 of the force in the worst hold")
+    assert "smith with the clamp off (it grows)" in words[2]
     assert found[0].price() == pytest.approx(0.03 + 0.1, rel=1e-9, abs=0.0)
 
 
@@ -121,3 +125,13 @@ def test_without_chance_one_seed_is_enough(tmp_path: Any) -> None:
     sweep = Told({}, tmp_path)
     advise(Question(50.0, Jitter(), 0.0, "wall", 20.0), sweep)
     assert len(sweep.cells) == len(CANDIDATES) * 4
+
+
+def test_the_page_runs_what_the_advice_runs() -> None:
+    question = Question(120.0, Jitter(0.5, relative=True), 0.03, "wall", 80.0, seeds=2)
+    network = Network(question.round_trip_ms, question.jitter, question.loss)
+    hands: tuple[Hand, ...] = get_args(Hand)
+    trial = Trial(tuple(LAWS), (network,), hands, (Sample("wall", 80.0),), seed=0, seeds=2)
+    for law, clamp in CANDIDATES:
+        ran = [cell for hand in hands for cell in trial.cells(trial.samples[0], law, clamp, network, hand)]
+        assert ran == cells_of(question, law, clamp)

@@ -1,9 +1,15 @@
-"""The promise of docs/laws.md over bad links: passivity control holds every spring and makes no energy."""
+"""The promises of docs/laws.md over bad links: which law makes no energy there, and which holds every sample."""
+
+from itertools import product
+from pathlib import Path
+from typing import Any
 
 import pytest
 
 from studies import lockstep
-from studies.cells import Cell, Hand, run_cell
+from studies.cells import Cell, CellResult, Hand, run_cell
+from studies.promises import HANDS, LOSSES, PASSIVE_LAWS, ROUND_TRIPS_MS, SAMPLES, broken, drawn_cells, outcomes
+from studies.sweep import Journal, Sweep
 
 SEEDS = range(25)
 LINKS = ((60.0, 15.0, 0.5), (200.0, 50.0, 0.2), (500.0, 125.0, 0.2))
@@ -47,6 +53,54 @@ def test_waves_keep_hand_and_tip_together_over_a_link_with_jitter(monkeypatch: p
     assert held.apart_m is not None
     assert 0.0 < held.apart_m < 1e-3
     assert held.lowest_energy_j >= -1e-6
+
+
+def test_drawn_links_cover_what_is_promised_and_are_the_same_for_every_law() -> None:
+    cells = drawn_cells(["wave"], 50)
+    assert cells == drawn_cells(["wave"], 50)
+    assert [cell for cell in drawn_cells(PASSIVE_LAWS, 50) if cell.law == "wave"] == cells
+    assert {cell.round_trip_ms for cell in cells} == set(ROUND_TRIPS_MS)
+    assert {(cell.round_trip_ms, cell.loss) for cell in cells} == set(product(ROUND_TRIPS_MS, LOSSES))
+    assert {cell.hand for cell in cells} == set(HANDS)
+    assert {(cell.environment, cell.stiffness_n_per_m) for cell in cells} == set(SAMPLES)
+    assert {cell.jitter_ms / cell.round_trip_ms for cell in cells if cell.round_trip_ms} == {0.25}
+    assert {cell.seed for cell in cells} == set(range(50))
+
+
+class Told(Sweep):
+    """A sweep in which every run ends as the test says: verdict, least energy [J], force at the tip [N]."""
+
+    def __init__(self, folder: Path, *told: tuple[str, float, float]) -> None:
+        super().__init__(Journal(folder / "journal.jsonl"), 1)
+        self.told = told
+
+    def run(self, cells: Any) -> list[CellResult]:
+        found = []
+        for n, cell in enumerate(cells):
+            verdict, energy_j, tip_n = self.told[n % len(self.told)]
+            found.append(CellResult(cell, verdict, None, 0.0, 0.0, 1.0, energy_j, False, "", 1.0, tip_n, 1.0, 1e-3))
+        return found
+
+
+def test_a_law_that_promises_passivity_and_makes_energy_is_named(tmp_path: Path) -> None:
+    for energy_j, fails in ((-0.9e-6, False), (-1.1e-6, True)):
+        sweep = Told(tmp_path, ("stable", energy_j, 0.5), ("drifting", 0.0, 9.0))
+        rows = outcomes(["wave"], 5, sweep)
+        assert bool(broken(rows)) is fails
+        assert sum(row.runs for row in rows) == 5 * len(SAMPLES)
+        assert sum(row.stable for row in rows) == sum(row.failed.get("drifting", 0) for row in rows) == 15
+        assert min(row.lowest_energy_j for row in rows) == energy_j
+        # what was not stable has no force to speak of
+        assert {row.share for row in rows if row.stable} <= {0.5, 0.25, 0.375}
+    assert broken(outcomes(["position_force"], 5, Told(tmp_path, ("diverged", -1.0, 1.0)))) == []
+
+
+@pytest.mark.stack
+@pytest.mark.endurance
+def test_over_drawn_bad_links_no_energy_is_made_at_the_device(tmp_path: Path) -> None:
+    rows = outcomes(PASSIVE_LAWS, 50, Sweep(Journal(tmp_path / "journal.jsonl"), 1))
+    assert sum(row.runs for row in rows) == 50 * len(SAMPLES) * len(PASSIVE_LAWS)
+    assert broken(rows) == []
 
 
 @pytest.mark.stack

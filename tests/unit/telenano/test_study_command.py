@@ -142,16 +142,19 @@ def test_transparency_prints_one_object(tmp_path: Path) -> None:
 
 def test_compare_puts_laws_on_one_page(tmp_path: Path) -> None:
     options = ["--law", "virtual_impedance", "--delay", "60", "--map-delay", "0,100", "--stiffness", "20"]
-    options += ["--hand", "force", "--seeds", "1", "--frequency", "5"]
+    options += ["--hand", "force", "--sample", "contact", "--seeds", "1", "--frequency", "5"]
     result = RUN.invoke(app, ["compare", *options, "--workers", "1", "--out", str(tmp_path), "--json"])
     assert result.exit_code == 0, result.output
     summary = json.loads(result.stdout)
     law = summary["laws"]["virtual_impedance"]
     # tuned for the delay it holds, and that is what the page tells to take
     assert {row["verdict"] for row in law["merits"] if row["loss"] == 0.0} == {"stable"}
-    assert summary["advice"][0].startswith("Over a constant link take at 60 ms virtual_impedance with the clamp")
+    assert summary["advice"][0].startswith("Over a constant link take virtual_impedance with the clamp o")
+    assert summary["advice"][0].endswith(" (contact: 60 ms).")
     assert len(summary["advice"]) == 3
-    assert (tmp_path / "merits.png").exists()
+    assert [row["network"] for row in summary["take"]] == ["60 ms", "60 ms, loss 3 %", "60 ms, jitter 50%, loss 20 %"]
+    for kind in ("constant", "loss", "jitter"):
+        assert (tmp_path / f"merits-contact-40-{kind}.png").exists()
     assert law["critical_delay_ms"]["20"] == pytest.approx(45.51, rel=2e-3, abs=0.0)
     assert 50.0 < law["critical_delay_contact_ms"] < 53.0
     assert law["contact"]["60"]["verdict"] == "limit_cycle"
@@ -173,10 +176,10 @@ def test_advise_answers_in_sentences_and_leaves_a_page(tmp_path: Path, monkeypat
         asked.append(question)
         found = []
         for law, verdict in (("model_mediated", "stable"), ("smith", "diverged")):
-            settings, cells = cells_of(question, law, clamp=False)
+            cells = cells_of(question, law, clamp=False)
             held = ("it grows", 1.1, 0.97, 1.0, 0.0, 0.0)
             results = [CellResult(cell, verdict, None, 0.0, 0.0, 1.0, 0.0, False, *held) for cell in cells]
-            found.append(Candidate(law, False, settings, tuple(results)))
+            found.append(Candidate(law, False, cells[0].settings, tuple(results)))
         return found
 
     asked: list[Question] = []
@@ -185,8 +188,10 @@ def test_advise_answers_in_sentences_and_leaves_a_page(tmp_path: Path, monkeypat
     result = RUN.invoke(app, network)
     assert result.exit_code == 0, result.output
     assert asked == [Question(120.0, Jitter(), 0.03, "wall", 80.0, 3)]
-    assert result.stdout.startswith("120 ms, 3 % loss, wall of 80 N/m: take model_mediated; all of its 12 runs held")
-    assert "Not suited: smith (it grows)." in result.stdout
+    assert result.stdout.startswith(
+        "120 ms, 3 % loss, wall of 80 N/m: take model_mediated with the clamp off; all of its 12 "
+    )
+    assert "Not suited: smith with the clamp off (it grows)." in result.stdout
     summary = json.loads((tmp_path / "advise.json").read_text())
     assert summary["take"] == "model_mediated"
     assert summary["candidates"][1]["price"] is None

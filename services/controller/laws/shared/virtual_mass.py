@@ -10,7 +10,7 @@ product whose passivity the laws are about. The discretisation is exact for forc
 exact energy.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -139,10 +139,20 @@ def is_coupled(params: MassParams, signal: PortSignal) -> bool:
 
 
 @compiled
-def let_go(params: MassParams, mass: Mass, hand: HandSample) -> Mass:
-    """Leave the mass with the hand, at rest, while the tip's reference stays where it is."""
+def is_retracted(params: Any, signal: PortSignal) -> bool:
+    """Return whether the other half is heard and says that the tip neither follows nor touches: it has to be armed."""
+    return not signal.active and not signal.in_contact and signal.silence_s <= params.silence_limit_s
+
+
+@compiled
+def let_go(params: MassParams, mass: Mass, hand: HandSample, signal: PortSignal) -> Mass:
+    """Leave the mass with the hand, at rest, while the tip's reference stays where it is.
+
+    Over a retracted tip it is alpha_p x without an offset, as before the first arming: what an interruption has left
+    between hand and tip ends there.
+    """
     offset = mass.tip_offset_m + params.position_scale * (mass.position_m - hand.position_m)
-    return Mass(hand.position_m, 0.0, offset, False)
+    return Mass(hand.position_m, 0.0, 0.0 if is_retracted(params, signal) else offset, False)
 
 
 @compiled

@@ -1,0 +1,64 @@
+"""`telenano study promises`: what the laws promise over bad links, tried on drawn cells."""
+
+import json
+import os
+import sys
+from typing import Annotated
+
+import typer
+from rich.table import Column, Table
+
+from studies.page import Page, text
+from telenano.commands.study_options import LawOption, OutOption, WorkersOption
+from telenano.exit_codes import EXIT_FAILED
+from telenano.options import JsonOption
+from telenano.output import console, print_json, report_errors
+
+_COLUMNS = 160
+_HEAD = ("law", "hand", "round trip [ms]", "energy >= -1 uJ", "least energy [uJ]", "stable", "force (median)",
+         "force (least)", "hand ahead [mm]", "not stable")  # fmt: skip
+
+
+def promises(
+    out: OutOption,
+    law: LawOption = "passivity,wave",
+    seeds: Annotated[int, typer.Option("--seeds", min=1, max=10_000, help="Seeds: six drawn cells each.")] = 50,
+    workers: WorkersOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Try on drawn bad links what the laws promise; exit code 1 where one that promises passivity made energy."""
+    with report_errors(as_json, "interrupted: the journal keeps the finished cells, the same command continues"):
+        from studies import values
+        from studies.promises import as_dict, broken, outcomes
+        from studies.sweep import JOURNAL_NAME, Journal, Sweep
+
+        sweep = Sweep(Journal(out / JOURNAL_NAME), workers or os.cpu_count() or 1)
+        found = outcomes(values.laws(law), seeds, sweep)
+        failed = broken(found)
+        summary = {"study": "promises", "seeds": seeds, "held": not failed, "rows": [as_dict(row) for row in found]}
+        out.mkdir(parents=True, exist_ok=True)
+        (out / "promises.json").write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        rows = [
+            (r.law, r.hand, r.round_trip_ms, f"{r.passive}/{r.runs}", 1e6 * r.lowest_energy_j, f"{r.stable}/{r.runs}",
+             r.share, r.least_share, None if r.apart_m is None else 1e3 * r.apart_m,
+             ", ".join(f"{number} {kind.replace('_', ' ')}" for kind, number in r.failed.items()))
+            for r in found
+        ]  # fmt: skip
+        page = Page("What the laws promise over bad links")
+        page.code(" ".join(["telenano", *sys.argv[1:]]))
+        page.table(_HEAD, rows)
+        page.paragraph(
+            "Jitter of half the delay, 0, 5 or 20 % loss, springs of 5 to 200 N/m and the contact, drawn at random;"
+            " force: at the tip, as a share of what the hand means to press with, in stable holds."
+        )
+        page.write(out / "promises.html")
+        if as_json:
+            print_json(summary)
+        else:
+            table = Table(*(Column(name, overflow="fold") for name in _HEAD))
+            for row in rows:
+                table.add_row(*(text(value) for value in row))
+            console(_COLUMNS).print(table)
+            typer.echo(f"page: {out / 'promises.html'}")
+    if failed:
+        raise typer.Exit(EXIT_FAILED)
