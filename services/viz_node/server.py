@@ -105,7 +105,11 @@ class _PageSocket:
 
     async def _role(self, socket: WebSocket) -> Role | None:
         """Return the role of a page that has shown its token; None when it was refused."""
-        if self._strangers >= _MOST_STRANGERS or len(self._hub.sessions) >= MOST_PAGES:
+        if self._strangers >= _MOST_STRANGERS:
+            text = f"{self._strangers} connections have shown no token yet, which is as many as may wait: try again"
+            await _refuse(socket, _TRY_LATER, text)
+            return None
+        if len(self._hub.sessions) >= MOST_PAGES:
             await _refuse(socket, _TRY_LATER, f"{len(self._hub.sessions)} pages are open, which is as many as may be")
             return None
         self._strangers += 1

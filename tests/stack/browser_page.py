@@ -15,6 +15,8 @@ import pytest
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 ROOT = Path(__file__).resolve().parents[2]
+# of WebXR
+EMULATOR = ROOT / "services" / "viz_node" / "web" / "node_modules" / "iwer" / "build" / "iwer.min.js"
 # only keeps a broken page from holding the suite
 PATIENCE_S = 60.0
 # a software renderer: the machines of tests have no graphics
@@ -131,10 +133,14 @@ def browser() -> Iterator[Any]:
             found.close()
 
 
-def open_page(found: Any, address: str, **context: Any) -> Page:
-    """Open an address in a window of its own."""
+def open_page(found: Any, address: str, *, headset: bool = False, **context: Any) -> Page:
+    """Open an address in a window of its own, where asked with an emulated headset (`headset` in its scripts)."""
     view = {"viewport": {"width": 1360, "height": 850}, **context}
-    page = Page(found.new_context(**view).new_page())
+    window = found.new_context(**view)
+    if headset:
+        window.add_init_script(path=EMULATOR)
+        window.add_init_script("globalThis.headset = new IWER.XRDevice(IWER.metaQuest3); headset.installRuntime();")
+    page = Page(window.new_page())
     page.page.goto(address, timeout=PATIENCE_S * 1e3, wait_until="commit")
     page.until("window.telenano?.store.streams.size", "a page that is connected")
     return page
