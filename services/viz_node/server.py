@@ -22,7 +22,8 @@ from services.viz_node.requests import PROTOCOL, Hello, RequestError, read_reque
 MOST_PAGES = 16
 # connections that have not shown a token yet
 _MOST_STRANGERS = 8
-_HELLO_S = 5.0
+# a browser on a machine that is busy may take seconds to come to it
+_HELLO_S = 10.0
 # a token is tried once a connection, and a connection takes this long
 _WRONG_TOKEN_S = 0.5
 # close codes of RFC 6455

@@ -22,6 +22,9 @@ PATIENCE_S = 60.0
 # a software renderer: the machines of tests have no graphics
 _FLAGS = ("--no-sandbox", "--disable-background-networking", "--use-gl=angle", "--use-angle=swiftshader")
 _FLAGS += ("--enable-unsafe-swiftshader",)
+# of several windows all but one would be given what the rig and the rest of the machine leave of the processors
+_FLAGS += ("--disable-renderer-backgrounding", "--disable-backgrounding-occluded-windows")
+_FLAGS += ("--disable-background-timer-throttling",)
 
 
 def missing() -> str:
@@ -138,8 +141,9 @@ def open_page(found: Any, address: str, *, headset: bool = False, **context: Any
     view = {"viewport": {"width": 1360, "height": 850}, **context}
     window = found.new_context(**view)
     if headset:
-        window.add_init_script(path=EMULATOR)
-        window.add_init_script("globalThis.headset = new IWER.XRDevice(IWER.metaQuest3); headset.installRuntime();")
+        # one script, because the order of several is not promised; in the place of the WebXR of the browser itself
+        device = "globalThis.headset = new IWER.XRDevice(IWER.metaQuest3);"
+        window.add_init_script(f"{EMULATOR.read_text()}\n{device} headset.installRuntime({{forceInstall: true}});")
     page = Page(window.new_page())
     page.page.goto(address, timeout=PATIENCE_S * 1e3, wait_until="commit")
     page.until("window.telenano?.store.streams.size", "a page that is connected")

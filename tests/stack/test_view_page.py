@@ -22,6 +22,7 @@ from services.recorder.config import RecorderConfig
 from services.runtime.bus import ZmqPublisher
 from services.runtime.main import load_site
 from services.runtime.participant import open_participant
+from services.viz_node.requests import PROTOCOL
 
 pytestmark = [pytest.mark.browser, needs_browser]
 
@@ -29,6 +30,8 @@ pytestmark = [pytest.mark.browser, needs_browser]
 POINTS = 96
 SIZE_M = 120e-9
 EPOCH_NS = 10**18
+# lines that the surface on the page has
+FILLED = "telenano.view.surface.filled.filter(Boolean).length"
 TIP = "afm_node@slave"
 LINE_NS = 20_000_000
 
@@ -77,7 +80,7 @@ def since(rig: Rig, topic: str, begin_ns: int) -> list[Any]:
 def test_every_control_changes_the_rig(rig: Rig, operator: Page) -> None:
     operator.fill("#delay", "4")
     assert "acknowledged" in operator.answered(lambda: operator.click("#delay-set"))
-    rig.wait_until(lambda: newest(rig, "link/status").forward.settings["delay_s"] == 0.004, "the delay on the bus")
+    rig.wait_until(lambda: newest(rig, "link/status").forward.settings.get("delay_s") == 0.004, "the delay on the bus")
     until(lambda: "DELAYED" in operator.banners(), "the banner of the delay")
     operator.fill("#delay", "0")
     operator.answered(lambda: operator.click("#delay-set"))
@@ -263,7 +266,7 @@ def check_section_and_pick(page: Page) -> None:
     assert np.count_nonzero(off_nm > 0.1) <= 4
     page.picture("section")
     page.click("#section")
-    box = page.page.locator("#scene canvas").bounding_box()
+    box = page.page.locator("#scene > canvas").bounding_box()
     page.page.mouse.dblclick(box["x"] + box["width"] / 2, box["y"] + 0.55 * box["height"])
     page.until("/Measured point/.test(document.querySelector('#scene .note').textContent)", "a picked point")
     note = page.page.inner_text("#scene .note")
@@ -285,10 +288,9 @@ def test_a_scan_grows_on_the_page_while_it_runs(chromium: Any, monkeypatch: pyte
             try:
                 page = open_page(chromium, view.operator)
                 assert page.value("telenano.view.surface.isEmpty")
-                filled = "telenano.view.surface.filled.filter(Boolean).length"
                 for line in range(POINTS):
                     # the first finds the page connected when it arrives, or is sent again
-                    until(lambda line=line: shown(page, instrument, filled, line), f"line {line} on the page")
+                    until(lambda line=line: shown(page, instrument, line), f"line {line} on the page")
                 least, greatest = page.value("[telenano.view.surface.least, telenano.view.surface.greatest]")
                 assert greatest - least == pytest.approx(8.0, rel=0.2)
                 assert page.faults == []
@@ -296,11 +298,11 @@ def test_a_scan_grows_on_the_page_while_it_runs(chromium: Any, monkeypatch: pyte
                 view.close()
 
 
-def shown(page: Page, instrument: ZmqPublisher, filled: str, line: int) -> bool:
+def shown(page: Page, instrument: ZmqPublisher, line: int) -> bool:
     """Publish a line, and return whether the page then has as many as were published."""
-    if page.value(filled) <= line:
+    if page.value(FILLED) <= line:
         instrument.publish("afm/scanline", **scanline(line))
-    return bool(page.value(filled) == line + 1)
+    return bool(page.value(FILLED) == line + 1)
 
 
 def test_a_recording_plays_and_its_surface_grows(chromium: Any, tmp_path: Path) -> None:
@@ -319,9 +321,39 @@ def test_a_recording_plays_and_its_surface_grows(chromium: Any, tmp_path: Path) 
         page.choose("#stereo", "off")
         assert "acknowledged" in page.answered(lambda: page.click("#play"))
         page.until("telenano.store.source.playing === true", "a recording that plays again")
+        assert "acknowledged" in page.answered(lambda: page.click("#play"))
+        page.until("telenano.store.source.playing === false", "a recording that pauses")
+        half_s = LINE_NS * 1e-9 * POINTS / 2
+        sought = f"field => {{ field.value = {half_s}; field.dispatchEvent(new Event('change')); }}"
+        assert "acknowledged" in page.answered(lambda: page.page.locator("#place").evaluate(sought))
+        page.until(f"{FILLED} === {POINTS // 2 + 1}", "the surface as it was half way")
+        page.choose("#rate", "10")
+        assert "acknowledged" in page.answered(lambda: page.click("#play"))
+        page.until(f"{FILLED} === {POINTS}", "the whole surface again")
         page.page.set_viewport_size({"width": 820, "height": 1180})
         page.page.wait_for_timeout(300.0)
         page.picture("tablet")
         assert page.faults == []
+        check_old_page(chromium, view)
     finally:
         view.close()
+
+
+def check_old_page(chromium: Any, view: View) -> None:
+    """Open the page as one of an older version would be: it says what to do, and is admitted to nothing."""
+    window = chromium.new_context()
+    replaced: list[int] = []
+
+    def older(route: Any) -> None:
+        script = route.fetch().text()
+        replaced.append(script.count(f"protocol:{PROTOCOL}"))
+        route.fulfill(body=script.replace(f"protocol:{PROTOCOL}", "protocol:0"), content_type="text/javascript")
+
+    window.route("**/assets/*.js", older)
+    page = Page(window.new_page())
+    page.page.goto(view.operator, wait_until="commit")
+    page.page.wait_for_selector("#banners .banner", state="attached")
+    until(lambda: "load the page again" in page.banners(), "what an old page says")
+    assert sum(replaced) == 1
+    assert page.value("telenano.store.streams.size") == 0
+    window.close()

@@ -12,7 +12,7 @@ const ABOVE = 0.004;
 /** A straight line on the surface and the heights along it: drawn in the scene, and as a curve beside it. */
 export class Section {
   readonly button = make("button", { type: "button", id: "section", "aria-pressed": "false", onclick: () => this.toggle() }, "Section");
-  readonly polyline = new Polyline(new BufferGeometry(), new LineBasicMaterial({ color: 0xffb000, depthTest: false }));
+  readonly polyline = new Polyline(new BufferGeometry(), new LineBasicMaterial({ color: 0xff2fb3, depthTest: false }));
   readonly element: HTMLElement;
   profile: Profile | undefined;
   onChange: () => void = () => {};
@@ -96,8 +96,8 @@ export class Section {
     const labels = (_: uPlot, splits: number[]): string[] => splits.map((value) => `${+value.toPrecision(4)}`);
     return new uPlot(
       {
-        width: 330,
-        height: 130,
+        width: 270,
+        height: 118,
         legend: { show: false },
         cursor: { drag: { x: false, y: false } },
         scales: { x: { time: false } },
