@@ -1,7 +1,7 @@
 import { Matrix4, Quaternion, Vector3 } from "three";
 
-/** What a hundred nanometres may be in front of the viewer: 1 cm to 10 m. */
-export const LEAST_SCALE = 1e-4;
+/** What a nanometre may be in front of the viewer [m]: images are 10 nm to 100 µm wide. */
+export const LEAST_SCALE = 1e-6;
 export const MOST_SCALE = 0.1;
 
 /**

@@ -33,6 +33,8 @@ export class Headset {
   /** Called when a button beside the stick is pressed. */
   onStop: () => void = () => {};
   onLeave: () => void = () => {};
+  /** How much larger than usual that is which lies on the table. */
+  size: () => number = () => 1;
   private readonly controllers: XRTargetRaySpace[];
   private readonly held = new Set<XRTargetRaySpace>();
   private before: Matrix4[] = [];
@@ -141,7 +143,7 @@ export class Headset {
     const session = await navigator.xr!.requestSession("immersive-vr", { requiredFeatures: ["local-floor"] });
     const background = this.scene.background;
     this.scene.background = new Color(BACKGROUND);
-    this.world.scale.setScalar(SCALE);
+    this.world.scale.setScalar(SCALE / this.size());
     this.world.position.copy(PLACE);
     this.world.updateMatrix();
     this.panel.visible = true;

@@ -21,6 +21,7 @@ import {
   Vector2,
   Vector3,
   WebGLRenderer,
+  type Material,
 } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { AnaglyphEffect } from "three/addons/effects/AnaglyphEffect.js";
@@ -86,6 +87,9 @@ export class View {
   private sideBySide: StereoEffect | undefined;
   private stereo: Stereo = "off";
   private greatestForce = 1e-9;
+  private readonly bars = new Group();
+  /** Middle and sides of what is shown [nm]: the camera, the tip and the bars go by it. */
+  private extent = { x: 0, y: 0, width: 0, depth: 0 };
   private picked = "";
   private readonly raycaster = new Raycaster();
 
@@ -111,16 +115,16 @@ export class View {
     this.mark.visible = false;
     this.buildTip();
     this.world.add(this.plane, this.surface.mesh, this.tip, this.contact, this.mark, this.normal, this.lateral);
-    this.world.add(bar(20, "20 nm", [-PLANE_NM / 2 + 12, -PLANE_NM / 2 - 6, 0], "x"), bar(20, "20 nm", [-PLANE_NM / 2 - 6, -PLANE_NM / 2 + 12, 0], "y"));
-    this.world.add(bar(10, "10 nm", [-PLANE_NM / 2 - 6, -PLANE_NM / 2 - 6, 5], "z"));
+    this.world.add(this.bars);
+    this.fit({ x: 0, y: 0, width: PLANE_NM, depth: PLANE_NM });
     this.orbit = new OrbitControls(this.camera, this.renderer.domElement);
     this.orbit.enableDamping = false;
     this.orbit.addEventListener("change", () => this.invalidate());
-    this.orbit.maxDistance = 1500;
     this.orbit.listenToKeyEvents(this.renderer.domElement);
     this.renderer.domElement.tabIndex = 0;
     this.headset = new Headset(this.renderer, this.scene, this.world, (text) => this.say(text));
     this.headset.onLeave = () => this.resize();
+    this.headset.size = () => this.size;
     this.section.onChange = () => this.invalidate();
     this.world.add(this.section.polyline);
     this.buildOverlay();
@@ -142,6 +146,7 @@ export class View {
     for (const line of lines) this.surface.add(line);
     this.plane.visible = this.grid.visible = this.surface.isEmpty;
     this.legend.hidden = this.surface.isEmpty;
+    if (this.surface.extent) this.fit(this.surface.extent);
     const ends = [this.surface.greatest, this.surface.least].map((height) => make("span", {}, `${height.toPrecision(3)} nm`));
     this.ends.replaceChildren(...ends);
     this.section.draw();
@@ -157,9 +162,36 @@ export class View {
 
   /** Look from above the front, as at a table. */
   reset(): void {
-    this.camera.position.set(55, 80, 185);
-    this.orbit.target.set(-8, 8, 0);
+    const { x, y } = this.extent;
+    const side = this.size;
+    this.camera.near = side;
+    this.camera.far = 4000 * side;
+    this.camera.updateProjectionMatrix();
+    this.orbit.maxDistance = 1500 * side;
+    this.camera.position.set(x + 55 * side, 80 * side, 185 * side - y);
+    this.orbit.target.set(x - 8 * side, 8 * side, -y);
     this.orbit.update();
+  }
+
+  /** How much larger than the plane without an image that is which is shown. */
+  private get size(): number {
+    return Math.max(this.extent.width, this.extent.depth) / PLANE_NM || 1;
+  }
+
+  /** Show another part of the sample: the tip in proportion, bars beside it, the camera as at the beginning. */
+  private fit(extent: { x: number; y: number; width: number; depth: number }): void {
+    const { x, y, width, depth } = extent;
+    const changed = Math.abs(width - this.extent.width) + Math.abs(depth - this.extent.depth) + Math.abs(x - this.extent.x) + Math.abs(y - this.extent.y);
+    if (changed < 1e-3 * (width + depth)) return;
+    this.extent = extent;
+    const side = this.size;
+    this.tip.scale.setScalar(side);
+    for (const shape of [this.contact, this.mark]) shape.scale.setScalar(side);
+    this.bars.clear();
+    const length = niceLength(0.2 * PLANE_NM * side);
+    const [left, front] = [x - width / 2 - 6 * side, y - depth / 2 - 6 * side];
+    this.bars.add(bar("x", length, [left + 18 * side, front, 0], side), bar("y", length, [left, front + 18 * side, 0], side), bar("z", length / 2, [left, front, 0], side));
+    this.reset();
   }
 
   recolour(): void {
@@ -215,24 +247,25 @@ export class View {
     const separation = of("separation");
     const height = this.surface.heightAt(x, y);
     const apex = height + (Number.isNaN(separation) ? or(of("base")) * -NM + 10 : separation * NM);
+    const side = this.size;
     this.tip.position.set(x, y, apex);
-    this.bend(or(of("deflection")) * NM * DEFLECTION_FACTOR);
+    this.bend((or(of("deflection")) * NM * DEFLECTION_FACTOR) / side);
     const inContact = this.store.fact("afm/state/slave", "in_contact") === true;
     const meniscus = this.store.fact("afm/state/slave", "meniscus") === true;
     this.contact.visible = inContact || meniscus;
-    this.contact.position.set(x, y, height + 0.15);
+    this.contact.position.set(x, y, height + 0.15 * side);
     (this.contact.material as MeshStandardMaterial).color.set(inContact ? 0xd2322d : 0x1f7fd0);
     (this.contact.material as MeshStandardMaterial).emissive.set(inContact ? 0xd2322d : 0x1f7fd0);
     this.greatestForce = Math.max(this.greatestForce, Math.abs(or(force)), Math.hypot(forceX, forceY));
-    point(this.normal, [x, y, apex], [0, 0, or(force)], ARROW_NM / this.greatestForce);
-    point(this.lateral, [x, y, apex], [forceX, forceY, 0], ARROW_NM / this.greatestForce);
+    point(this.normal, [x, y, apex], [0, 0, or(force)], ARROW_NM / this.greatestForce, side);
+    point(this.lateral, [x, y, apex], [forceX, forceY, 0], ARROW_NM / this.greatestForce, side);
     this.show("Normal force", quantity(force, "N"));
     this.show("Deflection", quantity(of("deflection"), "m"));
     this.show("Tip to sample", quantity(separation, "m"));
     this.show("Hand", quantity(this.store.last("hand", "position"), "m"));
     this.note.textContent = [
       this.surface.isEmpty ? "No image yet: the plane of contact. Grid 10 nm." : "Height field as measured, to scale.",
-      `Cantilever bent ${DEFLECTION_FACTOR} times as far as measured. Longest force arrow ${quantity(this.greatestForce, "N", 2)}.`,
+      `Cantilever bent ${DEFLECTION_FACTOR} times as far as measured${side > 1.01 || side < 0.99 ? `, it and the tip drawn ${side.toPrecision(2)} times as large` : ""}. Longest force arrow ${quantity(this.greatestForce, "N", 2)}.`,
       this.picked || "Double-click a point for its coordinates.",
     ].join(" ");
   }
@@ -397,27 +430,50 @@ function or(value: number): number {
   return Number.isNaN(value) ? 0 : value;
 }
 
+/** An arrow that the tip does not hide. */
 function arrow(rgb: number): ArrowHelper {
-  return new ArrowHelper(new Vector3(0, 0, 1), new Vector3(), 1, rgb, 5, 3);
+  const helper = new ArrowHelper(new Vector3(0, 0, 1), new Vector3(), 1, rgb, 5, 3);
+  for (const part of [helper.line, helper.cone]) {
+    (part.material as Material).depthTest = false;
+    part.renderOrder = 3;
+  }
+  return helper;
 }
 
-function point(helper: ArrowHelper, from: [number, number, number], force: [number, number, number], scale: number): void {
+/** Draw a force from a place; `scale` is in nm of a scene of usual size, `side` how much larger this one is. */
+function point(helper: ArrowHelper, from: [number, number, number], force: [number, number, number], scale: number, side: number): void {
   const vector = new Vector3(...force).multiplyScalar(scale);
   const length = vector.length();
   helper.visible = length > 0.5;
   if (!helper.visible) return;
   helper.position.set(...from);
   helper.setDirection(vector.normalize());
-  helper.setLength(length, Math.min(6, length * 0.4), 3.2);
+  helper.setLength(length * side, Math.min(6, length * 0.4) * side, 3.2 * side);
 }
 
-function bar(length: number, text: string, at: [number, number, number], axis: "x" | "y" | "z"): Group {
-  const size: [number, number, number] = [0.9, 0.9, 0.9];
-  size["xyz".indexOf(axis)] = length;
+/** The greatest of 1, 2 or 5 times a power of ten that is not above a length. */
+function niceLength(most: number): number {
+  const power = 10 ** Math.floor(Math.log10(most));
+  return [5, 2, 1].map((factor) => factor * power).find((length) => length <= most) ?? power;
+}
+
+/** A bar that begins at a corner and goes along an axis; its label has the axis and the length. */
+function bar(axis: "x" | "y" | "z", length: number, at: [number, number, number], side: number): Group {
+  const along = "xyz".indexOf(axis);
+  const size: [number, number, number] = [0.9 * side, 0.9 * side, 0.9 * side];
+  size[along] = length;
+  const middle: [number, number, number] = [0, 0, 0];
+  middle[along] = length / 2;
+  const rod = new Mesh(new BoxGeometry(...size), new MeshStandardMaterial({ color: 0x64748b }));
+  rod.position.set(...middle);
+  const label = caption(`${axis} ${length >= 1000 ? `${length / 1000} µm` : `${+length.toPrecision(2)} nm`}`);
+  label.scale.multiplyScalar(side);
+  label.position.set(...middle);
+  if (axis === "x") label.position.y -= 6 * side;
+  if (axis === "y") label.position.x -= 15 * side;
+  if (axis === "z") label.position.z = length + 5 * side;
   const group = new Group();
-  const label = caption(text);
-  label.position.set(axis === "y" ? -9 : 0, axis === "x" ? -6 : 0, axis === "z" ? length / 2 + 5 : 0);
-  group.add(new Mesh(new BoxGeometry(...size), new MeshStandardMaterial({ color: 0x64748b })), label);
+  group.add(rod, label);
   group.position.set(...at);
   return group;
 }
@@ -430,6 +486,6 @@ function caption(text: string): Sprite {
   pen.fillStyle = "#475569";
   pen.fillText(text, 128, 48);
   const sprite = new Sprite(new SpriteMaterial({ map: new CanvasTexture(canvas), transparent: true }));
-  sprite.scale.set(20, 5, 1);
+  sprite.scale.set(26, 6.5, 1);
   return sprite;
 }

@@ -14,7 +14,7 @@ export class Status {
   private lastBanners = "";
 
   constructor(private readonly store: Store) {
-    const head = ["node", "state", "Hz", "late p99", "lost", "refused", "CPU"].map((name) => make("th", {}, name));
+    const head = ["node", "state", "Hz", "late", "lost", "refused", "CPU"].map((name) => make("th", {}, name));
     part("nodes").append(make("h2", {}, "Nodes"), make("table", {}, make("thead", {}, make("tr", {}, ...head)), this.rows));
     part("events").append(make("h2", {}, "Events"), this.list);
   }

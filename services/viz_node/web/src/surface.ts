@@ -113,13 +113,20 @@ export class Surface {
     };
   }
 
-  /** The middle of the image as it was begun [nm], and its width along the lines. */
-  get extent(): { x: number; y: number; width: number } | undefined {
+  /** Middle and sides of the whole image [nm], also while only some of its lines are there. */
+  get extent(): { x: number; y: number; width: number; depth: number } | undefined {
     const rows = this.filled.flatMap((filled, row) => (filled ? [row] : []));
-    if (this.isEmpty || !rows.length) return undefined;
-    const [[x0, y0], [x1, y1]] = [this.place(rows[0]!, 0), this.place(rows.at(-1)!, this.points - 1)];
-    const [a, b] = [this.place(rows[0]!, 0), this.place(rows[0]!, this.points - 1)];
-    return { x: (x0 + x1) / 2, y: (y0 + y1) / 2, width: Math.hypot(b[0] - a[0], b[1] - a[1]) };
+    if (this.isEmpty || rows.length < 2) return undefined;
+    const [first, last] = [rows[0]!, rows.at(-1)!];
+    const [a, b, c] = [this.place(first, 0), this.place(first, this.points - 1), this.place(last, 0)];
+    const step = [(c[0] - a[0]) / (last - first), (c[1] - a[1]) / (last - first)] as const;
+    const middle = (this.lines - 1) / 2 - first;
+    return {
+      x: (a[0] + b[0]) / 2 + middle * step[0],
+      y: (a[1] + b[1]) / 2 + middle * step[1],
+      width: Math.hypot(b[0] - a[0], b[1] - a[1]),
+      depth: Math.hypot(...step) * (this.lines - 1),
+    };
   }
 
   private place(line: number, point: number): Place {

@@ -99,3 +99,12 @@ it("begins anew when an image of another size begins", () => {
   surface.add(line(0, { lines: 8 }));
   expect(surface.isEmpty).toBe(true);
 });
+
+it("knows its whole extent from its first lines", () => {
+  const surface = new Surface();
+  surface.add(line(0));
+  expect(surface.extent).toBeUndefined();
+  surface.add(line(1));
+  const extent = surface.extent!;
+  for (const [key, value] of Object.entries({ x: 50, y: 50, width: 100, depth: 100 })) expect(extent[key as "x"]).toBeCloseTo(value, 3);
+});
