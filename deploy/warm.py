@@ -1,4 +1,4 @@
-"""Fill the cache of an image: matplotlib searches for fonts now, which would delay the first figure by seconds."""
+"""Prepare and check an image: matplotlib searches for fonts now, not with the first figure; the view has its page."""
 
 import sys
 
@@ -7,3 +7,8 @@ if __name__ == "__main__":
         from matplotlib import font_manager
 
         font_manager.fontManager.findfont("sans")
+    if sys.argv[1] == "viz_node":
+        from services.viz_node.serve import page_folder
+
+        if page_folder() is None:
+            sys.exit("the wheel has no page of the view: npm could not build it, see above")

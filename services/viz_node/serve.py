@@ -2,10 +2,13 @@
 
 import socket
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from proto.errors import ConfigError, EndpointError
 from services.viz_node.access import LOOPBACK, Access, is_loopback
+
+if TYPE_CHECKING:
+    import uvicorn
 
 DEFAULT_PORT = 8650
 _WEB = Path(__file__).parent / "web"
@@ -71,6 +74,11 @@ def address_of(bound: socket.socket, access: Access, *, tls: bool, observer: boo
 
 def serve(app: Any, bound: socket.socket, tls: Tls | None = None) -> None:
     """Serve until SIGINT or SIGTERM."""
+    make_server(app, tls).run(sockets=[bound])
+
+
+def make_server(app: Any, tls: Tls | None = None) -> "uvicorn.Server":
+    """Return a server with the limits of the page: a larger frame ends its connection before it is read."""
     import uvicorn
 
     from services.viz_node.requests import LARGEST_FRAME
@@ -88,4 +96,4 @@ def serve(app: Any, bound: socket.socket, tls: Tls | None = None) -> None:
         ssl_certfile=str(tls.certificate) if tls else None,
         ssl_keyfile=str(tls.key) if tls else None,
     )
-    uvicorn.Server(config).run(sockets=[bound])
+    return uvicorn.Server(config)

@@ -22,7 +22,8 @@ from services.viz_node.requests import PROTOCOL, Hello, RequestError, read_reque
 MOST_PAGES = 16
 # connections that have not shown a token yet
 _MOST_STRANGERS = 8
-_HELLO_S = 5.0
+# a browser on a machine that is busy may take seconds to come to it
+_HELLO_S = 10.0
 # a token is tried once a connection, and a connection takes this long
 _WRONG_TOKEN_S = 0.5
 # close codes of RFC 6455
@@ -105,7 +106,11 @@ class _PageSocket:
 
     async def _role(self, socket: WebSocket) -> Role | None:
         """Return the role of a page that has shown its token; None when it was refused."""
-        if self._strangers >= _MOST_STRANGERS or len(self._hub.sessions) >= MOST_PAGES:
+        if self._strangers >= _MOST_STRANGERS:
+            text = f"{self._strangers} connections have shown no token yet, which is as many as may wait: try again"
+            await _refuse(socket, _TRY_LATER, text)
+            return None
+        if len(self._hub.sessions) >= MOST_PAGES:
             await _refuse(socket, _TRY_LATER, f"{len(self._hub.sessions)} pages are open, which is as many as may be")
             return None
         self._strangers += 1

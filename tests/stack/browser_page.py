@@ -15,11 +15,16 @@ import pytest
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 ROOT = Path(__file__).resolve().parents[2]
+# of WebXR
+EMULATOR = ROOT / "services" / "viz_node" / "web" / "node_modules" / "iwer" / "build" / "iwer.min.js"
 # only keeps a broken page from holding the suite
 PATIENCE_S = 60.0
 # a software renderer: the machines of tests have no graphics
 _FLAGS = ("--no-sandbox", "--disable-background-networking", "--use-gl=angle", "--use-angle=swiftshader")
 _FLAGS += ("--enable-unsafe-swiftshader",)
+# of several windows all but one would be given what the rig and the rest of the machine leave of the processors
+_FLAGS += ("--disable-renderer-backgrounding", "--disable-backgrounding-occluded-windows")
+_FLAGS += ("--disable-background-timer-throttling",)
 
 
 def missing() -> str:
@@ -131,10 +136,15 @@ def browser() -> Iterator[Any]:
             found.close()
 
 
-def open_page(found: Any, address: str, **context: Any) -> Page:
-    """Open an address in a window of its own."""
+def open_page(found: Any, address: str, *, headset: bool = False, **context: Any) -> Page:
+    """Open an address in a window of its own, where asked with an emulated headset (`headset` in its scripts)."""
     view = {"viewport": {"width": 1360, "height": 850}, **context}
-    page = Page(found.new_context(**view).new_page())
+    window = found.new_context(**view)
+    if headset:
+        # one script, because the order of several is not promised; in the place of the WebXR of the browser itself
+        device = "globalThis.headset = new IWER.XRDevice(IWER.metaQuest3);"
+        window.add_init_script(f"{EMULATOR.read_text()}\n{device} headset.installRuntime({{forceInstall: true}});")
+    page = Page(window.new_page())
     page.page.goto(address, timeout=PATIENCE_S * 1e3, wait_until="commit")
     page.until("window.telenano?.store.streams.size", "a page that is connected")
     return page

@@ -49,6 +49,7 @@ FAULTS = {
     "the master's site is killed and started again": "tip holds, then withdraws; a new session begins by itself",
     "an arm that waited in a stopped AFM": "refused and answered; the tip stays in emergency stop",
     "an emergency stop while a console is at work": "both devices stop",
+    "an emergency stop from the page of the view": "both devices stop; an observer's is refused",
     "the AFM's process is killed in its container": "hand let go; restarted by the engine, waits to be armed",
 }
 

@@ -2,23 +2,28 @@
 
 import json
 import os
+import socket
 import subprocess
 import time
+import urllib.request
 from collections.abc import Callable, Iterator
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import machine
+import msgpack
 import pytest
 from ledger import record
 
 from analysis.report import write_report
 from recording.messages import RecordedMessage
 from recording.reader import Recording
+from services.viz_node.requests import PROTOCOL
 
 DEPLOY = Path(__file__).resolve().parents[2] / "deploy"
 NODES = ("haptic_node", "controller_master", "delay_node", "controller_slave", "afm_node", "recorder")
+VIEW = "viz_node"
 PROJECT = f"telenano-test-{os.getpid()}"
 # the first build fetches every package; later ones take seconds
 BUILD_S, PATIENCE_S = 1500.0, 180.0
@@ -31,6 +36,7 @@ CRITICAL_MS, LATEST_SHARE = 51.0, 0.5
 def run(*command: str, timeout: float = PATIENCE_S, check: bool = True) -> subprocess.CompletedProcess[str]:
     # what the caller's environment sets for scenarios is not for these tests
     environment = {name: value for name, value in os.environ.items() if not name.startswith("TELENANO")}
+    environment["VIEW_PORT"] = str(VIEW_PORT)
     done = subprocess.run(
         command, cwd=DEPLOY, env=environment, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=timeout
     )
@@ -56,6 +62,16 @@ def compose_command() -> list[str]:
 
 
 pytestmark = [pytest.mark.timeout(1800)]
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+    return port
+
+
+VIEW_PORT = free_port()
 
 
 class Kill(NamedTuple):
@@ -172,6 +188,23 @@ def test_every_node_gets_healthy(rig: Composed) -> None:
     for service in NODES:
         checks = rig.inspect(service)["State"]["Health"]["Log"]
         assert any(" Hz, up for " in check["Output"] for check in checks if check["ExitCode"] == 0)
+
+
+def test_the_page_is_on_loopback_and_shows_the_rig(rig: Composed) -> None:
+    from websockets.sync.client import connect
+
+    rig.wait_until(lambda: rig.healthy(VIEW), "health of the page")
+    operator = next(line for line in rig.logs(VIEW).splitlines() if "operator: " in line).split()[-1]
+    base, _, token = operator.partition("/#")
+    assert base == f"http://127.0.0.1:{VIEW_PORT}"
+    with urllib.request.urlopen(base, timeout=PATIENCE_S) as answer:
+        assert b"EMERGENCY STOP" in answer.read()
+    found: set[str] = set()
+    with connect(base.replace("http", "ws") + "/bus", origin=base, max_size=None) as page:  # type: ignore[arg-type]
+        page.send(msgpack.packb({"k": "hello", "token": token, "protocol": PROTOCOL}))
+        while len(found) < len(NODES):
+            found |= set(msgpack.unpackb(page.recv(timeout=PATIENCE_S)).get("nodes", {}))
+    assert {"afm_node@slave", "haptic_node@master"} <= found
 
 
 def test_experiment_is_that_of_the_bare_machine(first: tuple[dict[str, Any], Path]) -> None:

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import time
 from collections.abc import Iterator
+from contextlib import ExitStack, closing
 from itertools import pairwise
 from typing import Any
 
@@ -21,9 +22,15 @@ from presets import DEFAULT_SITE_FILE
 from proto.errors import RigError
 from recording.reader import Recording
 from services.console.command_client import send_control
+from services.launcher.view import RigCommander
 from services.runtime.bus import ZmqPublisher
 from services.runtime.clock import SystemClock
 from services.runtime.commands import Command
+from services.runtime.main import load_site
+from services.viz_node.access import Access
+from services.viz_node.hub import Hub
+from services.viz_node.live import LiveSource
+from services.viz_node.requests import PROTOCOL
 
 CONSOLE = "console@master"
 HAND, TIP = "haptic_node@master", "afm_node@slave"
@@ -251,6 +258,47 @@ def test_an_arm_that_waited_in_a_stopped_process_is_refused(rig: Any, monkeypatc
     for device in ("haptic_node", "afm_node"):
         armed = rig.telenano("session", "arm", "--target", device)
         assert armed.returncode == 0, armed.stdout + armed.stderr
+
+
+def test_the_emergency_stop_of_a_page_stops_the_devices(rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("httpx2")
+    from starlette.testclient import TestClient
+
+    from services.viz_node.server import make_app
+
+    assert newest(rig, "afm/state").mode != "estop", "armed by the test before"
+    monkeypatch.setenv("TELENANO_RUNTIME_DIR", str(rig.sockets))
+    access = Access("operator-token-0123", "observer-token-0123", hosts=("testserver",))
+    with ExitStack() as stack:
+        source = stack.enter_context(closing(LiveSource(load_site(DEFAULT_SITE_FILE), "local")))
+        app = make_app(Hub(source, RigCommander(DEFAULT_SITE_FILE)), access, None)
+        server = stack.enter_context(TestClient(app, client=("127.0.0.1", 5)))
+
+        def ask(token: str, **request: Any) -> dict[str, Any]:
+            """Ask as the page does, over a web socket of its own."""
+            with server.websocket_connect("/bus", headers={"origin": "http://testserver"}) as page:
+                page.send_bytes(msgpack.packb({"k": "hello", "token": token, "protocol": PROTOCOL}))
+                page.send_bytes(msgpack.packb({"id": "a", **request}))
+                while (frame := msgpack.unpackb(page.receive_bytes()))["k"] != "answer":
+                    pass
+                return dict(frame)
+
+        assert ask(access.observer_token, k="estop")["ok"] is False
+        assert newest(rig, "afm/state").mode != "estop", "an observer has stopped the rig"
+        begin_ns = time.time_ns()
+        answer = ask(access.operator_token, k="estop")
+        assert (answer["ok"], TIP in answer["text"], HAND in answer["text"]) == (True, True, True), answer["text"]
+        rig.wait_until(lambda: newest(rig, "afm/state").mode == "estop", "the AFM in emergency stop")
+        rig.wait_until(lambda: newest(rig, "haptic/state").estop, "the hand in emergency stop")
+        stopped_ns = next(state.t_ns for state in decoded(rig, "afm/state", begin_ns) if state.mode == "estop")
+        took = f"the tip {(stopped_ns - begin_ns) / 1e6:.0f} ms after the request of the page"
+        record("an emergency stop from the page of the view", f"both stopped, {took}")
+        # the AFM first: the hand must not move a reference that nothing follows
+        for device in ("afm_node", "haptic_node"):
+            armed = ask(access.operator_token, k="command", command="arm", target=device, parameters={})
+            assert armed["ok"], armed["text"]
+        rig.wait_until(lambda: not newest(rig, "haptic/state").estop, "an armed haptic device")
+        rig.wait_until(lambda: newest(rig, "afm/state").mode != "estop", "an armed instrument")
 
 
 def answers_of(rig: Rig, node: str, since_ns: int) -> list[tuple[str, bool, str]]:

@@ -1,7 +1,9 @@
 """The page against a running rig: what it does is looked for on the bus, not in the page."""
 
 import os
+import re
 import signal
+import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,10 +14,15 @@ import pytest
 from browser_page import Page, View, browser, needs_browser, open_page, until
 from stack_rig import Rig
 
+from presets import DEFAULT_SITE_FILE
 from proto import encode
 from proto.messages import AfmScanline, Array
 from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
+from services.runtime.bus import ZmqPublisher
+from services.runtime.main import load_site
+from services.runtime.participant import open_participant
+from services.viz_node.requests import PROTOCOL
 
 pytestmark = [pytest.mark.browser, needs_browser]
 
@@ -23,6 +30,9 @@ pytestmark = [pytest.mark.browser, needs_browser]
 POINTS = 96
 SIZE_M = 120e-9
 EPOCH_NS = 10**18
+# lines that the surface on the page has
+FILLED = "telenano.view.surface.filled.filter(Boolean).length"
+TIP = "afm_node@slave"
 LINE_NS = 20_000_000
 
 
@@ -70,7 +80,7 @@ def since(rig: Rig, topic: str, begin_ns: int) -> list[Any]:
 def test_every_control_changes_the_rig(rig: Rig, operator: Page) -> None:
     operator.fill("#delay", "4")
     assert "acknowledged" in operator.answered(lambda: operator.click("#delay-set"))
-    rig.wait_until(lambda: newest(rig, "link/status").forward.settings["delay_s"] == 0.004, "the delay on the bus")
+    rig.wait_until(lambda: newest(rig, "link/status").forward.settings.get("delay_s") == 0.004, "the delay on the bus")
     until(lambda: "DELAYED" in operator.banners(), "the banner of the delay")
     operator.fill("#delay", "0")
     operator.answered(lambda: operator.click("#delay-set"))
@@ -125,6 +135,53 @@ def test_the_virtual_hand_presses_the_tip_and_the_force_comes_back(rig: Rig, ope
 
 
 @pytest.mark.endurance
+def test_the_tip_is_pressed_from_a_headset_and_stopped_there(rig: Rig, chromium: Any, view: View) -> None:
+    page = open_page(chromium, view.operator, headset=True)
+    page.until("telenano.store.rings.get('tip')?.length > 100", "curves on the page")
+    page.until("!document.querySelector('#vr').hidden", "a browser with a headset")
+    page.click("#vr")
+    page.until("telenano.view.headset.isPresenting", "a session of the headset")
+    begin = page.value("telenano.view.frames")
+    page.until(f"telenano.view.frames > {begin} + 3", "pictures in the headset")
+    hands = "headset.controllers"
+    page.value(f"{hands}.right.position.set(0.1, 1.2, -0.4); {hands}.left.position.set(-0.1, 1.2, -0.4)")
+    # one hand carries the surface as far as it goes itself, two scale it
+    page.value(f"{hands}.right.updateButtonValue('squeeze', 1)")
+    page.until("telenano.view.headset.held.size === 1", "a surface in the hand")
+    page.until("telenano.view.headset.before.length === 1", "a picture of it")
+    before = page.value("telenano.view.world.position.toArray()")
+    page.value(f"{hands}.right.position.set(0.3, 1.2, -0.4)")
+    page.until(f"telenano.view.world.position.x > {before[0]} + 0.199", "a surface that was carried")
+    after = page.value("telenano.view.world.position.toArray()")
+    assert np.subtract(after, before) == pytest.approx([0.2, 0.0, 0.0], abs=1e-3)
+    scale = page.value("telenano.view.world.scale.x")
+    page.value(f"{hands}.left.updateButtonValue('squeeze', 1)")
+    page.until("telenano.view.headset.before.length === 2", "a surface in both hands")
+    page.value(f"{hands}.left.position.set(-0.5, 1.2, -0.4)")
+    page.until(f"telenano.view.world.scale.x > 1.9 * {scale}", "a surface twice as large")
+    page.value(f"{hands}.left.updateButtonValue('squeeze', 0); {hands}.right.updateButtonValue('squeeze', 0)")
+    page.until("telenano.view.headset.held.size === 0", "a surface that was let go")
+    # the trigger takes hold of the arm, and 12 cm down mean 12 mm at the arm
+    page.value(f"{hands}.right.updateButtonValue('trigger', 1)")
+    page.until("telenano.view.headset.pressed", "a trigger that is held")
+    page.value(f"{hands}.right.position.set(0.3, 1.08, -0.4)")
+    rig.wait_until(lambda: newest(rig, "operator/force").force_n[2] < -0.2, "the force of the headset on its topic")
+    rig.wait_until(lambda: newest(rig, "afm/state").in_contact, "the tip on the sample")
+    rig.wait_until(lambda: newest(rig, "haptic/command").force_n[2] > 0.1, "the force that comes back")
+    page.value(f"{hands}.right.updateButtonValue('b-button', 1)")
+    rig.wait_until(lambda: newest(rig, "afm/state").mode == "estop", "the stop at the instrument")
+    rig.wait_until(lambda: newest(rig, "haptic/state").estop, "the stop at the haptic device")
+    page.value(f"{hands}.right.updateButtonValue('b-button', 0); {hands}.right.updateButtonValue('trigger', 0)")
+    page.until("!telenano.view.headset.pressed", "a trigger that was let go")
+    page.click("#vr")
+    page.until("!telenano.view.headset.isPresenting", "the end of the session of the headset")
+    assert page.value("telenano.view.world.scale.x") == 1.0
+    page.click("#arm")
+    rig.wait_until(lambda: not newest(rig, "haptic/state").estop, "an armed haptic device")
+    page.page.context.close()
+
+
+@pytest.mark.endurance
 def test_an_observer_sees_and_cannot_command(chromium: Any, view: View) -> None:
     observer = open_page(chromium, view.observer)
     observer.until("telenano.store.rings.get('tip')?.length > 100", "curves on the observer's page")
@@ -159,34 +216,93 @@ def test_the_emergency_stop_is_on_a_key(rig: Rig, operator: Page) -> None:
     rig.wait_until(lambda: not newest(rig, "haptic/state").estop, "an armed haptic device")
 
 
+def heights_m(line: int) -> Any:
+    """Return a line of an image: terraces of mica with a grain on them."""
+    x, y = np.linspace(0.0, 1.0, POINTS), line / (POINTS - 1)
+    terrace = 1e-9 * (np.floor(3.0 * (0.7 * x + 0.4 * y)))
+    grain = 6e-9 * np.exp(-((x - 0.62) ** 2 + (y - 0.45) ** 2) / 0.012)
+    return terrace + grain + 0.05e-9 * np.sin(60.0 * x + 9.0 * y)
+
+
+def scanline(line: int) -> dict[str, Any]:
+    """Return the fields of a line of the image."""
+    y_m = (line / (POINTS - 1) - 0.5) * SIZE_M
+    return {
+        "line": line,
+        "lines": POINTS,
+        "direction": "trace",
+        "start_m": (-SIZE_M / 2, y_m, 0.0),
+        "end_m": (SIZE_M / 2, y_m, 0.0),
+        "height_m": Array.from_numpy(heights_m(line)),
+        "amplitude_m": None,
+        "phase_rad": None,
+    }
+
+
 def scanned(folder: Path) -> Path:
     """Write a recording of an image, line by line."""
     writer = RecordingWriter.create("recorder@master", RecorderConfig(directory=folder))
-    channel = writer.channel("afm/scanline", "afm_node@slave", "slave")
-    x = np.linspace(0.0, 1.0, POINTS)
+    channel = writer.channel("afm/scanline", TIP, "slave")
     for line in range(POINTS):
-        y = line / (POINTS - 1)
-        terrace = 1e-9 * (np.floor(3.0 * (0.7 * x + 0.4 * y)))
-        grain = 6e-9 * np.exp(-((x - 0.62) ** 2 + (y - 0.45) ** 2) / 0.012)
-        height = Array.from_numpy(terrace + grain + 0.05e-9 * np.sin(60.0 * x + 9.0 * y))
-        y_m = (y - 0.5) * SIZE_M
-        message = AfmScanline(
-            seq=line,
-            t_ns=EPOCH_NS + line * LINE_NS,
-            src="afm_node@slave",
-            v=1,
-            line=line,
-            lines=POINTS,
-            direction="trace",
-            start_m=(-SIZE_M / 2, y_m, 0.0),
-            end_m=(SIZE_M / 2, y_m, 0.0),
-            height_m=height,
-            amplitude_m=None,
-            phase_rad=None,
-        )
-        writer.write(channel, message.t_ns, message.t_ns, line, encode(message))
+        t_ns = EPOCH_NS + line * LINE_NS
+        message = AfmScanline(seq=line, t_ns=t_ns, src=TIP, v=1, **scanline(line))
+        writer.write(channel, t_ns, t_ns, line, encode(message))
     writer.finish()
     return writer.path
+
+
+def check_section_and_pick(page: Page) -> None:
+    """Look at the middle of the image: the section through it and a picked point are what was measured."""
+    page.click("#section")
+    page.until("telenano.view.section.profile", "a section along the lines")
+    profile = page.value("telenano.view.section.profile")
+    middle = heights_m((POINTS - 1) // 2), heights_m(POINTS // 2)
+    measured_nm = 0.5e9 * (middle[0] + middle[1])
+    where = np.linspace(0.0, SIZE_M * 1e9, POINTS)
+    found = np.interp(where, profile["distance"], profile["height"])
+    # terraces are steps, which lie between two samples of the section
+    off_nm = np.abs(found - measured_nm)
+    assert np.median(off_nm) < 0.01
+    assert np.count_nonzero(off_nm > 0.1) <= 4
+    page.picture("section")
+    page.click("#section")
+    box = page.page.locator("#scene > canvas").bounding_box()
+    page.page.mouse.dblclick(box["x"] + box["width"] / 2, box["y"] + 0.55 * box["height"])
+    page.until("/Measured point/.test(document.querySelector('#scene .note').textContent)", "a picked point")
+    note = page.page.inner_text("#scene .note")
+    numbers = re.search(r"Measured point (\d+) of line (\d+): x (\S+) nm, y (\S+) nm, z (\S+) nm", note)
+    assert numbers is not None, note
+    point, line = int(numbers[1]), int(numbers[2])
+    step_nm = SIZE_M * 1e9 / (POINTS - 1)
+    expected = (-SIZE_M * 5e8 + point * step_nm, -SIZE_M * 5e8 + line * step_nm, 1e9 * heights_m(line)[point])
+    assert [float(number) for number in numbers.groups()[2:]] == pytest.approx(expected, abs=1.1e-3)
+
+
+@pytest.mark.endurance
+def test_a_scan_grows_on_the_page_while_it_runs(chromium: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    with tempfile.TemporaryDirectory(prefix="tnv-") as folder:
+        monkeypatch.setenv("TELENANO_RUNTIME_DIR", folder)
+        with open_participant(TIP, load_site(DEFAULT_SITE_FILE)) as participant:
+            instrument = participant.bind(TIP)
+            view = View(dict(os.environ))
+            try:
+                page = open_page(chromium, view.operator)
+                assert page.value("telenano.view.surface.isEmpty")
+                for line in range(POINTS):
+                    # the first finds the page connected when it arrives, or is sent again
+                    until(lambda line=line: shown(page, instrument, line), f"line {line} on the page")
+                least, greatest = page.value("[telenano.view.surface.least, telenano.view.surface.greatest]")
+                assert greatest - least == pytest.approx(8.0, rel=0.2)
+                assert page.faults == []
+            finally:
+                view.close()
+
+
+def shown(page: Page, instrument: ZmqPublisher, line: int) -> bool:
+    """Publish a line, and return whether the page then has as many as were published."""
+    if page.value(FILLED) <= line:
+        instrument.publish("afm/scanline", **scanline(line))
+    return bool(page.value(FILLED) == line + 1)
 
 
 def test_a_recording_plays_and_its_surface_grows(chromium: Any, tmp_path: Path) -> None:
@@ -197,17 +313,47 @@ def test_a_recording_plays_and_its_surface_grows(chromium: Any, tmp_path: Path) 
         page.until("telenano.store.source.playing === false", "the end of the recording")
         least, greatest = page.value("[telenano.view.surface.least, telenano.view.surface.greatest]")
         assert greatest - least == pytest.approx(8.0, rel=0.2)
-        page.page.wait_for_timeout(200.0)
         page.picture("surface")
+        check_section_and_pick(page)
         page.choose("#stereo", "anaglyph")
         page.page.wait_for_timeout(300.0)
         page.picture("anaglyph")
         page.choose("#stereo", "off")
         assert "acknowledged" in page.answered(lambda: page.click("#play"))
         page.until("telenano.store.source.playing === true", "a recording that plays again")
+        assert "acknowledged" in page.answered(lambda: page.click("#play"))
+        page.until("telenano.store.source.playing === false", "a recording that pauses")
+        half_s = LINE_NS * 1e-9 * POINTS / 2
+        sought = f"field => {{ field.value = {half_s}; field.dispatchEvent(new Event('change')); }}"
+        assert "acknowledged" in page.answered(lambda: page.page.locator("#place").evaluate(sought))
+        page.until(f"{FILLED} === {POINTS // 2 + 1}", "the surface as it was half way")
+        page.choose("#rate", "10")
+        assert "acknowledged" in page.answered(lambda: page.click("#play"))
+        page.until(f"{FILLED} === {POINTS}", "the whole surface again")
         page.page.set_viewport_size({"width": 820, "height": 1180})
         page.page.wait_for_timeout(300.0)
         page.picture("tablet")
         assert page.faults == []
+        check_old_page(chromium, view)
     finally:
         view.close()
+
+
+def check_old_page(chromium: Any, view: View) -> None:
+    """Open the page as one of an older version would be: it says what to do, and is admitted to nothing."""
+    window = chromium.new_context()
+    replaced: list[int] = []
+
+    def older(route: Any) -> None:
+        script = route.fetch().text()
+        replaced.append(script.count(f"protocol:{PROTOCOL}"))
+        route.fulfill(body=script.replace(f"protocol:{PROTOCOL}", "protocol:0"), content_type="text/javascript")
+
+    window.route("**/assets/*.js", older)
+    page = Page(window.new_page())
+    page.page.goto(view.operator, wait_until="commit")
+    page.page.wait_for_selector("#banners .banner", state="attached")
+    until(lambda: "load the page again" in page.banners(), "what an old page says")
+    assert sum(replaced) == 1
+    assert page.value("telenano.store.streams.size") == 0
+    window.close()

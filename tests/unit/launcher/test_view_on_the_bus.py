@@ -6,18 +6,23 @@ from collections.abc import Callable, Iterator
 from contextlib import closing
 from typing import Any
 
+import msgpack
+import numpy as np
 import pytest
 from recorder_samples import sample
 
 from presets import DEFAULT_SITE_FILE
 from proto.errors import TelenanoError
+from proto.messages import Array
 from proto.nodes import TIP
 from services.launcher.view import RigHand
 from services.runtime.bus import ZmqPublisher
 from services.runtime.main import load_site
 from services.runtime.observer import Observer
 from services.runtime.participant import open_participant
+from services.viz_node.access import Role
 from services.viz_node.feed import Seen
+from services.viz_node.hub import Hub, Session
 from services.viz_node.live import LiveSource
 
 
@@ -76,6 +81,49 @@ def test_what_is_no_message_is_left_out(instrument: ZmqPublisher) -> None:
 
     with closing(LiveSource(load_site(DEFAULT_SITE_FILE), "local")) as source:
         assert all(seen.src == TIP for seen in received(source, True, send))
+
+
+def scanline(line: int) -> dict[str, Any]:
+    """Return a line of an image of 4 x 3 points over 30 nm."""
+    y_m = line * 10e-9
+    return {
+        "line": line,
+        "lines": 3,
+        "direction": "trace",
+        "start_m": (0.0, y_m, 0.0),
+        "end_m": (30e-9, y_m, 0.0),
+        "height_m": Array.from_numpy(np.full(4, line * 1e-9)),
+        "amplitude_m": None,
+        "phase_rad": None,
+    }
+
+
+def test_an_image_reaches_a_page_line_by_line_and_whole_a_page_that_comes_later(instrument: ZmqPublisher) -> None:
+    with closing(LiveSource(load_site(DEFAULT_SITE_FILE), "local")) as source:
+        hub = Hub(source)
+        page = hub.join(Role.OBSERVER)
+        event = fields("session/event")
+        # until the connection is there: what is published before it reaches nobody
+        assert received(source, True, lambda: instrument.publish("session/event", **event))
+        for line in range(3):
+            instrument.publish("afm/scanline", **scanline(line))
+            assert lines_told(hub, page) == [line]
+        later = msgpack.unpackb(hub.snapshot(page))["lines"]
+        assert [found["line"] for found in later] == [0, 1, 2]
+        assert np.frombuffer(later[2]["height"]["data"], "<f8").tolist() == [2e-9] * 4
+
+
+def lines_told(hub: Hub, page: Session) -> list[int]:
+    """Return the numbers of the lines that the next frames with lines have."""
+    end = time.monotonic() + 10.0
+    while time.monotonic() < end:
+        hub.tick()
+        while page._frames:
+            frame = msgpack.unpackb(page._frames.popleft())
+            if frame["k"] == "tick" and frame.get("lines"):
+                return [line["line"] for line in frame["lines"]]
+        time.sleep(0.002)
+    return []
 
 
 def test_the_force_of_the_page_is_on_its_topic_along_the_axis_of_the_hand() -> None:

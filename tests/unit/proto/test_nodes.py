@@ -41,7 +41,7 @@ ROOT = Path(__file__).resolve().parents[3]
 COMPOSE = [ROOT / "deploy" / name for name in ("docker-compose.yml", "compose.master.yml", "compose.slave.yml")]
 KEYS = {row.key for row in NODES}
 # services of the compose files and images that are no node of the rig
-NO_NODES = {"session", "study", "keys"}
+NO_NODES = {"session", "study", "keys", "viz_node"}
 
 
 def folders() -> set[str]:
@@ -185,7 +185,7 @@ def test_a_container_runs_the_image_of_its_node() -> None:
 def test_the_makefile_has_an_image_for_each_node() -> None:
     words = re.search(r"^IMAGES := ((?:.*\\\n)*.*)$", (ROOT / "Makefile").read_text(), re.M)
     assert words is not None
-    assert set(re.findall(r"(\w+):", words.group(1))) == {*SERVICES, "session", "study"}
+    assert set(re.findall(r"(\w+):", words.group(1))) == {*SERVICES, "session", "study", "viz_node"}
 
 
 def test_the_benchmark_of_containers_starts_every_node() -> None:

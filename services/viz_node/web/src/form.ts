@@ -30,12 +30,13 @@ export class Form {
     }
   }
 
-  /** Show what is in force where nothing was typed. */
+  /** Show what is in force where nothing was typed; what is not among the values has its default. */
   showInForce(values: Record<string, unknown>): void {
-    for (const [key, input] of this.inputs) {
-      if (!(key in values)) continue;
-      if (input.type !== "checkbox") input.placeholder = String(values[key]);
-      else if (input.indeterminate) input.title = `in force: ${String(values[key])}`;
+    for (const setting of this.settings) {
+      const input = this.inputs.get(setting.key)!;
+      const value = String(values[setting.key] ?? setting.initial ?? "none");
+      if (input.type !== "checkbox") input.placeholder = value;
+      else if (input.indeterminate) input.title = `in force: ${value}`;
     }
   }
 

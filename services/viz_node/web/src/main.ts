@@ -3,6 +3,7 @@ import { Connection } from "./connection";
 import { Controls } from "./controls";
 import { make, part } from "./dom";
 import { Hand } from "./hand";
+import { Instrument } from "./instrument";
 import type { ServerFrame } from "./protocol";
 import { Scopes } from "./scopes";
 import { Status } from "./status";
@@ -10,6 +11,7 @@ import { Store } from "./store";
 import { View } from "./scene";
 
 const STATUS_MS = 200;
+const BANNERS_MS = 50;
 /** Frames kept for the benchmark: a minute at 60 a second. */
 const FRAMES_KEPT = 3600;
 
@@ -21,10 +23,13 @@ const status = new Status(store);
 const scopes = new Scopes(part("scopes"), store);
 const controls = new Controls(connection, store);
 const hand = new Hand(connection, store);
+const instrument = new Instrument(controls, store);
 let view: View | undefined;
 try {
   view = new View(part("scene"), store);
-  view.onPress = (down) => hand.press(down);
+  view.onPlace = (x, y) => instrument.moveTo(x, y);
+  view.headset.onPress = (down) => hand.press(down);
+  view.headset.onStop = () => void controls.estop();
   store.onLines = (lines) => view?.addLines(lines);
   store.onRestart = () => view?.clear();
 } catch (error) {
@@ -40,15 +45,21 @@ connection.onState = (state, text) => status.setConnection(state, text);
 connection.onFrame = (frame: ServerFrame) => {
   if (frame.k === "snapshot") {
     store.begin(frame);
-    controls.build();
     hand.build();
+    build();
   } else if (frame.k === "forms") {
     store.forms = frame.forms;
-    controls.build();
+    build();
   } else if (frame.k === "tick") store.take(frame);
   else if (frame.k === "hand") hand.refuse(frame.text);
   dirty = true;
 };
+
+function build(): void {
+  controls.build();
+  instrument.build();
+  if (view) view.placeButton.hidden = !(instrument.isThere && store.role === "operator");
+}
 
 function draw(now: number): void {
   if (before) frames.push(now - before);
@@ -64,9 +75,16 @@ function draw(now: number): void {
     statusAt = now;
     status.draw();
     controls.draw();
+    instrument.draw();
   }
   requestAnimationFrame(draw);
 }
+
+// not with the frames, of which a slow machine draws few: what an operator must not overlook comes at its time
+setInterval(() => {
+  store.clock.tick(performance.now());
+  status.drawBanners();
+}, BANNERS_MS);
 
 function setTheme(name: string): void {
   document.documentElement.dataset["theme"] = name;

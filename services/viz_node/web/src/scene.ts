@@ -21,15 +21,16 @@ import {
   Vector2,
   Vector3,
   WebGLRenderer,
-  type Object3D,
-  type XRTargetRaySpace,
+  type Material,
 } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { AnaglyphEffect } from "three/addons/effects/AnaglyphEffect.js";
 import { StereoEffect } from "three/addons/effects/StereoEffect.js";
 import { gradient } from "./colormap";
-import { colour, make, quantity } from "./dom";
+import { colour, make, part, quantity } from "./dom";
+import { Headset } from "./headset";
 import type { Line } from "./protocol";
+import { Section } from "./section";
 import type { Store } from "./store";
 import { Surface } from "./surface";
 
@@ -43,9 +44,6 @@ const TIP_RADIUS_NM = 2.5;
 /** How much more the cantilever is bent in the picture than in the instrument. */
 const DEFLECTION_FACTOR = 5;
 const ARROW_NM = 34;
-/** A hundred nanometres are forty centimetres on a table in front of the viewer. */
-const XR_SCALE = 0.004;
-const XR_PLACE = new Vector3(0, 1.0, -0.6);
 const BEAM_PARTS = 16;
 /** Distance of the eyes in that to what they look at: 64 mm at 1.6 m. */
 const EYE_SHARE = 0.04;
@@ -56,8 +54,12 @@ const SLOW_SHARE = 6;
 /** Tip, cantilever and surface, in nanometres, z away from the sample. */
 export class View {
   readonly surface = new Surface();
-  /** Called in VR while a trigger is held: how far the controller has moved down since then [m]; null when let go. */
-  onPress: (down: number | null) => void = () => {};
+  readonly headset: Headset;
+  readonly section = new Section(this.surface);
+  /** While it is pressed the pointer moves the tip over the sample, and does not turn the scene. */
+  readonly placeButton = make("button", { type: "button", id: "place-tip", hidden: true, "aria-pressed": "false", onclick: () => this.togglePlace() }, "Move tip");
+  /** Called with a place on the sample [nm]. */
+  onPlace: (x: number, y: number) => void = () => {};
   frames = 0;
   private dirty = true;
   /** Time between frames, smoothed [ms]: where it is long the picture is drawn less often, and the rest stays usable. */
@@ -81,14 +83,15 @@ export class View {
   private readonly note = make("div", { class: "note" });
   private readonly ends = make("div", { class: "ends" });
   private readonly legend = make("div", { class: "legend", hidden: true }, make("div", { class: "ramp" }), this.ends);
-  private readonly vrButton: HTMLButtonElement;
   private anaglyph: AnaglyphEffect | undefined;
   private sideBySide: StereoEffect | undefined;
   private stereo: Stereo = "off";
   private greatestForce = 1e-9;
+  private readonly bars = new Group();
+  /** Middle and sides of what is shown [nm]: the camera, the tip and the bars go by it. */
+  private extent = { x: 0, y: 0, width: 0, depth: 0 };
   private picked = "";
-  private readonly grabs = new Map<XRTargetRaySpace, { parent: Object3D }>();
-  private pressed: { controller: XRTargetRaySpace; from: number } | undefined;
+  private readonly raycaster = new Raycaster();
 
   constructor(
     private readonly root: HTMLElement,
@@ -112,23 +115,26 @@ export class View {
     this.mark.visible = false;
     this.buildTip();
     this.world.add(this.plane, this.surface.mesh, this.tip, this.contact, this.mark, this.normal, this.lateral);
-    this.world.add(bar(20, "20 nm", [-PLANE_NM / 2 + 12, -PLANE_NM / 2 - 6, 0], "x"), bar(20, "20 nm", [-PLANE_NM / 2 - 6, -PLANE_NM / 2 + 12, 0], "y"));
-    this.world.add(bar(10, "10 nm", [-PLANE_NM / 2 - 6, -PLANE_NM / 2 - 6, 5], "z"));
+    this.world.add(this.bars);
+    this.fit({ x: 0, y: 0, width: PLANE_NM, depth: PLANE_NM });
     this.orbit = new OrbitControls(this.camera, this.renderer.domElement);
     this.orbit.enableDamping = false;
     this.orbit.addEventListener("change", () => this.invalidate());
-    this.orbit.maxDistance = 1500;
     this.orbit.listenToKeyEvents(this.renderer.domElement);
     this.renderer.domElement.tabIndex = 0;
-    this.vrButton = make("button", { type: "button", id: "vr", hidden: true, onclick: () => void this.toggleVr().catch((error) => this.say(`No session of the headset: ${String(error)}.`)) }, "Enter VR");
+    this.headset = new Headset(this.renderer, this.scene, this.world, (text) => this.say(text));
+    this.headset.onLeave = () => this.resize();
+    this.headset.size = () => this.size;
+    this.section.onChange = () => this.invalidate();
+    this.world.add(this.section.polyline);
     this.buildOverlay();
-    this.buildXr();
     this.reset();
     this.recolour();
     new ResizeObserver(() => this.resize()).observe(root);
     this.resize();
     this.renderer.setAnimationLoop(() => this.draw());
     this.renderer.domElement.addEventListener("dblclick", (event) => this.pick(event));
+    this.renderer.domElement.addEventListener("pointerdown", (event) => this.beginDrag(event), { capture: true });
   }
 
   /** Draw again: something has changed. Nothing is drawn otherwise, so a page that rests costs nothing. */
@@ -140,8 +146,10 @@ export class View {
     for (const line of lines) this.surface.add(line);
     this.plane.visible = this.grid.visible = this.surface.isEmpty;
     this.legend.hidden = this.surface.isEmpty;
+    if (this.surface.extent) this.fit(this.surface.extent);
     const ends = [this.surface.greatest, this.surface.least].map((height) => make("span", {}, `${height.toPrecision(3)} nm`));
     this.ends.replaceChildren(...ends);
+    this.section.draw();
   }
 
   clear(): void {
@@ -149,13 +157,41 @@ export class View {
     this.plane.visible = this.grid.visible = true;
     this.legend.hidden = true;
     this.greatestForce = 1e-9;
+    this.section.clear();
   }
 
   /** Look from above the front, as at a table. */
   reset(): void {
-    this.camera.position.set(55, 80, 185);
-    this.orbit.target.set(-8, 8, 0);
+    const { x, y } = this.extent;
+    const side = this.size;
+    this.camera.near = side;
+    this.camera.far = 4000 * side;
+    this.camera.updateProjectionMatrix();
+    this.orbit.maxDistance = 1500 * side;
+    this.camera.position.set(x + 55 * side, 80 * side, 185 * side - y);
+    this.orbit.target.set(x - 8 * side, 8 * side, -y);
     this.orbit.update();
+  }
+
+  /** How much larger than the plane without an image that is which is shown. */
+  private get size(): number {
+    return Math.max(this.extent.width, this.extent.depth) / PLANE_NM || 1;
+  }
+
+  /** Show another part of the sample: the tip in proportion, bars beside it, the camera as at the beginning. */
+  private fit(extent: { x: number; y: number; width: number; depth: number }): void {
+    const { x, y, width, depth } = extent;
+    const changed = Math.abs(width - this.extent.width) + Math.abs(depth - this.extent.depth) + Math.abs(x - this.extent.x) + Math.abs(y - this.extent.y);
+    if (changed < 1e-3 * (width + depth)) return;
+    this.extent = extent;
+    const side = this.size;
+    this.tip.scale.setScalar(side);
+    for (const shape of [this.contact, this.mark]) shape.scale.setScalar(side);
+    this.bars.clear();
+    const length = niceLength(0.2 * PLANE_NM * side);
+    const [left, front] = [x - width / 2 - 6 * side, y - depth / 2 - 6 * side];
+    this.bars.add(bar("x", length, [left + 18 * side, front, 0], side), bar("y", length, [left, front + 18 * side, 0], side), bar("z", length / 2, [left, front, 0], side));
+    this.reset();
   }
 
   recolour(): void {
@@ -170,6 +206,7 @@ export class View {
     this.grid.position.z = 0.05;
     this.grid.visible = this.surface.isEmpty;
     this.world.add(this.grid);
+    this.section.recolour();
   }
 
   setStereo(stereo: Stereo): void {
@@ -185,13 +222,13 @@ export class View {
     this.period += 0.2 * (Math.min(1000, now - this.frameAt) - this.period);
     this.frameAt = now;
     const isSlow = this.period > SLOW_MS && now - this.drawnAt < SLOW_SHARE * this.period;
-    if ((!this.dirty || isSlow) && !this.renderer.xr.isPresenting) return;
+    if ((!this.dirty || isSlow) && !this.headset.isPresenting) return;
     this.dirty = false;
     this.drawnAt = now;
     this.frames++;
     this.place();
-    if (this.renderer.xr.isPresenting) this.followController();
-    if (this.renderer.xr.isPresenting || this.stereo === "off") this.renderer.render(this.scene, this.camera);
+    if (this.headset.isPresenting) this.headset.update(() => this.headsetLines());
+    if (this.headset.isPresenting || this.stereo === "off") this.renderer.render(this.scene, this.camera);
     else {
       // what the eyes turn to has no parallax, and lies in the plane of the screen
       const distance = this.camera.position.distanceTo(this.orbit.target);
@@ -210,24 +247,25 @@ export class View {
     const separation = of("separation");
     const height = this.surface.heightAt(x, y);
     const apex = height + (Number.isNaN(separation) ? or(of("base")) * -NM + 10 : separation * NM);
+    const side = this.size;
     this.tip.position.set(x, y, apex);
-    this.bend(or(of("deflection")) * NM * DEFLECTION_FACTOR);
+    this.bend((or(of("deflection")) * NM * DEFLECTION_FACTOR) / side);
     const inContact = this.store.fact("afm/state/slave", "in_contact") === true;
     const meniscus = this.store.fact("afm/state/slave", "meniscus") === true;
     this.contact.visible = inContact || meniscus;
-    this.contact.position.set(x, y, height + 0.15);
+    this.contact.position.set(x, y, height + 0.15 * side);
     (this.contact.material as MeshStandardMaterial).color.set(inContact ? 0xd2322d : 0x1f7fd0);
     (this.contact.material as MeshStandardMaterial).emissive.set(inContact ? 0xd2322d : 0x1f7fd0);
     this.greatestForce = Math.max(this.greatestForce, Math.abs(or(force)), Math.hypot(forceX, forceY));
-    point(this.normal, [x, y, apex], [0, 0, or(force)], ARROW_NM / this.greatestForce);
-    point(this.lateral, [x, y, apex], [forceX, forceY, 0], ARROW_NM / this.greatestForce);
+    point(this.normal, [x, y, apex], [0, 0, or(force)], ARROW_NM / this.greatestForce, side);
+    point(this.lateral, [x, y, apex], [forceX, forceY, 0], ARROW_NM / this.greatestForce, side);
     this.show("Normal force", quantity(force, "N"));
     this.show("Deflection", quantity(of("deflection"), "m"));
     this.show("Tip to sample", quantity(separation, "m"));
     this.show("Hand", quantity(this.store.last("hand", "position"), "m"));
     this.note.textContent = [
       this.surface.isEmpty ? "No image yet: the plane of contact. Grid 10 nm." : "Height field as measured, to scale.",
-      `Cantilever bent ${DEFLECTION_FACTOR} times as far as measured. Longest force arrow ${quantity(this.greatestForce, "N", 2)}.`,
+      `Cantilever bent ${DEFLECTION_FACTOR} times as far as measured${side > 1.01 || side < 0.99 ? `, it and the tip drawn ${side.toPrecision(2)} times as large` : ""}. Longest force arrow ${quantity(this.greatestForce, "N", 2)}.`,
       this.picked || "Double-click a point for its coordinates.",
     ].join(" ");
   }
@@ -277,7 +315,9 @@ export class View {
       make("button", { type: "button", "aria-label": "Zoom in", onclick: zoom(0.8) }, "+"),
       make("button", { type: "button", "aria-label": "Zoom out", onclick: zoom(1.25) }, "−"),
       stereo,
-      this.vrButton,
+      this.section.button,
+      this.placeButton,
+      this.headset.button,
     );
     const readout = make("div", { class: "readout", "aria-label": "Tip now" });
     for (const name of ["Normal force", "Deflection", "Tip to sample", "Hand"]) {
@@ -286,7 +326,7 @@ export class View {
       this.readouts.set(name, value);
     }
     (this.legend.firstElementChild as HTMLElement).style.background = gradient();
-    this.root.append(bar, readout, this.note, this.legend);
+    this.root.append(bar, readout, this.note, this.legend, this.section.element);
   }
 
   private say(text: string): void {
@@ -302,24 +342,81 @@ export class View {
     if (next.textContent !== unit) next.textContent = unit;
   }
 
-  private pick(event: MouseEvent): void {
+  /** The place under the pointer on the surface, or on the plane of contact [nm]; none beside them. */
+  private under(event: MouseEvent): Vector3 | undefined {
     const bounds = this.renderer.domElement.getBoundingClientRect();
     const at = new Vector2(((event.clientX - bounds.left) / bounds.width) * 2 - 1, 1 - ((event.clientY - bounds.top) / bounds.height) * 2);
-    const ray = new Raycaster();
-    ray.setFromCamera(at, this.camera);
-    const hit = ray.intersectObject(this.surface.isEmpty ? this.plane : this.surface.mesh)[0];
-    if (!hit) return;
-    const place = this.world.worldToLocal(hit.point.clone());
-    const z = this.surface.heightAt(place.x, place.y);
+    this.raycaster.setFromCamera(at, this.camera);
+    const hit = this.raycaster.intersectObject(this.surface.isEmpty ? this.plane : this.surface.mesh)[0];
+    return hit && this.world.worldToLocal(hit.point);
+  }
+
+  private pick(event: MouseEvent): void {
+    const place = this.under(event);
+    if (!place) return;
+    const found = this.surface.nearest(place.x, place.y);
+    const [x, y, z] = found?.at ?? [place.x, place.y, 0];
     this.mark.visible = true;
-    this.invalidate();
-    this.mark.position.set(place.x, place.y, z);
-    this.picked = `Point: x ${place.x.toFixed(2)} nm, y ${place.y.toFixed(2)} nm, z ${z.toFixed(3)} nm.`;
+    this.mark.position.set(x, y, z);
+    const which = found ? `Measured point ${found.point} of line ${found.line}` : "Point of the plane";
+    this.say(`${which}: x ${x.toFixed(3)} nm, y ${y.toFixed(3)} nm, z ${z.toFixed(3)} nm.`);
+  }
+
+  private togglePlace(): void {
+    this.placeButton.setAttribute("aria-pressed", String(!this.placesTip));
+  }
+
+  private get placesTip(): boolean {
+    return !this.placeButton.hidden && this.placeButton.getAttribute("aria-pressed") === "true";
+  }
+
+  /** Move the tip, or draw the section, with the pointer instead of turning the scene. */
+  private beginDrag(event: PointerEvent): void {
+    const placesTip = this.placesTip;
+    if (!(placesTip || this.section.isOn) || event.button !== 0) return;
+    const from = this.under(event);
+    if (!from) return;
+    if (placesTip) this.onPlace(from.x, from.y);
+    const canvas = this.renderer.domElement;
+    this.orbit.enabled = false;
+    canvas.setPointerCapture(event.pointerId);
+    let newest = event;
+    let isWaiting = false;
+    const follow = (): void => {
+      isWaiting = false;
+      const to = this.under(newest);
+      if (!to) return;
+      if (placesTip) this.onPlace(to.x, to.y);
+      else if (Math.hypot(to.x - from.x, to.y - from.y) > 0.01) this.section.set([from.x, from.y], [to.x, to.y]);
+    };
+    const move = (moved: PointerEvent): void => {
+      newest = moved;
+      // one ray a frame: an image has half a million triangles
+      if (!isWaiting) requestAnimationFrame(follow);
+      isWaiting = true;
+    };
+    const end = (): void => {
+      this.orbit.enabled = true;
+      canvas.removeEventListener("pointermove", move);
+      for (const name of ["pointerup", "pointercancel", "lostpointercapture"]) canvas.removeEventListener(name, end);
+    };
+    canvas.addEventListener("pointermove", move);
+    for (const name of ["pointerup", "pointercancel", "lostpointercapture"]) canvas.addEventListener(name, end);
+  }
+
+  private headsetLines(): string[] {
+    const of = (column: string, unit: string): string => quantity(this.store.last("tip", column), unit);
+    return [
+      [...part("banners").children].map((banner) => banner.textContent).join(", "),
+      `Normal force ${of("force", "N")}`,
+      `Tip to sample ${of("separation", "m")}`,
+      "Trigger presses, grips hold, A B X Y: stop",
+    ];
   }
 
   private resize(): void {
     const { clientWidth: width, clientHeight: height } = this.root;
-    if (!width || !height || this.renderer.xr.isPresenting) return;
+    if (!width || !height || this.headset.isPresenting) return;
     this.camera.aspect = width / height;
     this.camera.updateProjectionMatrix();
     this.renderer.setSize(width, height);
@@ -327,90 +424,56 @@ export class View {
     this.sideBySide?.setSize(width, height);
     this.invalidate();
   }
-
-  private buildXr(): void {
-    const xr = navigator.xr;
-    if (!xr) return;
-    this.renderer.xr.enabled = true;
-    void xr.isSessionSupported("immersive-vr").then((supported) => (this.vrButton.hidden = !supported));
-    for (const i of [0, 1]) {
-      const controller = this.renderer.xr.getController(i);
-      this.scene.add(controller);
-      controller.addEventListener("squeezestart", () => {
-        controller.attach(this.world);
-        this.grabs.set(controller, { parent: controller });
-      });
-      controller.addEventListener("squeezeend", () => {
-        this.scene.attach(this.world);
-        this.grabs.delete(controller);
-      });
-      controller.addEventListener("selectstart", () => {
-        this.pressed = { controller, from: controller.getWorldPosition(new Vector3()).y };
-      });
-      controller.addEventListener("selectend", () => {
-        this.pressed = undefined;
-        this.onPress(null);
-      });
-    }
-  }
-
-  private followController(): void {
-    if (!this.pressed) return;
-    this.onPress(this.pressed.from - this.pressed.controller.getWorldPosition(new Vector3()).y);
-  }
-
-  private async toggleVr(): Promise<void> {
-    const running = this.renderer.xr.getSession();
-    if (running) {
-      await running.end();
-      return;
-    }
-    const session = await navigator.xr!.requestSession("immersive-vr", { optionalFeatures: ["local-floor"] });
-    const background = this.scene.background;
-    this.scene.background = new Color(0x10171e);
-    this.world.scale.setScalar(XR_SCALE);
-    this.world.position.copy(XR_PLACE);
-    this.vrButton.textContent = "Leave VR";
-    session.addEventListener("end", () => {
-      this.scene.attach(this.world);
-      this.world.scale.setScalar(1);
-      this.world.position.set(0, 0, 0);
-      this.world.rotation.set(-Math.PI / 2, 0, 0);
-      this.scene.background = background;
-      this.pressed = undefined;
-      this.onPress(null);
-      this.vrButton.textContent = "Enter VR";
-      this.resize();
-    });
-    await this.renderer.xr.setSession(session);
-  }
 }
 
 function or(value: number): number {
   return Number.isNaN(value) ? 0 : value;
 }
 
+/** An arrow that the tip does not hide. */
 function arrow(rgb: number): ArrowHelper {
-  return new ArrowHelper(new Vector3(0, 0, 1), new Vector3(), 1, rgb, 5, 3);
+  const helper = new ArrowHelper(new Vector3(0, 0, 1), new Vector3(), 1, rgb, 5, 3);
+  for (const part of [helper.line, helper.cone]) {
+    (part.material as Material).depthTest = false;
+    part.renderOrder = 3;
+  }
+  return helper;
 }
 
-function point(helper: ArrowHelper, from: [number, number, number], force: [number, number, number], scale: number): void {
+/** Draw a force from a place; `scale` is in nm of a scene of usual size, `side` how much larger this one is. */
+function point(helper: ArrowHelper, from: [number, number, number], force: [number, number, number], scale: number, side: number): void {
   const vector = new Vector3(...force).multiplyScalar(scale);
   const length = vector.length();
   helper.visible = length > 0.5;
   if (!helper.visible) return;
   helper.position.set(...from);
   helper.setDirection(vector.normalize());
-  helper.setLength(length, Math.min(6, length * 0.4), 3.2);
+  helper.setLength(length * side, Math.min(6, length * 0.4) * side, 3.2 * side);
 }
 
-function bar(length: number, text: string, at: [number, number, number], axis: "x" | "y" | "z"): Group {
-  const size: [number, number, number] = [0.9, 0.9, 0.9];
-  size["xyz".indexOf(axis)] = length;
+/** The greatest of 1, 2 or 5 times a power of ten that is not above a length. */
+function niceLength(most: number): number {
+  const power = 10 ** Math.floor(Math.log10(most));
+  return [5, 2, 1].map((factor) => factor * power).find((length) => length <= most) ?? power;
+}
+
+/** A bar that begins at a corner and goes along an axis; its label has the axis and the length. */
+function bar(axis: "x" | "y" | "z", length: number, at: [number, number, number], side: number): Group {
+  const along = "xyz".indexOf(axis);
+  const size: [number, number, number] = [0.9 * side, 0.9 * side, 0.9 * side];
+  size[along] = length;
+  const middle: [number, number, number] = [0, 0, 0];
+  middle[along] = length / 2;
+  const rod = new Mesh(new BoxGeometry(...size), new MeshStandardMaterial({ color: 0x64748b }));
+  rod.position.set(...middle);
+  const label = caption(`${axis} ${length >= 1000 ? `${length / 1000} µm` : `${+length.toPrecision(2)} nm`}`);
+  label.scale.multiplyScalar(side);
+  label.position.set(...middle);
+  if (axis === "x") label.position.y -= 6 * side;
+  if (axis === "y") label.position.x -= 15 * side;
+  if (axis === "z") label.position.z = length + 5 * side;
   const group = new Group();
-  const label = caption(text);
-  label.position.set(axis === "y" ? -9 : 0, axis === "x" ? -6 : 0, axis === "z" ? length / 2 + 5 : 0);
-  group.add(new Mesh(new BoxGeometry(...size), new MeshStandardMaterial({ color: 0x64748b })), label);
+  group.add(rod, label);
   group.position.set(...at);
   return group;
 }
@@ -423,6 +486,6 @@ function caption(text: string): Sprite {
   pen.fillStyle = "#475569";
   pen.fillText(text, 128, 48);
   const sprite = new Sprite(new SpriteMaterial({ map: new CanvasTexture(canvas), transparent: true }));
-  sprite.scale.set(20, 5, 1);
+  sprite.scale.set(26, 6.5, 1);
   return sprite;
 }

@@ -2,10 +2,6 @@ import { make, part } from "./dom";
 import type { LinkState } from "./connection";
 import type { Store } from "./store";
 
-/** node/health comes twice a second: a node of which none came for this long is lost [ms]. */
-const LOST_MS = 950;
-const VISITORS = /^(console|player|estop|view)/;
-
 type Banner = [kind: "good" | "warn" | "bad", text: string];
 
 /** Nodes, events and the banners of what an operator must not overlook. */
@@ -18,7 +14,7 @@ export class Status {
   private lastBanners = "";
 
   constructor(private readonly store: Store) {
-    const head = ["node", "state", "Hz", "late p99", "lost", "refused", "CPU"].map((name) => make("th", {}, name));
+    const head = ["node", "state", "Hz", "late", "lost", "refused", "CPU"].map((name) => make("th", {}, name));
     part("nodes").append(make("h2", {}, "Nodes"), make("table", {}, make("thead", {}, make("tr", {}, ...head)), this.rows));
     part("events").append(make("h2", {}, "Events"), this.list);
   }
@@ -29,20 +25,11 @@ export class Status {
   }
 
   draw(): void {
-    this.drawBanners();
     this.drawNodes();
     this.drawEvents();
     const { kind, name } = this.store.source;
     part("source").textContent = kind === "recording" ? `recording ${name}` : "live";
     part("source").title = name;
-  }
-
-  /** Nodes that have stopped reporting; those of a recording come at the pace of the recording. */
-  lost(): string[] {
-    if (this.store.source.kind === "recording") return [];
-    const now = performance.now();
-    const silent = [...this.store.nodes].filter(([name, node]) => !VISITORS.test(name) && node.state !== "ended" && now - node.heard > LOST_MS);
-    return silent.map(([name]) => name);
   }
 
   private banners(): Banner[] {
@@ -56,7 +43,7 @@ export class Status {
     if (store.fact("haptic/state/master", "estop") === true || store.fact("afm/state/slave", "mode") === "estop") {
       found.push(["bad", "EMERGENCY STOP: arm to go on"]);
     }
-    const lost = this.lost();
+    const lost = this.store.lost();
     if (lost.length) found.push(["bad", `LOST: ${lost.join(", ")}`]);
     if (!isLive || nodes.some((node) => node.replay)) found.push(["warn", "REPLAYED: not an instrument"]);
     const delays = ["forward", "backward"].map((way) => {
@@ -70,7 +57,8 @@ export class Status {
     return found;
   }
 
-  private drawBanners(): void {
+  /** Show what an operator must not overlook. */
+  drawBanners(): void {
     const banners = this.banners();
     const text = JSON.stringify(banners);
     if (text === this.lastBanners) return;
@@ -79,7 +67,7 @@ export class Status {
   }
 
   private drawNodes(): void {
-    const lost = new Set(this.lost());
+    const lost = new Set(this.store.lost());
     const rows = [...this.store.nodes].sort(([a], [b]) => a.localeCompare(b)).map(([name, node]) => {
       const state = lost.has(name) ? "lost" : node.state;
       const kind = lost.has(name) || node.state === "stopping" ? "bad" : node.state === "safe" ? "warn" : "";

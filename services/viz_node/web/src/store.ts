@@ -17,9 +17,26 @@ const CAPACITY = 60_000;
 const SLOW_CAPACITY = 12_000;
 const EVENTS_KEPT = 200;
 
+/** node/health comes twice a second: a node of which none came for this long is lost [ms]. */
+export const LOST_MS = 900;
+/** Visitors come and go. */
+const VISITORS = /^(console|player|estop|view)/;
+const LONGEST_STEP_MS = 100;
+
 export interface Node extends NodeFacts {
-  /** When its last report came, on the clock of the page [ms]. */
+  /** When its last report came, on the clock of the store [ms]. */
   heard: number;
+}
+
+/** Time in which the page could have heard something: a page that stood still does not take that for a silence. */
+export class Clock {
+  ms = 0;
+  private at: number | undefined;
+
+  tick(now: number): void {
+    this.ms += Math.min(LONGEST_STEP_MS, Math.max(0, now - (this.at ?? now)));
+    this.at = now;
+  }
 }
 
 /** Everything that the page knows of the rig. */
@@ -34,6 +51,7 @@ export class Store {
   events: EventFacts[] = [];
   rings = new Map<string, Ring>();
   streams = new Map<string, StreamAbout>();
+  readonly clock = new Clock();
   onLines: (lines: Line[]) => void = () => {};
   onRestart: () => void = () => {};
   private seen = new Set<string>();
@@ -61,8 +79,7 @@ export class Store {
   }
 
   take(tick: Tick): void {
-    const now = performance.now();
-    for (const [name, facts] of Object.entries(tick.nodes ?? {})) this.nodes.set(name, { ...facts, heard: now });
+    for (const [name, facts] of Object.entries(tick.nodes ?? {})) this.nodes.set(name, { ...facts, heard: this.clock.ms });
     for (const [name, facts] of Object.entries(tick.state ?? {})) this.state.set(name, facts);
     for (const event of tick.events ?? []) {
       const key = `${event.src} ${event.seq} ${event.t}`;
@@ -74,6 +91,13 @@ export class Store {
     for (const [name, data] of Object.entries(tick.streams ?? {})) this.push(name, data);
     if (tick.lines?.length) this.onLines(tick.lines);
     if (tick.source) this.source = tick.source;
+  }
+
+  /** Nodes that have stopped reporting; those of a recording come at the pace of the recording. */
+  lost(): string[] {
+    if (this.source.kind === "recording") return [];
+    const isLost = ([name, node]: [string, Node]): boolean => !VISITORS.test(name) && node.state !== "ended" && this.clock.ms - node.heard > LOST_MS;
+    return [...this.nodes].filter(isLost).map(([name]) => name);
   }
 
   /** Newest time of all streams [s]. */

@@ -8,6 +8,14 @@ const RECOLOUR = 0.02;
 const MOST_POINTS = 1024;
 const LINEAR = new Color();
 
+/** A place in nm: x, y, z. */
+export type Place = [number, number, number];
+
+export interface Profile {
+  distance: number[];
+  height: number[];
+}
+
 /** The surface as a height field that grows line by line; lengths in nm, colours by height. */
 export class Surface {
   readonly mesh: Mesh<BufferGeometry, MeshStandardMaterial>;
@@ -83,21 +91,78 @@ export class Surface {
     return found;
   }
 
-  /** Heights of the measured line nearest to a place [nm], with the distance along it [nm]. */
-  section(y: number): { distance: number[]; height: number[] } {
-    const position = this.mesh.geometry.getAttribute("position") as BufferAttribute | undefined;
-    const rows = this.filled.map((filled, row) => (filled ? row : -1)).filter((row) => row >= 0);
-    if (!position || !rows.length) return { distance: [], height: [] };
-    const row = rows.reduce((best, r) =>
-      Math.abs(position.getY(r * this.points) - y) < Math.abs(position.getY(best * this.points) - y) ? r : best,
-    );
-    const first = row * this.points;
-    const from = [position.getX(first), position.getY(first)] as const;
-    const places = Array.from({ length: this.points }, (_, i) => first + i);
+  /** The measured point nearest to a place [nm], with the numbers of its line and of itself; none without an image. */
+  nearest(x: number, y: number): { at: Place; line: number; point: number } | undefined {
+    const found = this.isEmpty ? undefined : this.coordinates(x, y);
+    if (!found) return undefined;
+    const within = (value: number, count: number): number => Math.min(count - 1, Math.max(0, Math.round(value)));
+    const [line, point] = [within(found.row, this.lines), within(found.column, this.points)];
+    return this.filled[line] ? { at: this.place(line, point), line, point } : undefined;
+  }
+
+  /**
+   * Heights along a straight line between two places [nm], between the measured points by both axes in proportion;
+   * NaN where nothing was measured.
+   */
+  profile(from: readonly [number, number], to: readonly [number, number], count: number): Profile {
+    const length = Math.hypot(to[0] - from[0], to[1] - from[1]);
+    const shares = Array.from({ length: count }, (_, i) => i / (count - 1));
     return {
-      distance: places.map((p) => Math.hypot(position.getX(p) - from[0], position.getY(p) - from[1])),
-      height: places.map((p) => this.heights[p] as number),
+      distance: shares.map((share) => share * length),
+      height: shares.map((share) => this.between(from[0] + share * (to[0] - from[0]), from[1] + share * (to[1] - from[1]))),
     };
+  }
+
+  /** Middle and sides of the whole image [nm], also while only some of its lines are there. */
+  get extent(): { x: number; y: number; width: number; depth: number } | undefined {
+    const rows = this.filled.flatMap((filled, row) => (filled ? [row] : []));
+    if (this.isEmpty || rows.length < 2) return undefined;
+    const [first, last] = [rows[0]!, rows.at(-1)!];
+    const [a, b, c] = [this.place(first, 0), this.place(first, this.points - 1), this.place(last, 0)];
+    const step = [(c[0] - a[0]) / (last - first), (c[1] - a[1]) / (last - first)] as const;
+    const middle = (this.lines - 1) / 2 - first;
+    return {
+      x: (a[0] + b[0]) / 2 + middle * step[0],
+      y: (a[1] + b[1]) / 2 + middle * step[1],
+      width: Math.hypot(b[0] - a[0], b[1] - a[1]),
+      depth: Math.hypot(...step) * (this.lines - 1),
+    };
+  }
+
+  private place(line: number, point: number): Place {
+    const position = this.mesh.geometry.getAttribute("position") as BufferAttribute;
+    const i = line * this.points + point;
+    return [position.getX(i), position.getY(i), this.heights[i] as number];
+  }
+
+  /** A place [nm] in numbers of lines and points, with fractions: the lines of an image are parallel, in equal steps. */
+  private coordinates(x: number, y: number): { row: number; column: number } | undefined {
+    const rows = this.filled.flatMap((filled, row) => (filled ? [row] : []));
+    const [first, last] = [rows[0], rows.at(-1)];
+    if (first === undefined || last === undefined || first === last) return undefined;
+    const [origin, end, next] = [this.place(first, 0), this.place(first, this.points - 1), this.place(last, 0)];
+    const along = [(end[0] - origin[0]) / (this.points - 1), (end[1] - origin[1]) / (this.points - 1)] as const;
+    const across = [(next[0] - origin[0]) / (last - first), (next[1] - origin[1]) / (last - first)] as const;
+    const area = along[0] * across[1] - along[1] * across[0];
+    if (area === 0) return undefined;
+    const [dx, dy] = [x - origin[0], y - origin[1]];
+    return { column: (dx * across[1] - dy * across[0]) / area, row: first + (along[0] * dy - along[1] * dx) / area };
+  }
+
+  private between(x: number, y: number): number {
+    const found = this.isEmpty ? undefined : this.coordinates(x, y);
+    if (!found) return NaN;
+    // the last line and the last point belong to the image
+    const rounding = 1e-6;
+    const [row, column] = [found.row, found.column].map((value) => (Math.abs(value - Math.round(value)) < rounding ? Math.round(value) : value)) as [number, number];
+    const [low, left] = [Math.floor(row), Math.floor(column)];
+    const [high, right] = [Math.ceil(row), Math.ceil(column)];
+    if (!this.filled[low] || !this.filled[high] || left < 0 || right >= this.points) return NaN;
+    const mean = (line: number): number => {
+      const [a, b] = [this.heights[line * this.points + left]!, this.heights[line * this.points + right]!];
+      return a + (b - a) * (column - left);
+    };
+    return mean(low) + (mean(high) - mean(low)) * (row - low);
   }
 
   private begin(lines: number, points: number): void {

@@ -34,14 +34,47 @@ it("grows line by line, and sends only the new line to the graphics processor", 
   expect([surface.least, surface.greatest]).toEqual([0, expect.closeTo(2)]);
 });
 
-it("knows the height at a place to the nearest point, and the section through it", () => {
+it("knows the height at a place to the nearest point", () => {
   const surface = new Surface();
   for (let i = 0; i < LINES; i++) surface.add(line(i));
   expect(surface.heightAt(50, 100)).toBeCloseTo(LINES - 1);
   expect(surface.heightAt(-500, -500)).toBeCloseTo(0);
-  const section = surface.section(0);
-  expect(section.distance.at(-1)).toBeCloseTo(100);
-  expect(new Set(section.height)).toEqual(new Set([0]));
+});
+
+it("picks the measured point itself, with its numbers and its own coordinates", () => {
+  const surface = new Surface();
+  expect(surface.nearest(0, 0)).toBeUndefined();
+  for (let i = 0; i < LINES; i++) surface.add(line(i));
+  const step = 100 / (POINTS - 1);
+  const found = surface.nearest(10.3 * step, 100)!;
+  expect([found.line, found.point]).toEqual([LINES - 1, 10]);
+  expect(found.at[0]).toBeCloseTo(10 * step, 4);
+  expect(found.at[2]).toBe(LINES - 1);
+});
+
+it("has the profile of any straight line, with gaps where nothing was measured", () => {
+  const surface = new Surface();
+  for (let i = 0; i < LINES - 1; i++) surface.add(line(i));
+  // the height is the number of the line: along the image it is even, across it a ramp
+  expect(surface.profile([0, 0], [100, 0], 5).height).toEqual([0, 0, 0, 0, 0]);
+  const step = 100 / (LINES - 1);
+  const ramp = surface.profile([50, 0], [50, 100], 2 * LINES - 1);
+  expect(ramp.distance.at(-1)).toBeCloseTo(100);
+  ramp.height.slice(0, 2 * LINES - 3).forEach((height, i) => expect(height).toBeCloseTo(i / 2, 4));
+  expect(ramp.height.slice(2 * LINES - 2).every(Number.isNaN)).toBe(true);
+  expect(surface.profile([-20, 3.5 * step], [-10, 3.5 * step], 2).height).toEqual([NaN, NaN]);
+});
+
+it("knows places in an image whose fast axis is turned", () => {
+  const surface = new Surface();
+  const [c, s] = [Math.cos(0.5) * 100e-9, Math.sin(0.5) * 100e-9];
+  for (let i = 0; i < LINES; i++) {
+    const share = i / (LINES - 1);
+    surface.add(line(i, { start_m: [-s * share, c * share, 0], end_m: [c - s * share, s + c * share, 0] }));
+  }
+  const [middle, across] = [[(c - s) / 2, (c + s) / 2], [-s / 2, c / 2]].map((place) => place.map((m) => m * 1e9));
+  expect(surface.profile(middle as [number, number], [middle![0]! + across![0]!, middle![1]! + across![1]!], 3).height[2]).toBeCloseTo(LINES - 1, 3);
+  expect([(POINTS - 2) / 2, POINTS / 2]).toContain(surface.nearest(middle![0]!, middle![1]!)?.point);
 });
 
 it("joins only lines that were measured: where one is missing there is a hole", () => {
@@ -65,4 +98,13 @@ it("begins anew when an image of another size begins", () => {
   for (let i = 0; i < LINES; i++) surface.add(line(i));
   surface.add(line(0, { lines: 8 }));
   expect(surface.isEmpty).toBe(true);
+});
+
+it("knows its whole extent from its first lines", () => {
+  const surface = new Surface();
+  surface.add(line(0));
+  expect(surface.extent).toBeUndefined();
+  surface.add(line(1));
+  const extent = surface.extent!;
+  for (const [key, value] of Object.entries({ x: 50, y: 50, width: 100, depth: 100 })) expect(extent[key as "x"]).toBeCloseTo(value, 3);
 });

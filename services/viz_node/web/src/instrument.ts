@@ -1,0 +1,82 @@
+import type { Controls } from "./controls";
+import { make, part } from "./dom";
+import { Form, type Values } from "./form";
+import { settings } from "./schema";
+import type { Store } from "./store";
+
+const NM = 1e-9;
+const TARGET = "afm_node";
+
+/** What the instrument does by itself: images and force curves, and where the tip is over the sample. */
+export class Instrument {
+  private readonly state = make("div", { class: "quiet", id: "program-state" }, "No program runs: the tip follows the hand.");
+  private scan: Form | undefined;
+  private curve: Form | undefined;
+  private wanted: [number, number] | undefined;
+  private isSending = false;
+
+  constructor(
+    private readonly controls: Controls,
+    private readonly store: Store,
+  ) {}
+
+  /** Whether the nodes have said what the instrument takes. */
+  get isThere(): boolean {
+    return this.store.commands && "afm_node" in this.store.forms;
+  }
+
+  build(): void {
+    const root = part("instrument");
+    root.hidden = !this.isThere;
+    if (!this.isThere) return;
+    const may = this.store.role === "operator";
+    const schema = this.store.forms["afm_node"] as Record<string, unknown>;
+    const button = (id: string, text: string, action: () => unknown): HTMLButtonElement => make("button", { type: "button", id, disabled: !may, onclick: () => void action() }, text);
+    const simple = (name: string, text: string): HTMLButtonElement => button(`program-${name}`, text, () => this.controls.command(name, "set", TARGET, { program: name }));
+    [this.scan, this.curve] = [new Form(settings(schema, "scan"), "scan"), new Form(settings(schema, "curve"), "curve")];
+    const begin = (program: string, form: Form | undefined) => () => this.controls.command(`${program} begins`, "set", TARGET, { program, ...form?.values() });
+    const field = (id: string, label: string): HTMLInputElement => make("input", { id, type: "number", step: "any", placeholder: label, "aria-label": `${label} of the tip in nm`, disabled: !may });
+    const [x, y] = [field("tip-x", "x"), field("tip-y", "y")];
+    const go = (): void => {
+      if (x.value === "" || y.value === "") return;
+      void this.controls.command(`tip to ${x.value}, ${y.value} nm`, "set", TARGET, place(Number(x.value), Number(y.value)));
+    };
+    root.replaceChildren(
+      make("h2", {}, "Instrument"),
+      make("div", { class: "row" }, button("program-scan", "Scan", begin("scan", this.scan)), simple("pause", "Pause"), simple("resume", "Resume"), simple("abort", "Abort")),
+      make("div", { class: "row" }, button("program-curve", "Force curve", begin("curve", this.curve))),
+      this.state,
+      make("div", { class: "row tip-place" }, "Tip", x, y, "nm", button("tip-go", "Move", go)),
+      make("details", {}, make("summary", {}, "Settings of the scan"), this.scan.element),
+      make("details", {}, make("summary", {}, "Settings of the force curve"), this.curve.element),
+    );
+  }
+
+  draw(): void {
+    const program = this.store.state.get("afm/program/slave");
+    if (!program) return;
+    const { text, percent, state } = program as { text: string; percent: number; state: string };
+    const shown = state === "running" || state === "paused" ? `${state}, ${percent.toFixed(0)} %: ${text}` : `${state}: ${text}`;
+    if (this.state.textContent !== shown) this.state.textContent = shown;
+  }
+
+  /** Move the tip over the sample as the pointer goes [nm]: one command at a time, and then to the newest place. */
+  moveTo(x: number, y: number): void {
+    this.wanted = [x, y];
+    if (!this.isSending) void this.send();
+  }
+
+  private async send(): Promise<void> {
+    this.isSending = true;
+    while (this.wanted) {
+      const [x, y] = this.wanted;
+      this.wanted = undefined;
+      await this.controls.command(`tip to ${x.toFixed(2)}, ${y.toFixed(2)} nm`, "set", TARGET, place(x, y));
+    }
+    this.isSending = false;
+  }
+}
+
+function place(x: number, y: number): Values {
+  return { "lateral.x_m": x * NM, "lateral.y_m": y * NM };
+}
