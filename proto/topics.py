@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from proto import messages as m
+from proto.instrument import AfmProgram
 from proto.nodes import NODES, name_of, site_of
 
 Delivery = Literal["latest", "lossless"]
@@ -40,6 +41,8 @@ _ROWS = (
     Topic("afm/command", m.AfmCommand, ("controller@slave",), "latest", 1000.0, 0.05, None),
     Topic("afm/state", m.AfmState, ("afm_node",), "latest", 1000.0, 0.05, None),
     Topic("afm/scanline", m.AfmScanline, ("afm_node",), "lossless", None, None, None),
+    # while it does something by itself; its readers act on a lack of it after half a second
+    Topic("afm/program", AfmProgram, ("afm_node",), "lossless", None, None, None),
     Topic("law/status", m.LawStatus, ("controller",), "latest", 100.0, 0.2, "backward"),
     Topic("link/status", m.LinkStatus, ("delay_node@master",), "latest", 10.0, 0.5, None),
     Topic("link/delay", m.LinkDelay, ("delay_node",), "lossless", None, None, None),

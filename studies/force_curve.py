@@ -5,7 +5,7 @@ on the way back. D break: the last jump of the force, where the meniscus gives w
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from proto.errors import ConfigError
+from proto.errors import ConfigError, RigError
 from services.afm_node.cantilever import deflection_m, equilibrium, initial_state
 from services.afm_node.config import AfmConfig
 from services.afm_node.dynamic import NO_NOISE, advance, steady_state
@@ -101,6 +101,31 @@ def force_curve(
         ways.append(Half(way.copy(), zeta, plant.stiffness_n_per_m * zeta))
     model = "dynamic" if dynamic else "quasi_static"
     return Curve(ways[0], ways[1], plant.stiffness_n_per_m, plant.rest_distance_m, speed_m_per_s, model)
+
+
+def curve_of_samples(
+    base_m: Sequence[float], deflection_m: Sequence[float], force_n: Sequence[float], start_m: float, speed: float
+) -> Curve:
+    """Return the curve in the samples of an instrument that went down from start_m [m] and back at a speed [m/s].
+
+    What came before the base went down and after it was back is left out; bases repeat where the instrument stepped
+    without moving. Raises: RigError, if there are fewer than 10 samples either way.
+    """
+    base, zeta, force = (np.asarray(values, dtype=np.float64) for values in (base_m, deflection_m, force_n))
+    turn = int(np.argmax(base)) if len(base) else 0
+    below = np.flatnonzero(base[:turn] <= start_m)
+    first = int(below[-1]) if len(below) else 0
+    back = np.flatnonzero(base[turn:] <= start_m)
+    last = turn + int(back[0]) if len(back) else len(base) - 1
+    halves = []
+    for way in (slice(first, turn + 1), slice(turn, last + 1)):
+        moved = np.flatnonzero(np.diff(base[way], prepend=np.nan) != 0.0)
+        if len(moved) < 10:
+            raise RigError("fewer than 10 samples came of a way of the curve: is the speed too high?")
+        halves.append(Half(base[way][moved], zeta[way][moved], force[way][moved]))
+    far = zeta[way] != 0.0
+    k = float(np.median(force[way][far] / zeta[way][far])) if far.any() else 0.0
+    return Curve(halves[0], halves[1], k, 0.0, speed, "live")
 
 
 def _static(config: AfmConfig, begin_m: float) -> Callable[[float], float]:

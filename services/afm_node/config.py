@@ -8,13 +8,17 @@ from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from proto.errors import ConfigError
 from proto.topics import deadline_of
 from services.afm_node.cantilever import Plant, build_plant, volts_per_m
 from services.afm_node.capillary import meniscus_radius_m
+from services.afm_node.lateral import LateralParams
 from services.afm_node.maugis_dugdale import reduced_modulus_pa
 from services.afm_node.safety import SafetyParams
+from services.afm_node.sample import SampleConfig
 from services.afm_node.spring import SpringParams, spring_params
 from services.afm_node.step import AfmParams
+from services.afm_node.surface import Surface, dilated
 from services.afm_node.tip_sample import AS_PRINTED, CONSISTENT, TipSampleProperties, build_tip_sample, hamaker_of
 from services.runtime.config import Settings
 
@@ -23,6 +27,8 @@ if TYPE_CHECKING:
 
 # The contact table reaches this multiple of the force limit, so that a tick that overshoots is still on it.
 _TABLE_REACH = 2.0
+
+_PLANE_M = 150e-9
 
 BasePosition = Annotated[float, Field(ge=-1e-4, le=1e-4)]
 Speed = Annotated[float, Field(gt=0.0, le=1e-3)]
@@ -135,6 +141,13 @@ class SafetyConfig(Settings):
         return self
 
 
+class LateralConfig(Settings):
+    """Limits of the stage that moves tip or sample in x and y."""
+
+    reach_m: float = Field(50e-6, gt=0.0, le=1e-3, description="Reach either way of the centre [m], up to 1e-3.")
+    speed_m_per_s: float = Field(20e-6, gt=0.0, le=1.0, description="Greatest speed [m/s], up to 1.")
+
+
 class SpringConfig(Settings):
     """A linear environment in place of cantilever and sample: the one of the theory of delay."""
 
@@ -168,6 +181,10 @@ class AfmConfig(Settings):
         "consistent", description="Reading of the force law: errata E3, E4, E7 mended, or Eq. 4 and 6 to the letter."
     )
     meniscus: bool = Field(True, description="Whether water forms a meniscus between tip and sample.")
+    sample: SampleConfig | None = Field(
+        None, description="What lies under the tip, as `telenano sample` makes it; none: a plane at height 0."
+    )
+    lateral: LateralConfig = Field(LateralConfig(), description="Limits of the lateral stage.")
     rest_distance_m: float = Field(
         10e-9, gt=0.0, le=1e-4, description="Tip-sample distance L with the base at 0 and no force [m], up to 1e-4."
     )
@@ -194,6 +211,25 @@ class AfmConfig(Settings):
         # Some combinations have no model (E7): that belongs to reading the file, not to the first tick.
         self.to_params()
         return self
+
+    def to_lateral_params(self) -> LateralParams:
+        return LateralParams(self.lateral.reach_m, self.lateral.speed_m_per_s)
+
+    def to_surface(self) -> Surface | None:
+        """Return the sample as the sphere of the tip sees it, None for a plane; ConfigError names what is wrong."""
+        if self.sample is None:
+            return None
+        try:
+            return dilated(self.sample.build(), self.tip_sample.tip_radius_m)
+        except ValueError as error:
+            raise ConfigError(f"afm_node.sample: {error}") from error
+
+    def sample_sides_m(self) -> tuple[float, float]:
+        """Return width and depth of the sample [m]; of a plane, what one image of it takes by default."""
+        if self.sample is None:
+            return _PLANE_M, _PLANE_M
+        surface = self.sample.build()
+        return surface.width_m, surface.depth_m
 
     def to_spring_params(self) -> SpringParams:
         """Return the parameters of the linear environment behind the same guard."""

@@ -26,6 +26,13 @@ class DeviceReport(NamedTuple):
     text: str
 
 
+class LateralStage(Protocol):
+    """What moves the tip over the sample."""
+
+    def move_to(self, x_m: float, y_m: float) -> None:
+        """Put the tip over a place of the sample [m], 0, 0 its middle. Raises ValueError if that is not finite."""
+
+
 class AfmDriver(Protocol):
     """One AFM: a base that can be moved, a deflection that can be read."""
 
@@ -36,6 +43,10 @@ class AfmDriver(Protocol):
     @property
     def report(self) -> DeviceReport | None:
         """Return how the instrument was at the last exchange; None if it is simulated."""
+
+    @property
+    def stage(self) -> LateralStage | None:
+        """Return the lateral stage, None for an instrument that only moves its base."""
 
     def open(self) -> None:
         """Connect, and put the device into its safe state.

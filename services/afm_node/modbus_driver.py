@@ -161,6 +161,10 @@ class ModbusAfm:
         return self._calibration.base_m(self._calibration.stage.retract_v)
 
     @property
+    def stage(self) -> None:
+        return None
+
+    @property
     def report(self) -> DeviceReport:
         return self._report
 

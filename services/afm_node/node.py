@@ -4,13 +4,17 @@ import math
 from typing import ClassVar
 
 from proto.errors import RefusedError
-from proto.messages import AfmCommand, ClockPing, LinkDelay, SessionControl
+from proto.messages import AfmCommand, Array, ClockPing, LinkDelay, SessionControl
 from services.afm_node import safety
 from services.afm_node.config import AfmConfig
 from services.afm_node.driver import AfmDriver, DeviceReport
+from services.afm_node.lateral import Place, moved
+from services.afm_node.program_config import requested
+from services.afm_node.programs import ProgramRunner
+from services.afm_node.raster import FinishedLine
 from services.afm_node.step import LONGEST_STEP_NS, AfmSample, command_wait_ns
 from services.runtime.bus import Received
-from services.runtime.frames import to_paper_axis, to_site_frame
+from services.runtime.frames import to_paper_axis
 from services.runtime.freshness import LOOP_DEADLINE_NS, HandAge
 from services.runtime.node import Node, NodeContext
 from services.runtime.replay_guard import ReplayGuard
@@ -19,6 +23,7 @@ INPUTS = ("afm/command", "clock/ping", "link/delay", "session/control", "node/he
 PERIOD_S = 1e-3
 _PERIOD_NS = round(PERIOD_S * 1e9)
 _COMMAND_WAIT_NS = command_wait_ns(_PERIOD_NS)
+_PROGRAM_PERIOD_NS = 100_000_000
 _LONGEST_STEP_S = LONGEST_STEP_NS * 1e-9
 _ACTION_CODES = {name: code for code, name in safety.ACTION_NAMES.items()}
 _ALARMING = (
@@ -37,11 +42,13 @@ class AfmNode(Node):
     Every command goes through the guard (`safety_step`) first; what the guard let through and the
     device really did is what is published. The guard judges the age of the command, by its own time stamp, and that of
     the hand's sample which it descends from, less what the link has delayed on purpose. A process that stalled counts
-    that time as silence, whatever waits for it.
+    that time as silence, whatever waits for it. While a program runs (`programs`), it moves the tip behind the same
+    guard, and commands only pace the steps.
     """
 
     inputs = INPUTS
     commands: ClassVar[tuple[str, ...]] = ("arm", "estop")
+    named_commands: ClassVar[tuple[str, ...]] = ("set",)
     journalled = True
     period_s = PERIOD_S
 
@@ -56,6 +63,10 @@ class AfmNode(Node):
         self._command: AfmCommand | None = None
         self._command_received_ns = 0
         self._force_n = 0.0
+        self._place = self._pointer = Place(0.0, 0.0)
+        self._lateral = config.to_lateral_params()
+        self._programs = _programs(config, driver)
+        self._told_ns = 0
         self._reported = (self._guard.mode, self._guard.reason)
         self.state = "safe"
         self._device_lost = False
@@ -102,7 +113,11 @@ class AfmNode(Node):
         if control.command == "estop":
             self._step(self.clock.monotonic_ns(), estop=True)
             return "emergency stop latched: the tip retracts and stays until armed"
+        if control.command == "set":
+            return self._set(control)
         if control.command == "arm":
+            if self._programs.name:
+                raise RefusedError(f"not armed: a {self._programs.name} is running; abort it first")
             refusal = self._step(self.clock.monotonic_ns(), arm=True).arm_refusal
             if refusal == safety.ARM_REFUSED_ALREADY_ARMED:
                 return "armed already"
@@ -110,6 +125,27 @@ class AfmNode(Node):
                 raise RefusedError(f"not armed: {safety.ARM_REFUSAL_NAMES[refusal]}")
             return "armed: the tip follows fresh commands"
         return super().on_control(control)
+
+    def _set(self, control: SessionControl) -> str:
+        """Begin or change a program, or move the tip over the sample."""
+        request = requested(control.parameters)
+        sentences = []
+        lateral = request.lateral
+        if lateral.x_m is not None or lateral.y_m is not None:
+            if self._driver.stage is None:
+                raise RefusedError("lateral: this instrument has no lateral stage")
+            x_m = self._pointer.x_m if lateral.x_m is None else lateral.x_m
+            y_m = self._pointer.y_m if lateral.y_m is None else lateral.y_m
+            if max(abs(x_m), abs(y_m)) > self._lateral.reach_m:
+                raise RefusedError(
+                    f"lateral: {x_m:g}, {y_m:g} m is beyond lateral.reach_m = {self._lateral.reach_m:g} m"
+                )
+            self._pointer = Place(x_m, y_m)
+            sentences.append(f"the tip goes to x = {x_m:g} m, y = {y_m:g} m while it follows")
+        if request.program is not None:
+            sentences.append(self._programs.request(request, self._guard.mode, device_lost=self._device_lost))
+            self._told_ns = 0
+        return "; ".join(sentences)
 
     def make_safe(self) -> None:
         """Retract the tip."""
@@ -142,6 +178,8 @@ class AfmNode(Node):
         """Take a step at now_ns [ns], with the age of the command [s] where it is known already."""
         elapsed_s = min(max(now_ns - self._stepped_ns, 1) * 1e-9, _LONGEST_STEP_S)
         self._stepped_ns = now_ns
+        if self._programs.name:
+            return self._step_program(elapsed_s, estop=estop)
         command = self._command
         asked = safety.SafetyInputs(
             reference_m=0.0 if command is None else to_paper_axis(command.base_position_m),
@@ -152,7 +190,13 @@ class AfmNode(Node):
             force_n=self._force_n,
             device_lost=self._device_lost,
         )
+        return self._carry_out(asked, self._pointer, elapsed_s)
+
+    def _carry_out(self, asked: safety.SafetyInputs, wanted: Place, elapsed_s: float) -> safety.SafetyOutputs:
+        """Guard what is asked, apply it, measure, and publish what was done."""
         self._guard, allowed = safety.safety_step(self._limits, self._guard, asked, elapsed_s)
+        if wanted is not self._place and allowed.mode == safety.MODE_FOLLOW:
+            self._move_laterally(wanted, elapsed_s)
         sample = self._driver.exchange(allowed.base_m)
         report = self._driver.report
         # a force beyond the range of the input is no number to the guard
@@ -163,6 +207,55 @@ class AfmNode(Node):
         self.steps += 1
         return allowed
 
+    def _step_program(self, elapsed_s: float, *, estop: bool) -> safety.SafetyOutputs:
+        """Take a step of the program that runs, and see to its end."""
+        programs = self._programs
+        wanted, line = programs.step(self._guard.base_m, self._place, self._force_n, elapsed_s)
+        if line is not None:
+            self._publish_line(line)
+        asked = safety.SafetyInputs(
+            reference_m=wanted.reference_m,
+            # its references are made in this step
+            command_age_s=0.0,
+            action=wanted.action,
+            arm_requested=self._guard.mode == safety.MODE_RETRACTED and wanted.action == safety.ACTION_POSITION,
+            estop=estop,
+            force_n=self._force_n,
+            device_lost=self._device_lost,
+        )
+        allowed = self._carry_out(asked, wanted.place, elapsed_s)
+        programs.follow_guard(allowed.mode, allowed.reason)
+        is_over = programs.state in ("finished", "ended")
+        if is_over or self._stepped_ns - self._told_ns >= _PROGRAM_PERIOD_NS:
+            self._told_ns = self._stepped_ns
+            report = programs.report()
+            self.publish("afm/program", **report._asdict())
+            if is_over:
+                level = "info" if programs.state == "finished" else "warning"
+                self.event("mode", level, report.text, program=report.program, program_state=report.state)
+                programs.end()
+        return allowed
+
+    def _move_laterally(self, wanted: Place, elapsed_s: float) -> None:
+        stage = self._driver.stage
+        if stage is not None and wanted != self._place:
+            self._place = moved(self._lateral, self._place, wanted, elapsed_s)[0]
+            stage.move_to(*self._place)
+
+    def _publish_line(self, line: FinishedLine) -> None:
+        lines = self._programs.report().lines
+        self.publish(
+            "afm/scanline",
+            line=line.line,
+            lines=lines,
+            direction="retrace" if line.backward else "trace",
+            start_m=(*line.start, 0.0),
+            end_m=(*line.end, 0.0),
+            height_m=Array.from_numpy(line.height_m),
+            amplitude_m=None,
+            phase_rad=None,
+        )
+
     def _publish_state(
         self, allowed: safety.SafetyOutputs, sample: AfmSample, elapsed_s: float, report: DeviceReport | None
     ) -> None:
@@ -171,7 +264,7 @@ class AfmNode(Node):
         self.publish(
             "afm/state",
             command_seq=0 if command is None else command.seq,
-            base_position_m=to_site_frame(sample.base_m),
+            base_position_m=(*self._place, 0.0 - sample.base_m),
             deflection_m=sample.deflection_m,
             tip_force_n=(0.0, 0.0, sample.force_n),
             separation_m=sample.distance_m,
@@ -210,3 +303,10 @@ class AfmNode(Node):
             reason=reason,
             base_position_m=allowed.base_m,
         )
+
+
+def _programs(config: AfmConfig, driver: AfmDriver) -> ProgramRunner:
+    params = config.to_params()
+    lateral = None if driver.stage is None else config.to_lateral_params()
+    sides = config.sample_sides_m()
+    return ProgramRunner(params.safety, lateral, sides, config.cantilever.stiffness_n_per_m, PERIOD_S)

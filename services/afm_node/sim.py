@@ -3,20 +3,25 @@
 import math
 
 from services.afm_node.cantilever import PlantState, initial_state
+from services.afm_node.driver import LateralStage
 from services.afm_node.spring import SpringParams, spring_force
 from services.afm_node.step import AfmParams, AfmSample, measure
+from services.afm_node.surface import Surface, height_at
 
 
 class SimulatedAfm:
     """An `AfmDriver` whose device is the quasi-static cantilever of `cantilever`, without noise.
 
-    Parameters: params, whose plant is simulated and whose retract position is the safe state.
+    Parameters: params, whose plant is simulated and whose retract position is the safe state; surface, as the tip sees
+    it, None for a plane at height 0.
     """
 
-    def __init__(self, params: AfmParams) -> None:
+    def __init__(self, params: AfmParams, surface: Surface | None = None) -> None:
         self._plant = params.plant
         self._safe_position_m = params.safety.retract_position_m
         self._tip: PlantState | None = None
+        self._surface = surface
+        self._height_m = 0.0 if surface is None else _height(surface, 0.0, 0.0)
 
     @property
     def safe_position_m(self) -> float:
@@ -26,6 +31,16 @@ class SimulatedAfm:
     def report(self) -> None:
         return None
 
+    @property
+    def stage(self) -> LateralStage:
+        return self
+
+    def move_to(self, x_m: float, y_m: float) -> None:
+        if not (math.isfinite(x_m) and math.isfinite(y_m)):
+            raise ValueError(f"lateral position {x_m}, {y_m} m must be finite")
+        if self._surface is not None:
+            self._height_m = _height(self._surface, x_m, y_m)
+
     def open(self) -> None:
         """Start with the tip in equilibrium at the safe position.
 
@@ -33,13 +48,14 @@ class SimulatedAfm:
         """
         if self._tip is not None:
             raise RuntimeError("the simulated AFM is already open")
-        self._tip = initial_state(self._plant, self._safe_position_m)
+        self._tip = initial_state(self._plant, self._safe_position_m + self._height_m)
 
     def exchange(self, base_m: float) -> AfmSample:
         if self._tip is None:
             raise RuntimeError("the simulated AFM is not open: call open() first")
-        self._tip, sample = measure(self._plant, self._tip, base_m)
-        return sample
+        # a surface that rises is to the tip a base that comes nearer
+        self._tip, sample = measure(self._plant, self._tip, base_m + self._height_m)
+        return sample if self._height_m == 0.0 else sample._replace(base_m=base_m)
 
     def retract(self) -> None:
         if self._tip is not None:
@@ -48,6 +64,11 @@ class SimulatedAfm:
     def close(self) -> None:
         self.retract()
         self._tip = None
+
+
+def _height(surface: Surface, x_m: float, y_m: float) -> float:
+    """Return the height [m] at a place whose 0, 0 is the middle of the map."""
+    return float(height_at(*surface, x_m + 0.5 * surface.width_m, y_m + 0.5 * surface.depth_m)[0])
 
 
 class SimulatedSpring:
@@ -66,6 +87,10 @@ class SimulatedSpring:
 
     @property
     def report(self) -> None:
+        return None
+
+    @property
+    def stage(self) -> None:
         return None
 
     def open(self) -> None:

@@ -3,6 +3,7 @@
 import math
 from typing import Any, Literal, cast
 
+from proto.instrument import AfmProgram
 from proto.messages import (
     AfmState,
     HapticState,
@@ -32,7 +33,9 @@ from services.runtime.frames import to_paper_axis, to_site_frame
 from services.runtime.node import NodeContext
 
 MASTER_INPUTS = ("haptic/state", "teleop/backward", "law/status", "link/delay", "session/control")
-SLAVE_INPUTS = ("teleop/forward", "afm/state", "link/delay", "session/control")
+SLAVE_INPUTS = ("teleop/forward", "afm/state", "afm/program", "link/delay", "session/control")
+# a program that says nothing for so long is over [ns]: it reports ten times a second
+_PROGRAM_SILENCE_NS = 500_000_000
 # a hand whose device is stale or lost is that of an inactive site; a simulated device says nothing
 _FOLLOWING_DEVICE = (None, "ok")
 # while the other half is waited for, the hand comes to rest like a virtual mass that is left alone
@@ -194,6 +197,8 @@ class SlaveController(ControllerHalf):
         self._local = config.local_loop
         self._instrument_ns = 0
         self._instrument_lost = False
+        # until when the instrument images or measures by itself, and obeys no hand
+        self._occupied_until_ns = 0
 
     def on_message(self, received: Received) -> None:
         if self.rejects(received):
@@ -204,6 +209,9 @@ class SlaveController(ControllerHalf):
         elif type(message) is AfmState:
             self._instrument_ns = self.input_age.sampled_ns(received)
             self._on_instrument(message)
+        elif type(message) is AfmProgram:
+            occupied = message.program != "tactile" and message.state in ("running", "paused")
+            self._occupied_until_ns = received.received_ns + _PROGRAM_SILENCE_NS if occupied else 0
         elif type(message) is LinkDelay:
             self.input_age.record(message)
 
@@ -295,7 +303,8 @@ class SlaveController(ControllerHalf):
             message.separation_m,
             message.separation_valid,
             message.in_contact,
-            message.mode in ("follow", "hold"),
+            message.mode in ("follow", "hold")
+            and not (self._occupied_until_ns and self.clock.now_ns() < self._occupied_until_ns),
         )
         self.state = "running" if self.tip.following else "safe"
         if self._instrument_lost:

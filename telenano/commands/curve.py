@@ -1,17 +1,24 @@
-"""`telenano curve`: a force curve in simulated time, its marks, and a measured one beside it."""
+"""`telenano curve`: a force curve in simulated time or of a running rig, its marks, a measured one beside it."""
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
+from presets import DEFAULT_SITE_FILE
+from proto.errors import RigError
 from services.runtime.config import flag_overrides, validate
-from telenano.options import JsonOption
+from telenano.options import JsonOption, SiteFileOption
 from telenano.output import print_document, report_errors
+from telenano.program_view import LiveOption, follow_program, refuse_foreign
 from telenano.sample_options import make_folder, require
+
+if TYPE_CHECKING:
+    from proto.messages import Scalar
+    from studies.force_curve import Curve
 
 
 class CurveModel(StrEnum):
@@ -26,7 +33,9 @@ def curve(
     start: Annotated[float, typer.Option("--start", metavar="NM", help="Way above the rest point [nm].")] = 20.0,
     load: Annotated[float, typer.Option("--load", metavar="NN", help="Force at which the base turns [nN].")] = 20.0,
     points: Annotated[int, typer.Option("--points", metavar="N", help="Points of each way.")] = 1000,
-    speed: Annotated[float, typer.Option("--speed", metavar="NM/S", help="Speed of the base [nm/s].")] = 200.0,
+    speed: Annotated[
+        float | None, typer.Option("--speed", metavar="NM/S", help="Speed of the base [nm/s]; 200, or 50 with --live.")
+    ] = None,
     model: Annotated[
         CurveModel, typer.Option("--model", help="quasi_static: k zeta = F(h); dynamic: Eq. 4 in full.")
     ] = CurveModel.QUASI_STATIC,
@@ -37,6 +46,8 @@ def curve(
     overlay: Annotated[
         Path | None, typer.Option("--overlay", metavar="FILE", help="Measured curve to draw beside it (.ibw, .h5).")
     ] = None,
+    live: LiveOption = False,
+    site_file: SiteFileOption = DEFAULT_SITE_FILE,
     as_json: JsonOption = False,
 ) -> None:
     """Approach and retract, mark snap-in, contact, pull-off and break, write HDF5 (afmformats) and a figure."""
@@ -47,15 +58,19 @@ def curve(
         from services.afm_node.config import AfmConfig
         from studies.force_curve_figure import curve_figure
 
-        config = validate(AfmConfig, flag_overrides(afm or ()), "--afm")
         measured = None if overlay is None else curves.read_measured(overlay)
-        columns = (TextColumn("curve"), BarColumn(), TimeRemainingColumn())
-        with Progress(*columns, console=Console(stderr=True), disable=as_json, transient=True) as bar:
-            task = bar.add_task("curve", total=2 * points)
-            found = curves.force_curve(
-                config, start * 1e-9, load * 1e-9, points, speed * 1e-9, dynamic=model is CurveModel.DYNAMIC,
-                progress=lambda n, of: bar.update(task, completed=n),
-            )  # fmt: skip
+        if live:
+            refuse_foreign({"--afm": afm, "--model dynamic": model is CurveModel.DYNAMIC})
+            found = _live(site_file, start * 1e-9, load * 1e-9, 50e-9 if speed is None else speed * 1e-9, as_json)
+        else:
+            config = validate(AfmConfig, flag_overrides(afm or ()), "--afm")
+            columns = (TextColumn("curve"), BarColumn(), TimeRemainingColumn())
+            with Progress(*columns, console=Console(stderr=True), disable=as_json, transient=True) as bar:
+                task = bar.add_task("curve", total=2 * points)
+                found = curves.force_curve(
+                    config, start * 1e-9, load * 1e-9, points, 200e-9 if speed is None else speed * 1e-9,
+                    dynamic=model is CurveModel.DYNAMIC, progress=lambda n, of: bar.update(task, completed=n),
+                )  # fmt: skip
         marks = curves.marks_of(found)
         make_folder(out)
         curves.write_hdf5(out / "curve.h5", found)
@@ -67,3 +82,17 @@ def curve(
         document["measured"] = {"stiffness_n_per_m": other[0].stiffness_n_per_m, **other[1].as_dict()}
     document["files"] = [str(out / "curve.h5"), str(out / "curve.png")]
     print_document(document, str(out), as_json=as_json)
+
+
+def _live(site_file: Path, start_m: float, load_n: float, speed_m_per_s: float, as_json: bool) -> "Curve":
+    """Have a running rig take a curve; RigError when it ended before it was complete."""
+    from services.console.live_program import LiveCurve
+    from studies.force_curve import curve_of_samples
+
+    samples = LiveCurve()
+    parameters: dict[str, Scalar] = {"program": "curve", "curve.start_m": start_m, "curve.load_n": load_n,
+                  "curve.speed_m_per_s": speed_m_per_s}  # fmt: skip
+    report = follow_program(site_file, parameters, samples, as_json=as_json)
+    if report.state != "finished":
+        raise RigError(report.text)
+    return curve_of_samples(samples.base_m, samples.deflection_m, samples.force_n, -start_m, speed_m_per_s)

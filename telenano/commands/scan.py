@@ -1,4 +1,4 @@
-"""`telenano scan`: an image of a sample, in simulated time on this machine."""
+"""`telenano scan`: an image of a sample, in simulated time on this machine, or by a running rig."""
 
 from enum import StrEnum
 from pathlib import Path
@@ -8,9 +8,12 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
+from presets import DEFAULT_SITE_FILE
 from services.runtime.config import flag_overrides, validate
-from telenano.options import JsonOption
+from telenano.exit_codes import EXIT_FAILED
+from telenano.options import JsonOption, SiteFileOption
 from telenano.output import print_document, report_errors
+from telenano.program_view import LiveOption, follow_program, refuse_foreign
 from telenano.sample_options import (
     ChannelOption,
     SampleOption,
@@ -26,6 +29,7 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     from analysis.image_files import Image
+    from proto.messages import Scalar
     from studies.scan import ScanResult
 
 
@@ -39,21 +43,32 @@ class ScanMode(StrEnum):
 def scan(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for scan.gwy, scan.gsf, scan.png.")],
     mode: Annotated[
-        ScanMode, typer.Option("--mode", help="tapping: constant amplitude; contact: constant force.")
-    ] = ScanMode.TAPPING,
+        ScanMode | None,
+        typer.Option("--mode", help="tapping: constant amplitude; contact: constant force; default: tapping."),
+    ] = None,
     name: SampleOption = "dots",
     size: SampleSizeOption = None,
     channel: ChannelOption = None,
     settings: SampleSetOption = None,
-    pixels: Annotated[int, typer.Option("--pixels", metavar="N", help="Pixels of a line.")] = 128,
-    lines: Annotated[int, typer.Option("--lines", metavar="N", help="Lines of the image.")] = 128,
-    dwell: Annotated[float, typer.Option("--dwell", metavar="MS", help="Time on each pixel, each way [ms].")] = 1.0,
+    pixels: Annotated[
+        int | None, typer.Option("--pixels", metavar="N", help="Pixels of a line; 128, or 64 with --live.")
+    ] = None,
+    lines: Annotated[
+        int | None, typer.Option("--lines", metavar="N", help="Lines of the image; 128, or 64 with --live.")
+    ] = None,
+    dwell: Annotated[
+        float | None,
+        typer.Option("--dwell", metavar="MS", help="Time on each pixel, each way [ms]; 1, or 4 with --live."),
+    ] = None,
     amplitude: Annotated[float, typer.Option("--amplitude", metavar="NM", help="Free amplitude [nm].")] = 20.0,
     setpoint: Annotated[
         float | None,
         typer.Option("--setpoint", metavar="X", help="Share of that amplitude, or force [nN] in contact; 0.8 or 5."),
     ] = None,
-    gain: Annotated[float, typer.Option("--gain", metavar="1/S", help="Integral gain of the feedback [1/s].")] = 5000.0,
+    gain: Annotated[
+        float | None,
+        typer.Option("--gain", metavar="1/S", help="Integral gain of the feedback [1/s]; 5000, or 400 with --live."),
+    ] = None,
     proportional: Annotated[
         float, typer.Option("--proportional", metavar="P", help="Proportional gain, in tapping mode.")
     ] = 1.0,
@@ -65,9 +80,31 @@ def scan(
         list[str] | None,
         typer.Option("--afm", metavar="KEY=VALUE", help="Change a key of afm_node, as in a scenario (repeatable)."),
     ] = None,
+    live: LiveOption = False,
+    x: Annotated[float, typer.Option("--x", metavar="NM", help="Middle of the image [nm], with --live.")] = 0.0,
+    y: Annotated[float, typer.Option("--y", metavar="NM", help="Middle of the image [nm], with --live.")] = 0.0,
+    site_file: SiteFileOption = DEFAULT_SITE_FILE,
     as_json: JsonOption = False,
 ) -> None:
     """Image a sample and write .gwy, .gsf and PNG; Ctrl-C ends the image and keeps the lines so far."""
+    if live:
+        with report_errors(as_json):
+            require("gwyfile")
+            foreign = {"--sample": name != "dots", "--channel": channel, "--set": settings, "--afm": afm,
+                       "--temperature": temperature, "--mode tapping": mode is ScanMode.TAPPING}  # fmt: skip
+            refuse_foreign(foreign)
+            parameters: dict[str, Scalar] = {
+                "program": "scan", "scan.pixels": 64 if pixels is None else pixels,
+                "scan.lines": 64 if lines is None else lines, "scan.dwell_s": 4e-3 if dwell is None else dwell * 1e-3,
+                "scan.gain_per_s": 400.0 if gain is None else gain, "scan.x_m": x * 1e-9, "scan.y_m": y * 1e-9,
+                "scan.setpoint_n": 5e-9 if setpoint is None else setpoint * 1e-9,
+            }  # fmt: skip
+            if size is not None:
+                parameters |= {"scan.width_m": size * 1e-9, "scan.depth_m": size * 1e-9}
+            _scan_live(out, site_file, parameters, as_json=as_json)
+        return
+    mode = ScanMode.TAPPING if mode is None else mode
+    pixels, lines = 128 if pixels is None else pixels, 128 if lines is None else lines
     with report_errors(as_json):
         require("gwyfile")
         # before all other models: it has every step compiled that is imported after it
@@ -80,11 +117,11 @@ def scan(
             mode=mode.value,
             pixels=pixels,
             lines=lines,
-            dwell_s=dwell * 1e-3,
+            dwell_s=1e-3 if dwell is None else dwell * 1e-3,
             amplitude_m=amplitude * 1e-9,
             setpoint_share=0.8 if setpoint is None or mode is ScanMode.CONTACT else setpoint,
             setpoint_n=5e-9 if setpoint is None or mode is ScanMode.TAPPING else setpoint * 1e-9,
-            integral_per_s=gain,
+            integral_per_s=5000.0 if gain is None else gain,
             proportional=proportional,
             temperature_k=temperature,
             seed=seed,
@@ -109,6 +146,32 @@ def scan(
         "files": [str(out / name) for name in ("scan.gwy", "scan.gsf", "scan.png")],
     }
     print_document(document, str(out), as_json=as_json)
+
+
+def _scan_live(out: Path, site_file: Path, parameters: "dict[str, Scalar]", *, as_json: bool) -> None:
+    """Have a running rig image its sample, and write what came, also of an image that ended early."""
+    from analysis.image_files import Image
+    from services.console.live_program import LiveImage
+
+    make_folder(out)
+    image = LiveImage()
+    report = follow_program(site_file, parameters, image, as_json=as_json)
+    count = image.finished
+    if count:
+        # an AFM knows no absolute height
+        level = float(image.trace_m[:count].mean())
+        depth_m = image.depth_m * count / len(image.trace_m)
+        images = {
+            "height": Image("Height", "m", image.trace_m[:count] - level, image.width_m, depth_m),
+            "retrace": Image("Height retrace", "m", image.retrace_m[:count] - level, image.width_m, depth_m),
+        }
+        _write(out, images)
+    files = [str(out / name) for name in ("scan.gwy", "scan.gsf", "scan.png")] if count else []
+    document = {"mode": "contact", "state": report.state, "lines": count, "pixels": parameters["scan.pixels"],
+                "text": report.text, "files": files}  # fmt: skip
+    print_document(document, str(out), as_json=as_json)
+    if report.state != "finished":
+        raise typer.Exit(EXIT_FAILED)
 
 
 def _show(bar: Progress, task: TaskID, lines: int) -> bool:

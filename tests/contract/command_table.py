@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from services.afm_node.node import AfmNode
+from services.afm_node.program_config import InstrumentRequest
 from services.controller.config import LAWS, ControllerConfig
 from services.controller.half import ControllerHalf
 from services.delay_node.config import LinkSettings, flattened
@@ -35,6 +36,8 @@ def settable(node: str) -> list[str]:
         return [key for key in flatten(ControllerConfig().model_dump()) if key != NOT_SETTABLE]
     if node == "delay_node":
         return list(flattened(LinkSettings()))
+    if node == "afm_node":
+        return list(flatten(InstrumentRequest().model_dump()))
     return list(ACTIONS if node == "recorder" else SETTERS)
 
 

@@ -1,0 +1,23 @@
+"""Messages of the instrument that only come while it does something of its own accord."""
+
+from typing import Literal
+
+from pydantic import Field
+
+from proto.messages import Count, Message, Text
+from proto.ranges import Percent
+
+AfmProgramName = Literal["scan", "curve", "tactile"]
+
+
+class AfmProgram(Message):
+    """What the instrument does by itself, whatever afm/command says; ten times a second, and when it ends."""
+
+    program: AfmProgramName = Field(description="scan: an image; curve: a force curve; tactile: a path felt")
+    state: Literal["running", "paused", "finished", "ended"] = Field(
+        description="finished: all of it was done; ended: before that, see text"
+    )
+    text: Text = Field(description="One sentence for a person: what it is at, or why it ended")
+    percent: Percent = Field(description="How much of it is done [%]")
+    line: Count = Field(description="Lines that are finished, there and back")
+    lines: Count = Field(description="Lines in all; 0 where it has none")

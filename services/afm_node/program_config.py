@@ -1,0 +1,71 @@
+"""What `set` takes at the instrument: a program to begin or to change, and where the tip is over the sample."""
+
+from collections.abc import Mapping
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from proto.errors import ConfigError, RefusedError
+from proto.messages import Scalar
+from services.runtime.config import Settings, nested, validate
+
+Length = Annotated[float, Field(ge=1e-9, le=1e-3)]
+Place = Annotated[float, Field(ge=-1e-3, le=1e-3)]
+Speed = Annotated[float, Field(gt=0.0, le=1e-3)]
+Force = Annotated[float, Field(gt=-1e-3, le=1e-3)]
+
+
+class ScanSettings(Settings):
+    """An image with a constant force."""
+
+    width_m: Length | None = Field(None, description="Length of a line [m]; default: the whole sample.")
+    depth_m: Length | None = Field(None, description="From the first line to the last [m]; default: the whole sample.")
+    x_m: Place = Field(0.0, description="Middle of the image [m]; 0 is the middle of the sample.")
+    y_m: Place = Field(0.0, description="Middle of the image [m]; 0 is the middle of the sample.")
+    pixels: int = Field(64, ge=2, le=4096, description="Pixels of a line, 2 to 4096.")
+    lines: int = Field(64, ge=1, le=4096, description="Lines, 1 to 4096.")
+    dwell_s: float = Field(4e-3, ge=1e-3, le=10.0, description="Time on each pixel, each way [s], 0.001 to 10.")
+    setpoint_n: Force = Field(5e-9, description="Force that is held [N].")
+    gain_per_s: float = Field(400.0, gt=0.0, le=1e5, description="Gain of the feedback [1/s].")
+    approach_m_per_s: Speed = Field(100e-9, description="Speed of the approach [m/s].")
+    settle_s: float = Field(0.2, ge=0.0, le=60.0, description="Time for the force to settle before the first line [s].")
+
+
+class CurveSettings(Settings):
+    """A force curve where the tip is."""
+
+    start_m: Length = Field(20e-9, description="Way above the rest point at which it begins and ends [m].")
+    load_n: Force = Field(20e-9, description="Force at which it turns [N].")
+    speed_m_per_s: Speed = Field(50e-9, description="Speed of the base [m/s].")
+
+
+class LateralTarget(Settings):
+    """Where the tip is to be over the sample while no program runs; what a hand commands is added."""
+
+    x_m: Place | None = Field(None, description="Along x [m]; 0 is the middle of the sample.")
+    y_m: Place | None = Field(None, description="Along y [m]; 0 is the middle of the sample.")
+
+
+class InstrumentRequest(Settings):
+    """All keys that `set` takes at the AFM."""
+
+    program: Literal["scan", "curve", "pause", "resume", "abort"] | None = Field(
+        None, description="scan, curve: begin; pause, resume: the one that runs; abort: end it and retract the tip."
+    )
+    scan: ScanSettings = Field(ScanSettings(), description="What is imaged.")
+    curve: CurveSettings = Field(CurveSettings(), description="The force curve.")
+    lateral: LateralTarget = Field(LateralTarget(), description="Where the tip is to be.")
+
+
+def requested(parameters: Mapping[str, Scalar]) -> InstrumentRequest:
+    """Return what parameters by dotted key ask for; RefusedError says what is wrong with them."""
+    try:
+        request = validate(InstrumentRequest, nested(parameters, "session/control"), "session/control", "afm_node")
+    except ConfigError as error:
+        raise RefusedError(str(error)) from error
+    sections = {key.partition(".")[0] for key in parameters}
+    if idle := sections & {"scan", "curve"} - {request.program}:
+        raise RefusedError(f"{', '.join(sorted(idle))}: takes effect with program={min(idle)} in the same command only")
+    if not sections:
+        raise RefusedError("set needs parameters, such as program=scan or lateral.x_m=2e-8")
+    return request

@@ -1,0 +1,176 @@
+"""Programs of the instrument: it moves its tip by itself, behind the guard, until all is done or something ends it."""
+
+from typing import Literal, NamedTuple
+
+from proto.errors import RefusedError
+from services.afm_node import approach, raster, safety
+from services.afm_node.lateral import LateralParams, Place
+from services.afm_node.program_config import CurveSettings, InstrumentRequest, ScanSettings
+from services.afm_node.raster import FinishedLine
+
+ProgramState = Literal["running", "paused", "finished", "ended"]
+# of the guard, where a program may not begin, and why
+_NOT_READY = {
+    safety.MODE_RETRACTING: "the tip is still retracting",
+    safety.MODE_ESTOP: "the emergency stop is latched: arm the AFM first",
+}
+
+
+class Wanted(NamedTuple):
+    """What a program asks of the guard and the stage."""
+
+    action: int
+    reference_m: float
+    place: Place
+
+
+class Report(NamedTuple):
+    """What is told of a program: `afm/program`."""
+
+    program: str
+    state: ProgramState
+    text: str
+    percent: float
+    line: int
+    lines: int
+
+
+class ProgramRunner:
+    """Runs one program at a time; its state is plain values, for the journal of the node.
+
+    Parameters: limits of the guard and of the stage, None where there is none; size_m, sides of the sample [m];
+    stiffness_n_per_m, of the cantilever; period_s, of the node.
+    """
+
+    def __init__(
+        self,
+        limits: safety.SafetyParams,
+        lateral: LateralParams | None,
+        size_m: tuple[float, float],
+        stiffness_n_per_m: float,
+        period_s: float,
+    ) -> None:
+        self.name = ""
+        self.state: ProgramState = "finished"
+        self._limits, self._lateral = limits, lateral
+        self._size_m, self._stiffness, self._period_s = size_m, stiffness_n_per_m, period_s
+        self._raster: tuple[raster.RasterPlan, raster.RasterState] | None = None
+        self._curve: tuple[approach.CurvePlan, approach.CurveState] | None = None
+        self._aborted = ""
+
+    def request(self, request: InstrumentRequest, mode: int, *, device_lost: bool) -> str:
+        """Begin a program, or change the one that runs; return a sentence. RefusedError says why not."""
+        if request.program in ("scan", "curve"):
+            if self.name:
+                raise RefusedError(f"program: a {self.name} is running; abort it first")
+            if reason := "the instrument is lost" if device_lost else _NOT_READY.get(mode, ""):
+                raise RefusedError(f"program: {reason}")
+            if request.program == "scan":
+                return self._begin_scan(request.scan)
+            return self._begin_curve(request.curve)
+        if not self.name:
+            raise RefusedError(f"program: there is none to {request.program}")
+        if request.program == "abort":
+            self._aborted = "it was aborted"
+            return f"the {self.name} ends and the tip retracts"
+        if self._raster is None:
+            raise RefusedError(f"program: a {self.name} cannot {request.program}, it can be aborted")
+        self.state = "paused" if request.program == "pause" else "running"
+        return f"the {self.name} is {self.state}"
+
+    def _begin_scan(self, settings: ScanSettings) -> str:
+        if self._lateral is None:
+            raise RefusedError("program: scan needs a lateral stage, which this instrument has none of")
+        s = settings
+        width_m = self._size_m[0] if s.width_m is None else s.width_m
+        depth_m = self._size_m[1] if s.depth_m is None else s.depth_m
+        plan = raster.RasterPlan(
+            Place(s.x_m, s.y_m), width_m, depth_m, s.pixels, s.lines, s.pixels * s.dwell_s, s.setpoint_n, s.gain_per_s,
+            s.approach_m_per_s, s.settle_s, self._stiffness, self._limits.retract_position_m,
+        )  # fmt: skip
+        reach_m, speed = self._lateral
+        fault = raster.line_fault(plan, reach_m, speed, self._limits.force_limit_n, self._period_s)
+        if fault:
+            raise RefusedError(f"scan: {fault}")
+        self._start("scan")
+        self._raster = (plan, raster.begun(plan))
+        seconds = 2.0 * plan.lines * plan.line_s
+        return f"an image of {s.pixels} x {s.lines} pixels begins, {seconds:.0f} s for its lines"
+
+    def _begin_curve(self, settings: CurveSettings) -> str:
+        limits, s = self._limits, settings
+        if not -s.start_m >= limits.base_min_m:
+            raise RefusedError(f"curve.start_m = {s.start_m:g} m is beyond safety.base_min_m = {limits.base_min_m:g} m")
+        if not s.load_n < limits.force_limit_n:
+            raise RefusedError(f"curve.load_n must be below safety.force_limit_n = {limits.force_limit_n:g} N")
+        if s.speed_m_per_s > limits.base_speed_m_per_s:
+            raise RefusedError(
+                f"curve.speed_m_per_s is above safety.base_speed_m_per_s = {limits.base_speed_m_per_s:g}"
+            )
+        plan = approach.CurvePlan(-s.start_m, s.load_n, s.speed_m_per_s, limits.base_max_m)
+        self._start("curve")
+        self._curve = (plan, approach.CurveState(approach.RISE, 0.0))
+        return f"a force curve to {s.load_n:g} N begins"
+
+    def _start(self, name: str) -> None:
+        self.name, self.state, self._aborted = name, "running", ""
+        self._raster = self._curve = None
+
+    def step(self, base_m: float, place: Place, force_n: float, dt: float) -> tuple[Wanted, FinishedLine | None]:
+        """Take what was measured at the last step; return what is wanted for the next dt [s], and a finished line."""
+        if self._aborted:
+            return Wanted(safety.ACTION_RETRACT, base_m, place), None
+        line: FinishedLine | None = None
+        if self._raster is not None:
+            plan, state = self._raster
+            state, reference_m, target, line = raster.raster_step(
+                plan, state, base_m, place, force_n, dt, paused=self.state == "paused"
+            )
+            self._raster, done = (plan, state), state.phase == raster.DONE
+        else:
+            assert self._curve is not None
+            curve, way = self._curve
+            way, reference_m = approach.curve_step(curve, way, base_m, force_n, dt)
+            self._curve, target, done = (curve, way), place, way.phase == approach.DONE
+        action = safety.ACTION_RETRACT if done else safety.ACTION_POSITION
+        return Wanted(action, reference_m, target), line
+
+    def follow_guard(self, mode: int, reason: int) -> None:
+        """Take note of what the guard made of a step: it ends a program that is done, and one that it stops itself."""
+        if mode in (safety.MODE_FOLLOW, safety.MODE_HOLD):
+            return
+        if reason != safety.REASON_RETRACT_REQUESTED and not self._aborted:
+            self._aborted = f"the guard has retracted the tip: {safety.REASON_NAMES[reason]}"
+        self.state = "ended" if self._aborted else "finished"
+
+    def report(self) -> Report:
+        """Return how far the program is."""
+        text, share, line, lines = self._progress()
+        if self.state == "finished":
+            text, share = f"the {self.name} is finished: the tip retracts", 1.0
+        elif self.state == "ended":
+            text = f"the {self.name} ended, {self._aborted}"
+        return Report(self.name, self.state, text, 100.0 * share, line, lines)
+
+    def end(self) -> None:
+        """Let go of a program that is over."""
+        self.name, self._raster, self._curve = "", None, None
+
+    def _progress(self) -> tuple[str, float, int, int]:
+        if self._raster is None:
+            assert self._curve is not None
+            phase = self._curve[1].phase
+            ways = ("the tip rises", "approach", "retraction", "the curve is complete")
+            return ways[phase], phase / approach.DONE, 0, 0
+        plan, state = self._raster
+        texts = (
+            "the tip rises",
+            "the stage moves to the first point",
+            "approach",
+            "the force settles",
+            "lines",
+            "done",
+        )
+        way = min(state.elapsed_s / plan.line_s, 1.0) if state.phase == raster.LINES else 0.0
+        done = 2.0 * state.line + float(state.backward) + way
+        return texts[state.phase], min(done / (2.0 * plan.lines), 1.0), state.line, plan.lines

@@ -1,0 +1,161 @@
+"""An image or a force curve taken by a running rig: a program is begun, and what comes of it is collected."""
+
+import time
+from collections.abc import Callable, Mapping
+from contextlib import closing
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from proto.errors import RigError
+from proto.instrument import AfmProgram
+from proto.messages import AfmScanline, AfmState, NodeHealth, Scalar
+from proto.nodes import TIP, Site
+from services.console.command_client import send_control
+from services.runtime.commands import Command
+from services.runtime.main import load_site
+from services.runtime.observer import RIG_HINT, Observer
+
+Array = npt.NDArray[np.float64]
+
+_TOPICS = ("afm/scanline", "afm/program", "node/health")
+# the instrument reports twice a second, and ten times while a program runs
+_PATIENCE_S = 4.0
+_LISTEN_S = 0.1
+
+
+class ProgramEndedError(RigError):
+    """A program ended before it was finished."""
+
+
+@dataclass
+class LiveImage:
+    """The lines of an image so far: heights [m], of shape (lines, pixels), NaN where none came; sides [m]."""
+
+    trace_m: Array = field(default_factory=lambda: np.empty((0, 0)))
+    retrace_m: Array = field(default_factory=lambda: np.empty((0, 0)))
+    width_m: float = 0.0
+    depth_m: float = 0.0
+    first_y_m: float = 0.0
+
+    def add(self, line: AfmScanline) -> None:
+        """Put a line in its place."""
+        heights = np.asarray(line.height_m.to_numpy(), dtype=np.float64)
+        if self.trace_m.shape != (line.lines, len(heights)):
+            self.trace_m, self.retrace_m = (np.full((line.lines, len(heights)), np.nan) for _ in range(2))
+            # the ends are the middles of the outer pixels
+            span = line.end_m[0] - line.start_m[0]
+            self.width_m = span * len(heights) / max(len(heights) - 1, 1)
+        (self.retrace_m if line.direction == "retrace" else self.trace_m)[line.line] = heights
+        if line.line == 0:
+            self.first_y_m, self.depth_m = line.start_m[1], self.width_m / len(heights)
+        else:
+            self.depth_m = (line.start_m[1] - self.first_y_m) / line.line * line.lines
+
+    @property
+    def finished(self) -> int:
+        """How many lines there are, from the first, both ways."""
+        whole = np.asarray(np.isfinite(self.trace_m + self.retrace_m).all(axis=1))
+        return len(whole) if whole.all() else int(np.argmin(whole))
+
+
+@dataclass
+class LiveCurve:
+    """A force curve so far, in the order of time: base x_s [m], deflection [m], force on the tip [N]."""
+
+    base_m: list[float] = field(default_factory=list)
+    deflection_m: list[float] = field(default_factory=list)
+    force_n: list[float] = field(default_factory=list)
+
+    def add(self, state: AfmState) -> None:
+        """Take a state of the instrument."""
+        self.base_m.append(0.0 - state.base_position_m[2])
+        self.deflection_m.append(state.deflection_m)
+        self.force_n.append(state.tip_force_n[2])
+
+
+def run_program(
+    site_file: Path,
+    site: Site,
+    parameters: Mapping[str, Scalar],
+    collected: LiveImage | LiveCurve,
+    on_report: Callable[[AfmProgram], str],
+) -> AfmProgram:
+    """Begin a program at the instrument of a running rig and collect what comes of it until it is over.
+
+    Parameters: site, at which this runs; parameters of the `set` that begins it; on_report, called with each report of
+    the program, and several times a second without a new one: what it returns (pause, resume, abort or nothing) is
+    sent. Ctrl-C ends the program and retracts the tip; a second one leaves it to the rig.
+    Returns: the last report. Raises: RigError when no rig is there, the program is refused, or the instrument falls
+    silent.
+    """
+    topics = (*_TOPICS, "afm/state") if isinstance(collected, LiveCurve) else _TOPICS
+    with closing(Observer(load_site(site_file), topics)) as observer:
+        _await_instrument(observer)
+        _send(site_file, site, parameters)
+        listener = _Listener(observer, collected)
+        try:
+            return listener.listen(on_report, lambda word: _send(site_file, site, {"program": word}))
+        except KeyboardInterrupt:
+            _send(site_file, site, {"program": "abort"})
+            return listener.listen(lambda report: "", lambda word: None)
+
+
+class _Listener:
+    """Collects what a program publishes."""
+
+    def __init__(self, observer: Observer, collected: LiveImage | LiveCurve) -> None:
+        self._observer, self._collected = observer, collected
+        self._report: AfmProgram | None = None
+        self._heard_s = time.monotonic()
+
+    def listen(self, on_report: Callable[[AfmProgram], str], send: Callable[[str], None]) -> AfmProgram:
+        """Listen until the program is over."""
+        while True:
+            for observed in self._observer.listen(_LISTEN_S):
+                self._take(observed.received.message)
+            report = self._report
+            if report is not None and report.state in ("finished", "ended"):
+                on_report(report)
+                return report
+            if time.monotonic() - self._heard_s > _PATIENCE_S:
+                raise RigError(f"{TIP} has said nothing of its program for {_PATIENCE_S:g} s: {RIG_HINT}")
+            if report is not None and (word := on_report(report)):
+                send(word)
+
+    def _take(self, message: object) -> None:
+        if isinstance(message, AfmProgram):
+            # what was over before this one began
+            if self._report is None and message.state in ("finished", "ended"):
+                return
+            self._report, self._heard_s = message, time.monotonic()
+            return
+        collected = self._collected
+        if isinstance(collected, LiveImage):
+            if isinstance(message, AfmScanline):
+                collected.add(message)
+        elif isinstance(message, AfmState) and self._runs():
+            collected.add(message)
+
+    def _runs(self) -> bool:
+        return self._report is not None and self._report.state == "running"
+
+
+def _await_instrument(observer: Observer) -> None:
+    """Wait until the instrument is heard: then nothing that it says of a program is missed."""
+    end_s = time.monotonic() + _PATIENCE_S
+    while time.monotonic() < end_s:
+        for observed in observer.listen(_LISTEN_S):
+            message = observed.received.message
+            if isinstance(message, NodeHealth) and message.src == TIP:
+                return
+    raise RigError(f"{TIP} is not heard: {RIG_HINT}")
+
+
+def _send(site_file: Path, site: Site, parameters: Mapping[str, Scalar]) -> None:
+    answers = send_control(Command("set", TIP, parameters=parameters), site_file, site, lambda event: None)
+    for event in answers.values():
+        if event.kind == "refused":
+            raise RigError(f"{event.src} refused it: {event.text}")

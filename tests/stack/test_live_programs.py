@@ -1,0 +1,59 @@
+"""Images and curves by a running rig, as a person asks for them: the files, and where the tip is at the end."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from stack_rig import Rig
+
+from proto.messages import AfmState
+from services.afm_node.config import AfmConfig
+from services.afm_node.surface_files import read_surface
+
+pytestmark = [pytest.mark.stack, pytest.mark.endurance]
+SCAN = ("scan", "--live", "--json", "--pixels", "32", "--lines", "6", "--size", "60")
+
+
+@pytest.fixture
+def imaging(rig: Rig) -> Rig:
+    rig.start(scenario="image")
+    rig.wait_until(rig.running, "the session")
+    return rig
+
+
+def newest_state(rig: Rig) -> AfmState:
+    found = rig.recording().messages("afm/state")[-1].decode()
+    assert isinstance(found, AfmState)
+    return found
+
+
+def test_a_running_rig_images_its_sample_and_takes_a_curve_and_the_tip_is_away_after_each(
+    imaging: Rig, tmp_path: Path
+) -> None:
+    done = imaging.telenano(*SCAN, "--out", str(tmp_path / "scan"), patience_s=90.0)
+    assert done.returncode == 0, done.stderr
+    document = json.loads(done.stdout)
+    assert (document["state"], document["lines"]) == ("finished", 6)
+    surface = AfmConfig.model_validate({"sample": {"name": "dots"}}).to_surface()
+    assert surface is not None
+    image = read_surface(tmp_path / "scan" / "scan.gsf")
+    assert image.width_m == pytest.approx(60e-9, rel=1e-6)
+    xs = (-30e-9 + (np.arange(32) + 0.5) * 60e-9 / 32 + 75e-9) / surface.step_x_m
+    ys = (-30e-9 + (np.arange(6) + 0.5) * 10e-9 + 75e-9) / surface.step_y_m
+    truth = surface.height_m[np.ix_(ys.astype(int), xs.astype(int))]
+    # a dot of 10 nm among them, with flanks of a few pixels
+    assert truth.max() - truth.min() > 3e-9
+    assert np.corrcoef(image.height_m.ravel(), truth.ravel())[0, 1] > 0.9
+    imaging.wait_until(lambda: newest_state(imaging).mode == "retracted", "a retracted tip")
+    done = imaging.telenano("curve", "--live", "--json", "--out", str(tmp_path / "curve"), patience_s=90.0)
+    assert done.returncode == 0, done.stderr
+    marks = json.loads(done.stdout)
+    # Table 2 with 1 N/m: the pull-off is that of the sample, whatever the spring
+    assert marks["pull_off_force_n"] == pytest.approx(-12.8e-9, rel=0.05)
+    assert marks["snap_in_base_m"] is not None
+    assert marks["stiffness_n_per_m"] == pytest.approx(1.0, rel=1e-6)
+    done = imaging.telenano(*SCAN, "--out", str(tmp_path / "no"), "--dwell", "0.5")
+    assert (done.returncode, newest_state(imaging).mode) == (1, "retracted")
+    assert "a dwell" in done.stderr or "dwell_s" in done.stderr
+    imaging.stop()

@@ -1,0 +1,243 @@
+"""Images and curves that the node takes by itself: what comes over the bus, and how the tip ends in each case."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from proto.errors import RefusedError
+from services.afm_node.config import AfmConfig
+from services.afm_node.node import AfmNode
+from services.afm_node.sim import SimulatedAfm, SimulatedSpring
+from services.runtime.journal import StateSnapshot
+from services.runtime.node_state import restore
+
+SOFT = {
+    "cantilever": {"stiffness_n_per_m": 1.0},
+    "sample": {"name": "grating", "size_m": 120e-9, "period_m": 60e-9, "height_m": 3e-9, "pixels": 64},
+    # rises by itself and lets go again, well above the sample
+    "safety": {"retract_position_m": -20e-9},
+}
+QUICK = {
+    "program": "scan",
+    "scan.pixels": 24,
+    "scan.lines": 2,
+    "scan.dwell_s": 4e-3,
+    "scan.approach_m_per_s": 1e-6,
+    "scan.settle_s": 0.05,
+}
+
+
+class Imager:
+    """An AFM over a grating on a bench."""
+
+    def __init__(self, bench: Any, section: dict[str, Any] = SOFT) -> None:
+        self.bench = bench
+        self.config = AfmConfig.model_validate(section)
+        spring = self.config.environment == "spring"
+        self.driver: Any = (
+            SimulatedSpring(self.config.to_spring_params())
+            if spring
+            else SimulatedAfm(self.config.to_params(), self.config.to_surface())
+        )
+        self.node = AfmNode(bench.context, self.config, self.driver)
+
+    def set(self, **parameters: Any) -> str:
+        fields = {"id": "a", "command": "set", "target": "afm_node", "parameters": parameters}
+        return self.node.on_control(self.bench.make("session/control", "console@master", **fields))
+
+    def estop(self) -> None:
+        fields = {"id": "e", "command": "estop", "target": "afm_node", "parameters": {}}
+        self.node.on_control(self.bench.make("session/control", "console@master", **fields))
+
+    def run(self, most_s: float = 20.0, *, until: Any = None) -> None:
+        """Let time pass until no program runs and the tip is away, or something else is so."""
+        clock = self.bench.clock
+        end_ns = clock.monotonic_ns() + round(most_s * 1e9)
+        while clock.monotonic_ns() < end_ns:
+            clock.advance_ns(max(0, self.node.deadline_ns() - clock.monotonic_ns()))
+            self.node.on_deadline(clock.monotonic_ns())
+            if until() if until else self.mode in ("retracted", "estop") and not self.node._programs.name:
+                return
+        raise AssertionError("waited in vain")
+
+    @property
+    def mode(self) -> str:
+        states = [message for topic, message in self.bench.sent if topic == "afm/state"]
+        return states[-1].mode if states else ""
+
+    def outcome(self) -> tuple[str, str]:
+        reports = [message for topic, message in self.bench.sent if topic == "afm/program"]
+        return reports[-1].state, reports[-1].text
+
+
+@pytest.fixture
+def afm(bench_of: Any) -> Imager:
+    return Imager(bench_of("afm_node@slave"))
+
+
+def parameters(**changes: Any) -> dict[str, Any]:
+    return {**QUICK, **{key.replace("__", "."): value for key, value in changes.items()}}
+
+
+def test_an_image_is_published_line_by_line_and_is_what_the_tip_sees(afm: Imager) -> None:
+    assert "24 x 2" in afm.set(**parameters(scan__dwell_s=12e-3, scan__gain_per_s=800.0))
+    afm.run()
+    assert afm.outcome()[0] == "finished"
+    lines = afm.bench.take("afm/scanline")
+    assert [(line.line, line.direction) for line in lines] == [
+        (0, "trace"),
+        (0, "retrace"),
+        (1, "trace"),
+        (1, "retrace"),
+    ]
+    surface = afm.config.to_surface()
+    assert surface is not None
+    for line in lines:
+        assert (line.lines, line.amplitude_m, line.phase_rad) == (2, None, None)
+        xs = np.linspace(line.start_m[0], line.end_m[0], 24)
+        # the middles of the pixels of 120 nm
+        assert xs[0] == pytest.approx(-57.5e-9, rel=1e-9, abs=0.0)
+        columns = np.minimum(((xs + 60e-9) / surface.step_x_m).astype(int), 63)
+        truth = surface.height_m[0, columns]
+        seen = line.height_m.to_numpy() - np.mean(line.height_m.to_numpy()) + truth.mean()
+        # the flanks take a pixel, all else is level
+        assert np.median(np.abs(seen - truth)) < 0.1e-9
+        assert np.corrcoef(seen, truth)[0, 1] > 0.95
+    # the force was held where the surface is level
+    forces = [state.tip_force_n[2] for state in afm.bench.take("afm/state") if state.in_contact]
+    assert np.median(forces) == pytest.approx(5e-9, rel=0.02, abs=0.0)
+
+
+def test_a_pause_holds_the_force_where_the_tip_is_and_an_abort_retracts_it(afm: Imager) -> None:
+    afm.set(**QUICK)
+    afm.run(until=lambda: any(topic == "afm/scanline" for topic, _ in afm.bench.sent))
+    afm.set(program="pause")
+    afm.bench.take("afm/state")
+    with pytest.raises(RefusedError, match="a scan is running; abort it first"):
+        afm.set(**QUICK)
+    clock = afm.bench.clock
+    end_ns = clock.monotonic_ns() + 300_000_000
+    afm.run(until=lambda: clock.monotonic_ns() > end_ns)
+    standing = afm.bench.take("afm/state")
+    assert len({state.base_position_m[:2] for state in standing[2:]}) == 1
+    assert standing[-1].tip_force_n[2] == pytest.approx(5e-9, rel=0.01, abs=0.0)
+    assert afm.outcome()[0] == "paused"
+    afm.set(program="resume")
+    afm.run(until=lambda: len({s.base_position_m[:2] for t, s in afm.bench.sent if t == "afm/state"}) > 5)
+    afm.set(program="abort")
+    afm.run()
+    assert afm.outcome() == ("ended", "the scan ended, it was aborted")
+    last = afm.bench.take("afm/state")[-1]
+    assert (last.mode, last.in_contact) == ("retracted", False)
+    with pytest.raises(RefusedError, match="there is none to abort"):
+        afm.set(program="abort")
+
+
+def test_an_emergency_stop_and_the_force_limit_end_an_image_with_the_tip_away(bench_of: Any) -> None:
+    afm = Imager(bench_of("afm_node@slave"))
+    afm.set(**QUICK)
+    afm.run(until=lambda: any(s.in_contact for t, s in afm.bench.sent if t == "afm/state"))
+    afm.estop()
+    assert afm.outcome() == ("ended", "the scan ended, the guard has retracted the tip: estop")
+    end_ns = afm.bench.clock.monotonic_ns() + 200_000_000
+    afm.run(until=lambda: afm.bench.clock.monotonic_ns() > end_ns)
+    last = afm.bench.take("afm/state")[-1]
+    assert (last.mode, last.in_contact, last.base_position_m[2]) == ("estop", False, pytest.approx(20e-9, rel=1e-6))
+    with pytest.raises(RefusedError, match="emergency stop is latched"):
+        afm.set(**QUICK)
+    # a wall that is too high for the feedback at this speed
+    steep = {**SOFT, "cantilever": {"stiffness_n_per_m": 40.0}}
+    steep["sample"] = {**SOFT["sample"], "height_m": 30e-9}
+    steep["safety"] = {"retract_position_m": -60e-9}
+    other = Imager(bench_of("afm_node@slave"), steep)
+    other.set(**parameters(scan__gain_per_s=50.0, scan__approach_m_per_s=100e-9))
+    other.run()
+    assert other.outcome() == ("ended", "the scan ended, the guard has retracted the tip: force_limit")
+    assert other.mode == "retracted"
+
+
+@pytest.mark.parametrize(
+    ("changes", "what"),
+    [
+        ({"scan__width_m": 2e-4}, "reaches 0.0001 m from the centre, and lateral.reach_m is 5e-05 m"),
+        ({"scan__width_m": 9e-5}, "a dwell of 0.188 s or more on each pixel"),
+        ({"scan__dwell_s": 1e-3}, "a dwell of 0.002 s or more"),
+        ({"scan__setpoint_n": 3e-7}, "must be below safety.force_limit_n"),
+        ({"scan__lines": 0}, r"afm_node.scan.lines: .* \(allowed is from 1 to 4096\), got 0"),
+        ({"scan__mode": "tunnelling"}, "scan.mode: unknown key, known are width_m"),
+        ({"program": "dance"}, "afm_node.program: Input should be 'scan', 'curve'"),
+    ],
+)
+def test_what_cannot_be_imaged_is_refused_and_the_tip_stays_away(afm: Imager, changes: Any, what: str) -> None:
+    with pytest.raises(RefusedError, match=what):
+        afm.set(**parameters(**changes))
+    for _ in range(50):
+        afm.bench.advance_ms(1.0)
+        afm.node.on_deadline(afm.bench.clock.monotonic_ns())
+    assert {state.mode for state in afm.bench.take("afm/state")} == {"retracted"}
+
+
+def test_a_curve_turns_at_the_load_and_its_states_are_the_curve(bench_of: Any) -> None:
+    afm = Imager(bench_of("afm_node@slave"), {"safety": {"retract_position_m": -30e-9}})
+    afm.set(**{"program": "curve", "curve.load_n": 15e-9, "curve.speed_m_per_s": 200e-9})
+    afm.run()
+    assert afm.outcome()[0] == "finished"
+    forces = np.array([state.tip_force_n[2] for state in afm.bench.take("afm/state")])
+    # it turns within a step of 0.2 nm on the combined stiffness of 19 N/m
+    assert 15e-9 <= forces.max() < 15e-9 + 0.2e-9 * 19.0
+    # the pull-off of Table 2 with its meniscus
+    assert forces.min() == pytest.approx(-12.5e-9, rel=0.05, abs=0.0)
+    with pytest.raises(RefusedError, match="takes effect with program=curve in the same command only"):
+        afm.set(**{"curve.load_n": 1e-9})
+
+
+def test_the_tip_goes_where_it_is_told_while_it_follows_and_presses_there(bench_of: Any) -> None:
+    section = {**SOFT, "lateral": {"reach_m": 50e-9, "speed_m_per_s": 1e-6}}
+    afm = Imager(bench_of("afm_node@slave"), section)
+    afm.node.on_message(command(afm))
+    afm.node.on_control(afm.bench.make("session/control", "console@master", id="b", command="arm", target="*",
+                                       parameters={}))  # fmt: skip
+    afm.set(**{"lateral.x_m": 30e-9})
+    heights = []
+    for _ in range(60):
+        afm.bench.advance_ms(1.0)
+        afm.node.on_message(command(afm))
+        state = afm.bench.take("afm/state")[-1]
+        heights.append((state.base_position_m[0], state.separation_m - state.base_position_m[2]))
+    places = [x for x, _ in heights]
+    assert places[0] <= 1.001e-9
+    assert max(np.diff(places)) <= 1.001e-9
+    assert places[-1] == 30e-9
+    # from the middle of a groove to a ridge: 3 nm nearer
+    assert heights[0][1] - heights[-1][1] == pytest.approx(3e-9, rel=0.01, abs=0.0)
+    with pytest.raises(RefusedError, match=r"beyond lateral\.reach_m = 5e-08 m"):
+        afm.set(**{"lateral.y_m": 51e-9})
+    spring = Imager(bench_of("afm_node@slave"), {"environment": "spring"})
+    with pytest.raises(RefusedError, match="has no lateral stage"):
+        spring.set(**{"lateral.x_m": 1e-9})
+    with pytest.raises(RefusedError, match="needs a lateral stage"):
+        spring.set(program="scan")
+
+
+def command(afm: Imager) -> Any:
+    fields = {"mode": "position", "base_position_m": (0.0, 0.0, 0.0), "hand_seq": 1}
+    return afm.bench.received("afm/command", "controller@slave", **fields, hand_t_ns=afm.bench.clock.now_ns())
+
+
+def test_a_node_restored_in_the_middle_of_an_image_goes_on_with_the_same_lines(bench_of: Any) -> None:
+    first = Imager(bench_of("afm_node@slave"))
+    snapshot = StateSnapshot(first.node)
+    first.set(**QUICK)
+    first.run(until=lambda: any(topic == "afm/scanline" for topic, _ in first.bench.sent))
+    state = snapshot.capture()
+    assert state
+    second = Imager(bench_of("afm_node@slave"))
+    restore(second.node, state)
+    for afm in (first, second):
+        afm.bench.sent.clear()
+        afm.bench.clock = afm.node.clock
+        afm.run()
+    expected, found = ([line.height_m.data for line in afm.bench.take("afm/scanline")] for afm in (first, second))
+    assert len(expected) == 3
+    assert found == expected
