@@ -40,7 +40,8 @@ TARGETS = ("*", "controller@slave", "controller@master", "afm_node", "haptic_nod
 class Frames:
     """Makes frames; `now_ns` is what the readers' clock shows.
 
-    gentle: leaves out commands that end what a live session is judged by: its programme, its law, its link, its files.
+    gentle: leaves out commands that end what a live session is judged by: its programme, its law, the samples that a dead
+    band leaves out, its link, its files.
     """
 
     seed: str
@@ -88,7 +89,7 @@ class Frames:
     def _command(self) -> dict[str, Any]:
         rng = self.random
         target = "controller" if self.gentle else rng.choice(list(KEYS))
-        keys = [key for key in KEYS[target] if not self.gentle or key != "law"]
+        keys = [key for key in KEYS[target] if not self.gentle or not key.startswith(("law", "deadband"))]
         if rng.random() < 0.1:
             keys = list(NONSENSE)
         parameters = {rng.choice(keys): rng.choice(VALUES) for _ in range(rng.choice((0, 1, 1, 1, 1, 2, 5)))}
