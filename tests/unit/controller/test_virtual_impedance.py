@@ -81,7 +81,6 @@ def test_reference_is_the_scaled_position() -> None:
     ("hand", "signal"),
     [
         (pressing(1.0, 5e-3, following=False), answer(1e-9)),
-        (pressing(1.0, 5e-3), answer(1e-9, active=False)),
         (pressing(1.0, 5e-3), answer(1e-9, silence_s=math.nextafter(0.05, 1.0))),
         (pressing(1.0, 5e-3), NO_SIGNAL),
     ],
@@ -94,6 +93,14 @@ def test_uncoupled_mass_stays_with_the_hand_and_the_tip_stays_put(hand: HandSamp
     assert (state.position_m, state.velocity_m_per_s) == (5e-3, 0.0)
     assert reference.position_m == 5e-3
     assert after == pytest.approx(before, rel=1e-14, abs=0.0)
+
+
+def test_tip_that_is_retracted_will_be_where_the_hand_is() -> None:
+    state, hand = MasterState(7e-3, 4e-3, 1e-10), pressing(1.0, 5e-3)
+    state, reference = master_receive(PARAMS, state, hand, answer(1e-9, active=False), PERIOD_S)
+    assert reference.position_m == 5e-3
+    sent = master_send(PARAMS, state, hand, PERIOD_S)[1].position_m
+    assert sent == pytest.approx(PARAMS.position_scale * 5e-3, rel=1e-14, abs=0.0)
 
 
 def test_hand_is_let_go_just_past_the_silence_limit_and_not_at_it() -> None:

@@ -96,6 +96,7 @@ def test_an_observer_connects_to_every_node_for_all_that_it_may_send() -> None:
     assert observed["afm_node@slave"] == [
         "afm/state",
         "afm/scanline",
+        "afm/program",
         "clock/pong",
         "session/event",
         "node/health",
