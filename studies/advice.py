@@ -55,6 +55,12 @@ class Candidate:
     def name(self) -> str:
         return f"{self.law} with the clamp {'on' if self.clamp else 'off'}"
 
+    def as_flags(self) -> str:
+        """Return the options with which `telenano up` runs this law so."""
+        keys = [("law", self.law), *self.settings]
+        values = ((key, str(value).lower() if isinstance(value, bool) else value) for key, value in keys)
+        return " ".join(f"--set controller.{key}={value}" for key, value in values)
+
     @property
     def failed(self) -> list[CellResult]:
         return [result for result in self.results if result.verdict != "stable"]

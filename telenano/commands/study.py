@@ -281,6 +281,7 @@ def advise(
         if not as_json:
             for sentence in words:
                 typer.echo(sentence)
+            typer.echo(f"set: {candidates[0].as_flags()}")
         _print_result(summary, head, rows, out / "advise.html", as_json=as_json)
 
 
