@@ -23,7 +23,7 @@ def _driver(config: AfmConfig) -> AfmDriver:
         return modbus_driver(config.modbus, config.to_params().safety)
     if config.environment == "spring":
         return SimulatedSpring(config.to_spring_params())
-    return SimulatedAfm(config.to_params(), config.to_surface())
+    return SimulatedAfm(config.to_params(), config.to_surface(), config.to_friction_params())
 
 
 def modbus_driver(section: ModbusConfig, limits: SafetyParams) -> AfmDriver:

@@ -63,6 +63,8 @@ class AfmNode(Node):
         self._command: AfmCommand | None = None
         self._command_received_ns = 0
         self._force_n = 0.0
+        self._lateral_n = (0.0, 0.0)
+        self._twist_n = config.friction.lateral_stiffness_n_per_m * config.friction.tip_height_m
         self._place = self._pointer = Place(0.0, 0.0)
         self._lateral = config.to_lateral_params()
         self._programs = _programs(config, driver)
@@ -190,7 +192,12 @@ class AfmNode(Node):
             force_n=self._force_n,
             device_lost=self._device_lost,
         )
-        return self._carry_out(asked, self._pointer, elapsed_s)
+        wanted = self._pointer
+        if command is not None:
+            x, y, _ = command.base_position_m
+            if x or y:
+                wanted = Place(wanted.x_m + x, wanted.y_m + y)
+        return self._carry_out(asked, wanted, elapsed_s)
 
     def _carry_out(self, asked: safety.SafetyInputs, wanted: Place, elapsed_s: float) -> safety.SafetyOutputs:
         """Guard what is asked, apply it, measure, and publish what was done."""
@@ -198,6 +205,8 @@ class AfmNode(Node):
         if wanted is not self._place and allowed.mode == safety.MODE_FOLLOW:
             self._move_laterally(wanted, elapsed_s)
         sample = self._driver.exchange(allowed.base_m)
+        if (stage := self._driver.stage) is not None:
+            self._lateral_n = stage.lateral_force_n
         report = self._driver.report
         # a force beyond the range of the input is no number to the guard
         self._force_n = sample.force_n if report is None or report.force_valid else math.nan
@@ -210,7 +219,7 @@ class AfmNode(Node):
     def _step_program(self, elapsed_s: float, *, estop: bool) -> safety.SafetyOutputs:
         """Take a step of the program that runs, and see to its end."""
         programs = self._programs
-        wanted, line = programs.step(self._guard.base_m, self._place, self._force_n, elapsed_s)
+        wanted, line = programs.step(self._guard.base_m, self._place, self._force_n, self._lateral_n[0], elapsed_s)
         if line is not None:
             self._publish_line(line)
         asked = safety.SafetyInputs(
@@ -244,6 +253,10 @@ class AfmNode(Node):
 
     def _publish_line(self, line: FinishedLine) -> None:
         lines = self._programs.report().lines
+        lateral = {
+            "lateral_force_n": Array.from_numpy(line.lateral_n),
+            "torsion_rad": Array.from_numpy(line.lateral_n / self._twist_n),
+        }
         self.publish(
             "afm/scanline",
             line=line.line,
@@ -254,6 +267,7 @@ class AfmNode(Node):
             height_m=Array.from_numpy(line.height_m),
             amplitude_m=None,
             phase_rad=None,
+            **lateral,
         )
 
     def _publish_state(
@@ -266,7 +280,7 @@ class AfmNode(Node):
             command_seq=0 if command is None else command.seq,
             base_position_m=(*self._place, 0.0 - sample.base_m),
             deflection_m=sample.deflection_m,
-            tip_force_n=(0.0, 0.0, sample.force_n),
+            tip_force_n=(*self._lateral_n, sample.force_n),
             separation_m=sample.distance_m,
             separation_valid=sample.distance_valid,
             in_contact=sample.in_contact,

@@ -30,7 +30,7 @@ class Report(NamedTuple):
     program: str
     state: ProgramState
     text: str
-    percent: float
+    done_percent: float
     line: int
     lines: int
 
@@ -116,15 +116,20 @@ class ProgramRunner:
         self.name, self.state, self._aborted = name, "running", ""
         self._raster = self._curve = None
 
-    def step(self, base_m: float, place: Place, force_n: float, dt: float) -> tuple[Wanted, FinishedLine | None]:
-        """Take what was measured at the last step; return what is wanted for the next dt [s], and a finished line."""
+    def step(
+        self, base_m: float, place: Place, force_n: float, lateral_n: float, dt: float
+    ) -> tuple[Wanted, FinishedLine | None]:
+        """Take what was measured at the last step; return what is wanted for the next dt [s], and a finished line.
+
+        Parameters: base_m, place; force_n along z and lateral_n along x, on the tip [N].
+        """
         if self._aborted:
             return Wanted(safety.ACTION_RETRACT, base_m, place), None
         line: FinishedLine | None = None
         if self._raster is not None:
             plan, state = self._raster
             state, reference_m, target, line = raster.raster_step(
-                plan, state, base_m, place, force_n, dt, paused=self.state == "paused"
+                plan, state, base_m, place, force_n, lateral_n, dt, paused=self.state == "paused"
             )
             self._raster, done = (plan, state), state.phase == raster.DONE
         else:
