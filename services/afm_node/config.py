@@ -15,6 +15,7 @@ from services.afm_node.capillary import meniscus_radius_m
 from services.afm_node.friction import FrictionParams, adhesion_n
 from services.afm_node.lateral import LateralParams
 from services.afm_node.maugis_dugdale import reduced_modulus_pa
+from services.afm_node.program_config import InstrumentRequest
 from services.afm_node.safety import SafetyParams
 from services.afm_node.sample import SampleConfig
 from services.afm_node.spring import SpringParams, spring_params
@@ -196,6 +197,9 @@ class AfmConfig(Settings):
         None, description="What lies under the tip, as `telenano sample` makes it; none: a plane at height 0."
     )
     lateral: LateralConfig = Field(LateralConfig(), description="Limits of the lateral stage.")
+    begin: InstrumentRequest | None = Field(
+        None, description="What begins when the instrument is armed, keys as of `set`; none: it follows commands."
+    )
     friction: FrictionConfig = Field(FrictionConfig(), description="Friction, and torsion of the cantilever.")
     rest_distance_m: float = Field(
         10e-9, gt=0.0, le=1e-4, description="Tip-sample distance L with the base at 0 and no force [m], up to 1e-4."

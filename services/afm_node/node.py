@@ -68,6 +68,7 @@ class AfmNode(Node):
         self._place = self._pointer = Place(0.0, 0.0)
         self._lateral = config.to_lateral_params()
         self._programs = _programs(config, driver)
+        self._begin = config.begin
         self._told_ns = 0
         self._reported = (self._guard.mode, self._guard.reason)
         self.state = "safe"
@@ -125,6 +126,8 @@ class AfmNode(Node):
                 return "armed already"
             if refusal != safety.ARM_NOT_REFUSED:
                 raise RefusedError(f"not armed: {safety.ARM_REFUSAL_NAMES[refusal]}")
+            if self._begin is not None:
+                return self._programs.request(self._begin, self._guard.mode, device_lost=self._device_lost)
             return "armed: the tip follows fresh commands"
         return super().on_control(control)
 
@@ -219,7 +222,8 @@ class AfmNode(Node):
     def _step_program(self, elapsed_s: float, *, estop: bool) -> safety.SafetyOutputs:
         """Take a step of the program that runs, and see to its end."""
         programs = self._programs
-        wanted, line = programs.step(self._guard.base_m, self._place, self._force_n, self._lateral_n[0], elapsed_s)
+        forces = self._force_n, self._lateral_n[0]
+        wanted, line = programs.step(self._guard.base_m, self._place, *forces, self._pointer, elapsed_s)
         if line is not None:
             self._publish_line(line)
         asked = safety.SafetyInputs(
@@ -234,6 +238,8 @@ class AfmNode(Node):
         )
         allowed = self._carry_out(asked, wanted.place, elapsed_s)
         programs.follow_guard(allowed.mode, allowed.reason)
+        if text := programs.take_notice():
+            self.event("mode", "warning", text)
         is_over = programs.state in ("finished", "ended")
         if is_over or self._stepped_ns - self._told_ns >= _PROGRAM_PERIOD_NS:
             self._told_ns = self._stepped_ns

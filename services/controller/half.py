@@ -9,7 +9,7 @@ from proto.messages import (
     TeleopForward,
 )
 from services.controller import energy
-from services.controller.config import LAWS, ControllerConfig, changed_config
+from services.controller.config import KNOWN_LAWS, ControllerConfig, changed_config
 from services.controller.deadband import deadband, fresh
 from services.controller.input_age import InputAge
 from services.controller.law import (
@@ -62,13 +62,13 @@ class ControllerHalf(Node):
         self._reported_j = 0.0
         self._band = config.deadband.to_params()
         self._band_state = fresh(NO_SIGNAL)
-        for law in LAWS.values():  # a change of law is no time to compile
+        for law in KNOWN_LAWS.values():  # a change of law is no time to compile
             changed = config.model_copy(update={"law": law.name})
             warm_up(law, changed.params(), changed)
 
     @property
     def law(self) -> Law:
-        return LAWS[self.config.law]
+        return KNOWN_LAWS[self.config.law]
 
     def deadline_ns(self) -> int:
         return self.input_age.deadline_ns()
