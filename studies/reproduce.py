@@ -103,9 +103,11 @@ def reproduce(figures: Sequence[str], out: Path, pixels: int, progress: Progress
     if "models" in figures:
         page.heading("The quasi-static cantilever beside Eq. 4 in full")
         found = compare_models(progress=partial(progress, "models"))
-        head = ("k [N/m]", "pull-off [nN]", "difference [%]", "snap-in x_s [nm]", "difference [nm]", "hysteresis [aJ]",
-                "difference [%]", "step [nm]")  # fmt: skip
-        page.table(head, [_model_cells(row) for row in found])
+        columns = (
+            "k [N/m]", "pull-off [nN]", "difference [%]", "snap-in x_s [nm]", "difference [nm]", "hysteresis [aJ]",
+            "difference [%]", "step [nm]",
+        )  # fmt: skip
+        page.table(columns, [_model_cells(row) for row in found])
         summary["models"] = [row._asdict() for row in found]
     if "fig8" in figures:
         request = ScanRequest(pixels=pixels, lines=pixels)

@@ -12,6 +12,7 @@ from proto.errors import ConfigError
 from proto.topics import deadline_of
 from services.afm_node.cantilever import Plant, build_plant, volts_per_m
 from services.afm_node.capillary import meniscus_radius_m
+from services.afm_node.disturbances import DisturbanceConfig
 from services.afm_node.friction import FrictionParams, adhesion_n
 from services.afm_node.lateral import LateralParams
 from services.afm_node.maugis_dugdale import reduced_modulus_pa
@@ -197,6 +198,9 @@ class AfmConfig(Settings):
         None, description="What lies under the tip, as `telenano sample` makes it; none: a plane at height 0."
     )
     lateral: LateralConfig = Field(LateralConfig(), description="Limits of the lateral stage.")
+    disturbances: DisturbanceConfig = Field(
+        DisturbanceConfig(), description="What disturbs a simulated instrument; all of it is off."
+    )
     begin: InstrumentRequest | None = Field(
         None, description="What begins when the instrument is armed, keys as of `set`; none: it follows commands."
     )

@@ -7,9 +7,10 @@ from proto.errors import RefusedError
 from proto.messages import AfmCommand, Array, ClockPing, LinkDelay, SessionControl
 from services.afm_node import safety
 from services.afm_node.config import AfmConfig
+from services.afm_node.disturbed import DisturbedAfm
 from services.afm_node.driver import AfmDriver, DeviceReport
 from services.afm_node.lateral import Place, moved
-from services.afm_node.program_config import requested
+from services.afm_node.program_config import changed_disturbances, requested
 from services.afm_node.programs import ProgramRunner
 from services.afm_node.raster import FinishedLine
 from services.afm_node.step import LONGEST_STEP_NS, AfmSample, command_wait_ns
@@ -58,6 +59,7 @@ class AfmNode(Node):
         self._allow_replay = config.allow_replay
         self._hand_age = HandAge(context.key, self.clock.now_ns())
         self._driver = driver
+        self._disturbed = driver if isinstance(driver, DisturbedAfm) else None
         self._limits = config.to_params().safety
         self._guard = safety.initial_safety_state(self._limits)
         self._command: AfmCommand | None = None
@@ -133,8 +135,14 @@ class AfmNode(Node):
 
     def _set(self, control: SessionControl) -> str:
         """Begin or change a program, or move the tip over the sample."""
-        request = requested(control.parameters)
+        changes = {key: value for key, value in control.parameters.items() if key.startswith("disturbances.")}
+        request = requested({key: value for key, value in control.parameters.items() if key not in changes}, changes)
         sentences = []
+        if changes:
+            if self._disturbed is None:
+                raise RefusedError("disturbances: a real instrument has its own")
+            self._disturbed.configure(changed_disturbances(self._disturbed.config, changes))
+            sentences.append("set " + ", ".join(f"{key} = {value}" for key, value in changes.items()))
         lateral = request.lateral
         if lateral.x_m is not None or lateral.y_m is not None:
             if self._driver.stage is None:
@@ -207,6 +215,8 @@ class AfmNode(Node):
         self._guard, allowed = safety.safety_step(self._limits, self._guard, asked, elapsed_s)
         if wanted is not self._place and allowed.mode == safety.MODE_FOLLOW:
             self._move_laterally(wanted, elapsed_s)
+        if self._disturbed is not None:
+            self._disturbed.elapse(elapsed_s)
         sample = self._driver.exchange(allowed.base_m)
         if (stage := self._driver.stage) is not None:
             self._lateral_n = stage.lateral_force_n

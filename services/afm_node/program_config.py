@@ -7,7 +7,8 @@ from pydantic import Field
 
 from proto.errors import ConfigError, RefusedError
 from proto.messages import Scalar
-from services.runtime.config import Settings, nested, validate
+from services.afm_node.disturbances import DisturbanceConfig
+from services.runtime.config import Settings, merge, nested, validate
 
 Length = Annotated[float, Field(ge=1e-9, le=1e-3)]
 Place = Annotated[float, Field(ge=-1e-3, le=1e-3)]
@@ -80,8 +81,11 @@ class InstrumentRequest(Settings):
     lateral: LateralTarget = Field(LateralTarget(), description="Where the tip is to be.")
 
 
-def requested(parameters: Mapping[str, Scalar]) -> InstrumentRequest:
-    """Return what parameters by dotted key ask for; RefusedError says what is wrong with them."""
+def requested(parameters: Mapping[str, Scalar], others: Mapping[str, Scalar] | None = None) -> InstrumentRequest:
+    """Return what parameters by dotted key ask for; RefusedError says what is wrong with them, or that there are none.
+
+    Parameters: others, keys of the same command that are for somebody else.
+    """
     try:
         request = validate(InstrumentRequest, nested(parameters, "session/control"), "session/control", "afm_node")
     except ConfigError as error:
@@ -89,6 +93,16 @@ def requested(parameters: Mapping[str, Scalar]) -> InstrumentRequest:
     sections = {key.partition(".")[0] for key in parameters}
     if idle := sections & {"scan", "curve", "tactile"} - {request.program}:
         raise RefusedError(f"{', '.join(sorted(idle))}: takes effect with program={min(idle)} in the same command only")
-    if not sections:
+    if not sections and not others:
         raise RefusedError("set needs parameters, such as program=scan or lateral.x_m=2e-8")
     return request
+
+
+def changed_disturbances(config: DisturbanceConfig, parameters: Mapping[str, Scalar]) -> DisturbanceConfig:
+    """Return disturbances with keys `disturbances.…` changed; RefusedError says what is wrong with them."""
+    try:
+        document = merge({"disturbances": config.model_dump()}, nested(parameters, "session/control"))
+        section = document["disturbances"]
+        return validate(DisturbanceConfig, section, "session/control", "afm_node.disturbances")
+    except ConfigError as error:
+        raise RefusedError(str(error)) from error

@@ -215,8 +215,8 @@ class ProgramRunner:
     def _progress(self) -> tuple[str, float, int, int]:
         if self._tactile is not None:
             felt_phase = self._tactile[1].phase
-            texts = ("the tip rises", "the stage moves to the first point", "approach", "the surface is felt", "done")
-            return texts[felt_phase], felt_phase / tactile.DONE, 0, 0
+            steps = ("the tip rises", "the stage moves to the first point", "approach", "the surface is felt", "done")
+            return steps[felt_phase], felt_phase / tactile.DONE, 0, 0
         if self._raster is None:
             assert self._curve is not None
             phase = self._curve[1].phase

@@ -46,6 +46,10 @@ def curve(
     overlay: Annotated[
         Path | None, typer.Option("--overlay", metavar="FILE", help="Measured curve to draw beside it (.ibw, .h5).")
     ] = None,
+    reduced_modulus: Annotated[
+        float | None,
+        typer.Option("--reduced-modulus", metavar="PA", help="Of the measured contact [Pa]; default: of --afm."),
+    ] = None,
     live: LiveOption = False,
     site_file: SiteFileOption = DEFAULT_SITE_FILE,
     as_json: JsonOption = False,
@@ -76,7 +80,7 @@ def curve(
         make_folder(out)
         curves.write_hdf5(out / "curve.h5", found)
         other = None if measured is None else (measured, curves.marks_of(measured))
-        fit = None if measured is None else fit_adhesion(measured, config)
+        fit = None if measured is None else fit_adhesion(measured, config, reduced_modulus)
         pairs = [(found, marks), *([] if other is None else [other])]
         curve_figure(pairs).savefig(out / "curve.png", dpi=130)
     document = {"model": found.model, "stiffness_n_per_m": found.stiffness_n_per_m, **marks.as_dict()}

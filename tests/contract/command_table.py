@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from services.afm_node.disturbances import DisturbanceConfig
 from services.afm_node.node import AfmNode
 from services.afm_node.program_config import InstrumentRequest
 from services.controller.config import KNOWN_LAWS, ControllerConfig
@@ -37,7 +38,10 @@ def settable(node: str) -> list[str]:
     if node == "delay_node":
         return list(flattened(LinkSettings()))
     if node == "afm_node":
-        return list(flatten(InstrumentRequest().model_dump()))
+        return [
+            *flatten(InstrumentRequest().model_dump()),
+            *flatten({"disturbances": DisturbanceConfig().model_dump()}),
+        ]
     return list(ACTIONS if node == "recorder" else SETTERS)
 
 

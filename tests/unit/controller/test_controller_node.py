@@ -327,7 +327,7 @@ def test_x_and_y_of_a_hand_reach_the_tip_and_its_lateral_force_comes_back(master
     slave.on_message(far.received("afm/state", "afm_node@slave", **tip))
     (backward,) = far.take("teleop/backward")
     assert (backward.position_m[:2], backward.force_n[:2]) == ((6e-9, -3e-9), (-1e-9, 5e-10))
-    answer = answer_fields(2e-9, hand.message.seq, hand.message.t_ns, force_n=backward.force_n)
+    answer = {**answer_fields(2e-9, hand.message.seq, hand.message.t_ns), "force_n": backward.force_n}
     node.on_message(bench.received("teleop/backward", "controller@slave", **answer))
     # alpha_f = 1e8
     assert bench.take("haptic/command")[-1].force_n[:2] == pytest.approx((-0.1, 0.05), rel=1e-12, abs=0.0)

@@ -61,5 +61,5 @@ def test_a_measured_curve_is_fitted_with_uncertainties():
     config = AfmConfig.model_validate({"meniscus": False})
     found = fit_adhesion(read_measured(DATA), config)
     assert found.points > 50
-    assert 0.0 < found.work_of_adhesion_error_j_per_m2
-    assert 0.0 < found.radius_error_m
+    assert found.work_of_adhesion_error_j_per_m2 > 0.0
+    assert found.radius_error_m > 0.0
