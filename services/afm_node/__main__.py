@@ -5,6 +5,7 @@ from pathlib import Path
 
 from proto.errors import ConfigError
 from services.afm_node.config import AfmConfig, ModbusConfig
+from services.afm_node.disturbed import DisturbedAfm
 from services.afm_node.driver import AfmDriver
 from services.afm_node.node import INPUTS, AfmNode
 from services.afm_node.safety import SafetyParams
@@ -23,7 +24,10 @@ def _driver(config: AfmConfig) -> AfmDriver:
         return modbus_driver(config.modbus, config.to_params().safety)
     if config.environment == "spring":
         return SimulatedSpring(config.to_spring_params())
-    return SimulatedAfm(config.to_params(), config.to_surface())
+    params = config.to_params()
+    afm = SimulatedAfm(params, config.to_surface(), config.to_friction_params())
+    # always there, since a person may switch disturbances on while it runs; while all are off it only hands on
+    return DisturbedAfm(afm, config.disturbances, config.cantilever.stiffness_n_per_m, params.plant.volts_per_m)
 
 
 def modbus_driver(section: ModbusConfig, limits: SafetyParams) -> AfmDriver:

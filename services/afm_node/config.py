@@ -12,8 +12,11 @@ from proto.errors import ConfigError
 from proto.topics import deadline_of
 from services.afm_node.cantilever import Plant, build_plant, volts_per_m
 from services.afm_node.capillary import meniscus_radius_m
+from services.afm_node.disturbances import DisturbanceConfig
+from services.afm_node.friction import FrictionParams, adhesion_n
 from services.afm_node.lateral import LateralParams
 from services.afm_node.maugis_dugdale import reduced_modulus_pa
+from services.afm_node.program_config import InstrumentRequest
 from services.afm_node.safety import SafetyParams
 from services.afm_node.sample import SampleConfig
 from services.afm_node.spring import SpringParams, spring_params
@@ -148,6 +151,16 @@ class LateralConfig(Settings):
     speed_m_per_s: float = Field(20e-6, gt=0.0, le=1.0, description="Greatest speed [m/s], up to 1.")
 
 
+class FrictionConfig(Settings):
+    """Friction of the tip on the sample, and what the cantilever does under lateral force; the paper has neither."""
+
+    coefficient: float = Field(0.0, ge=0.0, le=2.0, description="Coefficient mu of Amontons, 0 to 2; 0: no friction.")
+    lateral_stiffness_n_per_m: float = Field(
+        100.0, gt=0.0, le=1e6, description="Lateral stiffness of the cantilever at the tip [N/m], up to 1e6."
+    )
+    tip_height_m: float = Field(10e-6, gt=0.0, le=1e-3, description="Height of the tip [m]: torsion is F / (k h).")
+
+
 class SpringConfig(Settings):
     """A linear environment in place of cantilever and sample: the one of the theory of delay."""
 
@@ -185,6 +198,13 @@ class AfmConfig(Settings):
         None, description="What lies under the tip, as `telenano sample` makes it; none: a plane at height 0."
     )
     lateral: LateralConfig = Field(LateralConfig(), description="Limits of the lateral stage.")
+    disturbances: DisturbanceConfig = Field(
+        DisturbanceConfig(), description="What disturbs a simulated instrument; all of it is off."
+    )
+    begin: InstrumentRequest | None = Field(
+        None, description="What begins when the instrument is armed, keys as of `set`; none: it follows commands."
+    )
+    friction: FrictionConfig = Field(FrictionConfig(), description="Friction, and torsion of the cantilever.")
     rest_distance_m: float = Field(
         10e-9, gt=0.0, le=1e-4, description="Tip-sample distance L with the base at 0 and no force [m], up to 1e-4."
     )
@@ -214,6 +234,12 @@ class AfmConfig(Settings):
 
     def to_lateral_params(self) -> LateralParams:
         return LateralParams(self.lateral.reach_m, self.lateral.speed_m_per_s)
+
+    def to_friction_params(self) -> FrictionParams:
+        f = self.friction
+        # without friction its adhesion has no use, and takes a while to find
+        pull_n = adhesion_n(self.to_params().plant.tip) if f.coefficient > 0.0 else 0.0
+        return FrictionParams(f.coefficient, pull_n, f.lateral_stiffness_n_per_m, f.tip_height_m)
 
     def to_surface(self) -> Surface | None:
         """Return the sample as the sphere of the tip sees it, None for a plane; ConfigError names what is wrong."""

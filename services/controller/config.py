@@ -14,6 +14,7 @@ from services.controller.laws.model_mediated import MODEL_MEDIATED, ModelMediate
 from services.controller.laws.passivity import PASSIVITY, PassivityConfig
 from services.controller.laws.position_force import POSITION_FORCE, PositionForceConfig
 from services.controller.laws.smith import SMITH, SmithConfig
+from services.controller.laws.tactile import TACTILE, TactileConfig
 from services.controller.laws.virtual_impedance import VIRTUAL_IMPEDANCE, VirtualImpedanceConfig
 from services.controller.laws.wave import WAVE, WaveConfig
 from services.runtime.config import Settings, merge, nested, validate
@@ -21,7 +22,9 @@ from services.runtime.config import Settings, merge, nested, validate
 LAWS: dict[str, Law] = {
     law.name: law for law in (VIRTUAL_IMPEDANCE, POSITION_FORCE, WAVE, PASSIVITY, MODEL_MEDIATED, SMITH)
 }
-LawName = Literal["virtual_impedance", "position_force", "wave", "passivity", "model_mediated", "smith"]
+# the hand follows the surface and does not move the tip: no loop, nothing for a study of loops
+KNOWN_LAWS: dict[str, Law] = {**LAWS, TACTILE.name: TACTILE}
+LawName = Literal["virtual_impedance", "position_force", "wave", "passivity", "model_mediated", "smith", "tactile"]
 
 
 class ControllerConfig(Settings):
@@ -49,6 +52,8 @@ class ControllerConfig(Settings):
     )
     smith: SmithConfig = Field(default=SmithConfig(), description="Parameters of the Smith predictor")
 
+    tactile: TactileConfig = Field(default=TactileConfig(), description="Parameters of tactile feedback")
+
     def law_config(self) -> Any:
         """Return the parameters of the law in force; every law's have position_scale, force_scale, silence_limit_s."""
         return getattr(self, self.law)
@@ -65,7 +70,7 @@ class ControllerConfig(Settings):
     @property
     def local_loop(self) -> bool:
         """Whether the slave half goes on between signals, on the instrument's clock."""
-        return LAWS[self.law].local_loop or self.clamp_params().enabled
+        return KNOWN_LAWS[self.law].local_loop or self.clamp_params().enabled
 
 
 def changed_config(config: ControllerConfig, parameters: Mapping[str, Scalar]) -> ControllerConfig:

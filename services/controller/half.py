@@ -9,7 +9,7 @@ from proto.messages import (
     TeleopForward,
 )
 from services.controller import energy
-from services.controller.config import LAWS, ControllerConfig, changed_config
+from services.controller.config import KNOWN_LAWS, ControllerConfig, changed_config
 from services.controller.deadband import deadband, fresh
 from services.controller.input_age import InputAge
 from services.controller.law import (
@@ -26,6 +26,7 @@ from services.runtime.node import Node, NodeContext
 
 STATUS_PERIOD_S = 0.01
 NEVER = (0.0, False)
+CENTRE = (0.0, 0.0)
 
 
 class ControllerHalf(Node):
@@ -48,6 +49,8 @@ class ControllerHalf(Node):
         self.params: Any = config.params()
         self.law_state: Any = None
         self.signal: PortSignal = NO_SIGNAL
+        # x and y, which no law knows: what this half tells of its device [m], and what the other one sent last
+        self.lateral_m = self.far_lateral = CENTRE
         self.switching = False
         self.port = energy.opened(0.0, 0.0)
         self._signal_ns: int | None = None
@@ -59,13 +62,13 @@ class ControllerHalf(Node):
         self._reported_j = 0.0
         self._band = config.deadband.to_params()
         self._band_state = fresh(NO_SIGNAL)
-        for law in LAWS.values():  # a change of law is no time to compile
+        for law in KNOWN_LAWS.values():  # a change of law is no time to compile
             changed = config.model_copy(update={"law": law.name})
             warm_up(law, changed.params(), changed)
 
     @property
     def law(self) -> Law:
-        return LAWS[self.config.law]
+        return KNOWN_LAWS[self.config.law]
 
     def deadline_ns(self) -> int:
         return self.input_age.deadline_ns()
@@ -132,7 +135,10 @@ class ControllerHalf(Node):
         # the classes of messages answer `isinstance` in Python, which takes longer than all of this
         if type(message) is TeleopBackward:
             force_n, separation_m = message.force_n[2], message.separation_m
+            self.far_lateral = message.force_n[:2]
             separation_valid, in_contact = message.separation_valid, message.in_contact
+        else:
+            self.far_lateral = message.position_m[:2]
         self.signal = PortSignal(
             position_m=to_paper_axis(message.position_m),
             velocity_m_per_s=to_paper_axis(message.velocity_m_per_s),
@@ -178,7 +184,7 @@ class ControllerHalf(Node):
         return {
             "law": self.law.name,
             "active": signal.active,
-            "position_m": to_site_frame(signal.position_m),
+            "position_m": (*self.lateral_m, 0.0 - signal.position_m),
             "velocity_m_per_s": to_site_frame(signal.velocity_m_per_s),
             "wave_sqrt_w": to_site_frame(signal.wave_sqrt_w) if self.law.uses_waves else None,
             "energy_j": signal.energy_j if self.law.uses_energy else None,

@@ -83,7 +83,7 @@ def test_version() -> None:
 def test_an_unknown_scenario_lists_the_known(tmp_path: Path) -> None:
     code, out, err = run("up", "--scenario", "fig13", "--out", str(tmp_path))
     assert (code, out) == (2, "")
-    assert "unknown scenario 'fig13': known are fig12" in err
+    assert "unknown scenario 'fig13': known are fig10, fig12" in err
 
 
 def test_a_missing_site_file_is_named(tmp_path: Path) -> None:
