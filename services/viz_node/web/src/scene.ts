@@ -116,7 +116,6 @@ export class View {
     this.buildTip();
     this.world.add(this.plane, this.surface.mesh, this.tip, this.contact, this.mark, this.normal, this.lateral);
     this.world.add(this.bars);
-    this.fit({ x: 0, y: 0, width: PLANE_NM, depth: PLANE_NM });
     this.orbit = new OrbitControls(this.camera, this.renderer.domElement);
     this.orbit.enableDamping = false;
     this.orbit.addEventListener("change", () => this.invalidate());
@@ -128,7 +127,7 @@ export class View {
     this.section.onChange = () => this.invalidate();
     this.world.add(this.section.polyline);
     this.buildOverlay();
-    this.reset();
+    this.fit({ x: 0, y: 0, width: PLANE_NM, depth: PLANE_NM });
     this.recolour();
     new ResizeObserver(() => this.resize()).observe(root);
     this.resize();
