@@ -276,7 +276,8 @@ export class View {
       const s = (i + 0.5) / BEAM_PARTS;
       const lift = deflection * ((3 * s * s - s ** 3) / 2 - 1);
       piece.position.z = TIP_NM + 2 + lift;
-      piece.rotation.y = Math.atan((deflection * (6 * s - 3 * s * s)) / 2 / CANTILEVER_NM);
+      // a positive turn about y takes x down
+      piece.rotation.y = -Math.atan((deflection * (6 * s - 3 * s * s)) / 2 / CANTILEVER_NM);
     });
   }
 
@@ -469,7 +470,7 @@ function bar(axis: "x" | "y" | "z", length: number, at: [number, number, number]
   label.scale.multiplyScalar(side);
   label.position.set(...middle);
   if (axis === "x") label.position.y -= 6 * side;
-  if (axis === "y") label.position.x -= 15 * side;
+  if (axis === "y") label.position.set(-6 * side, length + 4 * side, 0);
   if (axis === "z") label.position.z = length + 5 * side;
   const group = new Group();
   group.add(rod, label);
