@@ -39,6 +39,10 @@ class SimulatedAfm:
         return self._safe_position_m
 
     @property
+    def latency_s(self) -> float:
+        return 0.0
+
+    @property
     def report(self) -> None:
         return None
 
@@ -84,9 +88,10 @@ class SimulatedAfm:
         )
         self._lateral_force_n = (force_x, force_y)
 
-    def retract(self) -> None:
+    def retract(self) -> bool:
         if self._tip is not None:
             self.exchange(self._safe_position_m)
+        return True
 
     def close(self) -> None:
         self.retract()
@@ -116,6 +121,10 @@ class SimulatedSpring:
         return self._params.safety.retract_position_m
 
     @property
+    def latency_s(self) -> float:
+        return 0.0
+
+    @property
     def report(self) -> None:
         return None
 
@@ -137,8 +146,9 @@ class SimulatedSpring:
         force = spring_force(self._params, base_m)
         return AfmSample(base_m, 0.0, force, 0.0, self._params.rest_distance_m - base_m, True, force != 0.0, False)
 
-    def retract(self) -> None:
+    def retract(self) -> bool:
         """Retract to the safe position at once: there is nothing to move."""
+        return True
 
     def close(self) -> None:
         self._opened = False
