@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from analysis.verdict import KINDS
 from services.runtime.config import flatten
+from services.viz_node.figure_style import ON_SCREEN, VERDICTS, FigureOptions, drawn
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -29,10 +30,9 @@ td { white-space: nowrap; } td.words { white-space: normal; min-width: 14rem; te
 }
 th:first-child, td:first-child { text-align: left; }
 code { background: var(--soft); padding: .1rem .3rem; }
-.stable { background: #009e7355; } .limit_cycle { background: #e69f0055; } .diverged { background: #d55e0055; }
-.drifting { background: #f0e44255; } .wrong_force { background: #cc79a755; } .contact_lost { background: #56b4e955; }
-.released { background: #00000022; } .guarded { background: #0072b255; } .cannot_say { background: #99999955; }
-"""
+""" + "\n".join(
+    f".{kind} {{ background: {colour}66; border-left: 4px solid {colour}; }}" for kind, colour in VERDICTS.items()
+)
 _DPI = 140
 # characters
 _LONGEST_FIGURE = 32
@@ -96,6 +96,14 @@ def png_of(figure: "Figure") -> bytes:
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=_DPI)
     return buffer.getvalue()
+
+
+def write_images(out: Path, figures: "Mapping[str, Figure]", options: FigureOptions = ON_SCREEN) -> dict[str, bytes]:
+    """Write figures into a folder in their formats; return each as PNG, by file name, for a page."""
+    for stem, figure in figures.items():
+        for name, content in drawn(figure, stem, options).items():
+            (out / name).write_bytes(content)
+    return {f"{stem}.png": png_of(figure) for stem, figure in figures.items()}
 
 
 def write_parquet(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:

@@ -6,6 +6,9 @@
     tip["time_s"], tip["tip_force_n.2"], tip.units["tip_force_n.2"]
     session.df("law/status", "controller@master")     # pandas, where it is installed
 
+    soft = telenano.simulate(law="wave", round_trip_ms=40.0)
+    soft["time_s"], soft["scaled_tip_force_n"], soft.verdict
+
     with telenano.live() as rig:
         print(rig.table("afm/state", duration_s=1.0)["tip_force_n.2"])
 
@@ -18,7 +21,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -30,6 +33,9 @@ from recording.export import topic_of
 from recording.multi_file import open_recordings
 from recording.quantities import quantity
 from recording.tables import flat, row, uniform
+
+if TYPE_CHECKING:
+    from studies.simulation import SimulatedSession
 
 Column = npt.NDArray[Any]
 _LOOP = "haptic/state"
@@ -165,6 +171,41 @@ def open(path: str | os.PathLike[str], *further: str | os.PathLike[str]) -> Reco
     Raises: RecordingError naming a file that cannot be read.
     """
     return RecordedSession(map(Path, (path, *further)))
+
+
+def simulate(
+    scenario: str = "fig12",
+    *,
+    law: str | None = None,
+    round_trip_ms: float | None = None,
+    delay_ms: float | None = None,
+    environment: str | None = None,
+    operator: Mapping[str, Any] | None = None,
+    duration_s: float | None = None,
+    settings: Mapping[str, Any] | None = None,
+) -> "SimulatedSession":
+    """Run a scenario in lockstep, without processes: in the first call the models compile, which takes a minute.
+
+    Parameters: scenario, a known name or a YAML file; law, its name; round_trip_ms, of the link [ms], or delay_ms, one
+    way; environment, what the tip meets; operator, the section `haptic_node.operator`; duration_s [s]; settings, by
+    dotted key of the scenario. What is not given is the scenario's.
+    Raises: ConfigError naming the key at fault, or what is not installed.
+    """
+    try:
+        from studies.simulation import simulate_scenario
+    except ImportError as error:
+        text = f"a simulation needs the package {error.name}: pip install 'telenano[studies]'"
+        raise ConfigError(text) from error
+    return simulate_scenario(
+        scenario,
+        law=law,
+        round_trip_ms=round_trip_ms,
+        delay_ms=delay_ms,
+        environment=environment,
+        operator=operator,
+        duration_s=duration_s,
+        settings=settings,
+    )
 
 
 @contextmanager

@@ -28,5 +28,6 @@ def _hurry() -> None:
     """Run ahead of ordinary processes where that is permitted: a busy machine may leave them a tenth of its time."""
     # nothing here lives long enough to be collected
     gc.disable()
-    with contextlib.suppress(PermissionError):
+    # other systems than Linux have no such priorities
+    with contextlib.suppress(PermissionError, AttributeError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_URGENT))

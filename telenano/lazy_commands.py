@@ -35,12 +35,18 @@ LAZY_COMMANDS = {
         "telenano.commands.replay", "replay", "Play a recording in the place of nodes that do not run."
     ),
     "report": LazyCommand("telenano.commands.report", "report", "Write figure and summary of a recording again."),
+    "compare": LazyCommand("telenano.commands.compare", "compare", "Draw sessions over one another, with one table."),
     "bag": LazyCommand("telenano.commands.bag", "app", "Inspect a recording, and make others from it."),
     "study": LazyCommand(
         "telenano.commands.study",
         "app",
         "Study each law in lockstep: stability, transparency.",
     ),
+    "scenario": LazyCommand("telenano.commands.scenario", "app", "List, show, check and make scenarios."),
+    "param": LazyCommand("telenano.commands.param", "app", "List the keys of a scenario, and get their values."),
+    "graph": LazyCommand("telenano.commands.graph", "graph", "Draw the nodes, and the topics between them."),
+    "law": LazyCommand("telenano.commands.law", "app", "List, show and check laws, those of packages included."),
+    "new": LazyCommand("telenano.commands.new", "new", "Make a package with a law, device, operator or sample."),
     "sample": LazyCommand(
         "telenano.commands.sample", "sample", "Make or read a surface, and show what a round tip sees of it."
     ),
@@ -57,6 +63,15 @@ LAZY_COMMANDS = {
 }
 
 
+GROUPS = {
+    "Run": ("up", "session", "estop", "replay", "node"),
+    "Look": ("status", "view", "topic", "link", "graph", "bridge"),
+    "Record and report": ("record", "bag", "report", "compare"),
+    "Study": ("study", "law", "curve", "scan", "sample", "reproduce"),
+    "Set up": ("scenario", "param", "new", "device", "keys", "doctor"),
+}
+
+
 def load(name: str) -> Any:
     """Import a command of the table."""
     row = LAZY_COMMANDS[name]
@@ -65,7 +80,12 @@ def load(name: str) -> Any:
         command = typer.main.get_command(found)
         command.help = command.help or row.about
         return command
-    alone = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
+    alone = typer.Typer(
+        add_completion=False,
+        pretty_exceptions_enable=False,
+        rich_markup_mode=None,
+        context_settings={"help_option_names": ["-h", "--help"]},
+    )
     alone.command(name)(found)
     return typer.main.get_command(alone)
 
@@ -96,6 +116,12 @@ class LazyRoot(TyperGroup):
 
     def list_commands(self, ctx: Any) -> list[str]:
         return list(LAZY_COMMANDS)
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write the commands under the headings of GROUPS, each with its whole line."""
+        for heading, names in GROUPS.items():
+            with formatter.section(heading):
+                formatter.write_dl([(name, LAZY_COMMANDS[name].about) for name in names])
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Return what the list of commands needs of one; None if it is unknown."""

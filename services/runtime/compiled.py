@@ -16,7 +16,9 @@ from collections.abc import Callable
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
-from typing import TypeVar, cast
+from typing import Any, TypeVar, cast
+
+from presets.plugins import digest_of_all
 
 F = TypeVar("F", bound=Callable[..., object])
 
@@ -44,6 +46,11 @@ def compile_steps() -> None:
     _compiling = True
 
 
+def is_compiling() -> bool:
+    """Return whether steps are compiled in this process."""
+    return _compiling
+
+
 def source_digest(root: Path = _ROOT) -> str:
     """Return the digest (16 hex digits) of every Python file that may hold compiled steps or constants they use."""
     digest = hashlib.sha256((version("numba") + "/" + _CACHE_FORMAT).encode())
@@ -52,6 +59,8 @@ def source_digest(root: Path = _ROOT) -> str:
             if path.name not in _SHELLS:
                 digest.update(str(path.relative_to(root)).encode())
                 digest.update(path.read_bytes())
+    # installed packages have steps as well
+    digest.update(digest_of_all().encode())
     return digest.hexdigest()[:16]
 
 
@@ -68,6 +77,27 @@ def compiled(function: F) -> F:
         return cast(F, _compiler()(function))
     _plain = _plain or f"{function.__module__}.{function.__qualname__}"
     return function
+
+
+def chosen_step(choose: Callable[[type], Callable[..., Any]]) -> Callable[..., Any]:
+    """Return a function of (params, *inputs) that calls the step which `choose` gives for the type of params.
+
+    Compiled code makes the choice while it is compiled; steps handed over as arguments would be compiled anew by every
+    process.
+    """
+
+    def plain(params: Any, *inputs: Any) -> Any:
+        return choose(type(params))(params, *inputs)
+
+    def typed(params: Any, *inputs: Any) -> Callable[..., Any]:
+        step = choose(params.instance_class)
+        return lambda params, *inputs: step(params, *inputs)
+
+    if _compiling:
+        from numba.extending import overload
+
+        overload(plain, strict=False)(typed)
+    return plain
 
 
 @cache

@@ -18,7 +18,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Column, Table
 
 from proto.errors import ConfigError
-from studies.page import Page, text, write_parquet
+from services.viz_node.figure_style import figure_options, styled
+from studies.page import Page, text, write_images, write_parquet
 from telenano.commands.study_options import (
     BodyDampingOption,
     Environment,
@@ -43,7 +44,7 @@ from telenano.commands.study_options import (
 )
 from telenano.commands.study_promises import promises
 from telenano.exit_codes import EXIT_FAILED
-from telenano.options import JsonOption, command_group
+from telenano.options import FormatOption, JsonOption, StyleOption, command_group
 from telenano.output import console, print_json, report_errors
 
 if TYPE_CHECKING:
@@ -83,6 +84,8 @@ def stability(
     settings: SetOption = None,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
+    formats: FormatOption = "png",
+    style: StyleOption = "screen",
     as_json: JsonOption = False,
 ) -> None:
     """Map delay against stiffness, gain, jitter or loss: stable, limit cycle or diverged, and the critical delay."""
@@ -95,7 +98,7 @@ def stability(
         axes = given.axes(delay)
         with _sweep(out, workers, scheduler, shown=not as_json) as sweep:
             results = run_stability(axes, sweep)
-        summary = write_stability(results, out, _command())
+        summary = write_stability(results, out, _command(), figure_options(formats, style))
         head = ("law", "conditions", "theory [ms]", "lockstep [ms]", "link alone [ms]")
         rows = [
             (
@@ -125,6 +128,8 @@ def transparency(
         bool, typer.Option("--tuned", help="Tune each law for each delay, by the rule of `study advise`.")
     ] = False,
     settings: SetOption = None,
+    formats: FormatOption = "png",
+    style: StyleOption = "screen",
     as_json: JsonOption = False,
 ) -> None:
     """Measure what the hand feels: tracking, stiffness, hybrid matrix over frequency, Z-width of each law."""
@@ -133,7 +138,7 @@ def transparency(
         from studies.compare import (
             measure_all,
             spectra_of,
-            spectrum_images,
+            spectrum_figures,
             write_spectra,
             write_transparency,
             z_width_of,
@@ -145,9 +150,9 @@ def transparency(
         rows = measure_all(axes, axes.delays_ms, for_delay=tuned)
         spectra = spectra_of(axes, axes.delays_ms, frequencies, for_delay=tuned)
         _make_folder(out)
-        images = spectrum_images(spectra)
-        for name, png in images.items():
-            (out / name).write_bytes(png)
+        options = figure_options(formats, style)
+        with styled(options):
+            images = write_images(out, spectrum_figures(spectra), options)
         page = Page("Transparency under delay")
         page.code(_command())
         write_transparency(page, rows)
@@ -191,6 +196,8 @@ def compare(
     frequency: FrequencyOption = _FREQUENCIES,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
+    formats: FormatOption = "png",
+    style: StyleOption = "screen",
     as_json: JsonOption = False,
 ) -> None:
     """Compare all laws on one page: advice, critical delays, holds with a force and with arms, transparency."""
@@ -214,7 +221,7 @@ def compare(
         )
         with _sweep(out, workers, scheduler, shown=not as_json) as sweep:
             result = run_comparison(request, sweep)
-        summary = write_comparison(result, out, _command())
+        summary = write_comparison(result, out, _command(), figure_options(formats, style))
         if not as_json:
             for sentence in summary["advice"]:
                 typer.echo(sentence)

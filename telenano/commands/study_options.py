@@ -5,22 +5,30 @@ What imports numba is not imported here, so that `telenano study --help` answers
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-# that of `studies.cells`, which imports numba
-Environment = Literal["spring", "wall", "contact", "body"]
+from presets.plugins import installed
+
+# those of `studies.cells`, which imports numba
+Environment = str
 Hand = Literal["force", "soft", "ordinary", "stiff"]
 
 
-class EnvironmentName(StrEnum):
-    """The environment that the tip touches."""
+if TYPE_CHECKING:
 
-    SPRING = "spring"
-    WALL = "wall"
-    CONTACT = "contact"
-    BODY = "body"
+    class EnvironmentName(StrEnum):
+        """The environment that the tip touches."""
+
+        SPRING = "spring"
+        WALL = "wall"
+        CONTACT = "contact"
+        BODY = "body"
+
+else:
+    _ENVIRONMENTS = ("spring", "wall", "contact", "body", *installed("samples"))
+    EnvironmentName = StrEnum("EnvironmentName", {name.upper(): name for name in _ENVIRONMENTS})
 
 
 class HandName(StrEnum):
@@ -46,7 +54,7 @@ EnvironmentOption = Annotated[
     typer.Option(
         "--environment",
         help="spring: F = K (x_s - L); wall: the same, but only pushing; contact: the tip-sample force of Table 2;"
-        " body: mass, damper and spring K, touched through the cantilever.",
+        " body: mass, damper and spring K, touched through the cantilever; or a sample of an installed package.",
     ),
 ]
 HandOption = Annotated[
