@@ -35,8 +35,8 @@ VERDICT_WORDS = (
     " that of the mode that decides."
 )
 SAMPLE_PERIOD = (
-    "The sample period adds its own delay. A constant delay of the link acts in whole samples, and the law holds the "
-    "force over each period Ts while it integrates, which is worth Ts/2 more. So a loop that is neutral with T_d of "
+    "The sample period adds its own delay. A constant delay of the link acts in whole samples, and the zero-order hold "
+    "of the law adds Ts/2 of delay. So a loop that is neutral with T_d of "
     "link delay compares with the continuous theory at T_c = T_d + Ts/2. The column 'lockstep' includes that half "
     "period; 'link' is T_d itself, and theory gives it exactly from the sampled loop."
 )

@@ -18,7 +18,7 @@ Vectors are those of the wire: in the frame of a site, z away from the sample, a
 import importlib
 import os
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -97,6 +97,7 @@ class RecordedSession:
     @cached_property
     def summary(self) -> dict[str, Any]:
         """Conditions, figures and verdict, as in `summary.json`; RecordingError when the programme never ran."""
+        _compile_what_follows()
         from analysis.report import read_traffic, summarise
 
         return summarise(self._session, self._source.info(), read_traffic(self._source, self._session))
@@ -111,6 +112,7 @@ class RecordedSession:
 
     @cached_property
     def _session(self) -> Any:
+        _compile_what_follows()
         from analysis.report import read_session
 
         return read_session(self._source)
@@ -193,6 +195,8 @@ def simulate(
     """
     try:
         from studies.simulation import simulate_scenario
+    except RuntimeError as error:
+        raise ConfigError(f"import telenano and studies before the modules of services: {error}") from error
     except ImportError as error:
         text = f"a simulation needs the package {error.name}: pip install 'telenano[studies]'"
         raise ConfigError(text) from error
@@ -221,6 +225,13 @@ def live(site_file: str | os.PathLike[str] | None = None) -> Iterator[LiveRig]:
     book = load_site(Path(site_file) if site_file is not None else DEFAULT_SITE_FILE)
     with closing(Observer(book)) as observer:
         yield LiveRig(observer)
+
+
+def _compile_what_follows() -> None:
+    """Have the steps of the models compiled that are imported from now on, for a simulation later in this process."""
+    # where numba is missing, or steps were imported already, a simulation says so
+    with suppress(ImportError, RuntimeError):
+        importlib.import_module("studies")
 
 
 def _table(topic: str, rows: list[tuple[int, dict[str, Any]]], start_ns: int | None) -> Table:

@@ -23,7 +23,8 @@ def graph(
         GraphFormat.TABLE
     ),
     live: Annotated[
-        float | None, typer.Option("--live", min=0.1, metavar="S", help="Measure the rates of a running rig for S s.")
+        float | None,
+        typer.Option("--live", min=0.1, metavar="S", help="Measure the rates of a running rig for so long [s]."),
     ] = None,
     site_file: SiteFileOption = DEFAULT_SITE_FILE,
     as_json: JsonOption = False,

@@ -28,7 +28,7 @@ for name in ("fcntl", "termios", "tty", "pty", "resource", "pwd", "grp"):
 for name in ("getuid", "geteuid", "getgid", "sched_getaffinity", "sched_setscheduler", "sched_getscheduler", "nice",
              "O_NOFOLLOW", "O_CLOEXEC", "SCHED_FIFO", "getppid"):
     delattr(os, name)
-for name in ("bag", "report", "compare", "study", "law", "scenario", "param", "graph", "curve", "scan", "sample",
+for name in ("study", "bag", "report", "compare", "law", "scenario", "param", "graph", "curve", "scan", "sample",
              "reproduce", "new", "up", "topic", "record"):
     importlib.import_module(f"telenano.commands.{name}")
 import json, pathlib, telenano

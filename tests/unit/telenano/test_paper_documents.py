@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from services.launcher.graph import edges, mermaid
 from telenano.lazy_commands import LAZY_COMMANDS
 
 ROOT = Path(__file__).parents[3]
@@ -76,3 +77,14 @@ def test_every_link_between_the_pages_leads_somewhere() -> None:
             if path and not re.match(r"[a-z]+:", path) and not (page.parent / path).exists():
                 broken.append(f"{page.relative_to(ROOT)}: {target}")
     assert not broken
+
+
+def test_the_diagram_of_the_architecture_is_the_graph_of_the_tables() -> None:
+    text = (DOCS / "architecture.md").read_text(encoding="utf-8")
+    assert f"```mermaid\n{mermaid(edges())}\n```" in text
+
+
+def test_the_site_has_every_page() -> None:
+    text = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
+    named = set(re.findall(r"\b([a-z0-9_]+\.md)\b", text))
+    assert {path.name for path in DOCS.glob("*.md")} <= named
