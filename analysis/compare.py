@@ -49,8 +49,8 @@ def recordings_of(path: Path) -> list[Path]:
 
 def names_of(paths: Sequence[Path]) -> list[str]:
     """Return the shortest names by which paths differ: their last part, with as many before it as that takes."""
-    parts = [path.with_suffix("").parts if path.suffix == ".mcap" else path.parts for path in map(_absolute, paths)]
-    # what all have at their ends, such as session.mcap, distinguishes nothing
+    parts = [_named(path).parts for path in paths]
+    # what all have at their ends distinguishes nothing
     while all(len(own) > 1 for own in parts) and len({own[-1] for own in parts}) == 1 and len(parts) > 1:
         if len(set(parts)) < len(parts):
             break
@@ -62,8 +62,12 @@ def names_of(paths: Sequence[Path]) -> list[str]:
     return [f"{name} ({number})" for number, name in enumerate(names, start=1)]
 
 
-def _absolute(path: Path) -> Path:
-    return path.absolute()
+def _named(path: Path) -> Path:
+    """Return the part of a path that names a session: its folder where the file has the name that all have."""
+    path = path.absolute()
+    if path.suffix != ".mcap":
+        return path
+    return path.parent if path.stem == "session" else path.with_suffix("")
 
 
 def compare(paths: Sequence[Path]) -> list[Compared]:

@@ -12,6 +12,10 @@ from typer.core import TyperCommand, TyperGroup
 _UsageError: Any = typer.BadParameter.__base__
 
 
+# what is missing of these is a fault of the installation, and no extra
+_OWN = ("proto", "presets", "recording", "services", "analysis", "studies", "telenano")
+
+
 class LazyCommand(NamedTuple):
     """Where a command or a group of them is defined, and its line in the list of commands."""
 
@@ -106,7 +110,7 @@ class LazyRoot(TyperGroup):
         as_json = "--json" in (sys.argv[1:] if args is None else args)
         try:
             code = super().main(args, prog_name, complete_var, False, windows_expand_args, **extra)
-        except (_UsageError, OSError) as error:
+        except (_UsageError, OSError, ModuleNotFoundError) as error:
             if not standalone_mode:
                 raise
             code = _report(error, as_json=as_json)
@@ -137,9 +141,14 @@ class LazyRoot(TyperGroup):
 
 def _report(error: Any, *, as_json: bool) -> int:
     """Print what no command has reported; return the exit code."""
-    from telenano.exit_codes import EXIT_FAILED
+    from telenano.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED
     from telenano.output import print_error, system_error_text, usage_text
 
+    if isinstance(error, ModuleNotFoundError):
+        if error.name is None or error.name.partition(".")[0] in _OWN:
+            raise error
+        print_error(f"this needs the package {error.name}: pip install 'telenano[rig]'", as_json=as_json)
+        return EXIT_BAD_CONFIGURATION
     if isinstance(error, OSError):
         print_error(system_error_text(error), as_json=as_json)
         return EXIT_FAILED

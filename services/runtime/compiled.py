@@ -10,8 +10,11 @@ old model after an edit. The cache folder here is named after a digest of every 
 depend on: any edit gives a new folder, and a run on unchanged sources loads in milliseconds.
 """
 
+import contextlib
 import hashlib
 import os
+import shutil
+import time
 from collections.abc import Callable
 from functools import cache
 from importlib.metadata import version
@@ -27,6 +30,8 @@ _PACKAGES = ("services/haptic_node", "services/afm_node", "services/controller",
 _SHELLS = ("node.py", "__main__.py")
 # raised with every change of what `compile_cache` writes
 _CACHE_FORMAT = "2"
+# an edit a day leaves some tens of folders of some MB
+CACHE_DAYS = 14
 
 # the first step that was left as plain Python, and whether those after it are compiled
 _plain = ""
@@ -70,6 +75,20 @@ def cache_directory(root: Path = _ROOT) -> Path:
     return base / "telenano" / f"numba-{source_digest(root)}"
 
 
+def clean_old_caches(base: Path, now_s: float) -> list[Path]:
+    """Delete the folders of compiled code that no process has used for CACHE_DAYS; return them.
+
+    Other checkouts and older versions have folders of their own beside this one, which may be in use.
+    """
+    old = []
+    for folder in base.glob("numba-*"):
+        with contextlib.suppress(OSError):
+            if now_s - folder.stat().st_mtime > CACHE_DAYS * 86_400.0:
+                shutil.rmtree(folder)
+                old.append(folder)
+    return old
+
+
 def compiled(function: F) -> F:
     """Compile a pure function where this process compiles; NUMBA_DISABLE_JIT=1 keeps it plain Python there too."""
     global _plain
@@ -109,7 +128,13 @@ def _compiler() -> Callable[[Callable[..., object]], object]:
     from services.runtime.compile_cache import CheckedCache
 
     if "NUMBA_CACHE_DIR" not in os.environ:
-        vars(config)["CACHE_DIR"] = str(cache_directory())
+        folder = cache_directory()
+        vars(config)["CACHE_DIR"] = str(folder)
+        # where it cannot be made, numba says so when it wants to write
+        with contextlib.suppress(OSError):
+            folder.mkdir(parents=True, exist_ok=True)
+            os.utime(folder)
+            clean_old_caches(folder.parent, time.time())
 
     def compile_and_keep(function: Callable[..., object]) -> object:
         dispatcher = numba.njit(function)

@@ -67,3 +67,21 @@ def test_a_node_on_another_system_runs_without_real_time(monkeypatch: pytest.Mon
     for asked in (RealtimeConfig(scheduler="fifo"), RealtimeConfig(memory_lock="on")):
         with pytest.raises(ConfigError, match="no real-time scheduling"):
             apply_realtime(asked, StructuredLog("node"), "controller@master")
+
+
+@pytest.mark.parametrize(
+    ("hidden", "arguments", "text"),
+    [
+        ("typer", ["--help"], "the package typer is not installed: pip install 'telenano[rig]'"),
+        ("numba", ["law", "check", "wave"], "this needs the package numba: pip install 'telenano[rig]'"),
+        ("matplotlib", ["compare", "a", "b"], "this needs the package matplotlib: pip install 'telenano[rig]'"),
+    ],
+)
+def test_a_bare_installation_says_what_to_add(hidden: str, arguments: list[str], text: str) -> None:
+    code = f"import sys; sys.modules[{hidden!r}] = None; sys.argv = ['telenano', *{arguments!r}]; "
+    code += "from telenano.app import main; main()"
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith(f"telenano: {text}")
+    assert done.stderr.count("\n") == 1
