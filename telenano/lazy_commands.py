@@ -3,6 +3,7 @@
 import importlib
 import sys
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import typer
@@ -83,7 +84,7 @@ def load(name: str) -> Any:
     if isinstance(found, typer.Typer):
         command = typer.main.get_command(found)
         command.help = command.help or row.about
-        return command
+        return _plain(command)
     alone = typer.Typer(
         add_completion=False,
         pretty_exceptions_enable=False,
@@ -91,7 +92,27 @@ def load(name: str) -> Any:
         context_settings={"help_option_names": ["-h", "--help"]},
     )
     alone.command(name)(found)
-    return typer.main.get_command(alone)
+    return _plain(typer.main.get_command(alone))
+
+
+def _plain(command: Any) -> Any:
+    """Show arguments and options by their metavars alone: FILE... and not {FILE...}... <list[Path]>."""
+    for parameter in command.params:
+        if getattr(parameter, "param_type_name", "") != "argument":
+            if parameter.metavar is None and getattr(parameter, "min", None) is not None:
+                parameter.metavar = "N"
+            continue
+        name = parameter.display_name_raw.upper() if parameter.metavar is None else parameter.metavar
+        if parameter.nargs != 1 and not name.endswith(("...", "...]")):
+            name += "..."
+        in_usage = f"[{name}]" if not parameter.required and not name.startswith("[") else name
+        # typer has no setting for either
+        parameter._usage_display_name = partial(str, in_usage)
+        parameter._rich_display_name = partial(str, name.replace("[", "").replace("]", ""))
+        parameter.display_type_rich = lambda ctx: None
+    for child in getattr(command, "commands", {}).values():
+        _plain(child)
+    return command
 
 
 class LazyRoot(TyperGroup):

@@ -6,6 +6,7 @@ from typing import Annotated, Any
 import typer
 
 from proto.errors import ConfigError
+from telenano.completion import law_names
 from telenano.exit_codes import EXIT_FAILED
 from telenano.options import JsonOption, command_group
 from telenano.output import print_document, print_json, print_rows, report_errors
@@ -13,7 +14,9 @@ from telenano.output import print_document, print_json, print_rows, report_error
 app = command_group()
 _OWN = "telenano"
 
-LawArgument = Annotated[str, typer.Argument(metavar="LAW", help="Name of a law, as `law list` gives it.")]
+LawArgument = Annotated[
+    str, typer.Argument(metavar="LAW", help="Name of a law, as `law list` gives it.", autocompletion=law_names)
+]
 
 
 @app.command("list")

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from presets.plugins import installed
+from telenano.completion import law_names
 
 # those of `studies.cells`, which imports numba
 Environment = str
@@ -48,7 +49,9 @@ class SampleName(StrEnum):
     STIFF = "stiff"
 
 
-LawOption = Annotated[str, typer.Option("--law", metavar="LAW[,LAW]|all", help="Laws to study.")]
+LawOption = Annotated[
+    str, typer.Option("--law", metavar="LAW[,LAW]|all", help="Laws to study.", autocompletion=law_names)
+]
 EnvironmentOption = Annotated[
     EnvironmentName,
     typer.Option(

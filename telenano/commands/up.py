@@ -15,6 +15,7 @@ from services.launcher.plan import Plan, UpRequest, make_plan
 from services.launcher.run import Outcome, default_folder, report_of, run_rig
 from services.launcher.view import view_beside_rig
 from services.viz_node.figure_style import FigureOptions, figure_options
+from telenano.completion import scenario_names
 from telenano.live_view import LineView, LiveView
 from telenano.options import FormatOption, JsonOption, RigFileOption, Site, StyleOption
 from telenano.output import (
@@ -36,6 +37,7 @@ def up(
             "--scenario",
             metavar="NAME|FILE",
             help="Experiment to run: a known name or a YAML file. With --attach it gives name and duration only.",
+            autocompletion=scenario_names,
         ),
     ],
     site_file: RigFileOption = None,

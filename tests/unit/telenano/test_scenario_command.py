@@ -1,6 +1,9 @@
 """Scenarios and their keys on the command line, and the schemas by which editors complete them."""
 
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +15,7 @@ from presets import SCENARIO_DIRECTORY, SCHEMA_DIRECTORY, SITE_DIRECTORY
 from proto.errors import ConfigError
 from services.launcher.graph import dot, edges, mermaid
 from services.launcher.plan import UpRequest, make_plan
-from services.launcher.scenario_keys import all_keys, scenario_schema, site_schema, value_at
+from services.launcher.scenario_keys import all_keys, markdown, scenario_schema, site_schema, value_at
 from services.runtime.config import read_yaml
 from telenano import completion
 from telenano.root import app
@@ -28,7 +31,7 @@ def run(*arguments: str) -> tuple[int, str, str]:
 @pytest.mark.parametrize(("name", "made"), [("scenario", scenario_schema), ("site", site_schema)])
 def test_the_schema_in_the_repository_is_that_of_the_models(name: str, made: Any) -> None:
     text = (SCHEMA_DIRECTORY / f"{name}.json").read_text()
-    assert json.loads(text) == json.loads(json.dumps(made())), f"renew it: telenano scenario schema > {name}.json"
+    assert json.loads(text) == json.loads(json.dumps(made())), "renew it: make schemas"
 
 
 def test_the_schema_has_every_key_that_the_files_of_the_project_have() -> None:
@@ -42,6 +45,11 @@ def test_the_schema_has_every_key_that_the_files_of_the_project_have() -> None:
             assert properties is None or set(value) <= set(properties)
     for path in SITE_DIRECTORY.glob("*.yaml"):
         assert set(read_yaml(path)) <= set(site_schema()["properties"])
+
+
+def test_the_page_of_all_keys_is_that_of_the_models() -> None:
+    page = (Path(__file__).parents[3] / "docs" / "scenarios.md").read_text(encoding="utf-8")
+    assert page == markdown(all_keys()), "renew it: make schemas"
 
 
 def test_every_reference_of_a_schema_leads_somewhere() -> None:
@@ -165,3 +173,33 @@ def test_h_is_help(arguments: tuple[str, ...]) -> None:
     assert "Usage:" in out
     if arguments == ("-h",):
         assert [line for line in out.splitlines() if line in ("Run:", "Look:", "Study:", "Set up:")]
+
+
+@pytest.mark.parametrize(
+    ("command", "usage"),
+    [
+        ("report", "[OPTIONS] FILE..."),
+        ("session", "[OPTIONS] COMMAND [KEY=VALUE]..."),
+        ("topic echo", "[OPTIONS] TOPIC"),
+        ("param list", "[OPTIONS] [PREFIX]"),
+    ],
+)
+def test_help_shows_metavars_and_no_types_of_python(command: str, usage: str) -> None:
+    out = run(*command.split(), "--help")[1]
+    assert out.splitlines()[0].endswith(f"{command} {usage}")
+    assert not any(word in out for word in ("<str>", "<path>", "list[", "<int", "<float"))
+
+
+def test_the_shell_completes_commands_options_and_values() -> None:
+    root = Path(__file__).parents[3]
+    code = "import sys; sys.argv = ['telenano']; from telenano.app import main; main()"
+    for words, expected in (
+        ("telenano sce", "scenario"),
+        ("telenano up --sweep a --rou", "--round-trip-ms"),
+        ("telenano up --scenario fi", "fig12"),
+        ("telenano topic echo teleop/forward@", "teleop/forward@slave"),
+    ):
+        environment = {**os.environ, "PYTHONPATH": str(root), "_TELENANO_COMPLETE": "complete_bash"}
+        environment |= {"COMP_WORDS": words, "COMP_CWORD": str(len(words.split()) - 1)}
+        done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+        assert expected in done.stdout.split(), words
