@@ -166,9 +166,10 @@ def _report(error: Any, *, as_json: bool) -> int:
     from telenano.output import print_error, system_error_text, usage_text
 
     if isinstance(error, ModuleNotFoundError):
-        if error.name is None or error.name.partition(".")[0] in _OWN:
+        package = (error.name or "").partition(".")[0]
+        if not package or package in _OWN:
             raise error
-        print_error(f"this needs the package {error.name}: pip install 'telenano[rig]'", as_json=as_json)
+        print_error(f"this needs the package {package}: pip install 'telenano[rig]'", as_json=as_json)
         return EXIT_BAD_CONFIGURATION
     if isinstance(error, OSError):
         print_error(system_error_text(error), as_json=as_json)

@@ -33,6 +33,7 @@ def compared(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any]:
     return out, json.loads(result.stdout)
 
 
+@pytest.mark.endurance
 def test_the_table_has_a_row_for_each_session_with_units_in_its_heads(compared: tuple[Path, Any]) -> None:
     out, document = compared
     rows = document["sessions"]
@@ -48,6 +49,7 @@ def test_the_table_has_a_row_for_each_session_with_units_in_its_heads(compared: 
     assert set(json.loads((out / "compare.json").read_text())) == {"a", "b"}
 
 
+@pytest.mark.endurance
 def test_the_figure_is_written_in_every_format_with_every_session(compared: tuple[Path, Any]) -> None:
     out, _ = compared
     assert (out / "compare.png").stat().st_size > 20_000
