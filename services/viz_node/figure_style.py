@@ -37,14 +37,15 @@ _EVERYWHERE: Mapping[str, Any] = {"pdf.fonttype": 42, "svg.fonttype": "none", "s
 
 # found by a search for the greatest least difference, with these three first: stable is light, what diverges dark
 VERDICTS = {
-    "stable": "#9fdfff",
-    "limit_cycle": "#df8000",
-    "diverged": "#600040",
-    "drifting": "#80ffbf",
-    "wrong_force": "#209f9f",
-    "contact_lost": "#4060ff",
-    "guarded": "#602000",
-    "cannot_say": "#806060",
+    "stable": "#99e6ff",
+    "limit_cycle": "#e68000",
+    "diverged": "#66004d",
+    "drifting": "#99ffcc",
+    "released": "#809999",
+    "wrong_force": "#9980ff",
+    "contact_lost": "#4d00e6",
+    "guarded": "#4d1a00",
+    "cannot_say": "#80664d",
 }
 # curves of one panel: each has a line of its own as well, for print in grey
 LINES: tuple[tuple[str, Any], ...] = (

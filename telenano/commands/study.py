@@ -10,7 +10,7 @@ import sys
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_args
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
@@ -26,7 +26,6 @@ from telenano.commands.study_options import (
     EnvironmentName,
     EnvironmentOption,
     FrequencyOption,
-    Hand,
     HandName,
     HandOption,
     JitterOption,
@@ -41,6 +40,7 @@ from telenano.commands.study_options import (
     SetOption,
     StiffnessOption,
     WorkersOption,
+    hands,
 )
 from telenano.commands.study_promises import promises
 from telenano.exit_codes import EXIT_FAILED
@@ -215,7 +215,7 @@ def compare(
             DEFAULT_STIFFNESS["contact"][0],
             seed,
             seeds,
-            _hands(hand),
+            hands(hand),
             values.frequencies(frequency),
             values.samples(sample),
         )
@@ -432,18 +432,6 @@ class _Given:
             default.mass_kg if self.mass_kg is None else self.mass_kg,
             default.damping_n_s_per_m if self.body_damping_n_s_per_m is None else self.body_damping_n_s_per_m,
         )
-
-
-def _hands(text_given: str) -> tuple[Hand, ...]:
-    """Read names of hands, or `all`."""
-    names: tuple[Hand, ...] = get_args(Hand)
-    if text_given.strip() == "all":
-        return names
-    given = [name.strip() for name in text_given.split(",")]
-    for name in given:
-        if name not in names:
-            raise ConfigError(f"--hand: unknown hand {name!r}, known are all, {', '.join(names)}")
-    return tuple(name for name in names if name in given)
 
 
 def _agreed(agreement: "Agreement") -> str:

@@ -5,11 +5,12 @@ What imports numba is not imported here, so that `telenano study --help` answers
 
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 import typer
 
 from presets.plugins import installed
+from proto.errors import ConfigError
 from telenano.completion import law_names
 
 # those of `studies.cells`, which imports numba
@@ -111,3 +112,15 @@ OutOption = Annotated[
     Path,
     typer.Option("--out", metavar="DIR", help="Folder for page, figures, table and journal; resumes a journal."),
 ]
+
+
+def hands(text_given: str) -> tuple[Hand, ...]:
+    """Read names of hands, or `all`."""
+    names: tuple[Hand, ...] = get_args(Hand)
+    if text_given.strip() == "all":
+        return names
+    given = [name.strip() for name in text_given.split(",")]
+    for name in given:
+        if name not in names:
+            raise ConfigError(f"--hand: unknown hand {name!r}, known are all, {', '.join(names)}")
+    return tuple(name for name in names if name in given)
