@@ -125,6 +125,10 @@ class SimulatedSample:
     def report(self) -> None:
         return None
 
+    @property
+    def stage(self) -> None:
+        return None
+
     def open(self) -> None:
         """Start at the safe position. Raises RuntimeError if it is already open."""
         if self._opened:

@@ -81,7 +81,7 @@ def _draw_forces(axes: Axes, series: SessionSeries) -> None:
         *_broken(series, series.tip_time_s, scaled),
         color=TIP,
         lw=1.0,
-        label=r"$\alpha_f F_s$ (tip, at the hand's scale)",
+        label=r"$\alpha_f F_s$ (tip)",
     )
     axes.plot(
         *_broken(series, series.hand_time_s, series.hand_force_n), color=HAND, lw=1.4, ls="--", label=r"$F_m$ (hand)"
@@ -106,6 +106,8 @@ def _draw_path(axes: Axes, series: SessionSeries) -> None:
     _, force_n = _broken(series, series.tip_time_s, series.tip_force_n)
     retracts = retracting(time_s, separation_m)
     for chosen, colour, style, label in ((~retracts, HAND, "-", "approach"), (retracts, TIP, "--", "retraction")):
+        if not chosen.any():
+            continue
         # a sample of the other branch ends a line, and is its last point
         inside = chosen | np.concatenate([[False], chosen[:-1]])
         distance_nm = np.where(inside, 1e9 * separation_m, np.nan)
