@@ -86,7 +86,7 @@ class AfmNode(Node):
         self._report_device(driver.report)
         self._stepped_ns = self.clock.monotonic_ns()
         self._due_ns = self._stepped_ns + _PERIOD_NS
-        if config.driver == "simulated" and config.environment != "spring" and (doubts := config.doubts()):
+        if config.driver == "simulated" and config.environment == "tip_sample" and (doubts := config.doubts()):
             self.event("fault", "warning", doubts)
 
     def admits(self, received: Received) -> bool:

@@ -3,13 +3,14 @@
 from abc import abstractmethod
 from typing import Any, ClassVar
 
+from proto.errors import ConfigError, RefusedError
 from proto.messages import (
     SessionControl,
     TeleopBackward,
     TeleopForward,
 )
 from services.controller import energy
-from services.controller.config import KNOWN_LAWS, ControllerConfig, changed_config
+from services.controller.config import KNOWN_LAWS, PACKAGE_LAWS, ControllerConfig, changed_config
 from services.controller.deadband import deadband, fresh
 from services.controller.input_age import InputAge
 from services.controller.law import (
@@ -62,9 +63,22 @@ class ControllerHalf(Node):
         self._reported_j = 0.0
         self._band = config.deadband.to_params()
         self._band_state = fresh(NO_SIGNAL)
+        self._failing: dict[str, str] = {}
         for law in KNOWN_LAWS.values():  # a change of law is no time to compile
-            changed = config.model_copy(update={"law": law.name})
+            self._warm_up(law)
+
+    def _warm_up(self, law: Law) -> None:
+        """Run each step of a law once. Raises ConfigError where the law in force, of another package, fails in it."""
+        changed = self.config.model_copy(update={"law": law.name})
+        try:
             warm_up(law, changed.params(), changed)
+        # whatever the code of somebody else raises; it must not end a session that does without it
+        except Exception as error:
+            if law.name not in PACKAGE_LAWS.found:
+                raise
+            self._failing[law.name] = f"law {law.name}: fails in its first step: {type(error).__name__}: {error}"
+            if law.name == self.config.law:
+                raise ConfigError(self._failing[law.name]) from error
 
     @property
     def law(self) -> Law:
@@ -99,6 +113,8 @@ class ControllerHalf(Node):
         if control.command != "set":
             return super().on_control(control)
         changed = changed_config(self.config, control.parameters)
+        if changed.law in self._failing:
+            raise RefusedError(self._failing[changed.law])
         params = changed.params()
         switched = changed.law != self.config.law
         if not switched and self.law_state is not None:
