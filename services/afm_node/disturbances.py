@@ -222,5 +222,5 @@ def converted_v(volts: float, bits: int, range_v: float) -> float:
     >>> converted_v(0.3, 4, 1.0), converted_v(7.0, 4, 1.0)
     (0.25, 0.875)
     """
-    step = 2.0 * range_v / 2**bits
+    step = 2.0 * range_v / float(1 << bits)
     return min(max(round(volts / step) * step, -range_v), range_v - step)

@@ -46,6 +46,10 @@ class DisturbedAfm:
         return self._driver.safe_position_m
 
     @property
+    def latency_s(self) -> float:
+        return self._driver.latency_s
+
+    @property
     def report(self) -> DeviceReport | None:
         return self._driver.report
 
@@ -69,8 +73,8 @@ class DisturbedAfm:
             base_m=base_m, deflection_m=zeta, force_n=self._stiffness * zeta, bridge_voltage_v=self._volts_per_m * zeta
         )
 
-    def retract(self) -> None:
-        self._driver.retract()
+    def retract(self) -> bool:
+        return self._driver.retract()
 
     def close(self) -> None:
         self._driver.close()

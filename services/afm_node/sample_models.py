@@ -122,6 +122,10 @@ class SimulatedSample:
         return self._params.safety.retract_position_m
 
     @property
+    def latency_s(self) -> float:
+        return 0.0
+
+    @property
     def report(self) -> None:
         return None
 
@@ -143,10 +147,11 @@ class SimulatedSample:
         self._state, found = _moved(self._params.sample, self._state, base_m)
         return found
 
-    def retract(self) -> None:
+    def retract(self) -> bool:
         """Retract to the safe position at once: the base has no way to go."""
         if self._opened:
             self.exchange(self.safe_position_m)
+        return True
 
     def close(self) -> None:
         self.retract()
