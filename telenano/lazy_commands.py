@@ -59,6 +59,9 @@ LAZY_COMMANDS = {
     "curve": LazyCommand(
         "telenano.commands.curve", "curve", "Measure a force curve of the simulated instrument, beside a measured one."
     ),
+    "calibrate": LazyCommand(
+        "telenano.commands.calibrate", "app", "Calibrate the simulated instrument: read-out and stiffness."
+    ),
     "reproduce": LazyCommand(
         "telenano.commands.reproduce", "reproduce", "Make figures and equations of the paper again, on one page."
     ),

@@ -46,7 +46,7 @@ class HysteresisConfig(Settings):
     """Hysteresis of the piezo."""
 
     enabled: bool = Field(False, description="Whether it acts.")
-    share: float = Field(0.1, ge=0.0, le=0.9, description="Width of a loop over the whole range, as a share of it.")
+    share: float = Field(0.1, ge=0.0, le=0.2, description="Width of a loop over the whole range, as a share of it.")
     range_m: float = Field(100e-9, gt=0.0, le=1e-3, description="Range over which the plays are spread [m].")
 
 
@@ -163,7 +163,7 @@ def displaced(
     plays, lags = state.plays_m, state.lags_m
     if config.hysteresis.enabled:
         plays = tuple(_play(p, base_m, r) for p, r in zip(plays, play_radii_m(config.hysteresis), strict=True))
-        x += 2.0 * config.hysteresis.share / _PLAYS * sum(p - base_m for p in plays)
+        x += 4.0 * config.hysteresis.share / _PLAYS * sum(p - base_m for p in plays)
     if config.creep.enabled:
         lags = tuple(
             lag + (base_m - lag) * (1.0 - math.exp(-dt / lag_s)) for lag, lag_s in zip(lags, _LAGS_S, strict=True)
@@ -178,8 +178,8 @@ def displaced(
 
 
 def play_radii_m(config: HysteresisConfig) -> tuple[float, ...]:
-    """Return the plays r_i [m]: together they widen a loop over the range to its share."""
-    return tuple(0.5 * config.range_m * (i + 0.5) / _PLAYS for i in range(_PLAYS))
+    """Return the plays r_i [m]: all have turned round by the middle of the range."""
+    return tuple(0.25 * config.range_m * (i + 0.5) / _PLAYS for i in range(_PLAYS))
 
 
 def _play(position_m: float, input_m: float, radius_m: float) -> float:
