@@ -21,6 +21,7 @@ import numpy.typing as npt
 from pydantic import Field
 
 from services.runtime.config import Settings
+from services.runtime.normal_numbers import NormalNumbers
 
 BOLTZMANN_J_PER_K = 1.380649e-23
 Array = npt.NDArray[np.float64]
@@ -29,8 +30,6 @@ _SINES = 48
 _PLAYS = 8
 _LAGS_S = (0.1, 1.0, 10.0, 100.0)
 _OCTAVES = 12
-# normal numbers that are made at once: an element of the state is only their place
-_BLOCK = 1024
 
 
 class VibrationConfig(Settings):
@@ -115,29 +114,6 @@ class Sines(NamedTuple):
 
     rates: Array
     phases: Array
-
-
-class NormalNumbers:
-    """Normal numbers by their place in the row that a seed decides, so that a place is all there is to remember."""
-
-    def __init__(self, seed: int) -> None:
-        self._seed = seed
-        self._block = -1
-        self._numbers: list[float] = []
-
-    def reseed(self, seed: int) -> None:
-        """Go over to another row."""
-        if seed != self._seed:
-            self._seed, self._block, self._numbers = seed, -1, []
-
-    def at(self, place: int) -> float:
-        """Return the number at a place, from 0."""
-        block = place // _BLOCK
-        if block != self._block:
-            # a counter-based generator: any block can be made without those before it
-            source = np.random.Philox(key=self._seed, counter=[0, 0, block, 0])
-            self._numbers, self._block = np.random.Generator(source).standard_normal(_BLOCK).tolist(), block
-        return self._numbers[place % _BLOCK]
 
 
 def sines_of(config: DisturbanceConfig) -> Sines:

@@ -3,7 +3,6 @@
 from services.afm_node.disturbances import (
     DisturbanceConfig,
     DisturbanceState,
-    NormalNumbers,
     begun,
     displaced,
     read_out,
@@ -11,6 +10,7 @@ from services.afm_node.disturbances import (
 )
 from services.afm_node.driver import AfmDriver, DeviceReport, LateralStage
 from services.afm_node.step import AfmSample
+from services.runtime.normal_numbers import NormalNumbers
 
 
 class DisturbedAfm:

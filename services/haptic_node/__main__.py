@@ -4,9 +4,9 @@ import sys
 from pathlib import Path
 
 from services.haptic_node.config import DRIVERS, HapticConfig
+from services.haptic_node.disturbances import DisturbedHaptic
 from services.haptic_node.driver import HapticDevice
 from services.haptic_node.node import INPUTS, HapticNode
-from services.haptic_node.sim import SimulatedHaptic
 from services.runtime.main import NodeKind, ordinary, run_node
 from services.runtime.node import NodeContext
 
@@ -22,7 +22,7 @@ def _device(config: HapticConfig) -> HapticDevice:
         device: HapticDevice = driver.build(getattr(config, driver.name) or driver.config(), config.limits)
         return device
     if config.serial is None or config.driver == "simulated":
-        return SimulatedHaptic(config.to_plant_params(), config.device.start_position_m)
+        return DisturbedHaptic(config.to_plant_params(), config.device.start_position_m, config.disturbances)
     from services.haptic_node.calibration import read_calibration
     from services.haptic_node.serial_driver import SerialHandle
 

@@ -11,6 +11,7 @@ from pydantic import Field, create_model, field_validator, model_validator
 from presets.plugins import refuse
 from proto.topics import deadline_of
 from services.haptic_node import step
+from services.haptic_node.disturbances import HandDisturbanceConfig
 from services.haptic_node.motor import SUBSTEP_S, MotorParams, closed_loop_coefficients
 from services.haptic_node.operator import FORCE_PROFILE, IMPEDANCE, OperatorParams
 from services.haptic_node.operator_models import OPERATOR_MODELS, unusable_config
@@ -351,6 +352,9 @@ class HapticConfig(_DriverSections):
     limits: LimitsConfig = Field(default=LimitsConfig(), description="The guard in front of the device")
     operator: OperatorConfig = Field(
         default=ForceProfileConfig(kind="force_profile"), description="The simulated hand; Fig. 12 if not given"
+    )
+    disturbances: HandDisturbanceConfig = Field(
+        default=HandDisturbanceConfig(), description="What disturbs the simulated device and hand; all of it is off"
     )
     allow_replay: bool = Field(default=False, description="Whether commands that come from a recording are obeyed")
 

@@ -3,9 +3,11 @@
 import math
 from typing import ClassVar
 
+from proto.errors import RefusedError
 from proto.messages import HapticCommand, LinkDelay, OperatorForce, SessionControl
 from services.haptic_node import safety
 from services.haptic_node.config import HapticConfig, InteractiveConfig
+from services.haptic_node.disturbances import DisturbedHaptic, changed_disturbances
 from services.haptic_node.driver import (
     DeviceReading,
     DeviceReport,
@@ -42,6 +44,7 @@ class HapticNode(Node):
 
     inputs = INPUTS
     commands: ClassVar[tuple[str, ...]] = ("start", "stop", "arm", "estop")
+    named_commands: ClassVar[tuple[str, ...]] = ("set",)
     journalled = True
     period_s = PERIOD_S
 
@@ -127,6 +130,11 @@ class HapticNode(Node):
         if control.command == "arm":
             self._arm_requested = True
             return "armed: the motor follows fresh commands"
+        if control.command == "set":
+            if not isinstance(self.device, DisturbedHaptic):
+                raise RefusedError("disturbances: a real device has its own")
+            self.device.configure(changed_disturbances(self.device.disturbances, control.parameters))
+            return "set " + ", ".join(f"{key} = {value}" for key, value in control.parameters.items())
         return super().on_control(control)
 
     def make_safe(self) -> None:

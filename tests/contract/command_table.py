@@ -11,6 +11,7 @@ from services.controller.config import KNOWN_LAWS, ControllerConfig
 from services.controller.half import ControllerHalf
 from services.delay_node.config import LinkSettings, flattened
 from services.delay_node.node import DelayNode
+from services.haptic_node.disturbances import HandDisturbanceConfig
 from services.haptic_node.node import HapticNode
 from services.player.node import SETTERS, PlayerNode
 from services.recorder.node import ACTIONS, RecorderNode
@@ -42,6 +43,8 @@ def settable(node: str) -> list[str]:
             *flatten(InstrumentRequest().model_dump()),
             *flatten({"disturbances": DisturbanceConfig().model_dump()}),
         ]
+    if node == "haptic_node":
+        return list(flatten({"disturbances": HandDisturbanceConfig().model_dump()}))
     return list(ACTIONS if node == "recorder" else SETTERS)
 
 

@@ -11,7 +11,6 @@ from services.afm_node.config import AfmConfig
 from services.afm_node.disturbances import (
     BOLTZMANN_J_PER_K,
     DisturbanceConfig,
-    NormalNumbers,
     begun,
     converted_v,
     displaced,
@@ -23,6 +22,7 @@ from services.afm_node.node import AfmNode
 from services.afm_node.sim import SimulatedAfm
 from services.runtime.journal import StateSnapshot
 from services.runtime.node_state import restore
+from services.runtime.normal_numbers import NormalNumbers
 
 DT = 1e-3
 VOLTS_PER_M = 6.25e6
