@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from proto.errors import ConfigError
+from proto.errors import ConfigError, RigError
 from services.afm_node.config import AfmConfig
-from studies.force_curve import force_curve, marks_of, read_measured, write_hdf5
+from studies.force_curve import curve_of_samples, force_curve, marks_of, read_measured, write_hdf5
 
 DATA = Path(__file__).parents[4] / "shared" / "data" / "SiN_FD_plot.ibw"
 
@@ -91,3 +91,15 @@ def test_a_measured_curve_is_marked():
     marks = marks_of(curve)
     assert marks.pull_off_force_n < marks.snap_in_force_n < 0.0
     assert marks.hysteresis_j > 0.0
+
+
+def test_samples_of_an_instrument_make_a_curve_without_what_came_before_and_after():
+    there = np.linspace(-30e-9, 10e-9, 401)
+    bases = np.concatenate([np.full(5, -30e-9), there, there[::-1], np.linspace(-31e-9, -90e-9, 60)])
+    zeta = np.where(bases > 0.0, 0.5 * bases, 0.0)
+    found = curve_of_samples(bases.tolist(), zeta.tolist(), (2.0 * zeta).tolist(), -20e-9, 1e-7)
+    assert found.stiffness_n_per_m == pytest.approx(2.0, rel=1e-12)
+    assert (found.approach.base_m[0], found.approach.base_m[-1]) == pytest.approx((-20e-9, 10e-9), rel=1e-6, abs=0)
+    assert (found.retract.base_m[0], found.retract.base_m[-1]) == pytest.approx((10e-9, -20e-9), rel=1e-6, abs=0)
+    with pytest.raises(RigError, match="fewer than 10 samples"):
+        curve_of_samples([-3e-8, 0.0, -3e-8], [0.0] * 3, [0.0] * 3, -2e-8, 1e-7)

@@ -1,0 +1,60 @@
+"""What a running rig sends of an image or a curve, put together."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from proto.errors import ConfigError
+from proto.instrument import AfmProgram
+from proto.messages import AfmScanline, Array
+from services.console.live_program import LiveImage
+from telenano.program_view import bar_of, refuse_foreign
+
+
+def line(number: int, direction: str, heights: list[float], lateral: list[float] | None = None) -> AfmScanline:
+    y = (number - 1.0) * 10e-9
+    fields: dict[str, Any] = {"amplitude_m": None, "phase_rad": None}
+    if lateral is not None:
+        fields["lateral_force_n"] = Array.from_numpy(np.array(lateral))
+    return AfmScanline.model_validate(
+        {
+            "seq": 0, "t_ns": 0, "src": "afm_node@slave", "v": AfmScanline.version_of(fields), "line": number,
+            "lines": 3, "direction": direction, "start_m": (-15e-9, y, 0.0), "end_m": (15e-9, y, 0.0),
+            "height_m": Array.from_numpy(np.array(heights)), **fields,
+        }
+    )  # fmt: skip
+
+
+def test_lines_make_an_image_with_its_sides_and_only_whole_lines_count() -> None:
+    image = LiveImage()
+    assert image.finished == 0
+    for number in range(2):
+        image.add(line(number, "trace", [1.0, 2.0, 3.0, 4.0], [5.0, 6.0, 7.0, 8.0]))
+        assert image.finished == number
+        image.add(line(number, "retrace", [1.5, 2.5, 3.5, 4.5]))
+        assert image.finished == number + 1
+    assert (image.width_m, image.depth_m) == pytest.approx((40e-9, 30e-9), rel=1e-9, abs=0.0)
+    assert image.trace_m[1].tolist() == [1.0, 2.0, 3.0, 4.0]
+    assert image.retrace_m[0].tolist() == [1.5, 2.5, 3.5, 4.5]
+    assert image.trace_n[0].tolist() == [5.0, 6.0, 7.0, 8.0]
+    # what never came is no number
+    assert np.isnan(image.trace_m[2]).all()
+    assert np.isnan(image.retrace_n).all()
+
+
+def test_a_bar_shows_how_far_it_is_and_the_keys() -> None:
+    report = AfmProgram(
+        seq=0, t_ns=0, src="afm_node@slave", v=1, program="scan", state="paused", text="lines", done_percent=50.0,
+        line=32, lines=64,
+    )  # fmt: skip
+    text = bar_of(report)
+    assert (text.count("━"), text.count("╌")) == (15, 15)
+    assert "32/64  paused  (space: pause, q: end)" in text
+    assert bar_of(report.model_copy(update={"program": "curve", "lines": 0})).endswith("(q: end)")
+
+
+def test_options_that_the_rig_decides_are_refused_by_name() -> None:
+    refuse_foreign({"--afm": None, "--set": []})
+    with pytest.raises(ConfigError, match="--afm, --mode tapping: not with --live: the scenario of the rig decides it"):
+        refuse_foreign({"--afm": ["a=1"], "--set": None, "--mode tapping": True})
