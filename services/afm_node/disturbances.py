@@ -131,6 +131,11 @@ def begun() -> DisturbanceState:
     return DisturbanceState(0.0, (0.0,) * _PLAYS, (0.0,) * len(_LAGS_S), (0.0,) * _OCTAVES, 0)
 
 
+def at_rest(state: DisturbanceState, base_m: float) -> DisturbanceState:
+    """Return a state in which the piezo has been at base_m [m] for long; time and noise go on."""
+    return state._replace(plays_m=(base_m,) * _PLAYS, lags_m=(base_m,) * len(_LAGS_S))
+
+
 def displaced(
     config: DisturbanceConfig, sines: Sines, state: DisturbanceState, base_m: float, dt: float
 ) -> tuple[DisturbanceState, float]:

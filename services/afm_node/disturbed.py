@@ -3,6 +3,7 @@
 from services.afm_node.disturbances import (
     DisturbanceConfig,
     DisturbanceState,
+    at_rest,
     begun,
     displaced,
     read_out,
@@ -30,9 +31,13 @@ class DisturbedAfm:
         self._normals, self._sines = NormalNumbers(config.seed), sines_of(config)
         self._active = config.any_enabled
         self._elapsed_s = 0.0
+        # what creeps and lags behind is at rest where the base is when it is switched on
+        self._is_new = True
 
     def configure(self, config: DisturbanceConfig) -> None:
         """Take other disturbances from now on; those that go on keep their state."""
+        if not self._active:
+            self._elapsed_s, self._is_new = 0.0, True
         self._sines = sines_of(config)
         self._normals.reseed(config.seed)
         self.config, self._active = config, config.any_enabled
@@ -64,6 +69,8 @@ class DisturbedAfm:
         if not self._active:
             return self._driver.exchange(base_m)
         dt, self._elapsed_s = self._elapsed_s, 0.0
+        if self._is_new:
+            self._state, self._is_new = at_rest(self._state, base_m), False
         self._state, piezo_m = displaced(self.config, self._sines, self._state, base_m, dt)
         sample = self._driver.exchange(piezo_m)
         self._state, zeta = read_out(

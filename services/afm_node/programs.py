@@ -76,7 +76,7 @@ class ProgramRunner:
             raise RefusedError(f"program: there is none to {request.program}")
         if request.program == "abort":
             self._aborted = "it was aborted"
-            return f"the {self.name} ends and the tip retracts"
+            return f"the {self._label} ends and the tip retracts"
         if self._raster is None:
             raise RefusedError(f"program: a {self.name} cannot {request.program}, it can be aborted")
         self.state = "paused" if request.program == "pause" else "running"
@@ -203,10 +203,14 @@ class ProgramRunner:
         """Return how far the program is."""
         text, share, line, lines = self._progress()
         if self.state == "finished":
-            text, share = f"the {self.name} is finished: the tip retracts", 1.0
+            text, share = f"the {self._label} is finished: the tip retracts", 1.0
         elif self.state == "ended":
-            text = f"the {self.name} ended, {self._aborted}"
+            text = f"the {self._label} ended, {self._aborted}"
         return Report(self.name, self.state, text, 100.0 * share, line, lines)
+
+    @property
+    def _label(self) -> str:
+        return "tactile path" if self.name == "tactile" else self.name
 
     def end(self) -> None:
         """Let go of a program that is over."""

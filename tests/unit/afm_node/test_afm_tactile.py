@@ -49,7 +49,7 @@ def felt(states: list[Any], **settings: Any) -> tuple[np.ndarray, np.ndarray]:
 def test_the_hand_is_moved_like_the_surface_at_a_millimetre_a_nanometre(afm: Imager, hold: str) -> None:
     afm.set(**LINE, **{"tactile.hold": hold})
     afm.run()
-    assert afm.outcome() == ("finished", "the tactile is finished: the tip retracts")
+    assert afm.outcome() == ("finished", "the tactile path is finished: the tip retracts")
     states = [s for s in afm.bench.take("afm/state") if s.mode == "follow"]
     positions, forces = felt(states)
     # before the first touch the approach moves nobody

@@ -64,6 +64,20 @@ def test_switched_off_they_change_no_bit() -> None:
         assert wrapped.exchange(base) == plain.exchange(base)
 
 
+def test_what_lags_behind_is_at_rest_where_it_is_switched_on() -> None:
+    wrapped = instrument(DisturbanceConfig())
+    wrapped.open()
+    for _ in range(100):
+        wrapped.elapse(DT)
+        wrapped.exchange(-50e-9)
+    before = wrapped.exchange(-50e-9)
+    names = ("creep", "hysteresis", "drift")
+    wrapped.configure(DisturbanceConfig.model_validate({name: {"enabled": True} for name in names}))
+    wrapped.elapse(DT)
+    # a millisecond of drift, 50 fm, and no more
+    assert abs(wrapped.exchange(-50e-9).distance_m - before.distance_m) < 1e-13
+
+
 def test_vibration_has_its_rms_and_stays_in_its_band() -> None:
     found = displacements(only("vibration", rms_m=0.2e-9, low_hz=5.0, high_hz=100.0), np.zeros(20_000))
     assert found.std() == pytest.approx(0.2e-9, rel=0.05, abs=0.0)
