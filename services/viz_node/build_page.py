@@ -13,6 +13,7 @@ from pathlib import Path
 
 WEB = Path(__file__).resolve().parent / "web"
 _LEAST_NODE = (20, 19)
+_CERTIFICATES = ("/etc/ssl/certs/ca-certificates.crt", "/etc/pki/tls/certs/ca-bundle.crt", "/etc/ssl/cert.pem")
 _SOURCES = ("src/*", "index.html", "package-lock.json", "vite.config.ts", "tsconfig.json")
 
 
@@ -29,6 +30,9 @@ def main() -> int:
         )
         return 1
     environment = {**os.environ, "PATH": f"{folder}{os.pathsep}{os.environ.get('PATH', '')}"}
+    # behind a proxy with a certificate of its own npm trusts what the machine does, as pip does
+    if trusted := next(filter(os.path.isfile, _CERTIFICATES), None):
+        environment.setdefault("NODE_EXTRA_CA_CERTS", trusted)
     for step in (["ci", "--no-audit", "--no-fund", "--loglevel=error"], ["run", "--silent", "build"]):
         done = subprocess.run([*npm_of(folder), *step], cwd=WEB, env=environment, stdout=sys.stderr)
         if done.returncode:

@@ -24,7 +24,7 @@ export class Section {
   constructor(private readonly surface: Surface) {
     this.polyline.visible = false;
     this.polyline.renderOrder = 2;
-    const keep = make("button", { type: "button", id: "section-csv", onclick: () => this.save() }, "Save CSV");
+    const keep = make("button", { type: "button", id: "section-csv", "aria-label": "Save the section as CSV", onclick: () => this.save() }, "CSV");
     this.element = make("div", { class: "profile", role: "group", "aria-label": "Section of the surface", hidden: true });
     this.element.append(make("div", { class: "row" }, this.text, make("span", { class: "spacer" }), keep), this.area);
   }
@@ -57,8 +57,8 @@ export class Section {
     this.polyline.geometry.setAttribute("position", new Float32BufferAttribute(points, 3));
     this.polyline.geometry.computeBoundingSphere();
     const known = profile.height.filter((height) => !Number.isNaN(height));
-    const depth = known.length ? `, height difference ${(Math.max(...known) - Math.min(...known)).toPrecision(4)} nm` : "";
-    this.text.textContent = `Section: ${length.toPrecision(4)} nm${depth}`;
+    const depth = known.length ? `, height range ${(Math.max(...known) - Math.min(...known)).toPrecision(4)} nm` : "";
+    this.text.textContent = `${length.toPrecision(4)} nm${depth}`;
     const data: uPlot.AlignedData = [profile.distance, profile.height.map((height) => (Number.isNaN(height) ? null : height))];
     if (!this.plot) this.plot = this.build(data);
     else this.plot.setData(data);
