@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 from proto import WireError, decode_header
-from services.delay_node.clock_offset import Offset
+from services.runtime.clock_offset import Offset
 from services.delay_node.fate import Release
 from services.runtime.freshness import DELAY_STEP_NS
 
