@@ -204,13 +204,13 @@ def two_port_figure(results: Sequence[LineResult]) -> "Figure | None":
         return None
     figure, axes = _panels(len(drawn), 2.4)
     for axis, (law, curves) in zip(axes, drawn.items(), strict=True):
-        for delay_ms, values in curves:
-            axis.semilogx(omega / (2.0 * np.pi), values, label=f"{delay_ms:g} ms")
+        for (delay_ms, values), (colour, style) in zip(curves, _CURVES, strict=False):
+            axis.semilogx(omega / (2.0 * np.pi), values, color=colour, ls=style, label=f"{delay_ms:g} ms")
         axis.axhline(0.0, color="0.4", linewidth=0.8)
-        axis.set_ylabel("Llewellyn stability\nparameter (≥ 0: absolutely stable)")
+        axis.set_ylabel("Llewellyn\nstability parameter")
         axis.set_title(law.replace("_", " "), loc="left", fontsize="medium")
         axis.legend(fontsize="small", title="round trip")
-    axes[-1].set_xlabel("frequency [Hz]")
+    axes[-1].set_xlabel("frequency [Hz] (absolutely stable where no curve is below 0)")
     return figure
 
 

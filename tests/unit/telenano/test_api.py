@@ -107,6 +107,7 @@ def test_the_command_does_not_pay_for_it() -> None:
         telenano.close  # noqa: B018
 
 
+@pytest.mark.endurance
 def test_a_simulation_may_follow_the_summary_of_a_recording() -> None:
     # the summary needs the laws: as plain Python they would keep the simulation from compiling its own
     code = f"import telenano; telenano.open({str(WAVE)!r}).summary; from services.controller.laws import wave; "

@@ -190,6 +190,7 @@ def test_help_shows_metavars_and_no_types_of_python(command: str, usage: str) ->
     assert not any(word in out for word in ("<str>", "<path>", "list[", "<int", "<float"))
 
 
+@pytest.mark.endurance
 def test_the_shell_completes_commands_options_and_values() -> None:
     root = Path(__file__).parents[3]
     code = "import sys; sys.argv = ['telenano']; from telenano.app import main; main()"
