@@ -253,9 +253,7 @@ def course_of(
         # a constant delay is the same to the loop wherever it is
         delay_s = (cell.round_trip_ms + cell.device_latency_ms) * 1e-3
         jitter_s = cell.jitter_ms * 1e-3
-        schedule = _schedule(
-            delay_s, jitter_s, cell.loss, cell.seed, ticks, rig.period_s, play_out=cell.play_out
-        )
+        schedule = _schedule(delay_s, jitter_s, cell.loss, cell.seed, ticks, rig.period_s, play_out=cell.play_out)
     return simulate(rig, schedule, settle)
 
 
