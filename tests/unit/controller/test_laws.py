@@ -4,12 +4,21 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from pydantic import ValidationError
 
 from services.controller.config import LAWS, ControllerConfig
-from services.controller.law import HandSample, MasterReference, PortSignal, SlaveReference, TipMeasurement
+from services.controller.law import (
+    HandSample,
+    MasterReference,
+    PortSignal,
+    SlaveReference,
+    TipMeasurement,
+)
 from services.controller.law_rules import RULES, broken_rules
+
+T = 1e-3
 
 
 def params_of(name: str, **parameters: Any) -> Any:
@@ -34,6 +43,53 @@ def test_the_law_keeps_the_rules_that_the_rig_relies_on(name: str) -> None:
     rules = [rule for rule in RULES if rule.name != "gives numbers at the corners of every range"]
     assert {rule.name: faults for rule in rules if (faults := list(rule.broken_by(name)))} == {}
     assert len(rules) == 7
+
+
+class Bench:
+    """Both halves of a law over a link without delay, a hand of 1 N, and a spring of 20 N/m under the tip."""
+
+    def __init__(self, name: str) -> None:
+        self.law, self.params = LAWS[name], params_of(name)
+        self.x, self.tip = 0.0, TipMeasurement(0.0, 0.0, 0.0, False, False, False)
+        self.master = self.law.master_start(self.params, HandSample(0.0, 0.0, 0.0, True))
+        self.slave = self.law.slave_start(self.params, self.tip)
+
+    def run(
+        self, ticks: int, force_n: float, *, off: bool = False, retracted: bool = False
+    ) -> list[tuple[float, float]]:
+        """Give the hand's position [m] and the tip's force [N] of each tick; off: the hand; retracted: the tip."""
+        rows = []
+        for _ in range(ticks):
+            hand = HandSample(self.x, 0.0, force_n, not off)
+            self.master, signal = self.law.master_send(self.params, self.master, hand, T)
+            self.slave, wanted = self.law.slave_receive(
+                self.params, self.slave, signal._replace(silence_s=0.0), self.tip, T
+            )
+            base = 0.0 if retracted else wanted.position_m
+            self.tip = TipMeasurement(base, 20.0 * base, 0.0, False, base != 0.0, not retracted)
+            self.slave, answer = self.law.slave_send(self.params, self.slave, self.tip, T)
+            self.master, reference = self.law.master_receive(
+                self.params, self.master, hand, answer._replace(silence_s=0.0), T
+            )
+            self.x = self.x if off else reference.position_m
+            rows.append((self.x, self.tip.force_n))
+        return rows
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_session_after_a_new_arming_is_as_the_first(name: str) -> None:
+    bench = Bench(name)
+    bench.run(20, 0.0, retracted=True)
+    first = bench.run(400, 1.0)
+    # the device is off while the hand moves, so that hand and tip part; then the tip retracts and the hand goes back
+    bench.run(520, 1.0, off=True)
+    bench.x += 1e-3
+    bench.run(50, 1.0)
+    bench.run(20, 0.0, off=True, retracted=True)
+    bench.x = 0.0
+    bench.run(150, 0.0, off=True, retracted=True)
+    again = bench.run(400, 1.0)
+    np.testing.assert_allclose(again, first, rtol=1e-6, atol=0.0)
 
 
 def jumping(params: Any, state: Any, hand: HandSample, signal: PortSignal, dt: float) -> tuple[Any, MasterReference]:
