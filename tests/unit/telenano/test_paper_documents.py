@@ -86,5 +86,5 @@ def test_the_diagram_of_the_architecture_is_the_graph_of_the_tables() -> None:
 
 def test_the_site_has_every_page() -> None:
     text = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
-    named = set(re.findall(r"\b([a-z0-9_]+\.md)\b", text))
+    named = set(re.findall(r"\b([a-z0-9_-]+\.md)\b", text))
     assert {path.name for path in DOCS.glob("*.md")} <= named
