@@ -335,8 +335,11 @@ def _run(
             if commanded:
                 tick = forward_of[f]
                 elapsed = tick - slave_tick
-                if slave_tick < 0 or elapsed > loop.longest_periods:
+                if slave_tick < 0:
                     slave, elapsed, slave_behind = slave_start(law, tip), 1, 0
+                elif elapsed > loop.longest_periods:
+                    slave, _ = slave_receive(law, slave, NO_SIGNAL, tip, dt)
+                    elapsed, slave_behind = 1, 0
                 slave_tick, heard, heard_ns = tick, forward[tick & mask], event_ns
                 base_hand_ns = tick * period_ns + _told(event_ns - tick * period_ns)
             # what the instrument steps by itself, the slave half goes along with, while its last signal counts

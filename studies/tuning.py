@@ -6,6 +6,7 @@ where inertia does not matter it is B_v = 4 G T / pi, G the gain of the loop. No
 others close no linear loop through the link, and keep their defaults at every delay.
 """
 
+import functools
 import math
 from typing import Any
 
@@ -18,6 +19,7 @@ _MOST_N_S_PER_M = 1e7
 Settings = tuple[tuple[str, float | int | str | bool], ...]
 
 
+@functools.lru_cache(maxsize=256)
 def tuned(law: str, stiffness_n_per_m: float, longest_delay_s: float) -> Settings:
     """Return the dotted keys of the section `controller` that differ from their defaults.
 

@@ -185,10 +185,11 @@ class ControllerHalf(Node):
         """Return the whole periods between two hand samples [s]; None when the sequence starts anew.
 
         The hand's grid is absolute, so its stamps differ from whole periods by its lateness only; rounding keeps the
-        law on that grid and makes a re-run from a recording exact.
+        law on that grid and makes a re-run from a recording exact. After a sample that was late by more than half a
+        period the next one is none later, 0.0: the time between them was counted already.
         """
         periods = round((hand_t_ns - previous_ns) / self._period_ns)
-        if previous_ns == 0 or not 0 < periods <= self.longest_pause_periods():
+        if previous_ns == 0 or hand_t_ns <= previous_ns or periods > self.longest_pause_periods():
             return None
         return periods * self.config.period_s
 

@@ -19,6 +19,7 @@ from services.controller.config import ControllerConfig
 from services.controller.half import CENTRE, NEVER, ControllerHalf
 from services.controller.input_age import INSTRUMENT_DEADLINE_S
 from services.controller.law import (
+    NO_SIGNAL,
     EnergyAccount,
     HandSample,
     MasterReference,
@@ -142,7 +143,7 @@ class MasterController(ControllerHalf):
         self.port = count(self.port, self.hand.position_m, self.hand.force_n)
         # after a pause the law goes on from its own state: a hand that was restarted is off, and a law stays with an
         # off hand, while one that was only held up finds its reference where it was
-        self._dt_s = elapsed if elapsed is not None else self.config.period_s
+        self._dt_s = elapsed or self.config.period_s
         hand = self.hand._replace(following=False) if self.switching else self.hand
         self.law_state, signal = self.law.master_send(self.params, self.law_state, hand, self._dt_s)
         self._tip_reference_m = signal.position_m
@@ -265,6 +266,13 @@ class SlaveController(ControllerHalf):
         """Return the state of a half that begins at the last reference of the base."""
         return self.law.slave_start(self.params, self.tip._replace(base_position_m=self.reference.position_m))
 
+    def _interrupted(self) -> Any:
+        """Return the state of a half that takes the signals up anew.
+
+        What it counts goes on: a master that has not noticed would take lower counters for those of old signals.
+        """
+        return self.law.slave_receive(self.params, self.law_state, NO_SIGNAL, self.tip, self.config.period_s)[0]
+
     def _on_forward(self, message: TeleopForward, received_ns: int) -> None:
         if self._awaited_command_seq is not None:
             # the instrument has not answered the last tick: its newest sample has to do, for as long as it is fresh
@@ -274,8 +282,10 @@ class SlaveController(ControllerHalf):
         self._hand_stamp = (message.hand_seq, message.hand_t_ns)
         if self.receive_signal(message, received_ns) and message.active:
             self.switching = False
-        if self.law_state is None or (elapsed is None and not self.switching):
-            self.law_state, self._behind = self.law.slave_start(self.params, self.tip), 0
+        if self.law_state is None:
+            self.law_state = self.law.slave_start(self.params, self.tip)
+        elif elapsed is None and not self.switching:
+            self.law_state, self._behind = self._interrupted(), 0
         self._dt_s = elapsed if elapsed is not None else self.config.period_s
         if self._instrument_lost:
             self.reference = SlaveReference(self.reference.position_m, False)

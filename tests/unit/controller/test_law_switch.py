@@ -33,6 +33,7 @@ class Rig:
         self.rows: list[tuple[float, float, float, str]] = []
         self.statuses: list[Any] = []
         self.tip_status: list[Any] = []
+        self.answers: list[Any] = []
         self.forwards = 0
         for direction in ("forward", "backward"):
             self.master.on_message(self.at_hand.link_delay(direction, delay * PERIOD_NS))
@@ -78,6 +79,7 @@ class Rig:
             )
             self.slave.on_message(answer)
         for message in self.at_tip.take("teleop/backward"):
+            self.answers.append(message)
             self.send(self.master, self.at_hand, "teleop/backward", message, self.delay)
         for message in self.at_tip.take("law/status"):
             self.tip_status.append(message)
@@ -90,11 +92,11 @@ class Rig:
         if any(entry[0] <= self.n for entry in self.flying):
             self.deliver()
 
-    def tick(self, count: int = 1, force_n: float = 1.0) -> None:
+    def tick(self, count: int = 1, force_n: float = 1.0, wait_ns: int = PERIOD_NS) -> None:
         for _ in range(count):
             self.n += 1
-            self.at_hand.clock.advance_ns(PERIOD_NS)
-            self.at_tip.clock.advance_ns(PERIOD_NS)
+            self.at_hand.clock.advance_ns(wait_ns)
+            self.at_tip.clock.advance_ns(wait_ns)
             hand = self.at_hand.received(
                 "haptic/state",
                 "haptic_node@master",
@@ -206,6 +208,22 @@ def test_status_reports_energy_passivity_and_round_trip(bench_of: Any) -> None:
     assert not far.net_valid
     assert not far.round_trip_valid
     assert far.left_j >= 0.0
+
+
+@pytest.mark.parametrize("law", ["wave", "passivity"])
+def test_counters_of_the_slave_go_on_when_a_sample_of_the_hand_was_late(bench_of: Any, law: str) -> None:
+    rig = Rig(bench_of, law, delay=3)
+    rig.tick(1500)
+    # a sample of the hand that is late by 0.8 ms, and the next one in time
+    rig.tick(1, wait_ns=1_800_000)
+    rig.tick(1, wait_ns=200_000)
+    rig.tick(500)
+    energies = [answer.energy_j for answer in rig.answers]
+    assert energies[1400] > 0.0
+    assert all(before <= after for before, after in pairwise(energies))
+    assert rig.rows[-1][3] == "position"
+    assert 1e8 * 20.0 * rig.base == pytest.approx(1.0, rel=0.06, abs=0.0)
+    assert rig.rows[-1][2] == pytest.approx(1.0, rel=0.06, abs=0.0)
 
 
 def test_status_shows_that_a_delayed_reflection_makes_energy(bench_of: Any) -> None:
