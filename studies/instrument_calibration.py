@@ -135,7 +135,7 @@ def calibrate_stiffness(
     rate = f0 * _SAMPLES_A_PERIOD
     count = round(seconds * rate)
     # a spectrum of enough means, whose lines are narrower than the resonance
-    length = 2 ** math.ceil(math.log2(8.0 * q * _SAMPLES_A_PERIOD))
+    length = 2 ** math.ceil(math.log2(16.0 * q * _SAMPLES_A_PERIOD))
     means = count // length
     if means < 8:
         raise ConfigError(f"{seconds:g} s are too short: a resonance with Q = {q:g} needs {8 * length / rate:.3g} s")
