@@ -184,4 +184,5 @@ def _spectrum(values: Array, rate_hz: float, length: int) -> tuple[Array, Array]
     window = np.hanning(length)
     pieces = values.reshape(-1, length)
     power = np.mean(np.abs(np.fft.rfft((pieces - pieces.mean(axis=1, keepdims=True)) * window, axis=1)) ** 2, axis=0)
-    return np.fft.rfftfreq(length, 1.0 / rate_hz), 2.0 * power / (rate_hz * float((window**2).sum()))
+    frequencies = np.asarray(np.fft.rfftfreq(length, 1.0 / rate_hz), dtype=np.float64)
+    return frequencies, np.asarray(2.0 * power / (rate_hz * float((window**2).sum())), dtype=np.float64)
