@@ -34,6 +34,7 @@ Array = npt.NDArray[np.float64]
 _MOST_POINTS = 400
 _LEAST_POINTS = 12
 _GRID = 600
+_SHIFTS_NM = (-1.0, -0.3, 0.0, 0.3, 1.0)
 # next to the pull-off the contact may end a little earlier or later than the model's
 _LEFT_OUT = 0.03
 _RADII_M, _WORKS_J_PER_M2 = (1e-10, 1e-4), (1e-6, 10.0)
@@ -94,7 +95,14 @@ def fit_adhesion(curve: Curve, config: AfmConfig, reduced_modulus: float | None 
         [math.log(_RADII_M[0]), math.log(_WORKS_J_PER_M2[0]), -1e3],
         [math.log(_RADII_M[1]), math.log(_WORKS_J_PER_M2[1]), 1e3],
     )
-    found = least_squares(residuals, start, bounds=bounds, x_scale=[0.1, 0.1, 0.1], diff_step=1e-5)
+    # the end of the contact makes minima of its own where the surface is taken a little too high or too low
+    fits = [
+        least_squares(
+            residuals, start + np.array([0.0, 0.0, shift]), bounds=bounds, x_scale=[0.1, 0.1, 0.1], diff_step=1e-5
+        )
+        for shift in _SHIFTS_NM
+    ]
+    found = min(fits, key=lambda fit: float(fit.cost))
     refusal = f"the curve has no contact of reduced modulus {model.modulus_pa:.3g} Pa: give the one of this sample"
     if not found.success or np.any(found.active_mask):
         raise ConfigError(refusal)

@@ -135,7 +135,7 @@ def calibrate_stiffness(
     rate = f0 * _SAMPLES_A_PERIOD
     count = round(seconds * rate)
     # a spectrum of enough means, whose lines are narrower than the resonance
-    length = 2 ** math.ceil(math.log2(8.0 * q * _SAMPLES_A_PERIOD))
+    length = 2 ** math.ceil(math.log2(16.0 * q * _SAMPLES_A_PERIOD))
     means = count // length
     if means < 8:
         raise ConfigError(f"{seconds:g} s are too short: a resonance with Q = {q:g} needs {8 * length / rate:.3g} s")
@@ -184,5 +184,5 @@ def _spectrum(values: Array, rate_hz: float, length: int) -> tuple[Array, Array]
     window = np.hanning(length)
     pieces = values.reshape(-1, length)
     power = np.mean(np.abs(np.fft.rfft((pieces - pieces.mean(axis=1, keepdims=True)) * window, axis=1)) ** 2, axis=0)
-    density = 2.0 * power / (rate_hz * float((window**2).sum()))
-    return np.asarray(np.fft.rfftfreq(length, 1.0 / rate_hz), np.float64), np.asarray(density, np.float64)
+    frequencies = np.asarray(np.fft.rfftfreq(length, 1.0 / rate_hz), dtype=np.float64)
+    return frequencies, np.asarray(2.0 * power / (rate_hz * float((window**2).sum())), dtype=np.float64)

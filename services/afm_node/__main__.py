@@ -10,7 +10,7 @@ from services.afm_node.driver import AfmDriver
 from services.afm_node.node import INPUTS, AfmNode
 from services.afm_node.safety import SafetyParams
 from services.afm_node.sample_models import SAMPLES, SimulatedSample
-from services.afm_node.sim import SimulatedAfm, SimulatedSpring
+from services.afm_node.sim import SimulatedSpring
 from services.runtime.main import NodeKind, ordinary, run_node
 from services.runtime.node import NodeContext
 
@@ -31,10 +31,9 @@ def _driver(config: AfmConfig) -> AfmDriver:
         return SimulatedSample(config.to_sample_params())
     if config.environment == "spring":
         return SimulatedSpring(config.to_spring_params())
-    params = config.to_params()
-    afm = SimulatedAfm(params, config.to_surface(), config.to_friction_params())
-    # always there, since a person may switch disturbances on while it runs; while all are off it only hands on
-    return DisturbedAfm(afm, config.disturbances, config.cantilever.stiffness_n_per_m, params.plant.volts_per_m)
+    # with all disturbances off the instrument itself: a person may switch them on while it runs
+    surface, friction = config.to_surface(), config.to_friction_params()
+    return DisturbedAfm(config.to_params(), surface, friction, config.disturbances)
 
 
 def modbus_driver(section: ModbusConfig, limits: SafetyParams) -> AfmDriver:

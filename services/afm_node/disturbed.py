@@ -1,4 +1,4 @@
-"""An instrument with disturbances: a driver around a driver, which changes nothing while all of them are off."""
+"""The simulated instrument with disturbances: without any that is switched on it is the instrument itself."""
 
 from services.afm_node.disturbances import (
     DisturbanceConfig,
@@ -9,25 +9,30 @@ from services.afm_node.disturbances import (
     read_out,
     sines_of,
 )
-from services.afm_node.driver import AfmDriver, DeviceReport, LateralStage
-from services.afm_node.step import AfmSample
+from services.afm_node.friction import FrictionParams
+from services.afm_node.sim import SimulatedAfm
+from services.afm_node.step import AfmParams, AfmSample
+from services.afm_node.surface import Surface
 from services.runtime.normal_numbers import NormalNumbers
 
 
-class DisturbedAfm:
-    """An `AfmDriver` whose base and read-out are disturbed.
+class DisturbedAfm(SimulatedAfm):
+    """The simulated AFM whose base and read-out are disturbed.
 
-    Parameters: driver, the instrument itself; stiffness_n_per_m and volts_per_m, of its cantilever and read-out. What
-    is reported of the base is what it was sent to: an open-loop piezo knows no better.
+    What is reported of the base is what it was sent to: an open-loop piezo knows no better. A part of the instrument
+    and not a driver around it, so that journals of nodes without disturbances describe the same object.
     """
 
     def __init__(
-        self, driver: AfmDriver, config: DisturbanceConfig, stiffness_n_per_m: float, volts_per_m: float
+        self,
+        params: AfmParams,
+        surface: Surface | None,
+        friction: FrictionParams | None,
+        config: DisturbanceConfig,
     ) -> None:
-        self._driver = driver
-        self._stiffness, self._volts_per_m = stiffness_n_per_m, volts_per_m
-        self.config = config
-        self._state: DisturbanceState = begun()
+        super().__init__(params, surface, friction)
+        self.disturbances = config
+        self._disturbance_state: DisturbanceState = begun()
         self._normals, self._sines = NormalNumbers(config.seed), sines_of(config)
         self._active = config.any_enabled
         self._elapsed_s = 0.0
@@ -40,48 +45,22 @@ class DisturbedAfm:
             self._elapsed_s, self._is_new = 0.0, True
         self._sines = sines_of(config)
         self._normals.reseed(config.seed)
-        self.config, self._active = config, config.any_enabled
+        self.disturbances, self._active = config, config.any_enabled
 
     def elapse(self, dt: float) -> None:
         """Note the time [s] of the next exchange."""
         self._elapsed_s += dt
 
-    @property
-    def safe_position_m(self) -> float:
-        return self._driver.safe_position_m
-
-    @property
-    def latency_s(self) -> float:
-        return self._driver.latency_s
-
-    @property
-    def report(self) -> DeviceReport | None:
-        return self._driver.report
-
-    @property
-    def stage(self) -> LateralStage | None:
-        return self._driver.stage
-
-    def open(self) -> None:
-        self._driver.open()
-
     def exchange(self, base_m: float) -> AfmSample:
         if not self._active:
-            return self._driver.exchange(base_m)
+            return super().exchange(base_m)
+        config, plant = self.disturbances, self._plant
         dt, self._elapsed_s = self._elapsed_s, 0.0
+        state = self._disturbance_state
         if self._is_new:
-            self._state, self._is_new = at_rest(self._state, base_m), False
-        self._state, piezo_m = displaced(self.config, self._sines, self._state, base_m, dt)
-        sample = self._driver.exchange(piezo_m)
-        self._state, zeta = read_out(
-            self.config, self._normals, self._state, sample.deflection_m, self._stiffness, self._volts_per_m, dt
-        )
-        return sample._replace(
-            base_m=base_m, deflection_m=zeta, force_n=self._stiffness * zeta, bridge_voltage_v=self._volts_per_m * zeta
-        )
-
-    def retract(self) -> bool:
-        return self._driver.retract()
-
-    def close(self) -> None:
-        self._driver.close()
+            state, self._is_new = at_rest(state, base_m), False
+        state, piezo_m = displaced(config, self._sines, state, base_m, dt)
+        sample = super().exchange(piezo_m)
+        k, gain = plant.stiffness_n_per_m, plant.volts_per_m
+        self._disturbance_state, zeta = read_out(config, self._normals, state, sample.deflection_m, k, gain, dt)
+        return sample._replace(base_m=base_m, deflection_m=zeta, force_n=k * zeta, bridge_voltage_v=gain * zeta)

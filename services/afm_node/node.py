@@ -143,7 +143,7 @@ class AfmNode(Node):
         if changes:
             if self._disturbed is None:
                 raise RefusedError("disturbances: a real instrument has its own")
-            self._disturbed.configure(changed_disturbances(self._disturbed.config, changes))
+            self._disturbed.configure(changed_disturbances(self._disturbed.disturbances, changes))
             sentences.append("set " + ", ".join(f"{key} = {value}" for key, value in changes.items()))
         lateral = request.lateral
         if lateral.x_m is not None or lateral.y_m is not None:

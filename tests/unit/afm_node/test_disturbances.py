@@ -50,8 +50,7 @@ def readings(config: DisturbanceConfig, zeta_m: float, count: int, stiffness: fl
 
 
 def instrument(disturbances: DisturbanceConfig) -> DisturbedAfm:
-    params = CONFIG.to_params()
-    return DisturbedAfm(SimulatedAfm(params), disturbances, 1.0, params.plant.volts_per_m)
+    return DisturbedAfm(CONFIG.to_params(), None, None, disturbances)
 
 
 def test_switched_off_they_change_no_bit() -> None:

@@ -29,6 +29,12 @@ def test_a_curve_of_the_model_gives_table_2_back(curve):
     assert found.residual_n < 0.02e-9
 
 
+def test_a_stiff_cantilever_gives_it_as_well():
+    config = AfmConfig()
+    found = fit_adhesion(force_curve(config, 20e-9, 20e-9), config)
+    assert (found.radius_m, found.work_of_adhesion_j_per_m2) == pytest.approx((10e-9, 0.072), rel=0.02, abs=0)
+
+
 def test_with_noise_the_truth_lies_within_three_standard_errors(curve):
     random = np.random.default_rng(3)
     noise = random.normal(0.0, 0.1e-9, len(curve.retract.force_n))
@@ -51,9 +57,9 @@ def test_a_curve_without_a_pull_off_is_refused(curve):
 def test_both_models_have_the_same_points_of_the_curve():
     (row,) = compare_models((8.0,), points=150)
     # the bounds that docs/instrument.md states
-    assert abs(row.pull_off_share) < 0.02
-    assert abs(row.snap_in_difference_m) <= 2.0 * row.step_m
-    assert abs(row.hysteresis_share) < 0.05
+    assert abs(row.pull_off_share) < 0.002
+    assert abs(row.snap_in_difference_m) <= row.step_m
+    assert abs(row.hysteresis_share) < 0.03
 
 
 @pytest.mark.skipif(not DATA.exists(), reason="measured data are not beside the project: ../shared/data")
@@ -64,5 +70,8 @@ def test_a_measured_curve_is_fitted_with_uncertainties():
     # half of the way of the base goes into the sample: it is soft
     found = fit_adhesion(read_measured(DATA), config, 1e7)
     assert found.points > 50
-    assert found.work_of_adhesion_error_j_per_m2 > 0.0
-    assert found.radius_error_m > 0.0
+    # the fit is as good as 0.1 nN on 23 nN, and tells both within a tenth
+    assert found.residual_n < 0.2e-9
+    assert found.radius_m == pytest.approx(66e-9, rel=0.2, abs=0)
+    assert found.radius_error_m < 0.1 * found.radius_m
+    assert found.work_of_adhesion_error_j_per_m2 < 0.15 * found.work_of_adhesion_j_per_m2
