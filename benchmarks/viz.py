@@ -88,6 +88,11 @@ def drawn(address: str, wanted: bool) -> Iterator[Any]:
         browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=FLAGS)
         page = browser.new_page(viewport={"width": 1360, "height": 850})
         page.goto(address, wait_until="commit", timeout=PATIENCE_S * 1e3)
+        end_s = time.monotonic() + PATIENCE_S
+        while not page.evaluate("(window.telenano?.store.rings.get('tip')?.length ?? 0) > 1000"):
+            if time.monotonic() > end_s:
+                sys.exit(f"the page in the browser had no curves within {PATIENCE_S:g} s")
+            time.sleep(0.1)
         yield page
         browser.close()
 

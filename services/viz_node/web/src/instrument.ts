@@ -54,7 +54,7 @@ export class Instrument {
   draw(): void {
     const program = this.store.state.get("afm/program/slave");
     if (!program) return;
-    const { text, done_percent: percent, state } = program as { text: string; done_percent: number; state: string };
+    const { text, state, done_percent: percent } = program as { text: string; state: string; done_percent: number };
     const shown = state === "running" || state === "paused" ? `${state}, ${percent.toFixed(0)} %: ${text}` : `${state}: ${text}`;
     if (this.state.textContent !== shown) this.state.textContent = shown;
   }
