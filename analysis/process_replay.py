@@ -36,11 +36,12 @@ from services.runtime.log import StructuredLog
 from services.runtime.main import Wiring, node_kind
 from services.runtime.node import Node
 from services.runtime.node_state import restore
+from services.runtime.reader import Reader
 from services.runtime.scenario import LoadedScenario, Scenario
 
 JOURNAL = "node/journal"
 # the loop around the node publishes on these too, with the same numbering: they are not compared
-_NOT_COMPARED = (JOURNAL, "node/health", "session/event")
+_NOT_COMPARED = (JOURNAL, "node/health", "session/event", "link/key", "link/network")
 # the first parts of a journal may name inputs from before the recording began; later ones have to be complete
 _LATEST_START_NS = 1_500_000_000
 # publishers start one after the other, and the recorder may be connected to each a moment after the node
@@ -473,10 +474,14 @@ class _ReplayWiring(Wiring):
         """Return none: the re-run hands the messages over itself."""
         return []
 
+    def datagrams(self, outgoing: ZmqPublisher, reports: ZmqPublisher, readers: Sequence[Subscriber]) -> list[Reader]:
+        """Return none, as for all inputs."""
+        return []
+
     def estop_inlet(self) -> list[Subscriber]:
         """Return none, as for all inputs."""
         return []
 
-    def bus_of(self, publisher: Publisher, subscribers: Sequence[Subscriber]) -> ZmqBus:
+    def bus_of(self, publisher: Publisher, subscribers: Sequence[Reader]) -> ZmqBus:
         """Return the bus of the re-run."""
         return cast(ZmqBus, self.replay_bus)

@@ -1,10 +1,10 @@
-"""What encryption costs between two machines: CURVE against plain TCP, with a Unix socket as the floor.
+"""What crossing between two machines costs: plain TCP, CURVE, sealed datagrams, with a Unix socket as the floor.
 
     python benchmarks/network.py [--rounds N] [--messages N] [--json]
 
 Two processes play the two machines on this one. Each sends checked messages as the rig does, at 1 kHz: the first sends
 teleop/forward, the second answers each with teleop/backward, and the first takes the time from its send to the answer.
-The three ways alternate in short runs, so that what else the machine does falls on all alike. The processor time is
+The four ways alternate in short runs, so that what else the machine does falls on all alike. The processor time is
 that of both processes, their ZeroMQ threads included.
 """
 
@@ -22,16 +22,18 @@ import numpy as np
 import zmq
 from link import ANSWER, SIGNAL
 
-from services.runtime.address_book import AddressBook
+from services.runtime.address_book import AddressBook, LinkTransport
 from services.runtime.clock import SystemClock
 from services.runtime.log import StructuredLog
+from services.runtime.participant import Participant
 from services.runtime.realtime import RealtimeConfig, apply_realtime, freeze_garbage, shallow_idle
 from services.runtime.security.keyring import KEYS_DIRECTORY_VARIABLE, Keyring
 from services.runtime.transport import Transport, open_context
 
 PERIOD_NS = 1_000_000
-MASTER, SLAVE = "controller@master", "controller@slave"
-WAYS = ("ipc", "plain", "curve")
+# the two ends of the link between machines
+MASTER, SLAVE = "delay_node@slave", "controller@slave"
+WAYS = ("ipc", "plain", "curve", "datagram")
 WARM_UP = 200
 # an answer that takes longer than this will not come any more
 LOST_S = 1.0
@@ -42,7 +44,8 @@ def book_of(way: str, folder: Path, ports: tuple[int, int]) -> AddressBook:
     if way == "ipc":
         return AddressBook(nodes={node: f"ipc://{folder}/{node}" for node in (MASTER, SLAVE)})
     nodes = {node: f"tcp://127.0.0.1:{port}" for node, port in zip((MASTER, SLAVE), ports, strict=True)}
-    return AddressBook(nodes=nodes, insecure=way == "plain")
+    link = LinkTransport(transport="datagram" if way == "datagram" else "stream")
+    return AddressBook(nodes=nodes, insecure=way == "plain", link=link)
 
 
 def exchange(node: str, peer: str, book: AddressBook, messages: int, pipe: Connection) -> None:
@@ -55,8 +58,11 @@ def exchange(node: str, peer: str, book: AddressBook, messages: int, pipe: Conne
         publisher = network.publisher(node)
         topic = "teleop/backward" if node == MASTER else "teleop/forward"
         readers = [reader for reader in network.subscribers({peer: [topic]}) if reader.topics]
+        log = StructuredLog(node)
+        participant = Participant(key=node, book=book, clock=clock, log=log, network=network, wake_descriptor=-1)
+        ends = participant.datagrams(publisher, publisher, readers)
         poller = zmq.Poller()
-        for descriptor in (*(reader.socket for reader in readers), *network.descriptors):
+        for descriptor in (*(reader.socket for reader in (*ends, *readers)), *network.descriptors):
             poller.register(descriptor, zmq.POLLIN)
         freeze_garbage()
         pipe.send("ready")
@@ -73,10 +79,10 @@ def exchange(node: str, peer: str, book: AddressBook, messages: int, pipe: Conne
             answered = False
             until = time.monotonic() + (0.02 if asking else 0.1)
             while not answered and time.monotonic() < until:
-                poller.poll(20)
+                ready = {found for found, _ in poller.poll(20)}
                 network.process_events()
-                for reader in readers:
-                    for _ in reader.receive():
+                for reader in (*ends, *readers):
+                    for _ in reader.receive(signalled=reader.descriptor in ready):
                         answered = True
             if answered and asking:
                 trips.append(clock.monotonic_ns() - sent_ns)
@@ -160,6 +166,11 @@ def main() -> None:
             "p50": p50["curve"] / p50["plain"],
             "p99": p99["curve"] / p99["plain"],
             "cpu": (cpu_s["curve"] / len(trips["curve"])) / (cpu_s["plain"] / len(trips["plain"])),
+        },
+        "datagram_to_curve": {
+            "p50": p50["datagram"] / p50["curve"],
+            "p99": p99["datagram"] / p99["curve"],
+            "cpu": (cpu_s["datagram"] / len(trips["datagram"])) / (cpu_s["curve"] / len(trips["curve"])),
         },
     }
     if given.json:

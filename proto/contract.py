@@ -28,7 +28,7 @@ PARTS = ("topics", "ranges")
 WITH_ADDITIONS = "_with_additions"
 
 # strings whose pattern a made-up text would not match
-_PATTERNED = {"id": "7f3a-01", "law": "virtual_impedance"}
+_PATTERNED = {"id": "7f3a-01", "law": "virtual_impedance", "public_key": "07" * 32, "answers": "a9" * 32}
 _ELEMENT_TYPES = ("f8", "u1", "i2", "i4", "f4")
 # the least integer that a reader loses if it keeps integers as doubles
 _BEYOND_DOUBLE = 2**53 + 1

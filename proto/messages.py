@@ -376,7 +376,7 @@ class LinkFate(Record):
     queue_ns: Count = Field(description="Part of it spent in the queue of a rate limit or delivery trace [ns]")
     held_ns: Count = Field(description="Part of it spent waiting for the end of an outage [ns]")
     dropped: Annotated[str, Field(max_length=64)] = Field(
-        description="What dropped it: outage, loss, markov_loss, gilbert_elliott, queue; empty when it was delivered"
+        description="What dropped it: outage, loss, markov_loss, gilbert_elliott, loss_trace, queue; else empty"
     )
     duplicated: bool = Field(description="A duplicate was made of it")
     reordered: bool = Field(description="It was released before a message of its topic that had arrived earlier")

@@ -61,6 +61,8 @@ VIEW = "view@master"
 RECORDER = "recorder@master"
 # the name of the process between the sites, and its endpoint at either one
 LINK = "delay_node"
+# where the link ends at the slave's site, for what crosses as datagrams: the node that takes it
+FAR_END = "controller@slave"
 
 _RIG = tuple(row for row in NODES if row.part == "rig")
 START_ORDER = tuple(row.key for row in _RIG if row.required)

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from proto import messages as m
+from proto import network_messages as network
 from proto.instrument import AfmProgram
 from proto.nodes import NODES, name_of, site_of
 
@@ -47,6 +48,8 @@ _ROWS = (
     Topic("link/status", m.LinkStatus, ("delay_node@master",), "latest", 10.0, 0.5, None),
     Topic("link/delay", m.LinkDelay, ("delay_node",), "lossless", None, None, None),
     Topic("link/fates", m.LinkFates, ("delay_node@master",), "lossless", None, None, None),
+    Topic("link/key", network.LinkKey, ("delay_node", "controller"), "lossless", None, None, None),
+    Topic("link/network", network.LinkNetwork, ("delay_node", "controller"), "lossless", None, None, "backward"),
     Topic("clock/ping", m.ClockPing, ("delay_node@slave",), "latest", 10.0, 0.5, None),
     Topic("clock/pong", m.ClockPong, ("afm_node",), "latest", 10.0, 0.5, None),
     Topic("session/control", m.SessionControl, _COMMANDERS, "lossless", None, None, "forward"),

@@ -24,6 +24,7 @@ from services.afm_node.safety import MODE_FOLLOW, MODE_HOLD, SafetyParams
 from services.afm_node.sample_models import SAMPLES, SampleParams
 from services.afm_node.spring import spring_params
 from services.controller.config import LAWS, ControllerConfig
+from services.delay_node.config import LinkSettings
 from services.haptic_node.config import ARMS, HapticConfig
 from services.runtime.compiled import source_digest
 from services.runtime.config import Settings, merge, nested, validate
@@ -86,6 +87,7 @@ class Cell(Settings):
     damping_n_s_per_m: float = Field(default=0.02, ge=0.0, le=1e6, description="Damper of the body [N s/m]")
     gain: float | None = Field(default=None, ge=0.0, description="Force gain K_f; none: the law's own")
     jitter_ms: float = Field(default=0.0, ge=0.0, le=1e5, description="Half-width of the uniform jitter each way [ms]")
+    play_out: bool = Field(default=False, description="A play-out buffer at the end of each direction")
     loss: float = Field(default=0.0, ge=0.0, le=1.0, description="Share of messages lost each way; 0..1")
     device_latency_ms: float = Field(
         default=0.0, ge=0.0, le=1e3, description="What real devices add to the round trip, as declared [ms]"
@@ -231,21 +233,36 @@ def trajectory_of(cell: Cell) -> Trajectory:
     return course_of(cell, cell.hand_points(), cell.hold_s()[1])
 
 
-def course_of(cell: Cell, hand_points: Sequence[tuple[float, float]], end_s: float) -> Trajectory:
-    """Run a cell with another programme of the hand: corners (time [s], force [N]) of it, and its length [s]."""
+def course_of(
+    cell: Cell,
+    hand_points: Sequence[tuple[float, float]],
+    end_s: float,
+    measured: tuple[LinkSettings, Path] | None = None,
+) -> Trajectory:
+    """Run a cell with another programme of the hand: corners (time [s], force [N]) of it, and its length [s].
+
+    Parameters: measured, settings of a link in the place of the cell's own, with the folder of their files.
+    """
     rig = rig_of(cell, hand_points)
     settle = round((_SETTLE_S + _SETTLE_ROUND_TRIPS * cell.round_trip_s) / rig.period_s)
     ticks = settle + max(1, round(end_s / rig.period_s))
-    # a constant delay is the same to the loop wherever it is
-    delay_s = (cell.round_trip_ms + cell.device_latency_ms) * 1e-3
-    schedule = _schedule(delay_s, cell.jitter_ms * 1e-3, cell.loss, cell.seed, ticks, rig.period_s)
+    if measured is not None:
+        settings, folder = measured
+        schedule = schedule_of(settings, ticks, rig.period_s, folder, play_out=cell.play_out)
+    else:
+        # a constant delay is the same to the loop wherever it is
+        delay_s = (cell.round_trip_ms + cell.device_latency_ms) * 1e-3
+        jitter_s = cell.jitter_ms * 1e-3
+        schedule = _schedule(delay_s, jitter_s, cell.loss, cell.seed, ticks, rig.period_s, play_out=cell.play_out)
     return simulate(rig, schedule, settle)
 
 
 @functools.lru_cache(maxsize=16)
-def _schedule(round_trip_s: float, jitter_s: float, loss: float, seed: int, ticks: int, period_s: float) -> Schedule:
+def _schedule(
+    round_trip_s: float, jitter_s: float, loss: float, seed: int, ticks: int, period_s: float, *, play_out: bool
+) -> Schedule:
     """Return the arrivals of a link; laws and hands are tried over the same one, and a random one takes its time."""
-    return schedule_of(symmetric_link(round_trip_s, jitter_s, loss, seed), ticks, period_s)
+    return schedule_of(symmetric_link(round_trip_s, jitter_s, loss, seed), ticks, period_s, play_out=play_out)
 
 
 def judged(cell: Cell, course: Trajectory) -> CellResult:

@@ -6,6 +6,7 @@ engine (`fates_of`), and the loop merely merges arrivals. Readers take the newes
 came twice is dropped here as the bus drops it.
 """
 
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +15,7 @@ import numpy.typing as npt
 from services.delay_node.config import DirectionSettings, LinkSettings, parse_settings
 from services.delay_node.engine import fates_of
 from services.delay_node.fate import Direction
+from services.runtime.datagram.play_out import PlayOut
 
 Times = npt.NDArray[np.int64]
 
@@ -54,12 +56,18 @@ def symmetric_link(round_trip_s: float, jitter_s: float, loss: float, seed: int)
     return parse_settings({"seed": seed, "forward": direction, "backward": direction})
 
 
-def schedule_of(settings: LinkSettings, ticks: int, period_s: float) -> Schedule:
-    """Compute the arrivals of a run of `ticks` samples, one every period_s [s], over a link that starts with it."""
+def schedule_of(
+    settings: LinkSettings, ticks: int, period_s: float, folder: Path = Path(), *, play_out: bool = False
+) -> Schedule:
+    """Compute the arrivals of a run of `ticks` samples, one every period_s [s], over a link that starts with it.
+
+    Parameters: folder, where the files that the settings name are; play_out, each direction ends in a buffer that holds
+    what arrives to a delay that hardly varies.
+    """
     period_ns = round(period_s * 1e9)
     sent_ns = np.arange(ticks, dtype=np.int64) * period_ns
-    forward_ns, forward_of = _arrivals(settings, "forward", FORWARD_TOPIC, sent_ns)
-    backward_ns, backward_of = _arrivals(settings, "backward", BACKWARD_TOPIC, forward_ns)
+    forward_ns, forward_of = _arrivals(settings, "forward", FORWARD_TOPIC, sent_ns, folder, play_out=play_out)
+    backward_ns, backward_of = _arrivals(settings, "backward", BACKWARD_TOPIC, forward_ns, folder, play_out=play_out)
     behind = [
         forward_ns // period_ns - forward_of,
         np.searchsorted(forward_ns, backward_ns, side="right") - backward_of,
@@ -68,7 +76,9 @@ def schedule_of(settings: LinkSettings, ticks: int, period_s: float) -> Schedule
     return Schedule(forward_ns, forward_of, backward_ns, backward_of, ticks, 1 << (longest + 1).bit_length())
 
 
-def _arrivals(settings: LinkSettings, way: Direction, topic: str, sent_ns: Times) -> tuple[Times, Times]:
+def _arrivals(
+    settings: LinkSettings, way: Direction, topic: str, sent_ns: Times, folder: Path, *, play_out: bool
+) -> tuple[Times, Times]:
     """Return when messages of one direction arrive, and which message each one is, as a reader takes them.
 
     A constant delay is the common case of a map and needs no engine: the result is the same (tested).
@@ -76,10 +86,14 @@ def _arrivals(settings: LinkSettings, way: Direction, topic: str, sent_ns: Times
     direction: DirectionSettings = getattr(settings, way)
     if direction.model_dump() == DirectionSettings(delay_s=direction.delay_s).model_dump():
         return sent_ns + round(direction.delay_s * 1e9), np.arange(len(sent_ns), dtype=np.int64)
-    fates = fates_of(settings, way, topic, sent_ns.tolist(), MESSAGE_BYTES)
+    fates = fates_of(settings, way, topic, sent_ns.tolist(), MESSAGE_BYTES, folder=folder)
     # a message with flipped bits is refused by its reader, as a rule: it counts as lost
     released = [(fate.release_ns, fate.seq) for fate in fates if fate.release_ns is not None and not fate.corrupted]
     released.sort()
+    if play_out:
+        buffer = PlayOut()
+        released = [(buffer.release_ns(int(sent_ns[seq]), at_ns), seq) for at_ns, seq in released]
+        released.sort()
     pairs = np.array(released, dtype=np.int64).reshape(-1, 2)
     newest_before = np.maximum.accumulate(np.concatenate([[-1], pairs[:-1, 1]])) if len(pairs) else np.empty(0)
     fresh = pairs[pairs[:, 1] > newest_before] if len(pairs) else pairs

@@ -19,7 +19,8 @@ def build(wiring: Wiring, settings: LinkSettings) -> tuple[Node, AccountedBus]:
     for answering, topics in wiring.book.sources("delay_node@slave", ["clock/pong"]).items():
         connections[1].setdefault(answering, []).extend(topics)
     listeners = [listener for plan in connections for listener in wiring.subscribers(plan)]
-    bus = wiring.bus_of(to_master, [*listeners, *wiring.estop_inlet()])
+    ends = wiring.datagrams(to_slave, to_master, listeners)
+    bus = wiring.bus_of(to_master, [*listeners, *ends, *wiring.estop_inlet()])
     try:
         folder, apart = wiring.scenario_file.parent, wiring.book.spans_machines
         node = DelayNode(wiring.context(bus), settings, to_slave, to_master, folder, spans_machines=apart)

@@ -62,6 +62,13 @@ class DelayTrace(Settings):
     repeat: bool = Field(default=True, description="start again after the last line; otherwise keep its delay")
 
 
+class LossTrace(Settings):
+    """A loss that follows a recorded course of time, as `telenano link probe` writes it."""
+
+    file: str | None = Field(default=None, description="file of lines `time_s lost`, times strictly increasing")
+    repeat: bool = Field(default=True, description="start again after the last line; otherwise keep what it says")
+
+
 class Event(Settings):
     """Something that happens to a message with a probability, in runs if correlated."""
 
@@ -188,6 +195,7 @@ class Impairment(Settings):
     jitter: Jitter = Field(default=Jitter(), description="random part of the delay")
     delay_trace: DelayTrace = Field(default=DelayTrace(), description="recorded part of the delay")
     loss: Event = Field(default=Event(), description="random loss")
+    loss_trace: LossTrace = Field(default=LossTrace(), description="recorded loss")
     markov_loss: MarkovLoss = Field(default=MarkovLoss(), description="four-state loss")
     gilbert_elliott: GilbertElliott = Field(default=GilbertElliott(), description="two-state loss")
     corruption: Corruption = Field(default=Corruption(), description="flipped bits")

@@ -247,7 +247,7 @@ class DirectionEngine:
     def _impair(self, pipeline: TopicPipeline, now_ns: int, payload: bytes, seq: int, src: str) -> None:
         # All draws come first: whether one model draws may not depend on what another has decided.
         applies = pipeline.applies is None or pipeline.applies()
-        lost_by = pipeline.lost_by()
+        lost_by = pipeline.lost_by(now_ns)
         corrupted = pipeline.corruptor is not None and pipeline.corruptor.happens() and len(payload) > 0
         duplicated = pipeline.duplicates is not None and pipeline.duplicates()
         overtakes = pipeline.overtakes is not None and pipeline.overtakes()

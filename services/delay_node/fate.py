@@ -5,7 +5,7 @@ from typing import Any, Literal, NamedTuple
 
 Direction = Literal["forward", "backward"]
 
-CAUSES = ("outage", "loss", "markov_loss", "gilbert_elliott", "queue")
+CAUSES = ("outage", "loss", "markov_loss", "gilbert_elliott", "queue", "loss_trace")
 
 
 class Fate(NamedTuple):

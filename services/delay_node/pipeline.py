@@ -20,10 +20,13 @@ from services.delay_node.models.queueing import DeliveryServer, RateServer, Serv
 from services.delay_node.models.state import capture_model, restore_model
 from services.delay_node.models.traces import (
     DelayCourse,
+    LossCourse,
     delay_at,
+    lost_at,
     parse_delay_trace,
     parse_delivery_trace,
     parse_jitter_table,
+    parse_loss_trace,
     read_text,
 )
 from services.delay_node.random_streams import Occurrence, RandomStream, stream
@@ -38,6 +41,7 @@ class Files(NamedTuple):
     course: DelayCourse | None
     delivery_ns: tuple[int, ...] | None
     samples: tuple[float, ...]
+    losses: LossCourse | None
 
 
 class LatestRelease:
@@ -57,6 +61,7 @@ class SharedModels(NamedTuple):
     files: Files
     latest_release: LatestRelease
     course_origin_ns: int
+    losses_origin_ns: int
     queue: "ServedQueue[InFlight] | None"
     slot_gate: SlotGate | None
     outages: Outages | None
@@ -88,9 +93,14 @@ class TopicPipeline(NamedTuple):
         elapsed_ns = now_ns - self.shared.course_origin_ns
         return self.fixed_ns + delay_at(course, elapsed_ns, interpolation=trace.interpolation, repeat=trace.repeat)
 
-    def lost_by(self) -> str:
-        """Return the first model that loses the next message; every model draws, whatever the others decide."""
+    def lost_by(self, now_ns: int) -> str:
+        """Return the first model that loses a message that arrives now; each draws, whatever the others decide."""
         lost = [cause for cause, loses in self.losses if loses()]
+        course = self.shared.files.losses
+        if course is not None and not self.reliable and not lost:
+            repeat = self.shared.settings.loss_trace.repeat
+            if lost_at(course, now_ns - self.shared.losses_origin_ns, repeat=repeat):
+                return "loss_trace"
         return lost[0] if lost else ""
 
 
@@ -126,11 +136,15 @@ def _read(block: Impairment, folder: Path, prefix: str) -> Files:
     trace, delivery, jitter = block.delay_trace, block.delivery_trace, block.jitter
     course = delivery_ns = None
     samples: tuple[float, ...] = ()
+    losses = None
     key = ""
     try:
         if trace.file is not None:
             key = "delay_trace.file"
             course = parse_delay_trace(read_text(folder / trace.file), trace.file)
+        if block.loss_trace.file is not None:
+            key = "loss_trace.file"
+            losses = parse_loss_trace(read_text(folder / block.loss_trace.file), block.loss_trace.file)
         if delivery.file is not None:
             key = "delivery_trace.file"
             delivery_ns = parse_delivery_trace(read_text(folder / delivery.file), delivery.file, delivery.unit_s)
@@ -139,7 +153,7 @@ def _read(block: Impairment, folder: Path, prefix: str) -> Files:
             samples = parse_jitter_table(read_text(folder / jitter.table_file), jitter.table_file)
     except ConfigError as error:
         raise ConfigError(f"{prefix}{key}: {error}") from error
-    return Files(course, delivery_ns, samples)
+    return Files(course, delivery_ns, samples, losses)
 
 
 class Pipeline:
@@ -250,6 +264,7 @@ class Pipeline:
             files,
             latest_release=self._progress.setdefault(("block", pattern), LatestRelease()),
             course_origin_ns=self._kept(("shared", "course", pattern), (s.delay_trace, files.course), lambda: now_ns),
+            losses_origin_ns=self._kept(("shared", "losses", pattern), (s.loss_trace, files.losses), lambda: now_ns),
             queue=self._queue(pattern, s, files.delivery_ns, now_ns),
             slot_gate=self._gate(pattern, s.slots, now_ns),
             outages=self._outages(pattern, s.outage, now_ns),
@@ -346,5 +361,6 @@ class Pipeline:
 
 def _is_constant(pipeline: TopicPipeline) -> bool:
     models = (pipeline.applies, pipeline.corruptor, pipeline.duplicates, pipeline.overtakes, pipeline.jitter)
-    shared = (pipeline.shared.files.course, pipeline.shared.queue, pipeline.shared.slot_gate, pipeline.shared.outages)
+    files = pipeline.shared.files
+    shared = (files.course, files.losses, pipeline.shared.queue, pipeline.shared.slot_gate, pipeline.shared.outages)
     return not pipeline.losses and not pipeline.ordered and all(model is None for model in (*models, *shared))

@@ -11,10 +11,11 @@ from proto.messages import MAX_TEXT, SessionControl
 from services.recorder.config import RecorderConfig
 from services.recorder.disk_watch import DiskWatch
 from services.recorder.intake import Intake, Listener
-from services.runtime.bus import NetworkEvents, Publisher, Received, ZmqBus
+from services.runtime.bus import Publisher, Received, ZmqBus
 from services.runtime.clock import Clock
 from services.runtime.deadlines import PeriodicDeadline
 from services.runtime.node import Node, NodeContext
+from services.runtime.reader import NetworkEvents
 
 # how long the end may take to fetch what still waits in the sockets, seconds of it on a machine that was too busy;
 # within the grace that a supervisor gives

@@ -7,7 +7,7 @@ import re
 import socket
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
-from typing import Annotated, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -54,6 +54,29 @@ class NodeEntry(Settings):
         return self
 
 
+class LinkTransport(Settings):
+    """How what a reader wants the newest of crosses between two machines."""
+
+    transport: Literal["auto", "datagram", "stream"] = Field(
+        default="auto",
+        description="datagram: over UDP; stream: over the TCP connections, as everything else; auto: over UDP, and "
+        "over TCP while no datagram arrives",
+    )
+    port: int | None = Field(
+        default=None, ge=1, le=65535, description="UDP port at the master; that of delay_node@slave, if not given"
+    )
+    repeats: int | None = Field(
+        default=None, ge=0, le=4, description="Older samples that each datagram repeats; by the loss seen, if not given"
+    )
+    play_out: bool = Field(
+        default=False,
+        description="Hold what arrives to a delay that hardly varies, for laws that want one; every sample is older",
+    )
+    budget_kbit_per_s: float = Field(
+        default=6000.0, ge=100.0, le=1e6, description="Most that each end sends in datagrams, network headers included"
+    )
+
+
 def _as_entry(value: object) -> object:
     """Return an entry in full, also where it is given as its only endpoint."""
     if isinstance(value, str):
@@ -82,6 +105,7 @@ class AddressBook(Settings):
     nodes: dict[NodeKey, Annotated[NodeEntry, BeforeValidator(_as_entry)]] = Field(
         description="Endpoint that each node binds: ipc://path or tcp://host:port, or both as local and network"
     )
+    link: LinkTransport = Field(default=LinkTransport(), description="How the link crosses between two machines")
     insecure: bool = Field(default=False, description="Plain tcp:// without keys: whoever reaches a port can read it")
 
     @model_validator(mode="after")
@@ -248,6 +272,14 @@ class AddressBook(Settings):
         if far and link in self.nodes and _crosses(topic, to_site=here) and link not in found:
             found.append(link)
         return found
+
+
+def split_tcp(endpoint: str) -> tuple[str, int]:
+    """Return host and port of `tcp://host:port`, an IPv6 address without its brackets; ValueError for anything else."""
+    match = _TCP.fullmatch(endpoint)
+    if match is None:
+        raise ValueError(f"{endpoint} is not of the form tcp://host:port")
+    return match.group(1).strip("[]"), int(match.group(2))
 
 
 def may_carry(node: str, src: str) -> bool:

@@ -18,6 +18,7 @@ from proto.sequence import Arrival, SequenceTracker
 from services.runtime.clock import Clock
 from services.runtime.endpoint_lock import EndpointLock
 from services.runtime.newest import Header, Taken, without_superseded
+from services.runtime.reader import NetworkEvents, Reader
 
 # Messages that wait for a reader: at the publisher ten seconds of the busiest ones, the halves of the controller with
 # 2100 a second, where the reader's whole process stands still; and as much again in a reader that runs and is behind,
@@ -83,27 +84,6 @@ class ConnectionEvent(NamedTuple):
     level: str
     text: str
     data: dict[str, bool | float | str]
-
-
-class NetworkEvents(Protocol):
-    """What looks after the network connections of a bus."""
-
-    has_pending: bool
-
-    @property
-    def rejected(self) -> dict[str, int]:
-        """How often connections were refused, by reason."""
-
-    @property
-    def last_error(self) -> str:
-        """The newest refusal in words."""
-
-    @property
-    def descriptors(self) -> Sequence[int]:
-        """What becomes readable when there is something to process."""
-
-    def process_events(self) -> list[ConnectionEvent]:
-        """Process pending events, a bounded number; `has_pending`: whether more are left."""
 
 
 class Publisher(Protocol):
@@ -175,6 +155,8 @@ class ZmqPublisher(_NumberingPublisher):
         self.socket.set(zmq.MAXMSGSIZE, _LARGEST_SUBSCRIPTION)
         # of the base class: the method of the class looks first at what only other kinds of sockets know
         self._send = super(zmq.Socket, self.socket).send
+        # called with topic and bytes of each message first: the other way on which some cross to another machine
+        self.carry: Callable[[str, bytes], None] | None = None
         prepare(self.socket)
         try:
             bind(self.socket, endpoint, node)
@@ -184,6 +166,8 @@ class ZmqPublisher(_NumberingPublisher):
 
     def send(self, topic: str, payload: bytes) -> None:
         """Send bytes as they are: what the link forwards keeps the header of its publisher."""
+        if self.carry is not None:
+            self.carry(topic, payload)
         # a player may send under another name
         self._send(_FRAMES.get(topic) or topic.encode(), _SNDMORE)
         self._send(payload)
@@ -204,6 +188,9 @@ class ZmqPublisher(_NumberingPublisher):
 
 class Subscriber:
     """SUB connections of a node: decodes, counts what is refused or lost, and drops what was overtaken."""
+
+    # it gives what has arrived, and nothing else
+    due_ns = 2**62
 
     def __init__(
         self,
@@ -246,6 +233,7 @@ class Subscriber:
         self._names = {topic.encode(): topic for topic in self.topics if topic in TOPICS}
         latest = {frame: topic for frame, topic in self._names.items() if TOPICS[topic].delivery == "latest"}
         self._conflated = latest if newest_only else {}
+        self._aside: dict[str, Callable[[Message], None]] = {}
         for topic in self.topics:
             self.socket.subscribe(topic.encode())
         for endpoint in connections if connect else ():
@@ -320,11 +308,19 @@ class Subscriber:
             self.last_error = str(error)
             return None
         arrival = tracker.accept(message.seq, message.t_ns)
+        if topic in self._aside:
+            self._aside[topic](message)
+            return None
         overtaken = arrival is Arrival.LATE and TOPICS[topic].delivery == "latest"
         # a repeated command is known by its id; its number depends on the clock of who sent commands before
         if overtaken or (arrival is Arrival.DUPLICATE and topic != "session/control"):
             return None
         return Received(topic, message, payload, received_ns, arrival)
+
+    def set_aside(self, topic: str, handle: Callable[[Message], None]) -> None:
+        """Subscribe to a topic whose messages are for `handle` and not for the reader."""
+        self._aside[topic] = handle
+        self.socket.subscribe(topic.encode())
 
     def pending(self) -> bool:
         """Return whether a message has arrived."""
@@ -362,12 +358,14 @@ class ZmqBus:
     def __init__(
         self,
         publisher: Publisher,
-        subscribers: Sequence[Subscriber],
+        subscribers: Sequence[Reader],
         clock: Clock,
         wake_descriptor: int,
         network: NetworkEvents | None = None,
     ) -> None:
         self.subscribers = list(subscribers)
+        # at most one holds messages back until their time: the end of the link's datagrams
+        self._timed = next((reader for reader in subscribers if not isinstance(reader, Subscriber)), None)
         self._clock = clock
         self._network = network if network is not None and network.descriptors else None
         self._descriptors = [*(subscriber.descriptor for subscriber in subscribers), wake_descriptor]
@@ -377,7 +375,7 @@ class ZmqBus:
         self._events_pending = self._network is not None
         self.publish = publisher.publish
         self.sequence_numbers = publisher.sequence_numbers
-        self._accounts: list[Subscriber | NetworkEvents] = [*self.subscribers]
+        self._accounts: list[Reader | NetworkEvents] = [*self.subscribers]
         if self._network is not None:
             self._accounts.append(self._network)
         self._counted = [0] * len(self._accounts)
@@ -408,7 +406,8 @@ class ZmqBus:
         for subscriber in self.subscribers:
             if not subscriber.drained:
                 return
-        remaining = deadline_ns - self._clock.monotonic_ns()
+        due_ns = self._timed.due_ns if self._timed is not None else deadline_ns
+        remaining = min(deadline_ns, due_ns) - self._clock.monotonic_ns()
         if remaining > 0 and not self._events_pending:
             ready, _, _ = select.select(self._descriptors, (), (), remaining * 1e-9)
             self._readable = ready

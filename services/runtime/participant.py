@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import zmq
 
 from proto.errors import EndpointError
-from proto.nodes import DEVICES, site_of
+from proto.nodes import DEVICES, FAR_END, site_of
 from services.runtime.address_book import AddressBook
 from services.runtime.bus import Bus, Publisher, Subscriber, ZmqBus, ZmqPublisher
 from services.runtime.clock import Clock, SystemClock
@@ -21,6 +21,7 @@ from services.runtime.node import (
     NodeLoop,
     install_stop_signals,
 )
+from services.runtime.reader import Reader
 from services.runtime.realtime import RealtimeStatus, freeze_garbage
 from services.runtime.security.keyring import Keyring, this_machine
 from services.runtime.transport import Transport, open_context
@@ -75,14 +76,34 @@ class Participant:
         # the publisher first: it is what may fail, and nothing is open yet
         publisher = self.bind(self.key)
         subscribers = self.subscribers(self.book.sources(self.key, topics), newest_only=newest_only)
-        return self.bus_of(publisher, [*subscribers, *(self.estop_inlet() if self.key in DEVICES else ())])
+        ends = self.datagrams(publisher, publisher, subscribers) if self.key == FAR_END else []
+        return self.bus_of(publisher, [*subscribers, *ends, *(self.estop_inlet() if self.key in DEVICES else ())])
+
+    def datagrams(self, outgoing: ZmqPublisher, reports: ZmqPublisher, readers: Sequence[Subscriber]) -> list[Reader]:
+        """Open this end of the link's datagrams, for what `outgoing` sends and one of `readers` receives.
+
+        There is none, and everything crosses over TCP, in a rig on one machine and where the site file asks for it.
+        """
+        if not self.book.spans_machines or self.book.link.transport == "stream":
+            return []
+        # what it is sealed with is loaded in these two processes only
+        try:
+            from services.runtime.datagram.wiring import open_end
+        except ImportError:
+            self.log.warning(
+                "the link sends no datagrams, everything crosses over TCP: `cryptography` is not installed: "
+                'pip install "telenano[controller,delay]"'
+            )
+            return []
+        end = open_end(self, outgoing, reports, readers)
+        return [] if end is None else [end]
 
     def estop_inlet(self) -> list[Subscriber]:
         """Open the inlet for emergency stops; without an ipc endpoint there is none, and a console has to send them."""
         inlet = self.network.estop_inlet(self.key)
         return [] if inlet is None else [self.resources.enter_context(contextlib.closing(inlet))]
 
-    def bus_of(self, publisher: Publisher, subscribers: Sequence[Subscriber]) -> ZmqBus:
+    def bus_of(self, publisher: Publisher, subscribers: Sequence[Reader]) -> ZmqBus:
         """Make one bus of sockets that were opened before."""
         return ZmqBus(publisher, subscribers, self.clock, self.wake_descriptor, self.network)
 

@@ -7,6 +7,7 @@ in a thread that comes behind the loop, and the kernel limits how much that is.
 """
 
 from collections.abc import Mapping, Sequence
+from typing import Protocol
 
 import zmq
 
@@ -47,6 +48,26 @@ def open_context(*, serves_network: bool) -> "zmq.Context[zmq.Socket[bytes]]":
     return zmq.Context(io_threads=2 if serves_network else 1)
 
 
+class NetworkHandler(Protocol):
+    """What a transport looks after: connections of one kind, and what they need from time to time."""
+
+    @property
+    def sockets(self) -> Sequence["zmq.Socket[bytes]"]:
+        """What becomes readable when there are events to process."""
+
+    def process_events(self) -> bool:
+        """Process pending events, a bounded number; True when more are left."""
+
+    def take_events(self) -> list[ConnectionEvent]:
+        """Return what happened since the last call."""
+
+    def apply_permissions(self) -> None:
+        """Act on a list of allowed keys that has changed."""
+
+    def close(self) -> None:
+        """Close what it has opened."""
+
+
 class Transport:
     """Opens the sockets of a process, authenticates connections from other machines, and keeps those to them up."""
 
@@ -74,7 +95,7 @@ class Transport:
         self._rejections = RejectionCounter()
         self._authenticator = ZapAuthenticator(context, self.access_control, self._rejections, clock, book.addresses)
         self._peers: list[PeerConnections] = []
-        self._handlers: list[ZapAuthenticator | PeerConnections] = [self._authenticator]
+        self._handlers: list[NetworkHandler] = [self._authenticator]
         self._next_check_ns = clock.monotonic_ns() + _CHECK_NS
         self._lowered = True
 
@@ -140,6 +161,17 @@ class Transport:
             near = self._book.endpoint(node, self.machine).startswith("ipc://")
             groups.setdefault("" if near else self._book.machine_of(node), {})[node] = topics
         return [self._reader(plan, _LOOP_SILENCE_MS, newest_only=newest_only) for plan in groups.values()]
+
+    def reader_of(self, machine: str, readers: Sequence[Subscriber]) -> Subscriber | None:
+        """Return which of `readers` receives from another machine, None where none does."""
+        return next(
+            (peers.subscriber for peers in self._peers if peers.machine == machine and peers.subscriber in readers),
+            None,
+        )
+
+    def look_after(self, handler: NetworkHandler) -> None:
+        """Have a further kind of connection take part in what is done from time to time."""
+        self._handlers.append(handler)
 
     def estop_inlet(self, key: str) -> EstopInlet | None:
         """Bind where a node takes emergency stops; None where it has no ipc endpoint."""

@@ -16,6 +16,7 @@ from proto.errors import RecordingError
 from recording.channel_filter import Selection
 from recording.diff import diff_recordings
 from recording.export import export_recording
+from recording.merge_sites import merge_sites
 from recording.multi_file import open_recordings
 from recording.reader import Recording
 from recording.rewrite import filter_recording, merge_recordings, split_recording
@@ -139,10 +140,21 @@ def filter_file(
 
 
 @app.command()
-def merge(files: FilesArgument, out: OutOption, as_json: JsonOption = False) -> None:
+def merge(
+    files: FilesArgument,
+    out: OutOption,
+    sites: Annotated[
+        bool,
+        typer.Option(
+            "--sites",
+            help="Of the two sites of one session, the master's first: on its clock, each message once.",
+        ),
+    ] = False,
+    as_json: JsonOption = False,
+) -> None:
     """Merge recordings in the order of time."""
     with report_errors(as_json):
-        _print_model(merge_recordings(files, out), as_json)
+        _print_model(merge_sites(files, out) if sites else merge_recordings(files, out), as_json)
 
 
 @app.command()

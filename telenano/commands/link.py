@@ -11,7 +11,9 @@ from proto.errors import RigError
 from proto.nodes import LINK
 from recording.tables import json_fields
 from services.delay_node.profiles import PROFILES
+from services.runtime.main import load_site
 from services.runtime.observer import RIG_HINT, Observer, messages_of
+from telenano.commands.link_probe import probe
 from telenano.commands.session import SessionCommand, send_command
 from telenano.commands.topic import open_observer
 from telenano.options import JsonOption, SiteFileOption, command_group
@@ -20,6 +22,11 @@ from telenano.tables import counts_text
 
 _PATIENCE_S = 3.0
 _COUNTS = ("messages_in", "messages_out", "duplicated", "reordered", "corrupted", "queue_depth")
+_DIRECTIONS = ("forward", "backward")
+# the receiving end of each direction reports twice a second
+_NETWORK_S = 1.5
+_NETWORK_COUNTS = ("receiving", "sent", "arrived", "late", "lost")
+_PER_DATAGRAM = ("number", "arrived_ns", "delay_ns", "lost_flag")
 _DELAYS = ("delay_mean_s", "delay_min_s", "delay_max_s")
 
 app = command_group()
@@ -27,13 +34,21 @@ app = command_group()
 
 @app.command()
 def show(site_file: SiteFileOption = DEFAULT_SITE_FILE, as_json: JsonOption = False) -> None:
-    """Show the settings in force, the traffic, the delay applied, and the offset of the other site's clock."""
-    with report_errors(as_json), open_observer(site_file, "link/status") as observer:
-        status = current_status(observer)
+    """Show the settings in force, the traffic, the delay applied, and the offset of the other site's clock.
+
+    Between two machines it also shows what the network really did: sent, arrived, late, lost, one-way delay.
+    """
+    with report_errors(as_json):
+        with open_observer(site_file, "link/status") as observer:
+            status = current_status(observer)
+        network: dict[str, dict[str, Any]] = {}
+        if load_site(site_file).spans_machines:
+            with open_observer(site_file, "link/network") as observer:
+                network = current_network(observer)
     if as_json:
-        print_json(status)
+        print_json({**status, "network": network} if network else status)
     else:
-        print_rows(status_rows(status))
+        print_rows([*status_rows(status), *network_rows(network)])
 
 
 @app.command("set")
@@ -73,6 +88,9 @@ def clear(site_file: SiteFileOption = DEFAULT_SITE_FILE, as_json: JsonOption = F
     _change(["profile=clean"], site_file, as_json=as_json)
 
 
+app.command()(probe)
+
+
 def _change(settings: Sequence[str], site_file: Path, *, as_json: bool) -> None:
     send_command(SessionCommand.SET, settings, LINK, site_file, as_json=as_json)
 
@@ -82,6 +100,29 @@ def current_status(observer: Observer) -> dict[str, Any]:
     for received in messages_of(observer, "link/status", _PATIENCE_S, 1):
         return json_fields(received.message)
     raise RigError(f"no link/status received: {RIG_HINT}")
+
+
+def current_network(observer: Observer) -> dict[str, dict[str, Any]]:
+    """Return the counts of the newest link/network of each direction; empty where the link sends no datagrams."""
+    found: dict[str, dict[str, Any]] = {}
+    for received in messages_of(observer, "link/network", _NETWORK_S, None):
+        fields = json_fields(received.message)
+        found[fields["direction"]] = {key: value for key, value in fields.items() if key not in _PER_DATAGRAM}
+        if len(found) == len(_DIRECTIONS):
+            break
+    return found
+
+
+def network_rows(network: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return what the network did as rows of a table: what, forward, backward."""
+    if not network:
+        return []
+    ways = [network.get(direction, {}) for direction in _DIRECTIONS]
+    rows = [_row(f"network: {key}", *(way.get(key, "") for way in ways)) for key in _NETWORK_COUNTS]
+    rows.append(_row("network: refused", *(counts_text(way.get("refused", {})) for way in ways)))
+    rows += [_row(f"network: {key}", *(way[key] if way.get("delay_valid") else "" for way in ways)) for key in _DELAYS]
+    clocks = [way["clock"]["uncertainty_s"] if way.get("delay_valid") else "" for way in ways]
+    return [*rows, _row("network: delays known to ± [s]", *clocks)]
 
 
 def status_rows(status: dict[str, Any]) -> list[dict[str, Any]]:

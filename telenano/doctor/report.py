@@ -21,6 +21,7 @@ from presets import DEFAULT_SITE_FILE
 from proto.errors import ConfigError, EndpointError
 from telenano.doctor import checks
 from telenano.doctor.checks import Finding
+from telenano.doctor.datagrams import check_datagrams
 from telenano.doctor.devices import check_serial_ports
 from telenano.options import JsonOption, SiteFileOption
 from telenano.output import console, fail, print_json, report_errors
@@ -139,6 +140,7 @@ def _addresses(book: "AddressBook") -> list[Finding]:
     keyring = Keyring()
     machine = this_machine(keyring)
     found = checks.check_endpoints(endpoints_of(book, machine), checks.probe_endpoint)
+    found += check_datagrams(book, machine)
     if book.requires_keys:
         others = {book.machine_of(node) for node in book.nodes} - {machine}
         found += checks.check_keys(machine, others, keyring)

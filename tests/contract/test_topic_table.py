@@ -11,14 +11,14 @@ from annotated_types import Ge
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from proto import TOPICS, Topic, instrument, messages
+from proto import TOPICS, Topic, instrument, messages, network_messages
 from proto.codec import MAX_ARRAYS, MAX_MESSAGE_BYTES, Reason, largest_bytes
 from proto.contract import FOLDER, range_table, schema_of, topic_table
 from proto.messages import MAX_ITEMS, MAX_KEYS, Message, Record
 from proto.ranges import RANGES
 
 # topics that more than one kind of node may send
-SHARED = {"session/control", "session/event", "node/health", "node/journal"}
+SHARED = {"session/control", "session/event", "node/health", "node/journal", "link/key", "link/network"}
 # what a numeric field may end in: SI units, and the two that a process is measured in
 UNIT = re.compile(r"_(m|s|ns|n|j|w|hz|rad|m_per_s|n_per_m|sqrt_w|bytes|percent)$")
 # numbers without a unit: counts and names of things
@@ -41,6 +41,11 @@ UNITLESS = {
     "corrupted": "messages",
     "queue_depth": "messages",
     "received": "messages",
+    "sent": "datagrams",
+    "arrived": "datagrams",
+    "late": "datagrams",
+    "unsent": "messages",
+    "repeats": "messages",
     "lost": "messages",
     "repeated": "messages",
     "gaps": "gaps",
@@ -49,7 +54,7 @@ UNITLESS = {
 }
 
 ROWS = list(TOPICS.values())
-_MODULES = (messages.__name__, instrument.__name__)
+_MODULES = (messages.__name__, instrument.__name__, network_messages.__name__)
 SPEC = (FOLDER / "SPEC.md").read_text(encoding="utf-8")
 
 
@@ -116,7 +121,7 @@ def test_no_topic_is_the_beginning_of_another() -> None:
 @pytest.mark.parametrize(("record", "name", "field"), _fields(), ids=lambda part: part if isinstance(part, str) else "")
 def test_every_field_is_described_required_and_named_with_its_unit(record: str, name: str, field: FieldInfo) -> None:
     assert field.description, f"{record}.{name} has no description"
-    added = getattr({**vars(messages), **vars(instrument)}[record], "additions", {})
+    added = getattr({**vars(messages), **vars(instrument), **vars(network_messages)}[record], "additions", {})
     optional = f"{record}.{name} has a default: a key may be absent only if it was added later"
     assert field.is_required() != (name in added), optional
     if _is_numeric(field.annotation):

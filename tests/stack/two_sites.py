@@ -206,11 +206,14 @@ class Site:
 class TwoSites:
     """Both machines, with keys that know each other, and a third that may only look on."""
 
-    def __init__(self, folder: Path, *, insecure: bool = False, guest: bool = False) -> None:
+    def __init__(
+        self, folder: Path, *, insecure: bool = False, guest: bool = False, cable: Cable | None = None, **link: object
+    ) -> None:
         self.folder = folder
-        self.cable = Cable()
+        self.cable = cable or Cable()
         document = yaml.safe_load(TWO_SITES.read_text())
         document["insecure"] = insecure
+        document["link"] = {**document.get("link", {}), **link}
         if guest:
             document["machines"]["guest"] = GUEST
             document["nodes"].update(_FOR_A_GUEST)

@@ -23,6 +23,13 @@ class DelayCourse(NamedTuple):
     delays_ns: tuple[int, ...]
 
 
+class LossCourse(NamedTuple):
+    """Whether what arrives is lost, over time: strictly increasing times_ns from the origin, each until the next."""
+
+    times_ns: tuple[int, ...]
+    lost: tuple[bool, ...]
+
+
 def read_text(path: Path) -> str:
     """Return the text of a trace.
 
@@ -65,6 +72,27 @@ def parse_delay_trace(text: str, name: str) -> DelayCourse:
     if not times_ns:
         raise ConfigError(f"{name}: holds no line `time_s delay_s`")
     return DelayCourse(tuple(times_ns), tuple(delays_ns))
+
+
+def parse_loss_trace(text: str, name: str) -> LossCourse:
+    """Return the course of a loss trace: lines `time_s lost`, times from 0 on, strictly increasing, lost 0 or 1.
+
+    Raises: ConfigError naming file and line.
+    """
+    times_ns: list[int] = []
+    lost: list[bool] = []
+    for number, words in _lines(text):
+        place = f"{name}, line {number}"
+        if len(words) != 2 or words[1] not in ("0", "1"):
+            raise ConfigError(f"{place}: is not a pair `time_s lost`, with 1 for lost and 0 for not")
+        time_ns = round(_number(words[0], place, 0.0, _LONGEST_TRACE_S) * 1e9)
+        if times_ns and time_ns <= times_ns[-1]:
+            raise ConfigError(f"{place}: the time is not later than the one before it")
+        times_ns.append(time_ns)
+        lost.append(words[1] == "1")
+    if not times_ns:
+        raise ConfigError(f"{name}: holds no line `time_s lost`")
+    return LossCourse(tuple(times_ns), tuple(lost))
 
 
 def parse_delivery_trace(text: str, name: str, unit_s: float) -> tuple[int, ...]:
@@ -136,6 +164,15 @@ def delay_at(course: DelayCourse, elapsed_ns: int, *, interpolation: Literal["ho
     if above == len(times) or interpolation == "hold":
         return delays[above - 1]
     return _between(times, delays, above, elapsed_ns)
+
+
+def lost_at(course: LossCourse, elapsed_ns: int, *, repeat: bool) -> bool:
+    """Return whether what arrives at a time since the origin of a course is lost; nothing is before its first line."""
+    times, lost = course
+    if repeat and times[-1] > 0:
+        elapsed_ns %= times[-1]
+    above = bisect_right(times, elapsed_ns)
+    return above > 0 and lost[above - 1]
 
 
 def _between(times: Sequence[int], delays: Sequence[int], above: int, elapsed_ns: int) -> int:

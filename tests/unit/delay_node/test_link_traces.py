@@ -8,9 +8,11 @@ from services.delay_node.models import traces
 from services.delay_node.models.traces import (
     DelayCourse,
     delay_at,
+    lost_at,
     parse_delay_trace,
     parse_delivery_trace,
     parse_jitter_table,
+    parse_loss_trace,
     read_text,
 )
 
@@ -119,3 +121,18 @@ def test_after_the_end_the_trace_repeats_or_holds():
     assert delay_at(COURSE, 1000, interpolation="linear", repeat=False) == 0
     assert delay_at(COURSE, 40 * 7 + 15, interpolation="linear", repeat=True) == 150
     assert delay_at(DelayCourse((0,), (5,)), 123, interpolation="linear", repeat=True) == 5
+
+
+def test_loss_trace_holds_what_a_line_says_until_the_next():
+    course = parse_loss_trace("# measured\n0.5 1\n0.7 0\n1.0 1\n", "a.loss")
+    at = [0.0, 0.4999, 0.5, 0.69, 0.7, 0.99]
+    assert [lost_at(course, round(t * 1e9), repeat=True) for t in at] == [False, False, True, True, False, False]
+    # the last time is the period of a trace that repeats, and lasts where it does not
+    assert [lost_at(course, round(t * 1e9), repeat=True) for t in (1.2, 1.6, 1.8)] == [False, True, False]
+    assert [lost_at(course, round(t * 1e9), repeat=False) for t in (0.8, 1.0, 9.0)] == [False, True, True]
+
+
+@pytest.mark.parametrize("text", ["0 2", "0 lost", "0", "0 1\n0 0", "-1 0", "# nothing"])
+def test_bad_loss_trace_names_the_file(text):
+    with pytest.raises(ConfigError, match=r"^wan\.loss"):
+        parse_loss_trace(text, "wan.loss")

@@ -170,7 +170,9 @@ def test_published_ports_are_those_of_the_site_file(path: Path, machine: str) ->
         if endpoint:
             published[node] = service["ports"]
             port = endpoint.rpartition(":")[2]
-            assert service["ports"] == [f"{port}:{port}"]
+            # the link's datagrams come to the port of that number
+            datagrams = [f"{port}:{port}/udp"] if faces == ["delay_node@slave"] else []
+            assert service["ports"] == [f"{port}:{port}", *datagrams]
             assert service["network_mode"] == "bridge"
         assert service["environment"]["TELENANO_MACHINE"] == machine
     assert published

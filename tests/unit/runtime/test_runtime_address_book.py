@@ -85,7 +85,7 @@ def test_the_link_reads_at_each_site_what_crosses_to_the_other() -> None:
         "launcher@master": ["session/control"],
     }
     assert backward == {
-        "controller@slave": ["teleop/backward", "law/status", "session/event", "node/health"],
+        "controller@slave": ["teleop/backward", "law/status", "link/network", "session/event", "node/health"],
         "afm_node@slave": ["session/event", "node/health"],
     }
 
@@ -104,6 +104,8 @@ def test_an_observer_connects_to_every_node_for_all_that_it_may_send() -> None:
     ]
     assert observed["delay_node@slave"] == [
         "link/delay",
+        "link/key",
+        "link/network",
         "clock/ping",
         "session/event",
         "node/health",
@@ -206,7 +208,9 @@ def test_a_wrong_node_name_is_refused(node: str) -> None:
 
 
 def test_an_unknown_key_lists_the_known_ones() -> None:
-    assert error_of({}, secure=True) == "site.yaml: secure: unknown key, known are machines, bind, nodes, insecure"
+    assert (
+        error_of({}, secure=True) == "site.yaml: secure: unknown key, known are machines, bind, nodes, link, insecure"
+    )
     with pytest.raises(ConfigError, match=r"site\.yaml: nodes: is missing"):
         validate(AddressBook, {}, "site.yaml")
 

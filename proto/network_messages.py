@@ -1,0 +1,46 @@
+"""The messages of the link between two machines: its keys, and what the network did."""
+
+from typing import Literal
+
+from pydantic import Field
+
+from proto.messages import Array, Count, Counts, LinkClock, Message
+from proto.ranges import DurationS
+
+
+class LinkKey(Message):
+    """The public key of one end of the link between two machines, for the keys of its datagrams."""
+
+    public_key: str = Field(pattern=r"^[0-9a-f]{64}$", description="Ephemeral X25519 key of this end, in hexadecimal")
+    answers: str = Field(
+        pattern=r"^([0-9a-f]{64})?$", description="Key of the other end that it is the answer to; empty = none"
+    )
+
+
+class LinkNetwork(Message):
+    """What the network between two machines did to the datagrams of one direction, as their receiver saw it.
+
+    The arrays have one element a datagram, in the order in which its fate was known: the ground truth of a real
+    network, as link/fates is that of an injected one. One-way delays rest on `clock`, and are as uncertain.
+    """
+
+    direction: Literal["forward", "backward"] = Field(description="forward: from the master to the slave")
+    receiving: Literal["datagram", "stream"] = Field(description="How this direction is received now")
+    sending: Literal["datagram", "stream"] = Field(description="Whether the other end acknowledges datagrams from here")
+    sent: Count = Field(description="Datagrams sent to this end since its start, as far as those that arrived show")
+    arrived: Count = Field(description="Datagrams that arrived and authenticated")
+    late: Count = Field(description="Of those that arrived, how many a newer one had overtaken")
+    lost: Count = Field(description="Datagrams that a newer one had overtaken for a second, and that never arrived")
+    refused: Counts = Field(description="Datagrams refused since the start, by cause")
+    repeats: Count = Field(description="Older samples that each datagram sent from here repeats now")
+    unsent: Count = Field(description="Samples not sent from here as a datagram because the send budget was used up")
+    sent_bytes: Count = Field(description="Sent from here since the start [bytes], network headers included")
+    delay_valid: bool = Field(description="The clocks were compared and a datagram arrived since the last report")
+    delay_min_s: DurationS = Field(description="Least one-way delay since the last report [s]")
+    delay_mean_s: DurationS = Field(description="Mean one-way delay since the last report [s]")
+    delay_max_s: DurationS = Field(description="Greatest one-way delay since the last report [s]")
+    clock: LinkClock = Field(description="What the other end's clock is ahead of this one's")
+    number: Array = Field(description="i8: number of the datagram, counted from 0 by its sender")
+    arrived_ns: Array = Field(description="i8: when it arrived, on this end's clock [ns]; 0 when lost")
+    delay_ns: Array = Field(description="i8: one-way delay [ns]; 0 when lost")
+    lost_flag: Array = Field(description="u1: 1 lost, 0 arrived")

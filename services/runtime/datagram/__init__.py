@@ -1,0 +1,1 @@
+"""Sealed datagrams between two machines, for what a reader wants the newest of."""

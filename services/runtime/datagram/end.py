@@ -1,0 +1,440 @@
+"""One end of the link between two machines: sends the newest samples as sealed datagrams, and takes those that arrive.
+
+It stands beside the subscriber that receives the same topics over TCP, and hands it what arrives: decoding, roles of
+the other machine and tracking of numbers are the same on both ways. Who receives decides: while datagrams arrive, the
+topics are not subscribed over TCP; when none has come for a moment they are again, and datagrams are tried further on.
+The loop of the node calls it like a subscriber; nothing here runs in a thread, and each call does a bounded amount.
+"""
+
+import contextlib
+import errno
+import heapq
+import itertools
+import socket
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Literal, NamedTuple, Protocol, cast
+
+from proto.messages import InputHealth, Message
+from proto.network_messages import LinkKey
+from services.runtime.address_book import LinkTransport
+from services.runtime.bus import ConnectionEvent, Received, Subscriber
+from services.runtime.clock import Clock
+from services.runtime.clock_offset import Exchange, OffsetFilter
+from services.runtime.datagram import flood_filter
+from services.runtime.datagram.account import ArrivalAccount
+from services.runtime.datagram.agreement import Agreement
+from services.runtime.datagram.body import DATAGRAMS_OF, MOST_SAMPLE_BYTES, REPORT, Report, packed, parse
+from services.runtime.datagram.pacing import NETWORK_BYTES, RESERVE_BYTES, Repeats, SendBudget
+from services.runtime.datagram.play_out import PlayOut
+from services.runtime.datagram.report import network_report
+from services.runtime.datagram.sealing import MOST_BYTES, OVERHEAD_BYTES, TAG_BYTES, Opener, RejectedError
+
+# datagrams taken before the node looks at its deadline again, so that a flood cannot hold a loop
+_BATCH = 64
+_MAINTAIN_NS = 50_000_000
+_REPORT_NS = 500_000_000
+# silence after which the other way is taken, and time that datagrams have to come before they are relied upon
+SILENCE_NS = 300_000_000
+TRIED_NS = 500_000_000
+# without an acknowledgement for so long only a few datagrams are sent, to find out when they arrive again
+_UNHEARD_NS = 1_000_000_000
+_UNOFFERED_NS = 5_000_000_000
+# exchanges of time stamps in view, the best of each tenth of a second: the clocks drift by microseconds in this time
+_CLOCK_WINDOW = 64
+_EXCHANGE_NS = 100_000_000
+# payloads of the other end that a repetition is compared with
+_REMEMBERED = 16
+_RECEIVE_BUFFER_BYTES = 1 << 20
+_REMIND_NS = 60_000_000_000
+
+_NEVER_NS = 2**62
+
+Way = Literal["datagram", "stream"]
+Address = tuple[Any, ...]
+
+
+class Outlet(Protocol):
+    """What an end publishes its keys and its reports with."""
+
+    def publish(self, topic: str, **fields: Any) -> Message:
+        """Send a message on a topic; the header is filled in."""
+
+
+class Outlets(NamedTuple):
+    """Where an end publishes: its public keys, so that the other end receives them; its reports, at its own site."""
+
+    keys: Outlet
+    reports: Outlet
+
+
+class Place(NamedTuple):
+    """Where an end binds, and where it finds the other one: None until that has been heard."""
+
+    family: socket.AddressFamily
+    bind: Address
+    peer: Address | None
+    port: int
+
+
+class DatagramEnd:
+    """The datagrams of one process; the other end runs on `machine`."""
+
+    # asked at each turn, for what is due here
+    shared = True
+    topics: Sequence[str] = ()
+
+    def __init__(
+        self,
+        clock: Clock,
+        place: Place,
+        settings: LinkTransport,
+        subscriber: Subscriber,
+        outlets: Outlets,
+        *,
+        machine: str,
+        is_master: bool,
+        is_allowed: Callable[[], bool] = lambda: True,
+    ) -> None:
+        """Open the socket; OSError where it cannot be bound.
+
+        Parameters: subscriber, receives the same topics over TCP, and the public keys of the other end; is_allowed,
+        whether the key of the other machine is still in the list.
+        """
+        now = clock.monotonic_ns()
+        self.machine = machine
+        self.subscriber = subscriber
+        self.trackers: dict[tuple[str, str], Any] = {}
+        self.rejected: dict[str, int] = {}
+        self.last_error = ""
+        self.drained = True
+        self.sockets: list[Any] = []
+        self.account = ArrivalAccount()
+        # when the next sample of the play-out buffer is due, on the monotonic clock
+        self.due_ns = _NEVER_NS
+        self._play_out = PlayOut() if settings.play_out else None
+        self._held: list[tuple[int, int, list[bytes]]] = []
+        self._order = itertools.count()
+        self.repeats = Repeats(settings.repeats)
+        self.offset = OffsetFilter(_CLOCK_WINDOW)
+        self.sent_bytes = 0
+        self.unsent = 0
+        self.receiving: Way = "stream"
+        self._clock = clock
+        self._place = place
+        self._is_master = is_master
+        self._falls_back = settings.transport == "auto"
+        self._offers: list[LinkKey] = []
+        self._is_allowed = is_allowed
+        self._outlets = outlets
+        self._budget = SendBudget(settings.budget_kbit_per_s, now)
+        self._agreement = Agreement(now, is_master=is_master)
+        self._peer = place.peer
+        self._events: list[ConnectionEvent] = []
+        incoming: Literal["forward", "backward"] = "backward" if is_master else "forward"
+        self._incoming = incoming
+        self._received_topics = [topic for topic in subscriber.topics if topic in DATAGRAMS_OF[incoming]]
+        self._sent_topics = frozenset(DATAGRAMS_OF["forward" if is_master else "backward"])
+        self._recent: list[bytes] = [b""] * _REMEMBERED
+        self._recent_place = 0
+        # of the newest datagram that arrived: its own time of sending, and when it came
+        self._heard = (0, 0)
+        self._arrived_ns = self._sent_ns = now
+        self._acknowledged_ns = now - 2 * _UNHEARD_NS
+        self._tried_since_ns: int | None = None
+        self._expected = 0
+        self._acknowledged_counts = (0, 0)
+        self._best: Exchange | None = None
+        self._exchange_ns = now
+        self._maintain_ns = self._offer_ns = self._report_ns = now
+        self._next_reminder_ns = now + _UNOFFERED_NS
+        self._kernel_drops = 0
+        self.socket = socket.socket(place.family, socket.SOCK_DGRAM)
+        try:
+            self.socket.setblocking(False)
+            self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_BYTES)
+            flood_filter.admit(self.socket, ())
+            self.socket.bind(place.bind)
+        except OSError:
+            self.socket.close()
+            raise
+        self.descriptor = self.socket.fileno()
+        subscriber.set_aside("link/key", self._hear_offer)
+        if not self._falls_back:
+            self._subscribe(streaming=False)
+
+    # --- sending ---
+
+    @property
+    def acknowledged(self) -> bool:
+        """Whether the other end has lately said that datagrams arrive there."""
+        return self._clock.monotonic_ns() - self._acknowledged_ns < _UNHEARD_NS and self._expected > 0
+
+    def carry(self, topic: str, payload: bytes) -> None:
+        """Send a sample that was published, at once, if it is one of those that cross as datagrams."""
+        if topic not in self._sent_topics or self._agreement.sealer is None or self._peer is None:
+            return
+        now = self._clock.monotonic_ns()
+        if now - self._acknowledged_ns > _UNHEARD_NS:
+            # nobody acknowledges: the signs of life that `maintain` sends will tell when that changes
+            return
+        sample = packed(topic, payload)
+        left = self._budget.left_bytes(now)
+        if len(sample) > MOST_SAMPLE_BYTES or len(sample) + REPORT.size + OVERHEAD_BYTES > left:
+            self.unsent += 1
+            return
+        self._send(self.repeats.with_repeats(sample, left - REPORT.size - RESERVE_BYTES), now)
+
+    def _send(self, samples: bytes, now_ns: int) -> None:
+        sealer, peer = self._agreement.sealer, self._peer
+        if sealer is None or peer is None:
+            return
+        report = REPORT.pack(now_ns + self._clock.epoch_offset_ns, *self._heard, *self.account.of_keys)
+        datagram = sealer.seal(report + samples)
+        try:
+            self.socket.sendto(datagram, peer)
+        except BlockingIOError:
+            self.unsent += 1
+            return
+        except OSError as error:
+            # no route, an interface that is down: the same as a network that loses everything
+            self.last_error = f"no datagram can be sent to {peer[0]}: {errno.errorcode.get(error.errno or 0, error)}"
+            return
+        self._sent_ns = now_ns
+        self.sent_bytes += len(datagram) + NETWORK_BYTES
+        self._budget.spend(len(datagram))
+
+    # --- receiving ---
+
+    def receive(self, *, signalled: bool = False) -> list[Received]:
+        """Return the messages of the datagrams that have arrived, judged as the subscriber judges its own."""
+        found: list[Received] = []
+        now = self._clock.monotonic_ns()
+        if signalled or not self.drained:
+            waiting = self._take()
+            if waiting and self._play_out is None:
+                found = self.subscriber.take(waiting)
+        if now >= self.due_ns:
+            found = self.subscriber.take(self._released(now))
+        if now >= self._maintain_ns:
+            self._maintain_ns = now + _MAINTAIN_NS
+            self.maintain(now)
+        return found
+
+    def pending(self) -> bool:
+        """Return whether datagrams were left when the last batch was full."""
+        return not self.drained
+
+    def input_health(self) -> tuple[InputHealth, ...]:
+        """Return nothing: what arrives is in the account of the subscriber."""
+        return ()
+
+    def _take(self) -> list[tuple[list[bytes], int]]:
+        waiting: list[tuple[list[bytes], int]] = []
+        receive, openers = self.socket.recvfrom, self._agreement.openers
+        self.drained = False
+        for _ in range(_BATCH):
+            try:
+                datagram, address = receive(MOST_BYTES + 1)
+            except BlockingIOError:
+                self.drained = True
+                break
+            except OSError:
+                # an ICMP error of what was sent before: nothing has arrived with it
+                continue
+            now = self._clock.now_ns()
+            try:
+                if len(datagram) > MOST_BYTES:
+                    raise RejectedError("oversized")
+                if len(datagram) < OVERHEAD_BYTES + REPORT.size:
+                    raise RejectedError("truncated")
+                opener = openers.get(datagram[:TAG_BYTES])
+                if opener is None:
+                    raise RejectedError("unknown_key")
+                number, body = opener.open(datagram)
+                report, samples = parse(body)
+            except RejectedError as error:
+                self._refuse(error.cause, address)
+                continue
+            self._note(opener, number, report, address, now)
+            # the oldest first, each once
+            for topic, payload in reversed(samples):
+                if payload not in self._recent:
+                    self._recent[self._recent_place] = payload
+                    self._recent_place = (self._recent_place + 1) % _REMEMBERED
+                    waiting.append(([topic, payload], now))
+            if self._play_out is not None:
+                self._hold(self._play_out, report, now, waiting)
+        return waiting
+
+    def _hold(self, play_out: PlayOut, report: Report, now_ns: int, waiting: list[tuple[list[bytes], int]]) -> None:
+        """Keep the samples of a datagram until their time."""
+        release_ns = play_out.release_ns(report.sent_ns, now_ns) - self._clock.epoch_offset_ns
+        for frames, _ in waiting:
+            heapq.heappush(self._held, (release_ns, next(self._order), frames))
+        waiting.clear()
+        self.due_ns = self._held[0][0] if self._held else _NEVER_NS
+
+    def _released(self, now_ns: int) -> list[tuple[list[bytes], int]]:
+        released = []
+        while self._held and self._held[0][0] <= now_ns:
+            released.append((heapq.heappop(self._held)[2], now_ns + self._clock.epoch_offset_ns))
+        self.due_ns = self._held[0][0] if self._held else _NEVER_NS
+        return released
+
+    def _refuse(self, cause: str, address: Address) -> None:
+        self.rejected[cause] = self.rejected.get(cause, 0) + 1
+        self.last_error = f"a datagram from {address[0]} port {address[1]} is refused: {cause}"
+
+    def _note(self, opener: Opener, number: int, report: Report, address: Address, now_ns: int) -> None:
+        """Note what an authentic datagram tells beside its samples."""
+        monotonic_ns = now_ns - self._clock.epoch_offset_ns
+        if self._tried_since_ns is None or monotonic_ns - self._arrived_ns > SILENCE_NS:
+            self._tried_since_ns = monotonic_ns
+        self._arrived_ns = monotonic_ns
+        if opener is not self._agreement.opener:
+            return
+        self.account.record(number, report.sent_ns, now_ns)
+        if number == opener.window.newest:
+            self._agreement.opened(opener)
+            self._heard = (report.sent_ns, now_ns)
+            if self._peer is None or address[:2] != self._peer[:2]:
+                self._follow(address)
+            if report.heard_sent_ns and report.expected != self._expected:
+                self._expected, self._acknowledged_ns = report.expected, monotonic_ns
+                self._acknowledged_counts = (report.expected, report.arrived)
+        if report.heard_sent_ns:
+            exchange = Exchange(report.heard_sent_ns, report.heard_ns, report.sent_ns, now_ns)
+            if self._best is None or exchange.round_trip_ns < self._best.round_trip_ns:
+                self._best = exchange
+
+    def _follow(self, address: Address) -> None:
+        if self._peer is not None:
+            text = f"the link's datagrams from {self.machine} now come from {address[0]} port {address[1]}"
+            self._tell("info", text)
+        self._peer = address
+
+    # --- what is due ---
+
+    def maintain(self, now_ns: int) -> None:
+        """Exchange keys, send a sign of life, choose the way to receive by, and report."""
+        self._exchange_keys(now_ns)
+        if self._agreement.sealer is not None and now_ns - self._sent_ns >= _MAINTAIN_NS:
+            self._send(b"", now_ns)
+        self._choose(now_ns)
+        if now_ns - self._exchange_ns >= _EXCHANGE_NS and self._best is not None:
+            self.offset.record(self._best)
+            self._best, self._exchange_ns = None, now_ns
+        if now_ns >= self._report_ns:
+            self._report_ns = now_ns + _REPORT_NS
+            self.account.settle(now_ns)
+            self._count_kernel_drops()
+            if self._expected:
+                self.repeats.adapt(*self._acknowledged_counts)
+            if self._agreement.peer_public:
+                fields = network_report(self, self._incoming)
+                self._outlets.reports.publish("link/network", **fields)
+
+    def _exchange_keys(self, now_ns: int) -> None:
+        agreement = self._agreement
+        silent = now_ns - self._arrived_ns > SILENCE_NS
+        changed = agreement.maintain(now_ns, silent=silent)
+        offers, self._offers = self._offers, []
+        for message in offers if self._is_allowed() else ():
+            try:
+                new = agreement.hear(bytes.fromhex(message.public_key), bytes.fromhex(message.answers), now_ns)
+            except ValueError as error:
+                self._refuse_key(str(error))
+                continue
+            if new and agreement.opener is not None:
+                self.account.begin(agreement.opener.window)
+                self.repeats.forget()
+                self._expected = 0
+            changed = changed or new
+        if changed:
+            self._admit()
+        if changed or now_ns >= self._offer_ns:
+            self._offer_ns = now_ns + _REPORT_NS
+            answers = b"" if self._is_master else agreement.peer_public
+            self._outlets.keys.publish("link/key", public_key=agreement.public.hex(), answers=answers.hex())
+
+    def _hear_offer(self, message: Message) -> None:
+        # one at a time is enough: it is repeated
+        self._offers = [cast(LinkKey, message)]
+
+    def _refuse_key(self, reason: str) -> None:
+        self.rejected["key"] = self.rejected.get("key", 0) + 1
+        self.last_error = f"link/key of {self.machine} is refused: {reason}"
+
+    def _admit(self) -> None:
+        # where the kernel refuses a filter, what strangers send is refused here
+        with contextlib.suppress(OSError):
+            flood_filter.admit(self.socket, self._agreement.tags)
+
+    def _count_kernel_drops(self) -> None:
+        with contextlib.suppress(OSError):
+            dropped = flood_filter.dropped(self.socket)
+            if dropped > self._kernel_drops:
+                count = self.rejected.get("unknown_key", 0) + dropped - self._kernel_drops
+                self.rejected["unknown_key"] = count
+                self.last_error = f"{dropped} datagrams that no key fits were dropped before they were read"
+                self._kernel_drops = dropped
+
+    def _choose(self, now_ns: int) -> None:
+        silence_ns = now_ns - self._arrived_ns
+        if silence_ns > SILENCE_NS:
+            self._tried_since_ns = None
+        tried_ns = 0 if self._tried_since_ns is None else now_ns - self._tried_since_ns
+        if self.receiving == "stream" and tried_ns >= TRIED_NS:
+            self.receiving = "datagram"
+            self._subscribe(streaming=False)
+            self._tell("info", f"the link receives from {self.machine} as datagrams (UDP port {self._place.port})")
+            self._next_reminder_ns = now_ns
+        elif self.receiving == "datagram" and self._tried_since_ns is None:
+            self.receiving = "stream"
+            self._subscribe(streaming=True)
+            self._warn(now_ns, f"no datagram has come from {self.machine} for {silence_ns * 1e-9:.1f} s")
+        elif self.receiving == "stream" and now_ns >= self._next_reminder_ns:
+            offered = bool(self._agreement.peer_public)
+            what = "is blocked on the way" if offered else "may be in use by no link there: it has offered no key"
+            self._warn(now_ns, f"UDP port {self._place.port} between here and {self.machine} {what}")
+
+    def _warn(self, now_ns: int, what: str) -> None:
+        self._next_reminder_ns = now_ns + _REMIND_NS
+        goes_on = "the link goes on over TCP, and tries again" if self._falls_back else "link.transport allows no TCP"
+        self._tell("warning", f"{what}: {goes_on}")
+
+    def _tell(self, level: str, text: str) -> None:
+        data: Mapping[str, bool | float | str] = {"peer": self.machine, "transport": self.receiving}
+        self._events.append(ConnectionEvent(level, text, dict(data)))
+
+    def _subscribe(self, *, streaming: bool) -> None:
+        if streaming and not self._falls_back:
+            return
+        change = self.subscriber.socket.subscribe if streaming else self.subscriber.socket.unsubscribe
+        for topic in self._received_topics:
+            change(topic.encode())
+
+    # --- as one that looks after the network ---
+
+    def process_events(self) -> bool:
+        """Do nothing: what has happened is noted where it happens."""
+        return False
+
+    def take_events(self) -> list[ConnectionEvent]:
+        """Return what happened since the last call."""
+        events, self._events = self._events, []
+        return events
+
+    def apply_permissions(self) -> None:
+        """Forget the keys when the other machine is no longer allowed, and go on over TCP, which refuses it as well."""
+        if self._is_allowed() or not self._agreement.peer_public:
+            return
+        now = self._clock.monotonic_ns()
+        self._agreement.forget(now)
+        self._admit()
+        self._tried_since_ns, self._expected = None, 0
+        self._tell("warning", f"the link's datagrams with {self.machine} have ended: its key is no longer allowed")
+
+    def close(self) -> None:
+        """Close the socket."""
+        self.socket.close()

@@ -1,0 +1,42 @@
+"""A play-out buffer: what arrives after varying delays is handed on after one that hardly varies.
+
+Each sample is held until its time of sending plus a target. The target follows a high quantile of the delays: it rises
+by a step for each sample that comes too late for it, and falls by a small part of that for each that is in time, so
+that in the long run the share of those too late is what was asked for (a stochastic approximation of the quantile,
+Robbins and Monro 1951). Times of sending are on the sender's clock: an offset is part of every delay, and cancels.
+
+A law that wants a constant delay, such as wave variables, gains what jitter costs it; every sample is older by what the
+slowest take longer. The node and the studies use this very code.
+"""
+
+_STEP_NS = 50_000
+# by which the least delay may rise with each sample: clocks drift by less, and routes change
+_RECOVERY_NS = 1_000
+
+
+class PlayOut:
+    """The buffer of one direction."""
+
+    def __init__(self, late_share: float = 0.01, most_s: float = 0.04) -> None:
+        """Begin without a target; ValueError for a share that is not between 0 and 1.
+
+        Parameters: late_share, of the samples that come too late for the target; most_s, the most that is held back
+        beyond the least delay [s]: readers reject what is older than their deadline.
+        """
+        if not 0.0 < late_share < 1.0:
+            raise ValueError(f"late_share is {late_share}, must be between 0 and 1")
+        self._up_ns = round(_STEP_NS * (1.0 - late_share))
+        self._down_ns = round(_STEP_NS * late_share)
+        self._most_ns = round(most_s * 1e9)
+        self._least_ns: int | None = None
+        self._target_ns = 0
+
+    def release_ns(self, sent_ns: int, arrived_ns: int) -> int:
+        """Return when to hand on a sample, not before it arrived; both times by their own clocks [ns]."""
+        delay_ns = arrived_ns - sent_ns
+        if self._least_ns is None:
+            self._least_ns = self._target_ns = delay_ns
+        self._least_ns = min(delay_ns, self._least_ns + _RECOVERY_NS)
+        self._target_ns += self._up_ns if delay_ns > self._target_ns else -self._down_ns
+        self._target_ns = min(max(self._target_ns, self._least_ns), self._least_ns + self._most_ns)
+        return max(arrived_ns, sent_ns + self._target_ns)

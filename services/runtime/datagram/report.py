@@ -1,0 +1,54 @@
+"""What an end reports of the network: counts, and the fate of each datagram since the last report."""
+
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from proto.messages import Array, LinkClock
+from proto.ranges import limited
+from services.runtime.clock_offset import Offset
+
+if TYPE_CHECKING:
+    from services.runtime.datagram.end import DatagramEnd
+
+
+def network_report(end: "DatagramEnd", direction: Literal["forward", "backward"]) -> dict[str, Any]:
+    """Return the fields of link/network for the direction that an end receives."""
+    offset = end.offset.estimate()
+    fates = end.account.take_fates()
+    # what the other clock is ahead was added to the time of sending
+    ahead_ns = 0 if offset is None else round(offset.offset_s * 1e9)
+    lost = np.frombuffer(fates.lost, dtype="u1") if fates.lost else np.zeros(0, dtype="u1")
+    raw_ns = np.array(fates.raw_ns, dtype="i8")
+    valid = offset is not None and bool((lost == 0).any())
+    delay_ns = np.where(lost == 0, np.maximum(raw_ns + ahead_ns, 0), 0) if valid else np.zeros_like(raw_ns)
+    arrived_s = delay_ns[lost == 0] * 1e-9
+    return {
+        "direction": direction,
+        "receiving": end.receiving,
+        "sending": "datagram" if end.acknowledged else "stream",
+        "sent": end.account.sent,
+        "arrived": end.account.arrived,
+        "late": end.account.late,
+        "lost": max(0, end.account.lost),
+        "refused": dict(end.rejected),
+        "repeats": end.repeats.count,
+        "unsent": end.unsent,
+        "sent_bytes": end.sent_bytes,
+        "delay_valid": valid,
+        "delay_min_s": float(arrived_s.min()) if valid else 0.0,
+        "delay_mean_s": float(arrived_s.mean()) if valid else 0.0,
+        "delay_max_s": float(arrived_s.max()) if valid else 0.0,
+        "clock": clock_report(offset),
+        "number": Array.from_numpy(np.array(fates.number, dtype="i8")),
+        "arrived_ns": Array.from_numpy(np.array(fates.arrived_ns, dtype="i8")),
+        "delay_ns": Array.from_numpy(delay_ns),
+        "lost_flag": Array.from_numpy(lost),
+    }
+
+
+def clock_report(offset: Offset | None) -> LinkClock:
+    """Return what is known of the other clock."""
+    if offset is None:
+        return LinkClock(valid=False, offset_s=0.0, uncertainty_s=0.0, round_trip_s=0.0, exchanges=0)
+    return limited(LinkClock, {"valid": True, **offset._asdict()})

@@ -1,0 +1,66 @@
+"""How a process opens its end of the link's datagrams."""
+
+import ipaddress
+import socket
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from proto.nodes import FAR_END, LINK
+from services.runtime.address_book import AddressBook, split_tcp
+from services.runtime.bus import Subscriber, ZmqPublisher
+from services.runtime.datagram.end import DatagramEnd, Outlets, Place
+
+if TYPE_CHECKING:
+    from services.runtime.participant import Participant
+
+NEAR_END = f"{LINK}@slave"
+
+
+def open_end(
+    participant: "Participant", outgoing: ZmqPublisher, reports: ZmqPublisher, readers: Sequence[Subscriber]
+) -> DatagramEnd | None:
+    """Return the end of this process, attached to what it sends and receives with; None where there can be none.
+
+    A port that another process has, or a name without an address, is reported in the log: the link goes on over TCP.
+    """
+    book, network, log = participant.book, participant.network, participant.log
+    if not {NEAR_END, FAR_END} <= set(book.nodes):
+        return None
+    is_master = participant.key != FAR_END
+    machine = book.machine_of(FAR_END if is_master else NEAR_END)
+    reader = network.reader_of(machine, readers)
+    if reader is None or machine == network.machine:
+        return None
+    access = network.access_control
+    try:
+        end = DatagramEnd(
+            participant.clock,
+            place_of(book, network.machine, is_master=is_master),
+            book.link,
+            reader,
+            Outlets(outgoing, reports),
+            machine=machine,
+            is_master=is_master,
+            is_allowed=lambda: not access.requires_keys or bool(access.roles(machine)),
+        )
+    except (OSError, ValueError) as error:
+        log.warning(f"the link sends no datagrams: {error}; everything crosses over TCP")
+        return None
+    outgoing.carry = end.carry
+    # closed with the other handlers of the network
+    network.look_after(end)
+    return end
+
+
+def place_of(book: AddressBook, machine: str, *, is_master: bool) -> Place:
+    """Return where an end binds and sends to; ValueError for a name of the master that cannot be resolved here.
+
+    The master's end has a port; the slave's takes any, so that it may stand behind a router: it is the first to send.
+    """
+    endpoint = book.bind_endpoint(NEAR_END) if is_master else book.connect_endpoint(NEAR_END, machine)
+    host, tcp_port = split_tcp(endpoint or "")
+    port = book.link.port or tcp_port
+    family = socket.AF_INET if ipaddress.ip_address(host).version == 4 else socket.AF_INET6
+    if is_master:
+        return Place(family, (host, port), None, port)
+    return Place(family, ("::" if family is socket.AF_INET6 else "0.0.0.0", 0), (host, port), port)

@@ -1,0 +1,87 @@
+"""The recordings of two sites as one, on the clock of the master's."""
+
+from pathlib import Path
+
+import pytest
+
+from proto import TOPICS, encode
+from proto.contract import examples
+from proto.errors import RecordingError
+from recording.merge_sites import clock_ahead_ns, merge_sites
+from recording.reader import Recording
+from recording.writer import FileSettings, RecordingWriter
+
+MS, BEGAN, AHEAD = 1_000_000, 10**18, 2_000_000_000
+
+
+def write(
+    folder: Path, node: str, rows: list[tuple[str, str, int, int]], clocks: tuple[tuple[float, float], ...]
+) -> Path:
+    """Write topic, source, number and time of reception [ns]; the clocks are offset and uncertainty [s]."""
+    site = node.partition("@")[2]
+    writer = RecordingWriter.create(node, FileSettings(directory=folder, file_name=f"{site}.mcap"))
+    writer.add_metadata("recording", {"node": node})
+    for topic, src, seq, log_ns in sorted(rows, key=lambda row: row[3]):
+        made = examples(TOPICS[topic])["ordinary"].model_copy(update={"src": src, "seq": seq, "t_ns": log_ns})
+        writer.write(writer.channel(topic, src, site), log_ns, log_ns, seq, encode(made))
+    for seq, (offset_s, uncertainty_s) in enumerate(clocks):
+        status = examples(TOPICS["link/status"])["ordinary"]
+        clock = {"valid": True, "offset_s": offset_s, "uncertainty_s": uncertainty_s}
+        made = status.model_copy(update={"seq": seq, "clock": status.clock.model_copy(update=clock)})
+        channel = writer.channel("link/status", "delay_node@master", site)
+        writer.write(channel, BEGAN + 50 * MS + seq, BEGAN, seq, encode(made))
+    writer.finish()
+    return writer.path
+
+
+def test_each_message_is_there_once_on_the_masters_clock(tmp_path: Path) -> None:
+    hand = [("haptic/state", "haptic_node@master", seq, BEGAN + seq * MS) for seq in range(10)]
+    both = [("law/status", "controller@slave", seq, BEGAN + seq * MS) for seq in range(3)]
+    tip = [("afm/state", "afm_node@slave", seq, BEGAN + AHEAD + seq * MS + MS // 2) for seq in range(10)]
+    here = [("law/status", "controller@slave", seq, BEGAN + AHEAD + seq * MS) for seq in range(4)]
+    # of the offsets that which is known best counts
+    master = write(tmp_path, "recorder@master", hand + both, ((7.0, 1.0), (2.0, 0.001), (9.0, 0.5)))
+    slave = write(tmp_path, "recorder@slave", tip + here, ())
+    target = tmp_path / "both.mcap"
+    result = merge_sites([master, slave], target)
+    found = list(Recording(target).messages())
+    assert result.messages == len(found) == 10 + 3 + 10 + 4 + 3
+    assert [message.log_ns for message in found] == sorted(message.log_ns for message in found)
+    states = [(m.topic, m.seq) for m in found if m.topic in ("haptic/state", "afm/state")]
+    assert states == [(topic, seq) for seq in range(10) for topic in ("haptic/state", "afm/state")]
+    # what the slave sent is what it was, by its own clock
+    assert {m.publish_ns - m.log_ns for m in found if m.topic == "afm/state"} == {AHEAD}
+    assert Recording(target).metadata["merged"] == {"slave_clock_ahead_ns": str(AHEAD)}
+
+
+def test_a_channel_that_both_have_is_taken_from_the_recorder_near_it(tmp_path: Path) -> None:
+    # the master's recorder, over the network, missed some and had them late
+    settings = FileSettings(directory=tmp_path, file_name="master.mcap")
+    writer = RecordingWriter.create("recorder@master", settings)
+    writer.add_metadata("recording", {"node": "recorder@master"})
+    channel = writer.channel("afm/state", "afm_node@slave", "slave")
+    state = examples(TOPICS["afm/state"])["ordinary"]
+    for seq in (1, 3):
+        writer.write(channel, BEGAN + 90 * MS, BEGAN, seq, encode(state.model_copy(update={"seq": seq})))
+    status = examples(TOPICS["link/status"])["ordinary"]
+    clock = status.clock.model_copy(update={"valid": True, "offset_s": 0.0, "uncertainty_s": 0.0})
+    made = encode(status.model_copy(update={"clock": clock}))
+    writer.write(writer.channel("link/status", "delay_node@master", "master"), BEGAN, BEGAN, 0, made)
+    writer.finish()
+    slave = write(
+        tmp_path, "recorder@slave", [("afm/state", "afm_node@slave", s, BEGAN + s * MS) for s in range(5)], ()
+    )
+    target = tmp_path / "both.mcap"
+    merge_sites([writer.path, slave], target)
+    tips = [message for message in Recording(target).messages() if message.topic == "afm/state"]
+    assert [(message.seq, message.log_ns) for message in tips] == [(seq, BEGAN + seq * MS) for seq in range(5)]
+
+
+def test_what_cannot_be_joined_is_refused_by_name(tmp_path: Path) -> None:
+    master = write(tmp_path, "recorder@master", [("haptic/state", "haptic_node@master", 0, BEGAN)], ())
+    slave = write(tmp_path, "recorder@slave", [("afm/state", "afm_node@slave", 0, BEGAN)], ())
+    with pytest.raises(RecordingError, match=r"master\.mcap: has no link/status or link/network"):
+        clock_ahead_ns(Recording(master))
+    with pytest.raises(RecordingError, match=r"slave\.mcap of slave, .*master\.mcap of master"):
+        merge_sites([slave, master], tmp_path / "x.mcap")
+    assert not (tmp_path / "x.mcap").exists()

@@ -1,0 +1,70 @@
+"""The play-out buffer: a delay that hardly varies, for what it costs."""
+
+import random
+
+import numpy as np
+import pytest
+from datagram_bench import STEP_NS, pair
+
+from services.runtime.datagram.play_out import PlayOut
+
+MS = 1_000_000
+
+
+def played(delays_ns: list[int], buffer: PlayOut, offset_ns: int = 0) -> np.ndarray:
+    """Return the delays after the buffer [ns], of samples sent each millisecond."""
+    sent = [n * MS for n in range(len(delays_ns))]
+    return np.array(
+        [buffer.release_ns(at + offset_ns, at + delay) - at for at, delay in zip(sent, delays_ns, strict=True)]
+    )
+
+
+def test_jitter_is_taken_out_for_the_share_that_was_asked_for() -> None:
+    draw = random.Random(3)
+    delays = [20 * MS + round(draw.expovariate(1.0) * MS) for _ in range(40_000)]
+    for share in (0.01, 0.1):
+        after = played(delays, PlayOut(share))[10_000:]
+        late = np.mean(np.array(delays[10_000:]) == after)
+        assert late == pytest.approx(share, rel=0.3)
+        target = np.quantile(delays, 1.0 - share)
+        assert np.median(after) == pytest.approx(target, abs=0.3 * MS)
+        assert np.subtract(*np.quantile(after, (0.9, 0.1))) < 0.4 * np.subtract(*np.quantile(delays, (0.9, 0.1)))
+        # nothing is handed on before it has come
+        assert (after >= np.array(delays[10_000:])).all()
+
+
+def test_clocks_that_differ_change_nothing_and_a_new_route_is_followed() -> None:
+    delays = [30 * MS] * 2000 + [10 * MS] * 60_000
+    after = played(delays, PlayOut())
+    assert (after == played(delays, PlayOut(), offset_ns=10**15)).all()
+    assert after[1999] == pytest.approx(30 * MS, abs=0.3 * MS)
+    assert after[-1] == pytest.approx(10 * MS, abs=0.3 * MS)
+    # and never more than the readers' deadline leaves room for
+    spikes = [10 * MS if n % 2 else 200 * MS for n in range(4000)]
+    in_time = played(spikes, PlayOut())[1::2]
+    assert in_time.max() <= 50 * MS
+    with pytest.raises(ValueError, match="must be between 0 and 1"):
+        PlayOut(0.0)
+
+
+def test_an_end_holds_what_arrives_until_its_time() -> None:
+    with pair(play_out=True) as ends:
+        ends.turns(150)
+        assert [side.end.receiving for side in ends.sides] == ["datagram", "datagram"]
+        slave = ends.slave
+        before = len(slave.received)
+        # the network takes 20 ms longer: what comes now is late, the target rises, and nothing is lost
+        for _ in range(100):
+            for side in ends.sides:
+                side.clock.advance_ns(STEP_NS)
+            ends.master.send()
+            if _ % 2:
+                slave.take()
+        assert len(slave.received) > before
+        assert slave.seqs == sorted(slave.seqs)
+        assert slave.end.due_ns > slave.clock.monotonic_ns()
+        held = len(slave.end._held)
+        slave.clock.advance_ns(10 * STEP_NS)
+        slave.take()
+        assert slave.end._held == [] or len(slave.end._held) < held
+        assert slave.seqs[-1] == ends.master.seq - 1
