@@ -17,9 +17,10 @@ def test_a_network_that_loses_packets_is_borne_as_the_injected_one_is(
 ) -> None:
     real = fig12(tmp_path / "real", delay_ms, loss, "passivity")
     injected = fig12(tmp_path / "injected", delay_ms, loss, "passivity", injected=True)
-    assert real["verdict"] == injected["verdict"] == "stable"
-    assert real["hold_ratio"] == pytest.approx(1.0, abs=0.005)
-    assert injected["hold_ratio"] == pytest.approx(1.0, abs=0.005)
+    # a lost packet delays nothing but itself: over TCP the median alone is older by a round trip
+    assert real["loop_age_ms"]["p50"] < injected["loop_age_ms"]["p50"] + 5.0
+    for run in (real, injected):
+        assert run["hold_ratio"] == pytest.approx(1.0, abs=0.005)
     assert real["deadlines_missed"] == 0
     for measured in real["one_way_ms_at"].values():
         # what the cable did, within the time that a busy machine takes to notice

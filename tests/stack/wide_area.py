@@ -61,14 +61,11 @@ class WideAreaCable(Cable):
 
 
 def events_of_session(recording: Path) -> list[dict[str, Any]]:
-    """Give the events of a site's recording until the session was told to stop."""
-    found = []
-    for message in Recording(recording).messages():
-        if message.topic == "session/control" and message.fields()["command"] == "stop":
-            break
-        if message.topic == "session/event":
-            found.append(message.fields())
-    return found
+    """Give the events of the slave's recording until the master's site was ended, which cuts its connections."""
+    found = [message.fields() for message in Recording(recording).messages() if message.topic == "session/event"]
+    ended = min((event["t_ns"] for event in found if event["data"].get("connection") == "down"), default=2**63)
+    # its nodes stop one after the other in the half second before
+    return [event for event in found if event["t_ns"] < ended - 500_000_000]
 
 
 def one_way_ms(folder: Path) -> dict[str, float]:
