@@ -36,7 +36,7 @@ MASTER_INPUTS = ("haptic/state", "teleop/backward", "law/status", "link/delay", 
 SLAVE_INPUTS = ("teleop/forward", "afm/state", "afm/program", "link/delay", "session/control")
 # a program that says nothing for so long is over [ns]: it reports ten times a second
 _PROGRAM_SILENCE_NS = 500_000_000
-# a hand whose device is stale or lost is that of an inactive site; a simulated device says nothing
+# a hand whose device is lost is that of an inactive site; a simulated device says nothing
 _FOLLOWING_DEVICE = (None, "ok")
 # while the other half is waited for, the hand comes to rest like a virtual mass that is left alone
 _COASTING_S = 0.005
@@ -115,6 +115,12 @@ class MasterController(ControllerHalf):
     def _on_hand(self, message: HapticState) -> None:
         if self._command_due:
             self._publish_command()
+        elif message.device == "stale" and self._hand_stamp[1]:
+            self._send_reference()
+        if message.device == "stale":
+            # a sample that is repeated is none: the law does not step, and the next one bridges the gap. To join the
+            # old position anew would leave tip and hand apart by the way in between, for the rest of the session
+            return
         elapsed = self.elapsed_s(message.t_ns, self._hand_stamp[1])
         self._hand_stamp = (message.seq, message.t_ns)
         following = self.hand.following
@@ -149,6 +155,9 @@ class MasterController(ControllerHalf):
         self._command_due = False
         self.reference = self._coasting() if self.switching else self._step_law()
         self.state = "running" if self.reference.active else "safe"
+        self._send_reference()
+
+    def _send_reference(self) -> None:
         self.publish(
             "haptic/command",
             mode="position" if self.reference.active else "off",

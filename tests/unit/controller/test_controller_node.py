@@ -1,5 +1,6 @@
 """Both halves of a law as nodes: what they publish, when, and what they refuse."""
 
+import pickle
 from typing import Any
 
 import pytest
@@ -195,6 +196,37 @@ def test_hand_that_was_restarted_is_joined_where_it_is_and_the_tip_stays(master:
     assert node.law_state.position_m == 4e-3
     after = bench.take("teleop/forward")[-1].position_m[2]
     assert abs(before - after) < 32e-12
+
+
+@pytest.mark.parametrize("law", sorted(LAWS))
+def test_sample_that_is_repeated_is_none(bench_of: Any, law: str) -> None:
+    states = []
+    for repeated in (True, False):
+        bench = bench_of("controller@master")
+        node = MasterController(bench.context, ControllerConfig(law=law))
+        for number in range(240):
+            stale = 200 <= number < 214 or 220 <= number < 226
+            where_m = (0.0, 0.0, -node.reference.position_m)
+            if stale and not repeated:
+                bench.clock.advance_ns(PERIOD_NS)
+            elif stale:
+                # the device says again where it was 6 ms ago
+                tick(bench, node, 1.0, position_m=ZERO, device="stale", sample_age_s=6e-3)
+                assert bench.take("teleop/forward") == []
+                # or the guard would take the silence for a controller that has ended
+                (command,) = bench.take("haptic/command")
+                assert (command.mode, command.position_m) == ("position", where_m)
+            else:
+                hand = tick(bench, node, 1.0, position_m=where_m, device="ok", sample_age_s=1e-3)
+                (forward,) = bench.take("teleop/forward")
+                waves = {key: getattr(forward, key) for key in ("position_m", "energy_j", "wave_sqrt_w")}
+                fields = answer_fields(0.0, hand.seq, hand.t_ns, law=law, **waves)
+                node.on_message(bench.received("teleop/backward", "controller@slave", **fields))
+                bench.take("haptic/command")
+        assert node.reference.active
+        assert node.reference.position_m > 1e-4
+        states.append(pickle.dumps(node.law_state))
+    assert states[0] == states[1]
 
 
 def test_parameters_change_at_run_time(master: Any) -> None:
