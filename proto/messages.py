@@ -23,7 +23,7 @@ from pydantic import (
 )
 from pydantic_core import CoreSchema, core_schema
 
-from proto.device import DEVICE, SAMPLE_AGE_S, DeviceStatus
+from proto.device import DEVICE, LATENCY_S, MEAN_AGE_S, SAMPLE_AGE_S, DeviceStatus
 from proto.ranges import (
     ANGLE,
     POSITION,
@@ -438,8 +438,11 @@ class InputHealth(Record):
     age_s: TimeS = Field(description="Time since the publisher sent the newest message [s], across two clocks")
 
 
-class NodeHealth(Message):
+class NodeHealth(_Extended):
     """How a process is doing."""
+
+    version: ClassVar[int] = 2
+    additions: ClassVar[Mapping[str, int]] = {"device_latency_s": 2, "device_age_s": 2}
 
     pid: Count = Field(description="Process id")
     state: Literal["starting", "ready", "running", "safe", "stopping"] = Field(description="What the node is at")
@@ -462,6 +465,8 @@ class NodeHealth(Message):
     inputs: Annotated[tuple[InputHealth, ...], FailFast()] = Field(
         max_length=MAX_ROWS, description="Every input of the node; of many sources, those that sent most"
     )
+    device_latency_s: DurationS | None = LATENCY_S
+    device_age_s: DurationS | None = MEAN_AGE_S
 
 
 class JournalInput(Record):

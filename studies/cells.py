@@ -78,6 +78,9 @@ class Cell(Settings):
     gain: float | None = Field(default=None, ge=0.0, description="Force gain K_f; none: the law's own")
     jitter_ms: float = Field(default=0.0, ge=0.0, le=1e5, description="Half-width of the uniform jitter each way [ms]")
     loss: float = Field(default=0.0, ge=0.0, le=1.0, description="Share of messages lost each way; 0..1")
+    device_latency_ms: float = Field(
+        default=0.0, ge=0.0, le=1e3, description="What real devices add to the round trip, as declared [ms]"
+    )
     seed: int = Field(default=0, ge=0, description="Seed of the link's random streams")
     session_s: float | None = Field(default=None, gt=0.0, le=3600.0, description="Length of the session [s]; none: own")
     settings: tuple[tuple[str, float | int | str | bool], ...] = Field(default=(), description="Other law parameters")
@@ -90,8 +93,8 @@ class Cell(Settings):
 
     @property
     def round_trip_s(self) -> float:
-        """Round trip [s], jitter at its widest included."""
-        return (self.round_trip_ms + 2.0 * self.jitter_ms) * 1e-3
+        """Round trip [s], jitter at its widest and the devices included."""
+        return (self.round_trip_ms + self.device_latency_ms + 2.0 * self.jitter_ms) * 1e-3
 
     def controller(self) -> ControllerConfig:
         """Return the configuration of both halves; ConfigError names the law or key at fault."""
@@ -222,7 +225,9 @@ def course_of(cell: Cell, hand_points: Sequence[tuple[float, float]], end_s: flo
     rig = rig_of(cell, hand_points)
     settle = round((_SETTLE_S + _SETTLE_ROUND_TRIPS * cell.round_trip_s) / rig.period_s)
     ticks = settle + max(1, round(end_s / rig.period_s))
-    schedule = _schedule(cell.round_trip_ms * 1e-3, cell.jitter_ms * 1e-3, cell.loss, cell.seed, ticks, rig.period_s)
+    # a constant delay is the same to the loop wherever it is
+    delay_s = (cell.round_trip_ms + cell.device_latency_ms) * 1e-3
+    schedule = _schedule(delay_s, cell.jitter_ms * 1e-3, cell.loss, cell.seed, ticks, rig.period_s)
     return simulate(rig, schedule, settle)
 
 

@@ -48,6 +48,7 @@ class Axes:
     settings: tuple[tuple[str, float | int | str | bool], ...] = ()
     hand: Hand = "force"
     body: Body = DEFAULT_BODY
+    device_latency_ms: float = 0.0
 
     def lines(self) -> list["Line"]:
         """Return every combination of what is not the delay."""
@@ -94,6 +95,7 @@ class Line:
             gain=self.gain,
             jitter_ms=self.jitter.at_ms(round_trip_ms),
             loss=self.loss,
+            device_latency_ms=self.axes.device_latency_ms,
             seed=self.axes.seed,
             session_s=self.axes.session_s,
             settings=self.axes.settings,
@@ -112,10 +114,10 @@ class Line:
 class LineResult:
     """A line of the map and where it turns unstable.
 
-    critical_delay_ms: round trip of the loop that is neutral, the half period of the hold included: what compares with
-    T_c of the theory; critical_link_ms: what the link alone may add. Both are None when no cell up to the longest delay
-    is unstable. theory_ms, theory_link_ms: T_c and T_d, None where the law has no such loop, and where no delay makes
-    it neutral (`theory_unlimited`).
+    critical_delay_ms: round trip of the loop that is neutral, the half period of the hold and the declared latency of
+    the devices included: what compares with T_c of the theory; critical_link_ms: what the link alone may add. Both are
+    None when no cell up to the longest delay is unstable. theory_ms, theory_link_ms: T_c and T_d, None where the law
+    has no such loop, and where no delay makes it neutral (`theory_unlimited`).
     """
 
     line: Line
@@ -136,6 +138,7 @@ class LineResult:
             "gain": line.gain,
             "jitter": str(line.jitter),
             "loss": line.loss,
+            "device_latency_ms": line.axes.device_latency_ms,
             "critical_delay_ms": self.critical_delay_ms,
             "critical_link_delay_ms": self.critical_link_ms,
             "theory_delay_ms": self.theory_ms,
@@ -221,11 +224,11 @@ def line_result(line: Line, cells: tuple[CellResult, ...], link_ms: float | None
     theory_s, theory_link_s = theory_of(line)
     # the loop's gain never reaches 1: no delay makes it neutral
     unlimited = theory_s is not None and math.isinf(theory_s)
-    hold_ms = 0.5 * _ms(line, 1)
+    inside_ms = 0.5 * _ms(line, 1) + line.axes.device_latency_ms
     return LineResult(
         line,
         cells,
-        link_ms + hold_ms if link_ms is not None else None,
+        link_ms + inside_ms if link_ms is not None else None,
         link_ms,
         theory_s * 1e3 if theory_s is not None and math.isfinite(theory_s) else None,
         theory_link_s * 1e3 if theory_link_s is not None and math.isfinite(theory_link_s) else None,
@@ -240,11 +243,12 @@ def theory_of(line: Line) -> tuple[float | None, float | None]:
     model = loop_model(line.law, section, line.stiffness_n_per_m)
     if model is None or line.axes.environment != "spring" or line.jitter.value or line.loss or controller.clamp.enabled:
         return None, None
+    devices_s = 1e-3 * line.axes.device_latency_ms
     if line.axes.hand != "force":
         # the arm and the device are not sampled, so the hold is taken to be worth half a period, as it is without them
         critical_s = arm_margin_s(model, getattr(section, "force_gain", 1.0), ARMS[line.axes.hand])
-        return critical_s, critical_s - 0.5 * controller.period_s
-    return critical_delay_s(model), critical_link_delay_s(model, controller.period_s)
+        return critical_s, max(0.0, critical_s - 0.5 * controller.period_s - devices_s)
+    return critical_delay_s(model), max(0.0, critical_link_delay_s(model, controller.period_s) - devices_s)
 
 
 def arm_margin_s(model: LoopModel, hand_gain: float, arm: ArmConstants) -> float:

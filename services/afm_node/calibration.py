@@ -10,6 +10,8 @@ from services.afm_node.safety import SafetyParams
 from services.afm_node.step import AfmSample
 from services.runtime.config import Settings, read_yaml, validate
 
+LEAST_HEARTBEAT_S = 0.02
+
 
 class InstrumentIdentity(Settings):
     """The very device that was calibrated."""
@@ -96,7 +98,25 @@ class InstrumentCalibration(Settings):
     deflection: DeflectionCalibration
     cantilever: CantileverCalibration
     contact_force_n: float = Field(1e-9, gt=0.0, le=1e-3, description="Repulsive force that counts as contact [N]")
+    latency_s: float | None = Field(
+        None, ge=0.0, le=1.0, description="Declared latency, as measured on this device [s]; none: that of the map"
+    )
+    heartbeat_s: float = Field(
+        0.05,
+        ge=0.0,
+        le=1.0,
+        description="Silence after which the device's script retracts [s], where the map has one: 0.02 to 1; 0: none",
+    )
     watchdog_s: int = Field(1, ge=1, le=60, description="Silence after which the device's own watchdog retracts [s]")
+
+    @model_validator(mode="after")
+    def _heartbeat_is_possible(self) -> "InstrumentCalibration":
+        if 0.0 < self.heartbeat_s < LEAST_HEARTBEAT_S:
+            raise ValueError(
+                f"heartbeat_s = {self.heartbeat_s} s must be 0 (none) or {LEAST_HEARTBEAT_S} s and more: the script "
+                "looks every 5 ms, and a network has its delays"
+            )
+        return self
 
     @property
     def identity(self) -> str:

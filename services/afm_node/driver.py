@@ -41,6 +41,10 @@ class AfmDriver(Protocol):
         """Base position [m] of the safe state: retracted."""
 
     @property
+    def latency_s(self) -> float:
+        """Return what a real instrument is declared to add to the round trip, in the mean [s]; 0 if simulated."""
+
+    @property
     def report(self) -> DeviceReport | None:
         """Return how the instrument was at the last exchange; None if it is simulated."""
 
@@ -61,8 +65,11 @@ class AfmDriver(Protocol):
         Raises: ValueError, if the position is not finite; RuntimeError, if not open.
         """
 
-    def retract(self) -> None:
-        """Go to the safe state at once. Called on every way out, so it must work after an error of `exchange`."""
+    def retract(self) -> bool:
+        """Go to the safe state at once, and return whether the device says that it is there.
+
+        Called on every way out, so it must work after an error of `exchange`.
+        """
 
     def close(self) -> None:
         """Go to the safe state and disconnect; harmless when already closed."""

@@ -5,17 +5,19 @@ retract, read back) is a generator of requests that opening runs to its end, and
 """
 
 import errno
+import math
 import select
 import socket
 import time
-from collections.abc import Callable, Generator
+from collections.abc import Callable
 from enum import Enum
 from typing import Protocol
 
 from services.afm_node.calibration import InstrumentCalibration
 from services.afm_node.driver import DeviceError, DeviceReport
 from services.afm_node.modbus_frames import Answer, Conversation, FramingError, Operation
-from services.afm_node.register_map import Check, Register, RegisterMap, Setting, agrees
+from services.afm_node.modbus_handshake import EXCEPTIONS, Handshake, Steps, heartbeat_of, is_retracted
+from services.afm_node.register_map import RegisterMap
 from services.afm_node.safety import SafetyParams
 from services.afm_node.step import AfmSample
 
@@ -26,22 +28,11 @@ RETRY_NS = 500 * _MS
 # of a step of the handshake: a setting that goes to flash takes long
 STEP_NS = 1000 * _MS
 _PERIOD_S = 1e-3
-_CLOSE_S = 0.1
-_SAME_V = 2.0
+_CLOSE_S, _RECONNECT_S = 0.1, 0.3
 _READ_BYTES = 4096
-EXCEPTIONS = {
-    1: "illegal function: the device does not know it",
-    2: "illegal address: the device has no such register",
-    3: "illegal value",
-    4: "device failure; a coupler whose own watchdog has tripped answers this, with its outputs at 0",
-    5: "acknowledged, busy",
-    6: "busy",
-    10: "gateway without a path: the gateway does not reach the device",
-    11: "gateway target silent: the gateway does not reach the device",
-}
 _BUSY = (5, 6)
-
-Handshake = Generator[bytes, Answer, None]
+_PAUSE_SHARE = 0.8
+_MOST_BEATS = 65535
 
 
 class Line(Protocol):
@@ -141,7 +132,7 @@ class ModbusAfm:
         self._line: Line | None = None
         self._conversation = Conversation(calibration.network.device_id)
         self._phase = _Phase.CLOSED
-        self._handshake: Handshake | None = None
+        self._handshake: Steps | None = None
         self._outstanding = False
         self._requests: list[bytes] = []
         self._words: tuple[int, ...] = ()
@@ -154,6 +145,11 @@ class ModbusAfm:
         self._text = ""
         self._identity = registers.model
         self._readings = calibration.readings(stage.retract_v, deflection.zero_v)
+        self._heart = heartbeat_of(calibration, registers)
+        # after less than its limit this process takes it that the device has retracted: the beat travels as well
+        self._pause_ns = round(_PAUSE_SHARE * calibration.heartbeat_s * 1e9)
+        self._beat = 0
+        self._output_v = stage.retract_v
         self._report = DeviceReport("lost", 0.0, True, "the instrument is not open")
 
     @property
@@ -180,8 +176,16 @@ class ModbusAfm:
 
     @property
     def latency_s(self) -> float:
-        """Return what the device is declared to add to the age of a sample: its cycle and a period [s]."""
-        return self._map.device_cycle_s + _PERIOD_S
+        """Return what the device is declared to add to the round trip [s]: from a command to its sample, in the mean.
+
+        Its cycle takes n whole periods of the loop: the sample that a command is answered by comes after n of them, and
+        is (n - 1) / 2 older when it is used, in the mean. Commands in between are overtaken by the next one.
+        """
+        if self._calibration.latency_s is not None:
+            return self._calibration.latency_s
+        requests = 3 if self._map.exchange == "write_then_read" else 1
+        periods = requests * math.ceil(self._map.device_cycle_s / requests / _PERIOD_S)
+        return (3 * periods - 1) / 2 * _PERIOD_S
 
     def open(self) -> None:
         """Connect, identify, set up, retract and take a first sample. Raises DeviceError with what was found."""
@@ -208,24 +212,35 @@ class ModbusAfm:
         self._judge(now_ns)
         return self._readings.sample
 
-    def retract(self) -> None:
-        """Go to the retract voltage at once, and wait 0.1 s at most for the output to be read back there."""
-        if self._phase is not _Phase.READY:
-            return
+    def retract(self) -> bool:
+        """Go to the retract voltage at once, on a new connection if need be; return whether it was read back there.
+
+        Waits 0.1 s at most, and 0.3 s for a new connection.
+        """
+        if not self._opened:
+            return False
         self._released = False
         stage = self._calibration.stage
         self._target_v = self._sent_v = stage.retract_v
-        until_ns, exchanges = self._now_ns() + round(_CLOSE_S * 1e9), self.exchanges
-        while self._phase is _Phase.READY and self._now_ns() < until_ns:
+        wait_s = _CLOSE_S
+        if self._phase is not _Phase.READY:
+            wait_s = _RECONNECT_S
+            self._drop(self._now_ns())
+            self._begin(self._now_ns())
+        connected = self._line
+        until_ns, exchanges = self._now_ns() + round(wait_s * 1e9), self.exchanges
+        while self._line is connected is not None and self._now_ns() < until_ns:
             self._poll(self._now_ns())
             # the one that was out when this began says nothing of the retraction
-            if self.exchanges >= exchanges + 2 and self._is_retracted(self._readings.sample.base_m):
-                return
+            if self.exchanges >= exchanges + 2 and is_retracted(self._calibration, self._map, self._output_v):
+                return True
             self._sleep(_PERIOD_S)
+        return False
 
     def close(self) -> None:
         """Retract and disconnect; harmless when already closed."""
-        self.retract()
+        if self._phase is _Phase.READY:
+            self.retract()
         self._drop(self._now_ns())
         self._opened = False
 
@@ -238,7 +253,7 @@ class ModbusAfm:
         self._conversation = Conversation(self._calibration.network.device_id)
         self._released = self._outstanding = False
         self._requests.clear()
-        self.exchanges = 0
+        self.exchanges = self._beat = 0
         try:
             self._line = self._connect(self._calibration.network.host, self._calibration.network.port)
         except OSError as error:
@@ -281,7 +296,8 @@ class ModbusAfm:
 
     def _go_on_connecting(self, now_ns: int, line: Line) -> None:
         if line.ready():
-            self._phase, self._handshake = _Phase.PREPARING, self._prepared()
+            self._preparation = Handshake(self._calibration, self._map, self._conversation, self._now_ns)
+            self._phase, self._handshake = _Phase.PREPARING, self._preparation.steps()
             self._send(next(self._handshake), now_ns)
         elif now_ns - self._sent_ns > STEP_NS:
             raise DeviceError("does not answer: check address, cable and firewall")
@@ -302,76 +318,13 @@ class ModbusAfm:
         except StopIteration:
             self._phase = _Phase.READY
             self._handshake = None
+            self._identity = self._preparation.identity
             self._sent_v = self._calibration.stage.retract_v
             self._answered_ns = self._cycle_ns = self._sampled_ns = now_ns
             self._text = (
                 f"{self._where}: {self._identity} is ready and retracted, calibration {self._calibration.identity}"
             )
             self._start_cycle(now_ns)
-
-    def _prepared(self) -> Handshake:
-        """Identify the device, set it up, retract it; DeviceError says what is wrong with it."""
-        for check in self._map.checks:
-            found = yield from self._read(check)
-            if not agrees(found, check.value):
-                raise DeviceError(_mismatch(check, found))
-        serial = 0.0
-        if self._map.serial is not None:
-            serial = yield from self._read(self._map.serial)
-            if round(serial) != self._calibration.instrument.serial:
-                wanted = self._calibration.instrument.serial
-                raise DeviceError(f"serial {serial:.0f} is not that of the calibration, {wanted}")
-        self._identity = f"{self._map.model} {serial:.0f}" if serial else self._map.model
-        if self._map.firmware is not None:
-            firmware = yield from self._read(self._map.firmware)
-            self._identity += f", firmware {firmware:.4f}"
-        # first of all: whatever the output was at, it leaves the sample
-        yield from self._write(self._output, self._calibration.stage.retract_v)
-        for setting in self._map.settings:
-            channel = self._calibration.deflection.channel
-            yield from self._set(setting.model_copy(update={"address": setting.of_channel(channel).address}))
-        yield from self._set_watchdog()
-        retracted = yield from self._read(self._readback)
-        if not self._is_retracted(self._calibration.base_m(retracted)):
-            raise DeviceError(f"the output is at {retracted:.4f} V and not at the retract voltage")
-
-    def _set_watchdog(self) -> Generator[bytes, Answer, None]:
-        watchdog = self._map.watchdog
-        if watchdog is None:
-            return
-        values = self._calibration.values
-        differs = False
-        for setting in watchdog.settings:
-            found = yield from self._read(setting)
-            differs |= not agrees(found, setting.wanted(values))
-        enabled = yield from self._read(watchdog.enable)
-        if not differs and agrees(enabled, 1.0):
-            return
-        yield from self._write(watchdog.enable, 0.0)
-        for setting in watchdog.settings:
-            yield from self._set(setting)
-        yield from self._write(watchdog.enable, 1.0)
-
-    def _set(self, setting: Setting) -> Generator[bytes, Answer, None]:
-        """Write a setting where it differs, and read it back."""
-        wanted = setting.wanted(self._calibration.values)
-        found = yield from self._read(setting)
-        if agrees(found, wanted):
-            return
-        yield from self._write(setting, wanted)
-        found = yield from self._read(setting)
-        if not agrees(found, wanted):
-            raise DeviceError(f"{setting.name} was set to {wanted:g} and reads {found:g}")
-
-    def _read(self, register: Register) -> Generator[bytes, Answer, float]:
-        answer = yield self._conversation.read(register.address, register.count)
-        _require(answer, register, register.count)
-        return register.decode(answer.words, self._map.word_order)
-
-    def _write(self, register: Register, value: float) -> Generator[bytes, Answer, None]:
-        words = register.encode(value, self._map.word_order)
-        answer = yield self._conversation.write(register.address, words)
-        _require(answer, register, 0)
 
     def _cycle(self, now_ns: int, answer: Answer | None) -> None:
         if answer is not None:
@@ -401,8 +354,8 @@ class ModbusAfm:
             self._answered_ns = now_ns
             return
         words, self._words = self._words, ()
-        output_v, input_v = self._voltages(words)
-        self._readings = self._calibration.readings(output_v, input_v)
+        self._output_v, input_v = self._voltages(words)
+        self._readings = self._calibration.readings(self._output_v, input_v)
         self._answered_ns, self._sampled_ns = now_ns, self._cycle_ns
         self.exchanges += 1
 
@@ -413,9 +366,13 @@ class ModbusAfm:
             at_input, at_readback = found.address - first, readback.address - first
         else:
             at_input, at_readback, count = 0, found.count, found.count + readback.count
+        order = self._map.word_order
+        if self._heart is not None:
+            trips, words = words[count:], words[:count]
+            if len(trips) == self._heart.trips.count and self._heart.trips.decode(trips, order):
+                raise DeviceError("got no beat for too long, and its script has retracted the stage")
         if len(words) != count:
             raise DeviceError(f"answered {len(words)} registers, {count} were asked for")
-        order = self._map.word_order
         return (
             readback.decode(words[at_readback : at_readback + readback.count], order),
             found.decode(words[at_input : at_input + found.count], order),
@@ -423,6 +380,11 @@ class ModbusAfm:
 
     def _start_cycle(self, now_ns: int) -> None:
         stage = self._calibration.stage
+        if self._heart is not None and self._beat and now_ns - self._cycle_ns > self._pause_ns:
+            raise DeviceError(
+                f"had no request for {(now_ns - self._cycle_ns) / _MS:.0f} ms, and its script retracts after "
+                f"{self._calibration.heartbeat_s * 1e3:.0f} ms"
+            )
         reach = stage.slew_v_per_s * max(now_ns - self._cycle_ns, 0) * 1e-9
         self._sent_v = min(max(self._target_v, self._sent_v - reach), self._sent_v + reach)
         if self._target_v == stage.retract_v and not self._released:
@@ -433,6 +395,11 @@ class ModbusAfm:
         write = Operation(self._output.address, len(words), words)
         reads = [Operation(part.address, part.count) for part in (self._input, self._readback)]
         if self._map.exchange == "feedback":
+            if self._heart is not None:
+                self._beat = self._beat % _MOST_BEATS + 1
+                beat = self._heart.beat.encode(float(self._beat), self._map.word_order)
+                reads = [Operation(self._heart.beat.address, len(beat), beat), *reads]
+                reads.append(Operation(self._heart.trips.address, self._heart.trips.count))
             self._send(self._conversation.feedback((write, *reads)), now_ns)
         elif self._map.exchange == "read_write":
             span = self._map.read_span(stage.dac, self._calibration.deflection.channel)
@@ -445,11 +412,6 @@ class ModbusAfm:
         part = (self._input, self._readback)[which[0]]
         return self._conversation.read(part.address, part.count)
 
-    def _is_retracted(self, base_m: float) -> bool:
-        """Return whether the output is at the retract voltage, to two steps of its converter."""
-        step_m = _SAME_V * self._map.output_step_v * self._calibration.stage.m_per_v
-        return abs(base_m - self.safe_position_m) <= step_m
-
     def _judge(self, now_ns: int) -> None:
         """Renew the report."""
         age_s = max(now_ns - self._sampled_ns, 0) * 1e-9 if self._sampled_ns else 0.0
@@ -458,17 +420,3 @@ class ModbusAfm:
         stale_s = STALE_CYCLES * (self._map.device_cycle_s + _PERIOD_S)
         status = DeviceReport("ok" if age_s <= stale_s else "stale", age_s, self._readings.in_range, self._text)
         self._report = status if ready else status._replace(status="lost", force_valid=True)
-
-
-def _mismatch(check: Check, found: float) -> str:
-    as_word = f" (0x{round(found):08X})" if check.type == "uint32" else ""
-    hint = f": {check.hint}" if check.hint else ""
-    return f"{check.name} reads {found:g}{as_word} and should read {check.value:g}{hint}; nothing was driven"
-
-
-def _require(answer: Answer, register: Register, count: int) -> None:
-    if answer.exception:
-        reason = EXCEPTIONS.get(answer.exception, f"exception {answer.exception}")
-        raise DeviceError(f"{register.name} (address {register.address}): {reason}")
-    if len(answer.words) != count:
-        raise DeviceError(f"{register.name} (address {register.address}) came back with {len(answer.words)} registers")

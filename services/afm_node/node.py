@@ -16,7 +16,7 @@ from services.afm_node.step import LONGEST_STEP_NS, AfmSample, command_wait_ns
 from services.runtime.bus import Received
 from services.runtime.frames import to_paper_axis
 from services.runtime.freshness import LOOP_DEADLINE_NS, HandAge
-from services.runtime.node import Node, NodeContext
+from services.runtime.node import DeviceDelay, Node, NodeContext
 from services.runtime.replay_guard import ReplayGuard
 
 INPUTS = ("afm/command", "clock/ping", "link/delay", "session/control", "node/health")
@@ -72,6 +72,8 @@ class AfmNode(Node):
         self._device_lost = False
         self._device_text = ""
         driver.open()
+        if driver.report is not None:
+            self.device_delay = DeviceDelay(driver.latency_s)
         # compile before the first command comes; dt and inputs change nothing in the retracted state
         asked = safety.SafetyInputs(0.0, math.inf, safety.ACTION_HOLD, False, False, 0.0)
         safety.safety_step(self._limits, self._guard, asked, PERIOD_S)
@@ -148,7 +150,10 @@ class AfmNode(Node):
         return "; ".join(sentences)
 
     def make_safe(self) -> None:
-        """Retract the tip."""
+        """Retract the tip, and say so if the device does not confirm it."""
+        if not self._driver.retract():
+            text = "the retraction of the tip was not confirmed: only the instrument's own watchdog can retract it now"
+            self.event("fault", "error", text)
         self._driver.close()
 
     def _handle_stall(self, now_ns: int) -> None:
@@ -284,6 +289,8 @@ class AfmNode(Node):
         if report is None:
             return
         self._device_lost = report.status == "lost"
+        if self.device_delay is not None and not self._device_lost:
+            self.device_delay.record(report.age_s)
         if report.text != self._device_text:
             self._device_text = report.text
             ready = report.status == "ok"

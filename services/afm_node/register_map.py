@@ -90,6 +90,35 @@ class Watchdog(Settings):
     settings: tuple[Setting, ...] = Field(max_length=16)
 
 
+class Heartbeat(Settings):
+    """A script that runs on the device and retracts when the beat stands still, faster than its own watchdog can.
+
+    Host and script speak through registers: the host writes beat (0: nobody drives), limit_ms, safe_v and the address
+    of the output; the script writes its version to `running` again and again, and counts in `trips` how often it
+    retracted.
+    """
+
+    script: str = Field(pattern=r"^[a-z0-9_]+\.lua$", description="File beside the maps")
+    version: float = Field(ge=1.0, le=1e6, description="What the script writes to `running`")
+    beat: Register
+    limit_ms: Register
+    safe_v: Register
+    output: Register
+    running: Register
+    trips: Register
+    run: Register = Field(description="1 runs the script that was loaded, 0 stops it")
+    source_size: Register
+    source: Register = Field(description="Takes the script in pieces, two bytes a register")
+    save: Register
+    run_at_power_up: Register
+
+    @property
+    def source_bytes(self) -> bytes:
+        """Return the script, of an even number of bytes."""
+        found = (MAPS / self.script).read_bytes()
+        return found + b"\n" * (len(found) % 2)
+
+
 class RegisterMap(Settings):
     """A kind of Modbus instrument."""
 
@@ -109,6 +138,7 @@ class RegisterMap(Settings):
     checks: tuple[Check, ...] = Field((), max_length=16)
     settings: tuple[Setting, ...] = Field((), max_length=32)
     watchdog: Watchdog | None = None
+    heartbeat: Heartbeat | None = None
 
     @model_validator(mode="after")
     def _span_fits(self) -> "RegisterMap":
@@ -118,6 +148,8 @@ class RegisterMap(Settings):
                 f"input and readback are {span} registers apart, function 23 reads {MOST_REGISTERS} at most: "
                 "write_then_read reads them one by one"
             )
+        if self.heartbeat is not None and self.exchange != "feedback":
+            raise ValueError("a heartbeat goes with every request: exchange must be feedback")
         return self
 
     def read_span(self, output: int, channel: int) -> tuple[int, int]:

@@ -28,6 +28,10 @@ class SimulatedAfm:
         return self._safe_position_m
 
     @property
+    def latency_s(self) -> float:
+        return 0.0
+
+    @property
     def report(self) -> None:
         return None
 
@@ -57,9 +61,10 @@ class SimulatedAfm:
         self._tip, sample = measure(self._plant, self._tip, base_m + self._height_m)
         return sample if self._height_m == 0.0 else sample._replace(base_m=base_m)
 
-    def retract(self) -> None:
+    def retract(self) -> bool:
         if self._tip is not None:
             self.exchange(self._safe_position_m)
+        return True
 
     def close(self) -> None:
         self.retract()
@@ -86,6 +91,10 @@ class SimulatedSpring:
         return self._params.safety.retract_position_m
 
     @property
+    def latency_s(self) -> float:
+        return 0.0
+
+    @property
     def report(self) -> None:
         return None
 
@@ -107,8 +116,9 @@ class SimulatedSpring:
         force = spring_force(self._params, base_m)
         return AfmSample(base_m, 0.0, force, 0.0, self._params.rest_distance_m - base_m, True, force != 0.0, False)
 
-    def retract(self) -> None:
+    def retract(self) -> bool:
         """Retract to the safe position at once: there is nothing to move."""
+        return True
 
     def close(self) -> None:
         self._opened = False

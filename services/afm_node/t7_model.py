@@ -4,6 +4,7 @@ Time is passed in, so that a test runs it in virtual time; `t7_server` puts it b
 """
 
 import random
+import re
 import struct
 from collections.abc import Sequence
 from datetime import UTC, datetime
@@ -22,6 +23,9 @@ ILLEGAL_ADDRESS, ILLEGAL_VALUE = 2, 3
 
 _DAC0, _AIN0, _AIN0_RANGE = 1000, 0, 40000
 _WATCHDOG, _WATCHDOG_S, _WATCHDOG_DAC0_ENABLE, _WATCHDOG_DAC0 = 61600, 61604, 61640, 61642
+_USER_RAM = 46000
+_LUA_RUN, _LUA_SIZE, _LUA_SOURCE, _LUA_SAVE, _LUA_RUN_DEFAULT = 6000, 6012, 6014, 6032, 6100
+_SCRIPT_STEP_NS = 5_000_000
 # address, form, value at power-up
 _REGISTERS: tuple[tuple[int, str, float], ...] = (
     (_AIN0, ">f", 0.0),
@@ -43,6 +47,11 @@ _REGISTERS: tuple[tuple[int, str, float], ...] = (
     (61620, ">I", 0),
     (_WATCHDOG_DAC0_ENABLE, ">I", 0),
     (_WATCHDOG_DAC0, ">f", 0.0),
+    *((address, ">f", 0.0) for address in range(_USER_RAM, _USER_RAM + 12, 2)),
+    (_LUA_RUN, ">I", 0),
+    (_LUA_SIZE, ">I", 0),
+    (_LUA_SAVE, ">I", 0),
+    (_LUA_RUN_DEFAULT, ">I", 0),
 )
 _READ_ONLY = (_AIN0, 55000, 55100, 55124, 60000, 60004, 60028)
 
@@ -69,6 +78,7 @@ class T7Model:
         self._word_swapped = word_swapped
         self._heard_ns = 0
         self.trips = 0
+        self.script = HeartbeatScript(self)
         self.flash_writes = 0
         for address, _, value in _REGISTERS:
             self._put(address, value)
@@ -86,7 +96,8 @@ class T7Model:
         return float(struct.unpack(form, struct.pack(f">{len(words)}H", *words))[0])
 
     def pass_time(self, now_ns: int) -> None:
-        """Let the watchdog judge the silence until now [ns]: it sets DAC0 after whole seconds."""
+        """Let script and watchdog judge the silence until now [ns]: the watchdog sets DAC0 after whole seconds."""
+        self.script.pass_time(now_ns)
         limit_ns = self.value(_WATCHDOG_S) * 1e9
         if self.value(_WATCHDOG) == 1.0 and self._heard_ns and now_ns - self._heard_ns > limit_ns:
             self._heard_ns = 0
@@ -108,6 +119,9 @@ class T7Model:
     def write(self, address: int, words: Sequence[int], now_ns: int) -> None:
         """Write one quantity. Raises RegisterError for a register that there is not, or a value that it refuses."""
         self._hear(now_ns)
+        if address == _LUA_SOURCE:
+            self.script.load(struct.pack(f">{len(words)}H", *words))
+            return
         form = self._forms.get(address)
         if form is None or address in _READ_ONLY or struct.calcsize(form) != 2 * len(words):
             raise RegisterError(ILLEGAL_ADDRESS)
@@ -115,11 +129,20 @@ class T7Model:
         if address == _DAC0:
             self._move(value)
             return
+        if address in (_LUA_RUN, _LUA_SIZE, _LUA_SAVE):
+            self.script.control(address, value, now_ns)
         if _WATCHDOG < address <= _WATCHDOG_DAC0 + 1 and self.value(_WATCHDOG) == 1.0:
             # its settings may change only while it is off
             raise RegisterError(ILLEGAL_VALUE)
-        self.flash_writes += address >= _WATCHDOG
-        self._put(address, value)
+        self.flash_writes += address >= _WATCHDOG or address in (_LUA_SAVE, _LUA_RUN_DEFAULT)
+        self.set_value(address, value)
+
+    def set_value(self, address: int, value: float) -> None:
+        """Set a register as the device itself does."""
+        if address == _DAC0:
+            self._move(value)
+        else:
+            self._put(address, value)
 
     def feedback(self, operations: Sequence[Operation], now_ns: int) -> list[int]:
         """Carry out the frames of function 76 in order; return what was read."""
@@ -151,6 +174,73 @@ class T7Model:
         packed = struct.pack(form, value if form == ">f" else round(value))
         for index, word in enumerate(struct.unpack(f">{len(packed) // 2}H", packed)):
             self._words[address + index] = word
+
+
+class HeartbeatScript:
+    """What the heartbeat script of the maps does on the device, at its pace; another script does nothing here.
+
+    Loading is that of a device: a script that is cut, or of another size than was told, does not run.
+    """
+
+    def __init__(self, model: T7Model) -> None:
+        self._model = model
+        self._source = b""
+        self._saved = b""
+        self._stepped_ns: int | None = None
+        self._last = self._silent_ms = 0.0
+        self._tripped = False
+        self._version = 0.0
+
+    @property
+    def runs(self) -> bool:
+        return self._stepped_ns is not None
+
+    @property
+    def saved(self) -> bytes:
+        """Return the script that the device runs when it is switched on."""
+        return self._saved if self._model.value(_LUA_RUN_DEFAULT) == 1.0 else b""
+
+    def load(self, piece: bytes) -> None:
+        self._source += piece
+
+    def control(self, address: int, value: float, now_ns: int) -> None:
+        """Act on one of the registers that load and run a script."""
+        if address == _LUA_SIZE:
+            self._source = b""
+        elif address == _LUA_SAVE:
+            self._saved = self._source
+        elif value == 0.0:
+            self._stepped_ns = None
+        elif not self.runs and len(self._source) == self._model.value(_LUA_SIZE):
+            found = re.search(
+                rb"^-- telenano heartbeat.*?^local VERSION = ([0-9]+)$", self._source, re.DOTALL | re.MULTILINE
+            )
+            if found is not None:
+                self._version = float(found[1])
+                self._last, self._silent_ms, self._tripped = 0.0, 0.0, False
+                self._stepped_ns = now_ns
+
+    def pass_time(self, now_ns: int) -> None:
+        """Do the steps until now [ns]."""
+        while self._stepped_ns is not None and now_ns - self._stepped_ns >= _SCRIPT_STEP_NS:
+            self._stepped_ns += _SCRIPT_STEP_NS
+            self._step()
+
+    def _step(self) -> None:
+        beat, limit_ms, safe_v, output, _, trips = (self._model.value(_USER_RAM + 2 * number) for number in range(6))
+        if beat == 0.0:
+            self._silent_ms, self._tripped = 0.0, False
+        elif beat != self._last:
+            self._silent_ms = 0.0
+        else:
+            self._silent_ms += _SCRIPT_STEP_NS * 1e-6
+        self._last = beat
+        if self._silent_ms > limit_ms and not self._tripped:
+            self._tripped = True
+            self._model.set_value(_USER_RAM + 10, trips + 1.0)
+        if self._tripped:
+            self._model.set_value(round(output), safe_v)
+        self._model.set_value(_USER_RAM + 8, self._version)
 
 
 def calibration_of(

@@ -18,7 +18,8 @@ from pymodbus.simulator import DataType, SimData, SimDevice
 from services.afm_node.modbus_frames import FeedbackAnswer, FeedbackRequest
 from services.afm_node.t7_model import RegisterError, T7Model
 
-_WATCH_S = 0.05
+# the step of a script on the device
+_WATCH_S = 0.005
 
 
 def served_requests(serve: Callable[[ModbusPDU], ModbusPDU]) -> list[type[ModbusPDU]]:

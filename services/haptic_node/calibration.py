@@ -74,6 +74,9 @@ class HandleCalibration(Settings):
     force: ForceCalibration
     drive: DriveCalibration
     servo: ServoCalibration
+    latency_s: float | None = Field(
+        None, ge=0.0, le=1.0, description="Declared latency, as measured on this device [s]; none: that of the protocol"
+    )
     watchdog_s: float = Field(0.02, ge=0.005, le=0.1, description="Silence after which the device is off [s]")
     max_force_n: float = Field(gt=0.0, le=1e5, description="Most force that the device gives its drive [N]")
 

@@ -31,7 +31,7 @@ class Capabilities(NamedTuple):
     modes: tuple[int, ...]
     identity: str = ""
     force_source: Literal["sensor", "estimate", "none"] = "sensor"
-    # from the moment of a sample to the tick that publishes it, in the mean
+    # from a command to the tick that publishes its effect, in the mean, beyond that of the simulated device
     latency_s: float = 0.0
 
 

@@ -18,7 +18,7 @@ from services.runtime.bus import Received
 from services.runtime.deadlines import PeriodicDeadline
 from services.runtime.frames import to_paper_axis, to_site_frame
 from services.runtime.freshness import LOOP_DEADLINE_NS, HandAge, age_s
-from services.runtime.node import Node, NodeContext
+from services.runtime.node import DeviceDelay, Node, NodeContext
 from services.runtime.replay_guard import ReplayGuard
 
 INPUTS = ("haptic/command", "operator/force", "link/delay", "session/control", "node/health")
@@ -52,6 +52,8 @@ class HapticNode(Node):
         self._hand_age = HandAge(context.key, self.clock.now_ns())
         self.device = device
         device.open()
+        if device.report is not None:
+            self.device_delay = DeviceDelay(device.capabilities.latency_s)
         self._limits = config.limits.to_params(
             has_position_mode=safety.MODE_POSITION in device.capabilities.modes,
             has_force_mode=safety.MODE_FORCE in device.capabilities.modes,
@@ -224,6 +226,8 @@ class HapticNode(Node):
         if report is None:
             return
         self._device_status = report.status
+        if self.device_delay is not None and report.status != "lost":
+            self.device_delay.record(report.age_s)
         self._estop_requested |= report.estop_pressed
         if report.text != self._device_text:
             self._device_text = report.text

@@ -4,6 +4,7 @@ A tick writes one COMMAND and takes what has come; the answer to it is there at 
 newest sample is given with its age. After a loss everything comes from the device again: identity, limits, position.
 """
 
+import math
 import time
 from collections.abc import Callable
 from enum import Enum
@@ -115,8 +116,21 @@ class SerialHandle:
             modes=modes_of(self.hello),
             identity=identity_text(self.hello),
             force_source="sensor" if measured else "estimate" if flags & wire.FORCE_IS_ESTIMATED else "none",
-            latency_s=_PERIOD_S + (_COMMAND_BYTES + _STATE_BYTES) * _BITS_A_BYTE / self._baud,
+            latency_s=self._latency_s(calibration),
         )
+
+    def _latency_s(self, calibration: HandleCalibration) -> float:
+        """Return the latency of the calibration, or else that of the protocol [s].
+
+        A command waits for the device's next millisecond, and the sample for the next command, which asks for it: one
+        period together, whatever the phase of the two clocks. The device's servo holds its drive for a period, half of
+        one in the mean, where a simulated one is continuous. The answer is there at the tick after, or after as many as
+        the bytes take.
+        """
+        if calibration.latency_s is not None:
+            return calibration.latency_s
+        on_line_s = (_COMMAND_BYTES + _STATE_BYTES) * _BITS_A_BYTE / self._baud
+        return _PERIOD_S * (1.5 + math.ceil(on_line_s / _PERIOD_S))
 
     @property
     def report(self) -> DeviceReport:

@@ -57,6 +57,26 @@ class NodeContext:
         self.log.write(level, text, kind=kind, **data)
 
 
+class DeviceDelay:
+    """What a real device adds to the round trip: as it is declared, and how old its samples really were."""
+
+    def __init__(self, declared_s: float) -> None:
+        self._declared_s = declared_s
+        self._sum_s, self._count = 0.0, 0
+
+    def record(self, age_s: float) -> None:
+        self._sum_s += age_s
+        self._count += 1
+
+    def report(self) -> dict[str, float]:
+        """Return the part of node/health, and begin a new interval."""
+        found = {"device_latency_s": self._declared_s}
+        if self._count:
+            found["device_age_s"] = self._sum_s / self._count
+        self._sum_s, self._count = 0.0, 0
+        return found
+
+
 class Node(ABC):
     """One process of the rig: a state machine that messages and deadlines drive.
 
@@ -84,6 +104,8 @@ class Node(ABC):
         self.overruns = 0
         # messages that were not acted on because they, or the hand's sample behind them, were past their deadline
         self.stale = 0
+        # of a real device, for node/health
+        self.device_delay: DeviceDelay | None = None
 
     @abstractmethod
     def on_message(self, received: Received) -> None:
@@ -230,6 +252,7 @@ class NodeLoop:
             memory_locked=self._realtime.memory_locked,
             replay=self.node.replay,
             inputs=self._bus.input_health(),
+            **(self.node.device_delay.report() if self.node.device_delay is not None else {}),
         )
         self._last_steps, self._last_cpu_s, self._last_health_ns = self.node.steps, cpu_s, now_ns
         self.health_due_ns = now_ns + HEALTH_PERIOD_NS

@@ -21,6 +21,7 @@ from proto.errors import ConfigError
 from studies.page import Page, text, write_parquet
 from telenano.commands.study_options import (
     BodyDampingOption,
+    DeviceLatencyOption,
     Environment,
     EnvironmentName,
     EnvironmentOption,
@@ -75,6 +76,7 @@ def stability(
     ] = None,
     jitter: JitterOption = "0",
     loss: LossOption = "0",
+    device_latency: DeviceLatencyOption = 0.0,
     seed: SeedOption = 0,
     duration: LengthOption = None,
     hand: HandOption = HandName.FORCE,
@@ -91,7 +93,7 @@ def stability(
         from studies.stability_page import write_stability
 
         given = _Given(law, environment, stiffness, gain, jitter, loss, seed, duration, settings, hand,
-                       mass, body_damping)  # fmt: skip
+                       mass, body_damping, device_latency)  # fmt: skip
         axes = given.axes(delay)
         with _sweep(out, workers, scheduler, shown=not as_json) as sweep:
             results = run_stability(axes, sweep)
@@ -379,6 +381,7 @@ class _Given:
     hand: HandName = HandName.FORCE
     mass_kg: float | None = None
     body_damping_n_s_per_m: float | None = None
+    device_latency_ms: float = 0.0
 
     def axes(self, delay: str) -> "Axes":
         """Validate all options; ConfigError names the option."""
@@ -403,6 +406,7 @@ class _Given:
             values.settings(self.settings or ()),
             self.hand.value,
             self._body(),
+            self.device_latency_ms,
         )
         for line in axes.lines():
             cell = line.cell(max(axes.delays_ms))

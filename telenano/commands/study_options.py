@@ -80,6 +80,16 @@ JitterOption = Annotated[
 LossOption = Annotated[
     str, typer.Option("--loss", metavar="LIST", help="Share of messages lost each way, 0 to 1, or n%.")
 ]
+DeviceLatencyOption = Annotated[
+    float,
+    typer.Option(
+        "--device-latency",
+        metavar="MS",
+        min=0.0,
+        max=1000.0,
+        help="What real devices add to the round trip [ms]: the sum of device_latency_s in node/health.",
+    ),
+]
 SeedOption = Annotated[int, typer.Option("--seed", min=0, help="Seed of the link's random streams.")]
 LengthOption = Annotated[
     float | None,

@@ -35,7 +35,7 @@ class StageLine:
         afm.open()
         self.model = T7Model(afm)
         self.reachable, self.running = True, True
-        self.latency_ms = 0
+        self.latency_ms = 0.0
         # what the device does with a request, and what the network does with the bytes of its answer
         self.respond: Callable[[ModbusPDU], ModbusPDU] = lambda request: respond(self.model, request, self.now_ns)
         self.to_host: Callable[[bytes], bytes] = lambda sent: sent
@@ -74,7 +74,7 @@ class StageLine:
         answer = self.respond(parsed)
         answer.transaction_id, answer.dev_id = parsed.transaction_id, parsed.dev_id
         sent = self.to_host(self._framer.buildFrame(answer))
-        self._waiting.append((self.now_ns + self.latency_ms * MS, sent))
+        self._waiting.append((self.now_ns + round(self.latency_ms * MS), sent))
 
     def receive(self) -> bytes:
         if not self.reachable:

@@ -70,6 +70,23 @@ def test_settings_that_are_in_flash_are_written_only_where_they_differ(line: Sta
     assert line.model.flash_writes == written
 
 
+@pytest.mark.parametrize(("cycle_s", "latency_s"), [(0.4e-3, 1e-3), (1.2e-3, 2.5e-3), (2.6e-3, 4e-3)])
+def test_declared_latency_is_what_the_base_lags_by(cycle_s: float, latency_s: float) -> None:
+    line = StageLine(registers=read_map("t7").model_copy(update={"device_cycle_s": cycle_s}))
+    line.driver.open()
+    line.latency_ms = 1e3 * cycle_s
+    tick(line, -150e-9, 200)
+    speed_m_per_s, lags_s = 100e-9, []
+    for number in range(600):
+        base_m = -150e-9 + speed_m_per_s * number * 1e-3
+        lags_s.append((base_m - tick(line, base_m).base_m) / speed_m_per_s)
+    # a step of the output is a millisecond of this ramp: their mean tells a hundredth of it
+    assert sum(lags_s[100:]) / 500 == pytest.approx(latency_s, abs=0.1e-3, rel=0.0)
+    assert line.driver.latency_s == pytest.approx(latency_s, abs=0.0)
+    own = StageLine(calibration(latency_s=7e-3)).driver
+    assert own.latency_s == 7e-3
+
+
 def test_a_tick_never_waits_and_has_one_request_out(line: StageLine) -> None:
     line.latency_ms = 3
     began_ns, sent, exchanges = line.now_ns, line.sent, line.driver.exchanges
@@ -274,7 +291,7 @@ def test_unknown_register_type_and_missing_map_are_named(tmp_path: Any) -> None:
 def test_generic_maps_drive_the_same_instrument(exchange: str, a_cycle: int) -> None:
     whole = read_map("t7").model_dump(by_alias=True)
     spread = {"readback": {"name": "DAC", "address": 2, "type": "float32"}} if exchange == "read_write" else {}
-    line = StageLine(registers=RegisterMap.model_validate({**whole, "exchange": exchange, **spread}))
+    line = StageLine(registers=RegisterMap.model_validate({**whole, "heartbeat": None, "exchange": exchange, **spread}))
     if exchange == "read_write":
         # a coupler with function 23 keeps input and readback side by side
         answer = line.respond

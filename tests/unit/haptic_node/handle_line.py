@@ -31,7 +31,7 @@ class Line:
         self.to_host: Callable[[bytes], bytes] = lambda sent: sent
         self.to_device: Callable[[bytes], bytes] = lambda sent: sent
         # of what the device sent [ms]
-        self.latency_ms = 0
+        self.latency_ms = 0.0
         self.opened = 0
         self.closed = 0
         self._waiting: list[tuple[int, bytes]] = []
@@ -79,4 +79,4 @@ class Line:
     def _collect(self) -> None:
         sent = self.to_host(self.handle.sent())
         if sent and self.plugged:
-            self._waiting.append((self.now_ns + self.latency_ms * MS, sent))
+            self._waiting.append((self.now_ns + round(self.latency_ms * MS), sent))

@@ -16,6 +16,7 @@ from services.haptic_node.config import HapticConfig
 from services.haptic_node.driver import DeviceError, DriveCommand
 from services.haptic_node.node import HapticNode
 from services.haptic_node.safety import MODE_FORCE, MODE_OFF, MODE_POSITION
+from services.haptic_node.sim import SimulatedHaptic
 
 OFF = DriveCommand(MODE_OFF, 0.0, 0.0)
 
@@ -65,6 +66,29 @@ def test_hand_moves_with_the_session_and_its_force_is_measured(line: Line) -> No
     tick(line, towards(0.0), 3)
     reading = tick(line, towards(0.0), 1300, session_s=0.1)
     assert reading.operator_force_n == pytest.approx(1.0, abs=1e-4, rel=0.0)
+
+
+def test_declared_latency_is_what_the_arm_is_behind_a_simulated_one(line: Line) -> None:
+    line.latency_ms = 0.6
+    config = HapticConfig()
+    simulated = SimulatedHaptic(config.to_plant_params(), config.device.start_position_m)
+    simulated.open()
+    tick(line, towards(0.0), 20)
+    speed_m_per_s, lags_s = 0.02, []
+    for number in range(500):
+        command = towards(speed_m_per_s * number * 1e-3)
+        simulated.write(command)
+        same = simulated.read(-1.0, 1e-3)
+        # in the order of the node: the answer to this command is not there yet
+        line.pass_ms(1)
+        line.driver.write(command)
+        lags_s.append((same.position_m - line.driver.read(-1.0, 1e-3).position_m) / speed_m_per_s)
+    # once both servos follow
+    assert sum(lags_s[300:]) / 200 == pytest.approx(2.5e-3, abs=0.05e-3, rel=0.0)
+    assert line.driver.capabilities.latency_s == pytest.approx(2.5e-3)
+    own = Line(calibration(latency_s=5e-3))
+    own.driver.open()
+    assert own.driver.capabilities.latency_s == 5e-3
 
 
 def test_age_is_that_of_the_sample(line: Line) -> None:
@@ -315,10 +339,16 @@ class Rig:
 
 def test_node_publishes_state_and_age_and_recovers_without_a_jump(bench_of: Any) -> None:
     rig = Rig(bench_of("haptic_node@master"))
+    rig.line.latency_ms = 0.6
     rig.tick(20)
     states = rig.bench.take("haptic/state")
     assert {(state.v, state.device, state.mode) for state in states[1:]} == {(2, "ok", "position")}
     assert all(0.0 <= state.sample_age_s < 3e-3 for state in states[1:])
+    delay = rig.node.device_delay.report()
+    assert delay["device_latency_s"] == 2.5e-3
+    assert 0.5e-3 < delay["device_age_s"] < 2.5e-3
+    # a new interval began
+    assert "device_age_s" not in rig.node.device_delay.report()
     rig.line.plugged = False
     rig.x_m = 8e-3
     rig.tick(40)

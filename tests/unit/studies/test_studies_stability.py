@@ -63,6 +63,19 @@ def test_critical_delays_on_the_spring_are_those_of_theory(results: list[LineRes
         assert result.critical_delay_ms - result.critical_link_ms == pytest.approx(0.5, rel=1e-9, abs=0.0)
 
 
+def test_devices_take_their_latency_from_what_the_link_may_add(results: list[LineResult], tmp_path: Path) -> None:
+    simulated = results[-1]
+    (devices,) = run_stability(axes(stiffnesses_n_per_m=(38.0,), device_latency_ms=3.0), sweep(tmp_path))
+    assert devices.critical_delay_ms == pytest.approx(simulated.critical_delay_ms, rel=2e-3, abs=0.0)
+    for found, before in (
+        (devices.critical_link_ms, simulated.critical_link_ms),
+        (devices.theory_link_ms, simulated.theory_link_ms),
+    ):
+        assert before is not None
+        assert found == pytest.approx(before - 3.0, abs=0.05, rel=0.0)
+    assert devices.theory_ms == simulated.theory_ms
+
+
 def test_paper_in_the_contact_is_steady_at_40_ms_and_cycles_at_60_ms() -> None:
     steady, cycling = (
         run_cell(Cell(law="virtual_impedance", environment="contact", round_trip_ms=ms, stiffness_n_per_m=40.0))
