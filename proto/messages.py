@@ -23,7 +23,7 @@ from pydantic import (
 )
 from pydantic_core import CoreSchema, core_schema
 
-from proto.device import DEVICE, LATENCY_S, MEAN_AGE_S, SAMPLE_AGE_S, DeviceStatus
+from proto import device as real
 from proto.ranges import (
     ANGLE,
     POSITION,
@@ -157,11 +157,11 @@ class _HandSample(Record):
     hand_t_ns: Count = Field(description="t_ns of that haptic/state, on the master's clock [ns]; 0 = none yet")
 
 
-class HapticState(_Extended):
+class HapticState(real.HandCounts, _Extended):
     """The operator's device: what was measured and what was really applied."""
 
-    version: ClassVar[int] = 2
-    additions: ClassVar[Mapping[str, int]] = {"device": 2, "sample_age_s": 2}
+    version: ClassVar[int] = 3
+    additions: ClassVar[Mapping[str, int]] = {"device": 2, "sample_age_s": 2, **dict.fromkeys(real.HAND_COUNTS, 3)}
 
     position_m: PositionVector = Field(
         description="Hand position in the master frame [m]; z = -x_m, 0 where the arm starts"
@@ -184,8 +184,8 @@ class HapticState(_Extended):
     answered_t_ns: Count = Field(description="hand_t_ns of the newest haptic/command [ns]; 0 = none yet")
     answered_at_ns: Count = Field(description="When that command reached this device, on this clock [ns]")
     step_s: DurationS = Field(description="Time that this step of the device covers [s]")
-    device: DeviceStatus | None = DEVICE
-    sample_age_s: DurationS | None = SAMPLE_AGE_S
+    device: real.DeviceStatus | None = real.DEVICE
+    sample_age_s: DurationS | None = real.SAMPLE_AGE_S
 
 
 class OperatorForce(Message):
@@ -238,11 +238,11 @@ class AfmCommand(Message, _HandSample):
     )
 
 
-class AfmState(_Extended, _HandSample):
+class AfmState(real.StageVolts, _Extended, _HandSample):
     """The AFM: what was measured and what was really applied."""
 
-    version: ClassVar[int] = 2
-    additions: ClassVar[Mapping[str, int]] = {"device": 2, "sample_age_s": 2}
+    version: ClassVar[int] = 3
+    additions: ClassVar[Mapping[str, int]] = {"device": 2, "sample_age_s": 2, **dict.fromkeys(real.STAGE_VOLTS, 3)}
 
     command_seq: Count = Field(description="seq of the afm/command in force; meaningful once hand_t_ns > 0")
     base_position_m: PositionVector = Field(description="Base position applied after every limit [m]; z = -x_s")
@@ -255,8 +255,8 @@ class AfmState(_Extended, _HandSample):
     mode: Literal["retracted", "follow", "hold", "retracting", "estop"] = Field(description="What the AFM does")
     limited: bool = Field(description="A travel or speed limit is acting")
     step_s: DurationS = Field(description="Time that this step of the instrument covers [s]")
-    device: DeviceStatus | None = DEVICE
-    sample_age_s: DurationS | None = SAMPLE_AGE_S
+    device: real.DeviceStatus | None = real.DEVICE
+    sample_age_s: DurationS | None = real.SAMPLE_AGE_S
 
 
 class AfmScanline(Message):
@@ -442,7 +442,7 @@ class NodeHealth(_Extended):
     """How a process is doing."""
 
     version: ClassVar[int] = 2
-    additions: ClassVar[Mapping[str, int]] = {"device_latency_s": 2, "device_age_s": 2}
+    additions: ClassVar[Mapping[str, int]] = {"device_latency_s": 2, "device_age_s": 2, "calibration": 2}
 
     pid: Count = Field(description="Process id")
     state: Literal["starting", "ready", "running", "safe", "stopping"] = Field(description="What the node is at")
@@ -465,8 +465,9 @@ class NodeHealth(_Extended):
     inputs: Annotated[tuple[InputHealth, ...], FailFast()] = Field(
         max_length=MAX_ROWS, description="Every input of the node; of many sources, those that sent most"
     )
-    device_latency_s: DurationS | None = LATENCY_S
-    device_age_s: DurationS | None = MEAN_AGE_S
+    device_latency_s: DurationS | None = real.LATENCY_S
+    device_age_s: DurationS | None = real.MEAN_AGE_S
+    calibration: str | None = real.CALIBRATION
 
 
 class JournalInput(Record):
