@@ -242,7 +242,8 @@ void handle_tick(struct handle *handle, const struct handle_sample *sample)
     int64_t moved = (int64_t)sample->position - handle->sample.position;
     uint32_t elapsed_us = sample->time_us - handle->sample.time_us;
     if (handle->has_sample && elapsed_us) {
-        int64_t now = moved * 1000000 / (int64_t)elapsed_us;
+        /* a division of 64 bits takes most of a millisecond on a processor of 8 */
+        int64_t now = moved * (int32_t)(1000000u / elapsed_us);
         /* first-order low pass over four samples, against the steps of the encoder */
         handle->velocity = clamp(handle->velocity + (now - handle->velocity) / 4, -2147483647, 2147483647);
     }
