@@ -71,19 +71,19 @@ def handle_figures(folder: Path, seconds: float, board: str) -> dict[str, Any]:
     process = started(
         ["handle", "--board", board, "--link", str(link), "--calibration", str(calibration)], link.is_symlink
     )
-    driver = SerialHandle(str(link), 1_000_000, read_calibration(calibration), LimitsConfig())
     ages: list[float] = []
-
-    def tick() -> None:
-        driver.write(DriveCommand(MODE_OFF, 0.0, 0.0))
-        driver.read(-1.0, PERIOD_S)
-        ages.append(driver.report.age_s / PERIOD_S)
-
     try:
+        driver = SerialHandle(str(link), 1_000_000, read_calibration(calibration), LimitsConfig())
+
+        def tick() -> None:
+            driver.write(DriveCommand(MODE_OFF, 0.0, 0.0))
+            driver.read(-1.0, PERIOD_S)
+            ages.append(driver.report.age_s / PERIOD_S)
+
         driver.open()
         spent = paced(tick, seconds)
-    finally:
         driver.close()
+    finally:
         process.terminate()
         process.wait()
     bad = sum(driver.reader.errors.values())

@@ -29,7 +29,8 @@ M_PER_COUNT = M_PER_TURN / SENSOR_STEPS
 # where the sensor stands at x = 0
 _ZERO_COUNTS = 512
 FULL_DUTY = 255
-_FULL_V = 12.0
+# of the strong motor of the plant a hundredth, so that a handle of 25 N comes out
+_FULL_V = 0.1
 _SOURCE_V_PER_M = 1.0
 _TICK_S = 1e-3
 _ROOM = 8192
