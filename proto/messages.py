@@ -160,8 +160,8 @@ class _HandSample(Record):
 class HapticState(real.HandCounts, _Extended):
     """The operator's device: what was measured and what was really applied."""
 
-    version: ClassVar[int] = 3
-    additions: ClassVar[Mapping[str, int]] = {"device": 2, "sample_age_s": 2, **dict.fromkeys(real.HAND_COUNTS, 3)}
+    version: ClassVar[int] = 2
+    additions: ClassVar[Mapping[str, int]] = {"device": 2, "sample_age_s": 2, **dict.fromkeys(real.HAND_COUNTS, 2)}
 
     position_m: PositionVector = Field(
         description="Hand position in the master frame [m]; z = -x_m, 0 where the arm starts"
@@ -241,8 +241,8 @@ class AfmCommand(Message, _HandSample):
 class AfmState(real.StageVolts, _Extended, _HandSample):
     """The AFM: what was measured and what was really applied."""
 
-    version: ClassVar[int] = 3
-    additions: ClassVar[Mapping[str, int]] = {"device": 2, "sample_age_s": 2, **dict.fromkeys(real.STAGE_VOLTS, 3)}
+    version: ClassVar[int] = 2
+    additions: ClassVar[Mapping[str, int]] = {"device": 2, "sample_age_s": 2, **dict.fromkeys(real.STAGE_VOLTS, 2)}
 
     command_seq: Count = Field(description="seq of the afm/command in force; meaningful once hand_t_ns > 0")
     base_position_m: PositionVector = Field(description="Base position applied after every limit [m]; z = -x_s")
