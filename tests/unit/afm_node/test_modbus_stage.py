@@ -213,6 +213,7 @@ def test_host_that_swallows_everything_costs_no_tick_and_is_a_sentence() -> None
             assert driver.report.status == "lost"
         # the clock went on by the ticks alone: nothing waited
         assert clock.monotonic_ns() - began_ns == 3000 * MS
+        driver.close()
         for other in others:
             other.close()
 

@@ -68,7 +68,8 @@ def test_compiled_instrument_gives_its_sensitivity_less_what_its_sample_yields()
     _, mover, provisional = rig(afm)
     found = press(mover, provisional, 0.01, 1e-8)
     true = PARAMS.plant.volts_per_m
-    assert 0.85 * true < found.v_per_m < true
+    # a contact of mica is hardly stiffer than the cantilever at so small a force
+    assert 0.4 * true < found.v_per_m < 0.9 * true
 
 
 @pytest.mark.parametrize(
