@@ -16,7 +16,7 @@ COMPILE := $(BIN)/uv pip compile --quiet --generate-hashes --no-emit-index-url -
 # compose v2 where there is one
 COMPOSE ?= $(shell docker compose version >/dev/null 2>&1 && echo docker compose || echo docker-compose)
 
-.PHONY: firmware setup page demo test endurance lint bench reliability lock image-locks images clean
+.PHONY: firmware setup page demo test endurance lint bench reliability schemas site lock image-locks images clean
 
 setup: $(VENV)/.complete
 
@@ -75,6 +75,18 @@ reliability: setup
 	TELENANO_LEDGER=out/faults.jsonl $(BIN)/pytest -m stack tests/stack/test_chaos.py tests/stack/test_stalls.py tests/stack/test_running_rig.py \
 	  tests/stack/test_full_disk.py tests/stack/test_two_sites.py tests/stack/test_compose.py
 	$(BIN)/python tests/stack/ledger.py out/faults.jsonl docs/reliability.md
+
+# what editors complete scenario and site files by, and the page of all keys
+schemas: setup
+	$(BIN)/telenano scenario schema >presets/schemas/scenario.json
+	$(BIN)/telenano scenario schema --site >presets/schemas/site.json
+	$(BIN)/telenano param list --markdown >docs/scenarios.md
+
+# the documents with their reference, in out/site
+site: setup
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[site]'
+	$(BIN)/mkdocs build --strict --quiet
+	@echo "out/site/index.html"
 
 lock: $(BIN)/uv
 	$(COMPILE) pyproject.toml --all-extras -o requirements.lock

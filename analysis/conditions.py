@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from analysis.plugins import recorded_plugins
 from proto.nodes import LINK
 from recording.arrays import columns
 from recording.multi_file import RecordingSource
@@ -22,7 +23,8 @@ def conditions(recording: RecordingSource, scenario: Scenario, start_ns: int, en
     Returns: `law`, those in force one after the other; `parameters` of the law that the scenario names;
     `changed`, what was set while the session ran; `link_round_trip_ms`, median of the delays that the link added there
     and back; `round_trip_ms`, median age, in whole periods, of the sample that the newest answer descends from, as the
-    law has to bridge it (both null where nothing was recorded); profile and seed of the link; versions.
+    law has to bridge it (both null where nothing was recorded); profile and seed of the link; `plugins`, package,
+    version and digest of what other packages brought to it; versions.
     Raises: ConfigError naming a section of the scenario that cannot be read.
     """
     origin = f"{recording.path}: scenario.yaml"
@@ -38,6 +40,7 @@ def conditions(recording: RecordingSource, scenario: Scenario, start_ns: int, en
         "round_trip_ms": round_trip_ms,
         "link_profile": link.profile,
         "link_seed": link.seed,
+        "plugins": recorded_plugins(recording, scenario.model_dump()),
         "version": versions.get("package telenano", "unknown"),
         "commit": versions.get("commit", "unknown"),
     }

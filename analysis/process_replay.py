@@ -15,6 +15,7 @@ import zmq
 from pydantic import BaseModel
 
 from analysis.forwarded import Forwarded, compare_forwarded
+from analysis.plugins import differences, recorded_plugins
 from proto import TOPICS, Message, encode
 from proto.errors import ConfigError, RecordingError, TelenanoError
 from proto.messages import NodeJournal, SessionControl
@@ -54,7 +55,7 @@ class RerunResult(BaseModel):
     recorded outputs that were not compared, because the journal or an input from before the first or after the last
     compared turn is not in the recording. `difference` describes the first difference, and is empty when there is
     none; `topic`, `seq`, `time_s` (since the start of the recording) and `field` are its place. `ended_early` is the
-    reason why the comparison ended before the journal did.
+    reason why the comparison ended before the journal did; `packages` says which of other packages is not as recorded.
     """
 
     node: str
@@ -68,13 +69,15 @@ class RerunResult(BaseModel):
     time_s: float = 0.0
     field: str = ""
     ended_early: str = ""
+    packages: list[str] = []
 
     def verdict(self) -> str:
         """Return the outcome as a sentence."""
         counts = ", ".join(f"{count} {topic}" for topic, count in self.compared.items()) or "nothing"
         outside = f"; {self.left_out} outside of what the journal and the recorded inputs cover" * (self.left_out > 0)
         if self.difference:
-            return f"differs after {counts}: {self.difference}"
+            changed = "".join(f"; {text}" for text in self.packages)
+            return f"differs after {counts}: {self.difference}{changed}"
         if self.ended_early:
             return f"the same as far as it could be compared ({counts}): {self.ended_early}"
         return f"the same in every message: {counts}{outside}" if self.identical else "nothing could be compared"
@@ -106,6 +109,7 @@ def rerun(
     begun = _begin(recorded, batches)
     clock = TurnClock(_start_ns(batches[begun]), batches[begun].epoch_offset_ns)
     bus = ReplayBus(key, clock, recorded, tolerances or Tolerances(), take)
+    packages = _packages(recording, key)
     node = _build(recording, key, clock, bus, settings)
     restore(node, batches[begun].state.data, recorded.payload)
     bus.numbers = dict(batches[begun].outputs)
@@ -131,8 +135,16 @@ def rerun(
         first_seq=bus.first_seq,
         left_out=0 if "difference" in facts else total - sum(compared.values()),
         identical=not facts and bool(compared),
+        packages=packages,
         **facts,
     )
+
+
+def _packages(recording: Recording, key: str) -> list[str]:
+    """Return what is not as recorded of the packages that a node used; ConfigError where one is not installed."""
+    document = yaml.safe_load(recording.attachments.get("scenario.yaml", b"{}"))
+    section = name_of(key)
+    return differences(recorded_plugins(recording, {section: document.get(section, {})}))
 
 
 class Turn(NamedTuple):
@@ -414,7 +426,7 @@ def _build(recording: Recording, key: str, clock: TurnClock, bus: ReplayBus, set
     loaded = LoadedScenario(validate(Scenario, document, origin), origin, document)
     kind = node_kind(name_of(key))
     config = loaded.section(kind.name, kind.config)
-    if getattr(config, "driver", "simulated") != "simulated":
+    if not getattr(config, "simulated", True):
         text = f"node {key} drove a real device ({kind.name}.driver: {config.driver}), which cannot be run again"
         raise ConfigError(f"{text}; its messages are in {recording.path}")
     wiring = _ReplayWiring(

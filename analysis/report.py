@@ -1,7 +1,6 @@
 """Figure and summary of a session, from its recording alone."""
 
 import contextlib
-import io
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -22,7 +21,8 @@ from recording.info import RecordingInfo
 from recording.multi_file import RecordingSource, open_recordings
 from services.runtime.config import validate
 from services.runtime.scenario import Scenario
-from services.viz_node.fig12 import SessionSeries, save_fig12
+from services.viz_node.fig12 import SessionSeries, fig12_files
+from services.viz_node.figure_style import ON_SCREEN, FigureOptions
 
 Series = npt.NDArray[Any]
 
@@ -95,23 +95,25 @@ class Traffic:
         return shares
 
 
-def write_report(path: Path | Sequence[Path], out: Path, missing: Sequence[str] = ()) -> dict[str, Any]:
+def write_report(
+    path: Path | Sequence[Path], out: Path, missing: Sequence[str] = (), options: FigureOptions = ON_SCREEN
+) -> dict[str, Any]:
     """Write `fig12.png` and `summary.json` of a recording, or of the parts of one, to a folder.
 
-    Parameters: missing, sentences on what is known to be missing besides what the recording itself shows.
+    Parameters: missing, sentences on what is known to be missing besides what the recording itself shows; options,
+    formats and style of the figure.
     Returns: the summary. Raises RecordingError naming the file and what it lacks, ReportError with the
     summary when a file cannot be written; none is left half written.
     """
     recording = open_recordings([path] if isinstance(path, Path) else path)
     session = read_session(recording)
     summary = summarise(session, recording.info(), read_traffic(recording, session), missing)
-    figure = io.BytesIO()
     # a node that stood still leaves a gap as well, which is no fault of the recording
     gaps_s = () if summary["recording"]["complete"] else session.gaps_s()
-    save_fig12(session.series(gaps_s), _title(session, summary), figure)
+    figures = fig12_files(session.series(gaps_s), _title(session, summary), options)
     text = json.dumps(summary, indent=2) + "\n"
     try:
-        write_files(out, {"fig12.png": figure.getvalue(), "summary.json": text.encode()})
+        write_files(out, {**figures, "summary.json": text.encode()})
     except OSError as error:
         raise ReportError(f"{error.filename}: cannot be written: {error.strerror}", summary) from error
     return summary
@@ -270,7 +272,8 @@ def _scenario(recording: RecordingSource) -> Scenario:
 
 
 def _title(session: Session, summary: Mapping[str, Any]) -> str:
-    verdict = "stable" if summary["stable"] else "not stable"
+    # what drifts or presses with another force is not stable either, and does not oscillate
+    verdict = summary["verdict"].replace("_", " ")
     ratio = summary["hold_ratio"]
     hold = f", hold ratio {ratio:.3f}" if ratio is not None else ""
     # a figure goes further than the summary: what it does not show has to stand in it

@@ -2,24 +2,35 @@
 
 from pathlib import Path
 
+from presets.plugins import scenario_files
 from proto.errors import ConfigError
 
 _FOLDER = Path(__file__).resolve().parent
 SITE_DIRECTORY = _FOLDER / "sites"
 SCENARIO_DIRECTORY = _FOLDER / "scenarios"
+SCHEMA_DIRECTORY = _FOLDER / "schemas"
 DEFAULT_SITE_FILE = SITE_DIRECTORY / "local.yaml"
 TWO_SITES_FILE = SITE_DIRECTORY / "two_sites.yaml"
 
 
+def scenarios() -> dict[str, Path]:
+    """Return the files of the scenarios that come with the project and with installed packages, by name."""
+    own = {path.stem: path for path in sorted(SCENARIO_DIRECTORY.glob("*.yaml"))}
+    return {**scenario_files(), **own}
+
+
 def known_scenarios() -> list[str]:
-    """Return the names of the scenarios that come with the project."""
-    return sorted(path.stem for path in SCENARIO_DIRECTORY.glob("*.yaml"))
+    """Return the names of the scenarios that come with the project and with installed packages."""
+    return sorted(scenarios())
 
 
 def find_scenario(name: str) -> Path:
     """Return the file of a scenario named or given as a path; ConfigError lists the names known."""
-    if name in known_scenarios():
-        return SCENARIO_DIRECTORY / f"{name}.yaml"
+    own = SCENARIO_DIRECTORY / f"{name}.yaml"
+    if "/" not in name and own.is_file():
+        return own
+    if (installed := scenario_files().get(name)) is not None:
+        return installed
     path = Path(name)
     if path.suffix in (".yaml", ".yml") or path.exists():
         return path

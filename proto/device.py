@@ -1,4 +1,4 @@
-"""What the state of a device says of a real one; a simulated one is sampled in the moment of its message."""
+"""Keys that are there only where they apply: what only a real device has to say, and what not every read-out has."""
 
 from typing import Annotated, Any, Literal
 
@@ -50,3 +50,11 @@ class StageVolts(BaseModel):
 
 
 HAND_COUNTS, STAGE_VOLTS = tuple(HandCounts.model_fields), tuple(StageVolts.model_fields)
+LATERAL_FORCE_N: Any = Field(
+    default=None,
+    description="Force on the tip by the sample along x [N]; absent where it is not measured",
+)
+TORSION_RAD: Any = Field(
+    default=None,
+    description="Torsion of the cantilever that this force makes: over lateral stiffness and height of the tip [rad]",
+)

@@ -18,6 +18,6 @@ class AfmProgram(Message):
         description="finished: all of it was done; ended: before that, see text"
     )
     text: Text = Field(description="One sentence for a person: what it is at, or why it ended")
-    percent: Percent = Field(description="How much of it is done [%]")
+    done_percent: Percent = Field(description="How much of it is done [%]")
     line: Count = Field(description="Lines that are finished, there and back")
     lines: Count = Field(description="Lines in all; 0 where it has none")

@@ -26,6 +26,7 @@ from pydantic_core import CoreSchema, core_schema
 from proto import device as real
 from proto.ranges import (
     ANGLE,
+    FORCE,
     POSITION,
     DurationS,
     Elements,
@@ -148,6 +149,7 @@ class Array(Record):
 
 Lengths = Annotated[Array, Elements(POSITION)]
 Angles = Annotated[Array, Elements(ANGLE)]
+Forces = Annotated[Array, Elements(FORCE)]
 
 
 class _HandSample(Record):
@@ -259,9 +261,11 @@ class AfmState(real.StageVolts, _Extended, _HandSample):
     sample_age_s: DurationS | None = real.SAMPLE_AGE_S
 
 
-class AfmScanline(Message):
+class AfmScanline(_Extended):
     """A finished line of an image."""
 
+    version: ClassVar[int] = 2
+    additions: ClassVar[Mapping[str, int]] = {"lateral_force_n": 2, "torsion_rad": 2}
     line: Count = Field(description="Number of the line, from 0")
     lines: Annotated[int, Field(ge=1, le=2**20)] = Field(description="Lines in the image")
     direction: Literal["trace", "retrace"] = Field(description="Sense of the fast axis")
@@ -270,6 +274,8 @@ class AfmScanline(Message):
     height_m: Lengths = Field(description="Height at equal steps along the line [m]")
     amplitude_m: Lengths | None = Field(description="Amplitude of vibration [m]; nil in contact mode")
     phase_rad: Angles | None = Field(description="Phase of vibration [rad]; nil in contact mode")
+    lateral_force_n: Forces | None = real.LATERAL_FORCE_N
+    torsion_rad: Angles | None = real.TORSION_RAD
 
 
 class LawStatus(Message):

@@ -16,14 +16,14 @@ from dataclasses import dataclass
 from typing import Any, get_args
 
 from services.controller.config import LAWS
-from studies.cells import Cell, CellResult, Environment, Hand
+from studies.cells import DEFAULT_STIFFNESS, Cell, CellResult, Environment, Hand
 from studies.stability import Jitter
 from studies.sweep import Sweep
 from studies.tuning import Settings, tuned
 
 FREE_PRICE = 0.02
 _FREE_N_S_PER_M = 100.0
-_LEVELS_N: dict[str, float] = {"spring": 1.0, "wall": 1.0, "contact": 2.0, "body": 1.0}
+_LEVELS_N: dict[str, float] = {**dict.fromkeys(DEFAULT_STIFFNESS, 1.0), "contact": 2.0}
 # every law, with the force clamp off and on
 CANDIDATES: tuple[tuple[str, bool], ...] = tuple((law, clamp) for law in LAWS for clamp in (False, True))
 
@@ -54,6 +54,12 @@ class Candidate:
     @property
     def name(self) -> str:
         return f"{self.law} with the clamp {'on' if self.clamp else 'off'}"
+
+    def as_flags(self) -> str:
+        """Return the options with which `telenano up` runs this law so."""
+        keys = [("law", self.law), *self.settings]
+        values = ((key, str(value).lower() if isinstance(value, bool) else value) for key, value in keys)
+        return " ".join(f"--set controller.{key}={value}" for key, value in values)
 
     @property
     def failed(self) -> list[CellResult]:

@@ -11,7 +11,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -21,6 +21,7 @@ from analysis.verdict import Circumstances, judge
 from proto.errors import ConfigError
 from services.afm_node.config import AfmConfig, CantileverConfig, SafetyConfig
 from services.afm_node.safety import MODE_FOLLOW, MODE_HOLD, SafetyParams
+from services.afm_node.sample_models import SAMPLES, SampleParams
 from services.afm_node.spring import spring_params
 from services.controller.config import LAWS, ControllerConfig
 from services.haptic_node.config import ARMS, HapticConfig
@@ -30,8 +31,12 @@ from studies.body import body_params
 from studies.link import Schedule, schedule_of, symmetric_link
 from studies.lockstep import Instrument, Rig, Series, Trajectory, build_rig, simulate
 
-Environment = Literal["spring", "wall", "contact", "body"]
-ENVIRONMENTS: tuple[Environment, ...] = ("spring", "wall", "contact", "body")
+ENVIRONMENTS = ("spring", "wall", "contact", "body")
+if TYPE_CHECKING:
+    Environment = str
+else:
+    # with the samples of installed packages
+    Environment = Literal[(*ENVIRONMENTS, *SAMPLES.found)]
 # a hand of constant force, or one of the arms of `services.haptic_node.config.ARMS`
 Hand = Literal["force", "soft", "ordinary", "stiff"]
 # K of the theory's examples; in the contact it is the cantilever's k of Table 2
@@ -40,9 +45,13 @@ DEFAULT_STIFFNESS: dict[str, tuple[float, ...]] = {
     "wall": (10.0, 38.0),
     "contact": (40.0,),
     "body": (20.0,),
+    **{name: (model.stiffness_n_per_m,) for name, model in SAMPLES.found.items()},
 }
 
-_LEVELS_N: dict[str, tuple[float, ...]] = {"spring": (1.0,), "wall": (1.0,), "contact": (1.0, 2.0), "body": (1.0,)}
+_LEVELS_N: dict[str, tuple[float, ...]] = {
+    **dict.fromkeys(DEFAULT_STIFFNESS, (1.0,)),
+    "contact": (1.0, 2.0),
+}
 # wall and body only push, and are met from here [m]
 WALL_DISTANCE_M = 3e-9
 # the cantilever that touches the body, of Table 2 [N/m]
@@ -54,7 +63,7 @@ _RAMP_S = 0.4
 # every time of a cell grows with the round trip, so that a slow loop is given as many of its own periods
 _APPROACH_S, _APPROACH_ROUND_TRIPS = 2.4, 10.0
 # near its onset a limit cycle of the contact takes seconds to reach its size
-_HOLD_S: dict[str, float] = {"spring": 6.0, "wall": 6.0, "contact": 12.0, "body": 6.0}
+_HOLD_S: dict[str, float] = {**dict.fromkeys(DEFAULT_STIFFNESS, 6.0), "contact": 12.0}
 _HOLD_ROUND_TRIPS = 40.0
 _SETTLE_S, _SETTLE_ROUND_TRIPS = 0.3, 4.0
 # the first part of a hold is the answer to the step before it
@@ -150,6 +159,8 @@ class Cell(Settings):
             per_newton_m += 1.0 / (scales.force_scale * CANTILEVER_N_PER_M)
         if self.environment == "contact":
             first_m, per_newton_m = _CONTACT_M, _CONTACT_M_PER_N
+        if self.environment in SAMPLES.found:
+            first_m = getattr(SAMPLES.found[self.environment].config(), "rest_distance_m", 0.0)
         arm_m_per_n = 1.0 / ARMS[self.hand].stiffness_n_per_m
         path = []
         for time, force in points:
@@ -325,6 +336,8 @@ def _instrument(
         return AfmConfig(cantilever=CantileverConfig(stiffness_n_per_m=stiffness_n_per_m)).to_params()
     # The spring also pulls, so it is met at its rest position and not from a retracted base.
     safety = SafetyParams(**SafetyConfig(retract_position_m=0.0).model_dump())
+    if environment in SAMPLES.found:
+        return SampleParams(safety, sample_config(environment, stiffness_n_per_m).to_params())
     if environment == "body":
         try:
             return body_params(
@@ -335,6 +348,13 @@ def _instrument(
     if environment == "wall":
         return spring_params(safety, stiffness_n_per_m, WALL_DISTANCE_M, False)
     return spring_params(safety, stiffness_n_per_m, 0.0, True)
+
+
+def sample_config(environment: str, stiffness_n_per_m: float) -> Any:
+    """Return the settings of the sample of another package, with a stiffness [N/m] where they have one."""
+    config = SAMPLES.found[environment].config
+    given = {"stiffness_n_per_m": stiffness_n_per_m} if "stiffness_n_per_m" in config.model_fields else {}
+    return validate(config, given, "--stiffness", environment)
 
 
 def rig_of(cell: Cell, hand_points: Sequence[tuple[float, float]]) -> Rig:

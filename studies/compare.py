@@ -6,12 +6,13 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from services.viz_node.figure_style import ON_SCREEN, FigureOptions, styled
 from studies.cells import Cell, CellResult, Hand, energies_of, scales_of, trajectory_of
 from studies.figures import hybrid_figure, impedance_figure, merits_figure
 from studies.merits import FIGURES, Merit, Network, Sample, Trial, in_words, run_merits, tables_of
-from studies.page import Page, png_of, text, write_parquet
+from studies.page import Page, text, write_images, write_parquet
 from studies.stability import Axes, Jitter, Line, LineResult, run_stability
-from studies.stability_page import COLOURS, SAMPLE_PERIOD, VERDICTS, broken_assumption
+from studies.stability_page import SAMPLE_PERIOD, VERDICT_WORDS, broken_assumption
 from studies.sweep import Sweep
 from studies.transparency import STIFFEST_N_PER_M, Spectrum, Transparency, measure, spectrum
 from studies.tuning import tuned
@@ -117,21 +118,21 @@ def spectra_of(
     return [spectrum(cell, frequencies_hz) for cell in _cells(axes, delays_ms, for_delay=for_delay)]
 
 
-def write_comparison(result: Comparison, out: Path, command: str) -> dict[str, Any]:
+def write_comparison(result: Comparison, out: Path, command: str, options: FigureOptions = ON_SCREEN) -> dict[str, Any]:
     """Write compare.html, .json, .parquet and the figures into a folder; gives the object of the JSON file."""
     out.mkdir(parents=True, exist_ok=True)
     summary = summarise(result)
-    images = {
-        "courses.png": png_of(_drawn(result, "tip's force, hand's scale [N]", energy=False)),
-        "energies.png": png_of(_drawn(result, "energy held [mJ]", energy=True)),
-        **{
-            name: png_of(merits_figure([m for m in result.merits if (m.sample, _kind(m.network)) == place]))
-            for place, name in _merits_files(result).items()
-        },
-        **spectrum_images(result.spectra),
-    }
-    for name, png in images.items():
-        (out / name).write_bytes(png)
+    with styled(options):
+        figures = {
+            "courses": _drawn(result, "tip force, hand's scale [N]", energy=False),
+            "energies": _drawn(result, "net energy absorbed [mJ]", energy=True),
+            **{
+                Path(name).stem: merits_figure([m for m in result.merits if (m.sample, _kind(m.network)) == place])
+                for place, name in _merits_files(result).items()
+            },
+            **spectrum_figures(result.spectra),
+        }
+        images = write_images(out, figures, options)
     write_parquet(out / "compare.parquet", [cell.as_dict() for cell in (*result.good, *result.bad)])
     write_parquet(out / "merits.parquet", [merit.as_dict() for merit in result.merits])
     write_parquet(out / "spectra.parquet", [row for found in result.spectra for row in found.rows()])
@@ -203,13 +204,13 @@ def z_width_of(found: Spectrum) -> dict[str, float | None]:
     return {"passive_n_per_m": found.passive_n_per_m, "z_width_db": found.z_width_db}
 
 
-def spectrum_images(spectra: Sequence[Spectrum]) -> dict[str, bytes]:
+def spectrum_figures(spectra: Sequence[Spectrum]) -> "dict[str, Figure]":
     """Draw what is measured over frequency: impedances at every delay, a hybrid matrix for each delay."""
-    images = {"impedances.png": png_of(impedance_figure(spectra))}
+    figures = {"impedances": impedance_figure(spectra)}
     for delay in sorted({found.round_trip_ms for found in spectra}):
         some = [found for found in spectra if found.round_trip_ms == delay]
-        images[f"hybrid-{delay:g}ms.png"] = png_of(hybrid_figure(some))
-    return images
+        figures[f"hybrid-{delay:g}ms"] = hybrid_figure(some)
+    return figures
 
 
 def _outcome(cell: CellResult) -> dict[str, Any]:
@@ -231,12 +232,15 @@ def _drawn(result: Comparison, label: str, *, energy: bool) -> "Figure":
     figure = Figure(figsize=(9.0, 2.3 * len(laws)), layout="constrained")
     axes = figure.subplots(len(laws), 1, squeeze=False, sharex=True)[:, 0]
     for axis, law in zip(axes, laws, strict=True):
-        for cells, style, name in ((result.good, "-", "constant delay"), (result.bad, "--", "jitter and loss")):
+        for cells, colour, style, name in (
+            (result.good, "#0072b2", "-", "constant delay"),
+            (result.bad, "#d55e00", "--", "jitter and loss"),
+        ):
             cell = next(c for c in cells if c.cell.law == law and c.cell.round_trip_ms == delay)
             course, scales = trajectory_of(cell.cell), scales_of(cell.cell.controller())
             values = 1e3 * energies_of(course, scales).stored_j if energy else scales.force_scale * course.tip_force_n
             words = f"{name}: {cell.verdict.replace('_', ' ')}"
-            axis.plot(course.time_s, values, style, color=COLOURS[cell.verdict], linewidth=1.0, label=words)
+            axis.plot(course.time_s, values, style, color=colour, linewidth=1.0, label=words)
         axis.axhline(0.0, color="0.4", linewidth=0.8)
         axis.set_title(law.replace("_", " "), loc="left", fontsize="medium")
         axis.legend(fontsize="small")
@@ -282,7 +286,7 @@ def _page(result: Comparison, images: dict[str, bytes], command: str) -> Page:
     page.heading("In the contact, over a good and a bad link")
     page.paragraph(
         f"The bad link loses {100.0 * HARD_LOSS:g} % of the messages each way and varies each delay by up to half of it"
-        f" (seed {result.request.seed}). {VERDICTS}"
+        f" (seed {result.request.seed}). {VERDICT_WORDS}"
     )
     page.table(
         ("law", "link", "round trip [ms]", "verdict", "motion left [N]", "off the surface [%]", "F_m/(alpha_f F_s)",

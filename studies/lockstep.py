@@ -26,6 +26,8 @@ import numpy as np
 import numpy.typing as npt
 
 from services.afm_node import safety as afm_safety
+from services.afm_node import sample_models
+from services.afm_node.sample_models import SampleParams
 from services.afm_node.spring import SpringParams
 from services.afm_node.spring import initial_state as initial_spring_state
 from services.afm_node.step import LONGEST_STEP_NS, AfmInputs, AfmOutputs, AfmParams, command_wait_ns, initial_afm_state
@@ -54,7 +56,7 @@ from studies.dispatch import (
 from studies.link import Schedule
 
 Series = npt.NDArray[np.float64]
-Instrument = AfmParams | SpringParams | BodyParams
+Instrument = AfmParams | SpringParams | BodyParams | SampleParams
 
 _NEVER_NS = 2**62
 COLUMNS = (
@@ -100,6 +102,8 @@ class Rig:
 def _at_rest(instrument: Instrument) -> Any:
     if isinstance(instrument, SpringParams):
         return initial_spring_state(instrument)
+    if isinstance(instrument, SampleParams):
+        return sample_models.initial_state(instrument)
     return initial_body_state(instrument) if isinstance(instrument, BodyParams) else initial_afm_state(instrument)
 
 

@@ -3,12 +3,15 @@
 import base64
 import io
 from collections.abc import Iterable, Mapping, Sequence
+from datetime import UTC, datetime
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from analysis.verdict import KINDS
+from services.recorder.provenance import versions
 from services.runtime.config import flatten
+from services.viz_node.figure_style import ON_SCREEN, VERDICTS, FigureOptions, drawn
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -29,11 +32,12 @@ td { white-space: nowrap; } td.words { white-space: normal; min-width: 14rem; te
 }
 th:first-child, td:first-child { text-align: left; }
 code { background: var(--soft); padding: .1rem .3rem; }
-.stable { background: #009e7355; } .limit_cycle { background: #e69f0055; } .diverged { background: #d55e0055; }
-.drifting { background: #f0e44255; } .wrong_force { background: #cc79a755; } .contact_lost { background: #56b4e955; }
-.released { background: #00000022; } .guarded { background: #0072b255; } .cannot_say { background: #99999955; }
-"""
+footer { margin-top: 3rem; border-top: 1px solid var(--line); font-size: .85rem; color: #888; }
+""" + "\n".join(
+    f".{kind} {{ background: {colour}66; border-left: 4px solid {colour}; }}" for kind, colour in VERDICTS.items()
+)
 _DPI = 140
+_TABLES = (".parquet", ".csv", ".json")
 # characters
 _LONGEST_FIGURE = 32
 
@@ -75,9 +79,19 @@ class Page:
         self._parts.append(f'<p><img src="data:image/png;base64,{data}" alt="{alt}"></p><p>{escape(words)}</p>')
 
     def write(self, path: Path) -> None:
+        """Write the page, with what made it, and links to the tables that lie beside it."""
+        found = versions()
+        words = ", ".join(
+            f"{name} {found[key]}"
+            for name, key in (("telenano", "package telenano"), ("commit", "commit"), ("Python", "python"),
+                              ("NumPy", "package numpy"), ("on", "platform"))
+        )  # fmt: skip
+        made = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
+        tables = sorted(p.name for kind in _TABLES for p in path.parent.glob(f"*{kind}"))
+        links = "".join(f' · <a href="{escape(name, quote=True)}">{escape(name)}</a>' for name in tables)
         title = f"<title>{escape(self._title)}</title>"
         head = f'<meta charset="utf-8"><meta name="viewport" content="width=device-width">{title}'
-        body = "\n".join(self._parts)
+        body = "\n".join([*self._parts, f"<footer><p>Made {made} by {escape(words)}{links}</p></footer>"])
         head += f"<style>{_STYLE}</style>"
         document = f'<!doctype html>\n<html lang="en"><head>{head}</head>\n<body>\n{body}\n</body></html>\n'
         path.write_text(document, encoding="utf-8")
@@ -96,6 +110,14 @@ def png_of(figure: "Figure") -> bytes:
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=_DPI)
     return buffer.getvalue()
+
+
+def write_images(out: Path, figures: "Mapping[str, Figure]", options: FigureOptions = ON_SCREEN) -> dict[str, bytes]:
+    """Write figures into a folder in their formats; return each as PNG, by file name, for a page."""
+    for stem, figure in figures.items():
+        for name, content in drawn(figure, stem, options).items():
+            (out / name).write_bytes(content)
+    return {f"{stem}.png": png_of(figure) for stem, figure in figures.items()}
 
 
 def write_parquet(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:

@@ -1,9 +1,10 @@
 """Figures of the paper made anew, and its equations with the numbers of Table 2, on one page."""
 
+import json
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from services.afm_node.cantilever import volts_per_m
 from services.afm_node.capillary import meniscus_force, meniscus_radius_m
@@ -13,11 +14,13 @@ from services.afm_node.lennard_jones import contact_distance_m, lennard_jones_fo
 from services.afm_node.maugis_dugdale import cohesive_stress_pa, pull_off_force_n, reduced_modulus_pa
 from services.afm_node.sample import SampleConfig
 from services.afm_node.tip_sample import branch_force
+from studies.curve_models import ModelRow, compare_models
 from studies.force_curve import Curve, force_curve, marks_of
+from studies.live_figures import TactilePath, run_scenario, tactile_figure, tactile_path
 from studies.page import Page, png_of, text
 from studies.scan import ScanRequest, ScanResult, scan
 
-FIGURES = ("equations", "fig5", "fig6", "fig8")
+FIGURES = ("equations", "fig5", "fig6", "models", "fig8", "fig10", "fig12")
 Progress = Callable[[str, int, int], None]
 
 
@@ -97,6 +100,15 @@ def reproduce(figures: Sequence[str], out: Path, pixels: int, progress: Progress
             curve = force_curve(config, 20e-9, 20e-9, progress=partial(progress, name))
             page.heading(words)
             summary[name] = _add_curve(page, curve)
+    if "models" in figures:
+        page.heading("The quasi-static cantilever beside Eq. 4 in full")
+        found = compare_models(progress=partial(progress, "models"))
+        columns = (
+            "k [N/m]", "pull-off [nN]", "difference [%]", "snap-in x_s [nm]", "difference [nm]", "hysteresis [aJ]",
+            "difference [%]", "step [nm]",
+        )  # fmt: skip
+        page.table(columns, [_model_cells(row) for row in found])
+        summary["models"] = [row._asdict() for row in found]
     if "fig8" in figures:
         request = ScanRequest(pixels=pixels, lines=pixels)
 
@@ -104,11 +116,55 @@ def reproduce(figures: Sequence[str], out: Path, pixels: int, progress: Progress
             progress("fig8", n, of)
             return True
 
-        found = scan(SampleConfig().build(), request, AfmConfig(), shown)
+        image = scan(SampleConfig().build(), request, AfmConfig(), shown)
         page.heading("Fig. 8, InAs dots on 150 x 150 nm², tapping mode")
-        summary["fig8"] = _add_image(page, found)
+        summary["fig8"] = _add_image(page, image)
+    if "fig10" in figures:
+        progress("fig10", 0, 1)
+        page.heading("Fig. 10, the hand over two InAs dots: x_m solid, the surface at 0.1 cm/nm dashed")
+        summary["fig10"] = _add_tactile(page, tactile_path(run_scenario("fig10", out)))
+        progress("fig10", 1, 1)
+    if "fig12" in figures:
+        progress("fig12", 0, 1)
+        page.heading("Fig. 12, a hand presses the tip onto mica, presses harder, and lets go")
+        folder = run_scenario("fig12", out).parent
+        page.image((folder / "fig12.png").read_bytes(), "Forces, positions, and force against distance.")
+        summary["fig12"] = _add_holds(page, json.loads((folder / "summary.json").read_text(encoding="utf-8")))
+        progress("fig12", 1, 1)
     page.write(out / "reproduce.html")
     return summary
+
+
+def _model_cells(row: ModelRow) -> tuple[float, ...]:
+    return (
+        row.stiffness_n_per_m,
+        row.static_pull_off_n * 1e9,
+        100.0 * row.pull_off_share,
+        row.static_snap_in_m * 1e9,
+        row.snap_in_difference_m * 1e9,
+        row.static_hysteresis_j * 1e18,
+        100.0 * row.hysteresis_share,
+        row.step_m * 1e9,
+    )
+
+
+def _add_tactile(page: Page, path: TactilePath) -> dict[str, object]:
+    numbers: dict[str, object] = {
+        "correlation": path.correlation,
+        "rms_at_the_hand_m": path.rms_m,
+        "greatest_at_the_hand_m": float(path.hand_m.max()),
+        "speed_m_per_s": float(path.way_m[-1] / path.time_s[-1]),
+    }
+    page.image(png_of(tactile_figure(path)), "The upward jumps are the dots, as wide as dot and tip together.")
+    page.table(("quantity", "value"), [(key, text(value)) for key, value in numbers.items()])
+    return numbers
+
+
+def _add_holds(page: Page, summary: dict[str, Any]) -> dict[str, object]:
+    holds = summary.get("holds", [])
+    if holds:
+        page.table(tuple(holds[0]), [tuple(hold.values()) for hold in holds])
+    return {"holds": holds}
 
 
 def _add_curve(page: Page, curve: Curve) -> dict[str, object]:

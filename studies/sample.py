@@ -3,7 +3,7 @@
 import random
 from typing import get_args
 
-from services.controller.config import LAWS
+from services.controller.config import OWN_LAWS
 from studies.cells import Cell, Environment, Hand
 from studies.tuning import Settings, tuned
 
@@ -32,7 +32,7 @@ def drawn_cells(number: int, seed: int) -> list[Cell]:
 
 
 def _drawn(source: random.Random) -> Cell:
-    law, environment = source.choice(tuple(LAWS)), source.choice(_ENVIRONMENTS)
+    law, environment = source.choice(tuple(OWN_LAWS)), source.choice(_ENVIRONMENTS)
     round_trip_ms = source.choice(_ROUND_TRIPS_MS)
     jitter_ms = 0.5 * round_trip_ms * source.choice(_JITTER_SHARES)
     stiffness = source.choice(_STIFFNESSES_N_PER_M)

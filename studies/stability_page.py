@@ -9,8 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from analysis.verdict import KINDS
+from services.viz_node.figure_style import ON_SCREEN, VERDICTS, FigureOptions, styled
 from studies.cells import Cell, CellResult, energies_of, scales_of, trajectory_of
-from studies.page import Page, png_of, write_parquet
+from studies.page import Page, write_images, write_parquet
 from studies.stability import LineResult
 from studies.theory import hybrid_of, llewellyn
 
@@ -18,23 +19,14 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes as PlotAxes
     from matplotlib.figure import Figure
 
-# of Okabe and Ito, which also the colour-blind tell apart
-COLOURS = {
-    "stable": "#009e73",
-    "limit_cycle": "#e69f00",
-    "diverged": "#d55e00",
-    "drifting": "#f0e442",
-    "released": "#000000",
-    "wrong_force": "#cc79a7",
-    "contact_lost": "#56b4e9",
-    "guarded": "#0072b2",
-    "cannot_say": "#999999",
-}
+# of curves: those of the verdicts are for areas, and too light for lines
+_CURVES = (("#0072b2", "-"), ("#d55e00", "--"), ("#000000", ":"))
 # growth rates are drawn on a scale that is linear near zero, where the edge is
 _LINEAR_PER_S = 0.5
+_EDGE_PT, _THEORY_PT = 4.0, 1.4
 _RATES_PER_S = (-10.0, -1.0, 0.0, 1.0, 10.0)
 
-VERDICTS = (
+VERDICT_WORDS = (
     "Stable: the motion of the tip's force dies out while the hand's force stands still, or is smaller than a"
     " twentieth of it, and the tip touches and presses with what the hand presses with, to a tenth. Limit cycle: the"
     " motion neither grows nor dies out (over a link with jitter or loss, a motion that the link's randomness keeps up"
@@ -43,8 +35,8 @@ VERDICTS = (
     " that of the mode that decides."
 )
 SAMPLE_PERIOD = (
-    "The sample period adds its own delay. A constant delay of the link acts in whole samples, and the law holds the "
-    "force over each period Ts while it integrates, which is worth Ts/2 more. So a loop that is neutral with T_d of "
+    "The sample period adds its own delay. A constant delay of the link acts in whole samples, and the zero-order hold "
+    "of the law adds Ts/2 of delay. So a loop that is neutral with T_d of "
     "link delay compares with the continuous theory at T_c = T_d + Ts/2. The column 'lockstep' includes that half "
     "period; 'link' is T_d itself, and theory gives it exactly from the sampled loop."
 )
@@ -55,17 +47,18 @@ TWO_PORTS = (
 )
 
 
-def write_stability(results: Sequence[LineResult], out: Path, command: str) -> dict[str, Any]:
+def write_stability(
+    results: Sequence[LineResult], out: Path, command: str, options: FigureOptions = ON_SCREEN
+) -> dict[str, Any]:
     """Write stability.png, .parquet, .json and .html into a folder and give the summary that the JSON file holds."""
     out.mkdir(parents=True, exist_ok=True)
     summary = summarise(results)
-    figures = {"stability.png": map_figure(results), "growth.png": growth_figure(results)}
-    if (ports := two_port_figure(results)) is not None:
-        figures["two_ports.png"] = ports
-    figures["energy.png"] = energy_figure(results)
-    images = {name: png_of(figure) for name, figure in figures.items()}
-    for name, png in images.items():
-        (out / name).write_bytes(png)
+    with styled(options):
+        figures = {"stability": map_figure(results), "growth": growth_figure(results)}
+        if (ports := two_port_figure(results)) is not None:
+            figures["two_ports"] = ports
+        figures["energy"] = energy_figure(results)
+        images = write_images(out, figures, options)
     write_parquet(out / "stability.parquet", [row.as_dict() for result in results for row in result.cells])
     (out / "stability.json").write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
     _page(results, images, command).write(out / "stability.html")
@@ -125,13 +118,14 @@ def map_figure(results: Sequence[LineResult]) -> "Figure":
     """Draw delay against conditions, a panel a law: the verdict of each cell, the edge found, the edge of theory."""
     from matplotlib.colors import to_rgb
 
+    # one colour a verdict: shades of it would not be told apart
     laws = _by_law(results)
     figure, axes = _panels(len(laws), 1.0 + 0.42 * max(len(rows) for rows in laws.values()))
     for axis, (law, rows) in zip(axes, laws.items(), strict=True):
         delays = np.array([cell.cell.round_trip_ms for cell in rows[0].cells])
         edges = _edges(delays)
         for y, row in enumerate(rows):
-            colours = [[_shade(to_rgb(COLOURS[cell.verdict]), cell) for cell in row.cells]]
+            colours = [[to_rgb(VERDICTS[cell.verdict]) for cell in row.cells]]
             axis.pcolormesh(edges, [y - 0.42, y + 0.42], np.array(colours))
             _mark(axis, y, row)
         axis.set_yticks(range(len(rows)), [row.line.label for row in rows])
@@ -139,9 +133,9 @@ def map_figure(results: Sequence[LineResult]) -> "Figure":
         axis.set_title(law.replace("_", " "), loc="left", fontsize="medium")
     axes[-1].set_xlabel("round trip of the link [ms]")
     shown = {cell.verdict for result in results for cell in result.cells}
-    handles = [_patch(COLOURS[kind], kind.replace("_", " ")) for kind in KINDS if kind in shown]
-    found = axes[0].plot([], [], "k-", linewidth=2, label="edge, lockstep")
-    theory = axes[0].plot([], [], "w--", linewidth=2, label="edge, theory (sampled loop)")
+    handles = [_patch(VERDICTS[kind], kind.replace("_", " ")) for kind in KINDS if kind in shown]
+    found = axes[0].plot([], [], "k-", linewidth=_EDGE_PT, label="edge, lockstep")
+    theory = axes[0].plot([], [], "w--", linewidth=_THEORY_PT, label="edge, theory (sampled loop)")
     figure.legend(
         handles=[*handles, *found, *theory], loc="outside upper center", ncols=5, fontsize="small", facecolor="0.75"
     )
@@ -154,16 +148,11 @@ def _patch(colour: str, label: str) -> Any:
     return Patch(color=colour, label=label)
 
 
-def _shade(colour: tuple[float, float, float], cell: CellResult) -> tuple[float, ...]:
-    """Fade a colour towards the edge: the deeper, the further from neutral."""
-    depth = 1.0 if cell.growth_per_s is None else min(1.0, 0.45 + abs(cell.growth_per_s) / 4.0)
-    return tuple(1.0 - depth * (1.0 - part) for part in colour)
-
-
 def _mark(axis: "PlotAxes", y: int, row: LineResult) -> None:
-    for link_ms, style in ((row.critical_link_ms, "k-"), (row.theory_link_ms, "w--")):
+    # the theory lies on the line that was found, which is wide enough to show beside it
+    for link_ms, style, width in ((row.critical_link_ms, "k-", _EDGE_PT), (row.theory_link_ms, "w--", _THEORY_PT)):
         if link_ms is not None and link_ms <= max(row.line.axes.delays_ms):
-            axis.plot([link_ms, link_ms], [y - 0.42, y + 0.42], style, linewidth=2)
+            axis.plot([link_ms, link_ms], [y - 0.42, y + 0.42], style, linewidth=width)
 
 
 def _edges(delays_ms: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
@@ -218,7 +207,7 @@ def two_port_figure(results: Sequence[LineResult]) -> "Figure | None":
         for delay_ms, values in curves:
             axis.semilogx(omega / (2.0 * np.pi), values, label=f"{delay_ms:g} ms")
         axis.axhline(0.0, color="0.4", linewidth=0.8)
-        axis.set_ylabel("least condition")
+        axis.set_ylabel("Llewellyn stability\nparameter (≥ 0: absolutely stable)")
         axis.set_title(law.replace("_", " "), loc="left", fontsize="medium")
         axis.legend(fontsize="small", title="round trip")
     axes[-1].set_xlabel("frequency [Hz]")
@@ -226,18 +215,18 @@ def two_port_figure(results: Sequence[LineResult]) -> "Figure | None":
 
 
 def energy_figure(results: Sequence[LineResult]) -> "Figure":
-    """Draw the energy that the two-port holds in the last stable cell and the first that is not, a panel a law."""
+    """Draw the net energy absorbed by the two-port, in the last stable cell of a law and the first that is not."""
     # the last line of a law is the one with the stiffest environment, the most gain and the worst link
     shown = [rows[-1] for rows in _by_law(results).values()]
     figure, axes = _panels(len(shown), 2.4)
     for axis, result in zip(axes, shown, strict=True):
-        for cell in boundary_cells(result):
+        for cell, (colour, style) in zip(boundary_cells(result), _CURVES, strict=False):
             course = trajectory_of(cell.cell)
             stored = energies_of(course, scales_of(cell.cell.controller())).stored_j
             label = f"{cell.cell.round_trip_ms:g} ms: {cell.verdict.replace('_', ' ')}"
-            axis.plot(course.time_s, 1e3 * stored, color=COLOURS[cell.verdict], linewidth=1.0, label=label)
+            axis.plot(course.time_s, 1e3 * stored, color=colour, ls=style, linewidth=1.2, label=label)
         axis.axhline(0.0, color="0.4", linewidth=0.8)
-        axis.set_ylabel("energy held [mJ]")
+        axis.set_ylabel("net energy absorbed\nby the teleoperator [mJ]")
         axis.set_title(f"{result.line.law.replace('_', ' ')}, {result.line.label}", loc="left", fontsize="medium")
         axis.legend(fontsize="small")
     axes[-1].set_xlabel("time [s]")
@@ -289,7 +278,7 @@ def _page(results: Sequence[LineResult], images: dict[str, bytes], command: str)
     )
     page.paragraph(SAMPLE_PERIOD)
     page.heading("Map")
-    page.image(images["stability.png"], VERDICTS)
+    page.image(images["stability.png"], VERDICT_WORDS)
     page.image(images["growth.png"], "Growth rates: the edge is where they pass zero.")
     if "two_ports.png" in images:
         page.heading("Two-ports")

@@ -29,7 +29,8 @@ from proto.errors import ConfigError, TelenanoError
 from recording.arrays import columns, last_session
 from recording.reader import Recording
 from services.afm_node.config import AfmConfig
-from studies.cells import WALL_DISTANCE_M, Cell, judged, scales_of, trajectory_of
+from services.afm_node.sample_models import SAMPLES
+from studies.cells import WALL_DISTANCE_M, Cell, judged, sample_config, scales_of, trajectory_of
 from studies.lockstep import Trajectory
 
 Series = npt.NDArray[np.float64]
@@ -111,6 +112,9 @@ def _instrument_section(cell: Cell) -> dict[str, Any]:
         return {"cantilever": {"stiffness_n_per_m": cell.stiffness_n_per_m}}
     if cell.environment == "body":
         raise ConfigError("--environment body: the AFM node cannot simulate a body; give spring, wall or contact")
+    if cell.environment in SAMPLES.found:
+        settings = sample_config(cell.environment, cell.stiffness_n_per_m).model_dump(mode="json")
+        return {"environment": cell.environment, cell.environment: settings, "safety": {"retract_position_m": 0.0}}
     if "environment" not in AfmConfig.model_fields:
         raise ConfigError("--environment spring: the AFM node of this version cannot simulate a spring; give contact")
     one_sided = cell.environment == "wall"

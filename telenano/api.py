@@ -6,6 +6,9 @@
     tip["time_s"], tip["tip_force_n.2"], tip.units["tip_force_n.2"]
     session.df("law/status", "controller@master")     # pandas, where it is installed
 
+    soft = telenano.simulate(law="wave", round_trip_ms=40.0)
+    soft["time_s"], soft["scaled_tip_force_n"], soft.verdict
+
     with telenano.live() as rig:
         print(rig.table("afm/state", duration_s=1.0)["tip_force_n.2"])
 
@@ -15,10 +18,10 @@ Vectors are those of the wire: in the frame of a site, z away from the sample, a
 import importlib
 import os
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -30,6 +33,9 @@ from recording.export import topic_of
 from recording.multi_file import open_recordings
 from recording.quantities import quantity
 from recording.tables import flat, row, uniform
+
+if TYPE_CHECKING:
+    from studies.simulation import SimulatedSession
 
 Column = npt.NDArray[Any]
 _LOOP = "haptic/state"
@@ -91,6 +97,7 @@ class RecordedSession:
     @cached_property
     def summary(self) -> dict[str, Any]:
         """Conditions, figures and verdict, as in `summary.json`; RecordingError when the programme never ran."""
+        _compile_what_follows()
         from analysis.report import read_traffic, summarise
 
         return summarise(self._session, self._source.info(), read_traffic(self._source, self._session))
@@ -105,6 +112,7 @@ class RecordedSession:
 
     @cached_property
     def _session(self) -> Any:
+        _compile_what_follows()
         from analysis.report import read_session
 
         return read_session(self._source)
@@ -167,6 +175,43 @@ def open(path: str | os.PathLike[str], *further: str | os.PathLike[str]) -> Reco
     return RecordedSession(map(Path, (path, *further)))
 
 
+def simulate(
+    scenario: str = "fig12",
+    *,
+    law: str | None = None,
+    round_trip_ms: float | None = None,
+    delay_ms: float | None = None,
+    environment: str | None = None,
+    operator: Mapping[str, Any] | None = None,
+    duration_s: float | None = None,
+    settings: Mapping[str, Any] | None = None,
+) -> "SimulatedSession":
+    """Run a scenario in lockstep, without processes: in the first call the models compile, which takes a minute.
+
+    Parameters: scenario, a known name or a YAML file; law, its name; round_trip_ms, of the link [ms], or delay_ms, one
+    way; environment, what the tip meets; operator, the section `haptic_node.operator`; duration_s [s]; settings, by
+    dotted key of the scenario. What is not given is the scenario's.
+    Raises: ConfigError naming the key at fault, or what is not installed.
+    """
+    try:
+        from studies.simulation import simulate_scenario
+    except RuntimeError as error:
+        raise ConfigError(f"import telenano and studies before the modules of services: {error}") from error
+    except ImportError as error:
+        text = f"a simulation needs the package {error.name}: pip install 'telenano[studies]'"
+        raise ConfigError(text) from error
+    return simulate_scenario(
+        scenario,
+        law=law,
+        round_trip_ms=round_trip_ms,
+        delay_ms=delay_ms,
+        environment=environment,
+        operator=operator,
+        duration_s=duration_s,
+        settings=settings,
+    )
+
+
 @contextmanager
 def live(site_file: str | os.PathLike[str] | None = None) -> Iterator[LiveRig]:
     """Connect to a running rig, by the packaged site file of one machine or one of your own.
@@ -180,6 +225,13 @@ def live(site_file: str | os.PathLike[str] | None = None) -> Iterator[LiveRig]:
     book = load_site(Path(site_file) if site_file is not None else DEFAULT_SITE_FILE)
     with closing(Observer(book)) as observer:
         yield LiveRig(observer)
+
+
+def _compile_what_follows() -> None:
+    """Have the steps of the models compiled that are imported from now on, for a simulation later in this process."""
+    # where numba is missing, or steps were imported already, a simulation says so
+    with suppress(ImportError, RuntimeError):
+        importlib.import_module("studies")
 
 
 def _table(topic: str, rows: list[tuple[int, dict[str, Any]]], start_ns: int | None) -> Table:

@@ -19,14 +19,28 @@ def main() -> None:
         request = read_arguments(arguments)
         if request is not None:
             raise SystemExit(run_estop(request))
-    from telenano.root import app
-
+    try:
+        from telenano.root import app
+    except ModuleNotFoundError as error:
+        raise SystemExit(_without(error)) from error
     app()
+
+
+def _without(error: ModuleNotFoundError) -> int:
+    """Print what an installation without extras lacks for the command line; return the exit code."""
+    if (error.name or "").partition(".")[0] not in ("typer", "rich", "click"):
+        raise error
+    sys.stderr.write(
+        f"telenano: the package {error.name} is not installed: pip install 'telenano[rig]' for everything, or"
+        " 'telenano[launcher]' for the command without studies and exports\n"
+    )
+    return 2
 
 
 def _hurry() -> None:
     """Run ahead of ordinary processes where that is permitted: a busy machine may leave them a tenth of its time."""
     # nothing here lives long enough to be collected
     gc.disable()
-    with contextlib.suppress(PermissionError):
+    # other systems than Linux have no such priorities
+    with contextlib.suppress(PermissionError, AttributeError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_URGENT))

@@ -4,13 +4,16 @@ import contextlib
 import os
 import select
 import sys
-import termios
-import tty
 from typing import Self
 
 from rich.console import Console
 from rich.live import Live
 from rich.text import Text
+
+from services.runtime.optional_modules import optional_module
+
+# Windows has neither: commands are then ended by Ctrl-C alone
+termios, tty = optional_module("termios"), optional_module("tty")
 
 # what a terminal sends for keys that are no character
 _NAMED_KEYS = {b"\x1b[C": "right", b"\x1b[D": "left", b"\x1b[A": "up", b"\x1b[B": "down", b" ": "space"}
@@ -23,7 +26,7 @@ class RawKeyboard:
     """
 
     def __init__(self) -> None:
-        self._input = sys.stdin.fileno() if sys.stdin.isatty() else None
+        self._input = sys.stdin.fileno() if termios is not None and sys.stdin.isatty() else None
         terminal = Console(stderr=True)
         # without a thread of its own: `show` refreshes it
         self._line = Live(console=terminal, auto_refresh=False) if terminal.is_terminal else None

@@ -3,6 +3,7 @@
 import importlib
 import sys
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import typer
@@ -10,6 +11,10 @@ from typer.core import TyperCommand, TyperGroup
 
 # of the command line; typer has no other name for the base of all of them
 _UsageError: Any = typer.BadParameter.__base__
+
+
+# what is missing of these is a fault of the installation, and no extra
+_OWN = ("proto", "presets", "recording", "services", "analysis", "studies", "telenano")
 
 
 class LazyCommand(NamedTuple):
@@ -35,12 +40,18 @@ LAZY_COMMANDS = {
         "telenano.commands.replay", "replay", "Play a recording in the place of nodes that do not run."
     ),
     "report": LazyCommand("telenano.commands.report", "report", "Write figure and summary of a recording again."),
+    "compare": LazyCommand("telenano.commands.compare", "compare", "Draw sessions over one another, with one table."),
     "bag": LazyCommand("telenano.commands.bag", "app", "Inspect a recording, and make others from it."),
     "study": LazyCommand(
         "telenano.commands.study",
         "app",
         "Study each law in lockstep: stability, transparency.",
     ),
+    "scenario": LazyCommand("telenano.commands.scenario", "app", "List, show, check and make scenarios."),
+    "param": LazyCommand("telenano.commands.param", "app", "List the keys of a scenario, and get their values."),
+    "graph": LazyCommand("telenano.commands.graph", "graph", "Draw the nodes, and the topics between them."),
+    "law": LazyCommand("telenano.commands.law", "app", "List, show and check laws, those of packages included."),
+    "new": LazyCommand("telenano.commands.new", "new", "Make a package with a law, device, operator or sample."),
     "sample": LazyCommand(
         "telenano.commands.sample", "sample", "Make or read a surface, and show what a round tip sees of it."
     ),
@@ -57,6 +68,15 @@ LAZY_COMMANDS = {
 }
 
 
+GROUPS = {
+    "Run": ("up", "session", "estop", "replay", "node"),
+    "Look": ("status", "view", "topic", "link", "graph", "bridge"),
+    "Record and report": ("record", "bag", "report", "compare"),
+    "Study": ("study", "law", "curve", "scan", "sample", "reproduce"),
+    "Set up": ("scenario", "param", "new", "device", "keys", "doctor"),
+}
+
+
 def load(name: str) -> Any:
     """Import a command of the table."""
     row = LAZY_COMMANDS[name]
@@ -64,10 +84,35 @@ def load(name: str) -> Any:
     if isinstance(found, typer.Typer):
         command = typer.main.get_command(found)
         command.help = command.help or row.about
-        return command
-    alone = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
+        return _plain(command)
+    alone = typer.Typer(
+        add_completion=False,
+        pretty_exceptions_enable=False,
+        rich_markup_mode=None,
+        context_settings={"help_option_names": ["-h", "--help"]},
+    )
     alone.command(name)(found)
-    return typer.main.get_command(alone)
+    return _plain(typer.main.get_command(alone))
+
+
+def _plain(command: Any) -> Any:
+    """Show arguments and options by their metavars alone: FILE... and not {FILE...}... <list[Path]>."""
+    for parameter in command.params:
+        if getattr(parameter, "param_type_name", "") != "argument":
+            if parameter.metavar is None and getattr(parameter, "min", None) is not None:
+                parameter.metavar = "N"
+            continue
+        name = parameter.display_name_raw.upper() if parameter.metavar is None else parameter.metavar
+        if parameter.nargs != 1 and not name.endswith(("...", "...]")):
+            name += "..."
+        in_usage = f"[{name}]" if not parameter.required and not name.startswith("[") else name
+        # typer has no setting for either
+        parameter._usage_display_name = partial(str, in_usage)
+        parameter._rich_display_name = partial(str, name.replace("[", "").replace("]", ""))
+        parameter.display_type_rich = lambda ctx: None
+    for child in getattr(command, "commands", {}).values():
+        _plain(child)
+    return command
 
 
 class LazyRoot(TyperGroup):
@@ -86,7 +131,7 @@ class LazyRoot(TyperGroup):
         as_json = "--json" in (sys.argv[1:] if args is None else args)
         try:
             code = super().main(args, prog_name, complete_var, False, windows_expand_args, **extra)
-        except (_UsageError, OSError) as error:
+        except (_UsageError, OSError, ModuleNotFoundError) as error:
             if not standalone_mode:
                 raise
             code = _report(error, as_json=as_json)
@@ -96,6 +141,12 @@ class LazyRoot(TyperGroup):
 
     def list_commands(self, ctx: Any) -> list[str]:
         return list(LAZY_COMMANDS)
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write the commands under the headings of GROUPS, each with its whole line."""
+        for heading, names in GROUPS.items():
+            with formatter.section(heading):
+                formatter.write_dl([(name, LAZY_COMMANDS[name].about) for name in names])
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Return what the list of commands needs of one; None if it is unknown."""
@@ -111,9 +162,15 @@ class LazyRoot(TyperGroup):
 
 def _report(error: Any, *, as_json: bool) -> int:
     """Print what no command has reported; return the exit code."""
-    from telenano.exit_codes import EXIT_FAILED
+    from telenano.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED
     from telenano.output import print_error, system_error_text, usage_text
 
+    if isinstance(error, ModuleNotFoundError):
+        package = (error.name or "").partition(".")[0]
+        if not package or package in _OWN:
+            raise error
+        print_error(f"this needs the package {package}: pip install 'telenano[rig]'", as_json=as_json)
+        return EXIT_BAD_CONFIGURATION
     if isinstance(error, OSError):
         print_error(system_error_text(error), as_json=as_json)
         return EXIT_FAILED

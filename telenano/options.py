@@ -7,6 +7,10 @@ from typing import Annotated
 import typer
 
 from presets import site_file_named
+from telenano.completion import topic_names
+
+# as ros2 and docker have it
+HELP_NAMES = {"help_option_names": ["-h", "--help"]}
 
 
 class Site(StrEnum):
@@ -34,6 +38,14 @@ RigFileOption = Annotated[
         help="Address book of the rig (YAML); default: all on this machine, with --site two of them.",
     ),
 ]
+TopicArgument = Annotated[
+    str,
+    typer.Argument(
+        metavar="TOPIC",
+        help="Topic; topic@site is the copy that left the link at that site.",
+        autocompletion=topic_names,
+    ),
+]
 TargetOption = Annotated[
     str, typer.Option("--target", metavar="NODES", help="Nodes meant: node@site, node, or a pattern such as '*'.")
 ]
@@ -55,6 +67,13 @@ TopicsOption = Annotated[
 ExcludeOption = Annotated[
     list[str] | None, typer.Option("--exclude", metavar="PATTERN", help="Not these channels (repeatable).")
 ]
+FormatOption = Annotated[
+    str, typer.Option("--format", metavar="png,pdf,svg", help="Formats of the figures, one or several.")
+]
+StyleOption = Annotated[
+    str,
+    typer.Option("--style", metavar="screen|paper", help="paper: one column of a journal, letters of 8 pt, no title."),
+]
 ListenOption = Annotated[float, typer.Option("--duration", min=0.0, metavar="S", help="How long to listen [s].")]
 
 
@@ -62,6 +81,7 @@ def command_group() -> typer.Typer:
     """Return an empty group of commands; its help text is in the table of `lazy_commands`."""
     return typer.Typer(
         no_args_is_help=True,
+        context_settings=HELP_NAMES,
         add_completion=False,
         pretty_exceptions_enable=False,
         # markup would swallow the units in brackets

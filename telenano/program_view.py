@@ -50,7 +50,7 @@ def follow_program(
 
 def bar_of(report: "AfmProgram") -> str:
     """Return a line of text: how far a program is, and the keys."""
-    full = round(_BAR * report.percent / 100.0)
+    full = round(_BAR * report.done_percent / 100.0)
     count = f" {report.line}/{report.lines}" if report.lines else ""
     keys = "space: pause, q: end" if report.program == "scan" else "q: end"
     state = "paused" if report.state == "paused" else report.text

@@ -11,7 +11,7 @@ app = typer.Typer(
     cls=LazyRoot,
     help="A software rig for remote touch at the nanoscale: hand, delayed network, atomic force microscope.",
     no_args_is_help=True,
-    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
     # markup would swallow the units in brackets
     rich_markup_mode=None,

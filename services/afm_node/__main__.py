@@ -4,10 +4,12 @@ import sys
 from pathlib import Path
 
 from proto.errors import ConfigError
-from services.afm_node.config import AfmConfig, ModbusConfig
+from services.afm_node.config import DRIVERS, AfmConfig, ModbusConfig
+from services.afm_node.disturbed import DisturbedAfm
 from services.afm_node.driver import AfmDriver
 from services.afm_node.node import INPUTS, AfmNode
 from services.afm_node.safety import SafetyParams
+from services.afm_node.sample_models import SAMPLES, SimulatedSample
 from services.afm_node.sim import SimulatedAfm, SimulatedSpring
 from services.runtime.main import NodeKind, ordinary, run_node
 from services.runtime.node import NodeContext
@@ -21,9 +23,18 @@ def build(context: NodeContext, config: AfmConfig) -> AfmNode:
 def _driver(config: AfmConfig) -> AfmDriver:
     if config.driver == "modbus" and config.modbus is not None:
         return modbus_driver(config.modbus, config.to_params().safety)
+    if config.driver in DRIVERS.found:
+        driver = DRIVERS.found[config.driver]
+        device: AfmDriver = driver.build(getattr(config, driver.name) or driver.config(), config.to_params().safety)
+        return device
+    if config.environment in SAMPLES.found:
+        return SimulatedSample(config.to_sample_params())
     if config.environment == "spring":
         return SimulatedSpring(config.to_spring_params())
-    return SimulatedAfm(config.to_params(), config.to_surface())
+    params = config.to_params()
+    afm = SimulatedAfm(params, config.to_surface(), config.to_friction_params())
+    # always there, since a person may switch disturbances on while it runs; while all are off it only hands on
+    return DisturbedAfm(afm, config.disturbances, config.cantilever.stiffness_n_per_m, params.plant.volts_per_m)
 
 
 def modbus_driver(section: ModbusConfig, limits: SafetyParams) -> AfmDriver:

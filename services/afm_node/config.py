@@ -4,23 +4,29 @@ Every default is a value of Table 2 or, where the paper gives none, one that its
 """
 
 from functools import lru_cache
-from typing import TYPE_CHECKING, Annotated, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, create_model, field_validator, model_validator
 
+from presets.plugins import refuse
 from proto.errors import ConfigError
 from proto.topics import deadline_of
 from services.afm_node.cantilever import Plant, build_plant, volts_per_m
 from services.afm_node.capillary import meniscus_radius_m
+from services.afm_node.disturbances import DisturbanceConfig
+from services.afm_node.friction import FrictionParams, adhesion_n
 from services.afm_node.lateral import LateralParams
 from services.afm_node.maugis_dugdale import reduced_modulus_pa
+from services.afm_node.program_config import InstrumentRequest
 from services.afm_node.safety import SafetyParams
 from services.afm_node.sample import SampleConfig
+from services.afm_node.sample_models import SAMPLES, SampleParams
 from services.afm_node.spring import SpringParams, spring_params
 from services.afm_node.step import AfmParams
 from services.afm_node.surface import Surface, dilated
 from services.afm_node.tip_sample import AS_PRINTED, CONSISTENT, TipSampleProperties, build_tip_sample, hamaker_of
 from services.runtime.config import Settings
+from services.runtime.device_drivers import drivers_of
 
 if TYPE_CHECKING:
     from services.afm_node.dynamic import DynamicPlant
@@ -148,6 +154,16 @@ class LateralConfig(Settings):
     speed_m_per_s: float = Field(20e-6, gt=0.0, le=1.0, description="Greatest speed [m/s], up to 1.")
 
 
+class FrictionConfig(Settings):
+    """Friction of the tip on the sample, and what the cantilever does under lateral force; the paper has neither."""
+
+    coefficient: float = Field(0.0, ge=0.0, le=2.0, description="Coefficient mu of Amontons, 0 to 2; 0: no friction.")
+    lateral_stiffness_n_per_m: float = Field(
+        100.0, gt=0.0, le=1e6, description="Lateral stiffness of the cantilever at the tip [N/m], up to 1e6."
+    )
+    tip_height_m: float = Field(10e-6, gt=0.0, le=1e-3, description="Height of the tip [m]: torsion is F / (k h).")
+
+
 class SpringConfig(Settings):
     """A linear environment in place of cantilever and sample: the one of the theory of delay."""
 
@@ -164,15 +180,46 @@ class ModbusConfig(Settings):
     port: int | None = Field(None, ge=1, le=65535, description="In place of the calibration's port")
 
 
-class AfmConfig(Settings):
+_OWN_DRIVERS, _OWN_ENVIRONMENTS = ("simulated", "modbus"), ("tip_sample", "spring")
+_SECTIONS = ("driver", "environment", "cantilever", "mode", "meniscus", "rest_distance_m", "safety", "allow_replay")
+DRIVERS = drivers_of("afm_node", (*_OWN_DRIVERS, *_OWN_ENVIRONMENTS, *_SECTIONS, *SAMPLES.found))
+
+if TYPE_CHECKING:
+    DriverName = str
+    EnvironmentName = str
+
+    class _PackageSections(Settings):
+        """The sections of drivers and samples of other packages."""
+
+else:
+    DriverName = Literal[(*_OWN_DRIVERS, *DRIVERS.found)]
+    EnvironmentName = Literal[(*_OWN_ENVIRONMENTS, *SAMPLES.found)]
+    _PackageSections = create_model(
+        "_PackageSections",
+        __base__=Settings,
+        **{
+            name: (driver.config | None, Field(None, description=f"Settings of driver {name}."))
+            for name, driver in DRIVERS.found.items()
+        },
+        **{
+            name: (sample.config, Field(sample.config(), description=f"The sample, for environment {name}."))
+            for name, sample in SAMPLES.found.items()
+        },
+    )
+
+
+class AfmConfig(_PackageSections):
     """An AFM over a sample: simulated, or a real one."""
 
-    driver: Literal["simulated", "modbus"] = Field(
-        "simulated", description="simulated: everything below; modbus: a real one, of which safety below is the guard."
+    driver: DriverName = Field(
+        "simulated",
+        description="simulated: everything below; modbus: a real one, of which safety below is the guard; or the"
+        " driver of another package.",
     )
     modbus: ModbusConfig | None = Field(None, description="The real instrument, for driver modbus.")
-    environment: Literal["tip_sample", "spring"] = Field(
-        "tip_sample", description="What the tip meets: the sample, or a linear spring on the base."
+    environment: EnvironmentName = Field(
+        "tip_sample",
+        description="What the tip meets: the sample, a linear spring on the base, or a sample of another package.",
     )
     spring: SpringConfig = Field(SpringConfig(), description="The spring, for environment spring.")
     cantilever: CantileverConfig = Field(CantileverConfig(), description="Spring and read-out of the cantilever.")
@@ -185,11 +232,35 @@ class AfmConfig(Settings):
         None, description="What lies under the tip, as `telenano sample` makes it; none: a plane at height 0."
     )
     lateral: LateralConfig = Field(LateralConfig(), description="Limits of the lateral stage.")
+    disturbances: DisturbanceConfig = Field(
+        DisturbanceConfig(), description="What disturbs a simulated instrument; all of it is off."
+    )
+    begin: InstrumentRequest | None = Field(
+        None, description="What begins when the instrument is armed, keys as of `set`; none: it follows commands."
+    )
+    friction: FrictionConfig = Field(FrictionConfig(), description="Friction, and torsion of the cantilever.")
     rest_distance_m: float = Field(
         10e-9, gt=0.0, le=1e-4, description="Tip-sample distance L with the base at 0 and no force [m], up to 1e-4."
     )
     safety: SafetyConfig = Field(SafetyConfig(), description="Limits of base, tip force and command age.")
     allow_replay: bool = Field(False, description="Whether commands that come from a recording are obeyed.")
+
+    @property
+    def simulated(self) -> bool:
+        """Whether the readings of the instrument follow from what it was sent alone."""
+        return self.driver == "simulated" or (self.driver in DRIVERS.found and DRIVERS.found[self.driver].simulated)
+
+    @field_validator("driver", mode="before")
+    @classmethod
+    def _usable_driver(cls, value: Any) -> Any:
+        refuse(DRIVERS, value)
+        return value
+
+    @field_validator("environment", mode="before")
+    @classmethod
+    def _usable_environment(cls, value: Any) -> Any:
+        refuse(SAMPLES, value)
+        return value
 
     def doubts(self) -> str:
         """Return what contradicts itself in the material, though it can be simulated; empty where nothing does."""
@@ -215,6 +286,12 @@ class AfmConfig(Settings):
     def to_lateral_params(self) -> LateralParams:
         return LateralParams(self.lateral.reach_m, self.lateral.speed_m_per_s)
 
+    def to_friction_params(self) -> FrictionParams:
+        f = self.friction
+        # without friction its adhesion has no use, and takes a while to find
+        pull_n = adhesion_n(self.to_params().plant.tip) if f.coefficient > 0.0 else 0.0
+        return FrictionParams(f.coefficient, pull_n, f.lateral_stiffness_n_per_m, f.tip_height_m)
+
     def to_surface(self) -> Surface | None:
         """Return the sample as the sphere of the tip sees it, None for a plane; ConfigError names what is wrong."""
         if self.sample is None:
@@ -235,6 +312,10 @@ class AfmConfig(Settings):
         """Return the parameters of the linear environment behind the same guard."""
         guard, spring = self.to_params().safety, self.spring
         return spring_params(guard, spring.stiffness_n_per_m, spring.rest_position_m, spring.bilateral)
+
+    def to_sample_params(self) -> SampleParams:
+        """Return the parameters of the sample of another package behind the same guard."""
+        return SampleParams(SafetyParams(**self.safety.model_dump()), getattr(self, self.environment).to_params())
 
     def to_dynamic(
         self, drive_hz: float | None = None, steps_per_period: int = 96, temperature_k: float = 0.0

@@ -35,6 +35,10 @@ class LateralStage(Protocol):
     def move_to(self, x_m: float, y_m: float) -> None:
         """Put the tip over a place of the sample [m], 0, 0 its middle. Raises ValueError if that is not finite."""
 
+    @property
+    def lateral_force_n(self) -> tuple[float, float]:
+        """Return the force on the tip by the sample in x and y at the last exchange [N]."""
+
 
 class AfmDriver(Protocol):
     """One AFM: a base that can be moved, a deflection that can be read."""

@@ -7,9 +7,10 @@ from proto.errors import RefusedError
 from proto.messages import AfmCommand, Array, ClockPing, LinkDelay, SessionControl
 from services.afm_node import safety
 from services.afm_node.config import AfmConfig
+from services.afm_node.disturbed import DisturbedAfm
 from services.afm_node.driver import AfmDriver, DeviceReport
 from services.afm_node.lateral import Place, moved
-from services.afm_node.program_config import requested
+from services.afm_node.program_config import changed_disturbances, requested
 from services.afm_node.programs import ProgramRunner
 from services.afm_node.raster import FinishedLine
 from services.afm_node.step import LONGEST_STEP_NS, AfmSample, command_wait_ns
@@ -58,14 +59,18 @@ class AfmNode(Node):
         self._allow_replay = config.allow_replay
         self._hand_age = HandAge(context.key, self.clock.now_ns())
         self._driver = driver
+        self._disturbed = driver if isinstance(driver, DisturbedAfm) else None
         self._limits = config.to_params().safety
         self._guard = safety.initial_safety_state(self._limits)
         self._command: AfmCommand | None = None
         self._command_received_ns = 0
         self._force_n = 0.0
+        self._lateral_n = (0.0, 0.0)
+        self._twist_n = config.friction.lateral_stiffness_n_per_m * config.friction.tip_height_m
         self._place = self._pointer = Place(0.0, 0.0)
         self._lateral = config.to_lateral_params()
         self._programs = _programs(config, driver)
+        self._begin = config.begin
         self._told_ns = 0
         self._reported = (self._guard.mode, self._guard.reason)
         self.state = "safe"
@@ -81,7 +86,7 @@ class AfmNode(Node):
         self._report_device(driver.report)
         self._stepped_ns = self.clock.monotonic_ns()
         self._due_ns = self._stepped_ns + _PERIOD_NS
-        if config.driver == "simulated" and config.environment != "spring" and (doubts := config.doubts()):
+        if config.driver == "simulated" and config.environment == "tip_sample" and (doubts := config.doubts()):
             self.event("fault", "warning", doubts)
 
     def admits(self, received: Received) -> bool:
@@ -125,13 +130,21 @@ class AfmNode(Node):
                 return "armed already"
             if refusal != safety.ARM_NOT_REFUSED:
                 raise RefusedError(f"not armed: {safety.ARM_REFUSAL_NAMES[refusal]}")
+            if self._begin is not None:
+                return self._programs.request(self._begin, self._guard.mode, device_lost=self._device_lost)
             return "armed: the tip follows fresh commands"
         return super().on_control(control)
 
     def _set(self, control: SessionControl) -> str:
         """Begin or change a program, or move the tip over the sample."""
-        request = requested(control.parameters)
+        changes = {key: value for key, value in control.parameters.items() if key.startswith("disturbances.")}
+        request = requested({key: value for key, value in control.parameters.items() if key not in changes}, changes)
         sentences = []
+        if changes:
+            if self._disturbed is None:
+                raise RefusedError("disturbances: a real instrument has its own")
+            self._disturbed.configure(changed_disturbances(self._disturbed.config, changes))
+            sentences.append("set " + ", ".join(f"{key} = {value}" for key, value in changes.items()))
         lateral = request.lateral
         if lateral.x_m is not None or lateral.y_m is not None:
             if self._driver.stage is None:
@@ -195,14 +208,23 @@ class AfmNode(Node):
             force_n=self._force_n,
             device_lost=self._device_lost,
         )
-        return self._carry_out(asked, self._pointer, elapsed_s)
+        wanted = self._pointer
+        if command is not None:
+            x, y, _ = command.base_position_m
+            if x or y:
+                wanted = Place(wanted.x_m + x, wanted.y_m + y)
+        return self._carry_out(asked, wanted, elapsed_s)
 
     def _carry_out(self, asked: safety.SafetyInputs, wanted: Place, elapsed_s: float) -> safety.SafetyOutputs:
         """Guard what is asked, apply it, measure, and publish what was done."""
         self._guard, allowed = safety.safety_step(self._limits, self._guard, asked, elapsed_s)
         if wanted is not self._place and allowed.mode == safety.MODE_FOLLOW:
             self._move_laterally(wanted, elapsed_s)
+        if self._disturbed is not None:
+            self._disturbed.elapse(elapsed_s)
         sample = self._driver.exchange(allowed.base_m)
+        if (stage := self._driver.stage) is not None:
+            self._lateral_n = stage.lateral_force_n
         report = self._driver.report
         # a force beyond the range of the input is no number to the guard
         self._force_n = sample.force_n if report is None or report.force_valid else math.nan
@@ -215,7 +237,8 @@ class AfmNode(Node):
     def _step_program(self, elapsed_s: float, *, estop: bool) -> safety.SafetyOutputs:
         """Take a step of the program that runs, and see to its end."""
         programs = self._programs
-        wanted, line = programs.step(self._guard.base_m, self._place, self._force_n, elapsed_s)
+        forces = self._force_n, self._lateral_n[0]
+        wanted, line = programs.step(self._guard.base_m, self._place, *forces, self._pointer, elapsed_s)
         if line is not None:
             self._publish_line(line)
         asked = safety.SafetyInputs(
@@ -230,6 +253,8 @@ class AfmNode(Node):
         )
         allowed = self._carry_out(asked, wanted.place, elapsed_s)
         programs.follow_guard(allowed.mode, allowed.reason)
+        if text := programs.take_notice():
+            self.event("mode", "warning", text)
         is_over = programs.state in ("finished", "ended")
         if is_over or self._stepped_ns - self._told_ns >= _PROGRAM_PERIOD_NS:
             self._told_ns = self._stepped_ns
@@ -249,6 +274,10 @@ class AfmNode(Node):
 
     def _publish_line(self, line: FinishedLine) -> None:
         lines = self._programs.report().lines
+        lateral = {
+            "lateral_force_n": Array.from_numpy(line.lateral_n),
+            "torsion_rad": Array.from_numpy(line.lateral_n / self._twist_n),
+        }
         self.publish(
             "afm/scanline",
             line=line.line,
@@ -259,6 +288,7 @@ class AfmNode(Node):
             height_m=Array.from_numpy(line.height_m),
             amplitude_m=None,
             phase_rad=None,
+            **lateral,
         )
 
     def _publish_state(
@@ -274,7 +304,7 @@ class AfmNode(Node):
             command_seq=0 if command is None else command.seq,
             base_position_m=(*self._place, 0.0 - sample.base_m),
             deflection_m=sample.deflection_m,
-            tip_force_n=(0.0, 0.0, sample.force_n),
+            tip_force_n=(*self._lateral_n, sample.force_n),
             separation_m=sample.distance_m,
             separation_valid=sample.distance_valid,
             in_contact=sample.in_contact,

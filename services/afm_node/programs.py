@@ -3,9 +3,9 @@
 from typing import Literal, NamedTuple
 
 from proto.errors import RefusedError
-from services.afm_node import approach, raster, safety
+from services.afm_node import approach, raster, safety, tactile
 from services.afm_node.lateral import LateralParams, Place
-from services.afm_node.program_config import CurveSettings, InstrumentRequest, ScanSettings
+from services.afm_node.program_config import CurveSettings, InstrumentRequest, ScanSettings, TactileSettings
 from services.afm_node.raster import FinishedLine
 
 ProgramState = Literal["running", "paused", "finished", "ended"]
@@ -30,7 +30,7 @@ class Report(NamedTuple):
     program: str
     state: ProgramState
     text: str
-    percent: float
+    done_percent: float
     line: int
     lines: int
 
@@ -56,17 +56,21 @@ class ProgramRunner:
         self._size_m, self._stiffness, self._period_s = size_m, stiffness_n_per_m, period_s
         self._raster: tuple[raster.RasterPlan, raster.RasterState] | None = None
         self._curve: tuple[approach.CurvePlan, approach.CurveState] | None = None
+        self._tactile: tuple[tactile.TactilePlan, tactile.TactileState] | None = None
         self._aborted = ""
+        self._was_limited, self._notice = False, ""
 
     def request(self, request: InstrumentRequest, mode: int, *, device_lost: bool) -> str:
         """Begin a program, or change the one that runs; return a sentence. RefusedError says why not."""
-        if request.program in ("scan", "curve"):
+        if request.program in ("scan", "curve", "tactile"):
             if self.name:
                 raise RefusedError(f"program: a {self.name} is running; abort it first")
             if reason := "the instrument is lost" if device_lost else _NOT_READY.get(mode, ""):
                 raise RefusedError(f"program: {reason}")
             if request.program == "scan":
                 return self._begin_scan(request.scan)
+            if request.program == "tactile":
+                return self._begin_tactile(request.tactile)
             return self._begin_curve(request.curve)
         if not self.name:
             raise RefusedError(f"program: there is none to {request.program}")
@@ -112,21 +116,73 @@ class ProgramRunner:
         self._curve = (plan, approach.CurveState(approach.RISE, 0.0))
         return f"a force curve to {s.load_n:g} N begins"
 
+    def _begin_tactile(self, settings: TactileSettings) -> str:
+        if self._lateral is None:
+            raise RefusedError("program: tactile needs a lateral stage, which this instrument has none of")
+        s = settings
+        start = Place(s.x0_m, s.y0_m)
+        end_x = s.x0_m + 0.5 * self._size_m[0] if s.x1_m is None else s.x1_m
+        end = Place(end_x, s.y0_m if s.y1_m is None else s.y1_m)
+        reach_m, fastest = self._lateral
+        furthest = max(abs(value) for value in (*start, *end))
+        if furthest > reach_m:
+            raise RefusedError(f"tactile: the line reaches {furthest:.3g} m, and lateral.reach_m is {reach_m:g} m")
+        if not s.setpoint_n < self._limits.force_limit_n:
+            limit_n = self._limits.force_limit_n
+            raise RefusedError(f"tactile.setpoint_n must be below safety.force_limit_n = {limit_n:g} N")
+        felt = tactile.felt_speed_m_per_s(s.feature_m, s.bandwidth_hz)
+        speed = min(s.speed_m_per_s, felt, fastest)
+        self._start("tactile")
+        plan = tactile.TactilePlan(
+            start, end, s.drive == "pointer", speed, s.setpoint_n, s.hold == "force", s.gain_per_s, s.approach_m_per_s,
+            self._stiffness, self._limits.retract_position_m,
+        )  # fmt: skip
+        self._tactile = (plan, tactile.TactileState(tactile.RISE, False))
+        clipped = ""
+        if speed < s.speed_m_per_s:
+            clipped = f"; its speed is limited from {s.speed_m_per_s:g} to {speed:g} m/s"
+            clipped += f": features of {s.feature_m:g} m at {s.bandwidth_hz:g} Hz (Eq. 14)" if speed == felt else ""
+            self._notice = clipped.removeprefix("; ")
+        return f"the tip touches the sample and goes along {'a pointer' if plan.by_pointer else 'a line'}{clipped}"
+
+    def take_notice(self) -> str:
+        """Return, once for each time that it happens, that a speed is limited to what can be felt."""
+        if self._notice:
+            notice, self._notice = self._notice, ""
+            return notice
+        is_limited = self._tactile is not None and self._tactile[1].is_limited
+        was_limited, self._was_limited = self._was_limited, is_limited
+        if not is_limited or was_limited or self._tactile is None:
+            return ""
+        speed = self._tactile[0].speed_m_per_s
+        return f"the pointer is ahead of the tip, which goes at {speed:g} m/s: no faster motion is felt (Eq. 14)"
+
     def _start(self, name: str) -> None:
         self.name, self.state, self._aborted = name, "running", ""
-        self._raster = self._curve = None
+        self._raster = self._curve = self._tactile = None
+        self._was_limited, self._notice = False, ""
 
-    def step(self, base_m: float, place: Place, force_n: float, dt: float) -> tuple[Wanted, FinishedLine | None]:
-        """Take what was measured at the last step; return what is wanted for the next dt [s], and a finished line."""
+    def step(
+        self, base_m: float, place: Place, force_n: float, lateral_n: float, pointer: Place, dt: float
+    ) -> tuple[Wanted, FinishedLine | None]:
+        """Take what was measured at the last step; return what is wanted for the next dt [s], and a finished line.
+
+        Parameters: base_m, place; force_n along z and lateral_n along x, on the tip [N]; pointer, where a
+        person wants the tip.
+        """
         if self._aborted:
             return Wanted(safety.ACTION_RETRACT, base_m, place), None
         line: FinishedLine | None = None
         if self._raster is not None:
             plan, state = self._raster
             state, reference_m, target, line = raster.raster_step(
-                plan, state, base_m, place, force_n, dt, paused=self.state == "paused"
+                plan, state, base_m, place, force_n, lateral_n, dt, paused=self.state == "paused"
             )
             self._raster, done = (plan, state), state.phase == raster.DONE
+        elif self._tactile is not None:
+            path, felt = self._tactile
+            felt, reference_m, target = tactile.tactile_step(path, felt, base_m, place, force_n, pointer, dt)
+            self._tactile, done = (path, felt), felt.phase == tactile.DONE
         else:
             assert self._curve is not None
             curve, way = self._curve
@@ -154,9 +210,13 @@ class ProgramRunner:
 
     def end(self) -> None:
         """Let go of a program that is over."""
-        self.name, self._raster, self._curve = "", None, None
+        self.name, self._raster, self._curve, self._tactile = "", None, None, None
 
     def _progress(self) -> tuple[str, float, int, int]:
+        if self._tactile is not None:
+            felt_phase = self._tactile[1].phase
+            steps = ("the tip rises", "the stage moves to the first point", "approach", "the surface is felt", "done")
+            return steps[felt_phase], felt_phase / tactile.DONE, 0, 0
         if self._raster is None:
             assert self._curve is not None
             phase = self._curve[1].phase

@@ -43,37 +43,48 @@ class RasterPlan(NamedTuple):
 
 
 class RasterState(NamedTuple):
-    """Phase; line and sense; time in the phase or line [s]; sums and counts of the pixels of this line."""
+    """Phase; line and sense; time in the phase or line [s]; of its pixels sums of height [m] and force [N], counts."""
 
     phase: int
     line: int
     backward: bool
     elapsed_s: float
     height_sum: Array
+    lateral_sum: Array
     counts: Array
 
 
 class FinishedLine(NamedTuple):
-    """A line of an image: its number and sense, its ends at the middles of the outer pixels, heights [m]."""
+    """A line: its number and sense, its ends at the middles of the outer pixels, heights [m], forces in x [N]."""
 
     line: int
     backward: bool
     start: Place
     end: Place
     height_m: Array
+    lateral_n: Array
 
 
 def begun(plan: RasterPlan) -> RasterState:
     """Return the state in which an image begins: the tip rises first."""
-    return RasterState(RISE, 0, False, 0.0, np.zeros(plan.pixels), np.zeros(plan.pixels))
+    return RasterState(RISE, 0, False, 0.0, *_no_samples(plan))
 
 
 def raster_step(
-    plan: RasterPlan, state: RasterState, base_m: float, place: Place, force_n: float, dt: float, *, paused: bool
+    plan: RasterPlan,
+    state: RasterState,
+    base_m: float,
+    place: Place,
+    force_n: float,
+    lateral_n: float,
+    dt: float,
+    *,
+    paused: bool,
 ) -> tuple[RasterState, float, Place, FinishedLine | None]:
     """Take what was measured at the last step, and return where base [m] and stage are to go in the next dt [s].
 
-    Parameters: base_m, place, force_n [N], as measured; paused, the stage stands and the force is held.
+    Parameters: base_m, place, force_n and lateral_n (along x) [N], as measured; paused, the stage stands and the force
+    is held.
     Returns: state, base reference x_s [m], lateral target, and a line where one was finished.
     """
     phase, elapsed = state.phase, state.elapsed_s + dt
@@ -93,7 +104,7 @@ def raster_step(
         return (_in(state, LINES) if elapsed >= plan.settle_s else state._replace(elapsed_s=elapsed)), held, first, None
     if paused:
         return state, held, place, None
-    state, target, finished = _advance(plan, state._replace(elapsed_s=elapsed), base_m, place)
+    state, target, finished = _advance(plan, state._replace(elapsed_s=elapsed), base_m, place, lateral_n)
     return state, held, target, finished
 
 
@@ -114,12 +125,13 @@ def _point(plan: RasterPlan, line: int, share: float) -> Place:
 
 
 def _advance(
-    plan: RasterPlan, state: RasterState, base_m: float, place: Place
+    plan: RasterPlan, state: RasterState, base_m: float, place: Place, lateral_n: float
 ) -> tuple[RasterState, Place, FinishedLine | None]:
     """Count the sample where the tip is, and go on along the line; at its end turn, and after both ways to the next."""
     left = plan.centre.x_m - 0.5 * plan.width_m
     pixel = min(max(int((place.x_m - left) / plan.width_m * plan.pixels), 0), plan.pixels - 1)
     state.height_sum[pixel] -= base_m
+    state.lateral_sum[pixel] += lateral_n
     state.counts[pixel] += 1.0
     share = min(state.elapsed_s / plan.line_s, 1.0)
     end = _point(plan, state.line, 0.0 if state.backward else 1.0)
@@ -131,12 +143,17 @@ def _advance(
         _point(plan, state.line, 0.5 / plan.pixels),
         _point(plan, state.line, 1.0 - 0.5 / plan.pixels),
         _filled(state.height_sum, state.counts),
+        _filled(state.lateral_sum, state.counts),
     )
     line = state.line + int(state.backward)
     phase = DONE if line == plan.lines else LINES
-    after = RasterState(phase, line, not state.backward, 0.0, np.zeros(plan.pixels), np.zeros(plan.pixels))
+    after = RasterState(phase, line, not state.backward, 0.0, *_no_samples(plan))
     target = place if phase == DONE else _point(plan, line, 0.0 if state.backward else 1.0)
     return after, target, finished
+
+
+def _no_samples(plan: RasterPlan) -> tuple[Array, Array, Array]:
+    return np.zeros(plan.pixels), np.zeros(plan.pixels), np.zeros(plan.pixels)
 
 
 def _filled(total: Array, counts: Array) -> Array:

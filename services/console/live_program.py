@@ -32,10 +32,12 @@ class ProgramEndedError(RigError):
 
 @dataclass
 class LiveImage:
-    """The lines of an image so far: heights [m], of shape (lines, pixels), NaN where none came; sides [m]."""
+    """The lines of an image so far: heights [m], lateral forces [N] of shape (lines, pixels), NaN for none; sides."""
 
     trace_m: Array = field(default_factory=lambda: np.empty((0, 0)))
     retrace_m: Array = field(default_factory=lambda: np.empty((0, 0)))
+    trace_n: Array = field(default_factory=lambda: np.empty((0, 0)))
+    retrace_n: Array = field(default_factory=lambda: np.empty((0, 0)))
     width_m: float = 0.0
     depth_m: float = 0.0
     first_y_m: float = 0.0
@@ -44,11 +46,15 @@ class LiveImage:
         """Put a line in its place."""
         heights = np.asarray(line.height_m.to_numpy(), dtype=np.float64)
         if self.trace_m.shape != (line.lines, len(heights)):
-            self.trace_m, self.retrace_m = (np.full((line.lines, len(heights)), np.nan) for _ in range(2))
+            shape = (line.lines, len(heights))
+            self.trace_m, self.retrace_m, self.trace_n, self.retrace_n = (np.full(shape, np.nan) for _ in range(4))
             # the ends are the middles of the outer pixels
             span = line.end_m[0] - line.start_m[0]
             self.width_m = span * len(heights) / max(len(heights) - 1, 1)
-        (self.retrace_m if line.direction == "retrace" else self.trace_m)[line.line] = heights
+        is_back = line.direction == "retrace"
+        (self.retrace_m if is_back else self.trace_m)[line.line] = heights
+        if line.lateral_force_n is not None:
+            (self.retrace_n if is_back else self.trace_n)[line.line] = line.lateral_force_n.to_numpy()
         if line.line == 0:
             self.first_y_m, self.depth_m = line.start_m[1], self.width_m / len(heights)
         else:

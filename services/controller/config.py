@@ -1,30 +1,66 @@
 """Configuration of the controller: which law, and the parameters of each."""
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import Field, create_model, field_validator
 
+from presets.plugins import load, refuse
 from proto.errors import ConfigError, RefusedError
 from proto.messages import Scalar
 from services.controller.clamp import ClampConfig, ClampParams
 from services.controller.deadband import DeadbandConfig
-from services.controller.law import Law
+from services.controller.law import Law, checked_law
 from services.controller.laws.model_mediated import MODEL_MEDIATED, ModelMediatedConfig
 from services.controller.laws.passivity import PASSIVITY, PassivityConfig
 from services.controller.laws.position_force import POSITION_FORCE, PositionForceConfig
 from services.controller.laws.smith import SMITH, SmithConfig
+from services.controller.laws.tactile import TACTILE, TactileConfig
 from services.controller.laws.virtual_impedance import VIRTUAL_IMPEDANCE, VirtualImpedanceConfig
 from services.controller.laws.wave import WAVE, WaveConfig
 from services.runtime.config import Settings, merge, nested, validate
 
-LAWS: dict[str, Law] = {
+OWN_LAWS: dict[str, Law] = {
     law.name: law for law in (VIRTUAL_IMPEDANCE, POSITION_FORCE, WAVE, PASSIVITY, MODEL_MEDIATED, SMITH)
 }
-LawName = Literal["virtual_impedance", "position_force", "wave", "passivity", "model_mediated", "smith"]
+_SECTIONS = ("law", TACTILE.name, "period_s", "switch_limit_s", "deadband", "clamp")
+_KINDS = {type(law.config().to_params(1e-3)): law.name for law in (*OWN_LAWS.values(), TACTILE)}  # type: ignore[attr-defined]
 
 
-class ControllerConfig(Settings):
+def _with_own_parameters(name: str, value: Any) -> Law:
+    law = checked_law(name, value)
+    kind = type(law.config().to_params(1e-3))  # type: ignore[attr-defined]
+    # a study chooses the compiled step by the class of the parameters
+    if _KINDS.setdefault(kind, name) != name:
+        raise TypeError(f"has the same class of parameters, {kind.__name__}, as {_KINDS[kind]}: make one of its own")
+    return law
+
+
+# of installed packages (entry points `telenano.laws`)
+PACKAGE_LAWS = load("laws", _with_own_parameters, (*OWN_LAWS, *_SECTIONS))
+LAWS: dict[str, Law] = {**OWN_LAWS, **PACKAGE_LAWS.found}
+# the hand follows the surface and does not move the tip: no loop, nothing for a study of loops
+KNOWN_LAWS: dict[str, Law] = {**LAWS, TACTILE.name: TACTILE}
+
+if TYPE_CHECKING:
+    LawName = str
+
+    class _LawSections(Settings):
+        """The sections of laws of other packages."""
+
+else:
+    LawName = Literal[tuple(KNOWN_LAWS)]
+    _LawSections = create_model(
+        "_LawSections",
+        __base__=Settings,
+        **{
+            name: (law.config, Field(default=law.config(), description=f"Parameters of the law {name}"))
+            for name, law in PACKAGE_LAWS.found.items()
+        },
+    )
+
+
+class ControllerConfig(_LawSections):
     """Section `controller` of a scenario, read by both halves of the law."""
 
     law: LawName = Field(default="virtual_impedance", description="Law in force")
@@ -48,6 +84,13 @@ class ControllerConfig(Settings):
         default=ModelMediatedConfig(), description="Parameters of the local surface model"
     )
     smith: SmithConfig = Field(default=SmithConfig(), description="Parameters of the Smith predictor")
+    tactile: TactileConfig = Field(default=TactileConfig(), description="Parameters of tactile feedback")
+
+    @field_validator("law", mode="before")
+    @classmethod
+    def _usable_law(cls, value: Any) -> Any:
+        refuse(PACKAGE_LAWS, value)
+        return value
 
     def law_config(self) -> Any:
         """Return the parameters of the law in force; every law's have position_scale, force_scale, silence_limit_s."""
@@ -65,7 +108,7 @@ class ControllerConfig(Settings):
     @property
     def local_loop(self) -> bool:
         """Whether the slave half goes on between signals, on the instrument's clock."""
-        return LAWS[self.law].local_loop or self.clamp_params().enabled
+        return KNOWN_LAWS[self.law].local_loop or self.clamp_params().enabled
 
 
 def changed_config(config: ControllerConfig, parameters: Mapping[str, Scalar]) -> ControllerConfig:

@@ -3,13 +3,14 @@
 from abc import abstractmethod
 from typing import Any, ClassVar
 
+from proto.errors import ConfigError, RefusedError
 from proto.messages import (
     SessionControl,
     TeleopBackward,
     TeleopForward,
 )
 from services.controller import energy
-from services.controller.config import LAWS, ControllerConfig, changed_config
+from services.controller.config import KNOWN_LAWS, PACKAGE_LAWS, ControllerConfig, changed_config
 from services.controller.deadband import deadband, fresh
 from services.controller.input_age import InputAge
 from services.controller.law import (
@@ -26,6 +27,7 @@ from services.runtime.node import Node, NodeContext
 
 STATUS_PERIOD_S = 0.01
 NEVER = (0.0, False)
+CENTRE = (0.0, 0.0)
 
 
 class ControllerHalf(Node):
@@ -48,6 +50,8 @@ class ControllerHalf(Node):
         self.params: Any = config.params()
         self.law_state: Any = None
         self.signal: PortSignal = NO_SIGNAL
+        # x and y, which no law knows: what this half tells of its device [m], and what the other one sent last
+        self.lateral_m = self.far_lateral = CENTRE
         self.switching = False
         self.port = energy.opened(0.0, 0.0)
         self._signal_ns: int | None = None
@@ -59,13 +63,26 @@ class ControllerHalf(Node):
         self._reported_j = 0.0
         self._band = config.deadband.to_params()
         self._band_state = fresh(NO_SIGNAL)
-        for law in LAWS.values():  # a change of law is no time to compile
-            changed = config.model_copy(update={"law": law.name})
+        self._failing: dict[str, str] = {}
+        for law in KNOWN_LAWS.values():  # a change of law is no time to compile
+            self._warm_up(law)
+
+    def _warm_up(self, law: Law) -> None:
+        """Run each step of a law once. Raises ConfigError where the law in force, of another package, fails in it."""
+        changed = self.config.model_copy(update={"law": law.name})
+        try:
             warm_up(law, changed.params(), changed)
+        # whatever the code of somebody else raises; it must not end a session that does without it
+        except Exception as error:
+            if law.name not in PACKAGE_LAWS.found:
+                raise
+            self._failing[law.name] = f"law {law.name}: fails in its first step: {type(error).__name__}: {error}"
+            if law.name == self.config.law:
+                raise ConfigError(self._failing[law.name]) from error
 
     @property
     def law(self) -> Law:
-        return LAWS[self.config.law]
+        return KNOWN_LAWS[self.config.law]
 
     def deadline_ns(self) -> int:
         return self.input_age.deadline_ns()
@@ -96,6 +113,8 @@ class ControllerHalf(Node):
         if control.command != "set":
             return super().on_control(control)
         changed = changed_config(self.config, control.parameters)
+        if changed.law in self._failing:
+            raise RefusedError(self._failing[changed.law])
         params = changed.params()
         switched = changed.law != self.config.law
         if not switched and self.law_state is not None:
@@ -132,7 +151,10 @@ class ControllerHalf(Node):
         # the classes of messages answer `isinstance` in Python, which takes longer than all of this
         if type(message) is TeleopBackward:
             force_n, separation_m = message.force_n[2], message.separation_m
+            self.far_lateral = message.force_n[:2]
             separation_valid, in_contact = message.separation_valid, message.in_contact
+        else:
+            self.far_lateral = message.position_m[:2]
         self.signal = PortSignal(
             position_m=to_paper_axis(message.position_m),
             velocity_m_per_s=to_paper_axis(message.velocity_m_per_s),
@@ -178,7 +200,7 @@ class ControllerHalf(Node):
         return {
             "law": self.law.name,
             "active": signal.active,
-            "position_m": to_site_frame(signal.position_m),
+            "position_m": (*self.lateral_m, 0.0 - signal.position_m),
             "velocity_m_per_s": to_site_frame(signal.velocity_m_per_s),
             "wave_sqrt_w": to_site_frame(signal.wave_sqrt_w) if self.law.uses_waves else None,
             "energy_j": signal.energy_j if self.law.uses_energy else None,

@@ -153,6 +153,23 @@ class Law:
     local_loop: bool = False
 
 
+def checked_law(name: str, value: Any) -> Law:
+    """Return what an installed package calls a law; TypeError or ValueError says what keeps it from being one."""
+    if not isinstance(value, Law):
+        raise TypeError(f"is a {type(value).__name__}, must be a Law")
+    if value.name != name:
+        raise ValueError(f"calls itself {value.name}")
+    missing = [field for field in _SHARED_FIELDS if field not in value.config.model_fields]
+    if missing:
+        raise ValueError(f"its settings lack {', '.join(missing)}")
+    if not hasattr(value.config, "to_params"):
+        raise ValueError("its settings have no to_params(period_s)")
+    return value
+
+
+# what every section of a law has, for those who do not know the law
+_SHARED_FIELDS = ("position_scale", "force_scale", "silence_limit_s")
+
 # the most periods of one step of the slave half: its force is that of the beginning
 MOST_PERIODS_A_STEP = 3
 

@@ -16,7 +16,7 @@ from proto.messages import (
 from services.controller import energy
 from services.controller.clamp import clamped
 from services.controller.config import ControllerConfig
-from services.controller.half import NEVER, ControllerHalf
+from services.controller.half import CENTRE, NEVER, ControllerHalf
 from services.controller.input_age import INSTRUMENT_DEADLINE_S
 from services.controller.law import (
     EnergyAccount,
@@ -130,6 +130,8 @@ class MasterController(ControllerHalf):
             to_paper_axis(message.operator_force_n),
             message.mode != "off" and message.device in _FOLLOWING_DEVICE,
         )
+        x, y, _ = message.position_m
+        self.lateral_m = self._at_the_tip(x, y) if x or y else CENTRE
         if self.law_state is None:
             self.law_state = self.law.master_start(self.params, self.hand)
         if elapsed is None:
@@ -151,6 +153,17 @@ class MasterController(ControllerHalf):
         slave = self._slave_status
         self.report_status(slave.port_energy_j if slave is not None and slave.law == self.law.name else None)
 
+    def _at_the_tip(self, x_m: float, y_m: float) -> tuple[float, float]:
+        """Return where a hand of three axes wants the tip over the sample [m]."""
+        scale = self.config.law_config().position_scale
+        return scale * x_m, scale * y_m
+
+    def _lateral_force(self) -> tuple[float, float]:
+        """Return the lateral force of the sample at the hand's scale [N]."""
+        x, y = self.far_lateral
+        scale = self.config.law_config().force_scale if x or y else 0.0
+        return scale * x, scale * y
+
     def _publish_command(self) -> None:
         self._command_due = False
         self.reference = self._coasting() if self.switching else self._step_law()
@@ -163,7 +176,7 @@ class MasterController(ControllerHalf):
             mode="position" if self.reference.active else "off",
             position_m=to_site_frame(self.reference.position_m),
             velocity_m_per_s=to_site_frame(self.reference.velocity_m_per_s),
-            force_n=(0.0, 0.0, self.reference.force_n),
+            force_n=(*self._lateral_force(), self.reference.force_n),
             hand_seq=self._answered_hand_stamp[0],
             hand_t_ns=self._answered_hand_stamp[1],
         )
@@ -206,6 +219,7 @@ class SlaveController(ControllerHalf):
         self._local = config.local_loop
         self._instrument_ns = 0
         self._instrument_lost = False
+        self._lateral_n = CENTRE
         # until when the instrument images or measures by itself, and obeys no hand
         self._occupied_until_ns = 0
 
@@ -284,7 +298,7 @@ class SlaveController(ControllerHalf):
         command = self.publish(
             "afm/command",
             mode=mode,
-            base_position_m=to_site_frame(self.reference.position_m),
+            base_position_m=(*self.far_lateral, 0.0 - self.reference.position_m),
             hand_seq=self._hand_stamp[0],
             hand_t_ns=self._hand_stamp[1],
         )
@@ -306,6 +320,7 @@ class SlaveController(ControllerHalf):
         self._instrument_lost = True
 
     def _on_instrument(self, message: AfmState) -> None:
+        self.lateral_m, self._lateral_n = message.base_position_m[:2], message.tip_force_n[:2]
         self.tip = TipMeasurement(
             to_paper_axis(message.base_position_m),
             message.tip_force_n[2],
@@ -357,7 +372,7 @@ class SlaveController(ControllerHalf):
         self.publish(
             "teleop/backward",
             **self.signal_fields(signal),
-            force_n=(0.0, 0.0, signal.force_n),
+            force_n=(*self._lateral_n, signal.force_n),
             separation_m=signal.separation_m,
             separation_valid=signal.separation_valid,
             in_contact=signal.in_contact,

@@ -10,12 +10,12 @@ from proto.messages import ClockPong, LinkClock, LinkDirection, LinkFate, Messag
 from proto.nodes import LINK
 from proto.ranges import limited
 from proto.topics import output_name
-from services.delay_node.clock_offset import Exchange, Offset, OffsetFilter
 from services.delay_node.config import LinkSettings, Setting, changed, flattened
 from services.delay_node.declared_delay import ONE_MACHINE, DeclaredDelay, between_sites
 from services.delay_node.engine import DirectionEngine, LinkEngine
 from services.delay_node.fate import Direction, Fate, Release
 from services.runtime.bus import Received
+from services.runtime.clock_offset import Exchange, Offset, OffsetFilter
 from services.runtime.deadlines import PeriodicDeadline
 from services.runtime.ends import publish_end
 from services.runtime.freshness import StallDetector

@@ -3,7 +3,7 @@
 import sys
 from pathlib import Path
 
-from services.haptic_node.config import HapticConfig
+from services.haptic_node.config import DRIVERS, HapticConfig
 from services.haptic_node.driver import HapticDevice
 from services.haptic_node.node import INPUTS, HapticNode
 from services.haptic_node.sim import SimulatedHaptic
@@ -17,6 +17,10 @@ def build(context: NodeContext, config: HapticConfig) -> HapticNode:
 
 
 def _device(config: HapticConfig) -> HapticDevice:
+    if config.driver in DRIVERS.found:
+        driver = DRIVERS.found[config.driver]
+        device: HapticDevice = driver.build(getattr(config, driver.name) or driver.config(), config.limits)
+        return device
     if config.serial is None or config.driver == "simulated":
         return SimulatedHaptic(config.to_plant_params(), config.device.start_position_m)
     from services.haptic_node.calibration import read_calibration

@@ -1,17 +1,22 @@
 """Configuration of the haptic node: device, guard and simulated hand, with the presets of the paper."""
 
 import math
-from typing import Annotated, Literal, NamedTuple
+from functools import reduce
+from operator import or_
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, create_model, field_validator, model_validator
 
+from presets.plugins import refuse
 from proto.topics import deadline_of
 from services.haptic_node import step
 from services.haptic_node.motor import SUBSTEP_S, MotorParams, closed_loop_coefficients
 from services.haptic_node.operator import FORCE_PROFILE, IMPEDANCE, OperatorParams
+from services.haptic_node.operator_models import OPERATOR_MODELS, unusable_config
 from services.haptic_node.safety import SafetyParams
 from services.runtime.config import Settings
+from services.runtime.device_drivers import drivers_of
 
 # E1: the printed gain gives a bandwidth of 1.318 Hz, the printed bandwidth of 30 Hz needs the other gain.
 SERVO_GAINS_V_PER_M: dict[str, float] = {"paper_bandwidth": 1.917e5, "paper_gain": 1.0e4}
@@ -292,7 +297,14 @@ class InteractiveConfig(Settings):
         return OperatorParams(FORCE_PROFILE, np.zeros(1), np.zeros(1), 0.0, 0.0, 0.0, 0.0, 0.0, self.max_force_n)
 
 
-OperatorConfig = Annotated[ForceProfileConfig | ImpedanceConfig | InteractiveConfig, Field(discriminator="kind")]
+if TYPE_CHECKING:
+    OperatorConfig = Annotated[ForceProfileConfig | ImpedanceConfig | InteractiveConfig, Field(discriminator="kind")]
+else:
+    # with those of installed packages
+    _KINDS = (ForceProfileConfig, ImpedanceConfig, InteractiveConfig)
+    _KINDS += tuple(model.config for model in OPERATOR_MODELS.found.values())
+    _KINDS += tuple(unusable_config(name, problem) for name, problem in OPERATOR_MODELS.problems.items())
+    OperatorConfig = Annotated[reduce(or_, _KINDS), Field(discriminator="kind")]
 
 
 class SerialConfig(Settings):
@@ -305,11 +317,34 @@ class SerialConfig(Settings):
     calibration: str = Field(min_length=1, description="Calibration file of this very device (handle.yaml)")
 
 
-class HapticConfig(Settings):
+_OWN_DRIVERS = ("simulated", "serial")
+_SECTIONS = ("driver", "device", "limits", "operator", "allow_replay")
+DRIVERS = drivers_of("haptic_node", (*_OWN_DRIVERS, *_SECTIONS))
+
+if TYPE_CHECKING:
+    DriverName = str
+
+    class _DriverSections(Settings):
+        """The sections of drivers of other packages."""
+
+else:
+    DriverName = Literal[(*_OWN_DRIVERS, *DRIVERS.found)]
+    _DriverSections = create_model(
+        "_DriverSections",
+        __base__=Settings,
+        **{
+            name: (driver.config | None, Field(default=None, description=f"Settings of driver {name}"))
+            for name, driver in DRIVERS.found.items()
+        },
+    )
+
+
+class HapticConfig(_DriverSections):
     """Section `haptic_node` of a scenario."""
 
-    driver: Literal["simulated", "serial"] = Field(
-        default="simulated", description="simulated: device and operator below; serial: a real handle"
+    driver: DriverName = Field(
+        default="simulated",
+        description="simulated: device and operator below; serial: a real handle; or the driver of another package",
     )
     serial: SerialConfig | None = Field(default=None, description="The real handle, for driver serial")
     device: DeviceConfig = Field(default=DeviceConfig(), description="The simulated device")
@@ -318,6 +353,17 @@ class HapticConfig(Settings):
         default=ForceProfileConfig(kind="force_profile"), description="The simulated hand; Fig. 12 if not given"
     )
     allow_replay: bool = Field(default=False, description="Whether commands that come from a recording are obeyed")
+
+    @property
+    def simulated(self) -> bool:
+        """Whether the readings of the device follow from what it was sent alone."""
+        return self.driver == "simulated" or (self.driver in DRIVERS.found and DRIVERS.found[self.driver].simulated)
+
+    @field_validator("driver", mode="before")
+    @classmethod
+    def _usable_driver(cls, value: Any) -> Any:
+        refuse(DRIVERS, value)
+        return value
 
     @model_validator(mode="after")
     def _serial_is_described(self) -> "HapticConfig":
@@ -355,4 +401,4 @@ class HapticConfig(Settings):
 
     def initial_state(self) -> step.HapticStepState:
         """Return the state at start: at rest, off, not latched."""
-        return step.initial_state(self.device.start_position_m)
+        return step.initial_state(self.to_plant_params(), self.device.start_position_m)

@@ -47,7 +47,7 @@ class EmulatedHandle:
         plant = config.to_plant_params()
         self._drive_n = drive_n_per_count(plant.motor)
         self._params = plant._replace(motor=plant.motor._replace(servo_gain_v_per_m=_SOURCE_V_PER_M))
-        self._plant = initial_plant(config.device.start_position_m)
+        self._plant = initial_plant(plant, config.device.start_position_m)
         self._config = config
         self._drive = 0
         self._session_ticks: int | None = None

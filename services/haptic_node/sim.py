@@ -36,7 +36,7 @@ class SimulatedHaptic:
     def __init__(self, params: PlantParams, start_position_m: float) -> None:
         self._params = params
         self._capabilities = capabilities(params)
-        self._state: PlantState = initial_plant(start_position_m)
+        self._state: PlantState = initial_plant(params, start_position_m)
         self._command = _OFF
         self._opened = False
 

@@ -4,10 +4,11 @@
 studies. Both are the same functions, so a study and a rig cannot differ.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from services.haptic_node import motor, operator, safety
 from services.haptic_node.driver import DeviceReading, DriveCommand
+from services.haptic_node.operator_models import operator_at_rest, operator_step
 from services.runtime.compiled import compiled
 
 
@@ -15,14 +16,15 @@ class PlantParams(NamedTuple):
     """Constants of the simulated device and of the hand on it."""
 
     motor: motor.MotorParams
-    operator: operator.OperatorParams
+    # those of one of the models of `operator_models`
+    operator: Any
 
 
 class PlantState(NamedTuple):
     """States of the simulated device and of the hand on it."""
 
     motor: motor.MotorState
-    operator: operator.OperatorState
+    operator: Any
 
 
 class HapticParams(NamedTuple):
@@ -62,16 +64,14 @@ class HapticOutputs(NamedTuple):
     reading: DeviceReading
 
 
-@compiled
-def initial_plant(position_m: float) -> PlantState:
+def initial_plant(params: PlantParams, position_m: float) -> PlantState:
     """Return the device and the hand at rest at position_m [m]."""
-    return PlantState(motor.MotorState(position_m, 0.0), operator.OperatorState(position_m, 0.0))
+    return PlantState(motor.MotorState(position_m, 0.0), operator_at_rest(params.operator, position_m))
 
 
-@compiled
-def initial_state(position_m: float) -> HapticStepState:
+def initial_state(params: PlantParams, position_m: float) -> HapticStepState:
     """Return the chain at rest at position_m [m], off, not latched."""
-    return HapticStepState(safety.SafetyState(False, safety.MODE_OFF, position_m), initial_plant(position_m))
+    return HapticStepState(safety.SafetyState(False, safety.MODE_OFF, position_m), initial_plant(params, position_m))
 
 
 @compiled
@@ -82,7 +82,7 @@ def plant_step(
     inputs = motor.MotorInputs(command.mode, command.position_reference_m)
     motion, drive = motor.step(params.motor, state.motor, inputs, dt)
     ends = operator.OperatorInputs(session_time_s, state.motor.position_m, motion.position_m)
-    hand, felt = operator.step(params.operator, state.operator, ends, dt)
+    hand, felt = operator_step(params.operator, state.operator, ends, dt)
     reading = DeviceReading(
         motion.position_m,
         motion.velocity_m_per_s,

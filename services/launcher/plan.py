@@ -113,7 +113,7 @@ class Plan:
         """Return the files of an earlier session in the folder; a restarted recorder leaves several recordings."""
         # a recorder that runs elsewhere may be writing to this very folder
         recordings = () if self.attach else ("session*.mcap",)
-        patterns = (*recordings, "fig12.png", "summary.json")
+        patterns = (*recordings, "fig12.png", "fig12.pdf", "fig12.svg", "summary.json")
         return sorted(path for pattern in patterns for path in self.out.glob(pattern))
 
     def prepare_folder(self) -> None:

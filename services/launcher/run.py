@@ -23,6 +23,7 @@ from services.runtime.log import configure_logging
 from services.runtime.node import NodeContext
 from services.runtime.participant import StopSignals, open_participant, run_loop
 from services.runtime.realtime import shallow_idle
+from services.viz_node.figure_style import ON_SCREEN, FigureOptions
 
 Observer = Callable[[RigNode], None]
 
@@ -161,7 +162,9 @@ def own_log(path: Path) -> Iterator[IO[str]]:
             log.close()
 
 
-def report_of(outcome: Outcome, plan: Plan, show: Callable[[str], None]) -> dict[str, Any] | None:
+def report_of(
+    outcome: Outcome, plan: Plan, show: Callable[[str], None], options: FigureOptions = ON_SCREEN
+) -> dict[str, Any] | None:
     """Make figure and summary of a session that ran; None where there is nothing to make them from.
 
     Raises: RecordingError when a session that did not fail left a recording that cannot be reported, ReportError with
@@ -173,7 +176,7 @@ def report_of(outcome: Outcome, plan: Plan, show: Callable[[str], None]) -> dict
     names = " ".join(map(str, recordings))
     show(f"making figure and summary from {names}" if plan.attach else "making figure and summary")
     try:
-        return make_report(recordings, plan.out, outcome.missing)
+        return make_report(recordings, plan.out, outcome.missing, options)
     except RecordingError:
         # the failure of the rig is the cause, and is what is reported
         if outcome.failure:
@@ -184,9 +187,11 @@ def report_of(outcome: Outcome, plan: Plan, show: Callable[[str], None]) -> dict
         raise RigError(f"interrupted while the report was made, `{again}` makes it") from error
 
 
-def make_report(recordings: Sequence[Path], out: Path, missing: Sequence[str]) -> dict[str, Any]:
+def make_report(
+    recordings: Sequence[Path], out: Path, missing: Sequence[str], options: FigureOptions
+) -> dict[str, Any]:
     """Make figure and summary from a recording; what the recording lacks ends in a TelenanoError."""
     # matplotlib takes a second to import, which a running rig should not pay
     from analysis.report import write_report
 
-    return write_report(recordings, out, missing)
+    return write_report(recordings, out, missing, options)

@@ -93,11 +93,13 @@ class RigHand:
 def forms() -> dict[str, Any]:
     """Return the JSON schemas of what `set` changes, by node, and the profiles of the link."""
     # the models of the laws take a second to import, which only a page needs
+    from services.afm_node.program_config import InstrumentRequest
     from services.controller.config import LAWS, ControllerConfig
     from services.delay_node.config import LinkSettings
     from services.delay_node.profiles import PROFILES
 
     return {
+        "afm_node": InstrumentRequest.model_json_schema(),
         "controller": ControllerConfig.model_json_schema(),
         "delay_node": LinkSettings.model_json_schema(),
         "laws": list(LAWS),

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import zmq
 
+from presets.plugins import all_installed
 from proto import TOPICS
 from proto.errors import RecordingError
 from recording.writer import RecordingWriter
@@ -24,6 +25,11 @@ def versions() -> dict[str, str]:
     found["commit"] = _commit()
     found |= {f"schema {name}": str(row.model.version) for name, row in TOPICS.items()}
     return found
+
+
+def plugin_facts() -> dict[str, str]:
+    """Return package, version and digest of what installed packages add, by `kind.name`."""
+    return {f"{row.kind}.{row.name}": " ".join(row.facts().values()) for row in all_installed()}
 
 
 def write_provenance(
@@ -46,6 +52,8 @@ def write_provenance(
     settings = {f"recorder {key}": str(value) for key, value in config.model_dump(mode="json").items()}
     writer.add_metadata("recording", {"node": writer.node, "started_ns": str(now_ns), **files, **settings})
     writer.add_metadata("versions", versions())
+    if plugins := plugin_facts():
+        writer.add_metadata("plugins", plugins)
     writer.flush()
 
 

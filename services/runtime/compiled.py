@@ -10,13 +10,18 @@ old model after an edit. The cache folder here is named after a digest of every 
 depend on: any edit gives a new folder, and a run on unchanged sources loads in milliseconds.
 """
 
+import contextlib
 import hashlib
 import os
+import shutil
+import time
 from collections.abc import Callable
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
-from typing import TypeVar, cast
+from typing import Any, TypeVar, cast
+
+from presets.plugins import digest_of_all
 
 F = TypeVar("F", bound=Callable[..., object])
 
@@ -25,6 +30,8 @@ _PACKAGES = ("services/haptic_node", "services/afm_node", "services/controller",
 _SHELLS = ("node.py", "__main__.py")
 # raised with every change of what `compile_cache` writes
 _CACHE_FORMAT = "2"
+# an edit a day leaves some tens of folders of some MB
+CACHE_DAYS = 14
 
 # the first step that was left as plain Python, and whether those after it are compiled
 _plain = ""
@@ -44,6 +51,11 @@ def compile_steps() -> None:
     _compiling = True
 
 
+def is_compiling() -> bool:
+    """Return whether steps are compiled in this process."""
+    return _compiling
+
+
 def source_digest(root: Path = _ROOT) -> str:
     """Return the digest (16 hex digits) of every Python file that may hold compiled steps or constants they use."""
     digest = hashlib.sha256((version("numba") + "/" + _CACHE_FORMAT).encode())
@@ -52,6 +64,8 @@ def source_digest(root: Path = _ROOT) -> str:
             if path.name not in _SHELLS:
                 digest.update(str(path.relative_to(root)).encode())
                 digest.update(path.read_bytes())
+    # installed packages have steps as well
+    digest.update(digest_of_all().encode())
     return digest.hexdigest()[:16]
 
 
@@ -59,6 +73,20 @@ def cache_directory(root: Path = _ROOT) -> Path:
     """Return the folder of compiled code for the sources as they are now."""
     base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     return base / "telenano" / f"numba-{source_digest(root)}"
+
+
+def clean_old_caches(base: Path, now_s: float) -> list[Path]:
+    """Delete the folders of compiled code that no process has used for CACHE_DAYS; return them.
+
+    Other checkouts and older versions have folders of their own beside this one, which may be in use.
+    """
+    old = []
+    for folder in base.glob("numba-*"):
+        with contextlib.suppress(OSError):
+            if now_s - folder.stat().st_mtime > CACHE_DAYS * 86_400.0:
+                shutil.rmtree(folder)
+                old.append(folder)
+    return old
 
 
 def compiled(function: F) -> F:
@@ -70,6 +98,27 @@ def compiled(function: F) -> F:
     return function
 
 
+def chosen_step(choose: Callable[[type], Callable[..., Any]]) -> Callable[..., Any]:
+    """Return a function of (params, *inputs) that calls the step which `choose` gives for the type of params.
+
+    Compiled code makes the choice while it is compiled; steps handed over as arguments would be compiled anew by every
+    process.
+    """
+
+    def plain(params: Any, *inputs: Any) -> Any:
+        return choose(type(params))(params, *inputs)
+
+    def typed(params: Any, *inputs: Any) -> Callable[..., Any]:
+        step = choose(params.instance_class)
+        return lambda params, *inputs: step(params, *inputs)
+
+    if _compiling:
+        from numba.extending import overload
+
+        overload(plain, strict=False)(typed)
+    return plain
+
+
 @cache
 def _compiler() -> Callable[[Callable[..., object]], object]:
     # here and not above: a process that compiles nothing need not have numba, nor wait for its import
@@ -79,7 +128,13 @@ def _compiler() -> Callable[[Callable[..., object]], object]:
     from services.runtime.compile_cache import CheckedCache
 
     if "NUMBA_CACHE_DIR" not in os.environ:
-        vars(config)["CACHE_DIR"] = str(cache_directory())
+        folder = cache_directory()
+        vars(config)["CACHE_DIR"] = str(folder)
+        # where it cannot be made, numba says so when it wants to write
+        with contextlib.suppress(OSError):
+            folder.mkdir(parents=True, exist_ok=True)
+            os.utime(folder)
+            clean_old_caches(folder.parent, time.time())
 
     def compile_and_keep(function: Callable[..., object]) -> object:
         dispatcher = numba.njit(function)

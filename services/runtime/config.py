@@ -91,15 +91,23 @@ def flatten(tree: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def merge(*layers: Mapping[str, Any]) -> dict[str, Any]:
-    """Merge mappings key by key; the last one wins."""
+    """Merge mappings key by key; the last one wins.
+
+    A mapping with another `kind` takes the place of the one before: the keys of the two have nothing to do with each
+    other, as those of an operator that follows a path and of one that trembles.
+    """
     merged: dict[str, Any] = {}
     for layer in layers:
         for key, value in layer.items():
             below = merged.get(key)
-            if isinstance(below, dict) and isinstance(value, dict):
+            if isinstance(below, dict) and isinstance(value, dict) and not _of_another_kind(below, value):
                 value = merge(below, value)
             merged[key] = value
     return merged
+
+
+def _of_another_kind(below: Mapping[str, Any], value: Mapping[str, Any]) -> bool:
+    return "kind" in below and "kind" in value and below["kind"] != value["kind"]
 
 
 def validate(model: type[M], data: Mapping[str, Any], origin: str, section: str = "") -> M:

@@ -1,12 +1,15 @@
 """The lock of an ipc endpoint: libzmq itself would silently take the socket away from a running process."""
 
 import contextlib
-import fcntl
 import os
 from pathlib import Path
 from typing import IO
 
 from proto.errors import EndpointError
+from services.runtime.optional_modules import optional_module
+
+# Windows has none, and no ipc endpoint either; recordings and studies need neither
+fcntl = optional_module("fcntl")
 
 
 class EndpointLock:
@@ -30,6 +33,8 @@ class EndpointLock:
         self._file = None
 
     def _acquire(self, endpoint: str) -> IO[str]:
+        if fcntl is None:
+            raise EndpointError(f"{endpoint}: this system has no ipc endpoints; give tcp ones in the site file")
         while True:
             lock = self._open(endpoint)
             try:

@@ -18,7 +18,9 @@ def runtime_directory() -> Path:
         return Path(user_directory) / "telenano"
     import tempfile
 
-    return Path(tempfile.gettempdir()) / f"telenano-{os.getuid()}"
+    # Windows has no numbers of users, and a folder for temporary files for each of them
+    number = f"-{os.getuid()}" if hasattr(os, "getuid") else ""
+    return Path(tempfile.gettempdir()) / f"telenano{number}"
 
 
 def local_endpoint(text: str) -> str:

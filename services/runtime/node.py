@@ -27,6 +27,8 @@ from services.runtime.realtime import RealtimeStatus
 
 NodeState = Literal["starting", "ready", "running", "safe", "stopping"]
 HEALTH_PERIOD_NS = 500_000_000
+# at first, where a rig waits until every node has said that it receives its inputs
+STARTING_PERIOD_NS, _STARTING_NS = 100_000_000, 3_000_000_000
 _FAR_FUTURE_NS = 2**62
 _STATM = Path("/proc/self/statm")
 
@@ -166,8 +168,17 @@ class AccountedBus(Bus, Protocol):
 class NodeLoop:
     """The loop of a node: messages as they come, deadlines when they come, health twice a second."""
 
-    def __init__(self, node: Node, bus: AccountedBus, realtime: RealtimeStatus, *, spin_s: float = 0.0) -> None:
+    def __init__(
+        self,
+        node: Node,
+        bus: AccountedBus,
+        realtime: RealtimeStatus,
+        *,
+        spin_s: float = 0.0,
+        starting_period_ns: int = HEALTH_PERIOD_NS,
+    ) -> None:
         self.node = node
+        self._starting_period_ns = starting_period_ns
         self._bus = bus
         self._clock = node.context.clock
         self._realtime = realtime
@@ -258,7 +269,8 @@ class NodeLoop:
             **(self.node.device_delay.report() if self.node.device_delay is not None else {}),
         )
         self._last_steps, self._last_cpu_s, self._last_health_ns = self.node.steps, cpu_s, now_ns
-        self.health_due_ns = now_ns + HEALTH_PERIOD_NS
+        starting = now_ns - self._started_ns < _STARTING_NS
+        self.health_due_ns = now_ns + (self._starting_period_ns if starting else HEALTH_PERIOD_NS)
         if self._journal is not None:
             self._journal.publish()
 

@@ -9,10 +9,12 @@ import msgpack
 import numpy as np
 from pydantic import BaseModel
 
+from presets.plugins import modules
 from proto.errors import ConfigError, RecordingError
 
 _PLAIN = (type(None), bool, int, float, str, bytes)
-_PACKAGES = ("proto.", "services.")
+# of this project, and of the packages that extend it
+_PACKAGES = ("proto.", "services.", *modules())
 # half of what a message may hold
 _LARGEST = 1 << 19
 
@@ -52,7 +54,7 @@ class StateSnapshot:
     def _is_owner(self, value: Any) -> bool:
         if value is self._context or value is self._context.clock or isinstance(value, BaseModel | tuple | type):
             return False
-        return hasattr(value, "__dict__") and type(value).__module__.startswith(_PACKAGES)
+        return hasattr(value, "__dict__") and _is_known(type(value).__module__)
 
     def _changed(self, path: tuple[str, ...], owner: Any) -> dict[str, Any]:
         built = self._built[path]
@@ -147,15 +149,19 @@ def _unpacked(value: Any) -> Any:
     return kinds[form](_unpacked(part) for part in rest[0])
 
 
+def _is_known(module: str) -> bool:
+    return f"{module}.".startswith(_PACKAGES)
+
+
 def _name_of(kind: type) -> str:
-    if not kind.__module__.startswith(_PACKAGES):
+    if not _is_known(kind.__module__):
         raise TypeError(f"{kind.__module__}.{kind.__qualname__} is not of this project")
     return f"{kind.__module__}:{kind.__qualname__}"
 
 
 def _named(name: str) -> Any:
     module, _, path = name.partition(":")
-    found: Any = importlib.import_module(module) if module.startswith(_PACKAGES) else None
+    found: Any = importlib.import_module(module) if _is_known(module) else None
     for part in path.split("."):
         found = getattr(found, part)
     # a recording comes from anywhere: it may name a kind of value, and nothing that could be called for its effect

@@ -5,6 +5,7 @@ import math
 import time
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from proto.nodes import site_of
 from proto.sequence import SequenceTracker
 from services.runtime.address_book import AddressBook
 from services.runtime.bus import ConnectionEvent, Received
+from services.runtime.local_endpoint import local_endpoint
 from services.runtime.participant import OBSERVER, open_participant
 
 # what to check when nothing is received
@@ -86,6 +88,15 @@ class Observer:
         self._open.close()
 
 
+def nobody_runs(book: AddressBook) -> bool:
+    """Return whether a rig cannot be running: all of its sockets would be on this machine, and none of them is."""
+    endpoints = [entry.local for entry in book.nodes.values()]
+    if any(entry.network is not None for entry in book.nodes.values()):
+        return False
+    paths = [Path(local_endpoint(text).removeprefix("ipc://")) for text in endpoints if text is not None]
+    return not any(path.exists() for path in paths)
+
+
 def list_topics(observer: Observer, duration_s: float) -> list[dict[str, Any]]:
     """Listen for a time [s] and return a row for each topic and source received, and for each topic without any."""
     counts: dict[tuple[str, str], int] = {}
@@ -118,6 +129,7 @@ def messages_of(observer: Observer, name: str, duration_s: float | None, count: 
 class _Samples:
     arrivals_ns: list[int] = field(default_factory=list)
     ages_ns: list[int] = field(default_factory=list)
+    sizes: list[int] = field(default_factory=list)
 
 
 def _sampled(
@@ -129,6 +141,7 @@ def _sampled(
             of_source = samples.setdefault(received.message.src, _Samples())
             of_source.arrivals_ns.append(received.received_ns)
             of_source.ages_ns.append(received.received_ns - received.message.t_ns)
+            of_source.sizes.append(len(received.payload))
     except KeyboardInterrupt:
         # Ctrl-C is how a person ends a measurement without a set length
         pass
@@ -165,4 +178,20 @@ def measure_delay(observer: Observer, name: str, duration_s: float | None, count
         p50, p99 = np.percentile(np.array(of_source.ages_ns) * 1e-6, [50.0, 99.0])
         row = {"p50_ms": float(p50), "p99_ms": float(p99), "max_ms": max(of_source.ages_ns) * 1e-6}
         rows.append({"src": src, "messages": len(of_source.ages_ns), **row})
+    return rows
+
+
+def measure_bandwidth(
+    observer: Observer, name: str, duration_s: float | None, count: int | None
+) -> list[dict[str, Any]]:
+    """Return for each source of a topic the bytes of its messages, and a second; RigError when it is silent."""
+    samples = _sampled(observer, name, duration_s, count, least=2)
+    rows = []
+    for src, of_source in sorted(samples.items()):
+        span_s = (of_source.arrivals_ns[-1] - of_source.arrivals_ns[0]) * 1e-9
+        # the first message is where the time begins
+        rate = sum(of_source.sizes[1:]) / span_s if span_s > 0.0 else None
+        sizes = of_source.sizes
+        row = {"mean_bytes": sum(sizes) / len(sizes), "least_bytes": min(sizes), "most_bytes": max(sizes)}
+        rows.append({"src": src, "messages": len(sizes), **row, "bytes_per_s": rate})
     return rows

@@ -13,7 +13,14 @@ from services.runtime.address_book import AddressBook
 from services.runtime.bus import Bus, Publisher, Subscriber, ZmqBus, ZmqPublisher
 from services.runtime.clock import Clock, SystemClock
 from services.runtime.log import RateLimitedLog, StructuredLog
-from services.runtime.node import AccountedBus, Node, NodeContext, NodeLoop, install_stop_signals
+from services.runtime.node import (
+    STARTING_PERIOD_NS,
+    AccountedBus,
+    Node,
+    NodeContext,
+    NodeLoop,
+    install_stop_signals,
+)
 from services.runtime.realtime import RealtimeStatus, freeze_garbage
 from services.runtime.security.keyring import Keyring, this_machine
 from services.runtime.transport import Transport, open_context
@@ -154,7 +161,7 @@ def run_loop(
     Parameters: spin_s, longest busy wait before a deadline [s]; freeze, false for a process that has work after the
     loop, for which it needs the garbage collector.
     """
-    loop = NodeLoop(node, bus, realtime, spin_s=spin_s)
+    loop = NodeLoop(node, bus, realtime, spin_s=spin_s, starting_period_ns=STARTING_PERIOD_NS)
     signals.interrupt(node)
     if freeze:
         freeze_garbage()

@@ -4,7 +4,7 @@ import contextlib
 import ctypes
 import gc
 import os
-import resource
+import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Literal
@@ -14,7 +14,10 @@ from pydantic import BaseModel, ConfigDict, Field
 from proto.errors import ConfigError
 from proto.nodes import name_of
 from services.runtime.log import StructuredLog
+from services.runtime.optional_modules import optional_module
 
+# Windows has none
+resource = optional_module("resource")
 _PR_SET_TIMERSLACK = 29
 _PR_SET_PDEATHSIG = 1
 # pages are locked as they are first touched: locking every reserved page would take 400 MB a process
@@ -66,11 +69,21 @@ class RealtimeStatus(BaseModel):
     memory_locked: bool
 
 
+def is_linux() -> bool:
+    """Return whether this system has the scheduling and memory calls of Linux."""
+    return sys.platform == "linux"
+
+
 def apply_realtime(config: RealtimeConfig, log: StructuredLog, node: str) -> RealtimeStatus:
     """Request scheduling, memory lock and fine timers; before the ZeroMQ context exists, whose threads inherit them.
 
     Raises ConfigError where `fifo` or `on` is configured and not permitted, or the processor does not exist.
     """
+    if not is_linux():
+        if config.scheduler == "fifo" or config.memory_lock == "on":
+            raise ConfigError(f"realtime: {sys.platform} has no real-time scheduling: give scheduler auto or normal")
+        log.info("without real-time scheduling: this system has none", system=sys.platform)
+        return RealtimeStatus(fifo=False, memory_locked=False)
     libc = ctypes.CDLL(None, use_errno=True)
     libc.prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
     fifo = config.scheduler != "normal" and _set_fifo(config, log)
@@ -114,7 +127,7 @@ def lower_thread(name: str) -> None:
     the others. On any processor it need not wait for them, unless the processor was configured.
     Parameters: name, as in /proc.
     """
-    if os.sched_getscheduler(0) != os.SCHED_FIFO:
+    if not is_linux() or os.sched_getscheduler(0) != os.SCHED_FIFO:
         return
     lower = os.sched_param(max(1, os.sched_getparam(0).sched_priority - 1))
     for task in _TASKS.iterdir():
@@ -139,6 +152,8 @@ def use_huge_pages() -> int:
     A node wakes up a thousand times a second, after others have used its processor, and touches its whole working set:
     with pages of 4 kB the processor looks up thousands of places anew, in a virtual machine in two tables for each.
     """
+    if not is_linux():
+        return 0
     libc = ctypes.CDLL(None, use_errno=True)
     libc.madvise.argtypes = [ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int]
     libc.mincore.argtypes = [ctypes.c_void_p, ctypes.c_size_t, ctypes.c_void_p]
@@ -158,12 +173,17 @@ def use_huge_pages() -> int:
 
 def raise_file_limit() -> None:
     """Raise the limit of open files as far as permitted: clients that only connect must not use them up."""
+    if resource is None:
+        return
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (min(most, _MOST_FILES), most))
 
 
 def die_with_parent(signal_number: int) -> None:
     """Ask the kernel to send this process a signal when its parent dies, so that no node outlives its supervisor."""
+    if not is_linux():
+        # a node is then ended by its supervisor alone
+        return
     ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal_number, 0, 0, 0)
 
 

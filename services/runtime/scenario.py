@@ -1,6 +1,6 @@
 """The scenario file: one section a node; the supervisor reads all of it, each node its own section."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -27,6 +27,28 @@ class Scenario(BaseModel):
     delay_node: dict[str, Any] = Field(default={}, description="Section of the link")
     afm_node: dict[str, Any] = Field(default={}, description="Section of the AFM")
     recorder: dict[str, Any] = Field(default={}, description="Section of the recorder")
+
+
+# where a scenario names what a package may have brought, and of which kind that is (`presets.plugins`)
+_NAMED = (
+    ("laws", ("controller", "law")),
+    ("devices", ("haptic_node", "driver")),
+    ("devices", ("afm_node", "driver")),
+    ("operators", ("haptic_node", "operator", "kind")),
+    ("samples", ("afm_node", "environment")),
+)
+
+
+def named_in(document: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Return kind and name of each law, device, operator and sample that a scenario names."""
+    found = []
+    for kind, path in _NAMED:
+        value: Any = document
+        for key in path:
+            value = value.get(key) if isinstance(value, Mapping) else None
+        if isinstance(value, str):
+            found.append((kind, value))
+    return found
 
 
 @dataclass(frozen=True)

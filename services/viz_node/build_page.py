@@ -29,9 +29,8 @@ def main() -> int:
         )
         return 1
     environment = {**os.environ, "PATH": f"{folder}{os.pathsep}{os.environ.get('PATH', '')}"}
-    npm = str(folder / "npm")
     for step in (["ci", "--no-audit", "--no-fund", "--loglevel=error"], ["run", "--silent", "build"]):
-        done = subprocess.run([npm, *step], cwd=WEB, env=environment, stdout=sys.stderr)
+        done = subprocess.run([*npm_of(folder), *step], cwd=WEB, env=environment, stdout=sys.stderr)
         if done.returncode:
             sys.stderr.write(f"the page of the view is not built: `npm {' '.join(step)}` failed in {WEB}\n")
             return 1
@@ -57,6 +56,12 @@ def node_folder() -> Path | None:
     if packaged is not None and packaged.origin:
         folders.append(Path(packaged.origin).parent / "bin")
     return next((folder for folder in folders if _version(folder / "node") >= _LEAST_NODE), None)
+
+
+def npm_of(folder: Path) -> list[str]:
+    """Return the command of npm beside a node; in a wheel its script has lost the link to the package that it is of."""
+    package = folder.parent / "lib" / "node_modules" / "npm" / "bin" / "npm-cli.js"
+    return [str(folder / "node"), str(package)] if package.is_file() else [str(folder / "npm")]
 
 
 def _version(node: Path) -> tuple[int, ...]:

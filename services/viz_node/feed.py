@@ -17,6 +17,7 @@ HEALTH_KEYS = ("state", "uptime_s", "rate_hz", "overruns", "cpu_percent", "memor
 _STATE_KEYS = {
     "haptic/state": ("mode", "estop", "limited", "session_s"),
     "afm/state": ("mode", "limited", "in_contact", "meniscus"),
+    "afm/program": ("program", "state", "text", "percent", "line", "lines"),
     "law/status": ("law", "switching", "passive", "heard", "silence_s", "dissipated_j", "left_j"),
 }
 # the operator's time changes with each sample, and is shown with a tenth of a second

@@ -1,7 +1,6 @@
 """The paper's Fig. 12 from the series of a session: forces, positions, and the force-distance path of the tip."""
 
 from dataclasses import dataclass
-from typing import BinaryIO
 
 import numpy as np
 import numpy.typing as npt
@@ -9,12 +8,26 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from services.viz_node.figure_style import (
+    COLUMN_IN,
+    HAND,
+    ON_SCREEN,
+    REFERENCE,
+    TIP,
+    FigureOptions,
+    drawn,
+    lettered,
+    styled,
+)
+
 Series = npt.NDArray[np.float64]
 
-_DOTS_PER_INCH = 130
 # a pause in a series of a sample a millisecond
 _LONGEST_STEP_S = 0.05
-_HAND, _TIP, _REFERENCE = "#1f4e79", "#c0392b", "#7f8c8d"
+# of the span of the distance: what moves less has not turned back
+_TURN_SHARE = 0.1
+# between two samples of a millisecond: the base goes 2 um/s at most, which is a hundredth of this
+_JUMP_M = 2e-10
 
 
 @dataclass(frozen=True)
@@ -37,21 +50,28 @@ class SessionSeries:
     gaps_s: tuple[tuple[float, float], ...] = ()
 
 
-def draw_fig12(series: SessionSeries, title: str) -> Figure:
-    """Draw the three panels of Fig. 12: F_m and alpha_f F_s, x_mr and x_m, and F_s against h."""
-    figure = Figure(figsize=(7.2, 9.0), layout="constrained")
-    FigureCanvasAgg(figure)
-    forces, positions, path = figure.subplots(3, 1)
-    _draw_forces(forces, series)
-    _draw_positions(positions, series)
-    _draw_path(path, series)
-    figure.suptitle(title, fontsize=11)
+def draw_fig12(series: SessionSeries, title: str, options: FigureOptions = ON_SCREEN) -> Figure:
+    """Draw the three panels of Fig. 12: F_m and alpha_f F_s, x_mr and x_m, and F_s against h.
+
+    For paper it is one column wide and has no title, whose words belong into the caption.
+    """
+    paper = options.style == "paper"
+    with styled(options):
+        figure = Figure(figsize=(COLUMN_IN, 6.2) if paper else (7.2, 9.0), layout="constrained")
+        FigureCanvasAgg(figure)
+        panels = figure.subplots(3, 1)
+        _draw_forces(panels[0], series)
+        _draw_positions(panels[1], series)
+        _draw_path(panels[2], series)
+        lettered(list(panels), options)
+        if not paper:
+            figure.suptitle(title, fontsize=11)
     return figure
 
 
-def save_fig12(series: SessionSeries, title: str, file: BinaryIO) -> None:
-    """Write the figure as PNG."""
-    draw_fig12(series, title).savefig(file, dpi=_DOTS_PER_INCH, format="png")
+def fig12_files(series: SessionSeries, title: str, options: FigureOptions = ON_SCREEN) -> dict[str, bytes]:
+    """Return the figure in its formats, by file name."""
+    return drawn(draw_fig12(series, title, options), "fig12", options)
 
 
 def _draw_forces(axes: Axes, series: SessionSeries) -> None:
@@ -59,34 +79,83 @@ def _draw_forces(axes: Axes, series: SessionSeries) -> None:
     _shade_gaps(axes, series)
     axes.plot(
         *_broken(series, series.tip_time_s, scaled),
-        color=_TIP,
+        color=TIP,
         lw=1.0,
-        label=r"$\alpha_f F_s$ (tip, at the hand's scale)",
+        label=r"$\alpha_f F_s$ (tip)",
     )
     axes.plot(
-        *_broken(series, series.hand_time_s, series.hand_force_n), color=_HAND, lw=1.4, ls="--", label=r"$F_m$ (hand)"
+        *_broken(series, series.hand_time_s, series.hand_force_n), color=HAND, lw=1.4, ls="--", label=r"$F_m$ (hand)"
     )
     axes.axhline(0.0, color="0.8", lw=0.8, zorder=0)
     axes.set(xlabel="time (s)", ylabel="force (N)", xlim=_span(series))
-    axes.legend(loc="upper left", fontsize=8, frameon=False)
+    _legend_above(axes)
 
 
 def _draw_positions(axes: Axes, series: SessionSeries) -> None:
     _shade_gaps(axes, series)
     reference = _broken(series, series.reference_time_s, 100.0 * series.reference_m)
-    axes.plot(*reference, color=_REFERENCE, lw=2.2, label=r"$x_{mr}$ (law)")
+    axes.plot(*reference, color=REFERENCE, lw=2.2, label=r"$x_{mr}$ (law)")
     hand = _broken(series, series.hand_time_s, 100.0 * series.hand_position_m)
-    axes.plot(*hand, color=_HAND, lw=1.0, ls="--", label=r"$x_m$ (device)")
+    axes.plot(*hand, color=HAND, lw=1.0, ls="--", label=r"$x_m$ (device)")
     axes.set(xlabel="time (s)", ylabel="position (cm)", xlim=_span(series))
-    axes.legend(loc="lower right", fontsize=8, frameon=False)
+    _legend_above(axes)
 
 
 def _draw_path(axes: Axes, series: SessionSeries) -> None:
-    _, separation_m = _broken(series, series.tip_time_s, series.separation_m)
+    time_s, separation_m = _broken(series, series.tip_time_s, series.separation_m)
     _, force_n = _broken(series, series.tip_time_s, series.tip_force_n)
-    axes.plot(1e9 * separation_m, 1e9 * force_n, color=_TIP, lw=0.9)
+    retracts = retracting(time_s, separation_m)
+    for chosen, colour, style, label in ((~retracts, HAND, "-", "approach"), (retracts, TIP, "--", "retraction")):
+        if not chosen.any():
+            continue
+        # a sample of the other branch ends a line, and is its last point
+        inside = chosen | np.concatenate([[False], chosen[:-1]])
+        distance_nm = np.where(inside, 1e9 * separation_m, np.nan)
+        axes.plot(distance_nm, 1e9 * force_n, color=colour, ls=style, lw=0.9, label=label)
     axes.axhline(0.0, color="0.8", lw=0.8, zorder=0)
+    _mark_jumps(axes, separation_m, force_n)
     axes.set(xlabel="tip-sample distance h (nm)", ylabel=r"$F_s$ (nN)")
+    _legend_above(axes)
+
+
+def retracting(time_s: Series, separation_m: Series) -> npt.NDArray[np.bool_]:
+    """Return for each sample whether the tip is on its way from the sample: shape (n,), False before it first moves."""
+    known = separation_m[np.isfinite(separation_m)]
+    if known.size < 2:
+        return np.zeros(len(separation_m), dtype=bool)
+    least_m = _TURN_SHARE * float(np.ptp(known))
+    away, turned_m, found = False, float(known[0]), np.zeros(len(separation_m), dtype=bool)
+    for index, distance in enumerate(separation_m.tolist()):
+        if not np.isfinite(distance):
+            found[index] = away
+            continue
+        # the last extreme, and whether the tip has left it by more than noise and ripple
+        turned_m = max(turned_m, distance) if away else min(turned_m, distance)
+        if abs(distance - turned_m) > least_m:
+            away, turned_m = not away, distance
+        found[index] = away
+    return found
+
+
+def _mark_jumps(axes: Axes, separation_m: Series, force_n: Series) -> None:
+    """Write beside the path where the tip jumps to the sample, and where it is torn off."""
+    steps_m = np.diff(separation_m)
+    if not np.isfinite(steps_m).any():
+        return
+    least_m = _JUMP_M
+    to, off = int(np.nanargmin(steps_m)), int(np.nanargmax(steps_m))
+    for place, size_m, words in ((to, -steps_m[to], "jump to contact"), (off, steps_m[off], "jump off contact")):
+        if size_m > least_m:
+            where = (1e9 * separation_m[place], 1e9 * force_n[place])
+            axes.annotate(
+                words, where, xytext=(12, -14 if words.startswith("jump to") else 14), textcoords="offset points",
+                fontsize=8, arrowprops={"arrowstyle": "->", "lw": 0.6},
+            )  # fmt: skip
+
+
+def _legend_above(axes: Axes) -> None:
+    """Put the legend over the panel, where it hides no data."""
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, fontsize=8, frameon=False, borderaxespad=0.2)
 
 
 def _shade_gaps(axes: Axes, series: SessionSeries) -> None:

@@ -46,6 +46,10 @@ def curve(
     overlay: Annotated[
         Path | None, typer.Option("--overlay", metavar="FILE", help="Measured curve to draw beside it (.ibw, .h5).")
     ] = None,
+    reduced_modulus: Annotated[
+        float | None,
+        typer.Option("--reduced-modulus", metavar="PA", help="Of the measured contact [Pa]; default: of --afm."),
+    ] = None,
     live: LiveOption = False,
     site_file: SiteFileOption = DEFAULT_SITE_FILE,
     as_json: JsonOption = False,
@@ -56,14 +60,15 @@ def curve(
         # before all other models: it has every step compiled that is imported after it
         import studies.force_curve as curves
         from services.afm_node.config import AfmConfig
+        from studies.adhesion_fit import fit_adhesion
         from studies.force_curve_figure import curve_figure
 
+        config = validate(AfmConfig, flag_overrides(afm or ()), "--afm")
         measured = None if overlay is None else curves.read_measured(overlay)
         if live:
-            refuse_foreign({"--afm": afm, "--model dynamic": model is CurveModel.DYNAMIC})
+            refuse_foreign({"--afm": afm and overlay is None, "--model dynamic": model is CurveModel.DYNAMIC})
             found = _live(site_file, start * 1e-9, load * 1e-9, 50e-9 if speed is None else speed * 1e-9, as_json)
         else:
-            config = validate(AfmConfig, flag_overrides(afm or ()), "--afm")
             columns = (TextColumn("curve"), BarColumn(), TimeRemainingColumn())
             with Progress(*columns, console=Console(stderr=True), disable=as_json, transient=True) as bar:
                 task = bar.add_task("curve", total=2 * points)
@@ -75,11 +80,14 @@ def curve(
         make_folder(out)
         curves.write_hdf5(out / "curve.h5", found)
         other = None if measured is None else (measured, curves.marks_of(measured))
+        fit = None if measured is None else fit_adhesion(measured, config, reduced_modulus)
         pairs = [(found, marks), *([] if other is None else [other])]
         curve_figure(pairs).savefig(out / "curve.png", dpi=130)
     document = {"model": found.model, "stiffness_n_per_m": found.stiffness_n_per_m, **marks.as_dict()}
     if other is not None:
         document["measured"] = {"stiffness_n_per_m": other[0].stiffness_n_per_m, **other[1].as_dict()}
+    if fit is not None:
+        document["fit"] = fit.as_dict()
     document["files"] = [str(out / "curve.h5"), str(out / "curve.png")]
     print_document(document, str(out), as_json=as_json)
 

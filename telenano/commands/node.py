@@ -6,10 +6,12 @@ from typing import Annotated
 
 import typer
 
+from proto import TOPICS
 from proto.errors import ConfigError
-from proto.nodes import SERVICES
+from proto.nodes import NODES, SERVICES, name_of
+from telenano.completion import node_names
 from telenano.options import command_group
-from telenano.output import report_errors
+from telenano.output import print_json, print_rows, report_errors
 
 app = command_group()
 
@@ -17,14 +19,35 @@ app = command_group()
 @app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []})
 def node(
     context: typer.Context,
-    name: Annotated[str, typer.Argument(metavar="NAME", help=f"One of {', '.join(SERVICES)}.")],
+    name: Annotated[
+        str,
+        typer.Argument(metavar="NAME|list", help=f"One of {', '.join(SERVICES)}; or list.", autocompletion=node_names),
+    ],
 ) -> None:
-    """Run one node alone; what follows NAME goes to the node, whose --help lists it."""
-    if name == "--help":
+    """Run one node alone; what follows NAME goes to the node, whose --help lists it. `list` lists the nodes."""
+    if name in ("--help", "-h"):
         typer.echo(context.get_help())
+        return
+    if name == "list":
+        _list(as_json="--json" in context.args)
         return
     with report_errors(as_json=False):
         if name not in SERVICES:
             raise ConfigError(f"unknown node {name!r}: known are {', '.join(SERVICES)}")
     # the node takes the place of this process, so that signals reach it
     os.execv(sys.executable, [sys.executable, "-m", f"services.{name}", *context.args])
+
+
+def _list(*, as_json: bool) -> None:
+    rows = [
+        {"node": row.key, "part": row.part, "required": row.required, "publishes": ", ".join(_topics_of(row.key))}
+        for row in NODES
+    ]
+    if as_json:
+        print_json({"nodes": rows})
+    else:
+        print_rows(rows)
+
+
+def _topics_of(node: str) -> list[str]:
+    return [name for name, row in TOPICS.items() if node in row.publishers or name_of(node) in row.publishers]

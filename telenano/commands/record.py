@@ -12,6 +12,8 @@ from services.recorder.attach import run_record
 from services.recorder.config import RecorderConfig
 from services.recorder.node import RecorderNode
 from services.runtime.config import validate
+from services.runtime.main import load_site
+from services.runtime.observer import RIG_HINT, nobody_runs
 from telenano.keyboard import RawKeyboard
 from telenano.options import ExcludeOption, JsonOption, SiteFileOption, TopicsOption
 from telenano.output import fail, fail_incomplete, print_json, report_errors
@@ -102,8 +104,16 @@ def record(
             "sync_to_disk": sync,
         }
         config = validate(RecorderConfig, given, "telenano record")
+        nobody = "no rig of this site file runs on this machine" if nobody_runs(load_site(site_file)) else ""
+        if nobody and not as_json:
+            # one may be started after its recorder
+            typer.echo(f"telenano: {nobody} yet; waiting for one", err=True)
         with RawKeyboard() as keys:
             done = run_record(site_file, config, scenario, duration, RecordKeyBindings(keys))
+        if not done.fault and not done.messages and not nobody:
+            nobody = "nothing was received"
+        if nobody and not done.messages:
+            fail(f"{nobody}: {RIG_HINT} The recording is empty: {done.path}", as_json=as_json, **done.model_dump())
         if done.fault:
             fail(done.fault, as_json=as_json, **done.model_dump())
         if as_json:

@@ -14,13 +14,16 @@ from telenano.sample_options import make_folder
 
 
 class PaperFigure(StrEnum):
-    """What can be made again without a rig; Fig. 12 is `telenano up --scenario fig12`."""
+    """What can be made again; for Fig. 10 and 12 a rig is run."""
 
     ALL = "all"
     EQUATIONS = "equations"
     FIG5 = "fig5"
     FIG6 = "fig6"
+    MODELS = "models"
     FIG8 = "fig8"
+    FIG10 = "fig10"
+    FIG12 = "fig12"
 
 
 def reproduce(

@@ -150,6 +150,8 @@ def scan(
 
 def _scan_live(out: Path, site_file: Path, parameters: "dict[str, Scalar]", *, as_json: bool) -> None:
     """Have a running rig image its sample, and write what came, also of an image that ended early."""
+    import numpy as np
+
     from analysis.image_files import Image
     from services.console.live_program import LiveImage
 
@@ -165,6 +167,12 @@ def _scan_live(out: Path, site_file: Path, parameters: "dict[str, Scalar]", *, a
             "height": Image("Height", "m", image.trace_m[:count] - level, image.width_m, depth_m),
             "retrace": Image("Height retrace", "m", image.retrace_m[:count] - level, image.width_m, depth_m),
         }
+        for name, title, forces in (
+            ("lateral", "Lateral force", image.trace_n[:count]),
+            ("lateral_retrace", "Lateral force retrace", image.retrace_n[:count]),
+        ):
+            if np.isfinite(forces).all():
+                images[name] = Image(title, "N", forces, image.width_m, depth_m)
         _write(out, images)
     files = [str(out / name) for name in ("scan.gwy", "scan.gsf", "scan.png")] if count else []
     document = {"mode": "contact", "state": report.state, "lines": count, "pixels": parameters["scan.pixels"],

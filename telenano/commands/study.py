@@ -10,7 +10,7 @@ import sys
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_args
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
@@ -18,7 +18,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Column, Table
 
 from proto.errors import ConfigError
-from studies.page import Page, text, write_parquet
+from services.viz_node.figure_style import figure_options, styled
+from studies.page import Page, text, write_images, write_parquet
 from telenano.commands.study_options import (
     BodyDampingOption,
     DeviceLatencyOption,
@@ -26,7 +27,6 @@ from telenano.commands.study_options import (
     EnvironmentName,
     EnvironmentOption,
     FrequencyOption,
-    Hand,
     HandName,
     HandOption,
     JitterOption,
@@ -41,10 +41,11 @@ from telenano.commands.study_options import (
     SetOption,
     StiffnessOption,
     WorkersOption,
+    hands,
 )
 from telenano.commands.study_promises import promises
 from telenano.exit_codes import EXIT_FAILED
-from telenano.options import JsonOption, command_group
+from telenano.options import FormatOption, JsonOption, StyleOption, command_group
 from telenano.output import console, print_json, report_errors
 
 if TYPE_CHECKING:
@@ -85,6 +86,8 @@ def stability(
     settings: SetOption = None,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
+    formats: FormatOption = "png",
+    style: StyleOption = "screen",
     as_json: JsonOption = False,
 ) -> None:
     """Map delay against stiffness, gain, jitter or loss: stable, limit cycle or diverged, and the critical delay."""
@@ -97,7 +100,7 @@ def stability(
         axes = given.axes(delay)
         with _sweep(out, workers, scheduler, shown=not as_json) as sweep:
             results = run_stability(axes, sweep)
-        summary = write_stability(results, out, _command())
+        summary = write_stability(results, out, _command(), figure_options(formats, style))
         head = ("law", "conditions", "theory [ms]", "lockstep [ms]", "link alone [ms]")
         rows = [
             (
@@ -127,6 +130,8 @@ def transparency(
         bool, typer.Option("--tuned", help="Tune each law for each delay, by the rule of `study advise`.")
     ] = False,
     settings: SetOption = None,
+    formats: FormatOption = "png",
+    style: StyleOption = "screen",
     as_json: JsonOption = False,
 ) -> None:
     """Measure what the hand feels: tracking, stiffness, hybrid matrix over frequency, Z-width of each law."""
@@ -135,7 +140,7 @@ def transparency(
         from studies.compare import (
             measure_all,
             spectra_of,
-            spectrum_images,
+            spectrum_figures,
             write_spectra,
             write_transparency,
             z_width_of,
@@ -147,9 +152,9 @@ def transparency(
         rows = measure_all(axes, axes.delays_ms, for_delay=tuned)
         spectra = spectra_of(axes, axes.delays_ms, frequencies, for_delay=tuned)
         _make_folder(out)
-        images = spectrum_images(spectra)
-        for name, png in images.items():
-            (out / name).write_bytes(png)
+        options = figure_options(formats, style)
+        with styled(options):
+            images = write_images(out, spectrum_figures(spectra), options)
         page = Page("Transparency under delay")
         page.code(_command())
         write_transparency(page, rows)
@@ -193,6 +198,8 @@ def compare(
     frequency: FrequencyOption = _FREQUENCIES,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
+    formats: FormatOption = "png",
+    style: StyleOption = "screen",
     as_json: JsonOption = False,
 ) -> None:
     """Compare all laws on one page: advice, critical delays, holds with a force and with arms, transparency."""
@@ -210,13 +217,13 @@ def compare(
             DEFAULT_STIFFNESS["contact"][0],
             seed,
             seeds,
-            _hands(hand),
+            hands(hand),
             values.frequencies(frequency),
             values.samples(sample),
         )
         with _sweep(out, workers, scheduler, shown=not as_json) as sweep:
             result = run_comparison(request, sweep)
-        summary = write_comparison(result, out, _command())
+        summary = write_comparison(result, out, _command(), figure_options(formats, style))
         if not as_json:
             for sentence in summary["advice"]:
                 typer.echo(sentence)
@@ -283,6 +290,7 @@ def advise(
         if not as_json:
             for sentence in words:
                 typer.echo(sentence)
+            typer.echo(f"set: {candidates[0].as_flags()}")
         _print_result(summary, head, rows, out / "advise.html", as_json=as_json)
 
 
@@ -429,18 +437,6 @@ class _Given:
             default.mass_kg if self.mass_kg is None else self.mass_kg,
             default.damping_n_s_per_m if self.body_damping_n_s_per_m is None else self.body_damping_n_s_per_m,
         )
-
-
-def _hands(text_given: str) -> tuple[Hand, ...]:
-    """Read names of hands, or `all`."""
-    names: tuple[Hand, ...] = get_args(Hand)
-    if text_given.strip() == "all":
-        return names
-    given = [name.strip() for name in text_given.split(",")]
-    for name in given:
-        if name not in names:
-            raise ConfigError(f"--hand: unknown hand {name!r}, known are all, {', '.join(names)}")
-    return tuple(name for name in names if name in given)
 
 
 def _agreed(agreement: "Agreement") -> str:

@@ -5,22 +5,32 @@ What imports numba is not imported here, so that `telenano study --help` answers
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 import typer
 
-# that of `studies.cells`, which imports numba
-Environment = Literal["spring", "wall", "contact", "body"]
+from presets.plugins import installed
+from proto.errors import ConfigError
+from telenano.completion import law_names
+
+# those of `studies.cells`, which imports numba
+Environment = str
 Hand = Literal["force", "soft", "ordinary", "stiff"]
 
 
-class EnvironmentName(StrEnum):
-    """The environment that the tip touches."""
+if TYPE_CHECKING:
 
-    SPRING = "spring"
-    WALL = "wall"
-    CONTACT = "contact"
-    BODY = "body"
+    class EnvironmentName(StrEnum):
+        """The environment that the tip touches."""
+
+        SPRING = "spring"
+        WALL = "wall"
+        CONTACT = "contact"
+        BODY = "body"
+
+else:
+    _ENVIRONMENTS = ("spring", "wall", "contact", "body", *installed("samples"))
+    EnvironmentName = StrEnum("EnvironmentName", {name.upper(): name for name in _ENVIRONMENTS})
 
 
 class HandName(StrEnum):
@@ -40,13 +50,15 @@ class SampleName(StrEnum):
     STIFF = "stiff"
 
 
-LawOption = Annotated[str, typer.Option("--law", metavar="LAW[,LAW]|all", help="Laws to study.")]
+LawOption = Annotated[
+    str, typer.Option("--law", metavar="LAW[,LAW]|all", help="Laws to study.", autocompletion=law_names)
+]
 EnvironmentOption = Annotated[
     EnvironmentName,
     typer.Option(
         "--environment",
         help="spring: F = K (x_s - L); wall: the same, but only pushing; contact: the tip-sample force of Table 2;"
-        " body: mass, damper and spring K, touched through the cantilever.",
+        " body: mass, damper and spring K, touched through the cantilever; or a sample of an installed package.",
     ),
 ]
 HandOption = Annotated[
@@ -110,3 +122,15 @@ OutOption = Annotated[
     Path,
     typer.Option("--out", metavar="DIR", help="Folder for page, figures, table and journal; resumes a journal."),
 ]
+
+
+def hands(text_given: str) -> tuple[Hand, ...]:
+    """Read names of hands, or `all`."""
+    names: tuple[Hand, ...] = get_args(Hand)
+    if text_given.strip() == "all":
+        return names
+    given = [name.strip() for name in text_given.split(",")]
+    for name in given:
+        if name not in names:
+            raise ConfigError(f"--hand: unknown hand {name!r}, known are all, {', '.join(names)}")
+    return tuple(name for name in names if name in given)

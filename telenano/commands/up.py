@@ -2,19 +2,22 @@
 
 import contextlib
 import signal
+import sys
 from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from proto.errors import ReportError
+from proto.errors import ConfigError, ReportError
 from recording.multi_file import open_recordings
 from services.launcher.plan import Plan, UpRequest, make_plan
 from services.launcher.run import Outcome, default_folder, report_of, run_rig
 from services.launcher.view import view_beside_rig
+from services.viz_node.figure_style import FigureOptions, figure_options
+from telenano.completion import scenario_names
 from telenano.live_view import LineView, LiveView
-from telenano.options import JsonOption, RigFileOption, Site
+from telenano.options import FormatOption, JsonOption, RigFileOption, Site, StyleOption
 from telenano.output import (
     console,
     fail,
@@ -34,6 +37,7 @@ def up(
             "--scenario",
             metavar="NAME|FILE",
             help="Experiment to run: a known name or a YAML file. With --attach it gives name and duration only.",
+            autocompletion=scenario_names,
         ),
     ],
     site_file: RigFileOption = None,
@@ -51,9 +55,13 @@ def up(
             "--wait", min=0.0, metavar="S", help="Give up if nodes started elsewhere are not ready after this time [s]."
         ),
     ] = None,
+    round_trip_ms: Annotated[
+        float | None,
+        typer.Option("--round-trip-ms", min=0.0, metavar="D", help="Delay of the link, half of it each way [ms]."),
+    ] = None,
     delay_ms: Annotated[
         float | None,
-        typer.Option("--delay-ms", min=0.0, metavar="D", help="Delay of the link, one way, in both directions [ms]."),
+        typer.Option("--delay-ms", min=0.0, metavar="D", help="The same, one way: half of --round-trip-ms [ms]."),
     ] = None,
     duration: Annotated[
         float | None,
@@ -72,6 +80,14 @@ def up(
             "--set", metavar="SECTION.KEY=VALUE", help="Change one key of the scenario (SI units); may be repeated."
         ),
     ] = None,
+    sweep: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--sweep",
+            metavar="KEY=V1,V2",
+            help="Run a session for each value of a key, or of round_trip_ms, and compare them (repeatable).",
+        ),
+    ] = None,
     without: Annotated[
         list[str] | None,
         typer.Option(
@@ -81,6 +97,8 @@ def up(
     allow_replay: Annotated[
         bool, typer.Option("--allow-replay", help="Let the devices obey commands that come from a recording.")
     ] = False,
+    formats: FormatOption = "png",
+    style: StyleOption = "screen",
     headless: Annotated[
         bool, typer.Option("--headless", help="Print a line for each phase instead of the live view.")
     ] = False,
@@ -91,6 +109,13 @@ def up(
 ) -> None:
     """Start every node of a rig, run a scenario, record it, and write figure and summary."""
     with report_errors(as_json):
+        options = figure_options(formats, style)
+        if round_trip_ms is not None and delay_ms is not None:
+            raise ConfigError("--round-trip-ms, --delay-ms: the same delay, there and back and one way: give one")
+        delay_ms = 0.5 * round_trip_ms if round_trip_ms is not None else delay_ms
+        if sweep:
+            _sweep(sweep, scenario, out, options, as_json=as_json)
+            return
         request = UpRequest(
             scenario=scenario,
             site_file=site_file,
@@ -114,10 +139,21 @@ def up(
             outcome = run_rig(plan, view.observe, view.show)
         _restore_default_signals()
         try:
-            summary = report_of(outcome, plan, view.show)
+            summary = report_of(outcome, plan, view.show, options)
         except ReportError as error:
             fail_with_summary(error, str(plan.out), as_json=as_json)
     _print_outcome(outcome, summary, plan, as_json=as_json)
+
+
+def _sweep(given: list[str], scenario: str, out: Path | None, options: FigureOptions, *, as_json: bool) -> None:
+    """Run this very command once for each point of a sweep, and compare the sessions."""
+    from telenano.commands.compare import compare_sessions, print_comparison
+    from telenano.sweep import points_of, run_sweep, without_sweep
+
+    folder = out or default_folder(scenario, datetime.now())
+    points = points_of(given)
+    folders = run_sweep(points, without_sweep(sys.argv), folder, lambda text: typer.echo(text, err=True))
+    print_comparison(compare_sessions(folders, folder, options), folder, as_json=as_json)
 
 
 def _open_view(*, live: bool, quiet: bool) -> LiveView | LineView:

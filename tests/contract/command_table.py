@@ -4,9 +4,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from services.afm_node.disturbances import DisturbanceConfig
 from services.afm_node.node import AfmNode
 from services.afm_node.program_config import InstrumentRequest
-from services.controller.config import LAWS, ControllerConfig
+from services.controller.config import KNOWN_LAWS, ControllerConfig
 from services.controller.half import ControllerHalf
 from services.delay_node.config import LinkSettings, flattened
 from services.delay_node.node import DelayNode
@@ -37,7 +38,10 @@ def settable(node: str) -> list[str]:
     if node == "delay_node":
         return list(flattened(LinkSettings()))
     if node == "afm_node":
-        return list(flatten(InstrumentRequest().model_dump()))
+        return [
+            *flatten(InstrumentRequest().model_dump()),
+            *flatten({"disturbances": DisturbanceConfig().model_dump()}),
+        ]
     return list(ACTIONS if node == "recorder" else SETTERS)
 
 
@@ -56,7 +60,7 @@ def parameters(node: str, command: str) -> str:
         return "any: they are the data of the mark"
     if command != "set":
         return "none"
-    laws = f"; `law` is one of {', '.join(LAWS)}" if node == "controller" else ""
+    laws = f"; `law` is one of {', '.join(KNOWN_LAWS)}" if node == "controller" else ""
     flags = "; each is `true`" if node == "recorder" else ""
     return condensed(settable(node)) + laws + flags
 

@@ -40,8 +40,8 @@ TARGETS = ("*", "controller@slave", "controller@master", "afm_node", "haptic_nod
 class Frames:
     """Makes frames; `now_ns` is what the readers' clock shows.
 
-    gentle: leaves out commands that end what a live session is judged by: its programme, its law, the samples that a dead
-    band leaves out, its link, its files.
+    gentle: leaves out commands that end what a live session is judged by: its programme, its law, the samples that a
+    dead band leaves out, its link, its files.
     """
 
     seed: str

@@ -46,7 +46,7 @@ def chromium() -> Iterator[Any]:
 def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
     rig = Rig(tmp_path_factory.mktemp("viewed"))
     try:
-        rig.start("--duration", "600", scenario="touch")
+        rig.start("--duration", "600", scenario="image")
         rig.wait_until(rig.running, "a running session")
         yield rig
     finally:
@@ -132,6 +132,49 @@ def test_the_virtual_hand_presses_the_tip_and_the_force_comes_back(rig: Rig, ope
     operator.picture("touch")
     mouse.up()
     rig.wait_until(lambda: newest(rig, "haptic/state").operator_force_n[2] == 0.0, "a hand that has let go")
+
+
+@pytest.mark.endurance
+def test_the_sample_is_imaged_from_the_page_and_the_tip_goes_where_the_pointer_says(rig: Rig, operator: Page) -> None:
+    operator.until("!document.querySelector('#instrument').hidden", "the controls of the instrument")
+    for key, value in {"pixels": "64", "lines": "40", "dwell_s": "0.003"}.items():
+        operator.fill(f"#program-scan-{key}", value)
+    begin_ns = time.time_ns()
+    answer = operator.answered(lambda: operator.click("#program-scan"))
+    assert "acknowledged" in answer, answer
+    operator.until(f"{FILLED} > 1", "the first lines of the surface")
+    first = operator.value(FILLED)
+    operator.until(f"{FILLED} > {first}", "a surface that grows")
+    rig.wait_until(lambda: newest(rig, "afm/program").state == "finished", "the end of the image")
+    operator.until(f"{FILLED} === 40", "the whole surface")
+    published = [line for line in since(rig, "afm/scanline", begin_ns) if line.direction == "trace"]
+    assert [line.line for line in published] == list(range(40))
+    heights_nm = 1e9 * np.array([np.frombuffer(line.height_m.data, f"<{line.height_m.dtype}") for line in published])
+    # a dot is 10 nm high, and the page has what was published
+    assert np.ptp(heights_nm) > 5.0
+    shown_nm = operator.value("[telenano.view.surface.least, telenano.view.surface.greatest]")
+    assert shown_nm == pytest.approx([heights_nm.min(), heights_nm.max()], rel=1e-5)
+    # after an image the tip is away until it is armed
+    operator.click("#arm")
+    rig.wait_until(lambda: newest(rig, "afm/state").mode == "follow", "a tip that follows")
+    operator.click("#place-tip")
+    box = operator.page.locator("#scene > canvas").bounding_box()
+    x, y = box["x"] + 0.56 * box["width"], box["y"] + 0.68 * box["height"]
+    operator.page.mouse.move(x, y)
+    operator.page.mouse.down()
+    operator.page.mouse.move(x + 40.0, y, steps=4)
+    operator.page.mouse.up()
+    operator.click("#place-tip")
+    rig.wait_until(lambda: abs(newest(rig, "afm/state").base_position_m[0]) > 2e-9, "a tip that was carried")
+    wanted = [
+        (control.parameters["lateral.x_m"], control.parameters["lateral.y_m"])
+        for control in since(rig, "session/control", begin_ns)
+        if "lateral.x_m" in control.parameters
+    ]
+    rig.wait_until(
+        lambda: newest(rig, "afm/state").base_position_m[:2] == pytest.approx(wanted[-1], rel=1e-6), "the tip there"
+    )
+    operator.picture("scanned")
 
 
 @pytest.mark.endurance

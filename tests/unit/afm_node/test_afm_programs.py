@@ -38,7 +38,7 @@ class Imager:
         self.driver: Any = (
             SimulatedSpring(self.config.to_spring_params())
             if spring
-            else SimulatedAfm(self.config.to_params(), self.config.to_surface())
+            else SimulatedAfm(self.config.to_params(), self.config.to_surface(), self.config.to_friction_params())
         )
         self.node = AfmNode(bench.context, self.config, self.driver)
 

@@ -80,3 +80,14 @@ def test_the_tip_has_to_touch_and_press_as_the_hand_does() -> None:
 
 def test_a_session_without_holds_cannot_be_called_stable() -> None:
     assert verdict_of([])[0] == "cannot_say"
+
+
+@pytest.mark.parametrize("time_constant_s", [0.3, 0.8, 2.0])
+def test_a_slow_loop_that_does_not_swing_is_never_said_to(time_constant_s: float) -> None:
+    # an overdamped law approaches its force; in its hold the tip has not arrived, and nothing oscillates
+    tip_n = np.zeros_like(TIME_S)
+    for n in range(1, len(TIME_S)):
+        tip_n[n] = tip_n[n - 1] + 1e-3 / time_constant_s * (HAND_N[n] - tip_n[n - 1])
+    found = judge_holds(TIME_S, HAND_N, TIME_S, tip_n)
+    assert {hold.verdict for hold in found} <= {"stable", "drifting", "wrong_force"}
+    assert not any("grows" in hold.reason or "neither grows" in hold.reason for hold in found)

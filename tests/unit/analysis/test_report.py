@@ -5,13 +5,14 @@ import json
 import os
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from analysis.missing import cut_off, gaps
-from analysis.report import read_session, write_files, write_report
+from analysis.report import _title, read_session, write_files, write_report
 from proto.errors import ReportError
 from recording.arrays import columns
 from recording.channel_filter import ALL
@@ -142,3 +143,19 @@ def test_no_line_is_drawn_across_a_gap(parts: list[Path]) -> None:
             steps = [later - earlier for earlier, later in pairwise(times)]
             if len(times) > 10:
                 assert not any(step > 0.1 for step in steps if not np.isnan(step))
+
+
+CONDITIONS_OF_A_TITLE = {
+    "law": ["wave"],
+    "link_round_trip_ms": 40.0,
+    "round_trip_ms": 41.0,
+    "link_profile": "clean",
+    "hold_ratio": 1.05,
+    "recording": {"complete": True},
+}
+
+
+def test_the_title_names_the_verdict_and_calls_no_drift_unstable() -> None:
+    found = {**CONDITIONS_OF_A_TITLE, "verdict": "drifting", "stable": False}
+    text = _title(SimpleNamespace(scenario="fig12", conditions=found), found)  # type: ignore[arg-type]
+    assert text == "fig12, wave, round trip of the link 40 ms: drifting, hold ratio 1.050"

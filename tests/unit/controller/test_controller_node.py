@@ -322,6 +322,49 @@ def test_retracted_tip_is_not_active(slave: Any) -> None:
     assert node.state == "safe"
 
 
+def test_a_tip_that_images_by_itself_moves_no_hand_until_it_is_done_or_falls_silent(slave: Any) -> None:
+    bench, node = slave
+
+    def is_active(state: str, wait_ms: float = 0.0) -> bool:
+        fields = {"program": "scan", "state": state, "text": "", "done_percent": 0.0, "line": 0, "lines": 4}
+        node.on_message(bench.received("afm/program", "afm_node@slave", **fields))
+        bench.advance_ms(wait_ms)
+        hand_ms = bench.clock.now_ns() // 10**6
+        fields = {**forward_fields(8e-9, hand_ms, 50), "hand_t_ns": bench.clock.now_ns()}
+        node.on_message(bench.received("teleop/forward", "controller@master", **fields))
+        command = bench.take("afm/command")[-1]
+        tip = {**tip_fields(0.0, command.seq, mode="follow"), "hand_t_ns": bench.clock.now_ns()}
+        node.on_message(bench.received("afm/state", "afm_node@slave", **tip))
+        return bench.take("teleop/backward")[-1].active
+
+    assert [is_active(state) for state in ("running", "paused", "finished")] == [False, False, True]
+    assert is_active("running", wait_ms=499.0) is False
+    assert is_active("running", wait_ms=501.0) is True
+
+
+def test_x_and_y_of_a_hand_reach_the_tip_and_its_lateral_force_comes_back(master: Any, bench_of: Any) -> None:
+    bench, node = master
+    hand = bench.received("haptic/state", "haptic_node@master", **{**hand_fields(), "position_m": (4e-3, -2e-3, 0.0)})
+    node.on_message(hand)
+    (forward,) = bench.take("teleop/forward")
+    # alpha_p = 1.5e-6
+    assert forward.position_m[:2] == pytest.approx((6e-9, -3e-9), rel=1e-12, abs=0.0)
+    far = bench_of("controller@slave")
+    slave = SlaveController(far.context, ControllerConfig())
+    fields = {**forward_fields(0.0, 5, 50), "position_m": forward.position_m, "hand_t_ns": far.clock.now_ns()}
+    slave.on_message(far.received("teleop/forward", "controller@master", **fields))
+    (command,) = far.take("afm/command")
+    assert command.base_position_m[:2] == forward.position_m[:2]
+    tip = {**tip_fields(2e-9, command.seq), "base_position_m": (6e-9, -3e-9, 0.0), "tip_force_n": (-1e-9, 5e-10, 2e-9)}
+    slave.on_message(far.received("afm/state", "afm_node@slave", **tip))
+    (backward,) = far.take("teleop/backward")
+    assert (backward.position_m[:2], backward.force_n[:2]) == ((6e-9, -3e-9), (-1e-9, 5e-10))
+    answer = {**answer_fields(2e-9, hand.message.seq, hand.message.t_ns), "force_n": backward.force_n}
+    node.on_message(bench.received("teleop/backward", "controller@slave", **answer))
+    # alpha_f = 1e8
+    assert bench.take("haptic/command")[-1].force_n[:2] == pytest.approx((-0.1, 0.05), rel=1e-12, abs=0.0)
+
+
 def test_each_site_gets_its_half(bench_of: Any) -> None:
     config = ControllerConfig()
     assert isinstance(half_of_site(bench_of("controller@master").context, config), MasterController)

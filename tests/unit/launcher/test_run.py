@@ -136,7 +136,7 @@ def test_a_report_is_made_of_a_session_that_ran(tmp_path: Path, monkeypatch: pyt
     reported: list[str] = []
     ran = Outcome("", False, True, (path,), "", {})
     monkeypatch.setattr(
-        up, "make_report", lambda recordings, out, missing: {"recording": str(recordings[0]), "out": str(out)}
+        up, "make_report", lambda recordings, out, missing, options: {"recording": str(recordings[0]), "out": str(out)}
     )
     assert report_of(ran, plan, reported.append) == {"recording": str(path), "out": str(plan.out)}
     assert reported == ["making figure and summary"]

@@ -65,3 +65,4 @@ def test_the_forms_are_the_schemas_of_the_nodes() -> None:
     assert "lte" in found["profiles"]
     assert "force_gain" in str(found["controller"])
     assert "delay_s" in str(found["delay_node"])
+    assert "setpoint_n" in str(found["afm_node"])

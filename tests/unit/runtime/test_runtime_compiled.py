@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from services.runtime.compiled import cache_directory, source_digest
+from services.runtime.compiled import CACHE_DAYS, cache_directory, clean_old_caches, source_digest
 
 ROOT = Path(__file__).parents[3]
 
@@ -163,3 +163,12 @@ def test_a_process_that_does_not_ask_for_it_compiles_nothing_and_needs_no_compil
 def test_a_step_imported_before_the_compiler_was_asked_for_is_named(tmp_path: Path) -> None:
     program = "import model\ntry:\n    import studies\nexcept RuntimeError as error:\n    print(error)"
     assert run_step(tmp_path, program).startswith("model.step was imported before compile_steps()")
+
+
+def test_caches_that_nobody_has_used_for_long_are_deleted(tmp_path: Path) -> None:
+    for name in ("numba-old", "numba-new", "keys"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "index.nbi").write_bytes(b"1")
+        os.utime(tmp_path / name, (0.0, 1e9 if name == "numba-new" else 1e9 - (CACHE_DAYS + 1) * 86_400.0))
+    assert clean_old_caches(tmp_path, 1e9) == [tmp_path / "numba-old"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["keys", "numba-new"]

@@ -261,3 +261,11 @@ def test_of_very_many_faults_the_first_are_told() -> None:
     assert any(line.startswith("rig.yaml: k0: unknown key") for line in text.splitlines())
     # a missing key is a fault as well
     assert text.splitlines()[-1] == "rig.yaml: and 981 more"
+
+
+def test_a_mapping_of_another_kind_takes_the_place_of_the_one_before() -> None:
+    below = {"operator": {"kind": "force_profile", "points": [1]}, "law": "wave"}
+    assert merge(below, {"operator": {"kind": "interactive"}}) == {"operator": {"kind": "interactive"}, "law": "wave"}
+    more = merge(below, {"operator": {"kind": "force_profile", "max_force_n": 5.0}})
+    assert more["operator"] == {"kind": "force_profile", "points": [1], "max_force_n": 5.0}
+    assert merge(below, {"operator": {"max_force_n": 5.0}})["operator"]["points"] == [1]

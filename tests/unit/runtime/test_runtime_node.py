@@ -193,6 +193,14 @@ def test_deadlines_come_exactly_and_health_twice_a_second() -> None:
     assert second.memory_bytes > 10**6
 
 
+def test_a_process_reports_more_often_at_first() -> None:
+    rig = Rig(period_ns=MS)
+    rig.loop = NodeLoop(rig.node, rig.bus, GRANTED, starting_period_ns=100 * MS)
+    rig.run_until(4005 * MS)
+    assert [(h.t_ns - 10**18) // MS for h in rig.health] == [*range(5, 3006, 100), 3505, 4005]
+    assert {h.rate_hz for h in rig.health[1:]} == {1000.0}
+
+
 def test_lateness_and_overruns_are_reported() -> None:
     rig = Rig(period_ns=MS)
     rig.bus.oversleep_ns = 100_000

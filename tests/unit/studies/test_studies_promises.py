@@ -110,3 +110,12 @@ def test_over_drawn_bad_links_no_energy_is_made_at_the_device(tmp_path: Path) ->
 def test_passivity_holds_and_makes_no_energy_at_the_device(stiffness: float, link: tuple[float, float, float]) -> None:
     hands: tuple[Hand, ...] = ("force", "ordinary")
     assert min(held("passivity", stiffness, link, hand, seed) for hand in hands for seed in SEEDS) >= -1e-6
+
+
+@pytest.mark.stack
+@pytest.mark.endurance
+@pytest.mark.parametrize(("round_trip_ms", "greatest_n"), [(200.0, 7.0), (500.0, 16.0)])
+def test_smith_goes_in_by_what_the_hand_does_in_a_round_trip(round_trip_ms: float, greatest_n: float) -> None:
+    found = run_cell(Cell(law="smith", environment="contact", stiffness_n_per_m=40.0, round_trip_ms=round_trip_ms))
+    assert found.verdict == "stable"
+    assert found.peak_n == pytest.approx(greatest_n, rel=0.05, abs=0.0)

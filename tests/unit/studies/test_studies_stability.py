@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import math
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +12,10 @@ import pytest
 
 from proto.errors import ConfigError
 from services.afm_node.safety import MODE_HOLD, MODE_RETRACTING
+from services.viz_node.figure_style import VERDICTS
 from studies import sweep as sweep_module
 from studies.cells import Cell, CellResult, Hand, judged, run_cell, trajectory_of
+from studies.page import Page
 from studies.stability import (
     Axes,
     Edge,
@@ -301,3 +304,16 @@ def test_arm_bears_more_delay_by_theory_and_friction_keeps_a_small_motion_up_bel
 def test_residue_of_a_motion_that_friction_brakes_is_no_growth() -> None:
     cell = Cell(law="virtual_impedance", environment="spring", hand="soft", round_trip_ms=93.0, stiffness_n_per_m=10.0)
     assert run_cell(cell).verdict == "stable"
+
+
+def test_a_page_says_what_made_it_and_links_the_tables_beside_it(tmp_path: Path) -> None:
+    (tmp_path / "cells.parquet").write_bytes(b"")
+    page = Page("Title")
+    page.code("telenano study stability --seed 3")
+    page.table(("verdict",), [("stable",)])
+    page.write(tmp_path / "page.html")
+    text = (tmp_path / "page.html").read_text()
+    assert f"telenano {version('telenano')}, commit " in text
+    assert '<a href="cells.parquet">cells.parquet</a>' in text
+    assert '<td class="stable">stable</td>' in text
+    assert all(f".{kind} {{ background: {colour}66;" in text for kind, colour in VERDICTS.items())

@@ -108,3 +108,15 @@ def test_hand_walks_only_where_the_law_lets_it() -> None:
     still = drift_m(cell(20.0))
     assert still is not None
     assert abs(still) < 1e-6
+
+
+def test_a_law_with_an_energy_account_moves_without_delay_and_its_figures_make_sense() -> None:
+    # with a channel that let nothing through the table had 103 %, -2032 N/m and -681 ms beside the verdict stable
+    found = measure(cell(0.0).model_copy(update={"law": "passivity"}))
+    assert found.verdict == "stable"
+    assert found.tracking_error_percent is not None
+    assert found.tracking_error_percent < 75.0
+    assert found.rendered_stiffness_n_per_m is not None
+    assert 0.25 * found.true_stiffness_n_per_m < found.rendered_stiffness_n_per_m < 1.1 * found.true_stiffness_n_per_m
+    assert found.perceived_delay_ms is not None
+    assert abs(found.perceived_delay_ms) < 50.0

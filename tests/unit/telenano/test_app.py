@@ -83,7 +83,7 @@ def test_version() -> None:
 def test_an_unknown_scenario_lists_the_known(tmp_path: Path) -> None:
     code, out, err = run("up", "--scenario", "fig13", "--out", str(tmp_path))
     assert (code, out) == (2, "")
-    assert "unknown scenario 'fig13': known are fig12" in err
+    assert "unknown scenario 'fig13': known are fig10, fig12" in err
 
 
 def test_a_missing_site_file_is_named(tmp_path: Path) -> None:
@@ -193,10 +193,20 @@ def test_an_error_with_json_is_one_object_on_stdout_and_a_sentence_on_stderr(arg
     assert err == f"telenano: {error}\n"
 
 
-def test_a_listing_with_json_is_one_object_even_where_nobody_publishes() -> None:
-    code, out, err = run("topic", "list", "--duration", "0", "--json")
-    assert (code, err) == (0, "")
-    assert {row["heard"] for row in json.loads(out)["topics"]} == {0}
+@pytest.mark.parametrize("command", ["list", "echo afm/state", "hz afm/state", "bw afm/state", "delay afm/state"])
+def test_silence_without_a_rig_is_said_at_once(command: str) -> None:
+    # without a limit of time they would listen for ever
+    code, out, err = run("topic", *command.split(), "--json")
+    assert code == 1
+    assert "no rig of this site file runs on this machine: is `telenano up` running" in json.loads(out)["error"]
+    assert err.startswith("telenano: ")
+
+
+def test_a_recorder_without_a_rig_says_that_its_file_is_empty(tmp_path: Path) -> None:
+    code, _, err = run("record", "--out", str(tmp_path / "empty.mcap"), "--duration", "0")
+    assert code == 1
+    assert "no rig of this site file runs on this machine yet; waiting for one" in err
+    assert f"The recording is empty: {tmp_path / 'empty.mcap'}" in err
 
 
 @pytest.mark.parametrize(

@@ -40,7 +40,20 @@ def arguments_in(line: str) -> Iterator[list[str]]:
             yield words[names[-1] + 1 :]
 
 
-COMMANDS = list(documented())
+# names of packages of the reader's own, and what takes their place here
+PLACEHOLDERS = {"my_law": "position_force", "{kind: my_hand, tremor_n: 0.1}": "{kind: force_profile}"}
+
+
+def known_here(words: list[str]) -> list[str]:
+    found = []
+    for word in words:
+        for name, own in PLACEHOLDERS.items():
+            word = word if words[0] == "new" else word.replace(name, own)
+        found.append(word)
+    return found
+
+
+COMMANDS = [(page, known_here(arguments)) for page, arguments in documented()]
 
 
 def context_of(arguments: list[str]) -> Any:
@@ -60,7 +73,7 @@ def plan_of(options: dict[str, Any], folder: Path) -> Plan:
     request = UpRequest(
         scenario=options["scenario"],
         site_file=options["site_file"],
-        delay_ms=options["delay_ms"],
+        delay_ms=options["delay_ms"] if options["round_trip_ms"] is None else 0.5 * options["round_trip_ms"],
         duration_s=options["duration"],
         out=folder,
         overwrite=options["overwrite"],

@@ -192,6 +192,7 @@ def test_advise_answers_in_sentences_and_leaves_a_page(tmp_path: Path, monkeypat
         "120 ms, 3 % loss, wall of 80 N/m: take model_mediated with the clamp off; all of its 12 "
     )
     assert "Not suited: smith with the clamp off (it grows)." in result.stdout
+    assert "set: --set controller.law=model_mediated --set controller.clamp.enabled=false\n" in result.stdout
     summary = json.loads((tmp_path / "advise.json").read_text())
     assert summary["take"] == "model_mediated"
     assert summary["candidates"][1]["price"] is None

@@ -36,6 +36,16 @@ def test_a_page_is_as_new_as_its_newest_source(monkeypatch: pytest.MonkeyPatch, 
     assert not build_page.is_built()
 
 
+def test_npm_is_run_from_its_package_where_that_lies_beside_the_node(tmp_path: Path) -> None:
+    folder = tmp_path / "bin"
+    assert build_page.npm_of(folder) == [str(folder / "npm")]
+    package = tmp_path / "lib" / "node_modules" / "npm" / "bin" / "npm-cli.js"
+    package.parent.mkdir(parents=True)
+    package.write_text("")
+    # the script in a wheel is a copy, which no longer finds what it belongs to
+    assert build_page.npm_of(folder) == [str(folder / "node"), str(package)]
+
+
 def test_without_a_node_that_is_new_enough_the_page_is_not_built(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

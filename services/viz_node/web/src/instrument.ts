@@ -6,12 +6,11 @@ import type { Store } from "./store";
 
 const NM = 1e-9;
 const TARGET = "afm_node";
+const PROGRAMS: Record<string, string> = { scan: "Scan", curve: "Force curve", tactile: "Tactile" };
 
 /** What the instrument does by itself: images and force curves, and where the tip is over the sample. */
 export class Instrument {
   private readonly state = make("div", { class: "quiet", id: "program-state" }, "No program runs: the tip follows the hand.");
-  private scan: Form | undefined;
-  private curve: Form | undefined;
   private wanted: [number, number] | undefined;
   private isSending = false;
 
@@ -33,8 +32,9 @@ export class Instrument {
     const schema = this.store.forms["afm_node"] as Record<string, unknown>;
     const button = (id: string, text: string, action: () => unknown): HTMLButtonElement => make("button", { type: "button", id, disabled: !may, onclick: () => void action() }, text);
     const simple = (name: string, text: string): HTMLButtonElement => button(`program-${name}`, text, () => this.controls.command(name, "set", TARGET, { program: name }));
-    [this.scan, this.curve] = [new Form(settings(schema, "scan"), "scan"), new Form(settings(schema, "curve"), "curve")];
-    const begin = (program: string, form: Form | undefined) => () => this.controls.command(`${program} begins`, "set", TARGET, { program, ...form?.values() });
+    const known = Object.keys((schema["properties"] ?? {}) as Record<string, unknown>);
+    const programs = Object.keys(PROGRAMS).filter((name) => known.includes(name)).map((name) => ({ name, form: new Form(settings(schema, name), "program") }));
+    const begin = (program: string, form: Form) => () => this.controls.command(`${program} begins`, "set", TARGET, { program, ...form.values() });
     const field = (id: string, label: string): HTMLInputElement => make("input", { id, type: "number", step: "any", placeholder: label, "aria-label": `${label} of the tip in nm`, disabled: !may });
     const [x, y] = [field("tip-x", "x"), field("tip-y", "y")];
     const go = (): void => {
@@ -43,12 +43,11 @@ export class Instrument {
     };
     root.replaceChildren(
       make("h2", {}, "Instrument"),
-      make("div", { class: "row" }, button("program-scan", "Scan", begin("scan", this.scan)), simple("pause", "Pause"), simple("resume", "Resume"), simple("abort", "Abort")),
-      make("div", { class: "row" }, button("program-curve", "Force curve", begin("curve", this.curve))),
+      make("div", { class: "row" }, ...programs.map(({ name, form }) => button(`program-${name}`, PROGRAMS[name]!, begin(name, form)))),
+      make("div", { class: "row" }, simple("pause", "Pause"), simple("resume", "Resume"), simple("abort", "Abort")),
       this.state,
       make("div", { class: "row tip-place" }, "Tip", x, y, "nm", button("tip-go", "Move", go)),
-      make("details", {}, make("summary", {}, "Settings of the scan"), this.scan.element),
-      make("details", {}, make("summary", {}, "Settings of the force curve"), this.curve.element),
+      ...programs.map(({ name, form }) => make("details", {}, make("summary", {}, `Settings: ${PROGRAMS[name]!.toLowerCase()}`), form.element)),
     );
   }
 

@@ -116,7 +116,6 @@ export class View {
     this.buildTip();
     this.world.add(this.plane, this.surface.mesh, this.tip, this.contact, this.mark, this.normal, this.lateral);
     this.world.add(this.bars);
-    this.fit({ x: 0, y: 0, width: PLANE_NM, depth: PLANE_NM });
     this.orbit = new OrbitControls(this.camera, this.renderer.domElement);
     this.orbit.enableDamping = false;
     this.orbit.addEventListener("change", () => this.invalidate());
@@ -128,7 +127,7 @@ export class View {
     this.section.onChange = () => this.invalidate();
     this.world.add(this.section.polyline);
     this.buildOverlay();
-    this.reset();
+    this.fit({ x: 0, y: 0, width: PLANE_NM, depth: PLANE_NM });
     this.recolour();
     new ResizeObserver(() => this.resize()).observe(root);
     this.resize();
@@ -277,7 +276,8 @@ export class View {
       const s = (i + 0.5) / BEAM_PARTS;
       const lift = deflection * ((3 * s * s - s ** 3) / 2 - 1);
       piece.position.z = TIP_NM + 2 + lift;
-      piece.rotation.y = Math.atan((deflection * (6 * s - 3 * s * s)) / 2 / CANTILEVER_NM);
+      // a positive turn about y takes x down
+      piece.rotation.y = -Math.atan((deflection * (6 * s - 3 * s * s)) / 2 / CANTILEVER_NM);
     });
   }
 
@@ -470,7 +470,7 @@ function bar(axis: "x" | "y" | "z", length: number, at: [number, number, number]
   label.scale.multiplyScalar(side);
   label.position.set(...middle);
   if (axis === "x") label.position.y -= 6 * side;
-  if (axis === "y") label.position.x -= 15 * side;
+  if (axis === "y") label.position.set(-6 * side, length + 4 * side, 0);
   if (axis === "z") label.position.z = length + 5 * side;
   const group = new Group();
   group.add(rod, label);

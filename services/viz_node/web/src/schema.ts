@@ -10,6 +10,8 @@ export interface Setting {
   initial: number | boolean | string | null;
   min?: number;
   max?: number;
+  /** The texts that it may be; any where there are none. */
+  choices?: string[];
 }
 
 /** Units by the end of a key: the longest that fits. */
@@ -65,6 +67,7 @@ function settingOf(key: string, name: string, schema: Schema): Setting | undefin
     label: (unit ? name.slice(0, -unit[0].length) : name).replaceAll("_", " "),
     about: String(plain["description"] ?? ""),
     initial: (plain["default"] ?? null) as Setting["initial"],
+    ...(Array.isArray(plain["enum"]) && { choices: plain["enum"].map(String) }),
     ...(typeof min === "number" && { min }),
     ...(typeof max === "number" && { max }),
   };

@@ -1,0 +1,134 @@
+"""Several recorded sessions side by side: their curves in one figure, their figures in one table."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from analysis.report import Session, read_session, read_traffic, summarise
+from proto.errors import ConfigError
+from recording.multi_file import open_recordings
+from services.viz_node.fig12 import SessionSeries
+from services.viz_node.figure_style import COLUMN_IN, LINES, ON_SCREEN, REFERENCE, FigureOptions, lettered, styled
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+# of a table, in this order: key of a summary, heading with its unit
+_COLUMNS = (
+    ("verdict", "verdict"),
+    ("law", "law"),
+    ("link_round_trip_ms", "round trip of the link [ms]"),
+    ("round_trip_ms", "round trip of the loop [ms]"),
+    ("link_profile", "link"),
+    ("hold_ratio", "hold ratio"),
+    ("contact_x_cm", "contact x_m [cm]"),
+    ("release_force_nn", "force after release [nN]"),
+    ("greatest_pull_nn", "greatest pull [nN]"),
+    ("duration_s", "duration [s]"),
+)
+
+
+class Compared(NamedTuple):
+    """A session, what it is called beside the others, and its summary."""
+
+    name: str
+    session: Session
+    summary: dict[str, Any]
+
+
+def recordings_of(path: Path) -> list[Path]:
+    """Return the recording that a path is, or all parts of the one in a folder; ConfigError where there is none."""
+    if not path.is_dir():
+        return [path]
+    found = sorted(path.glob("session*.mcap"))
+    if not found:
+        raise ConfigError(f"{path}: has no session.mcap in it; give a recording, or the folder of `telenano up --out`")
+    return found
+
+
+def names_of(paths: Sequence[Path]) -> list[str]:
+    """Return the shortest names by which paths differ: their last part, with as many before it as that takes."""
+    parts = [_named(path).parts for path in paths]
+    # what all have at their ends distinguishes nothing
+    while all(len(own) > 1 for own in parts) and len({own[-1] for own in parts}) == 1 and len(parts) > 1:
+        if len(set(parts)) < len(parts):
+            break
+        parts = [own[:-1] for own in parts]
+    for depth in range(1, max(map(len, parts)) + 1):
+        names = ["/".join(own[-depth:]) for own in parts]
+        if len(set(names)) == len(names):
+            return names
+    return [f"{name} ({number})" for number, name in enumerate(names, start=1)]
+
+
+def _named(path: Path) -> Path:
+    """Return the part of a path that names a session: its folder where the file has the name that all have."""
+    path = path.absolute()
+    if path.suffix != ".mcap":
+        return path
+    return path.parent if path.stem == "session" else path.with_suffix("")
+
+
+def compare(paths: Sequence[Path]) -> list[Compared]:
+    """Read sessions; RecordingError names a file that has none, ConfigError a folder without a recording."""
+    found = []
+    for name, path in zip(names_of(paths), paths, strict=True):
+        recording = open_recordings(recordings_of(path))
+        session = read_session(recording)
+        found.append(Compared(name, session, summarise(session, recording.info(), read_traffic(recording, session))))
+    return found
+
+
+def rows_of(sessions: Sequence[Compared]) -> list[dict[str, Any]]:
+    """Return a row for each session: what distinguishes it first, then its figures, in the units of the headings."""
+    changed = _differing([session.summary["parameters"] for session in sessions])
+    rows = []
+    for name, _, summary in sessions:
+        values = {heading: _value(summary[key]) for key, heading in _COLUMNS}
+        values |= {key: summary["parameters"].get(key) for key in changed}
+        age = summary["loop_age_ms"]
+        rows.append({"session": name, **values, "loop age, median [ms]": None if age is None else age["p50"]})
+    return rows
+
+
+def _differing(documents: Sequence[Mapping[str, Any]]) -> list[str]:
+    keys = dict.fromkeys(key for document in documents for key in document)
+    return [key for key in keys if len({str(document.get(key)) for document in documents}) > 1]
+
+
+def _value(value: Any) -> Any:
+    return " then ".join(value) if isinstance(value, list) else value
+
+
+def compare_figure(sessions: Sequence[Compared], options: FigureOptions = ON_SCREEN) -> "Figure":
+    """Draw the sessions over one another: alpha_f F_s, x_m, and F_s against h; F_m of the first for reference."""
+    from matplotlib.figure import Figure
+
+    paper = options.style == "paper"
+    with styled(options):
+        figure = Figure(figsize=(COLUMN_IN, 6.6) if paper else (7.6, 9.4), layout="constrained")
+        panels = figure.subplots(3, 1)
+        first = sessions[0].session.series()
+        panels[0].plot(
+            first.hand_time_s, first.hand_force_n, color=REFERENCE, lw=2.4, zorder=0, label=f"$F_m$, {sessions[0].name}"
+        )
+        for number, (name, session, summary) in enumerate(sessions):
+            colour, style = LINES[number % len(LINES)]
+            look = {"color": colour, "ls": style, "lw": 1.0}
+            _draw(panels, session.series(), look, f"{name}: {summary['verdict'].replace('_', ' ')}")
+        for panel, (x, y) in zip(panels, (("time (s)", r"$\alpha_f F_s$ (N)"), ("time (s)", r"$x_m$ (cm)"),
+                                          ("tip-sample distance h (nm)", r"$F_s$ (nN)")), strict=True):  # fmt: skip
+            panel.axhline(0.0, color="0.8", lw=0.8, zorder=-1)
+            panel.set(xlabel=x, ylabel=y)
+        lettered(list(panels), options)
+        handles, labels = panels[0].get_legend_handles_labels()
+        columns = 1 if paper or max(map(len, labels)) > 40 else 2
+        figure.legend(handles, labels, loc="outside upper left", ncols=columns, fontsize=8, frameon=False)
+    return figure
+
+
+def _draw(panels: "Sequence[Axes]", series: SessionSeries, look: Mapping[str, Any], label: str) -> None:
+    panels[0].plot(series.tip_time_s, series.force_scale * series.tip_force_n, label=label, **look)
+    panels[1].plot(series.hand_time_s, 100.0 * series.hand_position_m, **look)
+    panels[2].plot(1e9 * series.separation_m, 1e9 * series.tip_force_n, **look)

@@ -1,0 +1,39 @@
+"""The packages that a recorded session used, as its recording names them, and whether the same ones are here."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from presets.plugins import installed
+from proto.errors import ConfigError
+from recording.multi_file import RecordingSource
+from services.runtime.scenario import named_in
+
+
+def recorded_plugins(recording: RecordingSource, document: Mapping[str, Any]) -> dict[str, dict[str, str]]:
+    """Return package, version and digest of each entry of a package that a scenario names, by `kind.name`."""
+    kept = recording.metadata.get("plugins", {})
+    found = {}
+    for kind, name in named_in(document):
+        if text := kept.get(f"{kind}.{name}"):
+            found[f"{kind}.{name}"] = dict(zip(("package", "version", "digest"), text.split(), strict=True))
+    return found
+
+
+def differences(recorded: Mapping[str, Mapping[str, str]]) -> list[str]:
+    """Return a sentence for each package whose files are not those of the recording.
+
+    Raises: ConfigError naming one that is not installed.
+    """
+    texts = []
+    for key, facts in recorded.items():
+        kind, _, name = key.partition(".")
+        row = installed(kind).get(name)
+        what = f"{kind.removesuffix('s')} {name} of {facts['package']}"
+        if row is None:
+            raise ConfigError(
+                f"the session used the {what} {facts['version']}, which is not installed here: "
+                f"pip install {facts['package']}=={facts['version']}"
+            )
+        if row.digest != facts["digest"]:
+            texts.append(f"the {what} was {facts['version']} with other files, and is {row.version} here")
+    return texts

@@ -1,0 +1,160 @@
+"""What installed packages add to this project: laws, devices, operators, samples and scenarios, by entry points.
+
+A package names them in its `pyproject.toml`, and is found as soon as pip has installed it:
+
+    [project.entry-points."telenano.laws"]
+    my_law = "my_package.law:MY_LAW"
+
+One that cannot be used is no harm to what does not use it: it is missing from the table, and its problem is told to
+whoever asks for it. What is recorded of one is its package, version and a digest of the package's files.
+"""
+
+import hashlib
+import importlib.util
+import re
+from collections.abc import Callable, Collection, Iterable
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from typing import Any, Generic, NamedTuple, TypeVar
+
+KINDS = ("laws", "devices", "operators", "samples", "scenarios")
+NAME = re.compile(r"[a-z][a-z0-9_]{0,31}")
+
+T = TypeVar("T")
+
+
+class Plugin(NamedTuple):
+    """An entry of an installed package; `problem` is empty for one that can be tried."""
+
+    kind: str
+    name: str
+    package: str
+    version: str
+    target: str
+    problem: str = ""
+
+    @property
+    def digest(self) -> str:
+        return digest_of(self.target)
+
+    def facts(self) -> dict[str, str]:
+        """Return what a recording keeps of it."""
+        return {"package": self.package, "version": self.version, "digest": self.digest}
+
+
+class Loaded(NamedTuple, Generic[T]):
+    """The entries of a kind that can be used, by name, and for the others what is wrong with them."""
+
+    found: dict[str, T]
+    problems: dict[str, str]
+
+
+@cache
+def installed(kind: str) -> dict[str, Plugin]:
+    """Return the entries of a kind by name, without importing them.
+
+    A name is that of a key in a scenario; one that two packages use belongs to neither.
+    """
+    rows: dict[str, Plugin] = {}
+    for entry in sorted(entry_points(group=f"telenano.{kind}"), key=lambda entry: (entry.name, entry.value)):
+        package, version = (entry.dist.name, entry.dist.version) if entry.dist else ("unknown", "unknown")
+        row = Plugin(kind, entry.name, package, version, entry.value)
+        if not NAME.fullmatch(entry.name):
+            text = "its name must be of lower-case letters, digits and _, begin with a letter, and have at most 32"
+            row = row._replace(problem=text)
+        known = rows.get(entry.name)
+        if known is not None and known.package != row.package:
+            row = row._replace(problem=f"{known.package} and {row.package} both have one of this name: remove one")
+        rows[entry.name] = row
+    return rows
+
+
+def load(kind: str, check: Callable[[str, Any], T | None], taken: Collection[str] = ()) -> Loaded[T]:
+    """Import the entries of a kind.
+
+    Parameters: check, returns what is used of one, None where it is for somebody else, and raises TypeError or
+    ValueError saying what is wrong with it; taken, names that the project has itself.
+    """
+    loaded: Loaded[T] = Loaded({}, {})
+    for name, row in installed(kind).items():
+        problem = row.problem or (f"{name} is a name of telenano's own" if name in taken else "")
+        if not problem:
+            problem = _tried(row, check, loaded.found)
+        if problem:
+            loaded.problems[name] = f"{name} of the package {row.package} {row.version} cannot be used: {problem}"
+    return loaded
+
+
+def _tried(row: Plugin, check: Callable[[str, Any], T | None], found: dict[str, T]) -> str:
+    try:
+        value = check(row.name, EntryPoint(row.name, row.target, f"telenano.{row.kind}").load())
+    # whatever the code of somebody else raises
+    except Exception as error:  # noqa: BLE001
+        return f"{type(error).__name__}: {error}"
+    if value is not None:
+        found[row.name] = value
+    return ""
+
+
+def all_installed() -> list[Plugin]:
+    """Return the entries of every kind."""
+    return [row for kind in KINDS for row in installed(kind).values()]
+
+
+def modules() -> tuple[str, ...]:
+    """Return the packages that have entries, as the beginnings of module names."""
+    return tuple(sorted({_top_level(row.target) + "." for row in all_installed()}))
+
+
+def digest_of_all() -> str:
+    """Return a digest of the files of all packages with entries; empty without any."""
+    found = [f"{row.kind}.{row.name} {row.digest}" for row in all_installed()]
+    return hashlib.sha256("\n".join(found).encode()).hexdigest() if found else ""
+
+
+@cache
+def _digest(top_level: str) -> str:
+    digest = hashlib.sha256()
+    for name, path in _files(top_level):
+        digest.update(name.encode() + b"\0")
+        digest.update(path.read_bytes())
+    return f"sha256:{digest.hexdigest()}"
+
+
+def digest_of(target: str) -> str:
+    """Return the digest of the files of the package that an entry point leads to, whatever is imported of it."""
+    return _digest(_top_level(target))
+
+
+def _top_level(target: str) -> str:
+    return target.partition(":")[0].partition(".")[0].strip()
+
+
+def _files(top_level: str) -> Iterable[tuple[str, Path]]:
+    spec = importlib.util.find_spec(top_level)
+    if spec is None:
+        return []
+    if spec.submodule_search_locations:
+        roots = [Path(location) for location in spec.submodule_search_locations]
+        found = [(path.relative_to(root).as_posix(), path) for root in roots for path in root.rglob("*")]
+        return sorted((name, path) for name, path in found if path.is_file() and "__pycache__" not in path.parts)
+    return [(Path(spec.origin).name, Path(spec.origin))] if spec.origin else []
+
+
+def scenario_files() -> dict[str, Path]:
+    """Return the scenarios of installed packages: an entry is the path of a YAML file, or a function that gives it."""
+
+    def path_of(name: str, value: Any) -> Path:
+        path = Path(value() if callable(value) else value)
+        if not path.is_file():
+            raise ValueError(f"{path} is no file")
+        return path
+
+    return load("scenarios", path_of).found
+
+
+def refuse(loaded: Loaded[Any], name: Any) -> None:
+    """Raise ValueError saying why an entry of that name cannot be used, where there is one."""
+    if isinstance(name, str) and name in loaded.problems:
+        raise ValueError(loaded.problems[name])

@@ -1,0 +1,199 @@
+"""Both halves of every law at the corners of their inputs and settings, alone and with each other."""
+
+import math
+import random
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+import numpy as np
+
+from proto.ranges import ENERGY, FORCE, POSITION, VELOCITY, WAVE, WAY, Range
+from services.controller.clamp import clamped
+from services.controller.config import LAWS, OWN_LAWS, ControllerConfig
+from services.controller.deadband import deadband, fresh
+from services.controller.law import LONGEST_BRIDGED_PERIODS, NO_SIGNAL, HandSample, Law, PortSignal, TipMeasurement
+
+TICKS = 40
+PERIODS_S = (1e-4, 1e-3, 0.1)
+ORDINARY = {"position": 5e-9, "velocity": 1e-9, "force": 7e-9, "wave variable": 0.1, "energy": 1e-3}
+
+
+class NotANumberError(Exception):
+    """A law gave something that is no number."""
+
+
+def check(where: str, value: Any) -> None:
+    """Raise NotANumberError naming the part of a state or signal that is infinite or no number."""
+    if isinstance(value, float) and not math.isfinite(value):
+        raise NotANumberError(f"{where} is {value}")
+    if isinstance(value, np.ndarray) and not np.isfinite(value).all():
+        raise NotANumberError(f"{where} has an element that is no number")
+    if isinstance(value, tuple):
+        names = getattr(value, "_fields", range(len(value)))
+        for name, part in zip(names, value, strict=True):
+            check(f"{where}.{name}", part)
+
+
+def _corner_settings(name: str, rng: random.Random, way: str) -> dict[str, Any]:
+    """Return settings of a law: all at their low or high ends, or each at one of them, as it is, or in between."""
+    settings: dict[str, Any] = {}
+    for key, schema in LAWS[name].config.model_json_schema()["properties"].items():
+        if schema["type"] == "boolean":
+            settings[key] = rng.random() < 0.5
+            continue
+        low, high = schema["minimum"], schema["maximum"]
+        between = math.exp(rng.uniform(math.log(max(low, 1e-15)), math.log(high)))
+        pick = way if way != "mixed" else rng.choice(("low", "high", "default", "between"))
+        settings[key] = {"low": low, "high": high, "default": schema["default"], "between": between}[pick]
+    return settings
+
+
+def _config_at_corners(name: str, period_s: float, rng: random.Random, way: str) -> ControllerConfig:
+    """Return a configuration with the law and the clamp at corners of their settings."""
+    clamp = {"enabled": rng.choice((None, True, False)), "force_margin_n": rng.choice((0.0, 0.1, 1e6))}
+    clamp |= {"damping_n_s_per_m": rng.choice((1e-6, 30.0, 1e9))}
+    document = {"law": name, "period_s": period_s, "clamp": clamp, name: _corner_settings(name, rng, way)}
+    return ControllerConfig.model_validate(document)
+
+
+def _quantity(kind: Range, rng: random.Random) -> float:
+    usual = ORDINARY.get(kind.quantity, 1e-3)
+    return rng.choice((kind.low, kind.high, 0.0, usual, -usual, 5e-324, rng.uniform(kind.low, kind.high)))
+
+
+def _hand_sample(rng: random.Random) -> HandSample:
+    return HandSample(_quantity(POSITION, rng), _quantity(VELOCITY, rng), _quantity(FORCE, rng), rng.random() < 0.8)
+
+
+def _tip_sample(rng: random.Random) -> TipMeasurement:
+    position, force, apart = _quantity(POSITION, rng), _quantity(FORCE, rng), _quantity(POSITION, rng)
+    return TipMeasurement(position, force, apart, rng.random() < 0.5, rng.random() < 0.7, rng.random() < 0.8)
+
+
+def _signal_at_corners(rng: random.Random) -> PortSignal:
+    return PortSignal(
+        _quantity(WAY, rng),
+        _quantity(VELOCITY, rng),
+        _quantity(FORCE, rng),
+        _quantity(WAVE, rng),
+        _quantity(ENERGY, rng),
+        _quantity(POSITION, rng),
+        rng.random() < 0.5,
+        rng.random() < 0.7,
+        rng.random() < 0.8,
+        rng.choice((0.0, 1e-4, 0.04, 1e9, 9.3e9)),
+        rng.choice((0.0, 1e-3, 10.0, 9.3e9)),
+    )
+
+
+def _over_the_wire(signal: PortSignal) -> PortSignal:
+    """Return a signal as the other half hears it: limited to the ranges."""
+
+    def within(value: float, kind: Range) -> float:
+        return min(max(value, kind.low), kind.high)
+
+    return signal._replace(
+        position_m=within(signal.position_m, WAY),
+        velocity_m_per_s=within(signal.velocity_m_per_s, VELOCITY),
+        force_n=within(signal.force_n, FORCE),
+        wave_sqrt_w=within(signal.wave_sqrt_w, WAVE),
+        energy_j=within(signal.energy_j, ENERGY),
+    )
+
+
+class _Halves:
+    """Both halves of a law under one set of parameters."""
+
+    def __init__(self, law: Law, config: ControllerConfig, rng: random.Random) -> None:
+        self.law, self.period_s, self.rng = law, config.period_s, rng
+        self.params, self.clamp = config.params(), config.clamp_params()
+        params = self.params
+        self.hand, self.tip = _hand_sample(rng), _tip_sample(rng)
+        self.master = law.master_start(params, self.hand)
+        if rng.random() < 0.5:
+            self.master = law.master_resume(params, self.hand, _quantity(WAY, rng))
+        self.slave = law.slave_start(params, self.tip)
+        self.band = fresh(NO_SIGNAL)
+
+    def dt_s(self) -> float:
+        return self.period_s * self.rng.choice((1, 1, 1, 2, LONGEST_BRIDGED_PERIODS))
+
+    def forward(self) -> PortSignal:
+        dt = self.dt_s()
+        signal: PortSignal
+        self.master, signal = self.law.master_send(self.params, self.master, self.hand, dt)
+        check("master_send", (self.master, signal))
+        limits = ControllerConfig().deadband.model_copy(update={"enabled": True}).to_params()
+        self.band, _ = deadband(limits, self.band, _over_the_wire(signal), dt)
+        return signal
+
+    def backward(self, signal: PortSignal) -> tuple[float, PortSignal]:
+        # the slave half steps by one period a call
+        period_s = self.period_s
+        self.slave, wanted = self.law.slave_receive(self.params, self.slave, signal, self.tip, period_s)
+        check("slave_receive", (self.slave, wanted))
+        wanted = clamped(self.clamp, wanted, signal, self.tip)
+        check("clamped", wanted)
+        self.slave, answer = self.law.slave_send(self.params, self.slave, self.tip, period_s)
+        check("slave_send", (self.slave, answer))
+        check("slave_energy_account", self.law.slave_energy_account(self.params, self.slave))
+        return wanted.position_m, answer
+
+    def receive(self, signal: PortSignal) -> float:
+        self.master, reference = self.law.master_receive(self.params, self.master, self.hand, signal, self.dt_s())
+        check("master_receive", (self.master, reference))
+        check("master_energy_account", self.law.master_energy_account(self.params, self.master))
+        return float(reference.position_m)
+
+    def retune(self, config: ControllerConfig) -> None:
+        params = config.params()
+        self.master = self.law.retune(self.params, params, self.master)
+        self.params, self.clamp = params, config.clamp_params()
+        check("retune", self.master)
+
+
+def _run_apart(halves: _Halves) -> None:
+    """Give each half anything within the ranges at every tick."""
+    for _ in range(TICKS):
+        halves.hand, halves.tip = _hand_sample(halves.rng), _tip_sample(halves.rng)
+        halves.forward()
+        halves.backward(_signal_at_corners(halves.rng))
+        halves.receive(_signal_at_corners(halves.rng))
+
+
+def _run_together(halves: _Halves) -> None:
+    """Let the halves answer each other on a stiff spring: what is unstable grows until the ranges stop it."""
+    stiffness = halves.rng.choice((1.0, 20.0, 1e9))
+    hand_n = halves.rng.choice((1.0, 1e6))
+    halves.hand, halves.tip = HandSample(0.0, 0.0, hand_n, True), TipMeasurement(0.0, 0.0, 0.0, True, True, True)
+    for _ in range(TICKS):
+        forward = _over_the_wire(halves.forward())._replace(active=True, silence_s=0.0)
+        base, answer = halves.backward(forward)
+        base = min(max(base, POSITION.low), POSITION.high)
+        force = min(max(stiffness * base, FORCE.low), FORCE.high)
+        halves.tip = TipMeasurement(base, force, -base, True, True, True)
+        late_s = halves.rng.choice((0.0, 1.0, 4.0)) * halves.period_s
+        answer = _over_the_wire(answer)._replace(active=True, silence_s=0.0, round_trip_s=late_s)
+        reference = halves.receive(answer)
+        reference = min(max(reference, POSITION.low), POSITION.high)
+        speed = (reference - halves.hand.position_m) / halves.period_s
+        halves.hand = HandSample(reference, min(max(speed, VELOCITY.low), VELOCITY.high), hand_n, True)
+
+
+def failures(seed: int, cases: int, laws: Iterable[str] = OWN_LAWS) -> Iterator[str]:
+    """Yield a line for each case in which a law raised, or gave what is no number."""
+    for name in laws:
+        law = LAWS[name]
+        for case in range(cases):
+            rng = random.Random(f"{seed} {name} {case}")
+            way = {0: "low", 1: "high"}.get(case, "mixed")
+            period_s = rng.choice(PERIODS_S)
+            first, second = (_config_at_corners(name, period_s, rng, which) for which in (way, "mixed"))
+            try:
+                for run in (_run_apart, _run_together):
+                    halves = _Halves(law, first, rng)
+                    run(halves)
+                    halves.retune(second)
+                    run(halves)
+            except (NotANumberError, ArithmeticError, ValueError) as error:
+                yield f"{name}, case {case} of seed {seed}: {type(error).__name__}: {error}"

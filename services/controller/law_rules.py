@@ -1,0 +1,219 @@
+"""The rules that a law keeps, each checked: for the laws of this project in its tests, for others by `law check`.
+
+They are what the rig relies on whatever the law: no jump where it takes over, a hold of a spring, numbers at the
+corners of every range. Passivity and the delay that a law bears are no rules: `telenano study` measures them.
+"""
+
+import math
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+from services.controller.config import LAWS, ControllerConfig
+from services.controller.law import NO_SIGNAL, HandSample, Law, TipMeasurement
+from services.controller.law_corners import failures
+from services.runtime.compiled import is_compiling
+
+_HAND = HandSample(5e-3, 0.01, 0.7, True)
+_TIP = TipMeasurement(1.1e-8, 7e-9, 1e-10, True, True, True)
+_PERIOD_S = 1e-3
+# of the same place, after rounding
+_SAME_PLACE_M = 1e-20
+# no further than its speed and a force of 10 N take the hand in a period
+_HAND_JUMP_M, _HAND_JUMP_M_PER_S = 2.5e-5, 0.05
+# what 0.7 N at the hand's scale moves a base through a damper of 30 N s/m in a period
+_TIP_JUMP_M = 0.7 / 30.0 * _PERIOD_S * 1.5e-6 * 1.001
+_HOLD_S, _SPRING_N_PER_M, _HOLD_SHARE = 4.0, 20.0, 0.06
+_CORNER_SEED, _CORNER_CASES = 1, 8
+
+
+class Rule(NamedTuple):
+    """A rule in words, and what breaks it: sentences, none for a law that keeps it."""
+
+    name: str
+    broken_by: Callable[[str], Iterator[str]]
+
+
+def broken_rules(name: str) -> dict[str, list[str]]:
+    """Return what a law does against each rule, by the rule's name; an empty list where it keeps it."""
+    found: dict[str, list[str]] = {}
+    for rule in RULES:
+        try:
+            found[rule.name] = list(rule.broken_by(name))
+        # whatever a law of somebody else raises is a finding of the rule
+        except Exception as error:  # noqa: BLE001
+            found[rule.name] = [f"fails: {type(error).__name__}: {error}"]
+    return found
+
+
+def _params(name: str, period_s: float = _PERIOD_S) -> Any:
+    return ControllerConfig.model_validate({"law": name, "period_s": period_s}).params()
+
+
+def _settings(name: str) -> Iterator[str]:
+    law = LAWS[name]
+    if law.name != name:
+        yield f"calls itself {law.name}"
+    properties = law.config.model_json_schema()["properties"]
+    for key, schema in properties.items():
+        if "default" not in schema:
+            yield f"{key} has no default"
+        if schema.get("type") in ("number", "integer") and not {"minimum", "maximum"} <= set(schema):
+            yield f"{key} has no range: give ge and le"
+        if not schema.get("description"):
+            yield f"{key} has no description"
+    if law.config.model_config.get("extra") != "forbid":
+        yield "an unknown key is accepted: model_config needs extra='forbid'"
+    if not hasattr(type(_params(name)), "_fields"):
+        yield f"to_params gives a {type(_params(name)).__name__}, must be a NamedTuple of the law's own"
+
+
+def _takes_over(name: str) -> Iterator[str]:
+    law, params = LAWS[name], _params(name)
+    state = law.master_resume(params, _HAND, _TIP.base_position_m)
+    state, forward = law.master_send(params, state, _HAND, _PERIOD_S)
+    if not abs(forward.position_m - _TIP.base_position_m) < _SAME_PLACE_M:
+        yield f"master_resume: the first reference is {forward.position_m:g} m, not that of the tip"
+    slave = law.slave_start(params, _TIP)
+    slave, wanted = law.slave_receive(params, slave, forward._replace(active=False), _TIP, _PERIOD_S)
+    if not abs(wanted.position_m - _TIP.base_position_m) < _SAME_PLACE_M:
+        yield f"slave_receive: the base goes to {wanted.position_m:g} m before the law is coupled"
+    answer = law.slave_send(params, slave, _TIP, _PERIOD_S)[1]
+    if not abs(answer.position_m - _TIP.base_position_m) < _SAME_PLACE_M:
+        yield f"slave_send: the position is {answer.position_m:g} m, not that of the base"
+    _, reference = law.master_receive(params, state, _HAND, answer._replace(silence_s=0.0), _PERIOD_S)
+    if not reference.active:
+        yield "master_receive: the hand is off though the tip follows"
+    if not abs(reference.position_m - _HAND.position_m) < _HAND_JUMP_M:
+        yield f"master_receive: the hand's reference jumps by {reference.position_m - _HAND.position_m:g} m"
+    if not abs(reference.velocity_m_per_s - _HAND.velocity_m_per_s) < _HAND_JUMP_M_PER_S:
+        yield f"master_receive: the hand's speed jumps to {reference.velocity_m_per_s:g} m/s"
+
+
+def _begins(name: str) -> Iterator[str]:
+    law, params = LAWS[name], _params(name)
+    signal = NO_SIGNAL._replace(
+        position_m=_TIP.base_position_m, force_n=_TIP.force_n, energy_j=0.3, active=True, silence_s=0.0
+    )
+    _, wanted = law.slave_receive(params, law.slave_start(params, _TIP), signal, _TIP, _PERIOD_S)
+    if not abs(wanted.position_m - _TIP.base_position_m) < _TIP_JUMP_M:
+        yield f"the base jumps by {wanted.position_m - _TIP.base_position_m:g} m in the first coupled period"
+
+
+def _silence(name: str) -> Iterator[str]:
+    law, params = LAWS[name], _params(name)
+    state = law.master_start(params, _HAND)
+    _, reference = law.master_receive(params, state, _HAND, NO_SIGNAL, _PERIOD_S)
+    if reference.active:
+        yield "master_receive: the hand is held though the other half was never heard"
+
+
+def _holds_spring(name: str) -> Iterator[str]:
+    for period_s in (5e-4, 1e-3, 2e-3):
+        shown_n = _held_n(LAWS[name], _params(name, period_s), period_s)
+        if not abs(shown_n - 1.0) <= _HOLD_SHARE:
+            yield (
+                f"a hand of 1 N holds a spring of {_SPRING_N_PER_M:g} N/m with {shown_n:.3g} N after {_HOLD_S:g} s"
+                f" without delay, at a period of {1e3 * period_s:g} ms; 1 within {100.0 * _HOLD_SHARE:g} % is asked for"
+            )
+
+
+def _held_n(law: Law, params: Any, period_s: float) -> float:
+    """Return alpha_f F_s that a hand of 1 N holds against a spring without delay [N]."""
+    x, tip = 0.0, TipMeasurement(0.0, 0.0, 0.0, False, True, True)
+    master, slave = law.master_start(params, HandSample(0.0, 0.0, 0.0, True)), law.slave_start(params, tip)
+    answer = NO_SIGNAL
+    for _ in range(round(_HOLD_S / period_s)):
+        hand = HandSample(x, 0.0, 1.0, True)
+        master, signal = law.master_send(params, master, hand, period_s)
+        slave, wanted = law.slave_receive(params, slave, signal._replace(silence_s=0.0), tip, period_s)
+        base = wanted.position_m
+        tip = TipMeasurement(base, _SPRING_N_PER_M * base, 0.0, False, True, True)
+        slave, answer = law.slave_send(params, slave, tip, period_s)
+        master, reference = law.master_receive(params, master, hand, answer._replace(silence_s=0.0), period_s)
+        x = reference.position_m
+    return float(1e8 * tip.force_n)
+
+
+class _Bench:
+    """Both halves of a law over a link without delay, and a spring under the tip."""
+
+    def __init__(self, name: str) -> None:
+        self.law, self.params = LAWS[name], _params(name)
+        self.x, self.tip = 0.0, TipMeasurement(0.0, 0.0, 0.0, False, False, False)
+        self.master = self.law.master_start(self.params, HandSample(0.0, 0.0, 0.0, True))
+        self.slave = self.law.slave_start(self.params, self.tip)
+
+    def run(
+        self, ticks: int, force_n: float, *, off: bool = False, retracted: bool = False
+    ) -> list[tuple[float, float]]:
+        """Return position of the hand [m] and force on the tip [N] of each tick; off: the hand; retracted: the tip."""
+        rows = []
+        for _ in range(ticks):
+            hand = HandSample(self.x, 0.0, force_n, not off)
+            self.master, signal = self.law.master_send(self.params, self.master, hand, _PERIOD_S)
+            signal = signal._replace(silence_s=0.0)
+            self.slave, wanted = self.law.slave_receive(self.params, self.slave, signal, self.tip, _PERIOD_S)
+            base = 0.0 if retracted else wanted.position_m
+            self.tip = TipMeasurement(base, _SPRING_N_PER_M * base, 0.0, False, base != 0.0, not retracted)
+            self.slave, answer = self.law.slave_send(self.params, self.slave, self.tip, _PERIOD_S)
+            answer = answer._replace(silence_s=0.0)
+            self.master, reference = self.law.master_receive(self.params, self.master, hand, answer, _PERIOD_S)
+            self.x = self.x if off else reference.position_m
+            rows.append((self.x, self.tip.force_n))
+        return rows
+
+
+def _arms_anew(name: str) -> Iterator[str]:
+    bench = _Bench(name)
+    bench.run(20, 0.0, retracted=True)
+    first = bench.run(400, 1.0)
+    # the device is off while the hand moves, so that hand and tip part; then the tip retracts and the hand goes back
+    bench.run(520, 1.0, off=True)
+    bench.x += 1e-3
+    bench.run(50, 1.0)
+    bench.run(20, 0.0, off=True, retracted=True)
+    bench.x = 0.0
+    bench.run(150, 0.0, off=True, retracted=True)
+    again = bench.run(400, 1.0)
+    for tick, (before, after) in enumerate(zip(first, again, strict=True)):
+        if not all(math.isclose(a, b, rel_tol=1e-6) for a, b in zip(before, after, strict=True)):
+            yield f"{tick} ms after a new arming the hand is at {after[0]:g} m, and was at {before[0]:g} m in the first"
+            return
+
+
+def _pure(name: str) -> Iterator[str]:
+    law, params = LAWS[name], _params(name)
+    master, slave = law.master_start(params, _HAND), law.slave_start(params, _TIP)
+    signal = NO_SIGNAL._replace(position_m=1e-8, force_n=3e-9, active=True, silence_s=0.0)
+    calls: dict[str, tuple[Any, ...]] = {
+        "master_send": (params, master, _HAND, _PERIOD_S),
+        "master_receive": (params, master, _HAND, signal, _PERIOD_S),
+        "slave_receive": (params, slave, signal, _TIP, _PERIOD_S),
+        "slave_send": (params, slave, _TIP, _PERIOD_S),
+    }
+    for step, arguments in calls.items():
+        function = getattr(law, step)
+        first, second = function(*arguments), function(*arguments)
+        if repr(first) != repr(second):
+            yield f"{step} gives two answers to the same call: it must keep nothing and draw no random numbers"
+        plain = getattr(function, "py_func", None)
+        if plain is not None and repr(plain(*arguments)) != repr(first):
+            yield f"{step} gives other bits compiled than as plain Python"
+        if plain is None and is_compiling():
+            yield f"{step} is not marked @compiled"
+
+
+def _finite(name: str) -> Iterator[str]:
+    return failures(_CORNER_SEED, _CORNER_CASES, (name,))
+
+
+RULES = (
+    Rule("settings have defaults, ranges and descriptions", _settings),
+    Rule("pure steps: the same call gives the same bits", _pure),
+    Rule("takes over without moving hand or tip", _takes_over),
+    Rule("begins without a jump of the tip", _begins),
+    Rule("lets the hand go while the other half is silent", _silence),
+    Rule("holds a spring without delay", _holds_spring),
+    Rule("a session after a new arming is as the first", _arms_anew),
+    Rule("gives numbers at the corners of every range", _finite),
+)

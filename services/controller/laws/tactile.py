@@ -1,0 +1,206 @@
+"""Tactile feedback (Fig. 9-10): the hand is moved like the surface under the tip, and does not move the tip.
+
+    x_m = x_m0 + (x_tip - x_tip0) / alpha_p,   x_tip = x_s - zeta,   zeta = F_s / k,
+
+both along the paper's axis: where the surface rises the tip goes up by it, and so does the hand. With a base that
+stands this is the paper's x_m = alpha_p zeta (its alpha_p is the inverse of ours); with a feedback that moves the base
+it is the surface all the same. x_tip0 is taken when the tip first touches, so that the approach moves no hand.
+
+The force of the contact is shown beside it for a device that renders forces: scaled linearly (Eq. 12), or by impedance
+(Eq. 13),
+
+    F* = alpha^4 m zeta'' + alpha^2 b zeta' + alpha^2 k zeta,
+
+with mass, damping and stiffness of the cantilever, and alpha the scale of lengths from nano to macro. Nothing that the
+operator does reaches the instrument, so there is no loop that delay could make unstable.
+"""
+
+from typing import Literal, NamedTuple
+
+from pydantic import Field
+
+from services.controller.law import HandSample, Law, MasterReference, PortSignal, SlaveReference, TipMeasurement
+from services.controller.laws.shared.virtual_mass import FARTHEST_M, ScaledConfig, bounded
+from services.controller.ranges import DampingOrNoneNSPerM, MassKg, PositionScale, StiffnessNPerM
+from services.runtime.compiled import compiled
+
+# newtons: what the wire can carry
+_MOST_N = 1e6
+
+
+class TactileParams(NamedTuple):
+    """Scales and limits; stiffness of the cantilever [N/m]; factors of zeta'', zeta' and zeta in Eq. 13, SI units."""
+
+    position_scale: float
+    force_scale: float
+    silence_limit_s: float
+    period_s: float
+    stiffness_n_per_m: float
+    by_impedance: bool
+    inertia_kg: float
+    damping_n_s_per_m: float
+    spring_n_per_m: float
+
+
+class TactileConfig(ScaledConfig):
+    """Section `controller.tactile`."""
+
+    position_scale: PositionScale = Field(
+        default=1e-6, description="alpha_p, metres at the tip per metre at the hand; 1e-6 is the 0.1 cm/nm of Fig. 10"
+    )
+    cantilever_stiffness_n_per_m: StiffnessNPerM = Field(
+        default=40.0, description="Stiffness k of the cantilever [N/m], as the instrument has it"
+    )
+    scaling: Literal["linear", "impedance"] = Field(
+        default="linear", description="How the force is scaled for the hand: Eq. 12, or Eq. 13 with the three below"
+    )
+    impedance_scale: float = Field(
+        default=1e4, ge=1.0, le=1e6, description="alpha of Eq. 13: length at the hand for a length at the tip"
+    )
+    cantilever_mass_kg: MassKg = Field(default=1e-6, description="Mass of the cantilever in Eq. 13, m_c [kg]")
+    cantilever_damping_n_s_per_m: DampingOrNoneNSPerM = Field(
+        default=0.0, description="Damping of the cantilever in Eq. 13, b_c [N s/m]"
+    )
+
+    def to_params(self, period_s: float) -> TactileParams:
+        """Return the constants of the compiled steps for a period [s] of the hand."""
+        inertia, damping, spring = impedance_scaled(
+            self.impedance_scale,
+            self.cantilever_mass_kg,
+            self.cantilever_damping_n_s_per_m,
+            self.cantilever_stiffness_n_per_m,
+        )
+        return TactileParams(
+            self.position_scale,
+            self.force_scale,
+            self.silence_limit_s,
+            period_s,
+            self.cantilever_stiffness_n_per_m,
+            self.scaling == "impedance",
+            inertia,
+            damping,
+            spring,
+        )
+
+
+class MasterState(NamedTuple):
+    """Origins of hand and tip [m]; whether they are known; zeta of the last two signals [m] and the force shown [N]."""
+
+    hand_m: float
+    tip_m: float
+    touched: bool
+    zeta_m: float
+    speed_m_per_s: float
+    force_n: float
+
+
+class SlaveState(NamedTuple):
+    """Where the base was when the law began [m]: it stays there unless a program moves it."""
+
+    position_m: float
+
+
+def impedance_scaled(
+    alpha: float, mass_kg: float, damping_n_s_per_m: float, stiffness_n_per_m: float
+) -> tuple[float, float, float]:
+    """Return the factors of x'', x' and x in Eq. 13: alpha^4 m [kg], alpha^2 b [N s/m], alpha^2 k [N/m].
+
+    >>> impedance_scaled(10.0, 2.0, 3.0, 4.0)
+    (20000.0, 300.0, 400.0)
+    """
+    return alpha**4 * mass_kg, alpha**2 * damping_n_s_per_m, alpha**2 * stiffness_n_per_m
+
+
+@compiled
+def master_start(params: TactileParams, hand: HandSample) -> MasterState:
+    """Start with the hand where it is, until the tip touches."""
+    return MasterState(hand.position_m, 0.0, False, 0.0, 0.0, 0.0)
+
+
+@compiled
+def master_resume(params: TactileParams, hand: HandSample, tip_reference_m: float) -> MasterState:
+    """Continue with the hand where it is."""
+    return MasterState(hand.position_m, 0.0, False, 0.0, 0.0, 0.0)
+
+
+@compiled
+def master_send(
+    params: TactileParams, state: MasterState, hand: HandSample, dt: float
+) -> tuple[MasterState, PortSignal]:
+    """Return a signal that moves nothing; it only says that the hand is there."""
+    return state, PortSignal(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, False, False, hand.following, 0.0, 0.0)
+
+
+@compiled
+def master_receive(
+    params: TactileParams, state: MasterState, hand: HandSample, signal: PortSignal, dt: float
+) -> tuple[MasterState, MasterReference]:
+    """Return where the surface takes the hand; without a tip that follows the hand is let go, and begins anew."""
+    coupled = signal.active and signal.silence_s <= params.silence_limit_s
+    if not (coupled and hand.following):
+        return MasterState(hand.position_m, 0.0, False, 0.0, 0.0, 0.0), MasterReference(
+            hand.position_m, 0.0, 0.0, coupled
+        )
+    zeta = signal.force_n / params.stiffness_n_per_m
+    if params.by_impedance:
+        # the newest signal may be the one of the tick before, and then nothing has moved
+        speed = (zeta - state.zeta_m) / dt
+        shown = params.inertia_kg * (speed - state.speed_m_per_s) / dt
+        shown += params.damping_n_s_per_m * speed + params.spring_n_per_m * zeta
+    else:
+        speed = 0.0
+        shown = params.force_scale * signal.force_n
+    shown = bounded(shown, _MOST_N)
+    if not (state.touched or signal.in_contact):
+        return MasterState(state.hand_m, 0.0, False, zeta, speed, shown), MasterReference(
+            state.hand_m, 0.0, shown, True
+        )
+    tip = state.tip_m if state.touched else signal.position_m
+    reference = bounded(state.hand_m + (signal.position_m - tip) / params.position_scale, FARTHEST_M)
+    return MasterState(state.hand_m, tip, True, zeta, speed, shown), MasterReference(reference, 0.0, shown, True)
+
+
+@compiled
+def slave_start(params: TactileParams, tip: TipMeasurement) -> SlaveState:
+    """Start with the base where it is."""
+    return SlaveState(tip.base_position_m)
+
+
+@compiled
+def slave_receive(
+    params: TactileParams, state: SlaveState, signal: PortSignal, tip: TipMeasurement, dt: float
+) -> tuple[SlaveState, SlaveReference]:
+    """Leave the base where it is: the instrument moves it by a program of its own."""
+    return state, SlaveReference(state.position_m, True)
+
+
+@compiled
+def slave_send(
+    params: TactileParams, state: SlaveState, tip: TipMeasurement, dt: float
+) -> tuple[SlaveState, PortSignal]:
+    """Send the place of the tip, x_s - zeta, and the force on it."""
+    place = tip.base_position_m - tip.force_n / params.stiffness_n_per_m
+    return state, PortSignal(
+        place, 0.0, tip.force_n, 0.0, 0.0, tip.separation_m, tip.separation_valid, tip.in_contact, tip.following,
+        0.0, 0.0,
+    )  # fmt: skip
+
+
+@compiled
+def retune(old: TactileParams, new: TactileParams, state: MasterState) -> MasterState:
+    """Go on where the hand is: a changed scale counts from the point of the first touch."""
+    return state
+
+
+TACTILE = Law(
+    name="tactile",
+    config=TactileConfig,
+    master_start=master_start,
+    master_resume=master_resume,
+    master_send=master_send,
+    master_receive=master_receive,
+    slave_start=slave_start,
+    slave_receive=slave_receive,
+    slave_send=slave_send,
+    retune=retune,
+)

@@ -1,0 +1,51 @@
+"""Messages in the place of a node that does not run, for trials: `telenano topic pub`."""
+
+import time
+from typing import Any
+
+from proto import TOPICS
+from proto.errors import ConfigError
+from proto.messages import Message
+from proto.nodes import name_of
+from services.runtime.address_book import AddressBook
+from services.runtime.config import flag_overrides
+from services.runtime.participant import open_participant
+
+# until whoever is connected to the endpoint has noticed that it is there
+_CONNECT_S = 0.5
+_OWN = set(Message.model_fields)
+
+
+def publish(book: AddressBook, src: str, topic: str, text: str, rate_hz: float, count: int | None) -> int:
+    """Publish a message again and again, until a number or Ctrl-C; return how many were sent.
+
+    Parameters: src, node@site, whose endpoint is taken; text, the fields as YAML; rate_hz [Hz].
+    Raises: ConfigError naming the field that is wrong or a publisher that would be right; EndpointError where the node
+    runs.
+    """
+    row = TOPICS[topic]
+    if not any(src == name or name_of(src) == name for name in row.publishers):
+        known = ", ".join(row.publishers)
+        raise ConfigError(f"{topic}: {src} does not publish it, {known} does: give --as")
+    given: Any = flag_overrides([f"fields={text}"])["fields"]
+    if not isinstance(given, dict):
+        raise ConfigError(f"{topic}: the fields must be a mapping, such as {{force_n: [0, 0, -0.5]}}")
+    unknown = sorted(set(given) - set(row.model.model_fields))
+    missing = sorted(set(row.model.model_fields) - set(given) - _OWN)
+    if unknown or missing:
+        words = [f"unknown: {', '.join(unknown)}"] * bool(unknown) + [f"missing: {', '.join(missing)}"] * bool(missing)
+        raise ConfigError(f"{topic}: {'; '.join(words)}; `telenano topic info {topic}` lists the fields")
+    fields = {name: tuple(value) if isinstance(value, list) else value for name, value in given.items()}
+    sent = 0
+    with open_participant(src, book) as participant:
+        publisher = participant.bind(src)
+        time.sleep(_CONNECT_S)
+        try:
+            while count is None or sent < count:
+                publisher.publish(topic, **fields)
+                sent += 1
+                if count is None or sent < count:
+                    time.sleep(1.0 / rate_hz)
+        except KeyboardInterrupt:
+            pass
+    return sent

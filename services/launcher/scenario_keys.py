@@ -1,0 +1,155 @@
+"""Every key of a scenario with its default, range and unit, and the JSON Schema of scenario and site files."""
+
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
+
+from proto.errors import ConfigError
+from proto.nodes import SERVICES
+from services.runtime.address_book import AddressBook
+from services.runtime.config import merge
+from services.runtime.main import node_kind
+from services.runtime.scenario import LoadedScenario, Scenario
+
+_LONGEST_DEFAULT = 40
+_DIALECT = "https://json-schema.org/draft/2020-12/schema"
+
+
+class Key(NamedTuple):
+    """A key of a scenario; least and most are bounds in the unit that `about` names, None where there is none."""
+
+    name: str
+    kind: str
+    default: Any
+    least: float | None
+    most: float | None
+    about: str
+
+
+def scenario_schema() -> dict[str, Any]:
+    """Return the JSON Schema of a scenario file, the sections of all nodes included."""
+    schema = Scenario.model_json_schema()
+    definitions: dict[str, Any] = dict(schema.pop("$defs", {}))
+    for name in SERVICES:
+        section = node_kind(name).config.model_json_schema(ref_template=f"#/$defs/{name}.{{model}}")
+        definitions |= {f"{name}.{key}": part for key, part in section.pop("$defs", {}).items()}
+        about = schema["properties"][name].get("description", "")
+        schema["properties"][name] = {**section, "description": about}
+    head = {"$schema": _DIALECT, "title": "Scenario of telenano", "description": "An experiment: one section a node"}
+    return {**schema, **head, "$defs": dict(sorted(definitions.items()))}
+
+
+def site_schema() -> dict[str, Any]:
+    """Return the JSON Schema of a site file."""
+    schema = AddressBook.model_json_schema()
+    # an entry may be given as its only endpoint
+    nodes = schema["properties"]["nodes"]
+    nodes["additionalProperties"] = {"anyOf": [nodes.get("additionalProperties", True), {"type": "string"}]}
+    return {**schema, "$schema": _DIALECT, "title": "Site file of telenano"}
+
+
+def all_keys() -> list[Key]:
+    """Return every key of a scenario that has a value of its own, in the order of its sections."""
+    schema = scenario_schema()
+    return list(_keys(schema, "", schema["$defs"]))
+
+
+def _keys(schema: Mapping[str, Any], prefix: str, definitions: Mapping[str, Any]) -> Iterator[Key]:
+    for name, part in schema.get("properties", {}).items():
+        found = _resolved(part, definitions)
+        if found.get("properties"):
+            yield from _keys(found, f"{prefix}{name}.", definitions)
+        else:
+            yield Key(
+                f"{prefix}{name}",
+                _kind(found),
+                part.get("default", found.get("default")),
+                _bound(found, ("minimum", "exclusiveMinimum")),
+                _bound(found, ("maximum", "exclusiveMaximum")),
+                part.get("description", found.get("description", "")),
+            )
+
+
+def _resolved(part: Mapping[str, Any], definitions: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a part with what it refers to; of alternatives that with a model, or the first that is not null."""
+    found: dict[str, Any] = dict(part)
+    if "$ref" in found:
+        return {**_resolved(definitions[found["$ref"].removeprefix("#/$defs/")], definitions), **found}
+    if "anyOf" in found:
+        choices = [_resolved(choice, definitions) for choice in found["anyOf"]]
+        first = next((choice for choice in choices if choice.get("type") != "null"), {})
+        return {**first, **found, "type": " or ".join(_kind(choice) for choice in choices)}
+    return found
+
+
+def _kind(part: Mapping[str, Any]) -> str:
+    if "enum" in part:
+        return ", ".join(map(str, part["enum"]))
+    if "oneOf" in part:
+        return "one of several models, by kind"
+    return str(part.get("const", part.get("type", "any")))
+
+
+def _bound(part: Mapping[str, Any], names: tuple[str, str]) -> float | None:
+    return next((part[name] for name in names if name in part), None)
+
+
+def markdown(keys: list[Key]) -> str:
+    """Return the keys as a page of tables, a section each."""
+    sections: dict[str, list[Key]] = {}
+    for key in keys:
+        sections.setdefault(key.name.partition(".")[0] if "." in key.name else "the experiment", []).append(key)
+    parts = [_HEAD]
+    for section, rows in sections.items():
+        parts.append(f"\n## {section}\n\n| key | default | range | meaning |\n|---|---|---|---|")
+        parts += [f"| `{row.name}` | {_shown(row.default)} | {_range(row)} | {_cell(row.about)} |" for row in rows]
+    return "\n".join(parts) + "\n"
+
+
+_HEAD = """# Every key of a scenario
+
+A scenario is a YAML file: the experiment, and a section for each node; what it does not name has the default below.
+`--set KEY=VALUE` changes a key for one session, `telenano scenario validate FILE` checks a file, `telenano param dump`
+writes one with everything in it. Quantities are in SI units. `make schemas` makes this page; a test compares."""
+
+
+def _shown(default: Any) -> str:
+    if default is None:
+        return "–"
+    text = f"{default:g}" if isinstance(default, float) else str(default)
+    return f"`{text}`" if len(text) <= _LONGEST_DEFAULT else "a list or section"
+
+
+def _range(key: Key) -> str:
+    if key.least is not None or key.most is not None:
+        least, most = ("" if bound is None else f"{bound:g}" for bound in (key.least, key.most))
+        return f"{least} … {most}".strip()
+    return _cell(key.kind) if "," in key.kind else ""
+
+
+def _cell(text: str) -> str:
+    return text.replace("|", "\\|").replace("\n", " ")
+
+
+def filled(loaded: LoadedScenario) -> dict[str, Any]:
+    """Return a scenario with every default in it; ConfigError names file and key at fault."""
+    sections = {
+        name: loaded.section(name, node_kind(name).config).model_dump(mode="json", exclude_none=True)
+        for name in SERVICES
+    }
+    return merge(loaded.scenario.model_dump(mode="json"), sections)
+
+
+def value_at(document: Mapping[str, Any], key: str) -> Any:
+    """Return what a dotted key has; ConfigError names the keys that there are at the point where it is wrong."""
+    value: Any = document
+    seen: list[str] = []
+    for part in key.split("."):
+        if isinstance(value, list) and part.isdecimal() and int(part) < len(value):
+            value = value[int(part)]
+        elif isinstance(value, Mapping) and part in value:
+            value = value[part]
+        else:
+            known = ", ".join(value) if isinstance(value, Mapping) else "none"
+            raise ConfigError(f"{key}: {'.'.join(seen) or 'the scenario'} has no key {part}; known are {known}")
+        seen.append(part)
+    return value

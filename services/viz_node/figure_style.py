@@ -1,0 +1,113 @@
+"""How figures look and in which formats they are written: on a screen, or in the column of a journal.
+
+Colours are told apart by readers with deuteranopia and protanopia (CIEDE2000 of at least 20 between the verdicts), and
+in grey: what matters differs in lightness as well, and lines differ in their style.
+"""
+
+import io
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from proto.errors import ConfigError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+FORMATS = ("png", "pdf", "svg")
+STYLES = ("screen", "paper")
+# one and two columns of most journals of the field [inch]
+COLUMN_IN, PAGE_IN = 3.5, 7.16
+# print needs 600 for lines; text and lines of PDF and SVG have no resolution
+_DOTS_PER_INCH = {"screen": 130, "paper": 600}
+_PAPER: Mapping[str, Any] = {
+    "font.size": 8.0,
+    "axes.labelsize": 8.0,
+    "axes.titlesize": 8.0,
+    "xtick.labelsize": 8.0,
+    "ytick.labelsize": 8.0,
+    "legend.fontsize": 8.0,
+    "figure.titlesize": 8.0,
+    "axes.linewidth": 0.6,
+    "lines.linewidth": 1.0,
+}
+# text of a PDF or SVG stays text, which an editor of the journal can search and set
+_EVERYWHERE: Mapping[str, Any] = {"pdf.fonttype": 42, "svg.fonttype": "none", "svg.hashsalt": "telenano"}
+
+# found by a search for the greatest least difference, with these three first: stable is light, what diverges dark
+VERDICTS = {
+    "stable": "#99e6ff",
+    "limit_cycle": "#e68000",
+    "diverged": "#66004d",
+    "drifting": "#99ffcc",
+    "released": "#809999",
+    "wrong_force": "#9980ff",
+    "contact_lost": "#4d00e6",
+    "guarded": "#4d1a00",
+    "cannot_say": "#80664d",
+}
+# curves of one panel: each has a line of its own as well, for print in grey
+LINES: tuple[tuple[str, Any], ...] = (
+    ("#000000", "-"),
+    ("#d55e00", "--"),
+    ("#0072b2", "-."),
+    ("#009e73", ":"),
+    ("#e69f00", (0, (6, 1, 1, 1, 1, 1))),
+    ("#cc79a7", (0, (3, 1))),
+)
+HAND, TIP, REFERENCE = "#0b3d66", "#d55e00", "#9a9a9a"
+
+
+class FigureOptions(NamedTuple):
+    """In which formats figures are written, and for where."""
+
+    formats: tuple[str, ...] = ("png",)
+    style: str = "screen"
+
+
+ON_SCREEN = FigureOptions()
+
+
+def figure_options(formats: str = "png", style: str = "screen") -> FigureOptions:
+    """Read `png,pdf,svg` and a style; ConfigError names what is known."""
+    chosen = tuple(dict.fromkeys(part.strip().lower() for part in formats.split(",") if part.strip()))
+    for name in chosen:
+        if name not in FORMATS:
+            raise ConfigError(f"--format {name}: is not one of {', '.join(FORMATS)}")
+    if not chosen:
+        raise ConfigError(f"--format: name at least one of {', '.join(FORMATS)}")
+    if style not in STYLES:
+        raise ConfigError(f"--style {style}: is not one of {', '.join(STYLES)}")
+    return FigureOptions(chosen, style)
+
+
+@contextmanager
+def styled(options: FigureOptions) -> Iterator[None]:
+    """Draw in a style while the block runs."""
+    import matplotlib
+
+    settings: Any = {**_EVERYWHERE, **(_PAPER if options.style == "paper" else {})}
+    with matplotlib.rc_context(settings):
+        yield
+
+
+def drawn(figure: "Figure", stem: str, options: FigureOptions) -> dict[str, bytes]:
+    """Return a figure as the content of its files, by name."""
+    files = {}
+    for name in options.formats:
+        buffer = io.BytesIO()
+        # no time of making: the same session gives the same bytes
+        metadata = {"png": {}, "pdf": {"CreationDate": None}, "svg": {"Date": None}}[name]
+        with styled(options):
+            figure.savefig(buffer, format=name, dpi=_DOTS_PER_INCH[options.style], metadata=metadata)
+        files[f"{stem}.{name}"] = buffer.getvalue()
+    return files
+
+
+def lettered(panels: "Sequence[Axes]", options: FigureOptions) -> None:
+    """Write (a), (b), (c) … above the left corner of each panel; a figure of one has none."""
+    if len(panels) < 2:
+        return
+    for number, panel in enumerate(panels):
+        panel.set_title(f"({chr(ord('a') + number)})", loc="left", fontsize=8 if options.style == "paper" else 10)

@@ -1,0 +1,68 @@
+"""`telenano compare`: several sessions in one figure and one table."""
+
+import csv
+import io
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from proto.errors import ConfigError, ReportError
+from services.viz_node.figure_style import FigureOptions, figure_options
+from telenano.options import FormatOption, JsonOption, StyleOption
+from telenano.output import print_json, print_rows, report_errors
+
+
+def compare(
+    sessions: Annotated[
+        list[Path], typer.Argument(metavar="SESSION...", help="Recordings (.mcap), or folders of `up --out`.")
+    ],
+    out: Annotated[
+        Path, typer.Option("--out", "-o", metavar="DIR", help="Folder for compare.png, compare.csv and compare.json.")
+    ] = Path("compare"),
+    formats: FormatOption = "png",
+    style: StyleOption = "screen",
+    as_json: JsonOption = False,
+) -> None:
+    """Draw sessions over one another, and put their figures into one table."""
+    with report_errors(as_json):
+        if len(sessions) < 2:
+            raise ConfigError("compare: give two sessions or more")
+        rows = compare_sessions(sessions, out, figure_options(formats, style))
+    print_comparison(rows, out, as_json=as_json)
+
+
+def compare_sessions(sessions: list[Path], out: Path, options: FigureOptions) -> list[dict[str, Any]]:
+    """Write figure and tables of sessions into a folder; return the rows of the table."""
+    # it imports matplotlib, which takes a second
+    from analysis.compare import compare as read
+    from analysis.compare import compare_figure, rows_of
+    from analysis.report import write_files
+    from services.viz_node.figure_style import drawn
+
+    found = read(sessions)
+    rows = rows_of(found)
+    table = io.StringIO()
+    writer = csv.DictWriter(table, list(rows[0]))
+    writer.writeheader()
+    writer.writerows(rows)
+    summaries = {session.name: session.summary for session in found}
+    files = drawn(compare_figure(found, options), "compare", options)
+    files["compare.csv"] = table.getvalue().encode()
+    files["compare.json"] = (json.dumps(summaries, indent=2) + "\n").encode()
+    try:
+        write_files(out, files)
+    except OSError as error:
+        raise ReportError(f"{error.filename}: cannot be written: {error.strerror}", {}) from error
+    return rows
+
+
+def print_comparison(rows: list[dict[str, Any]], out: Path, *, as_json: bool) -> None:
+    """Print the table: a row a session as JSON, or a column a session, which a terminal has room for."""
+    if as_json:
+        print_json({"sessions": rows, "folder": str(out)})
+        return
+    keys = [key for key in rows[0] if key != "session"]
+    print_rows([{"": key, **{row["session"]: row[key] for row in rows}} for key in keys])
+    typer.echo(f"figure and tables: {out}")

@@ -1,0 +1,42 @@
+"""What the shell completes besides commands and options. Nothing is imported here that takes time."""
+
+
+def scenario_names(incomplete: str) -> list[str]:
+    """Return the known scenarios that begin so."""
+    from presets import known_scenarios
+
+    return [name for name in known_scenarios() if name.startswith(incomplete)]
+
+
+def scenario_sections(incomplete: str) -> list[str]:
+    """Return the sections of a scenario that begin so."""
+    from proto.nodes import SERVICES
+
+    return [name for name in SERVICES if name.startswith(incomplete)]
+
+
+def topic_names(incomplete: str) -> list[str]:
+    """Return the topics that begin so, and their copies that left the link."""
+    from proto import TOPICS
+
+    names = list(TOPICS)
+    copies = {"forward": ("slave",), "backward": ("master",), "both": ("slave", "master"), None: ()}
+    names += [f"{name}@{site}" for name, row in TOPICS.items() for site in copies[row.bridged]]
+    return [name for name in names if name.startswith(incomplete)]
+
+
+def law_names(incomplete: str) -> list[str]:
+    """Return the laws that begin so, those of installed packages included, without importing one."""
+    from presets.plugins import installed
+
+    own = ("virtual_impedance", "position_force", "wave", "passivity", "model_mediated", "smith")
+    # of a list a,b,c the last part is completed
+    before, comma, last = incomplete.rpartition(",")
+    return [f"{before}{comma}{name}" for name in (*own, "all", *installed("laws")) if name.startswith(last)]
+
+
+def node_names(incomplete: str) -> list[str]:
+    """Return the nodes of a rig that begin so, by name and as name@site."""
+    from proto.nodes import SERVICES, START_ORDER
+
+    return [name for name in (*SERVICES, *START_ORDER) if name.startswith(incomplete)]

@@ -1,0 +1,4 @@
+"""What a package that extends telenano imports, one module a kind: laws, devices, operators, samples.
+
+`telenano new law NAME` makes such a package; docs/extending.md explains each kind.
+"""

@@ -1,0 +1,29 @@
+"""A driver of one's own, for a handle (`haptic_node`) or for an instrument (`afm_node`); the guard stays in front."""
+
+from services.afm_node.driver import AfmDriver
+from services.afm_node.driver import DeviceReport as AfmReport
+from services.afm_node.safety import SafetyParams as AfmLimits
+from services.afm_node.step import AfmSample
+from services.haptic_node.driver import Capabilities, DeviceError, DeviceReading, DriveCommand, HapticDevice
+from services.haptic_node.driver import DeviceReport as HapticReport
+from services.haptic_node.safety import MODE_FORCE, MODE_OFF, MODE_POSITION
+from services.runtime.config import Settings
+from services.runtime.device_drivers import DeviceDriver
+
+__all__ = [
+    "MODE_FORCE",
+    "MODE_OFF",
+    "MODE_POSITION",
+    "AfmDriver",
+    "AfmLimits",
+    "AfmReport",
+    "AfmSample",
+    "Capabilities",
+    "DeviceDriver",
+    "DeviceError",
+    "DeviceReading",
+    "DriveCommand",
+    "HapticDevice",
+    "HapticReport",
+    "Settings",
+]

@@ -1,0 +1,50 @@
+"""A package that extends telenano, written from the templates: `telenano new`."""
+
+from importlib.resources import files
+from keyword import iskeyword
+from pathlib import Path
+from string import Template
+
+from presets.plugins import NAME
+from proto.errors import ConfigError
+
+_TRY_IT = {
+    "law": "telenano law check $name\ntelenano up --scenario fig12 --set controller.law=$name",
+    "operator": "telenano up --scenario fig12 --set 'haptic_node.operator={kind: $name}'",
+    "sample": "telenano up --scenario fig12 --set afm_node.environment=$name",
+    "device": "telenano up --scenario fig12 --set haptic_node.driver=$name",
+}
+KINDS = tuple(_TRY_IT)
+
+
+def new_package(kind: str, name: str, folder: Path) -> list[Path]:
+    """Write a package with a law, device, operator or sample, and a test of it; return its files.
+
+    Raises: ConfigError for a name that cannot be that of a package, or a folder that exists.
+    """
+    if kind not in KINDS:
+        raise ConfigError(f"{kind}: is nothing that can be made; these are {', '.join(KINDS)}")
+    if not NAME.fullmatch(name) or iskeyword(name):
+        raise ConfigError(f"{name}: a name has lower-case letters, digits and _, begins with a letter, at most 32")
+    if folder.exists():
+        raise ConfigError(f"{folder}: exists already; give another name or --out")
+    words = {
+        "kind": kind,
+        "group": f"{kind}s",
+        "name": name,
+        "dashed": name.replace("_", "-"),
+        "constant": name.upper(),
+    }
+    words["try_it"] = Template(_TRY_IT[kind]).substitute(words)
+    targets = {
+        "pyproject.toml.txt": folder / "pyproject.toml",
+        "README.md.txt": folder / "README.md",
+        f"{kind}.py.txt": folder / f"telenano_{name}" / "__init__.py",
+        f"test_{kind}.py.txt": folder / "tests" / f"test_{name}.py",
+    }
+    templates = files("telenano") / "templates"
+    for template, path in targets.items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        text = Template((templates / template).read_text(encoding="utf-8")).substitute(words)
+        path.write_text(text, encoding="utf-8")
+    return list(targets.values())

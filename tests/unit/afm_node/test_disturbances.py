@@ -1,0 +1,182 @@
+"""Disturbances: off they change no bit, on each has the size and the spectrum that it is configured with."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from proto.errors import RefusedError
+from services.afm_node.config import AfmConfig
+from services.afm_node.disturbances import (
+    BOLTZMANN_J_PER_K,
+    DisturbanceConfig,
+    NormalNumbers,
+    begun,
+    converted_v,
+    displaced,
+    read_out,
+    sines_of,
+)
+from services.afm_node.disturbed import DisturbedAfm
+from services.afm_node.node import AfmNode
+from services.afm_node.sim import SimulatedAfm
+from services.runtime.journal import StateSnapshot
+from services.runtime.node_state import restore
+
+DT = 1e-3
+VOLTS_PER_M = 6.25e6
+CONFIG = AfmConfig.model_validate({"cantilever": {"stiffness_n_per_m": 1.0}})
+
+
+def only(name: str, **keys: Any) -> DisturbanceConfig:
+    return DisturbanceConfig.model_validate({name: {"enabled": True, **keys}, "seed": 4})
+
+
+def displacements(config: DisturbanceConfig, bases: np.ndarray) -> np.ndarray:
+    sines, state, found = sines_of(config), begun(), []
+    for base in bases.tolist():
+        state, x = displaced(config, sines, state, base, DT)
+        found.append(x)
+    return np.array(found)
+
+
+def readings(config: DisturbanceConfig, zeta_m: float, count: int, stiffness: float = 1.0) -> np.ndarray:
+    normals, state, found = NormalNumbers(config.seed), begun(), []
+    for _ in range(count):
+        state, value = read_out(config, normals, state, zeta_m, stiffness, VOLTS_PER_M, DT)
+        found.append(value)
+    return np.array(found)
+
+
+def instrument(disturbances: DisturbanceConfig) -> DisturbedAfm:
+    params = CONFIG.to_params()
+    return DisturbedAfm(SimulatedAfm(params), disturbances, 1.0, params.plant.volts_per_m)
+
+
+def test_switched_off_they_change_no_bit() -> None:
+    plain, wrapped = SimulatedAfm(CONFIG.to_params()), instrument(DisturbanceConfig())
+    plain.open()
+    wrapped.open()
+    for i in range(300):
+        wrapped.elapse(DT)
+        base = -5e-9 + i * 1e-10
+        assert wrapped.exchange(base) == plain.exchange(base)
+
+
+def test_vibration_has_its_rms_and_stays_in_its_band() -> None:
+    found = displacements(only("vibration", rms_m=0.2e-9, low_hz=5.0, high_hz=100.0), np.zeros(20_000))
+    assert found.std() == pytest.approx(0.2e-9, rel=0.05, abs=0.0)
+    power = np.abs(np.fft.rfft(found * np.hanning(len(found)))) ** 2
+    frequencies = np.fft.rfftfreq(len(found), DT)
+    inside = (frequencies > 4.5) & (frequencies < 101.0)
+    assert power[inside].sum() > 0.999 * power.sum()
+    # as much in the lower decade of the band as its share of the logarithm
+    low = (frequencies > 4.5) & (frequencies < math.sqrt(500.0))
+    assert power[low].sum() / power.sum() == pytest.approx(0.5, abs=0.12)
+
+
+def test_hysteresis_is_a_loop_of_its_share_that_closes_and_forgets_small_steps() -> None:
+    config = only("hysteresis", share=0.1, range_m=100e-9)
+    there = np.linspace(-50e-9, 50e-9, 500)
+    found = displacements(config, np.concatenate([there, there[::-1], there, there[::-1]]))
+    up, down = found[1000:1500], found[1500:][::-1]
+    middle = 250
+    # over the whole range the two ways differ by the share of it
+    assert down[middle] - up[middle] == pytest.approx(10e-9, rel=0.02, abs=0.0)
+    assert np.allclose(found[1500:], found[500:1000], rtol=0, atol=1e-15)
+    # a small motion is within all plays but the narrowest ones
+    small = displacements(config, 0.2e-9 * np.sin(np.linspace(0.0, 4 * math.pi, 400)))
+    assert np.ptp(small[200:300] - small[300:400][::-1]) < 0.01e-9
+
+
+def test_creep_goes_on_after_a_step_by_its_share_a_decade() -> None:
+    found = displacements(only("creep", share_per_decade=0.02), np.full(110_000, 10e-9))
+    at = [found[round(t / DT) - 1] for t in (0.1, 1.0, 10.0, 100.0)]
+    assert np.diff(at) == pytest.approx(np.full(3, 0.2e-9), rel=0.1, abs=0.0)
+
+
+def test_drift_is_steady() -> None:
+    found = displacements(only("drift", speed_m_per_s=1e-9), np.zeros(1000))
+    assert np.diff(found) == pytest.approx(np.full(999, 1e-12), rel=1e-9, abs=0.0)
+
+
+@pytest.mark.parametrize("stiffness", [0.1, 40.0])
+def test_thermal_noise_is_equipartition(stiffness: float) -> None:
+    found = readings(only("thermal", temperature_k=300.0), 0.0, 20_000, stiffness)
+    assert stiffness * np.mean(found**2) == pytest.approx(BOLTZMANN_J_PER_K * 300.0, rel=0.03, abs=0.0)
+    # white: as much power in each quarter of the band
+    power = np.abs(np.fft.rfft(found)[1:]) ** 2
+    quarters = [part.mean() / power.mean() for part in np.array_split(power, 4)]
+    assert quarters == pytest.approx([1.0] * 4, abs=0.08)
+
+
+def test_flicker_falls_with_the_frequency_and_has_its_rms() -> None:
+    config = only("readout", white_v=0.0, flicker_v=1e-3, converter_bits=32)
+    volts = readings(config, 0.0, 200_000) * VOLTS_PER_M
+    assert volts.std() == pytest.approx(1e-3, rel=0.15, abs=0.0)
+    power = np.abs(np.fft.rfft(volts)[1:]) ** 2
+    frequencies = np.fft.rfftfreq(len(volts), DT)[1:]
+    bands = [(0.5, 1.0), (5.0, 10.0), (50.0, 100.0)]
+    levels = [power[(frequencies > low) & (frequencies < high)].mean() for low, high in bands]
+    slopes = np.diff(np.log10(levels))
+    # a decade of frequency, a decade of power
+    assert slopes == pytest.approx([-1.0, -1.0], abs=0.15)
+
+
+def test_the_converter_rounds_and_ends() -> None:
+    config = only("readout", white_v=0.0, flicker_v=0.0, converter_bits=8, converter_range_v=1.0)
+    step = 2.0 / 256
+    (value,) = set(readings(config, 33e-9, 5) * VOLTS_PER_M)
+    assert value == pytest.approx(round(33e-9 * VOLTS_PER_M / step) * step, rel=1e-12)
+    assert converted_v(5.0, 8, 1.0) == 1.0 - step
+    assert converted_v(-5.0, 8, 1.0) == -1.0
+
+
+def test_a_seed_decides_everything_and_a_place_is_all_there_is_to_remember() -> None:
+    numbers = NormalNumbers(7)
+    row = [numbers.at(i) for i in range(3000)]
+    assert np.std(row) == pytest.approx(1.0, rel=0.05)
+    fresh = NormalNumbers(7)
+    assert [fresh.at(i) for i in (2999, 5, 1500)] == [row[2999], row[5], row[1500]]
+    assert NormalNumbers(8).at(0) != row[0]
+    fresh.reseed(8)
+    assert fresh.at(0) == NormalNumbers(8).at(0)
+
+
+def test_they_are_switched_on_while_the_node_runs_and_a_restored_node_goes_on_alike(bench_of: Any) -> None:
+    def made() -> tuple[Any, AfmNode]:
+        bench = bench_of("afm_node@slave")
+        return bench, AfmNode(bench.context, CONFIG, instrument(DisturbanceConfig()))
+
+    def switch(bench: Any, node: AfmNode, **parameters: Any) -> str:
+        fields = {"id": "a", "command": "set", "target": "afm_node", "parameters": parameters}
+        return node.on_control(bench.make("session/control", "console@master", **fields))
+
+    def steps(bench: Any, node: AfmNode, count: int) -> list[float]:
+        for _ in range(count):
+            bench.clock.advance_ns(1_000_000)
+            node.on_deadline(bench.clock.monotonic_ns())
+        return [state.deflection_m for state in bench.take("afm/state")]
+
+    bench, node = made()
+    snapshot = StateSnapshot(node)
+    still = steps(bench, node, 10)
+    assert len(set(still)) == 1
+    text = switch(bench, node, **{"disturbances.thermal.enabled": True, "disturbances.vibration.enabled": True})
+    assert "disturbances.thermal.enabled = True" in text
+    assert len(set(steps(bench, node, 50))) == 50
+    state = snapshot.capture()
+    assert state
+    other_bench, other = made()
+    restore(other, state)
+    other_bench.clock.advance_ns(bench.clock.monotonic_ns() - other_bench.clock.monotonic_ns())
+    assert steps(other_bench, other, 50) == steps(bench, node, 50)
+    switch(bench, node, **{"disturbances.thermal.enabled": False, "disturbances.vibration.enabled": False})
+    assert set(steps(bench, node, 10)) == set(still)
+    with pytest.raises(RefusedError, match=r"afm_node.disturbances.drift.speed: unknown key"):
+        switch(bench, node, **{"disturbances.drift.speed": 1.0})
+    bare = bench_of("afm_node@slave")
+    plain = AfmNode(bare.context, CONFIG, SimulatedAfm(CONFIG.to_params()))
+    with pytest.raises(RefusedError, match="a real instrument has its own"):
+        switch(bare, plain, **{"disturbances.drift.enabled": True})

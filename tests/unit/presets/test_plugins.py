@@ -1,0 +1,90 @@
+"""What installed packages add is found by its entry points, and does no harm where it cannot be used."""
+
+from importlib.metadata import EntryPoint
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from presets import find_scenario, known_scenarios, plugins
+from proto.errors import ConfigError
+
+
+def entry(kind: str, name: str, target: str, package: str = "pack") -> Any:
+    found = EntryPoint(name, target, f"telenano.{kind}")
+    object.__setattr__(found, "dist", SimpleNamespace(name=package, version="1.2"))
+    return found
+
+
+@pytest.fixture
+def entries(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[Any]:
+    rows: list[Any] = []
+    monkeypatch.setattr(plugins, "entry_points", lambda group: [row for row in rows if row.group == group])
+    monkeypatch.syspath_prepend(str(tmp_path))
+    for cached in (plugins.installed, plugins._digest):
+        cached.cache_clear()
+    yield rows
+    for cached in (plugins.installed, plugins._digest):
+        cached.cache_clear()
+
+
+def number(name: str, value: Any) -> int | None:
+    if not isinstance(value, int):
+        raise TypeError(f"is a {type(value).__name__}, must be an int")
+    return value
+
+
+def test_what_can_be_used_is_loaded_and_what_cannot_says_why(entries: list[Any], tmp_path: Path) -> None:
+    (tmp_path / "pack_a.py").write_text("GOOD = 7\nTEXT = 'x'\n")
+    (tmp_path / "pack_b.py").write_text("raise RuntimeError('no licence')\n")
+    entries += [entry("laws", "good", "pack_a:GOOD"), entry("laws", "text", "pack_a:TEXT")]
+    entries += [entry("laws", "broken", "pack_b:LAW"), entry("laws", "absent", "pack_c:LAW")]
+    entries += [entry("laws", "Wave-2", "pack_a:GOOD"), entry("laws", "wave", "pack_a:GOOD")]
+    entries += [entry("laws", "twice", "pack_a:GOOD"), entry("laws", "twice", "pack_a:TEXT", "other")]
+    loaded = plugins.load("laws", number, ("wave",))
+    assert loaded.found == {"good": 7}
+    what = "of the package pack 1.2 cannot be used"
+    assert loaded.problems["text"] == f"text {what}: TypeError: is a str, must be an int"
+    assert loaded.problems["broken"] == f"broken {what}: RuntimeError: no licence"
+    assert "No module named 'pack_c'" in loaded.problems["absent"]
+    assert "lower-case" in loaded.problems["Wave-2"]
+    assert loaded.problems["wave"].endswith("wave is a name of telenano's own")
+    assert "pack and other both have one of this name" in loaded.problems["twice"]
+    with pytest.raises(ValueError, match="no licence"):
+        plugins.refuse(loaded, "broken")
+    plugins.refuse(loaded, "good")
+
+
+def test_a_digest_is_of_every_file_of_the_package(entries: list[Any], tmp_path: Path) -> None:
+    folder = tmp_path / "pack_d" / "deep"
+    folder.mkdir(parents=True)
+    (tmp_path / "pack_d" / "__init__.py").write_text("LAW = 1\n")
+    (folder / "table.csv").write_text("1,2\n")
+    entries.append(entry("laws", "mine", "pack_d:LAW"))
+    digests = {plugins.installed("laws")["mine"].digest}
+    assert plugins.digest_of_all() != ""
+    (folder / "table.csv").write_text("1,3\n")
+    plugins._digest.cache_clear()
+    digests.add(plugins.installed("laws")["mine"].digest)
+    (tmp_path / "pack_d" / "__pycache__").mkdir()
+    (tmp_path / "pack_d" / "__pycache__" / "x.pyc").write_bytes(b"1")
+    plugins._digest.cache_clear()
+    digests.add(plugins.installed("laws")["mine"].digest)
+    assert len(digests) == 2
+    assert all(len(digest) == len("sha256:") + 64 for digest in digests)
+    assert plugins.modules() == ("pack_d.",)
+
+
+def test_a_scenario_of_a_package_is_known_by_its_name(entries: list[Any], tmp_path: Path) -> None:
+    (tmp_path / "soft.yaml").write_text("name: soft\n")
+    (tmp_path / "pack_e.py").write_text(
+        "from pathlib import Path\nSOFT = Path(__file__).with_name('soft.yaml')\nGONE = 'gone.yaml'\nFIG12 = SOFT\n"
+    )
+    entries += [entry("scenarios", name, f"pack_e:{name.upper()}") for name in ("soft", "gone", "fig12")]
+    assert find_scenario("soft") == tmp_path / "soft.yaml"
+    # those of the project keep their names
+    assert find_scenario("fig12").parent != tmp_path
+    assert {"fig12", "soft"} <= set(known_scenarios())
+    with pytest.raises(ConfigError, match="unknown scenario 'gone': known are fig12, soft, touch"):
+        find_scenario("gone")

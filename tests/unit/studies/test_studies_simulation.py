@@ -1,0 +1,61 @@
+"""`telenano.simulate`: a session in lockstep, with units and a verdict, and the errors of what cannot be one."""
+
+import numpy as np
+import pytest
+
+import studies
+import telenano
+from proto.errors import ConfigError
+
+assert studies  # before the steps are imported: they are compiled from then on
+
+
+@pytest.fixture(scope="module")
+def fig12() -> telenano.SimulatedSession:
+    return telenano.simulate(round_trip_ms=0.0)
+
+
+def test_the_session_is_that_of_the_paper(fig12: telenano.SimulatedSession) -> None:
+    assert fig12.verdict == "stable"
+    hold = (fig12["time_s"] > 2.2) & (fig12["time_s"] < 2.5)
+    ratio = fig12["operator_force_n"][hold] / fig12["scaled_tip_force_n"][hold]
+    # 1 + 1/K_f
+    assert ratio.mean() == pytest.approx(1.05, rel=1e-3)
+    assert 100.0 * fig12["reference_m"][-500:].mean() == pytest.approx(0.703, rel=2e-3)
+
+
+def test_columns_have_units_and_one_length(fig12: telenano.SimulatedSession) -> None:
+    assert {values.shape for values in fig12.values()} == {(8000,)}
+    assert (fig12.units["time_s"], fig12.units["scaled_tip_force_n"]) == ("s", "N")
+    assert set(fig12.units) == set(fig12.descriptions) == set(fig12)
+    assert np.diff(fig12["time_s"]) == pytest.approx(1e-3)
+    with pytest.raises(KeyError, match="no column 'force'; its columns are time_s"):
+        fig12["force"]
+    assert fig12.to_pandas().attrs["units"]["tip_force_n"] == "N"
+
+
+def test_delay_is_what_was_asked_for_there_and_back_or_one_way() -> None:
+    ringing = telenano.simulate(round_trip_ms=60.0)
+    assert ringing.verdict != "stable"
+    assert ringing.conditions.round_trip_ms == 60.0
+    assert "virtual_impedance, round trip 60 ms" in ringing.conditions.title()
+    one_way = telenano.simulate(delay_ms=30.0)
+    for name in ringing:
+        assert np.array_equal(ringing[name], one_way[name], equal_nan=ringing[name].dtype.kind == "f")
+
+
+@pytest.mark.parametrize(
+    ("given", "text"),
+    [
+        ({"round_trip_ms": 1.0, "delay_ms": 1.0}, "the same delay"),
+        ({"law": "telepathy"}, "controller.law: Input should be"),
+        ({"scenario": "touch"}, "interactive is a person"),
+        ({"settings": {"afm_node.rest_distance_m": -1.0}}, "afm_node.rest_distance_m"),
+        ({"settings": {"haptic_node.driver": "serial",
+                       "haptic_node.serial": {"port": "x", "calibration": "y"}}}, "only `up` can run it"),
+        ({"operator": {"kind": "robot"}}, "haptic_node.operator"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_simulated_says_why(given: dict[str, object], text: str) -> None:
+    with pytest.raises(ConfigError, match=text):
+        telenano.simulate(**given)  # type: ignore[arg-type]

@@ -1,0 +1,87 @@
+"""Recordings, studies and figures need nothing that only POSIX has; nodes need nothing that only Linux has."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from proto.errors import ConfigError
+from services.runtime import realtime
+from services.runtime.log import StructuredLog
+from services.runtime.realtime import RealtimeConfig, RealtimeStatus, apply_realtime
+
+ROOT = Path(__file__).parents[3]
+
+# Windows: no such modules, no numbers of users, no scheduling, none of the constants of opening files
+PROGRAM = """
+import importlib, os, sys
+class Hidden:
+    def find_spec(self, name, path=None, target=None):
+        if name in ("fcntl", "termios", "tty", "pty", "resource", "pwd", "grp"):
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+sys.meta_path.insert(0, Hidden())
+for name in ("fcntl", "termios", "tty", "pty", "resource", "pwd", "grp"):
+    sys.modules.pop(name, None)
+for name in ("getuid", "geteuid", "getgid", "sched_getaffinity", "sched_setscheduler", "sched_getscheduler", "nice",
+             "O_NOFOLLOW", "O_CLOEXEC", "SCHED_FIFO", "getppid"):
+    delattr(os, name)
+for name in ("study", "bag", "report", "compare", "law", "scenario", "param", "graph", "curve", "scan", "sample",
+             "reproduce", "new", "up", "topic", "record"):
+    importlib.import_module(f"telenano.commands.{name}")
+import json, pathlib, telenano
+session = telenano.open(sys.argv[1])
+tip = session.table("afm/state")
+from analysis.compare import compare, compare_figure, rows_of
+from services.viz_node.figure_style import FigureOptions, drawn
+found = compare([pathlib.Path(sys.argv[1])] * 2)
+files = drawn(compare_figure(found), "compare", FigureOptions(("svg",), "paper"))
+print(json.dumps({"rows": len(tip["time_s"]), "verdict": session.summary["verdict"], "law": rows_of(found)[0]["law"],
+                  "figure": len(files["compare.svg"])}))
+"""
+
+
+def test_recordings_and_figures_work_where_posix_is_not() -> None:
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "-c", PROGRAM, str(ROOT / "tests" / "replay" / "wave.mcap")]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert found["rows"] > 100
+    assert found["law"] == "wave"
+    assert found["figure"] > 10_000
+
+
+def test_a_node_on_another_system_runs_without_real_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(realtime, "is_linux", lambda: False)
+    # whatever is called of Linux fails
+    monkeypatch.setattr(realtime.ctypes, "CDLL", None)
+    monkeypatch.delattr(os, "sched_getaffinity")
+    status = apply_realtime(RealtimeConfig(), StructuredLog("node"), "controller@master")
+    assert status == RealtimeStatus(fifo=False, memory_locked=False)
+    realtime.die_with_parent(15)
+    realtime.lower_thread("io")
+    assert realtime.use_huge_pages() == 0
+    for asked in (RealtimeConfig(scheduler="fifo"), RealtimeConfig(memory_lock="on")):
+        with pytest.raises(ConfigError, match="no real-time scheduling"):
+            apply_realtime(asked, StructuredLog("node"), "controller@master")
+
+
+@pytest.mark.parametrize(
+    ("hidden", "arguments", "text"),
+    [
+        ("typer", ["--help"], "the package typer is not installed: pip install 'telenano[rig]'"),
+        ("numba", ["law", "check", "wave"], "this needs the package numba: pip install 'telenano[rig]'"),
+        ("matplotlib", ["compare", "a", "b"], "this needs the package matplotlib: pip install 'telenano[rig]'"),
+    ],
+)
+def test_a_bare_installation_says_what_to_add(hidden: str, arguments: list[str], text: str) -> None:
+    code = f"import sys; sys.modules[{hidden!r}] = None; sys.argv = ['telenano', *{arguments!r}]; "
+    code += "from telenano.app import main; main()"
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith(f"telenano: {text}")
+    assert done.stderr.count("\n") == 1

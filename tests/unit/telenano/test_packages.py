@@ -1,0 +1,134 @@
+"""Packages made by `telenano new` are laws, devices, operators and samples of the rig once they are installed."""
+
+import json
+import os
+import subprocess
+import sys
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from proto.errors import ConfigError
+from telenano.new_package import KINDS, new_package
+
+ROOT = Path(__file__).parents[3]
+NAMES = {"law": "filtered", "operator": "trembling", "sample": "layered", "device": "stub_handle"}
+
+PROGRAM = """
+import json
+from types import SimpleNamespace
+import numpy as np
+from pydantic import ValidationError
+from services.afm_node.__main__ import _driver
+from services.afm_node.config import AfmConfig
+from services.controller.config import LAWS, OWN_LAWS, ControllerConfig
+from services.controller.law import HandSample
+from services.controller.law_rules import broken_rules
+from services.haptic_node.__main__ import _device
+from services.haptic_node.config import HapticConfig
+from services.runtime.node_state import _packed, _unpacked
+
+found = {"laws": [name for name in LAWS if name not in OWN_LAWS], "broken": broken_rules("filtered")}
+config = ControllerConfig.model_validate({"law": "filtered", "filtered": {"filter_s": 0.0}})
+found["kept_share"] = config.params().kept_share
+state = LAWS["filtered"].master_start(config.params(), HandSample(1e-3, 0.0, 0.5, True))
+found["state_survives"] = _unpacked(_packed(state)) == state
+
+haptic = HapticConfig.model_validate({"operator": {"kind": "trembling", "tremor_n": 0.5, "tremor_hz": 5.0}})
+device = _device(haptic)
+device.open()
+forces = [device.read(0.5 + 1e-3 * tick, 1e-3).operator_force_n for tick in range(200)]
+found["forces"] = [min(forces), max(forces)]
+
+afm = _driver(AfmConfig.model_validate({"environment": "layered", "layered": {"layer_m": 1e-9}}))
+afm.open()
+found["tip_n"] = [afm.exchange(base_m).force_n for base_m in (0.0, 3.5e-9, 5e-9)]
+
+handle = _device(HapticConfig.model_validate({"driver": "stub_handle", "stub_handle": {"force_n": 0.25}}))
+handle.open()
+found["handle_n"] = handle.read(1.0, 1e-3).operator_force_n
+found["simulated"] = HapticConfig.model_validate({"driver": "stub_handle"}).simulated
+
+found["refused"] = []
+for model, document in ((ControllerConfig, {"filtered": {"filter_s": -1.0}}), (AfmConfig, {"layered": {"k": 1.0}})):
+    try:
+        model.model_validate(document)
+    except ValidationError as error:
+        found["refused"] += [".".join(map(str, fault["loc"])) for fault in error.errors()]
+print(json.dumps(found))
+"""
+
+
+def put_on_path(package: Path, site: Path) -> None:
+    """Do what an editable installation does: metadata with the entry points, and the package's folder on the path."""
+    document: Mapping[str, Any] = tomllib.loads((package / "pyproject.toml").read_text())["project"]
+    info = site / f"{document['name'].replace('-', '_')}-{document['version']}.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {document['name']}\nVersion: {document['version']}\n")
+    lines = [
+        f"[{group}]\n" + "".join(f"{name} = {target}\n" for name, target in entries.items())
+        for group, entries in document["entry-points"].items()
+    ]
+    (info / "entry_points.txt").write_text("\n".join(lines))
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    site = tmp_path_factory.mktemp("site")
+    folders = [site, ROOT]
+    for kind, name in NAMES.items():
+        new_package(kind, name, site / name)
+        put_on_path(site / name, site)
+        folders.append(site / name)
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, folders))}
+    command = [sys.executable, "-W", "error", "-c", PROGRAM]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    found: dict[str, Any] = json.loads(done.stdout)
+    return found
+
+
+def test_a_law_of_a_package_has_its_section_and_keeps_every_rule(found: dict[str, Any]) -> None:
+    assert found["laws"] == ["filtered"]
+    assert found["kept_share"] == 0.0
+    assert len(found["broken"]) == 8
+    assert not any(found["broken"].values()), found["broken"]
+    assert found["state_survives"]
+
+
+def test_operator_sample_and_device_of_a_package_do_what_their_models_say(found: dict[str, Any]) -> None:
+    assert found["forces"] == pytest.approx([0.5, 1.5], rel=1e-3)
+    # 2 N/m over the layer of 1 nm, then 20 N/m
+    assert found["tip_n"] == pytest.approx([0.0, 1e-9, 22e-9], rel=1e-9, abs=0.0)
+    assert found["handle_n"] == 0.25
+    assert found["simulated"]
+
+
+def test_what_is_wrong_in_the_section_of_a_package_is_named(found: dict[str, Any]) -> None:
+    assert found["refused"] == ["filtered.filter_s", "layered.k"]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_new_package_compiles_and_names_its_entry(kind: str, tmp_path: Path) -> None:
+    written = new_package(kind, "my_thing", tmp_path / "p")
+    assert [path for path in written if not path.is_file()] == []
+    document = tomllib.loads((tmp_path / "p" / "pyproject.toml").read_text())["project"]
+    assert document["entry-points"] == {f"telenano.{kind}s": {"my_thing": "telenano_my_thing:MY_THING"}}
+    for path in written:
+        text = path.read_text()
+        assert "$" not in text
+        if path.suffix == ".py":
+            compile(text, str(path), "exec")
+            assert max(map(len, text.splitlines())) <= 130
+
+
+def test_a_name_that_cannot_be_one_and_a_folder_that_is_there_are_refused(tmp_path: Path) -> None:
+    for name in ("My-Law", "1law", "class", "a" * 33):
+        with pytest.raises(ConfigError, match="lower-case"):
+            new_package("law", name, tmp_path / "new")
+    with pytest.raises(ConfigError, match="exists already"):
+        new_package("law", "my_law", tmp_path)
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,90 @@
+"""The map of the paper and its errata: complete, and every function and command in it exists."""
+
+import importlib
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from services.launcher.graph import edges, mermaid
+from telenano.lazy_commands import LAZY_COMMANDS
+
+ROOT = Path(__file__).parents[3]
+DOCS = ROOT / "docs"
+SOURCES = [
+    path for folder in ("services", "studies", "analysis", "recording") for path in (ROOT / folder).rglob("*.py")
+]
+
+
+def rows(page: str) -> list[list[str]]:
+    """Return the cells of each row of the tables of a page, without heads."""
+    lines = (DOCS / page).read_text(encoding="utf-8").splitlines()
+    found = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines if line.startswith("| ")]
+    return [row for row in found if set(row[0]) - {"-"}]
+
+
+def equations_of(text: str) -> set[int]:
+    found = set()
+    for first, last in re.findall(r"Eq\. ?(\d+)(?:[-–](\d+))?", text):
+        found |= set(range(int(first), int(last or first) + 1))
+    return found
+
+
+def test_every_equation_that_the_code_cites_is_in_the_map() -> None:
+    cited = {number for path in SOURCES for number in equations_of(path.read_text(encoding="utf-8"))}
+    listed = {number for row in rows("paper.md") for number in equations_of(row[0])}
+    assert len(cited) > 10
+    # the paper has 17 equations
+    assert cited <= listed == set(range(1, 18))
+
+
+def test_every_erratum_that_is_cited_is_listed() -> None:
+    pages = [path for path in (*DOCS.glob("*.md"), *ROOT.glob("services/*/README.md")) if path.name != "errata.md"]
+    text = "".join(path.read_text(encoding="utf-8") for path in (*SOURCES, *pages))
+    cited = set(re.findall(r"\bE([1-9][0-9]?)\b(?![-+.])", text))
+    listed = {row[0].removeprefix("E") for row in rows("errata.md") if re.fullmatch(r"E\d+", row[0])}
+    assert cited <= listed == set("12345678")
+
+
+FUNCTIONS = sorted(
+    {name for row in rows("paper.md") for name in re.findall(r"`((?:services|studies)\.[a-zA-Z0-9_.]+)`", row[3])}
+)
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_a_function_of_the_map_exists(name: str) -> None:
+    module, _, attribute = name.rpartition(".")
+    assert hasattr(importlib.import_module(module), attribute)
+
+
+def test_the_commands_of_the_map_are_commands() -> None:
+    commands = {
+        command for row in rows("paper.md") if len(row) > 4 for command in re.findall(r"`telenano ([^`]+)`", row[4])
+    }
+    assert len(commands) > 8
+    for command in commands:
+        assert shlex.split(command)[0] in LAZY_COMMANDS
+
+
+def test_every_link_between_the_pages_leads_somewhere() -> None:
+    pages = [*ROOT.glob("*.md"), *DOCS.rglob("*.md"), *ROOT.glob("*/README.md"), *ROOT.glob("services/*/README.md")]
+    broken = []
+    for page in pages:
+        text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+        for target in re.findall(r"\]\(([^)\s]+)\)", text):
+            path = target.partition("#")[0]
+            if path and not re.match(r"[a-z]+:", path) and not (page.parent / path).exists():
+                broken.append(f"{page.relative_to(ROOT)}: {target}")
+    assert not broken
+
+
+def test_the_diagram_of_the_architecture_is_the_graph_of_the_tables() -> None:
+    text = (DOCS / "architecture.md").read_text(encoding="utf-8")
+    assert f"```mermaid\n{mermaid(edges())}\n```" in text
+
+
+def test_the_site_has_every_page() -> None:
+    text = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
+    named = set(re.findall(r"\b([a-z0-9_]+\.md)\b", text))
+    assert {path.name for path in DOCS.glob("*.md")} <= named

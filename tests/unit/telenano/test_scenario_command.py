@@ -1,0 +1,205 @@
+"""Scenarios and their keys on the command line, and the schemas by which editors complete them."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from typer.testing import CliRunner
+
+from presets import SCENARIO_DIRECTORY, SCHEMA_DIRECTORY, SITE_DIRECTORY
+from proto.errors import ConfigError
+from services.launcher.graph import dot, edges, mermaid
+from services.launcher.plan import UpRequest, make_plan
+from services.launcher.scenario_keys import all_keys, markdown, scenario_schema, site_schema, value_at
+from services.runtime.config import read_yaml
+from telenano import completion
+from telenano.root import app
+
+RUNNER = CliRunner()
+
+
+def run(*arguments: str) -> tuple[int, str, str]:
+    result = RUNNER.invoke(app, arguments)
+    return result.exit_code, result.stdout, result.stderr
+
+
+@pytest.mark.parametrize(("name", "made"), [("scenario", scenario_schema), ("site", site_schema)])
+def test_the_schema_in_the_repository_is_that_of_the_models(name: str, made: Any) -> None:
+    text = (SCHEMA_DIRECTORY / f"{name}.json").read_text()
+    assert json.loads(text) == json.loads(json.dumps(made())), "renew it: make schemas"
+
+
+def test_the_schema_has_every_key_that_the_files_of_the_project_have() -> None:
+    names = {key.name for key in all_keys()}
+    assert {"name", "duration_s", "controller.law", "controller.wave.filter_s", "delay_node.forward.delay_s"} <= names
+    assert {"afm_node.tip_sample.hamaker_j", "haptic_node.device.preset", "recorder.quota_bytes"} <= names
+    schema = scenario_schema()
+    for path in SCENARIO_DIRECTORY.glob("*.yaml"):
+        for section, value in read_yaml(path).items():
+            properties = schema["properties"][section].get("properties")
+            assert properties is None or set(value) <= set(properties)
+    for path in SITE_DIRECTORY.glob("*.yaml"):
+        assert set(read_yaml(path)) <= set(site_schema()["properties"])
+
+
+def test_the_page_of_all_keys_is_that_of_the_models() -> None:
+    page = (Path(__file__).parents[3] / "docs" / "scenarios.md").read_text(encoding="utf-8")
+    assert page == markdown(all_keys()), "renew it: make schemas"
+
+
+def test_every_reference_of_a_schema_leads_somewhere() -> None:
+    schema = scenario_schema()
+    text = json.dumps(schema)
+    for name in (part.split('"')[0] for part in text.split('"$ref": "#/$defs/')[1:]):
+        assert name in schema["$defs"], name
+
+
+def test_a_key_has_default_range_and_unit() -> None:
+    found = {key.name: key for key in all_keys()}["controller.virtual_impedance.force_gain"]
+    assert (found.default, found.least, found.most) == (20.0, 0.0, 1e9)
+    code, out, _ = run("param", "list", "afm_node.cantilever", "--json")
+    rows = json.loads(out)["keys"]
+    assert code == 0
+    assert rows[0]["key"] == "afm_node.cantilever.stiffness_n_per_m"
+    assert all("[" in row["about"] or row["key"].endswith(("quality", "gain")) for row in rows)
+    assert run("param", "list", "telepathy")[0] == 2
+
+
+def test_a_value_is_that_of_the_scenario_or_the_default() -> None:
+    assert json.loads(run("param", "get", "afm_node.rest_distance_m", "--json")[1])["value"] == 1e-8
+    assert run("param", "get", "controller.wave.filter_s")[1] == "0.02\n"
+    code, out, _ = run("param", "get", "controller.law", "--set", "controller.law=smith", "--json")
+    assert (code, json.loads(out)["value"]) == (0, "smith")
+    code, _, err = run("param", "get", "controller.telepathy")
+    assert code == 2
+    assert "controller has no key telepathy; known are law, period_s" in err
+
+
+def test_what_param_dumps_is_a_scenario_that_runs_the_same(tmp_path: Path) -> None:
+    path = tmp_path / "full.yaml"
+    path.write_text(run("param", "dump")[1])
+    plan = make_plan(UpRequest(str(path), None, None, None, tmp_path / "out", False, ()), tmp_path)
+    assert plan.scenario.duration_s == 8.0
+    dumped = json.loads(run("param", "dump", "--json")[1])
+    assert value_at(dumped, "haptic_node.operator.points.0.time_s") == 0.8
+    assert value_at(dumped, "delay_node.profile") == "clean"
+    with pytest.raises(ConfigError, match="the scenario has no key link"):
+        value_at(dumped, "link.x")
+
+
+def test_a_new_scenario_is_valid_and_names_its_schema(tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    assert run("scenario", "new", "mine", "--out", str(path))[0] == 0
+    first = path.read_text().splitlines()[0]
+    assert first == f"# yaml-language-server: $schema=file://{SCHEMA_DIRECTORY / 'scenario.json'}"
+    assert yaml.safe_load(path.read_text())["name"] == "mine"
+    code, out, _ = run("scenario", "validate", str(path))
+    assert (code, out) == (0, f"{path}: valid, 8 s\n")
+    assert run("scenario", "new", "mine", "--out", str(path))[0] == 2
+    assert run("scenario", "new", "Not Mine", "--out", str(tmp_path / "x.yaml"))[0] == 2
+
+
+def test_a_wrong_scenario_is_refused_by_key() -> None:
+    code, _, err = run("scenario", "validate", "fig12", "--set", "controller.wave.filter_s=-1")
+    assert code == 2
+    assert "controller.wave.filter_s: Input should be greater than or equal to 0 (allowed is from 0 to 1e+06)" in err
+    names = [row["scenario"] for row in json.loads(run("scenario", "list", "--json")[1])["scenarios"]]
+    assert {"fig12", "touch"} <= set(names)
+    assert "duration_s: 8.0" in run("scenario", "show", "fig12")[1]
+
+
+def test_the_graph_is_the_loop() -> None:
+    found = {edge[:3] for edge in edges()}
+    assert ("haptic_node@master", "controller@master", "haptic/state") in found
+    assert ("controller@master", "delay_node@master", "teleop/forward") in found
+    assert ("delay_node@master", "controller@slave", "teleop/forward") in found
+    assert ("delay_node@master", "controller@master", "law/status") in found
+    # what crosses does so by the link, and no node speaks to itself
+    for source, reader, _ in found:
+        assert source != reader
+        link = "delay_node@master" in (source, reader)
+        assert link or source.partition("@")[2] == reader.partition("@")[2]
+    assert {edge.rate_hz for edge in edges() if edge.topic == "afm/state"} == {1000.0}
+    assert {edge.rate_hz for edge in edges({"afm/state": 998.5}) if edge.topic == "afm/state"} == {998.5}
+    assert mermaid(edges()).startswith("flowchart LR")
+    assert '"controller@slave" -> "afm_node@slave" [label="afm/command 1000 Hz"];' in dot(edges())
+    assert run("graph", "--format", "dot")[1] == dot(edges()) + "\n"
+
+
+def test_the_shell_completes_names() -> None:
+    assert completion.scenario_names("fi") == ["fig12"]
+    assert completion.topic_names("teleop/f") == ["teleop/forward", "teleop/forward@slave"]
+    assert completion.law_names("wave,sm") == ["wave,smith"]
+    assert "controller@slave" in completion.node_names("contr")
+    assert completion.scenario_sections("af") == ["afm_node"]
+
+
+def test_what_a_topic_is_needs_no_rig() -> None:
+    code, out, _ = run("topic", "info", "afm/state", "--json")
+    facts = json.loads(out)
+    assert code == 0
+    assert (facts["message"], facts["declared rate [Hz]"]) == ("AfmState", 1000.0)
+    assert facts["readers in the loop"] == ["controller@slave"]
+    units = {row["field"]: row["unit"] for row in facts["fields"]}
+    assert (units["tip_force_n"], units["separation_m"]) == ("N", "m")
+    assert run("topic", "info", "afm/stat")[0] == 2
+
+
+def test_what_is_published_by_hand_is_checked_first() -> None:
+    code, _, err = run("topic", "pub", "operator/force", "{force_n: [0, 0, -1]}", "--as", "afm_node@slave")
+    assert (code, "afm_node@slave does not publish it, view does" in err) == (2, True)
+    code, _, err = run("topic", "pub", "operator/force", "{strength: 1}")
+    assert (code, "unknown: strength; missing: force_n" in err) == (2, True)
+    code, _, err = run("topic", "pub", "operator/force", "1")
+    assert (code, "must be a mapping" in err) == (2, True)
+
+
+def test_the_nodes_are_listed_with_what_they_publish() -> None:
+    code, out, _ = run("node", "list", "--json")
+    rows = {row["node"]: row for row in json.loads(out)["nodes"]}
+    assert code == 0
+    assert rows["afm_node@slave"]["publishes"].startswith("afm/state")
+
+
+@pytest.mark.parametrize("arguments", [("-h",), ("up", "-h"), ("study", "stability", "-h"), ("bag", "-h")])
+def test_h_is_help(arguments: tuple[str, ...]) -> None:
+    code, out, _ = run(*arguments)
+    assert code == 0
+    assert "Usage:" in out
+    if arguments == ("-h",):
+        assert [line for line in out.splitlines() if line in ("Run:", "Look:", "Study:", "Set up:")]
+
+
+@pytest.mark.parametrize(
+    ("command", "usage"),
+    [
+        ("report", "[OPTIONS] FILE..."),
+        ("session", "[OPTIONS] COMMAND [KEY=VALUE]..."),
+        ("topic echo", "[OPTIONS] TOPIC"),
+        ("param list", "[OPTIONS] [PREFIX]"),
+    ],
+)
+def test_help_shows_metavars_and_no_types_of_python(command: str, usage: str) -> None:
+    out = run(*command.split(), "--help")[1]
+    assert out.splitlines()[0].endswith(f"{command} {usage}")
+    assert not any(word in out for word in ("<str>", "<path>", "list[", "<int", "<float"))
+
+
+def test_the_shell_completes_commands_options_and_values() -> None:
+    root = Path(__file__).parents[3]
+    code = "import sys; sys.argv = ['telenano']; from telenano.app import main; main()"
+    for words, expected in (
+        ("telenano sce", "scenario"),
+        ("telenano up --sweep a --rou", "--round-trip-ms"),
+        ("telenano up --scenario fi", "fig12"),
+        ("telenano topic echo teleop/forward@", "teleop/forward@slave"),
+    ):
+        environment = {**os.environ, "PYTHONPATH": str(root), "_TELENANO_COMPLETE": "complete_bash"}
+        environment |= {"COMP_WORDS": words, "COMP_CWORD": str(len(words.split()) - 1)}
+        done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+        assert expected in done.stdout.split(), words
