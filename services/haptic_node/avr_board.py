@@ -99,7 +99,7 @@ class AvrHandle:
     def __init__(self, config: HapticConfig, device_id: int = DEVICE_ID) -> None:
         plant = config.to_plant_params()
         self._params = plant._replace(motor=plant.motor._replace(servo_gain_v_per_m=_SOURCE_V_PER_M))
-        self._plant = initial_plant(config.device.start_position_m)
+        self._plant = initial_plant(self._params, config.device.start_position_m)
         self._device_id = device_id
         self.board = AvrBoard(device_id)
 
