@@ -50,6 +50,10 @@ class DisturbedAfm:
         return self._driver.latency_s
 
     @property
+    def calibration_identity(self) -> str:
+        return self._driver.calibration_identity
+
+    @property
     def report(self) -> DeviceReport | None:
         return self._driver.report
 
