@@ -16,7 +16,7 @@ COMPILE := $(BIN)/uv pip compile --quiet --generate-hashes --no-emit-index-url -
 # compose v2 where there is one
 COMPOSE ?= $(shell docker compose version >/dev/null 2>&1 && echo docker compose || echo docker-compose)
 
-.PHONY: setup page demo test endurance lint bench reliability schemas site lock image-locks images clean
+.PHONY: firmware setup page demo test endurance lint bench reliability schemas site lock image-locks images clean
 
 setup: $(VENV)/.complete
 
@@ -53,6 +53,11 @@ test: lint
 endurance: setup
 	$(BIN)/pytest -m endurance
 	$(BIN)/python benchmarks/soak.py
+
+# the image of the handle from its sources, byte for byte with Debian's compiler; `git diff` shows whether it changed
+firmware:
+	@command -v avr-gcc >/dev/null || { echo "needs the AVR compiler: apt install gcc-avr avr-libc" >&2; exit 1; }
+	$(MAKE) -C firmware/handle -B boards/avr328p/handle.hex
 
 lint: setup
 	$(BIN)/ruff check .

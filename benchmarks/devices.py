@@ -3,7 +3,7 @@
 Both devices are processes of their own: the firmware on a pseudo-terminal, a Modbus server on a socket. Figures are
 ratios to the period or to a bare socket with the same bytes, in the same run.
 
-    python benchmarks/devices.py [--seconds S]
+    python benchmarks/devices.py [--seconds S] [--board avr328p]
 """
 
 import argparse
@@ -14,6 +14,7 @@ import struct
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -64,23 +65,25 @@ def started(arguments: list[str], ready: Callable[[], bool]) -> "subprocess.Pope
     return process
 
 
-def handle_figures(folder: Path, seconds: float) -> dict[str, Any]:
+def handle_figures(folder: Path, seconds: float, board: str) -> dict[str, Any]:
     """Return age of the samples and cost of the serial driver."""
     link, calibration = folder / "handle", folder / "handle.yaml"
-    process = started(["handle", "--link", str(link), "--calibration", str(calibration)], link.is_symlink)
-    driver = SerialHandle(str(link), 1_000_000, read_calibration(calibration), LimitsConfig())
+    process = started(
+        ["handle", "--board", board, "--link", str(link), "--calibration", str(calibration)], link.is_symlink
+    )
     ages: list[float] = []
-
-    def tick() -> None:
-        driver.write(DriveCommand(MODE_OFF, 0.0, 0.0))
-        driver.read(-1.0, PERIOD_S)
-        ages.append(driver.report.age_s / PERIOD_S)
-
     try:
+        driver = SerialHandle(str(link), 1_000_000, read_calibration(calibration), LimitsConfig())
+
+        def tick() -> None:
+            driver.write(DriveCommand(MODE_OFF, 0.0, 0.0))
+            driver.read(-1.0, PERIOD_S)
+            ages.append(driver.report.age_s / PERIOD_S)
+
         driver.open()
         spent = paced(tick, seconds)
-    finally:
         driver.close()
+    finally:
         process.terminate()
         process.wait()
     bad = sum(driver.reader.errors.values())
@@ -130,6 +133,48 @@ def stage_figures(folder: Path, seconds: float, latency_s: float, *, stop: bool)
     return figures
 
 
+def broken_figures(folder: Path, seconds: float, *, garbage: bool) -> dict[str, Any]:
+    """Return the time inside `exchange` while the server is gone, or while another one answers with garbage."""
+    calibration = folder / "stage.yaml"
+    process = started(["t7", "--port", str(PORT), "--calibration", str(calibration)], serving)
+    driver: Any = modbus_driver(ModbusConfig(calibration=str(calibration)), AfmConfig().to_params().safety)
+    stop = threading.Event()
+    server: threading.Thread | None = None
+    try:
+        driver.open()
+        process.kill()
+        process.wait()
+        if garbage:
+            server = threading.Thread(target=serve_garbage, args=(stop,), daemon=True)
+            server.start()
+        spent = paced(lambda: driver.exchange(driver.safe_position_m), seconds)
+        name = "garbage" if garbage else "killed"
+        return {f"inside_exchange_{name}_over_period": quantiles(spent), "lost": driver.report.status == "lost"}
+    finally:
+        stop.set()
+        if server is not None:
+            server.join()
+        driver.close()
+
+
+def serve_garbage(stop: threading.Event) -> None:
+    """Answer whatever comes with bytes that are not Modbus."""
+    with socket.create_server(("127.0.0.1", PORT), reuse_port=True) as server:
+        server.settimeout(0.05)
+        while not stop.is_set():
+            try:
+                line, _ = server.accept()
+            except TimeoutError:
+                continue
+            with line:
+                line.settimeout(0.05)
+                try:
+                    while not stop.is_set() and line.recv(4096):
+                        line.sendall(bytes(range(64)))
+                except OSError:
+                    continue
+
+
 def wire_figures(seconds: float) -> dict[str, Any]:
     """Compare exchanges one after the other: ours, two requests in the place of one, and a bare socket."""
     write, reads = (
@@ -176,12 +221,17 @@ def main() -> None:
     """Print the figures, one JSON object a device."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=5.0, help="length of each part [s]")
-    seconds = parser.parse_args().seconds
+    parser.add_argument("--board", action="append", choices=("posix", "avr328p"), help="what runs the handle (repeat)")
+    given = parser.parse_args()
+    seconds, boards = given.seconds, given.board or ["posix"]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        print(json.dumps({"handle": handle_figures(folder, seconds)}))
+        for board in boards:
+            print(json.dumps({f"handle, {board}": handle_figures(folder, seconds, board)}))
         print(json.dumps({"stage, at once": stage_figures(folder, seconds, 0.0, stop=False)}))
         print(json.dumps({"stage, 1.2 ms, then stopped": stage_figures(folder, seconds, 1.2e-3, stop=True)}))
+        print(json.dumps({"stage, killed": broken_figures(folder, seconds, garbage=False)}))
+        print(json.dumps({"stage, garbage": broken_figures(folder, seconds, garbage=True)}))
 
 
 if __name__ == "__main__":

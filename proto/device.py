@@ -1,8 +1,10 @@
 """Keys that are there only where they apply: what only a real device has to say, and what not every read-out has."""
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import BaseModel, Field
+
+from proto.ranges import VoltageV
 
 DeviceStatus = Literal["ok", "stale", "lost"]
 
@@ -22,6 +24,32 @@ MEAN_AGE_S: Any = Field(
 SAMPLE_AGE_S: Any = Field(
     default=None, description="Age of the sample of a real device when published [s]; absent if simulated"
 )
+CALIBRATION: Any = Field(
+    default=None,
+    max_length=128,
+    description="Device and date of the calibration that is in use; absent if simulated",
+)
+
+RawCount = Annotated[int, Field(ge=-(2**31), lt=2**31)]
+
+
+class HandCounts(BaseModel):
+    """What a real handle sent, before any calibration: a better one reads it again."""
+
+    position_raw: RawCount | None = Field(default=None, description="Position as the handle sent it [counts]")
+    velocity_raw: RawCount | None = Field(default=None, description="Velocity as the handle sent it [counts/s]")
+    operator_force_raw: RawCount | None = Field(default=None, description="Operator's force as it was sent [counts]")
+    drive_raw: RawCount | None = Field(default=None, description="Drive after every limit as it was sent [counts]")
+
+
+class StageVolts(BaseModel):
+    """What a real instrument's converters had, before any calibration."""
+
+    output_v: VoltageV | None = Field(default=None, description="Output to the stage, read back [V]")
+    input_v: VoltageV | None = Field(default=None, description="Input of the deflection [V]")
+
+
+HAND_COUNTS, STAGE_VOLTS = tuple(HandCounts.model_fields), tuple(StageVolts.model_fields)
 LATERAL_FORCE_N: Any = Field(
     default=None,
     description="Force on the tip by the sample along x [N]; absent where it is not measured",

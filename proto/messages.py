@@ -23,15 +23,7 @@ from pydantic import (
 )
 from pydantic_core import CoreSchema, core_schema
 
-from proto.device import (
-    DEVICE,
-    LATENCY_S,
-    LATERAL_FORCE_N,
-    MEAN_AGE_S,
-    SAMPLE_AGE_S,
-    TORSION_RAD,
-    DeviceStatus,
-)
+from proto import device as real
 from proto.ranges import (
     ANGLE,
     FORCE,
@@ -167,11 +159,11 @@ class _HandSample(Record):
     hand_t_ns: Count = Field(description="t_ns of that haptic/state, on the master's clock [ns]; 0 = none yet")
 
 
-class HapticState(_Extended):
+class HapticState(real.HandCounts, _Extended):
     """The operator's device: what was measured and what was really applied."""
 
     version: ClassVar[int] = 2
-    additions: ClassVar[Mapping[str, int]] = {"device": 2, "sample_age_s": 2}
+    additions: ClassVar[Mapping[str, int]] = {"device": 2, "sample_age_s": 2, **dict.fromkeys(real.HAND_COUNTS, 2)}
 
     position_m: PositionVector = Field(
         description="Hand position in the master frame [m]; z = -x_m, 0 where the arm starts"
@@ -194,8 +186,8 @@ class HapticState(_Extended):
     answered_t_ns: Count = Field(description="hand_t_ns of the newest haptic/command [ns]; 0 = none yet")
     answered_at_ns: Count = Field(description="When that command reached this device, on this clock [ns]")
     step_s: DurationS = Field(description="Time that this step of the device covers [s]")
-    device: DeviceStatus | None = DEVICE
-    sample_age_s: DurationS | None = SAMPLE_AGE_S
+    device: real.DeviceStatus | None = real.DEVICE
+    sample_age_s: DurationS | None = real.SAMPLE_AGE_S
 
 
 class OperatorForce(Message):
@@ -248,11 +240,11 @@ class AfmCommand(Message, _HandSample):
     )
 
 
-class AfmState(_Extended, _HandSample):
+class AfmState(real.StageVolts, _Extended, _HandSample):
     """The AFM: what was measured and what was really applied."""
 
     version: ClassVar[int] = 2
-    additions: ClassVar[Mapping[str, int]] = {"device": 2, "sample_age_s": 2}
+    additions: ClassVar[Mapping[str, int]] = {"device": 2, "sample_age_s": 2, **dict.fromkeys(real.STAGE_VOLTS, 2)}
 
     command_seq: Count = Field(description="seq of the afm/command in force; meaningful once hand_t_ns > 0")
     base_position_m: PositionVector = Field(description="Base position applied after every limit [m]; z = -x_s")
@@ -265,8 +257,8 @@ class AfmState(_Extended, _HandSample):
     mode: Literal["retracted", "follow", "hold", "retracting", "estop"] = Field(description="What the AFM does")
     limited: bool = Field(description="A travel or speed limit is acting")
     step_s: DurationS = Field(description="Time that this step of the instrument covers [s]")
-    device: DeviceStatus | None = DEVICE
-    sample_age_s: DurationS | None = SAMPLE_AGE_S
+    device: real.DeviceStatus | None = real.DEVICE
+    sample_age_s: DurationS | None = real.SAMPLE_AGE_S
 
 
 class AfmScanline(_Extended):
@@ -282,8 +274,8 @@ class AfmScanline(_Extended):
     height_m: Lengths = Field(description="Height at equal steps along the line [m]")
     amplitude_m: Lengths | None = Field(description="Amplitude of vibration [m]; nil in contact mode")
     phase_rad: Angles | None = Field(description="Phase of vibration [rad]; nil in contact mode")
-    lateral_force_n: Forces | None = LATERAL_FORCE_N
-    torsion_rad: Angles | None = TORSION_RAD
+    lateral_force_n: Forces | None = real.LATERAL_FORCE_N
+    torsion_rad: Angles | None = real.TORSION_RAD
 
 
 class LawStatus(Message):
@@ -456,7 +448,7 @@ class NodeHealth(_Extended):
     """How a process is doing."""
 
     version: ClassVar[int] = 2
-    additions: ClassVar[Mapping[str, int]] = {"device_latency_s": 2, "device_age_s": 2}
+    additions: ClassVar[Mapping[str, int]] = {"device_latency_s": 2, "device_age_s": 2, "calibration": 2}
 
     pid: Count = Field(description="Process id")
     state: Literal["starting", "ready", "running", "safe", "stopping"] = Field(description="What the node is at")
@@ -479,8 +471,9 @@ class NodeHealth(_Extended):
     inputs: Annotated[tuple[InputHealth, ...], FailFast()] = Field(
         max_length=MAX_ROWS, description="Every input of the node; of many sources, those that sent most"
     )
-    device_latency_s: DurationS | None = LATENCY_S
-    device_age_s: DurationS | None = MEAN_AGE_S
+    device_latency_s: DurationS | None = real.LATENCY_S
+    device_age_s: DurationS | None = real.MEAN_AGE_S
+    calibration: str | None = real.CALIBRATION
 
 
 class JournalInput(Record):

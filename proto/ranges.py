@@ -63,8 +63,9 @@ TIME = Range("time", -1e10, 1e10, "s", "the same, before or after")
 RATE = Range("rate", 0.0, 1e9, "Hz", "one step in each nanosecond of the clock")
 PERCENTAGE = Range("percentage", 0.0, 1e6, "%", "ten thousand processors that work for one process")
 ANGLE = Range("angle", -1e6, 1e6, "rad", "an unwrapped phase of 1.6e5 turns")
+VOLTAGE = Range("voltage", -1e4, 1e4, "V", "ten times the highest voltage that drives a piezo")
 
-RANGES = (POSITION, WAY, VELOCITY, FORCE, WAVE, ENERGY, POWER, DURATION, TIME, RATE, PERCENTAGE, ANGLE)
+RANGES = (POSITION, WAY, VELOCITY, FORCE, WAVE, ENERGY, POWER, DURATION, TIME, RATE, PERCENTAGE, ANGLE, VOLTAGE)
 
 PositionM = Annotated[float, POSITION]
 WayM = Annotated[float, WAY]
@@ -77,6 +78,7 @@ DurationS = Annotated[float, DURATION]
 TimeS = Annotated[float, TIME]
 RateHz = Annotated[float, RATE]
 Percent = Annotated[float, PERCENTAGE]
+VoltageV = Annotated[float, VOLTAGE]
 
 PositionVector = tuple[PositionM, PositionM, PositionM]
 WayVector = tuple[WayM, WayM, WayM]

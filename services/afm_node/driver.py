@@ -17,13 +17,16 @@ class DeviceReport(NamedTuple):
     """How a real instrument is doing; a simulated one is measured in the moment of the exchange and has none.
 
     status: `stale` repeats the last sample, `lost` means that nothing reaches the base. age_s: of the sample [s].
-    force_valid: the input was within its range. text: the newest sentence for a person.
+    force_valid: the input was within its range. text: the newest sentence for a person. output_v, input_v: what its
+    converters had in the newest sample [V].
     """
 
     status: Literal["ok", "stale", "lost"]
     age_s: float
     force_valid: bool
     text: str
+    output_v: float = 0.0
+    input_v: float = 0.0
 
 
 class LateralStage(Protocol):
@@ -47,6 +50,10 @@ class AfmDriver(Protocol):
     @property
     def latency_s(self) -> float:
         """Return what a real instrument is declared to add to the round trip, in the mean [s]; 0 if simulated."""
+
+    @property
+    def calibration_identity(self) -> str:
+        """Return which calibration of a real instrument is in use; empty if simulated."""
 
     @property
     def report(self) -> DeviceReport | None:

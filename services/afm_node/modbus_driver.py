@@ -170,6 +170,10 @@ class ModbusAfm:
         return self._identity
 
     @property
+    def calibration_identity(self) -> str:
+        return self._calibration.identity
+
+    @property
     def input_v(self) -> float:
         """Return the voltage of the input in the newest sample [V]."""
         return self._readings.sample.bridge_voltage_v
@@ -418,5 +422,6 @@ class ModbusAfm:
         ready = self._phase is _Phase.READY
         # an exchange in the loop's time takes whole periods
         stale_s = STALE_CYCLES * (self._map.device_cycle_s + _PERIOD_S)
-        status = DeviceReport("ok" if age_s <= stale_s else "stale", age_s, self._readings.in_range, self._text)
+        volts = self._output_v, self._readings.sample.bridge_voltage_v
+        status = DeviceReport("ok" if age_s <= stale_s else "stale", age_s, self._readings.in_range, self._text, *volts)
         self._report = status if ready else status._replace(status="lost", force_valid=True)

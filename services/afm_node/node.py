@@ -1,7 +1,7 @@
 """The AFM process: acts on each command as it comes, on its own clock when none does, and guards the tip."""
 
 import math
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from proto.errors import RefusedError
 from proto.messages import AfmCommand, Array, ClockPing, LinkDelay, SessionControl
@@ -78,7 +78,7 @@ class AfmNode(Node):
         self._device_text = ""
         driver.open()
         if driver.report is not None:
-            self.device_delay = DeviceDelay(driver.latency_s)
+            self.device_delay = DeviceDelay(driver.latency_s, driver.calibration_identity)
         # compile before the first command comes; dt and inputs change nothing in the retracted state
         asked = safety.SafetyInputs(0.0, math.inf, safety.ACTION_HOLD, False, False, 0.0)
         safety.safety_step(self._limits, self._guard, asked, PERIOD_S)
@@ -295,7 +295,10 @@ class AfmNode(Node):
         self, allowed: safety.SafetyOutputs, sample: AfmSample, elapsed_s: float, report: DeviceReport | None
     ) -> None:
         command = self._command
-        device = {} if report is None else {"device": report.status, "sample_age_s": report.age_s}
+        device: dict[str, Any] = {}
+        if report is not None:
+            device = {"device": report.status, "sample_age_s": report.age_s}
+            device.update(output_v=report.output_v, input_v=report.input_v)
         self.publish(
             "afm/state",
             command_seq=0 if command is None else command.seq,

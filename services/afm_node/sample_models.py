@@ -126,6 +126,10 @@ class SimulatedSample:
         return 0.0
 
     @property
+    def calibration_identity(self) -> str:
+        return ""
+
+    @property
     def report(self) -> None:
         return None
 

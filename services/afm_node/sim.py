@@ -43,6 +43,10 @@ class SimulatedAfm:
         return 0.0
 
     @property
+    def calibration_identity(self) -> str:
+        return ""
+
+    @property
     def report(self) -> None:
         return None
 
@@ -123,6 +127,10 @@ class SimulatedSpring:
     @property
     def latency_s(self) -> float:
         return 0.0
+
+    @property
+    def calibration_identity(self) -> str:
+        return ""
 
     @property
     def report(self) -> None:

@@ -68,10 +68,20 @@ class T7Model:
     """The device.
 
     Parameters: afm, opened, whose base the output moves and whose bridge voltage the input reads; noise_v, standard
-    deviation of a reading [V]; seed of that noise; word_swapped, for a device that is not what it should be.
+    deviation of a reading [V]; seed of that noise; word_swapped, for a device that is not what it should be;
+    output_step_v, of a converter of 12 bits unless it is another's [V].
     """
 
-    def __init__(self, afm: AfmDriver, *, noise_v: float = 0.0, seed: int = 1, word_swapped: bool = False) -> None:
+    def __init__(
+        self,
+        afm: AfmDriver,
+        *,
+        noise_v: float = 0.0,
+        seed: int = 1,
+        word_swapped: bool = False,
+        output_step_v: float = _DAC_STEP_V,
+    ) -> None:
+        self._step_v = output_step_v
         self._afm, self._noise_v, self._random = afm, noise_v, random.Random(seed)
         self._words: dict[int, int] = {}
         self._forms = {address: form for address, form, _ in _REGISTERS}
@@ -159,9 +169,9 @@ class T7Model:
         self._heard_ns = now_ns
 
     def _move(self, volts: float) -> None:
-        steps = round(min(max(volts, 0.0), _DAC_MOST_V) / _DAC_STEP_V)
-        self._put(_DAC0, steps * _DAC_STEP_V)
-        self._bridge_v = self._afm.exchange((steps * _DAC_STEP_V - REST_V) * M_PER_V).bridge_voltage_v
+        output_v = round(min(max(volts, 0.0), _DAC_MOST_V) / self._step_v) * self._step_v
+        self._put(_DAC0, output_v)
+        self._bridge_v = self._afm.exchange((output_v - REST_V) * M_PER_V).bridge_voltage_v
 
     def _sample(self) -> None:
         range_v = self.value(_AIN0_RANGE)

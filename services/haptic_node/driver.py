@@ -5,6 +5,8 @@ A driver obeys; it does not judge. The guard in `safety.py` stands in front of i
 sample.
 """
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Literal, NamedTuple, Protocol, runtime_checkable
 
 from proto.errors import ConfigError
@@ -33,6 +35,8 @@ class Capabilities(NamedTuple):
     force_source: Literal["sensor", "estimate", "none"] = "sensor"
     # from a command to the tick that publishes its effect, in the mean, beyond that of the simulated device
     latency_s: float = 0.0
+    # identity of the calibration in use
+    calibration: str = ""
 
 
 class DriveCommand(NamedTuple):
@@ -62,13 +66,14 @@ class DeviceReport(NamedTuple):
 
     status: `stale` repeats the last sample, `lost` means that nothing drives the arm. age_s: of the sample [s].
     estop_pressed: the emergency stop of the device itself. text: the newest sentence for a person, such as why the
-    device is lost.
+    device is lost. counts: the newest sample as it was sent, by the keys of haptic/state; none before there was one.
     """
 
     status: Status
     age_s: float
     estop_pressed: bool
     text: str
+    counts: Mapping[str, int] = MappingProxyType({})
 
 
 class HapticDevice(Protocol):

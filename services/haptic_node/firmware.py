@@ -6,6 +6,7 @@ import os
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -49,25 +50,42 @@ class BoardSample(NamedTuple):
 def build_library(sources: Path = SOURCES, folder: Path | None = None) -> Path:
     """Return the firmware as a shared library, compiled unless that was done before; FirmwareError without compiler."""
     parts = [sources / name for name in (*_FILES, *_HEADERS)]
+    files = [str(sources / name) for name in _FILES]
+    return compiled("handle", parts, [*_FLAGS, *files], "an emulated handle runs the firmware, which needs", folder)
+
+
+def compiled(
+    name: str,
+    parts: Sequence[Path],
+    arguments: Sequence[str],
+    purpose: str,
+    folder: Path | None = None,
+    extra: str = "",
+) -> Path:
+    """Return a shared library in the user's cache, compiled unless that was done before with the same sources.
+
+    Parameters: parts, every file that it is made of; arguments of the compiler; purpose, the beginning of the sentence
+    without a compiler; extra, further packages that it needs. Raises FirmwareError.
+    """
     try:
         digest = hashlib.sha256(b"".join(part.read_bytes() for part in parts)).hexdigest()[:16]
     except OSError as error:
         raise FirmwareError(f"{error.filename}: the source of the firmware is missing: {error.strerror}") from error
     cache = folder or Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "telenano"
-    library = cache / f"handle-{digest}.so"
+    library = cache / f"{name}-{digest}.so"
     if library.exists():
         return library
     compiler = shutil.which(os.environ.get("CC", "cc"))
     if compiler is None:
-        raise FirmwareError("an emulated handle runs the firmware, which needs a C compiler: apt install gcc libc6-dev")
+        raise FirmwareError(f"{purpose} a C compiler: apt install gcc libc6-dev{extra}")
     cache.mkdir(parents=True, exist_ok=True)
     # put in place whole: another process may compile the same now
     with tempfile.TemporaryDirectory(dir=cache) as work:
         made = Path(work) / library.name
-        command = [compiler, *_FLAGS, *(str(sources / name) for name in _FILES), "-o", str(made)]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        done = subprocess.run([compiler, *arguments, "-o", str(made)], capture_output=True, text=True, check=False)
         if done.returncode:
-            raise FirmwareError(f"the firmware does not compile with {compiler}: {done.stderr.strip()}")
+            needs = f" (apt install{extra})" if extra else ""
+            raise FirmwareError(f"{name} does not compile with {compiler}{needs}: {done.stderr.strip()}")
         made.replace(library)
     return library
 

@@ -7,13 +7,29 @@ import time
 import tty
 from collections.abc import Callable
 from pathlib import Path
+from typing import Protocol
 
-from services.haptic_node.emulated_handle import TICK_US, EmulatedHandle
+from services.haptic_node.emulated_handle import TICK_US
 
 _TICK_NS = TICK_US * 1000
 _READ_BYTES = 4096
 # a process that was held up longer goes on from now: a board has no time to make up for
 _LONGEST_NS = 50 * _TICK_NS
+
+
+class EmulatedBoard(Protocol):
+    """A board in a time of its own, a millisecond at a time."""
+
+    def receive(self, received: bytes) -> None: ...
+
+    def sent(self) -> bytes:
+        """Return what it has sent since the last call."""
+
+    def advance(self) -> None:
+        """Go on by a millisecond."""
+
+    def reset(self, session: int) -> None:
+        """Boot anew; a board that counts its sessions itself takes its own number."""
 
 
 class HandleOnPty:
@@ -22,7 +38,7 @@ class HandleOnPty:
     Raises OSError if the link cannot be made.
     """
 
-    def __init__(self, handle: EmulatedHandle, link: Path) -> None:
+    def __init__(self, handle: EmulatedBoard, link: Path) -> None:
         self._handle, self._link = handle, link
         self._master = self._slave = -1
         self._next_ns = time.monotonic_ns()

@@ -56,7 +56,7 @@ class HapticNode(Node):
         self.device = device
         device.open()
         if device.report is not None:
-            self.device_delay = DeviceDelay(device.capabilities.latency_s)
+            self.device_delay = DeviceDelay(device.capabilities.latency_s, device.capabilities.calibration)
         self._limits = config.limits.to_params(
             has_position_mode=safety.MODE_POSITION in device.capabilities.modes,
             has_force_mode=safety.MODE_FORCE in device.capabilities.modes,
@@ -210,7 +210,7 @@ class HapticNode(Node):
         self, applied: safety.SafetyOutputs, reading: DeviceReading, elapsed_s: float, report: DeviceReport | None
     ) -> None:
         command = self._command
-        device = {} if report is None else {"device": report.status, "sample_age_s": report.age_s}
+        device = {} if report is None else {"device": report.status, "sample_age_s": report.age_s, **report.counts}
         self.publish(
             "haptic/state",
             position_m=to_site_frame(reading.position_m),

@@ -117,6 +117,7 @@ class SerialHandle:
             identity=identity_text(self.hello),
             force_source="sensor" if measured else "estimate" if flags & wire.FORCE_IS_ESTIMATED else "none",
             latency_s=self._latency_s(calibration),
+            calibration=calibration.identity,
         )
 
     def _latency_s(self, calibration: HandleCalibration) -> float:
@@ -318,7 +319,8 @@ class SerialHandle:
         elif now_ns - self._received_ns > STALE_NS:
             status = "stale"
         self._notice(now_ns, age_s, status)
-        self._report = DeviceReport(status, age_s, bool(flags & wire.ESTOP_PRESSED), self._text)
+        counts = counts_of(self.state) if self.state is not None else {}
+        self._report = DeviceReport(status, age_s, bool(flags & wire.ESTOP_PRESSED), self._text, counts)
 
     def _notice(self, now_ns: int, age_s: float, status: Status) -> None:
         """Say once what goes on for long: samples that are old, frames that are bad (once a second at most)."""
@@ -392,6 +394,16 @@ def refusal(hello: wire.Hello, calibration: HandleCalibration | None) -> str:
     if hello.max_rate_hz < round(1.0 / _PERIOD_S):
         return f"the handle takes {hello.max_rate_hz} commands a second, {round(1.0 / _PERIOD_S)} are needed"
     return ""
+
+
+def counts_of(state: wire.State) -> dict[str, int]:
+    """Return a sample as it was sent, by the keys of haptic/state."""
+    return {
+        "position_raw": state.position,
+        "velocity_raw": state.velocity_per_s,
+        "operator_force_raw": state.force,
+        "drive_raw": state.drive,
+    }
 
 
 def reading_of(state: wire.State, calibration: HandleCalibration) -> DeviceReading:

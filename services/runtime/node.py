@@ -60,19 +60,22 @@ class NodeContext:
 
 
 class DeviceDelay:
-    """What a real device adds to the round trip: as it is declared, and how old its samples really were."""
+    """What a real device adds to the round trip: as it is declared, and how old its samples really were.
 
-    def __init__(self, declared_s: float) -> None:
-        self._declared_s = declared_s
+    Parameters: declared_s [s]; calibration, the identity of the one in use.
+    """
+
+    def __init__(self, declared_s: float, calibration: str) -> None:
+        self._declared_s, self._calibration = declared_s, calibration
         self._sum_s, self._count = 0.0, 0
 
     def record(self, age_s: float) -> None:
         self._sum_s += age_s
         self._count += 1
 
-    def report(self) -> dict[str, float]:
+    def report(self) -> dict[str, float | str]:
         """Return the part of node/health, and begin a new interval."""
-        found = {"device_latency_s": self._declared_s}
+        found: dict[str, float | str] = {"device_latency_s": self._declared_s, "calibration": self._calibration}
         if self._count:
             found["device_age_s"] = self._sum_s / self._count
         self._sum_s, self._count = 0.0, 0

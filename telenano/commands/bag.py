@@ -140,6 +140,33 @@ def filter_file(
 
 
 @app.command()
+def recalibrate(
+    file: FileArgument,
+    out: OutOption,
+    handle: Annotated[
+        Path | None, typer.Option("--handle", metavar="FILE", help="handle.yaml, of the same handle.")
+    ] = None,
+    stage: Annotated[
+        Path | None, typer.Option("--stage", metavar="FILE", help="stage.yaml, of the same instrument.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Read what real devices sent with another calibration, into a new recording."""
+    with report_errors(as_json):
+        from analysis.recalibrate import recalibrate as read_again
+        from services.afm_node.calibration import read_calibration as read_stage
+        from services.haptic_node.calibration import read_calibration as read_handle
+
+        found = read_again(
+            file,
+            out,
+            handle=None if handle is None else read_handle(handle),
+            stage=None if stage is None else read_stage(stage),
+        )
+        _print_model(found, as_json)
+
+
+@app.command()
 def merge(
     files: FilesArgument,
     out: OutOption,

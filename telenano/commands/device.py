@@ -7,6 +7,7 @@ import signal
 import sys
 import time
 from datetime import UTC, datetime
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,12 +15,14 @@ import typer
 import yaml
 
 from proto.errors import ConfigError, TelenanoError
+from telenano.commands.device_calibrate import calibrate_stage
 from telenano.options import JsonOption, command_group
 from telenano.output import print_json, print_rows, report_errors
 
 app = command_group()
 simulate = command_group()
 calibrate = command_group()
+calibrate.command("stage")(calibrate_stage)
 app.add_typer(calibrate, name="calibrate", help="Measure a device, and write its calibration file.")
 app.add_typer(simulate, name="simulate", help="Run an emulated device in this terminal.")
 
@@ -35,6 +38,13 @@ WriteOption = Annotated[
     Path | None,
     typer.Option("--calibration", metavar="FILE", help="Write a calibration file that fits the emulated device."),
 ]
+
+
+class BoardName(StrEnum):
+    """What an emulated handle runs."""
+
+    POSIX = "posix"
+    AVR328P = "avr328p"
 
 
 @app.command("list")
@@ -258,7 +268,8 @@ def calibrate_handle(
     A point off the line by more than 2 % is refused.
     """
     with report_errors(as_json=False):
-        from services.haptic_node.handle_calibration import STANDARD_GRAVITY_M_PER_S2, RawPoint, fit_line, sample_raw
+        from services.haptic_node.handle_calibration import STANDARD_GRAVITY_M_PER_S2, RawPoint, sample_raw
+        from services.runtime.line_fit import fit_line
 
         hello = None
         points: list[RawPoint] = []
@@ -310,6 +321,9 @@ def simulate_handle(
     scenario: Annotated[
         Path | None, typer.Option("--scenario", metavar="FILE", help="Scenario whose device and hand are emulated.")
     ] = None,
+    board: Annotated[
+        BoardName, typer.Option("--board", help="posix: the core of the firmware; avr328p: its image, in simavr.")
+    ] = BoardName.POSIX,
     calibration: WriteOption = None,
 ) -> None:
     """Run an emulated handle: the firmware, the motor and the hand, on a port of its own. Ctrl-C ends it.
@@ -317,15 +331,19 @@ def simulate_handle(
     SIGUSR1, or the Enter key, pulls the cable out, and puts it in again; SIGUSR2 resets the board.
     """
     with report_errors(as_json=False, interrupted="the emulated handle has ended"):
+        from services.haptic_node import avr_board, emulated_handle
         from services.haptic_node.config import HapticConfig
-        from services.haptic_node.emulated_handle import EmulatedHandle, calibration_of
-        from services.haptic_node.handle_on_pty import HandleOnPty
+        from services.haptic_node.handle_on_pty import EmulatedBoard, HandleOnPty
         from services.runtime.scenario import load_scenario
 
         config = HapticConfig() if scenario is None else load_scenario(scenario).section("haptic_node", HapticConfig)
-        handle = EmulatedHandle(config, _boot())
+        handle: EmulatedBoard
+        if board is BoardName.AVR328P:
+            handle, fitting = avr_board.AvrHandle(config), avr_board.calibration_of(config)
+        else:
+            handle, fitting = emulated_handle.EmulatedHandle(config, _boot()), emulated_handle.calibration_of(config)
         if calibration is not None:
-            _write(calibration, calibration_of(config))
+            _write(calibration, fitting)
         port = HandleOnPty(handle, link)
         received: list[int] = []
         for number in (signal.SIGUSR1, signal.SIGUSR2):

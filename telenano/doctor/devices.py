@@ -2,6 +2,7 @@
 
 import os
 import re
+import socket
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -9,6 +10,7 @@ from telenano.doctor.checks import Finding
 
 _TTYS = ("ttyACM", "ttyUSB")
 _GOOD_LATENCY_MS = 1
+_PATIENCE_S = 2.0
 _USB_SERIAL = Path("/sys/bus/usb-serial/devices")
 # programs that open ports by themselves, and what they do there
 _INTRUDERS = {
@@ -25,7 +27,42 @@ def check_serial_ports(
     ports = sorted(path for path in devices.glob("tty*") if path.name.startswith(_TTYS))
     if not ports:
         return []
-    return [_access(ports), *_latency(ports, usb), *_intruders(processes)]
+    return [_access(ports), *_held(ports, processes), *_latency(ports, usb), *_intruders(processes)]
+
+
+def check_instrument(calibration: Path, patience_s: float = _PATIENCE_S) -> Finding:
+    """Check whether the instrument of a calibration file is reached; ConfigError for a file that is none.
+
+    It is connected to and asked nothing: a rig may be driving it.
+    """
+    from services.afm_node.calibration import read_calibration
+
+    network = read_calibration(calibration).network
+    where = f"{network.host}:{network.port}"
+    try:
+        with socket.create_connection((network.host, network.port), timeout=patience_s):
+            return Finding("instrument", "ok", f"{where} accepts a connection")
+    except socket.gaierror:
+        found, advice = "the name is not known", f"correct network.host in {calibration}, or give an address"
+    except TimeoutError:
+        found = f"no answer within {patience_s:g} s"
+        advice = f"check power and cable, that {network.host} is in the network of this machine, and the firewall"
+    except ConnectionRefusedError:
+        found = "there is a machine, and it refuses the port"
+        advice = f"a T7 listens on 502: correct network.port in {calibration}, or switch its Ethernet on"
+    except OSError as error:
+        found, advice = f"not reached: {error.strerror or error}", "check cable, address and network mask"
+    return Finding("instrument", "problem", f"{where}: {found}", advice)
+
+
+def _held(ports: Sequence[Path], processes: Path) -> Iterator[Finding]:
+    from services.haptic_node.port import holder_of
+
+    for port in ports:
+        holder = holder_of(str(port), processes)
+        if holder:
+            advice = f"end {holder} if it is not the rig: two programs cannot share a port"
+            yield Finding("port in use", "warning", f"{port} is open in {holder}", advice)
 
 
 def _access(ports: Sequence[Path]) -> Finding:

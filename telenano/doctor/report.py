@@ -11,7 +11,7 @@ import sys
 from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.table import Table
@@ -22,7 +22,7 @@ from proto.errors import ConfigError, EndpointError
 from telenano.doctor import checks
 from telenano.doctor.checks import Finding
 from telenano.doctor.datagrams import check_datagrams
-from telenano.doctor.devices import check_serial_ports
+from telenano.doctor.devices import check_instrument, check_serial_ports
 from telenano.options import JsonOption, SiteFileOption
 from telenano.output import console, fail, print_json, report_errors
 
@@ -35,10 +35,19 @@ _TIMER_SAMPLES = 200
 _TIMER_PERIOD_S = 1e-3
 
 
-def doctor(site_file: SiteFileOption = DEFAULT_SITE_FILE, as_json: JsonOption = False) -> None:
+def doctor(
+    site_file: SiteFileOption = DEFAULT_SITE_FILE,
+    stage: Annotated[
+        Path | None, typer.Option("--stage", metavar="FILE", help="stage.yaml of an instrument that is to be reached.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
     """Check whether this machine can run a rig, and advise what to change; exit code 1 if there is a problem."""
     with report_errors(as_json):
-        print_findings(examine(site_file), as_json=as_json)
+        findings = examine(site_file)
+        if stage is not None:
+            findings.append(check_instrument(stage))
+        print_findings(findings, as_json=as_json)
 
 
 def examine(site_file: Path) -> list[Finding]:

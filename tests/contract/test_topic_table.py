@@ -20,10 +20,14 @@ from proto.ranges import RANGES
 # topics that more than one kind of node may send
 SHARED = {"session/control", "session/event", "node/health", "node/journal", "link/key", "link/network"}
 # what a numeric field may end in: SI units, and the two that a process is measured in
-UNIT = re.compile(r"_(m|s|ns|n|j|w|hz|rad|m_per_s|n_per_m|sqrt_w|bytes|percent)$")
+UNIT = re.compile(r"_(m|s|ns|n|j|w|hz|rad|m_per_s|n_per_m|sqrt_w|bytes|percent|v)$")
 # numbers without a unit: counts and names of things
 UNITLESS = {
     "seq": "number of a message",
+    "position_raw": "counts of a device",
+    "velocity_raw": "counts of a device a second",
+    "operator_force_raw": "counts of a device",
+    "drive_raw": "counts of a device",
     "hand_seq": "number of a message",
     "answered_seq": "number of a message",
     "command_seq": "number of a message",

@@ -45,6 +45,12 @@ static int32_t clamp(int64_t value, int32_t low, int32_t high)
     return value < low ? low : value > high ? high : (int32_t)value;
 }
 
+/* value / 2^bits towards zero: a division of 64 bits takes thousands of cycles on a processor of 8 */
+static int64_t divided(int64_t value, uint8_t bits)
+{
+    return value < 0 ? -(int64_t)((uint64_t)-value >> bits) : (int64_t)((uint64_t)value >> bits);
+}
+
 static void send(struct handle *handle, uint8_t *payload, uint8_t type, uint8_t flags, uint8_t length)
 {
     uint8_t wire[FRAME_MAX_WIRE];
@@ -226,8 +232,8 @@ static void follow(struct handle *handle)
         step = step > reach ? reach : step < -reach ? -reach : step;
         handle->reference = clamp(handle->reference + step, limits->travel_min, limits->travel_max);
         /* each product is below 2^63: differences and gains are below 2^32 and 2^31 */
-        drive = ((int64_t)handle->reference - handle->sample.position) * limits->servo_gain_q16 / 65536
-            - (int64_t)handle->velocity * limits->servo_damping_q16 / 65536;
+        drive = ((int64_t)handle->reference - handle->sample.position) * limits->servo_gain_q16;
+        drive = divided(drive, 16) - divided((int64_t)handle->velocity * limits->servo_damping_q16, 16);
     }
     handle->drive = clamp(drive, -limits->max_drive, limits->max_drive);
     handle->voltage_limited = handle->drive != drive;
@@ -242,9 +248,9 @@ void handle_tick(struct handle *handle, const struct handle_sample *sample)
     int64_t moved = (int64_t)sample->position - handle->sample.position;
     uint32_t elapsed_us = sample->time_us - handle->sample.time_us;
     if (handle->has_sample && elapsed_us) {
-        int64_t now = moved * 1000000 / (int64_t)elapsed_us;
+        int64_t now = moved * (int32_t)(1000000u / elapsed_us);
         /* first-order low pass over four samples, against the steps of the encoder */
-        handle->velocity = clamp(handle->velocity + (now - handle->velocity) / 4, -2147483647, 2147483647);
+        handle->velocity = clamp(handle->velocity + divided(now - handle->velocity, 2), -2147483647, 2147483647);
     }
     handle->sample = *sample;
     handle->has_sample = 1;

@@ -1,6 +1,7 @@
 """The Modbus driver against the T7 model, in virtual time: identity, samples, and each row of the table of faults."""
 
 import math
+import socket
 from typing import Any
 
 import pytest
@@ -16,6 +17,7 @@ from services.afm_node.modbus_frames import Conversation, FeedbackRequest, Frami
 from services.afm_node.node import AfmNode
 from services.afm_node.register_map import Register, RegisterMap, read_map
 from services.afm_node.sim import SimulatedAfm
+from services.runtime.clock import VirtualClock
 
 RETRACTED_M = PARAMS.safety.retract_position_m
 DAC_STEP_M = 5.0 / 4095.0 * t7_model.M_PER_V
@@ -182,6 +184,38 @@ def test_killed_server_is_lost_at_once(line: StageLine) -> None:
     assert "the connection is gone: Connection reset by peer" in line.driver.report.text
     tick(line, count=600)
     assert "cannot be reached: Connection refused" in line.driver.report.text
+
+
+def test_host_that_swallows_everything_costs_no_tick_and_is_a_sentence() -> None:
+    # nobody accepts, and the queue is full: a connection is never made and never refused
+    with socket.socket() as server:
+        server.bind(("127.0.0.1", 0))
+        server.listen(0)
+        port = server.getsockname()[1]
+        others = [socket.socket() for _ in range(4)]
+        for other in others:
+            other.setblocking(False)
+            other.connect_ex(("127.0.0.1", port))
+        clock = VirtualClock(start_ns=10**9)
+        driver = ModbusAfm(
+            calibration(network={"host": "127.0.0.1", "port": port}),
+            read_map("t7"),
+            PARAMS.safety,
+            now_ns=clock.monotonic_ns,
+            sleep=lambda duration_s: clock.advance_ns(max(MS, round(duration_s * 1e9))),
+        )
+        with pytest.raises(DeviceError, match="does not answer: check address, cable and firewall"):
+            driver.open()
+        began_ns = clock.monotonic_ns()
+        for _ in range(3000):
+            clock.advance_ns(MS)
+            driver.exchange(0.0)
+            assert driver.report.status == "lost"
+        # the clock went on by the ticks alone: nothing waited
+        assert clock.monotonic_ns() - began_ns == 3000 * MS
+        driver.close()
+        for other in others:
+            other.close()
 
 
 def test_late_answer_of_an_older_request_is_skipped_and_counted() -> None:

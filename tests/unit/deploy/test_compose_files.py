@@ -22,6 +22,7 @@ from services.runtime.scenario import Scenario, load_scenario
 ROOT = Path(__file__).resolve().parents[3]
 DEPLOY = ROOT / "deploy"
 WHOLE, MASTER, SLAVE = (DEPLOY / name for name in ("docker-compose.yml", "compose.master.yml", "compose.slave.yml"))
+DEVICES = DEPLOY / "compose.devices.yml"
 NOT_NODES = {"session", "study", "keys", "viz_node"}
 VIEW = "viz_node"
 _PIN = re.compile(r"^([A-Za-z0-9._-]+)==([^ ;\\]+)")
@@ -136,6 +137,18 @@ def test_containers_have_no_more_than_they_need(path: Path) -> None:
         assert service["network_mode"] == network, name
 
 
+def test_real_devices_give_the_handle_a_port_and_the_instrument_a_network_and_no_more() -> None:
+    services = compose(DEVICES)["services"]
+    calibrations = "${CALIBRATIONS:?in .env, the folder with handle.yaml and stage.yaml}:/calibrations:ro"
+    assert services["haptic_node"] == {
+        "devices": ["${HANDLE_PORT:?in .env, the serial port of the handle}:/dev/telenano-handle"],
+        "group_add": ["${DIALOUT_GID:-20}"],
+        "volumes": [calibrations],
+    }
+    assert services["afm_node"] == {"network_mode": "bridge", "volumes": [calibrations]}
+    assert set(services) == {"haptic_node", "afm_node"} <= set(compose(WHOLE)["services"])
+
+
 @pytest.mark.parametrize("path", [WHOLE, MASTER, SLAVE], ids=lambda path: path.name)
 def test_nodes_come_back_after_a_crash_but_not_for_ever(path: Path) -> None:
     for service in nodes(path).values():
@@ -191,7 +204,7 @@ def example_variables() -> set[str]:
 
 
 def test_env_example_has_every_variable_and_no_other() -> None:
-    assert example_variables() == variables(WHOLE, MASTER, SLAVE)
+    assert example_variables() == variables(WHOLE, MASTER, SLAVE, DEVICES)
 
 
 def test_env_example_says_what_happens_without_it() -> None:

@@ -17,7 +17,7 @@ from telenano.lazy_commands import load
 
 ROOT = Path(__file__).parents[3]
 PAGES = sorted(path for path in (*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("*/README.md")))
-PAGES += sorted(ROOT.glob("services/*/README.md"))
+PAGES += sorted((*ROOT.glob("services/*/README.md"), *ROOT.glob("docs/devices/*.md")))
 # what a page runs the command by, besides its own name
 RUNNERS = ("docker", "docker-compose", "sudo")
 

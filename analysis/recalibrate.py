@@ -1,0 +1,96 @@
+"""A recording of real devices read again with a better calibration: from the counts and volts that it keeps."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from proto import decode, encode
+from proto.errors import ConfigError, RecordingError
+from proto.messages import AfmState, HapticState, Message, NodeHealth
+from recording.reader import Recording
+from recording.rewrite import CopyResult, CopyWriter
+from services.afm_node.calibration import InstrumentCalibration
+from services.haptic_node.calibration import HandleCalibration
+from services.runtime.frames import to_site_frame
+
+
+class Recalibrated(CopyResult):
+    """Result of a recalibration: how many messages were read again, by topic."""
+
+    read_again: dict[str, int]
+
+
+def recalibrate(
+    source: Path, target: Path, *, handle: HandleCalibration | None = None, stage: InstrumentCalibration | None = None
+) -> Recalibrated:
+    """Copy a recording, with what the devices measured read again; references and commands stay what they were.
+
+    Raises ConfigError for a calibration of another device, and where there is none; RecordingError when the source has
+    no counts or volts to read, or the target exists.
+    """
+    read: dict[str, Callable[[Message], Message | None]] = {}
+    if handle is not None:
+        read["haptic/state"] = lambda message: _hand(message, handle)
+    if stage is not None:
+        read["afm/state"] = lambda message: _tip(message, stage)
+    if not read:
+        raise ConfigError("give a calibration file: --handle handle.yaml, --stage stage.yaml, or both")
+    recording = Recording(source)
+    identities = {"haptic_node": handle and handle.identity, "afm_node": stage and stage.identity}
+    again = dict.fromkeys(read, 0)
+    with CopyWriter(target) as writer:
+        writer.copy_attachments_and_metadata([recording])
+        for message in recording.raw():
+            topic = message.channel.topic.partition("@")[0]
+            if topic in read:
+                found = read[topic](decode(topic, message.payload))
+                if found is not None:
+                    again[topic] += 1
+                    message = message._replace(payload=encode(found))
+            elif topic == "node/health":
+                health = decode(topic, message.payload)
+                if isinstance(health, NodeHealth) and health.calibration:
+                    wanted = identities.get(health.src.partition("@")[0])
+                    if wanted:
+                        _require_same_device(source, health.calibration, wanted)
+                        message = message._replace(payload=encode(health.model_copy(update={"calibration": wanted})))
+            writer.add(message)
+        for topic, count in again.items():
+            if not count:
+                raise RecordingError(
+                    f"{source}: {topic} has no raw values: its device was simulated, or recorded before they were kept"
+                )
+    return Recalibrated(path=str(target), messages=writer.messages, read_again=again)
+
+
+def _require_same_device(source: Path, recorded: str, wanted: str) -> None:
+    # an identity is the device, a blank, and when it was calibrated
+    device, given = recorded.rpartition(" ")[0], wanted.rpartition(" ")[0]
+    if device != given:
+        raise ConfigError(f"{source}: was recorded with the device {device}, and the calibration is that of {given}")
+
+
+def _hand(message: Message, calibration: HandleCalibration) -> Message | None:
+    if not isinstance(message, HapticState) or message.position_raw is None:
+        return None
+    update: dict[str, object] = {"position_m": to_site_frame(calibration.position_m(message.position_raw))}
+    if message.velocity_raw is not None:
+        update["velocity_m_per_s"] = to_site_frame(calibration.velocity_m_per_s(message.velocity_raw))
+    if message.operator_force_raw is not None:
+        update["operator_force_n"] = to_site_frame(calibration.operator_force_n(message.operator_force_raw))
+    if message.drive_raw is not None:
+        update["motor_force_n"] = to_site_frame(calibration.drive_force_n(message.drive_raw))
+    return message.model_copy(update=update)
+
+
+def _tip(message: Message, calibration: InstrumentCalibration) -> Message | None:
+    if not isinstance(message, AfmState) or message.output_v is None or message.input_v is None:
+        return None
+    sample = calibration.readings(message.output_v, message.input_v).sample
+    return message.model_copy(
+        update={
+            "base_position_m": to_site_frame(sample.base_m),
+            "deflection_m": sample.deflection_m,
+            "tip_force_n": (0.0, 0.0, sample.force_n),
+            "in_contact": sample.in_contact,
+        }
+    )
