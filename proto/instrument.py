@@ -1,12 +1,14 @@
 """Messages of the instrument that only come while it does something of its own accord."""
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
-from proto.messages import Count, Message, Text
+from proto.messages import Count, Message
 from proto.ranges import Percent
 
+# in bytes four times as many, beside which the rest fits into a plain message
+MOST_TEXT = 512
 AfmProgramName = Literal["scan", "curve", "tactile"]
 
 
@@ -17,7 +19,9 @@ class AfmProgram(Message):
     state: Literal["running", "paused", "finished", "ended"] = Field(
         description="finished: all of it was done; ended: before that, see text"
     )
-    text: Text = Field(description="One sentence for a person: what it is at, or why it ended")
+    text: Annotated[str, Field(max_length=MOST_TEXT)] = Field(
+        description="One sentence for a person: what it is at, or why it ended"
+    )
     done_percent: Percent = Field(description="How much of it is done [%]")
     line: Count = Field(description="Lines that are finished, there and back")
     lines: Count = Field(description="Lines in all; 0 where it has none")

@@ -4,6 +4,7 @@ import math
 from typing import Any, ClassVar
 
 from proto.errors import RefusedError
+from proto.instrument import MOST_TEXT
 from proto.messages import AfmCommand, Array, ClockPing, LinkDelay, SessionControl
 from services.afm_node import safety
 from services.afm_node.config import AfmConfig
@@ -259,7 +260,7 @@ class AfmNode(Node):
         if is_over or self._stepped_ns - self._told_ns >= _PROGRAM_PERIOD_NS:
             self._told_ns = self._stepped_ns
             report = programs.report()
-            self.publish("afm/program", **report._asdict())
+            self.publish("afm/program", **report._replace(text=report.text[:MOST_TEXT])._asdict())
             if is_over:
                 level = "info" if programs.state == "finished" else "warning"
                 self.event("mode", level, report.text, program=report.program, program_state=report.state)

@@ -147,7 +147,11 @@ def calibration_of(config: HapticConfig, device_id: int = DEVICE_ID) -> dict[str
 def _functions() -> Any:
     arguments = ["-std=gnu99", "-O2", "-Wall", "-Wextra", "-Werror", "-fPIC", "-shared", str(RUNNER), "-lsimavr"]
     purpose = "the image of a board runs in simavr, whose runner needs"
-    loaded = ctypes.CDLL(str(compiled("avr328p", [RUNNER], arguments, purpose, extra=" libsimavr-dev libelf-dev")))
+    library = compiled("avr328p", [RUNNER], arguments, purpose, extra=" libsimavr-dev libelf-dev")
+    try:
+        loaded = ctypes.CDLL(str(library))
+    except OSError as error:
+        raise FirmwareError(f"{purpose} libsimavr: {error}") from error
     u32, u64, i32 = ctypes.c_uint32, ctypes.c_uint64, ctypes.c_int32
     pointer, text = ctypes.c_void_p, ctypes.c_char_p
     table: dict[str, tuple[Any, tuple[Any, ...]]] = {

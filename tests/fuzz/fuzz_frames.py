@@ -150,6 +150,8 @@ class Frames:
             return "".join(rng.choices(string.ascii_letters + "_-", k=rng.choice((1, 8, 64))))
         if name == "src":
             return "fuzz@slave"
+        if "[0-9a-f]{64}" in schema.get("pattern", ""):
+            return f"{rng.getrandbits(256):064x}"
         most = schema.get("maxLength", 4096)
         return rng.choice(("", " ", "x" * most, "Å力🔬"[:most], "\0\n\x1b[2J"[:most], "session.mcap"[:most]))
 

@@ -616,7 +616,14 @@ def test_figures_count_everything_and_take_the_delays_anew():
     link.due(START + 12 * MS)
     stats = link.stats()
     assert (stats.messages_in, stats.messages_out, stats.bytes_in, stats.bytes_out) == (4, 1, 40, 10)
-    assert stats.dropped == {"outage": 0, "loss": 1, "markov_loss": 0, "gilbert_elliott": 0, "queue": 0}
+    assert stats.dropped == {
+        "outage": 0,
+        "loss": 1,
+        "markov_loss": 0,
+        "gilbert_elliott": 0,
+        "loss_trace": 0,
+        "queue": 0,
+    }
     assert (stats.queued, stats.in_flight, stats.delay_count) == (0, 2, 1)
     link.due(START + 50 * MS)
     stats = link.stats()

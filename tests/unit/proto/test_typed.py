@@ -73,12 +73,17 @@ def test_the_messages_of_the_loop_take_the_fast_way_with_the_same_bytes(topic: s
     payload = encode(message)
     assert form.read(payload) is None  # its texts are not known yet
     form.note(message)
-    assert form.read(payload) == message
-    assert repr(form.read(payload)) == repr(message)
+    read = form.read(payload)
+    assert read == message
+    assert read is not None
+    assert encode(read) == payload
     composed = form.compose(dict(reversed(fields.items())))
     assert composed == (message, payload)
     assert composed is not None
-    assert list(composed[0].__dict__) == list(message.__dict__)
+    # what is absent may stand anywhere: it is not sent
+    assert [key for key, value in composed[0] if value is not None] == [
+        key for key, value in message if value is not None
+    ]
     assert composed[0].model_copy(update={"seq": 8}).seq == 8
 
 
