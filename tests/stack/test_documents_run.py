@@ -60,7 +60,7 @@ def python_blocks() -> Iterator[tuple[str, str]]:
                 yield page, block
 
 
-@pytest.mark.parametrize(("page", "block"), python_blocks(), ids=lambda part: part.strip().splitlines()[-1][:40])
+@pytest.mark.parametrize(("page", "block"), list(python_blocks()), ids=lambda part: part.strip().splitlines()[-1][:40])
 def test_a_block_of_python_runs(page: str, block: str, place: Path) -> None:
     done = run([sys.executable, "-c", block], place)
     assert done.returncode == 0, done.stderr
