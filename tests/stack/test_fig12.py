@@ -125,7 +125,7 @@ def test_every_message_decodes(session: Any) -> None:
 
 def test_forty_milliseconds_round_trip_stay_stable_and_without_the_meniscus_the_contact_is_nearer(rig: Any) -> None:
     for _ in range(SESSIONS):
-        summary = rig.run(*readme("--delay-ms 20"), "--set", "afm_node.meniscus=false", "--duration", "6.5")
+        summary = rig.run(*readme("--round-trip-ms 40"), "--set", "afm_node.meniscus=false", "--duration", "6.5")
         assert summary["contact_x_cm"] == pytest.approx(0.672, abs=0.010)
         # what the loop takes by itself comes on top of the 40 ms that are set for the link
         age = summary["loop_age_ms"]
@@ -142,7 +142,7 @@ def test_forty_milliseconds_round_trip_stay_stable_and_without_the_meniscus_the_
 
 
 def test_sixty_milliseconds_round_trip_are_a_limit_cycle(rig: Any) -> None:
-    summary = rig.run(*readme("--delay-ms 30"), *HOLDS)
+    summary = rig.run(*readme("--round-trip-ms 60"), *HOLDS)
     assert summary["stable"] is False
     swings = [
         hold["peak_to_peak_n"] for hold in summary["holds"] if hold["hand_force_n"] == pytest.approx(2.0, abs=0.1)
@@ -151,7 +151,7 @@ def test_sixty_milliseconds_round_trip_are_a_limit_cycle(rig: Any) -> None:
     assert max(swings) > 4.0
     age = summary["loop_age_ms"]
     if age["max"] < age["p50"] + HELD_UP_MS:
-        # what `--delay-ms 30 ... 34` gave: 7.3 N at 62 ms, and 0.06 N more for each millisecond
+        # what `--round-trip-ms 60 ... 68` gave: 7.3 N at 62 ms, and 0.06 N more for each millisecond
         assert max(swings) == pytest.approx(7.3 + 0.06 * (age["p50"] - 62.0), abs=1.0)
     else:
         machine.note(f"a loop held up by {age['max'] - age['p50']:.0f} ms: a limit cycle of {max(swings):.1f} N")

@@ -266,7 +266,9 @@ def test_the_emergency_stop_of_a_page_stops_the_devices(rig: Any, monkeypatch: p
 
     from services.viz_node.server import make_app
 
-    assert newest(rig, "afm/state").mode != "estop", "armed by the test before"
+    # the test before has armed both; the recording comes behind
+    rig.wait_until(lambda: newest(rig, "afm/state").mode != "estop", "an instrument that was armed before")
+    rig.wait_until(lambda: not newest(rig, "haptic/state").estop, "a haptic device that was armed before")
     monkeypatch.setenv("TELENANO_RUNTIME_DIR", str(rig.sockets))
     access = Access("operator-token-0123", "observer-token-0123", hosts=("testserver",))
     with ExitStack() as stack:
@@ -284,6 +286,8 @@ def test_the_emergency_stop_of_a_page_stops_the_devices(rig: Any, monkeypatch: p
                 return dict(frame)
 
         assert ask(access.observer_token, k="estop")["ok"] is False
+        asked_ns = time.time_ns()
+        rig.wait_until(lambda: newest(rig, "afm/state").t_ns > asked_ns + 10**8, "what an observer can do")
         assert newest(rig, "afm/state").mode != "estop", "an observer has stopped the rig"
         begin_ns = time.time_ns()
         answer = ask(access.operator_token, k="estop")
