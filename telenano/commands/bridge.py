@@ -8,9 +8,9 @@ import typer
 
 from presets import DEFAULT_SITE_FILE
 from proto.errors import ConfigError
-from services.launcher.foxglove_bridge import DEFAULT_PORT, DEFAULT_RATE_HZ, Bridge, FoxgloveServer
 from services.recorder.live import LiveRecording
 from services.runtime.main import load_site
+from telenano.foxglove_bridge import DEFAULT_PORT, DEFAULT_RATE_HZ, Bridge, FoxgloveServer
 from telenano.options import DurationOption, SiteFileOption, command_group
 from telenano.output import report_errors
 

@@ -31,9 +31,9 @@ def graph(
 ) -> None:
     """Draw the nodes of the loop, and the topics between them with their rates [Hz]."""
     with report_errors(as_json):
-        from services.launcher.graph import dot, edges, mermaid
         from services.runtime.observer import list_topics
         from telenano.commands.topic import open_observer
+        from telenano.rig_graph import dot, edges, mermaid
 
         measured = None
         if live is not None:

@@ -101,7 +101,7 @@ def info(topic: TopicArgument, as_json: JsonOption = False) -> None:
     with report_errors(as_json):
         name, _ = known_name(topic)
         row = TOPICS[name]
-        from services.launcher.graph import edges
+        from telenano.rig_graph import edges
 
         readers = sorted({edge.reader for edge in edges() if edge.topic == name})
         facts: dict[str, Any] = {

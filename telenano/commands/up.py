@@ -13,7 +13,6 @@ from proto.errors import ConfigError, ReportError
 from recording.multi_file import open_recordings
 from services.launcher.plan import Plan, UpRequest, make_plan
 from services.launcher.run import Outcome, default_folder, report_of, run_rig
-from services.launcher.view import view_beside_rig
 from services.viz_node.figure_style import FigureOptions, figure_options
 from telenano.completion import scenario_names
 from telenano.live_view import LineView, LiveView
@@ -28,6 +27,7 @@ from telenano.output import (
     print_summary,
     report_errors,
 )
+from telenano.view_server import view_beside_rig
 
 
 def up(

@@ -12,7 +12,6 @@ import typer
 from presets import DEFAULT_SITE_FILE
 from proto.errors import ConfigError
 from recording.multi_file import open_recordings
-from services.launcher.view import SOCKET_VARIABLE, RigCommander, RigHand, forms, missing_for_view, tokens_given
 from services.runtime.main import load_site
 from services.runtime.realtime import die_with_parent
 from services.viz_node.access import LOOPBACK, Access
@@ -22,6 +21,7 @@ from services.viz_node.playback import RecordingPlayback
 from services.viz_node.serve import Tls, address_of, bind, check_exposure, page_folder, serve
 from telenano.options import SiteFileOption
 from telenano.output import report_errors
+from telenano.view_server import SOCKET_VARIABLE, RigCommander, RigHand, forms, missing_for_view, tokens_given
 
 # behind the nodes of the rig: what is shown may come late, what is felt may not
 _NICENESS = 5

@@ -22,7 +22,6 @@ from presets import DEFAULT_SITE_FILE
 from proto.errors import RigError
 from recording.reader import Recording
 from services.console.command_client import send_control
-from services.launcher.view import RigCommander
 from services.runtime.bus import ZmqPublisher
 from services.runtime.clock import SystemClock
 from services.runtime.commands import Command
@@ -31,6 +30,7 @@ from services.viz_node.access import Access
 from services.viz_node.hub import Hub
 from services.viz_node.live import LiveSource
 from services.viz_node.requests import PROTOCOL
+from telenano.view_server import RigCommander
 
 CONSOLE = "console@master"
 HAND, TIP = "haptic_node@master", "afm_node@slave"

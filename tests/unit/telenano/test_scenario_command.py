@@ -13,11 +13,11 @@ from typer.testing import CliRunner
 
 from presets import SCENARIO_DIRECTORY, SCHEMA_DIRECTORY, SITE_DIRECTORY
 from proto.errors import ConfigError
-from services.launcher.graph import dot, edges, mermaid
 from services.launcher.plan import UpRequest, make_plan
 from services.launcher.scenario_keys import all_keys, markdown, scenario_schema, site_schema, value_at
 from services.runtime.config import read_yaml
 from telenano import completion
+from telenano.rig_graph import dot, edges, mermaid
 from telenano.root import app
 
 RUNNER = CliRunner()

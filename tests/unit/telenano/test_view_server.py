@@ -7,19 +7,19 @@ import pytest
 
 from presets import DEFAULT_SITE_FILE
 from proto.errors import ConfigError, TelenanoError
-from services.launcher import view
 from services.viz_node import serve
 from services.viz_node.serve import Tls, bind, check_exposure
+from telenano import view_server
 
 
 def test_without_its_packages_or_its_page_the_rig_runs_without_a_view(monkeypatch: pytest.MonkeyPatch) -> None:
     shown: list[str] = []
-    monkeypatch.setattr(view, "_PACKAGES", ("no_such_package",))
-    with view.view_beside_rig(DEFAULT_SITE_FILE, shown.append):
+    monkeypatch.setattr(view_server, "_PACKAGES", ("no_such_package",))
+    with view_server.view_beside_rig(DEFAULT_SITE_FILE, shown.append):
         pass
-    monkeypatch.setattr(view, "_PACKAGES", ())
-    monkeypatch.setattr(view, "page_folder", lambda: None)
-    with view.view_beside_rig(DEFAULT_SITE_FILE, shown.append):
+    monkeypatch.setattr(view_server, "_PACKAGES", ())
+    monkeypatch.setattr(view_server, "page_folder", lambda: None)
+    with view_server.view_beside_rig(DEFAULT_SITE_FILE, shown.append):
         pass
     assert shown == [
         "no view: no_such_package is not installed: pip install 'telenano[view]'",
@@ -31,12 +31,12 @@ def test_the_address_is_answered_from_the_beginning_and_the_process_ends_with_th
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     pytest.importorskip("uvicorn")
-    if view.page_folder() is None:
+    if view_server.page_folder() is None:
         pytest.skip("the page has not been built: make page")
     monkeypatch.setenv("TELENANO_RUNTIME_DIR", str(tmp_path))
     monkeypatch.setattr(serve, "DEFAULT_PORT", 0)
     shown: list[str] = []
-    with view.view_beside_rig(DEFAULT_SITE_FILE, shown.append):
+    with view_server.view_beside_rig(DEFAULT_SITE_FILE, shown.append):
         address = shown[0].removeprefix("view: ").partition("#")[0]
         with urllib.request.urlopen(address, timeout=60.0) as answer:
             assert b"EMERGENCY STOP" in answer.read()
@@ -60,7 +60,7 @@ def test_nothing_leaves_this_machine_in_the_clear(tmp_path: Path) -> None:
 
 
 def test_the_forms_are_the_schemas_of_the_nodes() -> None:
-    found = view.forms()
+    found = view_server.forms()
     assert "wave" in found["laws"]
     assert "lte" in found["profiles"]
     assert "force_gain" in str(found["controller"])

@@ -10,7 +10,7 @@ from proto import TOPICS, encode
 from proto.errors import EndpointError
 from proto.messages import Message
 from recording.messages import RecordedChannel, RecordedMessage
-from services.launcher.foxglove_bridge import LEFT_OUT, Bridge, FoxgloveServer
+from telenano.foxglove_bridge import LEFT_OUT, Bridge, FoxgloveServer
 
 
 class Server:

@@ -15,7 +15,6 @@ from presets import DEFAULT_SITE_FILE
 from proto.errors import TelenanoError
 from proto.messages import Array
 from proto.nodes import TIP
-from services.launcher.view import RigHand
 from services.runtime.bus import ZmqPublisher
 from services.runtime.main import load_site
 from services.runtime.observer import Observer
@@ -24,6 +23,7 @@ from services.viz_node.access import Role
 from services.viz_node.feed import Seen
 from services.viz_node.hub import Hub, Session
 from services.viz_node.live import LiveSource
+from telenano.view_server import RigHand
 
 
 @pytest.fixture(autouse=True)
