@@ -18,7 +18,8 @@ from analysis.forwarded import Forwarded, compare_forwarded
 from analysis.plugins import differences, recorded_plugins
 from proto import TOPICS, Message, encode
 from proto.errors import ConfigError, RecordingError, TelenanoError
-from proto.messages import NodeJournal, SessionControl
+from proto.journal_messages import NodeJournal
+from proto.messages import SessionControl
 from proto.nodes import LINK, RERUN_NODES, endpoints_of, name_of, no_rerun_reason, site_of
 from proto.ranges import limited
 from proto.sequence import Arrival

@@ -6,6 +6,7 @@ from typing import Literal
 from proto import messages as m
 from proto import network_messages as network
 from proto.instrument import AfmProgram
+from proto.journal_messages import NodeJournal
 from proto.nodes import NODES, name_of, site_of
 
 Delivery = Literal["latest", "lossless"]
@@ -57,7 +58,7 @@ _ROWS = (
     Topic("node/health", m.NodeHealth, ("*",), "latest", 2.0, 2.0, "backward"),
     Topic(
         "node/journal",
-        m.NodeJournal,
+        NodeJournal,
         ("haptic_node", "controller", "afm_node", "delay_node@master"),
         "lossless",
         None,

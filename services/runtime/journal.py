@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from proto.messages import Array, JournalInput
+from proto.journal_messages import JournalInput
+from proto.messages import Array
 from services.runtime.bus import Received
 from services.runtime.clock import TurnClock
 from services.runtime.node_state import StateSnapshot

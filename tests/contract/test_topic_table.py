@@ -11,7 +11,7 @@ from annotated_types import Ge
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from proto import TOPICS, Topic, instrument, messages, network_messages
+from proto import TOPICS, Topic, instrument, journal_messages, messages, network_messages
 from proto.codec import MAX_ARRAYS, MAX_MESSAGE_BYTES, Reason, largest_bytes
 from proto.contract import FOLDER, range_table, schema_of, topic_table
 from proto.messages import MAX_ITEMS, MAX_KEYS, Message, Record
@@ -58,7 +58,8 @@ UNITLESS = {
 }
 
 ROWS = list(TOPICS.values())
-_MODULES = (messages.__name__, instrument.__name__, network_messages.__name__)
+_DECLARED = (messages, instrument, network_messages, journal_messages)
+_MODULES = tuple(module.__name__ for module in _DECLARED)
 SPEC = (FOLDER / "SPEC.md").read_text(encoding="utf-8")
 
 
@@ -125,7 +126,11 @@ def test_no_topic_is_the_beginning_of_another() -> None:
 @pytest.mark.parametrize(("record", "name", "field"), _fields(), ids=lambda part: part if isinstance(part, str) else "")
 def test_every_field_is_described_required_and_named_with_its_unit(record: str, name: str, field: FieldInfo) -> None:
     assert field.description, f"{record}.{name} has no description"
-    added = getattr({**vars(messages), **vars(instrument), **vars(network_messages)}[record], "additions", {})
+    added = getattr(
+        {**vars(messages), **vars(instrument), **vars(network_messages), **vars(journal_messages)}[record],
+        "additions",
+        {},
+    )
     optional = f"{record}.{name} has a default: a key may be absent only if it was added later"
     assert field.is_required() != (name in added), optional
     if _is_numeric(field.annotation):

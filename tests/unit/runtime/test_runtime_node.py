@@ -16,7 +16,8 @@ from proto import TOPICS, Message, encode
 from proto.contract import examples
 from proto.ends import read_end
 from proto.errors import ConfigError, RefusedError
-from proto.messages import MAX_TEXT, InputHealth, NodeHealth, NodeJournal, SessionControl, SessionEvent
+from proto.journal_messages import NodeJournal
+from proto.messages import MAX_TEXT, InputHealth, NodeHealth, SessionControl, SessionEvent
 from proto.ranges import limited
 from proto.sequence import Arrival
 from services.runtime import journal
