@@ -1,6 +1,7 @@
 """A recording that is removed while it is written, and then a disk that fills up: a rig on a disk of two megabytes."""
 
 import os
+import re
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
@@ -56,9 +57,12 @@ def test_a_removed_recording_and_a_full_disk_are_reported_and_what_was_recorded_
         "between session.mcap and session_2.mcap",
         "session_1.mcap was removed while it was written",
         "recording stopped, the rig continues: ",
-        "messages of haptic_node@master on haptic/state are missing",
     ):
         assert any(text in sentence for sentence in missing), (text, missing)
+    # of the channels that lack most five are named, and which of those at 1 kHz these are is a matter of a few messages
+    channels = [text for text in missing if re.fullmatch(r"\d+ messages of \S+@\S+ on \S+ are missing", text)]
+    assert channels, missing
+    assert any(sentence.endswith("further channels are missing") for sentence in missing), missing
     # nothing half written is left
     left = {path.name for path in rig.out.iterdir()} - {"logs", "scenario.yaml"}
     assert left == {"session.mcap", "session_2.mcap"}
