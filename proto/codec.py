@@ -14,7 +14,7 @@ from pydantic import BaseModel, ValidationError
 from proto.messages import MAX_ITEMS, MAX_KEYS, Message, SessionControl
 from proto.ranges import any_range, is_out_of_range, limited
 from proto.topics import TOPICS, Topic
-from proto.typed import typed_form
+from proto.typed import typed_form, typed_rows
 
 MAX_MESSAGE_BYTES = 1 << 20
 # a message without maps and arrays of data inside, of which the longest has 500
@@ -83,7 +83,7 @@ def compose(topic: str, fields: Mapping[str, Any], report: Callable[[str], None]
     Parameters: report, called with a sentence when something was limited. Raises pydantic.ValidationError when the
     fields do not make a valid message, WireError as `encode` does.
     """
-    typed = _TYPED.get(topic)
+    typed = _COMPOSED.get(topic)
     if typed is not None and (quick := typed.compose(fields)) is not None:
         return quick
     message = limited(_FORMS[topic].model, fields, report)
@@ -175,6 +175,9 @@ def _most_pairs(annotation: Any) -> int:
 _FORMS = {name: _form_of(row) for name, row in TOPICS.items()}
 _TYPED = {
     name: typed for name, form in _FORMS.items() if form.plain and (typed := typed_form(form.model, form.most_bytes))
+}
+_COMPOSED = _TYPED | {
+    name: rows for name, form in _FORMS.items() if not form.plain and (rows := typed_rows(form.model, form.most_bytes))
 }
 _MOST_BYTES = {form.model: form.most_bytes for form in _FORMS.values()}
 

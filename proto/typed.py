@@ -7,18 +7,20 @@ what this accepts they accept, with the same values and bytes, and it refuses no
 
 from collections.abc import Callable, Mapping
 from types import UnionType
-from typing import Annotated, Any, Literal, NamedTuple, TypedDict, Union, cast, get_args, get_origin
+from typing import Annotated, Any, Literal, NamedTuple, TypedDict, TypeVar, Union, cast, get_args, get_origin
 
 import msgpack
 import msgspec
-from annotated_types import Ge, Le, Lt
+from annotated_types import Ge, Le, Lt, MaxLen
 from pydantic import BaseModel
+from pydantic.fields import FieldInfo
 
 from proto.messages import Message
 from proto.ranges import Range
 
 # values of a text with a pattern, such as the few names of nodes, that the declared model has accepted
 _MOST_TEXTS = 256
+M = TypeVar("M", bound=BaseModel)
 _REFUSALS = (msgspec.MsgspecError, ValueError, TypeError, RecursionError, OverflowError)
 
 
@@ -42,6 +44,66 @@ def typed_form(model: type[Message], most_bytes: int) -> TypedForm | None:
     short = _form_of_keys(model, most_bytes, absent=added)
     whole = _form_of_keys(model, most_bytes, absent=()) if added and short is not None else None
     return short if short is None or whole is None else _either(short, whole, added[0])
+
+
+def typed_rows(model: type[Message], most_bytes: int) -> TypedForm | None:
+    """Return the fast way to compose a message of scalars and one array of records of scalars, None for any other.
+
+    Such as link/fates: the link sends thousands of rows a second, given as mappings. To read it is left to the declared
+    model.
+    """
+    columns = {name: columns for name, field in model.model_fields.items() if (columns := _columns(field))}
+    if len(columns) != 1 or model.additions:
+        return None
+    [(rows, (kind, row))] = columns.items()
+    fields = [(name, row if name == rows else _form_of_field(field)) for name, field in model.model_fields.items()]
+    if any(form is None for _, form in fields):
+        return None
+    whole = msgspec.defstruct(model.__name__, fields, forbid_unknown_fields=True, gc=False)
+    convert, encode, as_dict = msgspec.convert, msgspec.msgpack.Encoder().encode, msgspec.structs.asdict
+    construct, construct_row = _constructor(model, {}), _constructor(kind, {})
+    sources: set[str] = set()
+
+    def compose(given: Mapping[str, Any]) -> tuple[Message, bytes] | None:
+        try:
+            made: Any = convert(given, whole)
+            payload = encode(made)
+        except _REFUSALS:
+            return None
+        if made.src not in sources or made.v != model.version or len(payload) > most_bytes:
+            return None
+        found = as_dict(made)
+        found[rows] = tuple([construct_row(as_dict(row)) for row in found[rows]])
+        return construct(found), payload
+
+    def note(message: Message) -> None:
+        if len(sources) < _MOST_TEXTS:
+            sources.add(message.src)
+
+    return TypedForm(lambda payload: None, lambda payload: None, compose, note)
+
+
+def _columns(field: FieldInfo) -> tuple[type[BaseModel], Any] | None:
+    """Return the record that a field is an array of, and the type that msgspec decodes it as."""
+    parts = get_args(field.annotation)
+    if get_origin(field.annotation) is not tuple or parts[1:] != (Ellipsis,) or not isinstance(parts[0], type):
+        return None
+    most = [rule.max_length for rule in field.metadata if isinstance(rule, MaxLen)]
+    if not issubclass(parts[0], BaseModel) or not most:
+        return None
+    fields = [(name, _form_of_field(column)) for name, column in parts[0].model_fields.items()]
+    if any(form is None for _, form in fields):
+        return None
+    record = msgspec.defstruct(parts[0].__name__, fields, forbid_unknown_fields=True, gc=False)
+    return parts[0], Annotated[cast(Any, tuple)[record, ...], msgspec.Meta(max_length=most[0])]
+
+
+def _form_of_field(field: FieldInfo) -> Any:
+    """Return the type of a field of scalars; of a text, with the length that it may have."""
+    if field.annotation is not str:
+        return _form(field.annotation, tuple(field.metadata))
+    most = [rule.max_length for rule in field.metadata if isinstance(rule, MaxLen)]
+    return Annotated[str, msgspec.Meta(max_length=most[0])] if most else None
 
 
 def _either(short: TypedForm, whole: TypedForm, added: str) -> TypedForm:
@@ -141,7 +203,7 @@ def _compiled(
     return TypedForm(fields_of, read, compose, note)
 
 
-def _constructor(model: type[Message], absent: dict[str, None]) -> Callable[[dict[str, Any]], Message]:
+def _constructor(model: type[M], absent: dict[str, None]) -> Callable[[dict[str, Any]], M]:
     """Return what makes a message of fields that are known to be good, with `fields` itself inside.
 
     As `model_construct`, which takes six times as long. `absent`: what the message has as None besides.
@@ -152,7 +214,7 @@ def _constructor(model: type[Message], absent: dict[str, None]) -> Callable[[dic
     set_extra, set_private = slots["__pydantic_extra__"].__set__, slots["__pydantic_private__"].__set__
     new, names = object.__new__, set(model.model_fields) - set(absent)
 
-    def construct(fields: dict[str, Any]) -> Message:
+    def construct(fields: dict[str, Any]) -> M:
         message = new(model)
         fields.update(absent)
         set_fields(message, fields)

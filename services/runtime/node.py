@@ -269,7 +269,8 @@ class NodeLoop:
             **(self.node.device_delay.report() if self.node.device_delay is not None else {}),
         )
         self._last_steps, self._last_cpu_s, self._last_health_ns = self.node.steps, cpu_s, now_ns
-        starting = now_ns - self._started_ns < _STARTING_NS
+        # a node that runs is in a session, whose loop pays for each report
+        starting = now_ns - self._started_ns < _STARTING_NS and self.node.state != "running"
         self.health_due_ns = now_ns + (self._starting_period_ns if starting else HEALTH_PERIOD_NS)
         if self._journal is not None:
             self._journal.publish()

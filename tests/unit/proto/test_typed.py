@@ -11,9 +11,9 @@ from pydantic import ValidationError
 
 from proto import TOPICS, Message, WireError, accept, compose, encode
 from proto.codec import MAX_PLAIN_BYTES
-from proto.messages import AfmCommand
+from proto.messages import AfmCommand, LinkFate, LinkFates
 from proto.ranges import POSITION, limited
-from proto.typed import typed_form
+from proto.typed import typed_form, typed_rows
 
 LOOP = ("haptic/state", "haptic/command", "teleop/forward", "teleop/backward", "afm/command", "afm/state")
 HEADER = {"seq": 7, "t_ns": 1_790_000_000_123_456_789, "src": "controller@slave", "v": 1}
@@ -196,3 +196,65 @@ def test_a_peer_that_makes_up_names_fills_no_memory() -> None:
 @pytest.mark.parametrize("topic", ["session/control", "session/event", "node/health", "node/journal", "afm/scanline"])
 def test_what_holds_more_than_scalars_and_vectors_has_no_fast_way(topic: str) -> None:
     assert typed_form(TOPICS[topic].model, MAX_PLAIN_BYTES) is None
+
+
+FATE: dict[str, Any] = {
+    "topic": "teleop/forward", "seq": 4, "is_duplicate": False, "arrived_ns": 2**63 - 1, "delay_ns": 0, "queue_ns": 0,
+    "held_ns": 0, "dropped": "", "duplicated": True, "reordered": False, "corrupted": True,
+}  # fmt: skip
+
+
+def fates(*rows: dict[str, Any], **changed: object) -> dict[str, Any]:
+    return {**HEADER, "src": "delay_node@master", "direction": "forward", "fates": rows, **changed}
+
+
+def test_rows_are_composed_to_the_declared_message_and_bytes() -> None:
+    form = typed_rows(LinkFates, MAX_PLAIN_BYTES)
+    assert form is not None
+    fields = fates(FATE, {**FATE, "seq": 2**40, "dropped": "loss"})
+    whole = LinkFates(**{**fields, "fates": tuple(LinkFate(**row) for row in fields["fates"])})
+    # whose name it is, the declared model says first
+    assert form.compose(fields) is None
+    form.note(whole)
+    assert form.compose(fields) == (whole, encode(whole))
+    assert form.read(encode(whole)) is None
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        fates({**FATE, "seq": -1}),
+        fates({**FATE, "delay_ns": 2**63}),
+        fates({**FATE, "seq": 1.5}),
+        fates({**FATE, "duplicated": 1}),
+        fates({**FATE, "topic": "t" * 65}),
+        fates({**FATE, "unknown": 1}),
+        fates({key: value for key, value in FATE.items() if key != "dropped"}),
+        fates(FATE, direction="sideways"),
+        fates(FATE, v=2),
+        fates(FATE, src="Nobody"),
+        fates(*[FATE] * 40),
+        fates(*[FATE] * 1025),
+    ],
+    ids=lambda fields: "",
+)
+def test_rows_that_are_not_in_order_are_left_to_the_declared_model(fields: dict[str, Any]) -> None:
+    form = typed_rows(LinkFates, MAX_PLAIN_BYTES)
+    assert form is not None
+    form.note(LinkFates(**fates()))
+    assert form.compose(fates(FATE)) is not None
+    assert form.compose(fields) is None
+
+
+def test_what_the_link_says_stays_in_range() -> None:
+    reports: list[str] = []
+    for _ in range(2):
+        message, payload = compose("link/fates", fates({**FATE, "delay_ns": 2**63}), reports.append)
+        assert accept("link/fates", payload) == message
+        assert message.model_dump()["fates"][0]["delay_ns"] == 2**63 - 1
+    assert len(reports) == 2
+
+
+@pytest.mark.parametrize("topic", ["node/health", "node/journal", "link/status", "haptic/state"])
+def test_only_scalars_and_one_array_of_records_are_rows(topic: str) -> None:
+    assert typed_rows(TOPICS[topic].model, MAX_PLAIN_BYTES) is None

@@ -202,6 +202,15 @@ def test_a_process_reports_more_often_at_first() -> None:
     assert {h.rate_hz for h in rig.health[1:]} == {1000.0}
 
 
+def test_a_process_whose_session_runs_reports_twice_a_second() -> None:
+    rig = Rig(period_ns=MS)
+    rig.loop = NodeLoop(rig.node, rig.bus, GRANTED, starting_period_ns=100 * MS)
+    rig.run_until(1000 * MS)
+    rig.node.state = "running"
+    rig.run_until(2100 * MS)
+    assert [(h.t_ns - 10**18) // MS for h in rig.health] == [*range(5, 1006, 100), 1505, 2005]
+
+
 def test_lateness_and_overruns_are_reported() -> None:
     rig = Rig(period_ns=MS)
     rig.bus.oversleep_ns = 100_000
