@@ -1,9 +1,11 @@
 """Several recorded sessions side by side: their curves in one figure, their figures in one table."""
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from analysis.published import PANELS, Published, nearest
 from analysis.report import Session, read_session, read_traffic, summarise
 from proto.errors import ConfigError
 from recording.multi_file import open_recordings
@@ -27,6 +29,10 @@ _COLUMNS = (
     ("greatest_pull_nn", "greatest pull [nN]"),
     ("duration_s", "duration [s]"),
 )
+
+
+# of published points, a file each
+_MARKERS = "osD^v"
 
 
 class Compared(NamedTuple):
@@ -101,8 +107,31 @@ def _value(value: Any) -> Any:
     return " then ".join(value) if isinstance(value, list) else value
 
 
-def compare_figure(sessions: Sequence[Compared], options: FigureOptions = ON_SCREEN) -> "Figure":
-    """Draw the sessions over one another: alpha_f F_s, x_m, and F_s against h; F_m of the first for reference."""
+def beside(sessions: Sequence[Compared], published: Published) -> dict[str, Any]:
+    """Return published points with the nearest point of each session, for JSON; None for a number that is not known."""
+    rows = []
+    for point in published.points:
+        own = {
+            name: dict(zip("xy", _known(nearest(session.series(), point)), strict=True))
+            for name, session, _ in sessions
+        }
+        x_error, y_error = _known((point.x_error, point.y_error))
+        facts = {"x": point.x, "y": point.y, "x_error": x_error, "y_error": y_error, "note": point.note}
+        rows.append({"curve": PANELS[point.panel], **facts, "nearest": own})
+    return {"source": published.source, "points": rows}
+
+
+def _known(values: Sequence[float]) -> list[float | None]:
+    return [value if math.isfinite(value) else None for value in values]
+
+
+def compare_figure(
+    sessions: Sequence[Compared], options: FigureOptions = ON_SCREEN, published: Sequence[Published] = ()
+) -> "Figure":
+    """Draw the sessions over one another: alpha_f F_s, x_m, and F_s against h; F_m of the first for reference.
+
+    Published points are drawn beneath, with their errors.
+    """
     from matplotlib.figure import Figure
 
     paper = options.style == "paper"
@@ -117,15 +146,33 @@ def compare_figure(sessions: Sequence[Compared], options: FigureOptions = ON_SCR
             colour, style = LINES[number % len(LINES)]
             look = {"color": colour, "ls": style, "lw": 1.0}
             _draw(panels, session.series(), look, f"{name}: {summary['verdict'].replace('_', ' ')}")
+        for number, found in enumerate(published, start=1):
+            label = "published" if len(published) == 1 else f"published {number}"
+            _draw_published(panels, found, {"marker": _MARKERS[number % len(_MARKERS)], "label": label})
         for panel, (x, y) in zip(panels, (("time (s)", r"$\alpha_f F_s$ (N)"), ("time (s)", r"$x_m$ (cm)"),
                                           ("tip-sample distance h (nm)", r"$F_s$ (nN)")), strict=True):  # fmt: skip
             panel.axhline(0.0, color="0.8", lw=0.8, zorder=-1)
             panel.set(xlabel=x, ylabel=y)
         lettered(list(panels), options)
-        handles, labels = panels[0].get_legend_handles_labels()
+        named: dict[str, Any] = {}
+        for panel in panels:
+            handles, labels = panel.get_legend_handles_labels()
+            named |= dict(zip(labels, handles, strict=True))
+        labels, handles = list(named), list(named.values())
         columns = 1 if paper or max(map(len, labels)) > 40 else 2
         figure.legend(handles, labels, loc="outside upper left", ncols=columns, fontsize=8, frameon=False)
     return figure
+
+
+def _draw_published(panels: "Sequence[Axes]", published: Published, look: dict[str, Any]) -> None:
+    curves = (("tip_force", "hand_force"), ("hand_position",), ("tip_path",))
+    for names, panel in zip(curves, panels, strict=True):
+        points = [point for name in names for point in published.of(name)]
+        if points:
+            x, y, x_error, y_error = zip(*(point[1:5] for point in points), strict=True)
+            panel.errorbar(
+                x, y, xerr=x_error, yerr=y_error, color="0.25", ls="", ms=4.0, mfc="white", capsize=2.0, lw=0.9, **look
+            )
 
 
 def _draw(panels: "Sequence[Axes]", series: SessionSeries, look: Mapping[str, Any], label: str) -> None:

@@ -184,7 +184,7 @@ def summarise(session: Session, info: RecordingInfo, traffic: Traffic, missing: 
         "reason": reason,
         "hold_ratio": _hold_ratio(series),
         "contact_x_cm": _mean(100.0 * series.reference_m[series.reference_time_s >= last_s]),
-        "release_force_nn": _mean(1e9 * series.tip_force_n[series.tip_time_s >= last_s]),
+        "release_force_nn": _rounded(_mean(1e9 * series.tip_force_n[series.tip_time_s >= last_s])),
         "greatest_pull_nn": float(1e9 * series.tip_force_n.min(initial=0.0)),
         "loop_age_ms": _loop_age_ms(session),
         "overruns": traffic.overruns,
@@ -246,6 +246,12 @@ def _gaps(info: RecordingInfo) -> dict[str, int]:
 
 def _mean(values: Series) -> float | None:
     return float(values.mean()) if values.size else None
+
+
+def _rounded(force_nn: float | None) -> float | None:
+    """Return a force to a millionth of a nN: what is less is what the equilibrium of the cantilever is found to."""
+    # the sum makes a -0.0 plain
+    return None if force_nn is None else round(force_nn, 6) + 0.0
 
 
 def _series(

@@ -1,36 +1,40 @@
-"""Recordings for other tools: Parquet, CSV, HDF5 tables, and MCAP with JSON payloads for Foxglove and Lichtblick."""
+"""Recordings for other tools: Parquet, CSV, HDF5 tables, and MCAP with JSON or protobuf payloads for viewers."""
 
 import csv
 import importlib
 import json
 import os
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from proto import TOPICS
 from proto.errors import ConfigError, RecordingError
+from proto.messages import Record
 from recording.channel_filter import ALL, Selection
 from recording.mcap_scan import Damage, describe_damage
-from recording.messages import RawChannel, RawMessage, RecordedMessage
+from recording.messages import RawChannel, RawMessage, RecordedChannel
+from recording.protobuf_export import ProtobufMessage
 from recording.quantities import quantity
 from recording.reader import Recording
 from recording.records import RECORDS
 from recording.rewrite import CopyResult, CopyWriter
 from recording.tables import plain, table
 
-Format = Literal["parquet", "csv", "hdf5", "mcap-json"]
+Format = Literal["parquet", "csv", "hdf5", "mcap-json", "mcap-protobuf"]
 Columns = dict[str, list[Any]]
 
 
 def export_recording(source: Path, target: Path, kind: Format, selection: Selection = ALL) -> CopyResult:
     """Write the chosen channels of a recording in another format.
 
-    `parquet` and `csv` make a folder with a file for each channel, `hdf5` a file with a group for each, `mcap-json`
-    an MCAP file. Columns carry unit and description: as metadata of a field (`parquet`), as attributes of a dataset
-    (`hdf5`), in the table `columns.csv` (`csv`).
+    `parquet` and `csv` make a folder with a file for each channel, `hdf5` a file with a group for each, `mcap-json` and
+    `mcap-protobuf` an MCAP file, in which a topic of several publishers has a channel for each. Columns carry unit and
+    description: as metadata of a field (`parquet`), as attributes of a dataset (`hdf5`), in the table `columns.csv`
+    (`csv`), in the schema (`mcap-json`, `mcap-protobuf`).
 
     Raises RecordingError when nothing is selected, the source is not a recording, or the target exists or cannot be
     written, ConfigError when a package that the format needs is not installed.
@@ -50,8 +54,8 @@ def export_recording(source: Path, target: Path, kind: Format, selection: Select
 
 
 def _export(recording: Recording, target: Path, kind: Format, selection: Selection) -> CopyResult:
-    if kind == "mcap-json":
-        return _export_json(recording, target, selection)
+    if kind in ("mcap-json", "mcap-protobuf"):
+        return _export_mcap(recording, target, selection, _as_json if kind == "mcap-json" else _as_protobuf)
     if kind == "hdf5":
         return _export_hdf5(recording, target, selection)
     write = _write_csv if kind == "csv" else _parquet_writer(recording)
@@ -81,14 +85,14 @@ def plain_schema(schema: Mapping[str, Any]) -> dict[str, Any]:
     definitions = schema.get("$defs", {})
 
     def simple(node: Mapping[str, Any]) -> dict[str, Any]:
+        about = {key: node[key] for key in ("description",) if key in node}
         if "$ref" in node:
             name = node["$ref"].rpartition("/")[2]
-            return _ARRAY if name == "Array" else simple(definitions[name])
+            return {**(_ARRAY if name == "Array" else simple(definitions[name])), **about}
         choices = [choice for choice in node.get("anyOf", ()) if choice.get("type") != "null"]
         if choices:
-            return simple(choices[0])
+            return {**simple(choices[0]), **about}
         kind = node.get("type", "object")
-        about = {key: node[key] for key in ("description",) if key in node}
         if kind == "array":
             items = node.get("prefixItems", [node.get("items", {})])[0]
             return {"type": "array", "items": simple(items) if items else {"type": "string"}, **about}
@@ -176,19 +180,70 @@ def _write_dataset(h5py: Any, group: Any, name: str, values: list[Any]) -> None:
         group.create_dataset(name, data=np.array(values), compression="gzip", shuffle=True)
 
 
-def _export_json(recording: Recording, target: Path, selection: Selection) -> CopyResult:
+class _Payload(NamedTuple):
+    """How the messages of a channel are written: encoding, schema, and a function of the JSON values of one."""
+
+    encoding: str
+    schema: tuple[str, str, bytes]
+    encode: Callable[[dict[str, Any]], bytes]
+
+
+def _export_mcap(
+    recording: Recording, target: Path, selection: Selection, payload_of: Callable[[str], _Payload]
+) -> CopyResult:
     skipped: list[Damage] = list(recording.structural_damage)
-    channels: dict[str, tuple[RawChannel, dict[str, Any]]] = {}
+    refused: list[str] = []
+    publishers = Counter(name for name, _ in {(channel.channel_topic, channel.src) for channel in recording.channels})
+    payloads = {channel.topic: payload_of(channel.topic) for channel in recording.channels if selection(channel)}
+    channels: dict[RecordedChannel, RawChannel] = {}
     with CopyWriter(target, profile="") as writer:
         writer.copy_attachments_and_metadata([recording])
         for message in recording.select(selection, report=skipped.append):
-            key = f"{message.channel_topic} {message.src}"
-            if key not in channels:
-                channels[key] = _json_channel(message)
-            channel, schema = channels[key]
-            payload = json.dumps(fitted(plain(message), schema), separators=(",", ":")).encode()
-            writer.add(RawMessage(channel, message.log_ns, message.publish_ns, message.seq, payload))
-    return CopyResult(path=str(target), messages=writer.messages, skipped=describe_damage(skipped))
+            payload = payloads[message.topic]
+            if message.channel not in channels:
+                several = publishers[message.channel_topic] > 1
+                channels[message.channel] = _viewer_channel(message.channel, payload, several)
+            try:
+                data = payload.encode(plain(message))
+            except (TypeError, ValueError) as error:
+                refused.append(f"{message.channel_topic}, seq {message.seq}: {error}")
+                continue
+            writer.add(RawMessage(channels[message.channel], message.log_ns, message.publish_ns, message.seq, data))
+    return CopyResult(path=str(target), messages=writer.messages, skipped=(*describe_damage(skipped), *refused))
+
+
+def _viewer_channel(channel: RecordedChannel, payload: _Payload, several: bool) -> RawChannel:
+    # viewers draw a channel as one line, whoever sent its messages
+    name = f"{channel.channel_topic}/{channel.src}" if several else channel.channel_topic
+    facts = {"topic": channel.topic, "site": channel.site, "via": channel.via, "src": channel.src}
+    return RawChannel(name, payload.encoding, tuple(sorted(facts.items())), payload.schema)
+
+
+def _as_json(topic: str) -> _Payload:
+    model = _model_of(topic)
+    schema: dict[str, Any] = (
+        {"type": "object", "properties": {}} if model is None else plain_schema(model.model_json_schema())
+    )
+    name = topic if model is None else f"telenano.{model.__name__}"
+
+    def encode(fields: dict[str, Any]) -> bytes:
+        return json.dumps(fitted(fields, schema), separators=(",", ":")).encode()
+
+    return _Payload("json", (name, "jsonschema", json.dumps(schema).encode()), encode)
+
+
+def _as_protobuf(topic: str) -> _Payload:
+    model = _model_of(topic)
+    if model is None:
+        unknown = ProtobufMessage("Unknown", {"properties": {"json": {"type": "object"}}})
+        described = (unknown.name, "protobuf", unknown.descriptor_set)
+        return _Payload("protobuf", described, lambda fields: unknown.encode({"json": fields}))
+    message = ProtobufMessage(model.__name__, plain_schema(model.model_json_schema()))
+    return _Payload("protobuf", (message.name, "protobuf", message.descriptor_set), message.encode)
+
+
+def _model_of(topic: str) -> type[Record] | None:
+    return RECORDS.get(topic) or (TOPICS[topic].model if topic in TOPICS else None)
 
 
 def fitted(value: Any, schema: Mapping[str, Any]) -> Any:
@@ -209,16 +264,6 @@ def _elements(value: Any) -> Iterator[Any]:
             yield from _elements(part)
     else:
         yield value
-
-
-def _json_channel(message: RecordedMessage) -> tuple[RawChannel, dict[str, Any]]:
-    channel = message.channel
-    model = RECORDS.get(channel.topic) or (TOPICS[channel.topic].model if channel.topic in TOPICS else None)
-    facts = {"topic": channel.topic, "site": channel.site, "via": channel.via, "src": channel.src}
-    schema = {"type": "object", "properties": {}} if model is None else plain_schema(model.model_json_schema())
-    name = channel.topic if model is None else f"telenano.{model.__name__}"
-    described = (name, "jsonschema", json.dumps(schema).encode())
-    return RawChannel(channel.channel_topic, "json", tuple(sorted(facts.items())), described), schema
 
 
 def _package(name: str, format_name: str) -> Any:

@@ -1,5 +1,6 @@
 """The `telenano` command, and what programs use: `open` a recording, `simulate` a session, connect to a `live` rig."""
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -7,21 +8,27 @@ if TYPE_CHECKING:
     from telenano.api import LiveRig as LiveRig
     from telenano.api import RecordedSession as RecordedSession
     from telenano.api import Table as Table
+    from telenano.api import check_law as check_law
     from telenano.api import live as live
     from telenano.api import open as open
     from telenano.api import simulate as simulate
 
-__all__ = ["LiveRig", "RecordedSession", "SimulatedSession", "Table", "live", "open", "simulate"]
+_MODULES = {"SimulatedSession": "studies.simulation"}
+
+__all__ = ["LiveRig", "RecordedSession", "SimulatedSession", "Table", "check_law", "live", "open", "simulate"]
 
 
 def __getattr__(name: str) -> Any:
     # the command begins faster without what it may not need
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    if name == "SimulatedSession":
-        from studies.simulation import SimulatedSession
-
-        return SimulatedSession
-    from telenano import api
-
-    return getattr(api, name)
+    try:
+        return getattr(import_module(_MODULES.get(name, "telenano.api")), name)
+    except ModuleNotFoundError as error:
+        package = (error.name or "").partition(".")[0]
+        if package in ("", "proto", "presets", "recording", "services", "analysis", "studies", "telenano"):
+            raise
+        text = (
+            f"telenano.{name} needs the package {package}: pip install 'telenano[rig]', or 'telenano[recorder]' to read"
+        )
+        raise ModuleNotFoundError(text, name=error.name) from error

@@ -212,6 +212,19 @@ def simulate(
     )
 
 
+def check_law(name: str) -> dict[str, list[str]]:
+    """Try the rules that the rig relies on with a law; return each rule with what breaks it, empty where nothing does.
+
+    As `telenano law check` does. Raises ConfigError naming the laws there are, or what keeps one of a package from use.
+    """
+    # the rules import steps, which a simulation in this process needs compiled
+    _compile_what_follows()
+    from services.controller.law_rules import broken_rules, known_law
+
+    known_law(name)
+    return broken_rules(name)
+
+
 @contextmanager
 def live(site_file: str | os.PathLike[str] | None = None) -> Iterator[LiveRig]:
     """Connect to a running rig, by the packaged site file of one machine or one of your own.

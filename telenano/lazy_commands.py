@@ -75,7 +75,7 @@ GROUPS = {
     "Run": ("up", "session", "estop", "replay", "node"),
     "Look": ("status", "view", "topic", "link", "graph", "bridge"),
     "Record and report": ("record", "bag", "report", "compare"),
-    "Study": ("study", "law", "curve", "scan", "sample", "reproduce"),
+    "Study": ("study", "law", "curve", "scan", "sample", "calibrate", "reproduce"),
     "Set up": ("scenario", "param", "new", "device", "keys", "doctor"),
 }
 

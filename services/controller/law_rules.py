@@ -8,7 +8,8 @@ import math
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
-from services.controller.config import LAWS, ControllerConfig
+from proto.errors import ConfigError
+from services.controller.config import LAWS, PACKAGE_LAWS, ControllerConfig
 from services.controller.law import NO_SIGNAL, HandSample, Law, TipMeasurement
 from services.controller.law_corners import failures
 from services.runtime.compiled import is_compiling
@@ -31,6 +32,15 @@ class Rule(NamedTuple):
 
     name: str
     broken_by: Callable[[str], Iterator[str]]
+
+
+def known_law(name: str) -> Law:
+    """Return a law by its name; ConfigError names those there are, or what keeps one of a package from use."""
+    if name in PACKAGE_LAWS.problems:
+        raise ConfigError(PACKAGE_LAWS.problems[name])
+    if name not in LAWS:
+        raise ConfigError(f"unknown law {name!r}: known are {', '.join(LAWS)}; `telenano new law {name}` makes one")
+    return LAWS[name]
 
 
 def broken_rules(name: str) -> dict[str, list[str]]:

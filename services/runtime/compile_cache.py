@@ -1,71 +1,73 @@
-"""The cache of compiled steps on disk, with a checksum: what is damaged is compiled again, and never run."""
+"""The cache of compiled steps on disk: what is damaged or outdated is compiled again, and never run.
+
+A file for each function and signature, whatever the edits: what is compiled after one takes the place of what was.
+"""
 
 import hashlib
 import logging
+import os
 import pickle
+import re
+import sys
+import time
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+from numba.core import types
 from numba.core.caching import FunctionCache, IndexDataCacheFile
+
+from services.runtime.code_digest import code_digest
 
 # of each file: numba's own has no means to notice that a file was cut off or changed
 _DIGEST_BYTES = hashlib.sha256().digest_size
+# what is read is marked as used, once in a while
+_USED_S = 86_400.0
 
 
 class _DamagedError(Exception):
     """A file of the cache does not have the content that was written to it."""
 
 
+class _Key(NamedTuple):
+    """Which file a compiled function is in, and the digest of what it was compiled from."""
+
+    name: str
+    digest: str
+
+
 class CheckedCacheFile(IndexDataCacheFile):
-    """Index and data files of one function; numba's, but for the digest in front of what is pickled."""
+    """The files of one function; numba's, but for their names, their checksums, and that there is no index."""
 
     @property
     def _folder(self) -> Path:
         """The folder of all functions; each package has one in it."""
         return Path(self._cache_path).parent
 
-    def load(self, key: Any) -> Any:
-        """Return what was compiled, None where it is absent or damaged."""
+    def load(self, key: _Key) -> Any:
+        """Return what was compiled, None where it is absent, outdated or damaged."""
+        path = Path(self._data_path(key.name))
         try:
-            return super().load(key)
+            if time.time() - path.stat().st_mtime > _USED_S:
+                os.utime(path)
+            digest, version, compiled = _checked(path.read_bytes())
         except _DamagedError:
-            self._discard()
+            _warn(f"the compiled code in {self._folder} was damaged, and is compiled again")
             return None
+        except OSError:
+            return None
+        # unpickled here and not above: what is outdated may name classes that are no more
+        return pickle.loads(compiled) if (digest, version) == (key.digest, self._version) else None
 
-    def save(self, key: Any, data: Any) -> None:
+    def save(self, key: _Key, data: Any) -> None:
         """Keep what was compiled; where that is not possible it is compiled again the next time."""
+        content = pickle.dumps((key.digest, self._version, self._dump(data)))
         try:
-            try:
-                super().save(key, data)
-            except _DamagedError:
-                self._discard()
-                super().save(key, data)
+            with self._open_for_write(self._data_path(key.name)) as file:
+                file.write(hashlib.sha256(content).digest() + content)
         except OSError as error:
             _warn(f"compiled code cannot be kept in {self._folder}: {error.strerror}")
-
-    def _dump(self, obj: Any) -> bytes:
-        content: bytes = super()._dump(obj)
-        return hashlib.sha256(content).digest() + content
-
-    def _save_index(self, overloads: dict[Any, str]) -> None:
-        with self._open_for_write(self._index_path) as file:
-            file.write(self._dump((self._version, self._source_stamp, overloads)))
-
-    def _load_index(self) -> dict[Any, str]:
-        try:
-            version, stamp, overloads = _checked(Path(self._index_path).read_bytes())
-        except FileNotFoundError:
-            return {}
-        return overloads if (version, stamp) == (self._version, self._source_stamp) else {}
-
-    def _load_data(self, name: str) -> Any:
-        return _checked(Path(self._data_path(name)).read_bytes())
-
-    def _discard(self) -> None:
-        _warn(f"the compiled code in {self._folder} was damaged, and is compiled again")
-        for path in Path(self._cache_path).glob(self._index_name.removesuffix("nbi") + "*"):
-            path.unlink(missing_ok=True)
 
 
 class CheckedCache(FunctionCache):
@@ -73,11 +75,31 @@ class CheckedCache(FunctionCache):
 
     def __init__(self, function: Any) -> None:
         super().__init__(function)
-        self._cache_file = CheckedCacheFile(
-            cache_path=self._cache_path,
-            filename_base=self._impl.filename_base,
-            source_stamp=self._impl.locator.get_source_stamp(),
-        )
+        self._cache_file = CheckedCacheFile(self._cache_path, function.__qualname__, "")
+
+    def _index_key(self, signature: Any, codegen: Any) -> _Key:
+        classes = list(dict.fromkeys(_classes(signature)))
+        function = self._py_func
+        names = [f"{kind.__module__}.{kind.__qualname__}" for kind in (function, *classes)]
+        described = repr((sys.implementation.cache_tag, names, signature, codegen.magic_tuple()))
+        # not the line of the function, which numba's names have: lines above it come and go
+        readable = re.sub(r"[^\w.]", "", names[0].rpartition("services.")[2])
+        name = f"{readable}.{hashlib.sha256(described.encode()).hexdigest()[:24]}.nbc"
+        return _Key(name, code_digest(function, classes))
+
+
+def _classes(part: Any) -> Iterator[type]:
+    """Yield the classes of the tuples in a signature: numba's types know them, and not what became of their fields."""
+    if isinstance(part, tuple | list):
+        for inner in part:
+            yield from _classes(inner)
+    elif isinstance(part, types.Type):
+        if isinstance(part, types.BaseNamedTuple):
+            # numba declares it for the classes below this one
+            named: Any = part
+            yield named.instance_class
+        for name in ("types", "dtype", "type"):
+            yield from _classes(getattr(part, name, None))
 
 
 def _checked(content: bytes) -> Any:

@@ -55,6 +55,7 @@ class ExportFormat(StrEnum):
     CSV = "csv"
     HDF5 = "hdf5"
     MCAP_JSON = "mcap-json"
+    MCAP_PROTOBUF = "mcap-protobuf"
 
 
 @app.command()
@@ -233,12 +234,12 @@ def recover(file: FileArgument, out: OutOption, as_json: JsonOption = False) -> 
 def export(
     file: FileArgument,
     out: OutOption,
-    to: Annotated[ExportFormat, typer.Option("--to", help="parquet, csv: a folder; hdf5, mcap-json: a file.")],
+    to: Annotated[ExportFormat, typer.Option("--to", help="parquet, csv: a folder; the others: a file.")],
     topics: TopicsOption = None,
     exclude: ExcludeOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Convert a recording for other tools; Foxglove and Lichtblick read mcap-json."""
+    """Convert a recording for other tools; viewers read mcap-json or mcap-protobuf."""
     with report_errors(as_json):
         _print_model(export_recording(file, out, to.value, Selection.of(topics or (), exclude or ())), as_json)
 

@@ -5,7 +5,6 @@ from typing import Annotated, Any
 
 import typer
 
-from proto.errors import ConfigError
 from telenano.completion import law_names
 from telenano.exit_codes import EXIT_FAILED
 from telenano.options import JsonOption, command_group
@@ -40,8 +39,9 @@ def show(law: LawArgument, as_json: JsonOption = False) -> None:
     """Show what a law is, and its parameters with default, range and unit."""
     with report_errors(as_json):
         from services.controller.config import LAWS
+        from services.controller.law_rules import known_law
 
-        found = _known(law)
+        found = known_law(law)
         properties: dict[str, Any] = found.config.model_json_schema()["properties"]
         parameters = [
             {
@@ -67,9 +67,9 @@ def check(law: LawArgument, as_json: JsonOption = False) -> None:
     with report_errors(as_json):
         # what is checked is what a study runs: compiled steps, beside the same steps as plain Python
         import studies  # noqa: F401
-        from services.controller.law_rules import broken_rules
+        from services.controller.law_rules import broken_rules, known_law
 
-        _known(law)
+        known_law(law)
         broken = broken_rules(law)
     if as_json:
         print_json({"law": law, "rules": broken, "keeps_all": not any(broken.values())})
@@ -80,16 +80,6 @@ def check(law: LawArgument, as_json: JsonOption = False) -> None:
                 typer.echo(f"        {fault}")
     if any(broken.values()):
         raise typer.Exit(EXIT_FAILED)
-
-
-def _known(name: str) -> Any:
-    from services.controller.config import LAWS, PACKAGE_LAWS
-
-    if name in PACKAGE_LAWS.problems:
-        raise ConfigError(PACKAGE_LAWS.problems[name])
-    if name not in LAWS:
-        raise ConfigError(f"unknown law {name!r}: known are {', '.join(LAWS)}; `telenano new law {name}` makes one")
-    return LAWS[name]
 
 
 def _origin(name: str) -> dict[str, str]:

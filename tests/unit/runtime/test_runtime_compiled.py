@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from services.runtime.compiled import CACHE_DAYS, cache_directory, clean_old_caches, source_digest
+from services.runtime import compiled
+from services.runtime.compiled import CACHE_DAYS, cache_directory, clean_cache, source_digest
 
 ROOT = Path(__file__).parents[3]
 
@@ -48,19 +49,19 @@ def test_the_digest_is_the_same_on_unchanged_sources(tree: Path) -> None:
     assert int(first, 16) >= 0
 
 
-def test_every_edit_of_a_source_gives_another_folder(tree: Path) -> None:
-    seen = {cache_directory(tree)}
+def test_every_edit_of_a_source_gives_another_digest(tree: Path) -> None:
+    seen = {source_digest(tree)}
     law = tree / "services" / "controller" / "law.py"
     law.write_text("A = 2\n")
-    seen.add(cache_directory(tree))
+    seen.add(source_digest(tree))
     law.rename(law.with_name("wave.py"))
-    seen.add(cache_directory(tree))
+    seen.add(source_digest(tree))
     deep = tree / "services" / "afm_node" / "contact"
     deep.mkdir()
     (deep / "dugdale.py").write_text("")
-    seen.add(cache_directory(tree))
+    seen.add(source_digest(tree))
     (deep / "dugdale.py").unlink()
-    assert cache_directory(tree) in seen
+    assert source_digest(tree) in seen
     assert len(seen) == 4
 
 
@@ -71,12 +72,12 @@ def test_shells_and_other_files_hold_no_compiled_code(tree: Path) -> None:
     assert source_digest(tree) == first
 
 
-def test_the_folder_lies_in_the_cache_of_the_user(tree: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tree / "cache"))
-    assert cache_directory(tree) == tree / "cache" / "telenano" / f"numba-{source_digest(tree)}"
+def test_the_folder_lies_in_the_cache_of_the_user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    assert cache_directory().parent == tmp_path / "cache" / "telenano"
     monkeypatch.delenv("XDG_CACHE_HOME")
-    monkeypatch.setenv("HOME", str(tree))
-    assert cache_directory(tree).parent == tree / ".cache" / "telenano"
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert cache_directory().parent == tmp_path / ".cache" / "telenano"
 
 
 def run_step(folder: Path, program: str = PROGRAM, **environment: str) -> str:
@@ -96,7 +97,7 @@ def run_step(folder: Path, program: str = PROGRAM, **environment: str) -> str:
 
 def test_a_step_is_compiled_into_that_folder(tmp_path: Path) -> None:
     assert run_step(tmp_path) == "CPUDispatcher"
-    folder = tmp_path / "telenano" / f"numba-{source_digest()}"
+    folder = tmp_path / "telenano" / cache_directory().name
     assert list(folder.rglob("*.nbc")), "no compiled code in the cache"
     assert not list(ROOT.glob("services/runtime/__pycache__/*.nb?"))
 
@@ -120,23 +121,22 @@ handler = logging.Handler()
 handler.emit = lambda record: said.append(record.getMessage())
 logging.getLogger().addHandler(handler)
 print(run())
-for suffix in ("nbi", "nbc"):
-    (kept,) = cache_directory().rglob(f"*.{suffix}")
-    content = kept.read_bytes()
-    middle = len(content) // 2
-    flipped = content[:middle] + bytes([content[middle] ^ 1]) + content[middle + 1:]
-    for spoiled in (content[:middle], b"", flipped, bytes(len(content)), content + b"x"):
-        kept.write_bytes(spoiled)
-        hits, texts = run()
-        assert (hits, texts) == (0, [f"the compiled code in {cache_directory()} was damaged, and is compiled again"])
-        # and is sound afterwards
-        assert run() == (1, [])
+(kept,) = cache_directory().rglob("*.nb?")
+content = kept.read_bytes()
+middle = len(content) // 2
+flipped = content[:middle] + bytes([content[middle] ^ 1]) + content[middle + 1:]
+for spoiled in (content[:middle], b"", flipped, bytes(len(content)), content + b"x"):
+    kept.write_bytes(spoiled)
+    hits, texts = run()
+    assert (hits, texts) == (0, [f"the compiled code in {cache_directory()} was damaged, and is compiled again"])
+    # and is sound afterwards
+    assert run() == (1, [])
 
 def full(*_):
     raise OSError(28, "No space left on device")
 
 kept.unlink()
-compile_cache.CheckedCacheFile._save_data = full
+compile_cache.CheckedCacheFile._open_for_write = full
 assert run() == (0, [f"compiled code cannot be kept in {cache_directory()}: No space left on device"])
 print("all")
 """
@@ -144,6 +144,82 @@ print("all")
 
 def test_damaged_compiled_code_is_compiled_again_and_what_cannot_be_kept_is_used(tmp_path: Path) -> None:
     assert run_step(tmp_path, SPOIL).splitlines() == ["(0, [])", "all"]
+
+
+# edits its own sources, and imports them as a process that starts then would
+EDIT = """
+import importlib, pathlib, sys, studies
+from services.runtime.compiled import cache_directory, chosen_step
+
+FORCE = '''
+from typing import NamedTuple
+from services.runtime.compiled import compiled
+
+class Spring(NamedTuple):
+    k: float
+    b: float
+
+class Wall(NamedTuple):
+    k: float
+
+@compiled
+def spring(params, x):
+    return params.k * x
+
+@compiled
+def wall(params, x):
+    return 10.0 * params.k * x
+'''
+LOOP = '''
+import force
+from services.runtime.compiled import chosen_step, compiled
+
+STEPS = {force.Spring: force.spring, force.Wall: force.wall}
+step = chosen_step(lambda kind: STEPS[kind])
+
+@compiled
+def loop(params, count):
+    x = 1.0
+    for _ in range(count):
+        x = step(params, x)
+    return x
+'''
+folder = pathlib.Path(sys.argv[1])
+sys.path.insert(0, str(folder))
+sys.dont_write_bytecode = True
+
+def run(force, loop=LOOP):
+    for name, text in (("force", force), ("edited_loop", loop)):
+        (folder / f"{name}.py").write_text(text)
+        sys.modules.pop(name, None)
+    importlib.invalidate_caches()
+    module = importlib.import_module("edited_loop")
+    force = module.force
+    results = module.loop(force.Spring(k=2.0, b=5.0), 2), module.loop(force.Wall(3.0), 1)
+    return results, sum(module.loop.stats.cache_hits.values())
+
+print(run(FORCE))
+files = sorted(cache_directory().rglob("*.nb?"))
+print(run("# lines\\n\\n" + FORCE, LOOP.replace("x = 1.0", "x = 1.0  # from here")))
+print(run(FORCE.replace("10.0", "20.0")))
+print(run(FORCE.replace("k: float\\n    b: float", "b: float\\n    k: float")))
+print(sorted(cache_directory().rglob("*.nb?")) == files)
+"""
+
+
+def test_an_edit_compiles_again_what_depends_on_it_in_the_place_of_what_was(tmp_path: Path) -> None:
+    program = f"import sys; sys.argv.append({str(tmp_path / 'sources')!r})\n" + EDIT
+    (tmp_path / "sources").mkdir()
+    assert run_step(tmp_path, program).splitlines() == [
+        "((4.0, 30.0), 0)",
+        # comments move the lines
+        "((4.0, 30.0), 2)",
+        # one of the two steps that the loop can choose
+        "((4.0, 60.0), 1)",
+        # the other is what it was at first, and the fields of this one have changed places
+        "((4.0, 30.0), 0)",
+        "True",
+    ]
 
 
 def test_without_the_compiler_a_step_is_plain_python_with_the_same_result(tmp_path: Path) -> None:
@@ -165,10 +241,26 @@ def test_a_step_imported_before_the_compiler_was_asked_for_is_named(tmp_path: Pa
     assert run_step(tmp_path, program).startswith("model.step was imported before compile_steps()")
 
 
-def test_caches_that_nobody_has_used_for_long_are_deleted(tmp_path: Path) -> None:
-    for name in ("numba-old", "numba-new", "keys"):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "index.nbi").write_bytes(b"1")
-        os.utime(tmp_path / name, (0.0, 1e9 if name == "numba-new" else 1e9 - (CACHE_DAYS + 1) * 86_400.0))
-    assert clean_old_caches(tmp_path, 1e9) == [tmp_path / "numba-old"]
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["keys", "numba-new"]
+def test_without_the_compiler_steps_stay_plain(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compiled, "_compiling", False)
+    monkeypatch.setitem(sys.modules, "numba", None)
+    with pytest.raises(ModuleNotFoundError, match="need the package numba"):
+        compiled.compile_steps()
+    assert not compiled.is_compiling()
+
+
+def test_compiled_code_that_nobody_has_used_for_long_is_deleted(tmp_path: Path) -> None:
+    here = tmp_path / "numba-now"
+    old_s, new_s = 1e9 - (CACHE_DAYS + 1) * 86_400.0, 1e9
+    for name, time_s in (("numba-old", old_s), ("numba-new", new_s), ("keys", old_s), ("numba-now/afm_1", old_s)):
+        (tmp_path / name).mkdir(parents=True)
+        for kept, kept_s in (("old.nbc", old_s), ("new.nbc", new_s)):
+            (tmp_path / name / kept).write_bytes(b"1")
+            os.utime(tmp_path / name / kept, (kept_s, kept_s))
+        os.utime(tmp_path / name, (time_s, time_s))
+    assert clean_cache(here, 1e9) == [tmp_path / "numba-old", here / "afm_1" / "old.nbc"]
+    assert {path.name for path in tmp_path.iterdir()} == {"keys", "numba-new", "numba-now"}
+    # once a day, for it looks at every file
+    os.utime(here / "afm_1" / "new.nbc", (old_s, old_s))
+    assert clean_cache(here, 1e9 + 3600.0) == []
+    assert clean_cache(here, 1e9 + 90_000.0) == [here / "afm_1" / "new.nbc"]

@@ -100,6 +100,11 @@ def test_a_running_rig_is_read(tmp_path: Path) -> None:
     assert table["time_s"][-1] == pytest.approx(2.5, abs=1e-6)
 
 
+def test_a_law_that_is_unknown_is_named_with_those_that_are() -> None:
+    with pytest.raises(ConfigError, match="unknown law 'my_law': known are virtual_impedance"):
+        telenano.check_law("my_law")
+
+
 def test_the_command_does_not_pay_for_it() -> None:
     code = "import sys, telenano; sys.exit('numpy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 
 from presets import TWO_SITES_FILE, site_file_named
 from proto.errors import RigError
+from telenano.lazy_commands import GROUPS as HEADINGS
 from telenano.lazy_commands import LAZY_COMMANDS, load
 from telenano.root import app
 
@@ -74,6 +75,10 @@ def test_every_flag_has_a_help_text_and_a_unit_where_it_is_a_number(path: str) -
         assert text, f"{path} {parameter.name} has no help"
         if parameter.metavar in ("S", "D"):
             assert re.search(r"\[m?s\]", text), f"{path} {parameter.name} has no unit"
+
+
+def test_help_lists_every_command_once() -> None:
+    assert sorted(name for names in HEADINGS.values() for name in names) == sorted(LAZY_COMMANDS)
 
 
 def test_version() -> None:

@@ -28,6 +28,9 @@ def documented() -> Iterator[tuple[str, list[str]]]:
         for block in re.findall(r"^ *```(?:sh|bash)?\n(.*?)^ *```", page.read_text(), re.DOTALL | re.MULTILINE):
             for line in block.replace("\\\n", " ").splitlines():
                 yield from ((page.name, found) for found in arguments_in(line))
+    # the last cell of each row of the map of the paper
+    for line in re.findall(r"`(telenano [^`]+)` \|$", (ROOT / "docs" / "paper.md").read_text(), re.MULTILINE):
+        yield from (("paper.md", found) for found in arguments_in(line))
 
 
 def arguments_in(line: str) -> Iterator[list[str]]:

@@ -67,7 +67,7 @@ def test_a_report_that_cannot_be_written_names_its_folder_and_shows_the_summary(
     assert in_the_way.read_text() == "kept"
 
 
-@pytest.mark.parametrize("kind", ["csv", "parquet", "hdf5", "mcap-json"])
+@pytest.mark.parametrize("kind", ["csv", "parquet", "hdf5", "mcap-json", "mcap-protobuf"])
 def test_an_export_that_cannot_be_written_names_its_target(make_file: MakeFile, in_the_way: Path, kind: str) -> None:
     for target in (in_the_way / "target", in_the_way / "deeper" / "target"):
         text = refused("bag", "export", make_file(), "--to", kind, "--out", target)

@@ -1,0 +1,177 @@
+"""The wheel with no extra, and with some: each command works, or says what to add. No network is asked for anything."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from importlib.metadata import distribution
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+
+ROOT = Path(__file__).parents[2]
+REFERENCE = ROOT / "tests" / "replay" / "wave.mcap"
+
+pytestmark = [pytest.mark.stack, pytest.mark.endurance]
+
+
+SETTINGS = tomllib.loads((ROOT / "pyproject.toml").read_text())
+
+
+def requirements(name: str, extras: tuple[str, ...]) -> list[str]:
+    """Return what a distribution requires with these extras; of this project what its settings say now."""
+    if name == "telenano":
+        own = SETTINGS["project"]
+        return own["dependencies"] + [text for extra in extras for text in own["optional-dependencies"][extra]]
+    return distribution(name).requires or []
+
+
+def closure(extras: tuple[str, ...]) -> set[str]:
+    """Return the names of all distributions that pip would install beside telenano with these extras."""
+    waiting: list[tuple[str, tuple[str, ...]]] = [("telenano", extras)]
+    found = set()
+    while waiting:
+        name, wanted = waiting.pop()
+        if (name, wanted) in found:
+            continue
+        found.add((name, wanted))
+        for text in requirements(name, wanted):
+            requirement = Requirement(text)
+            if requirement.marker is None or any(
+                requirement.marker.evaluate({"extra": extra}) for extra in ("", *wanted)
+            ):
+                waiting.append((requirement.name, tuple(sorted(requirement.extras))))
+    return {name for name, _ in found} - {"telenano"}
+
+
+class Installation:
+    """An interpreter that has the wheel and what its extras bring, and nothing else of the environment of the tests."""
+
+    def __init__(self, folder: Path, wheel: Path, extras: tuple[str, ...]) -> None:
+        self.folder = folder
+        subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(folder / "venv")], check=True, timeout=120)
+        self.python = folder / "venv" / "bin" / "python"
+        (site,) = (folder / "venv" / "lib").glob("python*/site-packages")
+        pip = [
+            sys.executable,
+            "-m",
+            "pip",
+            "--python",
+            str(self.python),
+            "install",
+            "--quiet",
+            "--no-deps",
+            "--no-index",
+        ]
+        subprocess.run([*pip, str(wheel)], check=True, timeout=120)
+        for name in closure(extras):
+            here = distribution(name)
+            tops = {path.parts[0] for path in here.files or () if path.parts[0] not in ("..", "__pycache__")}
+            for top in tops:
+                place = site / top
+                if not place.exists():
+                    place.symlink_to(str(here.locate_file(top)))
+
+    def telenano(self, *arguments: str) -> subprocess.CompletedProcess[str]:
+        command = self.folder / "venv" / "bin" / "telenano"
+        return self.run(str(command), *arguments)
+
+    def run(self, *command: str) -> subprocess.CompletedProcess[str]:
+        kept = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "NUMBA"))}
+        environment = {**kept, "HOME": str(self.folder), "TELENANO_RUNTIME_DIR": str(self.folder / "run")}
+        return subprocess.run(command, env=environment, cwd=self.folder, capture_output=True, text=True, timeout=120)
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("wheel")
+    # the page of the view is built by npm, which this is not about
+    unwanted = shutil.ignore_patterns("node_modules", "dist", "__pycache__", "build_page.py")
+    for name in SETTINGS["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"]:
+        shutil.copytree(ROOT / name, folder / "source" / name, ignore=unwanted)
+    for name in ("pyproject.toml", "README.md", "hatch_build.py"):
+        shutil.copy(ROOT / name, folder / "source")
+    pip = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation", "--no-index"]
+    subprocess.run([*pip, "--wheel-dir", str(folder), str(folder / "source")], check=True, timeout=300)
+    (found,) = folder.glob("*.whl")
+    return found
+
+
+@pytest.fixture(scope="module", params=[(), ("launcher",), ("launcher", "export"), ("studies", "instrument")], ids="+".join)
+def installed(
+    request: pytest.FixtureRequest, wheel: Path, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Installation]:
+    installation = Installation(tmp_path_factory.mktemp("installation"), wheel, request.param)
+    yield installation
+    shutil.rmtree(installation.folder)
+
+
+# a command of every group that needs neither a rig nor a device, and the extras with which it works
+VERBS = {
+    "--version": "launcher studies",
+    "--help": "launcher studies",
+    "up --duration 1 --scenario no_such_scenario": "",
+    "scenario list": "launcher studies",
+    "scenario show fig12": "launcher studies",
+    "param list controller": "launcher studies",
+    "graph": "launcher studies",
+    "law list": "launcher studies",
+    "law show wave": "launcher studies",
+    "bag info REFERENCE": "launcher studies",
+    "bag verify REFERENCE": "launcher studies",
+    "bag export REFERENCE --to csv --out csv": "launcher studies",
+    "bag export REFERENCE --to parquet --out parquet": "export studies",
+    "bag export REFERENCE --to hdf5 --out h5": "export",
+    "bag export REFERENCE --to mcap-json --out json.mcap": "launcher studies",
+    "bag export REFERENCE --to mcap-protobuf --out protobuf.mcap": "export",
+    "bag plot REFERENCE afm/state.tip_force_n.2 --out plot.png": "launcher studies",
+    "report REFERENCE --out report": "launcher studies",
+    "compare REFERENCE --paper --out compare": "launcher studies",
+    "study transparency --law wave --delay 0 --out study": "studies",
+    "curve --out curve": "studies",
+    "sample --sample dots --out dots": "instrument",
+    "scan --pixels 8 --lines 8 --out scan": "",
+    "calibrate sensitivity --json": "",
+    "view REFERENCE --port 0": "",
+    "bridge foxglove --duration 1": "",
+    "device list": "studies",
+    "keys show": "launcher studies",
+    "new law my_law": "launcher studies",
+    "doctor": "",
+    "topic list": "",
+    "status": "",
+    "record --duration 1 --out record": "",
+    "session arm": "",
+    "estop": "",
+}
+
+
+def test_every_command_works_or_says_what_to_add(installed: Installation, request: pytest.FixtureRequest) -> None:
+    extras = request.node.callspec.params["installed"]
+    wrong = {}
+    for line, works_with in VERBS.items():
+        done = installed.telenano(*(str(REFERENCE) if word == "REFERENCE" else word for word in line.split()))
+        says = re.search(r"pip install 'telenano\[[a-z,]+\]'", done.stderr)
+        works = done.returncode in (0, 3)
+        promised = set(extras) & set(works_with.split())
+        # without a rig, a device or a known scenario the last ones fail whatever is installed
+        explained = bool(says) or (bool(extras) and not works_with) or line == "estop"
+        if "Traceback" in done.stderr or not (works or (explained and not promised)):
+            wrong[line] = (done.returncode, done.stderr[-600:])
+    assert not wrong
+
+
+def test_the_library_reads_a_recording_or_says_what_to_add(
+    installed: Installation, request: pytest.FixtureRequest
+) -> None:
+    program = f"import telenano; print(len(telenano.open({str(REFERENCE)!r}).table('afm/state')['time_s']))"
+    done = installed.run(str(installed.python), "-c", program)
+    if request.node.callspec.params["installed"]:
+        assert done.returncode == 0, done.stderr
+        assert int(done.stdout) > 100
+    else:
+        assert "pip install 'telenano[" in done.stderr

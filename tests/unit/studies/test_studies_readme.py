@@ -1,0 +1,91 @@
+"""The figures that the README states of studies are those that the studies give, read from its own tables."""
+
+import math
+from pathlib import Path
+
+import pytest
+
+from services.controller.config import LAWS
+from studies.merits import Merit, Network, Sample, Trial, run_merits
+from studies.stability import Jitter
+from studies.sweep import Journal, Sweep
+from studies.theory import critical_delay_s, loop_model
+
+README = (Path(__file__).resolve().parents[3] / "README.md").read_text(encoding="utf-8")
+# what the table calls a run that is not stable
+WORDS = {
+    "drifts": "drifting", "ripples": "limit_cycle", "cycles": "limit_cycle", "wrong": "wrong_force",
+    "lost": "contact_lost", "diverged": "diverged",
+}  # fmt: skip
+NAMES = {
+    "virtual impedance": "virtual_impedance",
+    "position–force": "position_force",
+    "model-mediated": "model_mediated",
+}
+
+
+def rows_of(heading: str) -> list[list[str]]:
+    """Return the cells of the table whose head begins with a text."""
+    lines = README[README.index(f"| {heading}") :].partition("\n\n")[0].splitlines()
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[2:]]
+
+
+def law_of(cell: str) -> str:
+    name = cell.partition(",")[0].lower()
+    return NAMES.get(name, name)
+
+
+def test_the_critical_delays_of_theory_are_those_of_the_readme() -> None:
+    rows = {law_of(row[0]): row[1] for row in rows_of("critical round trip, ms")}
+    for law in ("virtual_impedance", "position_force"):
+        stated = [float(text) for text in rows[law].split("/")]
+        models = [loop_model(law, LAWS[law].config(), stiffness) for stiffness in (10.0, 20.0, 38.0)]
+        found = [1e3 * critical_delay_s(model) for model in models if model is not None]
+        assert stated == [round(delay_ms, 2) for delay_ms in found]
+    # the others close no linear loop through the link
+    assert all(loop_model(law, LAWS[law].config(), 38.0) is None for law in LAWS if law not in rows)
+
+
+@pytest.fixture(scope="module")
+def merits(tmp_path_factory: pytest.TempPathFactory) -> dict[tuple[str, float, str, bool], dict[bool, Merit]]:
+    """The runs of the wall, as `study compare` makes them: by law, delay, hand and whether the link is bad."""
+    networks = (*map(Network, (50.0, 120.0, 250.0)), Network(120.0, Jitter(0.5, relative=True), 0.2))
+    trial = Trial(tuple(LAWS), networks, ("force", "ordinary"), (Sample("wall", 80.0),), 0, 3)
+    found: dict[tuple[str, float, str, bool], dict[bool, Merit]] = {}
+    for merit in run_merits(trial, Sweep(Journal(tmp_path_factory.mktemp("merits") / "journal.jsonl"), workers=2)):
+        key = (merit.law, merit.network.round_trip_ms, merit.hand, merit.network.random)
+        found.setdefault(key, {})[merit.clamp] = merit
+    return found
+
+
+COLUMNS = (
+    (50.0, "force", False), (120.0, "force", False), (250.0, "force", False),
+    (50.0, "ordinary", False), (120.0, "ordinary", False), (250.0, "ordinary", False), (120.0, "ordinary", True),
+)  # fmt: skip
+
+
+@pytest.mark.endurance
+@pytest.mark.parametrize("row", rows_of("stiff wall"), ids=lambda row: law_of(row[0]))
+def test_the_wall_of_the_readme_is_that_of_the_comparison(
+    row: list[str], merits: dict[object, dict[bool, Merit]]
+) -> None:
+    wrong = []
+    law = law_of(row[0])
+    for column, cell in zip(COLUMNS, row[1:8], strict=True):
+        for clamp, stated in zip((False, True), cell.split("/"), strict=True):
+            merit = merits[law, *column][clamp]
+            unstable = [result.verdict for result in merit.results if result.verdict != "stable"]
+            shares = [result.tip_n or 0.0 for result in merit.results]
+            worst = max(shares, key=lambda share: abs(share - 1.0))
+            as_stated = (
+                WORDS[stated.strip()] in unstable
+                if stated.strip() in WORDS
+                else not unstable and math.isclose(worst, float(stated), rel_tol=0.0, abs_tol=0.0051)
+            )
+            if not as_stated:
+                wrong.append((column, clamp, stated, unstable, shares))
+    for clamp, stated in zip((False, True), row[8].split("/"), strict=True):
+        peak_n = max(result.peak_n for result in merits[law, 120.0, "force", False][clamp].results)
+        if not math.isclose(peak_n, float(stated), rel_tol=6e-3, abs_tol=0.0):
+            wrong.append(("greatest", clamp, stated, peak_n))
+    assert not wrong
