@@ -37,6 +37,8 @@ from services.runtime.config import flatten
 
 # both recorders would have the topics of the loop cross the network a second time, over TCP
 EXCLUDED = {"master": ["law/*", "link/fates", "teleop/*", "afm/command"], "slave": ["law/*", "teleop/*"]}
+# which node has the end of the link's datagrams at a site
+ENDS = {"master": "delay_node@master", "slave": "controller@slave"}
 TUN_CABLE = Path(__file__).with_name("tun_cable.py")
 # the programme of fig12 lets go at 4.6 s
 DURATION_S = 5.0
@@ -111,9 +113,11 @@ def events_of_session(recording: Path) -> list[dict[str, Any]]:
 def one_way_ms(folder: Path) -> dict[str, float]:
     """Give what the end at a site measured of the direction that it receives."""
     (recording,) = sorted(folder.glob("session*.mcap"))
-    # at the master the copy of what the slave's end reports is named for the site
+    # the master's recorder has what the slave's end reports as well
     own: list[Any] = [
-        message.decode() for message in Recording(recording).messages() if message.channel_topic == "link/network"
+        message.decode()
+        for message in Recording(recording).messages()
+        if message.topic == "link/network" and message.src == ENDS[folder.name]
     ]
     if not own:
         return {}
@@ -155,6 +159,7 @@ def fig12(
     seed: int = 1,
     probe_into: Path | None = None,
     measured: Path | None = None,
+    duration_s: float = DURATION_S,
 ) -> dict[str, Any]:
     """Run fig12 at both sites and give what became of it.
 
@@ -176,11 +181,14 @@ def fig12(
         section = yaml.safe_load((measured / "delay_node.yaml").read_text())
         network = {key: measured.absolute() / name for key, name in flatten(section).items()}
         chosen["master"][-1] = f"recorder.exclude={json.dumps([t for t in EXCLUDED['master'] if t != 'link/fates'])}"
+    if probe_into is not None:
+        # its imports take longer than the programme where the rig has the processors
+        assert rig.master.telenano("scenario", "list").returncode == 0
     try:
         rig.slave.start(*chosen["slave"])
         rig.master.start(
             *chosen["master"],
-            *("--duration", str(DURATION_S)),
+            *("--duration", str(duration_s)),
             *("--set", f"delay_node.seed={seed}"),
             *([f"--set=delay_node.{key}={value}" for key, value in network.items()] if injected else []),
         )

@@ -35,6 +35,8 @@ from services.runtime.datagram.sealing import MOST_BYTES, OVERHEAD_BYTES, TAG_BY
 _BATCH = 64
 _MAINTAIN_NS = 50_000_000
 _REPORT_NS = 500_000_000
+# how long what is due waits for a turn in which nothing has arrived; a node that is asked in every turn has many
+_PUT_OFF_NS = 20_000_000
 # silence after which the other way is taken, and time that datagrams have to come before they are relied upon
 SILENCE_NS = 300_000_000
 TRIED_NS = 500_000_000
@@ -226,7 +228,8 @@ class DatagramEnd:
                 found = self.subscriber.take(waiting)
         if now >= self.due_ns:
             found = self.subscriber.take(self._released(now))
-        if now >= self._maintain_ns:
+        # what has arrived comes first: a report takes half a millisecond
+        if now >= self._maintain_ns + (_PUT_OFF_NS if found else 0):
             self._maintain_ns = now + _MAINTAIN_NS
             self.maintain(now)
         return found
@@ -335,9 +338,9 @@ class DatagramEnd:
         if now_ns - self._exchange_ns >= _EXCHANGE_NS and self._best is not None:
             self.offset.record(self._best)
             self._best, self._exchange_ns = None, now_ns
+        self.account.settle(now_ns)
         if now_ns >= self._report_ns:
             self._report_ns = now_ns + _REPORT_NS
-            self.account.settle(now_ns)
             self._count_kernel_drops()
             if self._expected:
                 self.repeats.adapt(*self._acknowledged_counts)
