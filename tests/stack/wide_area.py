@@ -272,21 +272,29 @@ def table_lines(rows: list[dict[str, Any]]) -> list[str]:
     for row in rows:
         ways = cells.setdefault((row["law"], row["delay_ms"], row["loss"]), {})
         ways.setdefault("real" if row["network"] == "auto" else row["network"], []).append(row)
-    lines = ["| law | each way, loss | over the cable | injected | lockstep, draws | |", "|---|---|---|---|---|---|"]
+    with_injected = any(row["network"] == "injected" for row in rows)
+    heads = ["law", "each way, loss", "over the cable", *(["injected"] if with_injected else []), "lockstep, draws", ""]
+    lines = [_row(heads), "|" + "---|" * len(heads)]
     for (law, delay_ms, loss), ways in sorted(cells.items()):
         real, injected = ([row for row in ways.get(way, []) if not row["distorted"]] for way in ("real", "injected"))
+        if not real:
+            continue
         drawn = Counter(verdict for row in ways.get("lockstep", []) for verdict in row["verdicts"])
-        shown = [", ".join(_live(row) for row in runs) or "-" for runs in (real, injected)]
+        shown = [", ".join(map(_live, runs)) or "-" for runs in ((real, injected) if with_injected else (real,))]
+        counted = ", ".join(f"{count} {verdict}" for verdict, count in drawn.most_common())
         among = {row["verdict"] for row in injected} | set(drawn)
-        same = "" if not real or not among else "same" if all(row["verdict"] in among for row in real) else "differs"
-        counted = ", ".join(f"{count} {verdict}" for verdict, count in drawn.most_common()) or "-"
-        lines.append(f"| {law} | {delay_ms:g} ms, {loss:.0%} | {shown[0]} | {shown[1]} | {counted} | {same} |")
+        same = "same" if all(row["verdict"] in among for row in real) else "differs"
+        lines.append(_row([law, f"{delay_ms:g} ms, {loss:.0%}", *shown, counted, same if among else ""]))
     left_out = [row for row in rows if row.get("distorted")]
     lines += [f"{len(left_out)} sessions left out because the cable was late itself:"] if left_out else []
     for row in left_out:
         name = f"{row['law']}, {row['delay_ms']:g} ms, {row['loss']:.0%}, {row['network']}"
         lines.append(f"{name}: {_live(row)}; {row['distorted']}")
     return lines
+
+
+def _row(cells: list[str]) -> str:
+    return f"| {' | '.join(cells)} |"
 
 
 def _live(row: dict[str, Any]) -> str:

@@ -288,6 +288,28 @@ def test_delays_are_measured_across_clocks_that_differ() -> None:
         assert found.number.to_numpy().tolist() == sorted(found.number.to_numpy().tolist())
 
 
+def test_a_report_waits_for_a_turn_in_which_nothing_has_arrived(ends: Pair) -> None:
+    ends.joined()
+    slave = ends.slave
+    slave.end._maintain_ns = slave.end._report_ns = slave.clock.monotonic_ns()
+    ends.master.send()
+    published, seen = len(slave.outlet.sent), len(slave.received)
+    slave.take()
+    assert len(slave.received) == seen + 1
+    assert len(slave.outlet.sent) == published
+    slave.take()
+    assert [topic for topic, _ in slave.outlet.sent[published:]] == ["link/network"]
+    # where every turn brings something it does not wait for ever
+    for _ in range(3):
+        slave.end._report_ns = 0
+        published = len(slave.outlet.sent)
+        for _ in range(8):
+            slave.clock.advance_ns(STEP_NS)
+            ends.master.send()
+            slave.take()
+        assert len(slave.outlet.sent) > published
+
+
 class Attacker:
     """Someone on the network: sees every datagram to the slave's end, and sends what he likes."""
 
