@@ -4,6 +4,8 @@
 
 Two network namespaces are joined by the cable of tests/stack/tun_cable.py. At one end a process sends teleop/forward
 at 1 kHz, at the other one looks at each millisecond how old the newest sample is. It needs root and the command `ip`.
+The cable is a process: how many packets it handed over more than a millisecond late, and how long it got no processor
+at most, is printed with each figure.
 """
 
 import argparse
@@ -17,9 +19,10 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -33,8 +36,8 @@ _WARM_UP_S = 2.0
 
 
 @contextmanager
-def cable(delay_s: float, loss: float, seed: int) -> Iterator[tuple[str, str]]:
-    """Make two namespaces and join them; gives their names."""
+def cable(delay_s: float, loss: float, seed: int) -> Iterator[tuple[tuple[str, str], Callable[[], dict[str, Any]]]]:
+    """Make two namespaces and join them; gives their names, and what the cable has counted when it is asked."""
     token = secrets.token_hex(3)
     names = (f"wa{token}", f"wb{token}")
     for name in names:
@@ -44,9 +47,18 @@ def cable(delay_s: float, loss: float, seed: int) -> Iterator[tuple[str, str]]:
         command = [sys.executable, str(TUN_CABLE), names[0], f"{THERE}/24", names[1], f"{HERE}/24"]
         options = ["--delay-s", str(delay_s), "--loss", str(loss), "--seed", str(seed)]
         wire = subprocess.Popen([*command, *options], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        assert wire.stdin is not None
         assert wire.stdout is not None
         assert wire.stdout.readline() == "ready\n"
-        yield names
+        questions, answers = wire.stdin, wire.stdout
+
+        def ask() -> dict[str, Any]:
+            questions.write("{}\n")
+            questions.flush()
+            found: dict[str, Any] = json.loads(answers.readline())
+            return found
+
+        yield names, ask
     finally:
         if wire is not None:
             wire.kill()
@@ -173,9 +185,9 @@ def _run_link(seconds: float, folder: Path, *, sending: bool) -> list[float]:
     return ages
 
 
-def measure(way: str, delay_s: float, loss: float, seconds: float) -> list[float]:
-    """Give the ages [ms] of one way over one network."""
-    with cable(delay_s, loss, seed=1) as names, tempfile.TemporaryDirectory() as folder:
+def measure(way: str, delay_s: float, loss: float, seconds: float) -> tuple[list[float], str]:
+    """Give the ages [ms] of one way over one network, and how late the cable was itself."""
+    with cable(delay_s, loss, seed=1) as (names, ask), tempfile.TemporaryDirectory() as folder:
         if way == "link":
             make_keys(Path(folder))
         base = [sys.executable, __file__, "--be"]
@@ -184,10 +196,13 @@ def measure(way: str, delay_s: float, loss: float, seconds: float) -> list[float
         receiver = ["ip", "netns", "exec", names[1], *base, "receive", *common]
         try:
             done = subprocess.run(receiver, stdout=subprocess.PIPE, check=True, timeout=seconds + 60)
+            counts = ask()
         finally:
             sender.kill()
             sender.wait()
-    return [float(age) for age in json.loads(done.stdout)]
+    held_up_ms = max((ms for _, ms in counts["held_up"]), default=0.0)
+    late = f"cable: {counts['late']} of {counts['delivered']} late, {held_up_ms:.0f} ms at most"
+    return [float(age) for age in json.loads(done.stdout)], late
 
 
 def make_keys(folder: Path) -> None:
@@ -231,14 +246,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
         print("age of the newest sample at each millisecond, p50 / p99 / max [ms]")
     for delay_ms in given.delays_ms:
         for loss in given.losses:
-            row: dict[str, object] = {"delay_ms": delay_ms, "loss": loss}
+            row: dict[str, Any] = {"delay_ms": delay_ms, "loss": loss}
             for way in given.ways.split(","):
-                ages = measure(way, delay_ms * 1e-3, loss, given.seconds)
+                ages, row[f"{way}_cable"] = measure(way, delay_ms * 1e-3, loss, given.seconds)
                 row[way] = [round(float(np.percentile(ages, q)), 1) for q in (50, 99, 100)] if ages else []
             if given.json:
                 print(json.dumps(row), flush=True)
             else:
-                figures = (f"{way} {' / '.join(map(str, row[way]))}" for way in given.ways.split(","))  # type: ignore[arg-type]
+                figures = (
+                    f"{way} {' / '.join(map(str, row[way]))} ({row[f'{way}_cable']})" for way in given.ways.split(",")
+                )
                 print(f"{delay_ms:5.0f} ms {loss:5.1%}  " + "   ".join(figures), flush=True)
 
 

@@ -3,25 +3,42 @@
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
+import machine
 import pytest
 from two_sites import SLAVE, TwoSites, needs_namespaces
-from wide_area import WideAreaCable, fig12
+from wide_area import WideAreaCable, draws, fig12
 
 pytestmark = [needs_namespaces, pytest.mark.stack, pytest.mark.endurance, pytest.mark.timeout(600)]
+
+
+ATTEMPTS = 3
+
+
+def undistorted(folder: Path, *network: Any, **chosen: Any) -> dict[str, Any]:
+    """Run fig12 over a cable that was in time itself; a session in which it was not is reported, and tried again."""
+    for attempt in range(ATTEMPTS):
+        found = fig12(folder / str(attempt), *network, **chosen)
+        if not found["distorted"]:
+            return found
+        machine.note(f"a session of {network} is no measurement of the link ({found['verdict']}): {found['distorted']}")
+    pytest.skip(f"{ATTEMPTS} sessions of {network}, and the cable was late in each of them")
 
 
 @pytest.mark.parametrize(("delay_ms", "loss"), [(10.0, 0.05), (50.0, 0.02), (50.0, 0.05)])
 def test_a_network_that_loses_packets_is_borne_as_the_injected_one_is(
     tmp_path: Path, delay_ms: float, loss: float
 ) -> None:
-    real = fig12(tmp_path / "real", delay_ms, loss, "passivity")
-    injected = fig12(tmp_path / "injected", delay_ms, loss, "passivity", injected=True)
+    real = undistorted(tmp_path / "real", delay_ms, loss, "passivity")
+    injected = undistorted(tmp_path / "injected", delay_ms, loss, "passivity", injected=True)
     # a lost packet delays nothing but itself: over TCP the median alone is older by a round trip
     assert real["loop_age_ms"]["p50"] < injected["loop_age_ms"]["p50"] + 5.0
     for run in (real, injected):
         assert run["hold_ratio"] == pytest.approx(1.0, abs=0.005)
     assert real["deadlines_missed"] == 0
+    # a session is one draw of the losses
+    assert real["verdict"] in {injected["verdict"], *draws("passivity", delay_ms, loss)}
     for measured in real["one_way_ms_at"].values():
         # what the cable did, within the time that a busy machine takes to notice
         assert measured["p50"] == pytest.approx(delay_ms, abs=3.0)

@@ -4,10 +4,18 @@
 
 Each end is a TUN device `wan0` with its address (`10.78.0.1/24`, or IPv6), in a namespace that exists. A line of JSON
 on standard input changes what holds from then on, such as `{"delay_s": 0.05, "loss": 0.02, "block_udp": true}`; the
-answer on standard output is a line with the packets taken, delivered and dropped so far. It needs root.
+answer on standard output is a line with the packets taken, delivered and dropped so far, how late the cable was itself,
+and what it did as an attacker. It needs root.
 
 The kernel's own tools are not everywhere: `netem` is a module that many kernels lack. What is delayed by a constant
 stays in order, so a loss is all that TCP has to bear, and a datagram never waits for another.
+
+A process that carries packets needs a processor, and may get one too late. What it handed over late, and when it was
+held up, is in every answer: a measurement over a cable that was late says nothing about the network.
+
+With `tamper` it is the attacker on the line as well: of that share of the datagrams it delivers, by turns, a second
+copy, a changed one, a cut one, one that is too long, and one that begins with no known key, all from the sender's
+address; or it holds the genuine one back until others have overtaken it.
 """
 
 import argparse
@@ -15,6 +23,7 @@ import contextlib
 import ctypes
 import fcntl
 import heapq
+import itertools
 import json
 import os
 import random
@@ -23,6 +32,7 @@ import struct
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -31,6 +41,14 @@ _CLONE_NEWNET = 0x40000000
 DEVICE = "wan0"
 _UDP = 17
 _PRIORITY = 70
+_NS = 1_000_000_000
+# handed over later than this after its time, a packet is late; held up for longer than this, the cable is
+LATE_NS, HELD_UP_NS = 1_000_000, 2_000_000
+# while packets flow it looks this often, so that a time in which it got no processor shows whatever it waited for
+_LOOK_NS, _FLOWING_NS = 1_000_000, 100_000_000
+_MOST_TOLD = 1000
+# of what the attacker does: behind so many milliseconds of others, and longer than any datagram of the link
+_BEHIND_NS, _OVERSIZED_BYTES = 5_000_000, 1201
 
 
 @dataclass
@@ -41,16 +59,26 @@ class Impairment:
     loss: float = 0.0
     block_udp: bool = False
     cut: bool = False
+    tamper: float = 0.0
 
 
 @dataclass
 class Counts:
-    """Packets since the start, both directions."""
+    """Packets since the start, both directions.
+
+    late: handed over more than LATE_NS after their time; held_up: when the cable got no processor for more than
+    HELD_UP_NS, and for how long [ns of the epoch, ms]; cpu_s: processor time used [s]; attacks: what was done to those
+    for each end, by what its reader should call it.
+    """
 
     taken: int = 0
     delivered: int = 0
     dropped: int = 0
+    late: int = 0
+    cpu_s: float = 0.0
     bytes_taken: list[int] = field(default_factory=lambda: [0, 0])
+    held_up: list[tuple[int, float]] = field(default_factory=list)
+    attacks: list[dict[str, int]] = field(default_factory=lambda: [{}, {}])
 
 
 def open_end(namespace: str, address: str) -> int:
@@ -79,6 +107,36 @@ def is_udp(packet: bytes) -> bool:
     return packet[9] == _UDP if packet[0] >> 4 == 4 else packet[6] == _UDP
 
 
+def with_payload(packet: bytes, payload: bytes) -> bytes:
+    """Return an IPv4 packet of UDP with another payload, checksums made anew; without one for UDP, as IPv4 permits."""
+    head = (packet[0] & 0x0F) * 4
+    header = bytearray(packet[:head])
+    header[2:4] = (head + 8 + len(payload)).to_bytes(2, "big")
+    header[10:12] = bytes(2)
+    total = sum(struct.unpack(f"!{head // 2}H", header))
+    while total >> 16:
+        total = (total & 0xFFFF) + (total >> 16)
+    header[10:12] = (~total & 0xFFFF).to_bytes(2, "big")
+    ports = packet[head : head + 4]
+    return bytes(header) + ports + (8 + len(payload)).to_bytes(2, "big") + bytes(2) + payload
+
+
+def payload_of(packet: bytes) -> bytes:
+    """Return the payload of an IPv4 packet of UDP."""
+    return packet[(packet[0] & 0x0F) * 4 + 8 :]
+
+
+# what a reader should call it, and what becomes of the payload; the genuine datagram is delivered as well
+ATTACKS: dict[str, Callable[[bytes], bytes]] = {
+    "replayed": lambda payload: payload,
+    "forged": lambda payload: payload[:-1] + bytes((payload[-1] ^ 1,)),
+    "truncated": lambda payload: payload[:20],
+    "oversized": lambda payload: payload.ljust(_OVERSIZED_BYTES, b"\0"),
+    "unknown_key": lambda payload: bytes(byte ^ 0xFF for byte in payload[:4]) + payload[4:],
+}
+REORDERED = "reordered"
+
+
 class Cable:
     """Both ends, and what is under way between them."""
 
@@ -87,27 +145,44 @@ class Cable:
         self.counts = Counts()
         self._ends = ends
         self._draws = (random.Random(f"{seed} there"), random.Random(f"{seed} back"))
+        self._attacks = tuple(random.Random(f"{seed} attacks {place}") for place in range(2))
+        self._by_turns = tuple(itertools.cycle([*ATTACKS, REORDERED]) for _ in range(2))
         self._under_way: list[tuple[int, int, int, bytes]] = []
+        self._order = itertools.count()
 
     def run(self) -> None:
         """Carry packets until standard input ends."""
+        flowed_ns = time.monotonic_ns()
         while True:
-            due_ns = self._under_way[0][0] if self._under_way else None
-            left_ns = 10**9 if due_ns is None else due_ns - time.monotonic_ns()
+            now = time.monotonic_ns()
+            due_ns = self._under_way[0][0] if self._under_way else now + _NS
+            until_ns = min(due_ns, now + (_LOOK_NS if now - flowed_ns < _FLOWING_NS else _NS))
             # slept and not spun: at real-time priority that would take a processor from the rig
-            wait_s = max(0, left_ns) * 1e-9
-            ready, _, _ = select.select([*self._ends, 0], [], [], wait_s)
+            ready, _, _ = select.select([*self._ends, 0], [], [], max(0, until_ns - now) * 1e-9)
+            if 0 in ready and not self._obey():
+                return
+            taken = self.counts.taken
             for place, end in enumerate(self._ends):
                 if end in ready:
                     self._take(place, end)
             self._deliver()
-            if 0 in ready:
-                line = sys.stdin.readline()
-                if not line:
-                    return
-                for key, value in json.loads(line).items():
-                    setattr(self.impairment, key, value)
-                _say(json.dumps(vars(self.counts)))
+            awake_ns = time.monotonic_ns()
+            if taken != self.counts.taken:
+                flowed_ns = awake_ns
+            held_up_ns = awake_ns - max(until_ns, now)
+            if held_up_ns > HELD_UP_NS and len(self.counts.held_up) < _MOST_TOLD:
+                self.counts.held_up.append((time.time_ns(), held_up_ns * 1e-6))
+
+    def _obey(self) -> bool:
+        """Change what the line on standard input says, and answer; False when there is none any more."""
+        line = sys.stdin.readline()
+        if not line:
+            return False
+        for key, value in json.loads(line).items():
+            setattr(self.impairment, key, value)
+        self.counts.cpu_s = time.process_time()
+        _say(json.dumps(vars(self.counts)))
+        return True
 
     def _take(self, place: int, end: int) -> None:
         for _ in range(64):
@@ -123,12 +198,33 @@ class Cable:
             lost = self._draws[place].random() < rules.loss
             if lost or rules.cut or (rules.block_udp and is_udp(packet)):
                 counts.dropped += 1
-            else:
-                heapq.heappush(self._under_way, (now + round(rules.delay_s * 1e9), counts.taken, 1 - place, packet))
+                continue
+            due_ns = now + round(rules.delay_s * 1e9)
+            if rules.tamper and packet[0] >> 4 == 4 and is_udp(packet):
+                due_ns += self._tamper(place, packet, due_ns)
+            self._send(place, packet, due_ns)
+
+    def _send(self, place: int, packet: bytes, due_ns: int) -> None:
+        heapq.heappush(self._under_way, (due_ns, next(self._order), 1 - place, packet))
+
+    def _tamper(self, place: int, packet: bytes, due_ns: int) -> int:
+        """Attack with a datagram, perhaps; return by how much the genuine one is held back [ns]."""
+        if self._attacks[place].random() >= self.impairment.tamper:
+            return 0
+        attack, done = next(self._by_turns[place]), self.counts.attacks[1 - place]
+        done[attack] = done.get(attack, 0) + 1
+        if attack == REORDERED:
+            return _BEHIND_NS
+        # a copy is one once the genuine datagram has arrived
+        later_ns = _BEHIND_NS if attack == "replayed" else 0
+        self._send(place, with_payload(packet, ATTACKS[attack](payload_of(packet))), due_ns + later_ns)
+        return 0
 
     def _deliver(self) -> None:
         while self._under_way and self._under_way[0][0] <= time.monotonic_ns():
-            _, _, place, packet = heapq.heappop(self._under_way)
+            due_ns, _, place, packet = heapq.heappop(self._under_way)
+            # with no delay at all it is due at the moment at which it was taken
+            self.counts.late += time.monotonic_ns() - due_ns > LATE_NS
             try:
                 os.write(self._ends[place], packet)
                 self.counts.delivered += 1

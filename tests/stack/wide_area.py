@@ -3,27 +3,48 @@
     python tests/stack/wide_area.py --delay-ms 50 --loss 0.02 [--law passivity] [--transport auto] [--injected]
 
 runs `fig12` once at both sites and prints what became of it as a line of JSON.
+
+    python tests/stack/wide_area.py --table cells.jsonl --laws all --delays-ms 10,50 --losses 0,0.02,0.05
+
+runs each law over the cable, over a perfect cable with the same network injected, and in lockstep with as many draws
+of it as `study validate` takes, and prints what became of each, side by side. Cells that are in the file are not run
+again, so a table may be made in parts; `--cells N` ends after N sessions. A session in which the cable itself was late
+is no measurement: it is named below the table, and run again the next time.
 """
 
 import argparse
 import contextlib
+import itertools
 import json
 import secrets
 import subprocess
 import sys
 import tempfile
+import time
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 from tun_cable import DEVICE
 from two_sites import MASTER, SLAVE, Cable, TwoSites
 
+import studies.values
+from analysis.network_trace import QUANTILES
 from recording.reader import Recording
+from services.runtime.config import flatten
 
 # both recorders would have the topics of the loop cross the network a second time, over TCP
 EXCLUDED = {"master": ["law/*", "link/fates", "teleop/*", "afm/command"], "slave": ["law/*", "teleop/*"]}
+# which node has the end of the link's datagrams at a site
+ENDS = {"master": "delay_node@master", "slave": "controller@slave"}
 TUN_CABLE = Path(__file__).with_name("tun_cable.py")
+# the programme of fig12 lets go at 4.6 s
+DURATION_S = 5.0
+# a cable that was later than this is no measurement of the link: of the packets that it handed over more than 1 ms
+# late, and of the time for which it got no processor [ms]
+LATE_SHARE, HELD_UP_MS = 0.01, 10.0
 
 
 class WideAreaCable(Cable):
@@ -60,6 +81,27 @@ class WideAreaCable(Cable):
         super().close()
 
 
+def lateness(counts: dict[str, Any], before: dict[str, Any], begin_ns: int, end_ns: int) -> dict[str, Any]:
+    """Give how late the cable was itself between two times [ns], from its counts then and at the first."""
+    held_up_ms = [ms for at_ns, ms in counts["held_up"] if begin_ns <= at_ns < end_ns]
+    delivered = counts["delivered"] - before["delivered"]
+    return {
+        "delivered": delivered,
+        "late": counts["late"] - before["late"],
+        "held_up": len(held_up_ms),
+        "held_up_ms": round(max(held_up_ms, default=0.0), 1),
+        "cpu_percent": round(100.0 * (counts["cpu_s"] - before["cpu_s"]) * 1e9 / (end_ns - begin_ns), 1),
+    }
+
+
+def distorted(cable: dict[str, Any]) -> str:
+    """Say how the cable itself was late in a session; empty when it was not."""
+    late, delivered, held_up_ms = cable["late"], cable["delivered"], cable["held_up_ms"]
+    if late <= LATE_SHARE * delivered and held_up_ms <= HELD_UP_MS:
+        return ""
+    return f"the cable handed over {late} of {delivered} packets late, and was held up by {held_up_ms} ms at most"
+
+
 def events_of_session(recording: Path) -> list[dict[str, Any]]:
     """Give the events of the slave's recording until the master's site was ended, which cuts its connections."""
     found = [message.fields() for message in Recording(recording).messages() if message.topic == "session/event"]
@@ -71,9 +113,11 @@ def events_of_session(recording: Path) -> list[dict[str, Any]]:
 def one_way_ms(folder: Path) -> dict[str, float]:
     """Give what the end at a site measured of the direction that it receives."""
     (recording,) = sorted(folder.glob("session*.mcap"))
-    # at the master the copy of what the slave's end reports is named for the site
+    # the master's recorder has what the slave's end reports as well
     own: list[Any] = [
-        message.decode() for message in Recording(recording).messages() if message.channel_topic == "link/network"
+        message.decode()
+        for message in Recording(recording).messages()
+        if message.topic == "link/network" and message.src == ENDS[folder.name]
     ]
     if not own:
         return {}
@@ -92,49 +136,92 @@ def one_way_ms(folder: Path) -> dict[str, float]:
     }
 
 
+def injected_ms(folder: Path) -> dict[str, list[float]]:
+    """Give by direction the quantiles of the delays that the link applied to the samples of the loop [ms]."""
+    (recording,) = sorted(folder.glob("session*.mcap"))
+    found: dict[str, list[float]] = {}
+    for message in Recording(recording).messages():
+        if message.topic == "link/fates":
+            report: Any = message.decode()
+            fates = [fate for fate in report.fates if fate.topic == f"teleop/{report.direction}" and not fate.dropped]
+            found.setdefault(report.direction, []).extend(fate.delay_ns * 1e-6 for fate in fates)
+    return {way: [round(float(q), 3) for q in np.quantile(delays, QUANTILES)] for way, delays in found.items()}
+
+
 def fig12(
-    folder: Path, delay_ms: float, loss: float, law: str, transport: str = "auto", *, injected: bool = False
+    folder: Path,
+    delay_ms: float,
+    loss: float,
+    law: str,
+    transport: str = "auto",
+    *,
+    injected: bool = False,
+    seed: int = 1,
+    probe_into: Path | None = None,
+    measured: Path | None = None,
+    duration_s: float = DURATION_S,
 ) -> dict[str, Any]:
     """Run fig12 at both sites and give what became of it.
 
-    Parameters: injected, the network is perfect and the link injects delay and loss in its place.
+    Parameters: injected, the network is perfect and the link injects delay and loss in its place; seed, of the losses;
+    probe_into, folder for what `telenano link probe` makes meanwhile; measured, such a folder, injected in their place.
     """
-    cable = WideAreaCable(0.0 if injected else delay_ms * 1e-3, 0.0 if injected else loss)
+    injected = injected or measured is not None
+    folder.mkdir(parents=True, exist_ok=True)
+    cable = WideAreaCable(0.0 if injected else delay_ms * 1e-3, 0.0 if injected else loss, seed)
     rig = TwoSites(folder, cable=cable, transport=transport)
     law_of = ["--set", f"controller.law={law}"]
     chosen = {site: [*law_of, "--set", f"recorder.exclude={json.dumps(EXCLUDED[site])}"] for site in EXCLUDED}
-    network = [
-        f"{way}.{key}"
+    network = {
+        f"{way}.{key}": value
         for way in ("forward", "backward")
-        for key in (f"delay_s={delay_ms * 1e-3}", f"loss.probability={loss}")
-    ]
+        for key, value in (("delay_s", delay_ms * 1e-3), ("loss.probability", loss))
+    }
+    if measured is not None:
+        section = yaml.safe_load((measured / "delay_node.yaml").read_text())
+        network = {key: measured.absolute() / name for key, name in flatten(section).items()}
+        chosen["master"][-1] = f"recorder.exclude={json.dumps([t for t in EXCLUDED['master'] if t != 'link/fates'])}"
+    if probe_into is not None:
+        # its imports take longer than the programme where the rig has the processors
+        assert rig.master.telenano("scenario", "list").returncode == 0
     try:
         rig.slave.start(*chosen["slave"])
         rig.master.start(
             *chosen["master"],
-            *([word for key in network for word in ("--set", f"delay_node.{key}")] if injected else []),
+            *("--duration", str(duration_s)),
+            *("--set", f"delay_node.seed={seed}"),
+            *([f"--set=delay_node.{key}={value}" for key, value in network.items()] if injected else []),
         )
         rig.wait_until(rig.running, "a running session", 60.0)
+        before, begin_ns = cable.change(), time.time_ns()
+        if probe_into is not None:
+            done = rig.master.telenano("link", "probe", "--duration", "3", "--out", str(probe_into))
+            assert done.returncode == 0, done.stderr
         assert rig.master.process is not None
         rig.master.process.wait(timeout=60.0)
+        counts = cable.change()
+        cable_late = lateness(counts, before, begin_ns, time.time_ns())
         rig.slave.stop()
         summary = rig.master.summary()
         (recording,) = sorted(rig.slave.out.glob("session*.mcap"))
         events = events_of_session(recording)
         deadlines = [event for event in events if "command_deadline" in str(event["data"].get("reason", ""))]
-        counts = cable.change()
         delays = {site.name: one_way_ms(site.out) for site in (rig.master, rig.slave)}
         return {
             "delay_ms": delay_ms,
             "loss": loss,
             "law": law,
+            "seed": seed,
             "network": "injected" if injected else transport,
             "hold_ratio": summary["hold_ratio"],
             "verdict": summary["verdict"],
             "reason": summary["reason"],
             "loop_age_ms": summary["loop_age_ms"],
             "one_way_ms_at": delays,
+            "injected_ms": injected_ms(rig.master.out) if measured is not None else {},
             "deadlines_missed": len(deadlines),
+            "cable": cable_late,
+            "distorted": distorted(cable_late),
             "sent_bytes": counts["bytes_taken"],
             "events": [event["text"] for event in events if event["kind"] == "network" and event["level"] != "info"],
         }
@@ -142,21 +229,120 @@ def fig12(
         rig.close()
 
 
+def draws(law: str, delay_ms: float, loss: float) -> list[str]:
+    """Give the verdicts of lockstep on the same programme over the same network, one for each draw of the losses."""
+    from studies.simulation import simulate_scenario
+    from studies.validate import SEEDS
+
+    verdicts = []
+    for seed in range(SEEDS if loss else 1):
+        chosen = {f"delay_node.{way}.loss.probability": loss for way in ("forward", "backward")} if loss else {}
+        settings = {**chosen, "delay_node.seed": seed}
+        run = simulate_scenario("fig12", law=law, delay_ms=delay_ms, duration_s=DURATION_S, settings=settings)
+        verdicts.append(run.verdict)
+    return verdicts
+
+
+def table(path: Path, cells: list[tuple[str, float, float]], networks: list[str], most: int) -> None:
+    """Run what is not yet in a file, at most so many sessions, and print all that is, side by side."""
+    lines = path.read_text().splitlines() if path.exists() else []
+    found = [json.loads(line) for line in lines]
+    known = {(row["law"], row["delay_ms"], row["loss"], row["network"]) for row in found if not row.get("distorted")}
+    for network in networks:
+        for law, delay_ms, loss in cells:
+            if (law, delay_ms, loss, network) in known or (network != "lockstep" and most <= 0):
+                continue
+            if network == "lockstep":
+                cell = {"law": law, "delay_ms": delay_ms, "loss": loss, "network": network}
+                row = {**cell, "verdicts": draws(law, delay_ms, loss)}
+            else:
+                most -= 1
+                with tempfile.TemporaryDirectory() as folder:
+                    row = fig12(Path(folder), delay_ms, loss, law, injected=network == "injected")
+            found.append(row)
+            with path.open("a") as out:
+                out.write(json.dumps(row) + "\n")
+    for line in table_lines(found):
+        sys.stdout.write(line + "\n")
+
+
+def table_lines(rows: list[dict[str, Any]]) -> list[str]:
+    """Give the rows of a table in Markdown: a law over a network, real, injected and in lockstep."""
+    cells: dict[tuple[str, float, float], dict[str, list[dict[str, Any]]]] = {}
+    for row in rows:
+        ways = cells.setdefault((row["law"], row["delay_ms"], row["loss"]), {})
+        ways.setdefault("real" if row["network"] == "auto" else row["network"], []).append(row)
+    with_injected = any(row["network"] == "injected" for row in rows)
+    heads = ["law", "each way, loss", "over the cable", *(["injected"] if with_injected else []), "lockstep, draws", ""]
+    lines = [_row(heads), "|" + "---|" * len(heads)]
+    for (law, delay_ms, loss), ways in sorted(cells.items()):
+        real, injected = ([row for row in ways.get(way, []) if not row["distorted"]] for way in ("real", "injected"))
+        if not real:
+            continue
+        drawn = Counter(verdict for row in ways.get("lockstep", []) for verdict in row["verdicts"])
+        shown = [", ".join(map(_live, runs)) or "-" for runs in ((real, injected) if with_injected else (real,))]
+        counted = ", ".join(f"{count} {verdict}" for verdict, count in drawn.most_common())
+        among = {row["verdict"] for row in injected} | set(drawn)
+        same = "same" if all(row["verdict"] in among for row in real) else "differs"
+        lines.append(_row([law, f"{delay_ms:g} ms, {loss:.0%}", *shown, counted, same if among else ""]))
+    left_out = [row for row in rows if row.get("distorted")]
+    lines += [f"{len(left_out)} sessions left out because the cable was late itself:"] if left_out else []
+    for row in left_out:
+        name = f"{row['law']}, {row['delay_ms']:g} ms, {row['loss']:.0%}, {row['network']}"
+        lines.append(f"{name}: {_live(row)}; {row['distorted']}")
+    return lines
+
+
+def _row(cells: list[str]) -> str:
+    return f"| {' | '.join(cells)} |"
+
+
+def _live(row: dict[str, Any]) -> str:
+    ratio = "" if row["hold_ratio"] is None else f" {row['hold_ratio']:.3f}"
+    missed = f", {row['deadlines_missed']} deadlines missed" if row["deadlines_missed"] else ""
+    return f"{row['verdict']}{ratio}{missed}"
+
+
 def main() -> None:
-    """Run once and print."""
+    """Run once and print, or make a table."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--delay-ms", type=float, default=50.0)
     parser.add_argument("--loss", type=float, default=0.02)
     parser.add_argument("--law", default="passivity")
     parser.add_argument("--transport", default="auto")
     parser.add_argument("--injected", action="store_true")
+    parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path, help="folder to keep what both sites wrote in; must not exist")
+    parser.add_argument("--table", type=Path, help="file of the cells of a table, one JSON object a line")
+    parser.add_argument("--laws", default="all")
+    parser.add_argument("--delays-ms", type=numbers, default=[10.0, 50.0])
+    parser.add_argument("--losses", type=numbers, default=[0.0, 0.02, 0.05])
+    parser.add_argument("--networks", default="auto,injected,lockstep", help="which columns of the table to run now")
+    parser.add_argument("--cells", type=int, default=1000, help="most sessions to run now")
     given = parser.parse_args()
+    if given.table is not None:
+        laws = studies.values.laws(given.laws)
+        cells = list(itertools.product(laws, given.delays_ms, given.losses))
+        table(given.table, cells, given.networks.split(","), given.cells)
+        return
     if given.out is not None:
         given.out.mkdir(parents=True)
     with tempfile.TemporaryDirectory() if given.out is None else contextlib.nullcontext(given.out) as folder:
-        found = fig12(Path(folder), given.delay_ms, given.loss, given.law, given.transport, injected=given.injected)
+        found = fig12(
+            Path(folder),
+            given.delay_ms,
+            given.loss,
+            given.law,
+            given.transport,
+            injected=given.injected,
+            seed=given.seed,
+        )
     sys.stdout.write(json.dumps(found) + "\n")
+
+
+def numbers(text: str) -> list[float]:
+    """Return numbers separated by commas."""
+    return [float(word) for word in text.split(",")]
 
 
 if __name__ == "__main__":

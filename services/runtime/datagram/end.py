@@ -3,6 +3,8 @@
 It stands beside the subscriber that receives the same topics over TCP, and hands it what arrives: decoding, roles of
 the other machine and tracking of numbers are the same on both ways. Who receives decides: while datagrams arrive, the
 topics are not subscribed over TCP; when none has come for a moment they are again, and datagrams are tried further on.
+At first they are not either: the keys come over TCP, and on a network that loses packets a thousand samples a second,
+which nobody needs once there are keys, would hold them up for as long as they are sent.
 The loop of the node calls it like a subscriber; nothing here runs in a thread, and each call does a bounded amount.
 """
 
@@ -33,12 +35,19 @@ from services.runtime.datagram.sealing import MOST_BYTES, OVERHEAD_BYTES, TAG_BY
 _BATCH = 64
 _MAINTAIN_NS = 50_000_000
 _REPORT_NS = 500_000_000
+# how long what is due waits for a turn in which nothing has arrived; a node that is asked in every turn has many
+_PUT_OFF_NS = 20_000_000
 # silence after which the other way is taken, and time that datagrams have to come before they are relied upon
 SILENCE_NS = 300_000_000
 TRIED_NS = 500_000_000
+# how long datagrams are waited for at first, from the first word of the other machine or the last change of keys
+FIRST_NS = 3_000_000_000
 # without an acknowledgement for so long only a few datagrams are sent, to find out when they arrive again
 _UNHEARD_NS = 1_000_000_000
 _UNOFFERED_NS = 5_000_000_000
+# how often the key is offered while none is agreed or nothing comes under it, and once datagrams flow: an end that is
+# started anew falls silent first
+_OFFER_NS, _CALM_OFFER_NS = 500_000_000, 5_000_000_000
 # exchanges of time stamps in view, the best of each tenth of a second: the clocks drift by microseconds in this time
 _CLOCK_WINDOW = 64
 _EXCHANGE_NS = 100_000_000
@@ -119,6 +128,10 @@ class DatagramEnd:
         self.sent_bytes = 0
         self.unsent = 0
         self.receiving: Way = "stream"
+        # whether the topics are subscribed over TCP, as they are when a subscriber is made
+        self._streaming = True
+        # from when on they are, if no datagram has come by then; None while nothing was heard of the other machine
+        self._stream_at_ns: int | None = None
         self._clock = clock
         self._place = place
         self._is_master = is_master
@@ -145,7 +158,8 @@ class DatagramEnd:
         self._acknowledged_counts = (0, 0)
         self._best: Exchange | None = None
         self._exchange_ns = now
-        self._maintain_ns = self._offer_ns = self._report_ns = now
+        self._maintain_ns = self._report_ns = now
+        self._offered_ns = now - _CALM_OFFER_NS
         self._next_reminder_ns = now + _UNOFFERED_NS
         self._kernel_drops = 0
         self.socket = socket.socket(place.family, socket.SOCK_DGRAM)
@@ -159,8 +173,7 @@ class DatagramEnd:
             raise
         self.descriptor = self.socket.fileno()
         subscriber.set_aside("link/key", self._hear_offer)
-        if not self._falls_back:
-            self._subscribe(streaming=False)
+        self._subscribe(streaming=False)
 
     # --- sending ---
 
@@ -215,7 +228,8 @@ class DatagramEnd:
                 found = self.subscriber.take(waiting)
         if now >= self.due_ns:
             found = self.subscriber.take(self._released(now))
-        if now >= self._maintain_ns:
+        # what has arrived comes first: a report takes half a millisecond
+        if now >= self._maintain_ns + (_PUT_OFF_NS if found else 0):
             self._maintain_ns = now + _MAINTAIN_NS
             self.maintain(now)
         return found
@@ -324,9 +338,9 @@ class DatagramEnd:
         if now_ns - self._exchange_ns >= _EXCHANGE_NS and self._best is not None:
             self.offset.record(self._best)
             self._best, self._exchange_ns = None, now_ns
+        self.account.settle(now_ns)
         if now_ns >= self._report_ns:
             self._report_ns = now_ns + _REPORT_NS
-            self.account.settle(now_ns)
             self._count_kernel_drops()
             if self._expected:
                 self.repeats.adapt(*self._acknowledged_counts)
@@ -349,11 +363,13 @@ class DatagramEnd:
                 self.account.begin(agreement.opener.window)
                 self.repeats.forget()
                 self._expected = 0
+                self._stream_at_ns = now_ns + FIRST_NS
             changed = changed or new
         if changed:
             self._admit()
-        if changed or now_ns >= self._offer_ns:
-            self._offer_ns = now_ns + _REPORT_NS
+        calm = not silent and agreement.sealer is not None
+        if changed or now_ns - self._offered_ns >= (_CALM_OFFER_NS if calm else _OFFER_NS):
+            self._offered_ns = now_ns
             answers = b"" if self._is_master else agreement.peer_public
             self._outlets.keys.publish("link/key", public_key=agreement.public.hex(), answers=answers.hex())
 
@@ -384,6 +400,11 @@ class DatagramEnd:
         if silence_ns > SILENCE_NS:
             self._tried_since_ns = None
         tried_ns = 0 if self._tried_since_ns is None else now_ns - self._tried_since_ns
+        if not self._streaming and self.receiving == "stream" and self._tried_since_ns is None:
+            if self._stream_at_ns is None and self.subscriber.trackers:
+                self._stream_at_ns = now_ns + FIRST_NS
+            if self._stream_at_ns is not None and now_ns >= self._stream_at_ns:
+                self._subscribe(streaming=True)
         if self.receiving == "stream" and tried_ns >= TRIED_NS:
             self.receiving = "datagram"
             self._subscribe(streaming=False)
@@ -393,7 +414,8 @@ class DatagramEnd:
             self.receiving = "stream"
             self._subscribe(streaming=True)
             self._warn(now_ns, f"no datagram has come from {self.machine} for {silence_ns * 1e-9:.1f} s")
-        elif self.receiving == "stream" and now_ns >= self._next_reminder_ns:
+        # before TCP is taken in their place nothing is wrong yet
+        elif self.receiving == "stream" and now_ns >= self._next_reminder_ns and self._streaming == self._falls_back:
             offered = bool(self._agreement.peer_public)
             what = "is blocked on the way" if offered else "may be in use by no link there: it has offered no key"
             self._warn(now_ns, f"UDP port {self._place.port} between here and {self.machine} {what}")
@@ -408,8 +430,9 @@ class DatagramEnd:
         self._events.append(ConnectionEvent(level, text, dict(data)))
 
     def _subscribe(self, *, streaming: bool) -> None:
-        if streaming and not self._falls_back:
+        if streaming == self._streaming or (streaming and not self._falls_back):
             return
+        self._streaming = streaming
         change = self.subscriber.socket.subscribe if streaming else self.subscriber.socket.unsubscribe
         for topic in self._received_topics:
             change(topic.encode())

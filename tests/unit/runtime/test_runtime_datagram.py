@@ -6,13 +6,15 @@ from collections.abc import Iterator
 
 import pytest
 from cryptography.hazmat.primitives.ciphers.aead import ChaCha20Poly1305
-from datagram_bench import STEP_NS, Pair, Side, pair
+from datagram_bench import SOURCES, STEP_NS, Pair, Side, pair
 from hypothesis import given
 from hypothesis import strategies as st
+from network_bench import payload
 
 from services.runtime.datagram.account import SETTLE_NS, ArrivalAccount
 from services.runtime.datagram.agreement import REKEY_NS, Agreement
 from services.runtime.datagram.body import MOST_SAMPLE_BYTES, REPORT, packed, parse
+from services.runtime.datagram.end import FIRST_NS
 from services.runtime.datagram.pacing import MOST_REPEATS, NETWORK_BYTES, Repeats, SendBudget, repeats_for
 from services.runtime.datagram.replay_window import WINDOW, ReplayWindow
 from services.runtime.datagram.sealing import (
@@ -286,6 +288,28 @@ def test_delays_are_measured_across_clocks_that_differ() -> None:
         assert found.number.to_numpy().tolist() == sorted(found.number.to_numpy().tolist())
 
 
+def test_a_report_waits_for_a_turn_in_which_nothing_has_arrived(ends: Pair) -> None:
+    ends.joined()
+    slave = ends.slave
+    slave.end._maintain_ns = slave.end._report_ns = slave.clock.monotonic_ns()
+    ends.master.send()
+    published, seen = len(slave.outlet.sent), len(slave.received)
+    slave.take()
+    assert len(slave.received) == seen + 1
+    assert len(slave.outlet.sent) == published
+    slave.take()
+    assert [topic for topic, _ in slave.outlet.sent[published:]] == ["link/network"]
+    # where every turn brings something it does not wait for ever
+    for _ in range(3):
+        slave.end._report_ns = 0
+        published = len(slave.outlet.sent)
+        for _ in range(8):
+            slave.clock.advance_ns(STEP_NS)
+            ends.master.send()
+            slave.take()
+        assert len(slave.outlet.sent) > published
+
+
 class Attacker:
     """Someone on the network: sees every datagram to the slave's end, and sends what he likes."""
 
@@ -438,6 +462,35 @@ class _Blocked:
         return getattr(self._real, name)
 
 
+def test_the_loop_is_asked_for_over_tcp_only_after_datagrams_had_their_chance(ends: Pair) -> None:
+    # the keys come over TCP as well, and a thousand samples a second would hold them up on a network that loses packets
+    ends.keys_cross = False
+    ends.turns(400)
+    # nothing was heard of the other site, which may be started in an hour
+    assert [side.log.topics for side in ends.sides] == [{"link/key"}, {"link/key"}]
+    # a site that is there, and offers no key
+    for side in ends.sides:
+        frames = [side.incoming.encode(), payload(side.incoming, SOURCES[side.incoming], 0)]
+        side.subscriber.take([(frames, side.clock.now_ns())])
+    turns = FIRST_NS // STEP_NS
+    ends.turns(turns - 10)
+    assert [side.log.topics for side in ends.sides] == [{"link/key"}, {"link/key"}]
+    ends.turns(20)
+    assert {"teleop/backward", "law/status"} <= ends.master.log.topics
+    assert "teleop/forward" in ends.slave.log.topics
+
+
+def test_datagrams_that_are_blocked_from_the_beginning_leave_tcp(ends: Pair) -> None:
+    for side in ends.sides:
+        side.end.socket = _Blocked(side.end.socket)  # type: ignore[assignment]
+    ends.turns(FIRST_NS // STEP_NS - 10)
+    assert "teleop/forward" not in ends.slave.log.topics
+    ends.turns(40)
+    assert "teleop/forward" in ends.slave.log.topics
+    assert {"teleop/backward", "law/status"} <= ends.master.log.topics
+    assert [side.end.receiving for side in ends.sides] == ["stream", "stream"]
+
+
 def test_an_end_that_may_not_fall_back_says_so(ends: Pair) -> None:
     with pair(transport="datagram") as strict:
         assert strict.slave.log.topics == {"link/key"}
@@ -476,6 +529,22 @@ def test_keys_that_change_in_mid_session_lose_nothing(ends: Pair) -> None:
         assert side.end.account.arrived == side.end.account.sent
         assert side.end.rejected in ({}, {"unknown_key": 1})
         assert side.end.receiving == "datagram"
+
+
+def test_a_key_that_is_in_use_is_hardly_ever_offered_and_at_once_where_it_is_lacking(ends: Pair) -> None:
+    ends.joined()
+
+    def offered(turns: int) -> list[int]:
+        before = [len(side.outlet.sent) for side in ends.sides]
+        ends.turns(turns)
+        sent = [side.outlet.sent[first:] for side, first in zip(ends.sides, before, strict=True)]
+        return [sum(topic == "link/key" for topic, _ in messages) for messages in sent]
+
+    assert max(offered(1000)) <= 2
+    # the other end was started anew, or keys are lost: nothing comes under those that are in use
+    for side in ends.sides:
+        side.end.socket = _Blocked(side.end.socket)  # type: ignore[assignment]
+    assert min(offered(200)) >= 3
 
 
 def test_a_revoked_machine_can_neither_send_nor_is_it_sent_anything(ends: Pair) -> None:
