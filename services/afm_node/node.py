@@ -9,11 +9,11 @@ from proto.messages import AfmCommand, Array, ClockPing, LinkDelay, SessionContr
 from services.afm_node import safety
 from services.afm_node.config import AfmConfig
 from services.afm_node.disturbed import DisturbedAfm
-from services.afm_node.driver import AfmDriver, DeviceReport
+from services.afm_node.driver import AfmDriver, DeviceReport, Oscillation, VibratingCantilever
 from services.afm_node.lateral import Place, moved
 from services.afm_node.program_config import changed_disturbances, requested
 from services.afm_node.programs import ProgramRunner
-from services.afm_node.raster import FinishedLine
+from services.afm_node.raster import FinishedLine, Measured
 from services.afm_node.step import LONGEST_STEP_NS, AfmSample, command_wait_ns
 from services.runtime.bus import Received
 from services.runtime.frames import to_paper_axis
@@ -28,6 +28,7 @@ _COMMAND_WAIT_NS = command_wait_ns(_PERIOD_NS)
 _PROGRAM_PERIOD_NS = 100_000_000
 _LONGEST_STEP_S = LONGEST_STEP_NS * 1e-9
 _ACTION_CODES = {name: code for code, name in safety.ACTION_NAMES.items()}
+_AT_REST = Oscillation(0.0, 0.0)
 _ALARMING = (
     safety.REASON_ESTOP,
     safety.REASON_FORCE_LIMIT,
@@ -61,6 +62,7 @@ class AfmNode(Node):
         self._hand_age = HandAge(context.key, self.clock.now_ns())
         self._driver = driver
         self._disturbed = driver if isinstance(driver, DisturbedAfm) else None
+        self._vibrating = driver if isinstance(driver, VibratingCantilever) else None
         self._limits = config.to_params().safety
         self._guard = safety.initial_safety_state(self._limits)
         self._command: AfmCommand | None = None
@@ -238,8 +240,12 @@ class AfmNode(Node):
     def _step_program(self, elapsed_s: float, *, estop: bool) -> safety.SafetyOutputs:
         """Take a step of the program that runs, and see to its end."""
         programs = self._programs
-        forces = self._force_n, self._lateral_n[0]
-        wanted, line = programs.step(self._guard.base_m, self._place, *forces, self._pointer, elapsed_s)
+        vibrating = self._vibrating
+        oscillation = _AT_REST if vibrating is None else vibrating.oscillation
+        measured = Measured(self._guard.base_m, self._place, self._force_n, self._lateral_n[0], oscillation)
+        wanted, line = programs.step(measured, self._pointer, elapsed_s)
+        if vibrating is not None:
+            vibrating.vibrate(wanted.amplitude_m)
         if line is not None:
             self._publish_line(line)
         asked = safety.SafetyInputs(
@@ -265,6 +271,8 @@ class AfmNode(Node):
                 level = "info" if programs.state == "finished" else "warning"
                 self.event("mode", level, report.text, program=report.program, program_state=report.state)
                 programs.end()
+                if vibrating is not None:
+                    vibrating.vibrate(0.0)
         return allowed
 
     def _move_laterally(self, wanted: Place, elapsed_s: float) -> None:
@@ -287,8 +295,8 @@ class AfmNode(Node):
             start_m=(*line.start, 0.0),
             end_m=(*line.end, 0.0),
             height_m=Array.from_numpy(line.height_m),
-            amplitude_m=None,
-            phase_rad=None,
+            amplitude_m=None if line.amplitude_m is None else Array.from_numpy(line.amplitude_m),
+            phase_rad=None if line.phase_rad is None else Array.from_numpy(line.phase_rad),
             **lateral,
         )
 
@@ -350,4 +358,6 @@ def _programs(config: AfmConfig, driver: AfmDriver) -> ProgramRunner:
     params = config.to_params()
     lateral = None if driver.stage is None else config.to_lateral_params()
     sides = config.sample_sides_m()
-    return ProgramRunner(params.safety, lateral, sides, config.cantilever.stiffness_n_per_m, PERIOD_S)
+    vibrates = isinstance(driver, VibratingCantilever)
+    stiffness = config.cantilever.stiffness_n_per_m
+    return ProgramRunner(params.safety, lateral, sides, stiffness, PERIOD_S, can_vibrate=vibrates)
