@@ -3,10 +3,11 @@
     python benchmarks/dynamic_node.py [--rounds N] [--duration S] [--steps N ...] [--json]
 
 Both are `telenano up --scenario fig12` with its cantilever of 40 N/m and 150 kHz pressed into contact, taken in turns:
-quasi-static, then dynamic with each number of steps a period. Missed deadlines are those that the instrument and the
-whole rig report (a period late or more) between the first and the last report of a session; the age of the loop is
-that of the recording. Before that, without a rig: how long this machine takes for a millisecond of the cantilever, in
-contact and tapping, and of the quasi-static one.
+quasi-static, then dynamic with each number of steps a period. Of the instrument a missed deadline is a step that comes
+2 ms or more after the one before it, as `afm/state` has it; of all other nodes it is what they report (a period late or
+more), the first half second left out. The age of the loop is that of the recording. Before that, without a rig: how
+long this machine takes for a millisecond of the cantilever, in contact and tapping, and how much of it a command waits
+for.
 """
 
 import argparse
@@ -21,19 +22,21 @@ from pathlib import Path
 from typing import Any, cast
 
 from proto import decode
-from proto.messages import NodeHealth
+from proto.messages import AfmState, NodeHealth
 from recording.reader import Recording
 from services.afm_node.__main__ import dynamic_afm
 from services.afm_node.config import AfmConfig
 from services.afm_node.sim import SimulatedAfm
 
-AFM = "afm_node@slave"
 CONTACT_M = 12e-9  # base of some 20 nN
 GAP_M = 15e-9  # from a tip that vibrates by 20 nm
 
 
-def exchange_s(steps: int | None, *, tapping: bool, count: int = 400) -> float:
-    """Return the median time of an exchange of 1 ms [s]; steps None is the quasi-static cantilever."""
+def exchange_s(steps: int | None, *, tapping: bool, count: int = 400) -> tuple[float, float]:
+    """Return median times of 1 ms of the cantilever [s]: all of it, and what a command waits for.
+
+    Steps None is the quasi-static one, which has no other part.
+    """
     section: dict[str, Any] = {} if steps is None else {"model": "dynamic", "cantilever": {"steps_per_period": steps}}
     config = AfmConfig.model_validate(section)
     driver: Any = SimulatedAfm(config.to_params()) if steps is None else dynamic_afm(config)
@@ -41,14 +44,19 @@ def exchange_s(steps: int | None, *, tapping: bool, count: int = 400) -> float:
     base_m = config.rest_distance_m - GAP_M if tapping else CONTACT_M
     if tapping:
         driver.vibrate(20e-9)
-    spent = []
+    whole, waited = [], []
     for turn in range(count):
-        if steps is not None:
-            driver.elapse(1e-3)
         begun = time.perf_counter()
+        if steps is not None:
+            while driver.settle():
+                pass
+            driver.elapse(1e-3)
+        asked = time.perf_counter()
         driver.exchange(base_m + 1e-11 * (turn % 2))
-        spent.append(time.perf_counter() - begun)
-    return statistics.median(spent[count // 4 :])
+        ended = time.perf_counter()
+        whole.append(ended - begun)
+        waited.append(ended - asked)
+    return statistics.median(whole[count // 4 :]), statistics.median(waited[count // 4 :])
 
 
 def measure_rig(duration_s: float, steps: int | None) -> dict[str, float]:
@@ -64,21 +72,29 @@ def measure_rig(duration_s: float, steps: int | None) -> dict[str, float]:
         if done.returncode not in (0, 3):
             raise SystemExit(f"the rig ended with exit code {done.returncode}: {done.stderr or done.stdout}")
         age: dict[str, float] = json.loads(done.stdout)["loop_age_ms"]
+        recording = Recording(out / "session.mcap")
+        begin_ns = recording.span_ns[0] + 500_000_000
         overruns: dict[str, list[int]] = {}
-        for message in Recording(out / "session.mcap").messages(["node/health"]):
-            health = cast(NodeHealth, decode("node/health", message.payload))
-            overruns.setdefault(health.src, []).append(health.overruns)
-        missed = {src: counts[-1] - counts[0] for src, counts in overruns.items()}
-        return {**age, "missed by the instrument": missed.get(AFM, 0), "missed by all": sum(missed.values())}
+        late = 0
+        for message in recording.messages(["node/health", "afm/state"]):
+            if message.publish_ns < begin_ns or message.channel.via == "link":
+                continue
+            if message.topic == "afm/state":
+                late += cast(AfmState, decode("afm/state", message.payload)).step_s >= 2e-3
+            else:
+                health = cast(NodeHealth, decode("node/health", message.payload))
+                overruns.setdefault(health.src, []).append(health.overruns)
+        missed = sum(counts[-1] - counts[0] for counts in overruns.values())
+        return {**age, "missed by the instrument": late, "missed by others": missed}
 
 
 def measure(rounds: int, duration_s: float, steps: list[int]) -> dict[str, Any]:
     """Return all figures: by number of steps (0: quasi-static) those of each round, and the exchanges [ms]."""
-    exchanges = {
-        str(n): {"contact": 1e3 * exchange_s(n, tapping=False), "tapping": 1e3 * exchange_s(n, tapping=True)}
-        for n in steps
-    }
-    exchanges["0"] = {"contact": 1e3 * exchange_s(None, tapping=False)}
+    exchanges = {str(n): {} for n in (0, *steps)}
+    for n in (0, *steps):
+        for name in ("contact", "tapping") if n else ("contact",):
+            whole, waited = exchange_s(n or None, tapping=name == "tapping")
+            exchanges[str(n)].update({name: 1e3 * whole, f"{name}, a command waits": 1e3 * waited})
     runs: dict[str, list[dict[str, float]]] = {str(n): [] for n in (0, *steps)}
     for _ in range(rounds):
         for n in (0, *steps):

@@ -44,12 +44,13 @@ def dynamic_afm(config: AfmConfig) -> AfmDriver:
         from services.afm_node.dynamic_sim import DynamicAfm
     except ImportError as error:
         raise ConfigError('afm_node.model: dynamic needs numba: pip install "telenano[studies]"') from error
+    surface, friction = config.to_surface(), config.to_friction_params()
     try:
         # impulses of 1 K, which the driver scales: the temperature can be changed while it runs
         plant = config.to_dynamic(temperature_k=1.0)
+        return DynamicAfm(config.to_params(), surface, friction, config.disturbances, plant)
     except ValueError as error:
         raise ConfigError(f"afm_node.model: {error}") from error
-    return DynamicAfm(config.to_params(), config.to_surface(), config.to_friction_params(), config.disturbances, plant)
 
 
 def modbus_driver(section: ModbusConfig, limits: SafetyParams) -> AfmDriver:

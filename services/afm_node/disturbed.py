@@ -58,6 +58,13 @@ class DisturbedAfm(SimulatedAfm):
         """Note the time [s] of the next exchange."""
         self._elapsed_s += dt
 
+    # whether there is work that nothing has to wait for, between two exchanges
+    settles = False
+
+    def settle(self) -> bool:
+        """Go on by a part of what can be known of the motion before the next exchange; return whether there is more."""
+        return False
+
     def exchange(self, base_m: float) -> AfmSample:
         if not self._active:
             self._voltage_v = 0.0

@@ -3,7 +3,7 @@
 The feedback is integral, on the deflection that is missing to the set-point, or in tapping mode on the amplitude above
 its own: it moves the base by gain times that way in a second. What the base does is the picture, height = -x_s, up to a
 constant. On a tip of stiffness k over a contact of stiffness c the loop closes k + c over c times as slowly as on a
-rigid sample. The amplitude follows within Q / (pi f), 0.2 ms in Table 2, which is less than a step.
+rigid sample. The amplitude follows within Q / (pi f), 0.2 ms in Table 2, and is read before it has: at the next step.
 """
 
 import math
@@ -21,6 +21,8 @@ Array = npt.NDArray[np.float64]
 RISE, TRAVEL, APPROACH, SETTLE, LINES, DONE = range(6)
 # a step of the feedback moves the base by no more than this share of the missing deflection: beyond 2 it is unstable
 _MOST_GAIN_A_STEP = 0.9
+# the amplitude answers a step later, and beyond 1 that is unstable
+_MOST_TAPPING_GAIN_A_STEP = 0.5
 
 
 class RasterPlan(NamedTuple):
@@ -113,7 +115,8 @@ def raster_step(
         return state, base_m + plan.approach_m_per_s * dt, first, None
     if phase == DONE:
         return state, base_m, place, None
-    held = base_m + missing_m(plan, measured) * min(plan.gain_per_s * dt, _MOST_GAIN_A_STEP)
+    most = _MOST_TAPPING_GAIN_A_STEP if plan.amplitude_m > 0.0 else _MOST_GAIN_A_STEP
+    held = base_m + missing_m(plan, measured) * min(plan.gain_per_s * dt, most)
     if phase == SETTLE:
         return (_in(state, LINES) if elapsed >= plan.settle_s else state._replace(elapsed_s=elapsed)), held, first, None
     if paused:
