@@ -20,15 +20,18 @@ from analysis import modes, verdict
 from analysis.verdict import Circumstances, judge
 from proto.errors import ConfigError
 from services.afm_node.config import AfmConfig, CantileverConfig, SafetyConfig
+from services.afm_node.disturbances import DisturbanceConfig
 from services.afm_node.safety import MODE_FOLLOW, MODE_HOLD, SafetyParams
 from services.afm_node.sample_models import SAMPLES, SampleParams
 from services.afm_node.spring import spring_params
+from services.afm_node.step import AfmParams
 from services.controller.config import LAWS, ControllerConfig
 from services.delay_node.config import LinkSettings
 from services.haptic_node.config import ARMS, HapticConfig
 from services.runtime.compiled import source_digest
 from services.runtime.config import Settings, merge, nested, validate
 from studies.body import body_params
+from studies.disturbed import disturbed_params
 from studies.link import Schedule, schedule_of, symmetric_link
 from studies.lockstep import Instrument, Rig, Series, Trajectory, build_rig, simulate
 
@@ -95,6 +98,9 @@ class Cell(Settings):
     seed: int = Field(default=0, ge=0, description="Seed of the link's random streams")
     session_s: float | None = Field(default=None, gt=0.0, le=3600.0, description="Length of the session [s]; none: own")
     settings: tuple[tuple[str, float | int | str | bool], ...] = Field(default=(), description="Other law parameters")
+    disturbances: tuple[tuple[str, float | int | str | bool], ...] = Field(
+        default=(), description="Keys of afm_node.disturbances; in the contact"
+    )
 
     @property
     def key(self) -> str:
@@ -145,6 +151,18 @@ class Cell(Settings):
     def instrument(self) -> Instrument:
         """Return the constants of what the tip meets; ConfigError for a body that cannot be simulated."""
         return _instrument(self.environment, self.stiffness_n_per_m, self.mass_kg, self.damping_n_s_per_m)
+
+    def disturbed_instrument(self, duration_s: float) -> Instrument:
+        """Return the same with its disturbances, for a run of that length [s]; ConfigError names the key at fault."""
+        instrument = self.instrument()
+        if not self.disturbances:
+            return instrument
+        if not isinstance(instrument, AfmParams):
+            raise ConfigError(f"--disturb: {self.environment} has no instrument to disturb; give --environment contact")
+        section = nested(dict(self.disturbances), "--disturb")
+        # one seed for link and instrument, unless it is given
+        config = validate(DisturbanceConfig, merge({"seed": self.seed}, section), "--disturb", "disturbances")
+        return disturbed_params(instrument, config, duration_s)
 
     def operator(self, points: Sequence[tuple[float, float]]) -> dict[str, Any]:
         """Return the section `haptic_node.operator` of a programme: corners (time [s], force [N]).
@@ -243,8 +261,9 @@ def course_of(
 
     Parameters: measured, settings of a link in the place of the cell's own, with the folder of their files.
     """
-    rig = rig_of(cell, hand_points)
-    settle = round((_SETTLE_S + _SETTLE_ROUND_TRIPS * cell.round_trip_s) / rig.period_s)
+    settle_s = _SETTLE_S + _SETTLE_ROUND_TRIPS * cell.round_trip_s
+    rig = rig_of(cell, hand_points, settle_s + end_s)
+    settle = round(settle_s / rig.period_s)
     ticks = settle + max(1, round(end_s / rig.period_s))
     if measured is not None:
         settings, folder = measured
@@ -285,7 +304,7 @@ def judged(cell: Cell, course: Trajectory) -> CellResult:
         _LEVELS_N[cell.environment][-1],
         Circumstances(
             guarded=ended < len(lost),
-            noisy=cell.jitter_ms > 0.0 or cell.loss > 0.0,
+            noisy=cell.jitter_ms > 0.0 or cell.loss > 0.0 or bool(cell.disturbances),
             touching=float(course.in_contact[later].mean()) if later.stop > later.start else None,
             expected_n=float(course.hand_force_n[later].mean()) if later.stop > later.start else None,
         ),
@@ -374,10 +393,13 @@ def sample_config(environment: str, stiffness_n_per_m: float) -> Any:
     return validate(config, given, "--stiffness", environment)
 
 
-def rig_of(cell: Cell, hand_points: Sequence[tuple[float, float]]) -> Rig:
-    """Prepare the rig of a cell and its hand. Raises ConfigError for one that cannot be built."""
+def rig_of(cell: Cell, hand_points: Sequence[tuple[float, float]], duration_s: float = 0.0) -> Rig:
+    """Prepare the rig of a cell and its hand. Raises ConfigError for one that cannot be built.
+
+    Parameters: duration_s, length of the run [s], which disturbances are made for.
+    """
     haptic = validate(HapticConfig, {"operator": cell.operator(hand_points)}, "--hand", "haptic_node")
-    return build_rig(cell.controller(), haptic, cell.instrument())
+    return build_rig(cell.controller(), haptic, cell.disturbed_instrument(duration_s))
 
 
 @functools.lru_cache(maxsize=1)

@@ -16,8 +16,9 @@ from services.afm_node.step import AfmParams
 from services.controller.config import LAWS, ControllerConfig
 from services.controller.law import Law
 from services.runtime.compiled import chosen_step
-from studies import body
+from studies import body, disturbed
 from studies.body import BodyParams
+from studies.disturbed import DisturbedParams
 
 Step = Callable[..., Any]
 
@@ -39,6 +40,7 @@ _INSTRUMENT_OF: dict[type, Step] = {
     SpringParams: spring.step,
     BodyParams: body.step,
     SampleParams: sample_models.step,
+    DisturbedParams: disturbed.step,
 }
 
 

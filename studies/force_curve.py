@@ -4,11 +4,13 @@ A snap-in: the tip jumps to the sample. B contact: the force passes zero on the 
 on the way back. D break: the last jump of the force, where the meniscus gives way.
 """
 
+import logging
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 import numpy.typing as npt
@@ -241,11 +243,12 @@ def write_hdf5(path: Path, curve: Curve) -> None:
 
 
 def read_measured(path: Path) -> Curve:
-    """Return a measured curve: an Igor wave of Asylum's (Defl, and ZSnsr or Raw), or HDF5 as `write_hdf5` makes it.
+    """Return a measured curve: an Igor wave of Asylum's (Defl, and ZSnsr or Raw), HDF5, or a file of JPK or a table.
 
+    HDF5 is as `write_hdf5` makes it, a table (.tab) as afmformats does. Of a file with several curves it is the first.
     Raises: ConfigError naming the file and what is wrong with it.
     """
-    readers = {".ibw": _read_ibw, ".h5": _read_hdf5}
+    readers = {".ibw": _read_ibw, ".h5": _read_hdf5, ".jpk-force": _read_afmformats, ".tab": _read_afmformats}
     if path.suffix.lower() not in readers:
         raise ConfigError(f"{path}: is no curve that can be read; these are {', '.join(readers)}")
     try:
@@ -290,6 +293,34 @@ def _read_hdf5(path: Path) -> Curve:
         turn = int(np.count_nonzero(np.asarray(group["segment"]) == 0))
         speed = float(group.attrs.get("speed approach", 1.0))
     return _measured(-height, force / k, k, turn, speed)
+
+
+def _read_afmformats(path: Path) -> Curve:
+    """Return the first curve of a file that afmformats reads; its height rises away from the sample."""
+    import afmformats
+    from afmformats.errors import AFMFileFormatError, MissingMetaDataError
+
+    # it reports with a traceback what it raises as well
+    logging.getLogger("afmformats").setLevel(logging.CRITICAL)
+    try:
+        curves = afmformats.load_data(path)
+        found = curves[0]
+        if "spring constant" not in found.metadata:
+            raise ValueError("its metadata lack the spring constant")
+        k = float(found.metadata["spring constant"])
+        height = found["height (measured)"] if "height (measured)" in found else found["height (piezo)"]
+        force, segment = np.asarray(found["force"], float), np.asarray(found["segment"])
+        speed = float(found.metadata.get("speed approach", 1.0))
+    except MissingMetaDataError as error:
+        raise ValueError(f"its metadata lack {', '.join(map(str, error.meta_keys))}") from error
+    # its errors are no `Exception`
+    except (AFMFileFormatError, NotImplementedError, AssertionError, BadZipFile) as error:
+        raise ValueError(str(error) or "afmformats cannot read it") from error
+    first, last = segment == segment[0], segment == segment[-1]
+    if not 0.0 < k < math.inf or segment[0] == segment[-1]:
+        raise ValueError("it needs a spring constant above 0 N/m, an approach and a retraction")
+    kept = first | last
+    return _measured(-np.asarray(height, float)[kept], force[kept] / k, k, int(np.count_nonzero(first)), speed)
 
 
 def _measured(base: Array, deflection: Array, k: float, turn: int, speed: float) -> Curve:

@@ -3,6 +3,8 @@
 import json
 import subprocess
 import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -23,7 +25,8 @@ Array = npt.NDArray[np.float64]
 
 RECORDING_NAME = "session.mcap"
 # start and end of the processes, beyond the session [s]
-_OVERHEAD_S = 120.0
+_OVERHEAD_S, _USUAL_OVERHEAD_S = 120.0, 8.0
+_LOOK_S = 0.5
 
 
 class TactilePath(NamedTuple):
@@ -45,23 +48,38 @@ class TactilePath(NamedTuple):
         return float(np.sqrt(np.mean((self.hand_m - self.surface_m / self.position_scale) ** 2)))
 
 
-def run_scenario(name: str, out: Path) -> Path:
+def run_scenario(name: str, out: Path, progress: Callable[[int, int], object] = lambda n, of: None) -> Path:
     """Run a scenario of the project on real processes and return its recording.
 
-    Raises: RigError saying why the rig did not run.
+    Parameters: progress, called with the seconds so far and what the whole takes as a rule. Raises: RigError saying why
+    the rig did not run.
     """
     folder = (out / name).absolute()
     folder.mkdir(parents=True, exist_ok=True)
     command = [sys.executable, "-m", "telenano", "up", "--scenario", name, "--out", str(folder)]
     command += ["--overwrite", "--headless", "--json", "--no-view"]
-    seconds = load_scenario(SCENARIO_DIRECTORY / f"{name}.yaml").scenario.duration_s + _OVERHEAD_S
-    try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=seconds, check=False)
-    except subprocess.TimeoutExpired as error:
-        raise RigError(f"{name}: the rig did not end within {seconds:.0f} s, see {folder}") from error
+    duration_s = load_scenario(SCENARIO_DIRECTORY / f"{name}.yaml").scenario.duration_s
+    begun_s, most_s, usual = time.monotonic(), duration_s + _OVERHEAD_S, round(duration_s + _USUAL_OVERHEAD_S)
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as rig:
+        while True:
+            try:
+                stdout, stderr = rig.communicate(timeout=_LOOK_S)
+                break
+            except subprocess.TimeoutExpired as error:
+                spent_s = time.monotonic() - begun_s
+                progress(min(round(spent_s), usual), usual)
+                if spent_s > most_s:
+                    rig.terminate()
+                    rig.communicate()
+                    raise RigError(f"{name}: the rig did not end within {most_s:.0f} s, see {folder}") from error
+            except KeyboardInterrupt:
+                # the terminal has interrupted the rig as well: its tip is retracted before anything else happens
+                rig.communicate()
+                raise
     # 3: the recording lacks something, and says what; the figure shows it
-    if done.returncode not in (0, 3) or not (folder / RECORDING_NAME).exists():
-        raise RigError(f"{name}: the rig did not run: {_reason(done.stdout, done.stderr)}")
+    if rig.returncode not in (0, 3) or not (folder / RECORDING_NAME).exists():
+        raise RigError(f"{name}: the rig did not run: {_reason(stdout, stderr)}")
+    progress(usual, usual)
     return folder / RECORDING_NAME
 
 

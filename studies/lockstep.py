@@ -53,10 +53,12 @@ from studies.dispatch import (
     slave_send,
     slave_start,
 )
+from studies.disturbed import DisturbedParams
+from studies.disturbed import initial_state as initial_disturbed_state
 from studies.link import Schedule
 
 Series = npt.NDArray[np.float64]
-Instrument = AfmParams | SpringParams | BodyParams | SampleParams
+Instrument = AfmParams | SpringParams | BodyParams | SampleParams | DisturbedParams
 
 _NEVER_NS = 2**62
 COLUMNS = (
@@ -104,6 +106,8 @@ def _at_rest(instrument: Instrument) -> Any:
         return initial_spring_state(instrument)
     if isinstance(instrument, SampleParams):
         return sample_models.initial_state(instrument)
+    if isinstance(instrument, DisturbedParams):
+        return initial_disturbed_state(instrument)
     return initial_body_state(instrument) if isinstance(instrument, BodyParams) else initial_afm_state(instrument)
 
 

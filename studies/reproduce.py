@@ -1,11 +1,13 @@
 """Figures of the paper made anew, and its equations with the numbers of Table 2, on one page."""
 
 import json
+import re
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from proto.errors import RigError
 from services.afm_node.cantilever import volts_per_m
 from services.afm_node.capillary import meniscus_force, meniscus_radius_m
 from services.afm_node.config import AfmConfig
@@ -16,8 +18,9 @@ from services.afm_node.sample import SampleConfig
 from services.afm_node.tip_sample import branch_force
 from studies.curve_models import ModelRow, compare_models
 from studies.force_curve import Curve, force_curve, marks_of
-from studies.live_figures import TactilePath, run_scenario, tactile_figure, tactile_path
+from studies.live_figures import run_scenario, tactile_figure, tactile_path
 from studies.page import Page, png_of, text
+from studies.paper_equations import cantilever_rows, contact_rows, control_rows, device_rows
 from studies.scan import ScanRequest, ScanResult, scan
 
 FIGURES = ("equations", "fig5", "fig6", "models", "fig8", "fig10", "fig12")
@@ -73,20 +76,33 @@ def equations() -> list[Value]:
         *((f"contact stiffness at {d:g} nm", "Eq. 7-11", contact(d * 1e-9)[1], k, "N/m")
           for d, k in ((0.0, 6.74), (0.2, 13.15), (0.5, 19.6), (1.0, 27.4), (2.0, 38.6))),
     ]  # fmt: skip
-    return [Value(name, where, float(ours), expected, unit) for name, where, ours, expected, unit in rows]
+    others = [*device_rows(), *cantilever_rows(), *contact_rows(), *control_rows()]
+    values = [Value(name, where, float(ours), expected, unit) for name, where, ours, expected, unit in (*rows, *others)]
+    return sorted(values, key=lambda value: _equation_number(value.where))
+
+
+def _equation_number(where: str) -> int:
+    """Return the number of the first equation that a place of the paper names.
+
+    >>> _equation_number("Eq. 7-11, E6")
+    7
+    """
+    found = re.search(r"Eq\. (\d+)", where)
+    return int(found.group(1)) if found else 0
 
 
 def reproduce(figures: Sequence[str], out: Path, pixels: int, progress: Progress) -> dict[str, object]:
     """Write reproduce.html into a folder with the chosen figures; return their numbers.
 
     Parameters: figures, of FIGURES; pixels of a line and lines of the image of Fig. 8; progress, called with the
-    figure, what is done of it and its whole.
+    figure, what is done of it and its whole. A figure whose rig did not run has the reason in its place, and under
+    `failed` in the numbers.
     """
     page = Page("The paper, made again")
     summary: dict[str, object] = {}
     if "equations" in figures:
         rows = equations()
-        page.heading("Equations with the values of Table 2")
+        page.heading("Equations and errata E1 to E8, with the values of Table 1 and 2 and of Fig. 12")
         head = ("quantity", "where", "ours", "expected", "unit", "difference [%]")
         page.table(head, [(r.name, r.where, r.ours, r.expected, r.unit, 100.0 * r.difference) for r in rows])
         page.paragraph("Expected: computed from the equations independently of this project, with the errata mended.")
@@ -119,18 +135,22 @@ def reproduce(figures: Sequence[str], out: Path, pixels: int, progress: Progress
         image = scan(SampleConfig().build(), request, AfmConfig(), shown)
         page.heading("Fig. 8, InAs dots on 150 x 150 nm², tapping mode")
         summary["fig8"] = _add_image(page, image)
-    if "fig10" in figures:
-        progress("fig10", 0, 1)
-        page.heading("Fig. 10, the hand over two InAs dots: x_m solid, the surface at 0.1 cm/nm dashed")
-        summary["fig10"] = _add_tactile(page, tactile_path(run_scenario("fig10", out)))
-        progress("fig10", 1, 1)
-    if "fig12" in figures:
-        progress("fig12", 0, 1)
-        page.heading("Fig. 12, a hand presses the tip onto mica, presses harder, and lets go")
-        folder = run_scenario("fig12", out).parent
-        page.image((folder / "fig12.png").read_bytes(), "Forces, positions, and force against distance.")
-        summary["fig12"] = _add_holds(page, json.loads((folder / "summary.json").read_text(encoding="utf-8")))
-        progress("fig12", 1, 1)
+    live: tuple[tuple[str, str, Callable[[Page, Path], dict[str, object]]], ...] = (
+        ("fig10", "Fig. 10, the hand over two InAs dots: x_m solid, the surface at 0.1 cm/nm dashed", _add_tactile),
+        ("fig12", "Fig. 12, a hand presses the tip onto mica, presses harder, and lets go", _add_holds),
+    )
+    failed: dict[str, str] = {}
+    for name, words, add in live:
+        if name in figures:
+            progress(name, 0, 1)
+            page.heading(words)
+            try:
+                summary[name] = add(page, run_scenario(name, out, partial(progress, name)))
+            except RigError as error:
+                failed[name] = str(error)
+                page.paragraph(f"Not made: {error}")
+    if failed:
+        summary["failed"] = failed
     page.write(out / "reproduce.html")
     return summary
 
@@ -148,7 +168,8 @@ def _model_cells(row: ModelRow) -> tuple[float, ...]:
     )
 
 
-def _add_tactile(page: Page, path: TactilePath) -> dict[str, object]:
+def _add_tactile(page: Page, recording: Path) -> dict[str, object]:
+    path = tactile_path(recording)
     numbers: dict[str, object] = {
         "correlation": path.correlation,
         "rms_at_the_hand_m": path.rms_m,
@@ -160,7 +181,10 @@ def _add_tactile(page: Page, path: TactilePath) -> dict[str, object]:
     return numbers
 
 
-def _add_holds(page: Page, summary: dict[str, Any]) -> dict[str, object]:
+def _add_holds(page: Page, recording: Path) -> dict[str, object]:
+    folder = recording.parent
+    page.image((folder / "fig12.png").read_bytes(), "Forces, positions, and force against distance.")
+    summary: dict[str, Any] = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
     holds = summary.get("holds", [])
     if holds:
         page.table(tuple(holds[0]), [tuple(hold.values()) for hold in holds])

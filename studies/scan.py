@@ -13,6 +13,7 @@ from proto.errors import ConfigError
 from services.afm_node.cantilever import Plant, initial_state
 from services.afm_node.config import AfmConfig
 from services.afm_node.dynamic import KICKS_PER_PERIOD, NO_NOISE, free_amplitude_m, steady_state
+from services.afm_node.friction import FrictionState
 from services.afm_node.imaging import CHANNELS, HEIGHT, Feedback, Line, contact_line, tapping_line
 from services.afm_node.surface import Surface, dilated, height_at
 from services.afm_node.tip_sample import branch_force
@@ -215,9 +216,10 @@ class _Contact(_Run):
         self.state = initial_state(self.plant, begin_m)
         self.base_m = self.integral_m = begin_m
         self.error_m = setpoint
+        self.friction, self.held = config.to_friction_params(), FrictionState(0.0, 0.0)
 
     def scan_line(self, seen: Surface, line: Line, out: Array) -> None:
-        self.state, self.base_m, self.integral_m, self.error_m = contact_line(
+        self.state, self.base_m, self.integral_m, self.error_m, self.held = contact_line(
             self.plant, self.state, self.base_m, self.integral_m, self.error_m, self.feedback, line, *seen,
-            self.period_s, out,
+            self.period_s, self.friction, self.held, out,
         )  # fmt: skip

@@ -174,6 +174,8 @@ def simulate_document(document: Mapping[str, Any], origin: str) -> SimulatedSess
     for section, driver in (("haptic_node", haptic.driver), ("afm_node", afm.driver)):
         if driver != "simulated":
             raise ConfigError(f"{origin}: {section}.driver: {driver} has no model to simulate; only `up` can run it")
+    if afm.model != "quasi_static":
+        raise ConfigError(f"{origin}: afm_node.model: {afm.model} runs on the bus only; a lockstep has quasi_static")
     if haptic.operator.kind == "interactive":
         raise ConfigError(f"{origin}: haptic_node.operator.kind: interactive is a person, who cannot be simulated")
     rig = build_rig(controller, haptic, _instrument(afm))

@@ -49,6 +49,7 @@ class Axes:
     hand: Hand = "force"
     body: Body = DEFAULT_BODY
     device_latency_ms: float = 0.0
+    disturbances: tuple[tuple[str, float | int | str | bool], ...] = ()
 
     def lines(self) -> list["Line"]:
         """Return every combination of what is not the delay."""
@@ -99,6 +100,7 @@ class Line:
             seed=self.axes.seed,
             session_s=self.axes.session_s,
             settings=self.axes.settings,
+            disturbances=self.axes.disturbances,
         )
 
     @property
@@ -139,6 +141,7 @@ class LineResult:
             "jitter": str(line.jitter),
             "loss": line.loss,
             "device_latency_ms": line.axes.device_latency_ms,
+            **({"disturbances": dict(line.axes.disturbances)} if line.axes.disturbances else {}),
             "critical_delay_ms": self.critical_delay_ms,
             "critical_link_delay_ms": self.critical_link_ms,
             "theory_delay_ms": self.theory_ms,

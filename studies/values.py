@@ -119,3 +119,17 @@ def settings(given: Sequence[str]) -> tuple[tuple[str, float | int | str | bool]
         if not isinstance(value, float | int | str | bool):
             raise ConfigError(f"--set {key}: {value!r} is not a single value")
     return tuple(sorted(flat.items()))
+
+
+def disturbances(given: Sequence[str]) -> tuple[tuple[str, float | int | str | bool], ...]:
+    """Read names and NAME.KEY=VALUE of the section `afm_node.disturbances`; what is named is switched on.
+
+    >>> disturbances(["thermal.temperature_k=77", "drift"])
+    (('drift.enabled', True), ('thermal.enabled', True), ('thermal.temperature_k', 77))
+    """
+    flat = flatten(flag_overrides([text for text in given if "=" in text]))
+    names = [text for text in given if "=" not in text] + [key.partition(".")[0] for key in flat if "." in key]
+    for key, value in flat.items():
+        if not isinstance(value, float | int | str | bool):
+            raise ConfigError(f"--disturb {key}: {value!r} is not a single value")
+    return tuple(sorted({**{f"{name}.enabled": True for name in names}, **flat}.items()))

@@ -33,7 +33,24 @@ def _driver(config: AfmConfig) -> AfmDriver:
         return SimulatedSpring(config.to_spring_params())
     # with all disturbances off the instrument itself: a person may switch them on while it runs
     surface, friction = config.to_surface(), config.to_friction_params()
+    if config.model == "dynamic":
+        return dynamic_afm(config)
     return DisturbedAfm(config.to_params(), surface, friction, config.disturbances)
+
+
+def dynamic_afm(config: AfmConfig) -> AfmDriver:
+    """Return the instrument with the dynamic cantilever; ConfigError, if there is no compiler or no such model."""
+    try:
+        from services.afm_node.dynamic_sim import DynamicAfm
+    except ImportError as error:
+        raise ConfigError('afm_node.model: dynamic needs numba: pip install "telenano[studies]"') from error
+    surface, friction = config.to_surface(), config.to_friction_params()
+    try:
+        # impulses of 1 K, which the driver scales: the temperature can be changed while it runs
+        plant = config.to_dynamic(temperature_k=1.0)
+        return DynamicAfm(config.to_params(), surface, friction, config.disturbances, plant)
+    except ValueError as error:
+        raise ConfigError(f"afm_node.model: {error}") from error
 
 
 def modbus_driver(section: ModbusConfig, limits: SafetyParams) -> AfmDriver:

@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 _TABLE_REACH = 2.0
 
 _PLANE_M = 150e-9
+# the node goes through whole periods of the cantilever, a thousand times a second
+_LEAST_RESONANCE_HZ = 8e3
 
 BasePosition = Annotated[float, Field(ge=-1e-4, le=1e-4)]
 Speed = Annotated[float, Field(gt=0.0, le=1e-3)]
@@ -46,6 +48,9 @@ class CantileverConfig(Settings):
     stiffness_n_per_m: float = Field(40.0, ge=1e-3, le=1e4, description="Spring constant k [N/m], 0.001 to 10000.")
     resonance_hz: float = Field(150e3, gt=0.0, le=1e9, description="Free resonance f [Hz], for the dynamic model.")
     quality: float = Field(100.0, gt=0.5, le=1e7, description="Quality factor Q in air, above 0.5; dynamic model.")
+    steps_per_period: int = Field(
+        96, ge=16, le=4096, multiple_of=8, description="Steps of a period of the drive, a multiple of 8; dynamic model."
+    )
     bridge_supply_v: float = Field(2.5, gt=0.0, le=100.0, description="Bridge supply voltage V0 [V], up to 100.")
     amplifier_gain: float = Field(1e4, gt=0.0, le=1e7, description="Gain Gc of the bridge amplifier, up to 1e7.")
     sensitivity_per_m: float = Field(
@@ -181,7 +186,17 @@ class ModbusConfig(Settings):
 
 
 _OWN_DRIVERS, _OWN_ENVIRONMENTS = ("simulated", "modbus"), ("tip_sample", "spring")
-_SECTIONS = ("driver", "environment", "cantilever", "mode", "meniscus", "rest_distance_m", "safety", "allow_replay")
+_SECTIONS = (
+    "driver",
+    "environment",
+    "cantilever",
+    "model",
+    "mode",
+    "meniscus",
+    "rest_distance_m",
+    "safety",
+    "allow_replay",
+)
 DRIVERS = drivers_of("afm_node", (*_OWN_DRIVERS, *_OWN_ENVIRONMENTS, *_SECTIONS, *SAMPLES.found))
 
 if TYPE_CHECKING:
@@ -224,6 +239,10 @@ class AfmConfig(_PackageSections):
     spring: SpringConfig = Field(SpringConfig(), description="The spring, for environment spring.")
     cantilever: CantileverConfig = Field(CantileverConfig(), description="Spring and read-out of the cantilever.")
     tip_sample: TipSampleConfig = Field(TipSampleConfig(), description="Tip, sample and the water between them.")
+    model: Literal["quasi_static", "dynamic"] = Field(
+        "quasi_static",
+        description="How the cantilever moves: k zeta = F(h); or Eq. 4 in full, which needs numba and processor time.",
+    )
     mode: Literal["consistent", "as_printed"] = Field(
         "consistent", description="Reading of the force law: errata E3, E4, E7 mended, or Eq. 4 and 6 to the letter."
     )
@@ -279,9 +298,22 @@ class AfmConfig(_PackageSections):
     def _buildable(self) -> Self:
         if self.driver == "modbus" and self.modbus is None:
             raise ValueError("driver: modbus needs a section modbus with calibration")
+        if self.model == "dynamic":
+            self._check_dynamic()
         # Some combinations have no model (E7): that belongs to reading the file, not to the first tick.
         self.to_params()
         return self
+
+    def _check_dynamic(self) -> None:
+        if self.driver != "simulated" or self.environment != "tip_sample":
+            raise ValueError("model: dynamic is for driver simulated and environment tip_sample")
+        if self.mode != "consistent":
+            raise ValueError("model: dynamic has no mode as_printed, whose meniscus pulls at any distance (E3)")
+        if self.cantilever.resonance_hz < _LEAST_RESONANCE_HZ:
+            raise ValueError(
+                f"model: dynamic needs cantilever.resonance_hz of {_LEAST_RESONANCE_HZ:g} Hz or more: eight periods"
+                f" in a step of the node, not {self.cantilever.resonance_hz:g} Hz"
+            )
 
     def to_lateral_params(self) -> LateralParams:
         return LateralParams(self.lateral.reach_m, self.lateral.speed_m_per_s)
@@ -318,7 +350,7 @@ class AfmConfig(_PackageSections):
         return SampleParams(SafetyParams(**self.safety.model_dump()), getattr(self, self.environment).to_params())
 
     def to_dynamic(
-        self, drive_hz: float | None = None, steps_per_period: int = 96, temperature_k: float = 0.0
+        self, drive_hz: float | None = None, steps_per_period: int | None = None, temperature_k: float = 0.0
     ) -> "DynamicPlant":
         """Return the cantilever with its dynamics (Eq. 4), driven at drive_hz [Hz] or at its resonance.
 
@@ -330,8 +362,8 @@ class AfmConfig(_PackageSections):
         c, t = self.cantilever, self.tip_sample
         damping = Damping(t.liquid_viscosity_pa_s, t.liquid_thickness_m, t.sample_viscosity_pa_s, t.sample_thickness_m)
         drive = c.resonance_hz if drive_hz is None else drive_hz
-        plant = self.to_params().plant
-        return build_dynamic(plant, c.resonance_hz, c.quality, drive, damping, steps_per_period, temperature_k)
+        plant, steps = self.to_params().plant, steps_per_period or c.steps_per_period
+        return build_dynamic(plant, c.resonance_hz, c.quality, drive, damping, steps, temperature_k)
 
     def to_params(self) -> AfmParams:
         """Build the parameters of the pure step; built once per set of its parameters.

@@ -10,7 +10,7 @@ phase; what lies above half the rate of the instrument folds back, as it does in
 operators (Prandtl-Ishlinskii; Kuhnen, Eur. J. Control 9 (2003) 407): x + sum of w_i (p_i - x), p_i following x behind
 a play of r_i. *Creep*: first-order lags, one a decade of time, which together are nearly logarithmic. *Thermal noise*:
 <zeta^2> = k_B T / k, at each step anew, since the cantilever is far faster. *1/f noise*: first-order noises, one an
-octave of frequency, of equal power.
+octave of frequency, of equal power. *Electrostatic*: the force of a voltage that stands or wanders.
 """
 
 import math
@@ -28,7 +28,7 @@ Array = npt.NDArray[np.float64]
 
 _SINES = 48
 _PLAYS = 8
-_LAGS_S = (0.1, 1.0, 10.0, 100.0)
+LAGS_S = (0.1, 1.0, 10.0, 100.0)
 _OCTAVES = 12
 
 
@@ -82,6 +82,15 @@ class ReadoutConfig(Settings):
     converter_range_v: float = Field(10.0, gt=0.0, le=1e3, description="It reads from minus this to this [V].")
 
 
+class ElectrostaticConfig(Settings):
+    """Voltage between tip and sample: contact potential, charges, or a bias; the force is that of `electrostatic`."""
+
+    enabled: bool = Field(False, description="Whether it acts.")
+    voltage_v: float = Field(1.0, ge=-100.0, le=100.0, description="Mean voltage [V].")
+    noise_v: float = Field(0.0, ge=0.0, le=100.0, description="Root mean square of what it wanders by [V].")
+    correlation_s: float = Field(1.0, gt=0.0, le=1e4, description="Time over which it wanders [s].")
+
+
 class DisturbanceConfig(Settings):
     """Section `afm_node.disturbances`."""
 
@@ -92,21 +101,26 @@ class DisturbanceConfig(Settings):
     drift: DriftConfig = Field(DriftConfig(), description="Thermal drift.")
     thermal: ThermalConfig = Field(ThermalConfig(), description="Thermal noise of the cantilever.")
     readout: ReadoutConfig = Field(ReadoutConfig(), description="Noise of the read-out.")
+    electrostatic: ElectrostaticConfig = Field(ElectrostaticConfig(), description="Force of a voltage at the tip.")
 
     @property
     def any_enabled(self) -> bool:
         parts = (self.vibration, self.hysteresis, self.creep, self.drift, self.thermal, self.readout)
-        return any(part.enabled for part in parts)
+        return any(part.enabled for part in parts) or self.electrostatic.enabled
 
 
 class DisturbanceState(NamedTuple):
-    """Time [s]; plays [m]; creep lags [m]; 1/f parts, of unit variance; how many normal numbers were used."""
+    """Time [s]; plays [m]; creep lags [m]; 1/f parts, of unit variance; how many normal numbers were used.
+
+    wandered: of the voltage, of unit variance.
+    """
 
     time_s: float
     plays_m: tuple[float, ...]
     lags_m: tuple[float, ...]
     flicker: tuple[float, ...]
     drawn: int
+    wandered: float = 0.0
 
 
 class Sines(NamedTuple):
@@ -128,12 +142,12 @@ def sines_of(config: DisturbanceConfig) -> Sines:
 
 def begun() -> DisturbanceState:
     """Return the state at the beginning: everything at rest."""
-    return DisturbanceState(0.0, (0.0,) * _PLAYS, (0.0,) * len(_LAGS_S), (0.0,) * _OCTAVES, 0)
+    return DisturbanceState(0.0, (0.0,) * _PLAYS, (0.0,) * len(LAGS_S), (0.0,) * _OCTAVES, 0)
 
 
 def at_rest(state: DisturbanceState, base_m: float) -> DisturbanceState:
     """Return a state in which the piezo has been at base_m [m] for long; time and noise go on."""
-    return state._replace(plays_m=(base_m,) * _PLAYS, lags_m=(base_m,) * len(_LAGS_S))
+    return state._replace(plays_m=(base_m,) * _PLAYS, lags_m=(base_m,) * len(LAGS_S))
 
 
 def displaced(
@@ -147,7 +161,7 @@ def displaced(
         x += 4.0 * config.hysteresis.share / _PLAYS * sum(p - base_m for p in plays)
     if config.creep.enabled:
         lags = tuple(
-            lag + (base_m - lag) * (1.0 - math.exp(-dt / lag_s)) for lag, lag_s in zip(lags, _LAGS_S, strict=True)
+            lag + (base_m - lag) * (1.0 - math.exp(-dt / lag_s)) for lag, lag_s in zip(lags, LAGS_S, strict=True)
         )
         x += config.creep.share_per_decade * sum(lag - base_m for lag in lags)
     if config.drift.enabled:
@@ -156,6 +170,19 @@ def displaced(
         amplitude = config.vibration.rms_m * math.sqrt(2.0 / _SINES)
         x += amplitude * float(np.sin(sines.rates * time + sines.phases).sum())
     return state._replace(time_s=time, plays_m=plays, lags_m=lags), x
+
+
+def charged(
+    config: ElectrostaticConfig, normals: NormalNumbers, state: DisturbanceState, dt: float
+) -> tuple[DisturbanceState, float]:
+    """Return the voltage between tip and sample [V], dt [s] after the last step."""
+    if not config.enabled:
+        return state, 0.0
+    if config.noise_v == 0.0:
+        return state, config.voltage_v
+    kept = math.exp(-dt / config.correlation_s)
+    wandered = kept * state.wandered + math.sqrt(1.0 - kept * kept) * normals.at(state.drawn)
+    return state._replace(wandered=wandered, drawn=state.drawn + 1), config.voltage_v + config.noise_v * wandered
 
 
 def play_radii_m(config: HysteresisConfig) -> tuple[float, ...]:

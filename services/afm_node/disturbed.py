@@ -5,15 +5,21 @@ from services.afm_node.disturbances import (
     DisturbanceState,
     at_rest,
     begun,
+    charged,
     displaced,
     read_out,
     sines_of,
 )
+from services.afm_node.electrostatic import electrostatic_force_n, electrostatic_strength_n_m2
 from services.afm_node.friction import FrictionParams
 from services.afm_node.sim import SimulatedAfm
 from services.afm_node.step import AfmParams, AfmSample
 from services.afm_node.surface import Surface
 from services.runtime.normal_numbers import NormalNumbers
+
+# the tip and its force are found in turns, until a turn moves it by less than this [m]
+_SETTLED_M = 1e-14
+_MOST_TURNS = 40
 
 
 class DisturbedAfm(SimulatedAfm):
@@ -36,6 +42,7 @@ class DisturbedAfm(SimulatedAfm):
         self._normals, self._sines = NormalNumbers(config.seed), sines_of(config)
         self._active = config.any_enabled
         self._elapsed_s = 0.0
+        self._voltage_v = 0.0
         # what creeps and lags behind is at rest where the base is when it is switched on
         self._is_new = True
 
@@ -51,8 +58,16 @@ class DisturbedAfm(SimulatedAfm):
         """Note the time [s] of the next exchange."""
         self._elapsed_s += dt
 
+    # whether there is work that nothing has to wait for, between two exchanges
+    settles = False
+
+    def settle(self) -> bool:
+        """Go on by a part of what can be known of the motion before the next exchange; return whether there is more."""
+        return False
+
     def exchange(self, base_m: float) -> AfmSample:
         if not self._active:
+            self._voltage_v = 0.0
             return super().exchange(base_m)
         config, plant = self.disturbances, self._plant
         dt, self._elapsed_s = self._elapsed_s, 0.0
@@ -60,7 +75,37 @@ class DisturbedAfm(SimulatedAfm):
         if self._is_new:
             state, self._is_new = at_rest(state, base_m), False
         state, piezo_m = displaced(config, self._sines, state, base_m, dt)
+        state, self._voltage_v = charged(config.electrostatic, self._normals, state, dt)
         sample = super().exchange(piezo_m)
         k, gain = plant.stiffness_n_per_m, plant.volts_per_m
-        self._disturbance_state, zeta = read_out(config, self._normals, state, sample.deflection_m, k, gain, dt)
+        read = self._read_out_config()
+        self._disturbance_state, zeta = read_out(read, self._normals, state, sample.deflection_m, k, gain, dt)
         return sample._replace(base_m=base_m, deflection_m=zeta, force_n=k * zeta, bridge_voltage_v=gain * zeta)
+
+    def _respond(self, base_m: float) -> AfmSample:
+        """Move the base [m] of a tip that a voltage pulls on as well: k zeta = F(h) + F_el(h).
+
+        A force F_el bends the cantilever as a base does that is nearer by -F_el / k. It grows as the tip comes nearer,
+        so the turns go one way only, to the next equilibrium, and over the edge where there is none: a pull-in.
+        """
+        if self._voltage_v == 0.0 or self._tip is None:
+            return super()._respond(base_m)
+        k, tip = self._plant.stiffness_n_per_m, self._plant.tip
+        strength = electrostatic_strength_n_m2(self._voltage_v, tip.radius_m)
+        for _ in range(_MOST_TURNS):
+            before_m = self._tip.distance_m
+            pull_m = electrostatic_force_n(strength, tip.radius_m, tip.contact_distance_m, before_m) / k
+            sample = super()._respond(base_m - pull_m)
+            if abs(self._tip.distance_m - before_m) < _SETTLED_M:
+                break
+        zeta = sample.deflection_m + pull_m
+        return sample._replace(
+            base_m=sample.base_m + pull_m,
+            deflection_m=zeta,
+            force_n=k * zeta,
+            bridge_voltage_v=self._plant.volts_per_m * zeta,
+        )
+
+    def _read_out_config(self) -> DisturbanceConfig:
+        """Return what disturbs the deflection after the cantilever."""
+        return self.disturbances

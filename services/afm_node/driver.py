@@ -3,7 +3,7 @@
 A driver moves and measures, no more: what may be sent to it is decided before, by `safety.safety_step`.
 """
 
-from typing import Literal, NamedTuple, Protocol
+from typing import Literal, NamedTuple, Protocol, runtime_checkable
 
 from proto.errors import ConfigError
 from services.afm_node.step import AfmSample
@@ -38,6 +38,25 @@ class LateralStage(Protocol):
     @property
     def lateral_force_n(self) -> tuple[float, float]:
         """Return the force on the tip by the sample in x and y at the last exchange [N]."""
+
+
+class Oscillation(NamedTuple):
+    """Amplitude of the deflection at the frequency of the drive [m], and its phase against the drive [rad]."""
+
+    amplitude_m: float
+    phase_rad: float
+
+
+@runtime_checkable
+class VibratingCantilever(Protocol):
+    """What a driver has besides `AfmDriver` whose base can be vibrated: what tapping mode needs."""
+
+    def vibrate(self, amplitude_m: float) -> None:
+        """Drive the base so that the amplitude without a sample becomes amplitude_m [m]; 0: not at all."""
+
+    @property
+    def oscillation(self) -> Oscillation:
+        """Return what was measured at the last exchange; zeros while the base is not driven."""
 
 
 class AfmDriver(Protocol):

@@ -22,8 +22,9 @@ import numpy as np
 import numpy.typing as npt
 
 from services.afm_node.cantilever import Plant
+from services.afm_node.electrostatic import electrostatic_force_n
 from services.afm_node.force_grid import ForceGrid, Passages, build_force_grid, grid_force, passed
-from services.runtime.compiled import compiled
+from services.runtime.compiled import always_compiled
 
 BOLTZMANN_J_PER_K = 1.380649e-23
 # impulses of thermal noise in a period: as many directions in the plane of position and velocity
@@ -87,6 +88,8 @@ class DynamicPlant(NamedTuple):
     steady_in_phase: float  # of zeta without a sample, in units of the base amplitude: cos
     steady_quadrature: float  # sin
     kick_m_per_s: float  # thermal
+    tip_radius_m: float
+    electrostatic_n_m2: float = 0.0  # pi eps0 R^2 V^2
 
 
 class DynamicState(NamedTuple):
@@ -119,7 +122,7 @@ class Reading(NamedTuple):
     contact_share: float
 
 
-@compiled
+@always_compiled
 def advance(
     plant: DynamicPlant,
     state: DynamicState,
@@ -140,6 +143,7 @@ def advance(
     far_zz, far_zv, far_vz, far_vv = plant.far_flow.zz, plant.far_flow.zv, plant.far_flow.vz, plant.far_flow.vv
     mass, far_m = plant.mass_kg, plant.far_m
     cubics, start_m, cells_per_m = plant.grid.cubics, plant.grid.start_m, plant.grid.cells_per_m
+    charge, radius, contact_m = plant.electrostatic_n_m2, plant.tip_radius_m, viscosity.contact_distance_m
     viscous = viscosity.liquid_kg_per_s > 0.0 or viscosity.sample_kg_per_s_m > 0.0
     half = 0.5 * step_s / mass
     periods = drive.shape[0]
@@ -155,6 +159,8 @@ def advance(
     h = rest + z - base - surface - drive_m * drive[p, 2]
     contact, meniscus = passed(passages, h, contact, meniscus)
     force = grid_force(cubics, start_m, cells_per_m, attraction, h, 2 * int(contact) + int(meniscus))
+    if charge > 0.0:
+        force += _electrostatic(charge, radius, contact_m, h)
     in_phase, quadrature, mean, mean_force, peak = 0.0, 0.0, 0.0, 0.0, force
     work, touching, kick = 0.0, 0, 0
     i, fine_until = 0, 0
@@ -179,6 +185,8 @@ def advance(
                 before, force_before = h, force
                 z, h, p, base, surface = z_far, h_far, q, moved_base, moved_surface
                 force = grid_force(cubics, start_m, cells_per_m, attraction, h, 2 * int(contact) + int(meniscus))
+                if charge > 0.0:
+                    force += _electrostatic(charge, radius, contact_m, h)
                 v = v_far + force * half * FAR_STEPS
                 work -= 0.5 * (force_before + force) * (h - before)
                 mean_force += 0.5 * (force_before + force) * FAR_STEPS
@@ -212,10 +220,12 @@ def advance(
             h = rest + z - base - surface - drive_m * drive[p, 2]
             contact, meniscus = touches, wet
         force = grid_force(cubics, start_m, cells_per_m, attraction, h, 2 * int(contact) + int(meniscus))
+        if charge > 0.0:
+            force += _electrostatic(charge, radius, contact_m, h)
         v += force * half
         work -= 0.5 * (force_before + force) * (h - before)
         if viscous and (contact or h < viscosity.liquid_thickness_m):
-            b = _damping_at(viscosity, h)
+            b = damping_at(viscosity, h)
             speed = v - towards - drive_m * drive[p, 4]
             x = 0.5 * b * step_s / mass
             slower = speed * (1.0 - x) / (1.0 + x)
@@ -243,7 +253,7 @@ def advance(
     return DynamicState(z, v, base_m, base_velocity, surface_m, contact, meniscus, p), reading
 
 
-@compiled
+@always_compiled
 def _corrected(
     at_m: float, jump_n: float, slope_n_per_m: float, before_m: float, after_m: float, start_m: float
 ) -> tuple[float, float, float]:
@@ -268,8 +278,12 @@ def _corrected(
     return late, 0.5 * jump_n * (1.0 - time) ** 2, work
 
 
-@compiled
-def _damping_at(viscosity: Viscosity, h: float) -> float:
+# compiled here, and plain Python where nodes without a compiler call it
+_electrostatic = always_compiled(electrostatic_force_n)
+
+
+@always_compiled
+def damping_at(viscosity: Viscosity, h: float) -> float:
     """B [kg/s] of liquid layer or sample (Eq. 4, E2)."""
     if h <= viscosity.contact_distance_m:
         return viscosity.sample_kg_per_s_m * (viscosity.contact_distance_m - h)
@@ -336,7 +350,7 @@ def build_dynamic(
     )
     return DynamicPlant(
         passages, viscosity, k, plant.rest_distance_m, mass, 2.0 * mass * b, drive_hz, dt, flow, drive, far_m,
-        far_flow, far, grid, response.real, -response.imag, kick,
+        far_flow, far, grid, response.real, -response.imag, kick, tip.radius_m,
     )  # fmt: skip
 
 

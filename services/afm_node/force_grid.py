@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from services.afm_node.tip_sample import TipSample, branch_force
-from services.runtime.compiled import compiled
+from services.runtime.compiled import always_compiled, compiled
 
 _CELL_M = 5e-12
 _DEEPEST_M = 5e-9
@@ -49,7 +49,7 @@ class ForceGrid(NamedTuple):
     error_n: float  # greatest error that was found
 
 
-@compiled
+@always_compiled
 def grid_force(
     cubics: npt.NDArray[np.float64], start_m: float, cells_per_m: float, attraction_n_m2: float, h: float, b: int
 ) -> float:
@@ -64,7 +64,7 @@ def grid_force(
     return float(cubics[b, i, 0] + t * (cubics[b, i, 1] + t * (cubics[b, i, 2] + t * cubics[b, i, 3])))
 
 
-@compiled
+@always_compiled
 def passed(passages: Passages, h: float, contact: bool, meniscus: bool) -> tuple[bool, bool]:
     """Return the branch of a tip that has come to h [m]: the passages of `cantilever`, without its equilibria."""
     touches = h <= passages.end_m if contact else h < passages.onset_m

@@ -13,14 +13,15 @@ import numpy.typing as npt
 
 from services.afm_node.cantilever import Plant, PlantState, deflection_m, equilibrium
 from services.afm_node.dynamic import KICKS_PER_PERIOD, DynamicPlant, DynamicState, advance
+from services.afm_node.friction import FrictionParams, FrictionState, friction_step
 from services.afm_node.surface import height_at
 from services.runtime.compiled import compiled
 
 Array = npt.NDArray[np.float64]
 
 # columns of a line
-HEIGHT, ERROR, AMPLITUDE, PHASE, DISSIPATED, FORCE = range(6)
-CHANNELS = 6
+HEIGHT, ERROR, AMPLITUDE, PHASE, DISSIPATED, FORCE, LATERAL = range(7)
+CHANNELS = 7
 
 
 class Feedback(NamedTuple):
@@ -117,28 +118,36 @@ def contact_line(
     step_x_m: float,
     step_y_m: float,
     dt: float,
+    friction: FrictionParams,
+    held: FrictionState,
     out: Array,
-) -> tuple[PlantState, float, float, float]:
+) -> tuple[PlantState, float, float, float, FrictionState]:
     """Scan a line in contact at a constant force, with the quasi-static cantilever; fill `out` (pixels, CHANNELS).
 
-    A surface that rises by s is to the tip what a base is that comes nearer by s. Parameters: as `tapping_line`; dt
-    [s], period of the feedback. Returns: state, base, integral, error.
+    A surface that rises by s is to the tip what a base is that comes nearer by s. LATERAL is the force along the line's
+    axis x, of slope and friction. Parameters: as `tapping_line`; dt [s], period of the feedback; held, the tip that
+    friction holds back. Returns: state, base, integral, error, held.
     """
     total = line.pixels * line.periods
     n = 0
+    moved_x, moved_y = (line.x1_m - line.x0_m) / total, (line.y1_m - line.y0_m) / total
     for i in range(line.pixels):
-        height, error, force = 0.0, 0.0, 0.0
+        height, error, force, lateral = 0.0, 0.0, 0.0, 0.0
         for _ in range(line.periods):
             share = (n + 1.0) / total
             x, y = line.x0_m + share * (line.x1_m - line.x0_m), line.y0_m + share * (line.y1_m - line.y0_m)
-            surface = height_at(height_m, step_x_m, step_y_m, x, y)[0]
+            surface, slope_x, slope_y = height_at(height_m, step_x_m, step_y_m, x, y)
             base_m, integral_m = regulated(feedback, base_m, integral_m, error_m, dt)
             state = equilibrium(plant, state, base_m + surface)
             zeta = deflection_m(plant, state.distance_m, base_m + surface)
             error_m = feedback.setpoint_m - zeta
             height -= base_m
             error += error_m
-            force += plant.stiffness_n_per_m * zeta
+            load = plant.stiffness_n_per_m * zeta
+            held, sideways, _ = friction_step(friction, held, moved_x, moved_y, load, slope_x, slope_y, state.contact)
+            force += load
+            lateral += sideways
             n += 1
-        out[i, HEIGHT], out[i, ERROR], out[i, FORCE] = height / line.periods, error / line.periods, force / line.periods
-    return state, base_m, integral_m, error_m
+        out[i, HEIGHT], out[i, ERROR] = height / line.periods, error / line.periods
+        out[i, FORCE], out[i, LATERAL] = force / line.periods, lateral / line.periods
+    return state, base_m, integral_m, error_m, held

@@ -9,11 +9,11 @@ from proto.messages import AfmCommand, Array, ClockPing, LinkDelay, SessionContr
 from services.afm_node import safety
 from services.afm_node.config import AfmConfig
 from services.afm_node.disturbed import DisturbedAfm
-from services.afm_node.driver import AfmDriver, DeviceReport
+from services.afm_node.driver import AfmDriver, DeviceReport, Oscillation, VibratingCantilever
 from services.afm_node.lateral import Place, moved
 from services.afm_node.program_config import changed_disturbances, requested
 from services.afm_node.programs import ProgramRunner
-from services.afm_node.raster import FinishedLine
+from services.afm_node.raster import FinishedLine, Measured
 from services.afm_node.step import LONGEST_STEP_NS, AfmSample, command_wait_ns
 from services.runtime.bus import Received
 from services.runtime.frames import to_paper_axis
@@ -26,8 +26,14 @@ PERIOD_S = 1e-3
 _PERIOD_NS = round(PERIOD_S * 1e9)
 _COMMAND_WAIT_NS = command_wait_ns(_PERIOD_NS)
 _PROGRAM_PERIOD_NS = 100_000_000
+# after a step, when the messages that it caused have passed on the same processor
+_SETTLE_NS = 250_000
+# from one part of that to the next: they take some 80 us each, and what waits for the processor comes in between
+_SETTLE_AGAIN_NS = 120_000
+_NEVER_NS = 2**62
 _LONGEST_STEP_S = LONGEST_STEP_NS * 1e-9
 _ACTION_CODES = {name: code for code, name in safety.ACTION_NAMES.items()}
+_AT_REST = Oscillation(0.0, 0.0)
 _ALARMING = (
     safety.REASON_ESTOP,
     safety.REASON_FORCE_LIMIT,
@@ -61,6 +67,7 @@ class AfmNode(Node):
         self._hand_age = HandAge(context.key, self.clock.now_ns())
         self._driver = driver
         self._disturbed = driver if isinstance(driver, DisturbedAfm) else None
+        self._vibrating = driver if isinstance(driver, VibratingCantilever) else None
         self._limits = config.to_params().safety
         self._guard = safety.initial_safety_state(self._limits)
         self._command: AfmCommand | None = None
@@ -87,6 +94,9 @@ class AfmNode(Node):
         self._report_device(driver.report)
         self._stepped_ns = self.clock.monotonic_ns()
         self._due_ns = self._stepped_ns + _PERIOD_NS
+        self._settle_ns = _NEVER_NS
+        # what comes before the deadline to settle shares this processor
+        self.has_precise_deadlines = self._disturbed is None or not self._disturbed.settles
         if config.driver == "simulated" and config.environment == "tip_sample" and (doubts := config.doubts()):
             self.event("fault", "warning", doubts)
 
@@ -94,7 +104,7 @@ class AfmNode(Node):
         return self._replay_guard.admits(received)
 
     def deadline_ns(self) -> int:
-        return self._due_ns
+        return min(self._due_ns, self._settle_ns)
 
     def on_message(self, received: Received) -> None:
         self._handle_stall(received.received_ns - self.clock.epoch_offset_ns)
@@ -112,7 +122,10 @@ class AfmNode(Node):
             self.publish("clock/pong", ping_t_ns=message.t_ns, received_ns=received.received_ns)
 
     def on_deadline(self, now_ns: int) -> None:
-        """Step without a command: the guard judges the silence."""
+        """Step without a command: the guard judges the silence. Before that, do what nothing waits for."""
+        if self._disturbed is not None and self._settle_ns <= now_ns < self._due_ns:
+            self._settle_ns = now_ns + _SETTLE_AGAIN_NS if self._disturbed.settle() else _NEVER_NS
+            return
         self._handle_stall(now_ns)
         self._step(now_ns)
         self._due_ns = now_ns + _PERIOD_NS
@@ -233,13 +246,19 @@ class AfmNode(Node):
         self._report_changes(allowed)
         self._report_device(report)
         self.steps += 1
+        if self._disturbed is not None and self._disturbed.settles:
+            self._settle_ns = self._stepped_ns + _SETTLE_NS
         return allowed
 
     def _step_program(self, elapsed_s: float, *, estop: bool) -> safety.SafetyOutputs:
         """Take a step of the program that runs, and see to its end."""
         programs = self._programs
-        forces = self._force_n, self._lateral_n[0]
-        wanted, line = programs.step(self._guard.base_m, self._place, *forces, self._pointer, elapsed_s)
+        vibrating = self._vibrating
+        oscillation = _AT_REST if vibrating is None else vibrating.oscillation
+        measured = Measured(self._guard.base_m, self._place, self._force_n, self._lateral_n[0], oscillation)
+        wanted, line = programs.step(measured, self._pointer, elapsed_s)
+        if vibrating is not None:
+            vibrating.vibrate(wanted.amplitude_m)
         if line is not None:
             self._publish_line(line)
         asked = safety.SafetyInputs(
@@ -265,6 +284,8 @@ class AfmNode(Node):
                 level = "info" if programs.state == "finished" else "warning"
                 self.event("mode", level, report.text, program=report.program, program_state=report.state)
                 programs.end()
+                if vibrating is not None:
+                    vibrating.vibrate(0.0)
         return allowed
 
     def _move_laterally(self, wanted: Place, elapsed_s: float) -> None:
@@ -287,8 +308,8 @@ class AfmNode(Node):
             start_m=(*line.start, 0.0),
             end_m=(*line.end, 0.0),
             height_m=Array.from_numpy(line.height_m),
-            amplitude_m=None,
-            phase_rad=None,
+            amplitude_m=None if line.amplitude_m is None else Array.from_numpy(line.amplitude_m),
+            phase_rad=None if line.phase_rad is None else Array.from_numpy(line.phase_rad),
             **lateral,
         )
 
@@ -350,4 +371,6 @@ def _programs(config: AfmConfig, driver: AfmDriver) -> ProgramRunner:
     params = config.to_params()
     lateral = None if driver.stage is None else config.to_lateral_params()
     sides = config.sample_sides_m()
-    return ProgramRunner(params.safety, lateral, sides, config.cantilever.stiffness_n_per_m, PERIOD_S)
+    vibrates = isinstance(driver, VibratingCantilever)
+    stiffness = config.cantilever.stiffness_n_per_m
+    return ProgramRunner(params.safety, lateral, sides, stiffness, PERIOD_S, can_vibrate=vibrates)

@@ -17,8 +17,11 @@ Force = Annotated[float, Field(gt=-1e-3, le=1e-3)]
 
 
 class ScanSettings(Settings):
-    """An image with a constant force."""
+    """An image with a constant force, or with a constant amplitude of a vibrating tip."""
 
+    mode: Literal["contact", "tapping"] = Field(
+        "contact", description="contact: the force is held; tapping: the amplitude, with afm_node.model dynamic."
+    )
     width_m: Length | None = Field(None, description="Length of a line [m]; default: the whole sample.")
     depth_m: Length | None = Field(None, description="From the first line to the last [m]; default: the whole sample.")
     x_m: Place = Field(0.0, description="Middle of the image [m]; 0 is the middle of the sample.")
@@ -26,7 +29,9 @@ class ScanSettings(Settings):
     pixels: int = Field(64, ge=2, le=4096, description="Pixels of a line, 2 to 4096.")
     lines: int = Field(64, ge=1, le=4096, description="Lines, 1 to 4096.")
     dwell_s: float = Field(4e-3, ge=1e-3, le=10.0, description="Time on each pixel, each way [s], 0.001 to 10.")
-    setpoint_n: Force = Field(5e-9, description="Force that is held [N].")
+    setpoint_n: Force = Field(5e-9, description="Force that is held in contact mode [N].")
+    amplitude_m: Length = Field(20e-9, description="Amplitude without a sample, in tapping mode [m].")
+    setpoint_share: float = Field(0.8, ge=0.05, lt=1.0, description="Share of it that is held, 0.05 to below 1.")
     gain_per_s: float = Field(400.0, gt=0.0, le=1e5, description="Gain of the feedback [1/s].")
     approach_m_per_s: Speed = Field(100e-9, description="Speed of the approach [m/s].")
     settle_s: float = Field(0.2, ge=0.0, le=60.0, description="Time for the force to settle before the first line [s].")

@@ -6,7 +6,7 @@ from proto.errors import RefusedError
 from services.afm_node import approach, raster, safety, tactile
 from services.afm_node.lateral import LateralParams, Place
 from services.afm_node.program_config import CurveSettings, InstrumentRequest, ScanSettings, TactileSettings
-from services.afm_node.raster import FinishedLine
+from services.afm_node.raster import FinishedLine, Measured
 
 ProgramState = Literal["running", "paused", "finished", "ended"]
 # of the guard, where a program may not begin, and why
@@ -17,11 +17,12 @@ _NOT_READY = {
 
 
 class Wanted(NamedTuple):
-    """What a program asks of the guard and the stage."""
+    """What a program asks of the guard and the stage; amplitude_m, of the vibration without a sample [m]."""
 
     action: int
     reference_m: float
     place: Place
+    amplitude_m: float = 0.0
 
 
 class Report(NamedTuple):
@@ -39,7 +40,7 @@ class ProgramRunner:
     """Runs one program at a time; its state is plain values, for the journal of the node.
 
     Parameters: limits of the guard and of the stage, None where there is none; size_m, sides of the sample [m];
-    stiffness_n_per_m, of the cantilever; period_s, of the node.
+    stiffness_n_per_m, of the cantilever; period_s, of the node; can_vibrate, the base can be driven.
     """
 
     def __init__(
@@ -49,11 +50,14 @@ class ProgramRunner:
         size_m: tuple[float, float],
         stiffness_n_per_m: float,
         period_s: float,
+        *,
+        can_vibrate: bool = False,
     ) -> None:
         self.name = ""
         self.state: ProgramState = "finished"
         self._limits, self._lateral = limits, lateral
         self._size_m, self._stiffness, self._period_s = size_m, stiffness_n_per_m, period_s
+        self._can_vibrate, self._free_amplitude_m = can_vibrate, 0.0
         self._raster: tuple[raster.RasterPlan, raster.RasterState] | None = None
         self._curve: tuple[approach.CurvePlan, approach.CurveState] | None = None
         self._tactile: tuple[tactile.TactilePlan, tactile.TactileState] | None = None
@@ -86,18 +90,21 @@ class ProgramRunner:
         if self._lateral is None:
             raise RefusedError("program: scan needs a lateral stage, which this instrument has none of")
         s = settings
+        if s.mode == "tapping" and not self._can_vibrate:
+            raise RefusedError("scan.mode: tapping needs a cantilever that vibrates: afm_node.model dynamic")
+        free_m = s.amplitude_m if s.mode == "tapping" else 0.0
         width_m = self._size_m[0] if s.width_m is None else s.width_m
         depth_m = self._size_m[1] if s.depth_m is None else s.depth_m
         plan = raster.RasterPlan(
             Place(s.x_m, s.y_m), width_m, depth_m, s.pixels, s.lines, s.pixels * s.dwell_s, s.setpoint_n, s.gain_per_s,
-            s.approach_m_per_s, s.settle_s, self._stiffness, self._limits.retract_position_m,
+            s.approach_m_per_s, s.settle_s, self._stiffness, self._limits.retract_position_m, s.setpoint_share * free_m,
         )  # fmt: skip
         reach_m, speed = self._lateral
         fault = raster.line_fault(plan, reach_m, speed, self._limits.force_limit_n, self._period_s)
         if fault:
             raise RefusedError(f"scan: {fault}")
         self._start("scan")
-        self._raster = (plan, raster.begun(plan))
+        self._raster, self._free_amplitude_m = (plan, raster.begun(plan)), free_m
         seconds = 2.0 * plan.lines * plan.line_s
         return f"an image of {s.pixels} x {s.lines} pixels begins, {seconds:.0f} s for its lines"
 
@@ -160,24 +167,22 @@ class ProgramRunner:
     def _start(self, name: str) -> None:
         self.name, self.state, self._aborted = name, "running", ""
         self._raster = self._curve = self._tactile = None
+        self._free_amplitude_m = 0.0
         self._was_limited, self._notice = False, ""
 
-    def step(
-        self, base_m: float, place: Place, force_n: float, lateral_n: float, pointer: Place, dt: float
-    ) -> tuple[Wanted, FinishedLine | None]:
+    def step(self, measured: Measured, pointer: Place, dt: float) -> tuple[Wanted, FinishedLine | None]:
         """Take what was measured at the last step; return what is wanted for the next dt [s], and a finished line.
 
-        Parameters: base_m, place; force_n along z and lateral_n along x, on the tip [N]; pointer, where a
-        person wants the tip.
+        Parameters: pointer, where a person wants the tip.
         """
+        base_m, place, force_n = measured.base_m, measured.place, measured.force_n
         if self._aborted:
             return Wanted(safety.ACTION_RETRACT, base_m, place), None
         line: FinishedLine | None = None
         if self._raster is not None:
             plan, state = self._raster
-            state, reference_m, target, line = raster.raster_step(
-                plan, state, base_m, place, force_n, lateral_n, dt, paused=self.state == "paused"
-            )
+            paused = self.state == "paused"
+            state, reference_m, target, line = raster.raster_step(plan, state, measured, dt, paused=paused)
             self._raster, done = (plan, state), state.phase == raster.DONE
         elif self._tactile is not None:
             path, felt = self._tactile
@@ -189,7 +194,7 @@ class ProgramRunner:
             way, reference_m = approach.curve_step(curve, way, base_m, force_n, dt)
             self._curve, target, done = (curve, way), place, way.phase == approach.DONE
         action = safety.ACTION_RETRACT if done else safety.ACTION_POSITION
-        return Wanted(action, reference_m, target), line
+        return Wanted(action, reference_m, target, 0.0 if done else self._free_amplitude_m), line
 
     def follow_guard(self, mode: int, reason: int) -> None:
         """Take note of what the guard made of a step: it ends a program that is done, and one that it stops itself."""
@@ -231,7 +236,7 @@ class ProgramRunner:
             "the tip rises",
             "the stage moves to the first point",
             "approach",
-            "the force settles",
+            "the amplitude settles" if plan.amplitude_m > 0.0 else "the force settles",
             "lines",
             "done",
         )

@@ -1,8 +1,9 @@
-"""An image taken by the node: a raster of the stage and the feedback that holds the force, one step a period.
+"""An image taken by the node: a raster of the stage and the feedback that holds force or amplitude, one step a period.
 
-The feedback is integral, on the deflection that is missing to the set-point: it moves the base by gain times that way
-in a second. What the base does is the picture, height = -x_s, up to a constant. On a tip of stiffness k over a contact
-of stiffness c the loop closes k + c over c times as slowly as on a rigid sample.
+The feedback is integral, on the deflection that is missing to the set-point, or in tapping mode on the amplitude above
+its own: it moves the base by gain times that way in a second. What the base does is the picture, height = -x_s, up to a
+constant. On a tip of stiffness k over a contact of stiffness c the loop closes k + c over c times as slowly as on a
+rigid sample. The amplitude follows within Q / (pi f), 0.2 ms in Table 2, and is read before it has: at the next step.
 """
 
 import math
@@ -11,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from services.afm_node.driver import Oscillation
 from services.afm_node.lateral import Place
 
 Array = npt.NDArray[np.float64]
@@ -19,13 +21,15 @@ Array = npt.NDArray[np.float64]
 RISE, TRAVEL, APPROACH, SETTLE, LINES, DONE = range(6)
 # a step of the feedback moves the base by no more than this share of the missing deflection: beyond 2 it is unstable
 _MOST_GAIN_A_STEP = 0.9
+# the amplitude answers a step later, and beyond 1 that is unstable
+_MOST_TAPPING_GAIN_A_STEP = 0.5
 
 
 class RasterPlan(NamedTuple):
     """What is imaged and how: centre and sides [m], pixels and lines, time of a line each way [s].
 
     stiffness_n_per_m turns the force into a deflection; clear_m is the base above every point [m], where the tip moves
-    to the first one.
+    to the first one; amplitude_m, the set-point of the amplitude in tapping mode [m], 0 in contact mode.
     """
 
     centre: Place
@@ -40,10 +44,24 @@ class RasterPlan(NamedTuple):
     settle_s: float
     stiffness_n_per_m: float
     clear_m: float
+    amplitude_m: float = 0.0
+
+
+class Measured(NamedTuple):
+    """What the last step gave: base x_s [m] and place; force along z and x on the tip [N]; vibration of the tip."""
+
+    base_m: float
+    place: Place
+    force_n: float
+    lateral_n: float
+    oscillation: Oscillation
 
 
 class RasterState(NamedTuple):
-    """Phase; line and sense; time in the phase or line [s]; of its pixels sums of height [m] and force [N], counts."""
+    """Phase; line and sense; time in the phase or line [s]; of its pixels sums of height [m] and force [N], counts.
+
+    Sums of the vibration's parts in phase with the drive and a quarter of a period behind it [m].
+    """
 
     phase: int
     line: int
@@ -52,10 +70,15 @@ class RasterState(NamedTuple):
     height_sum: Array
     lateral_sum: Array
     counts: Array
+    in_phase_sum: Array
+    quadrature_sum: Array
 
 
 class FinishedLine(NamedTuple):
-    """A line: its number and sense, its ends at the middles of the outer pixels, heights [m], forces in x [N]."""
+    """A line: its number and sense, its ends at the middles of the outer pixels, heights [m], forces in x [N].
+
+    Amplitude [m] and phase against the drive [rad], None in contact mode.
+    """
 
     line: int
     backward: bool
@@ -63,6 +86,8 @@ class FinishedLine(NamedTuple):
     end: Place
     height_m: Array
     lateral_n: Array
+    amplitude_m: Array | None = None
+    phase_rad: Array | None = None
 
 
 def begun(plan: RasterPlan) -> RasterState:
@@ -71,47 +96,40 @@ def begun(plan: RasterPlan) -> RasterState:
 
 
 def raster_step(
-    plan: RasterPlan,
-    state: RasterState,
-    base_m: float,
-    place: Place,
-    force_n: float,
-    lateral_n: float,
-    dt: float,
-    *,
-    paused: bool,
+    plan: RasterPlan, state: RasterState, measured: Measured, dt: float, *, paused: bool
 ) -> tuple[RasterState, float, Place, FinishedLine | None]:
     """Take what was measured at the last step, and return where base [m] and stage are to go in the next dt [s].
 
-    Parameters: base_m, place, force_n and lateral_n (along x) [N], as measured; paused, the stage stands and the force
-    is held.
+    Parameters: paused, the stage stands and the force, or the amplitude, is held.
     Returns: state, base reference x_s [m], lateral target, and a line where one was finished.
     """
-    phase, elapsed = state.phase, state.elapsed_s + dt
+    phase, elapsed, base_m, place = state.phase, state.elapsed_s + dt, measured.base_m, measured.place
     first = _point(plan, 0, 0.0)
     if phase == RISE:
         return (_in(state, TRAVEL) if base_m <= plan.clear_m else state), plan.clear_m, place, None
     if phase == TRAVEL:
         return (_in(state, APPROACH) if place == first else state), plan.clear_m, first, None
     if phase == APPROACH:
-        if force_n >= plan.setpoint_n:
+        if missing_m(plan, measured) <= 0.0:
             return _in(state, SETTLE), base_m, first, None
         return state, base_m + plan.approach_m_per_s * dt, first, None
     if phase == DONE:
         return state, base_m, place, None
-    held = base_m + held_force_m(plan, force_n, dt)
+    most = _MOST_TAPPING_GAIN_A_STEP if plan.amplitude_m > 0.0 else _MOST_GAIN_A_STEP
+    held = base_m + missing_m(plan, measured) * min(plan.gain_per_s * dt, most)
     if phase == SETTLE:
         return (_in(state, LINES) if elapsed >= plan.settle_s else state._replace(elapsed_s=elapsed)), held, first, None
     if paused:
         return state, held, place, None
-    state, target, finished = _advance(plan, state._replace(elapsed_s=elapsed), base_m, place, lateral_n)
+    state, target, finished = _advance(plan, state._replace(elapsed_s=elapsed), measured)
     return state, held, target, finished
 
 
-def held_force_m(plan: RasterPlan, force_n: float, dt: float) -> float:
-    """Return how far the base is to go towards the sample in dt [s], for the force to come to its set-point."""
-    missing_m = (plan.setpoint_n - force_n) / plan.stiffness_n_per_m
-    return missing_m * min(plan.gain_per_s * dt, _MOST_GAIN_A_STEP)
+def missing_m(plan: RasterPlan, measured: Measured) -> float:
+    """Return the error of the feedback [m], positive where the base is to go towards the sample."""
+    if plan.amplitude_m > 0.0:
+        return measured.oscillation.amplitude_m - plan.amplitude_m
+    return (plan.setpoint_n - measured.force_n) / plan.stiffness_n_per_m
 
 
 def _in(state: RasterState, phase: int) -> RasterState:
@@ -125,13 +143,17 @@ def _point(plan: RasterPlan, line: int, share: float) -> Place:
 
 
 def _advance(
-    plan: RasterPlan, state: RasterState, base_m: float, place: Place, lateral_n: float
+    plan: RasterPlan, state: RasterState, measured: Measured
 ) -> tuple[RasterState, Place, FinishedLine | None]:
     """Count the sample where the tip is, and go on along the line; at its end turn, and after both ways to the next."""
-    left = plan.centre.x_m - 0.5 * plan.width_m
+    place, left = measured.place, plan.centre.x_m - 0.5 * plan.width_m
     pixel = min(max(int((place.x_m - left) / plan.width_m * plan.pixels), 0), plan.pixels - 1)
-    state.height_sum[pixel] -= base_m
-    state.lateral_sum[pixel] += lateral_n
+    state.height_sum[pixel] -= measured.base_m
+    state.lateral_sum[pixel] += measured.lateral_n
+    if plan.amplitude_m > 0.0:
+        amplitude, angle = measured.oscillation
+        state.in_phase_sum[pixel] += amplitude * math.cos(angle)
+        state.quadrature_sum[pixel] += amplitude * math.sin(angle)
     state.counts[pixel] += 1.0
     share = min(state.elapsed_s / plan.line_s, 1.0)
     end = _point(plan, state.line, 0.0 if state.backward else 1.0)
@@ -144,6 +166,7 @@ def _advance(
         _point(plan, state.line, 1.0 - 0.5 / plan.pixels),
         _filled(state.height_sum, state.counts),
         _filled(state.lateral_sum, state.counts),
+        *(_polar(state) if plan.amplitude_m > 0.0 else (None, None)),
     )
     line = state.line + int(state.backward)
     phase = DONE if line == plan.lines else LINES
@@ -152,8 +175,16 @@ def _advance(
     return after, target, finished
 
 
-def _no_samples(plan: RasterPlan) -> tuple[Array, Array, Array]:
-    return np.zeros(plan.pixels), np.zeros(plan.pixels), np.zeros(plan.pixels)
+def _no_samples(plan: RasterPlan) -> tuple[Array, Array, Array, Array, Array]:
+    n = plan.pixels
+    return np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
+
+
+def _polar(state: RasterState) -> tuple[Array, Array]:
+    """Return amplitude and phase of the means; by the mathematics library, whose bits no vector unit decides."""
+    parts = (_filled(part, state.counts).tolist() for part in (state.in_phase_sum, state.quadrature_sum))
+    pairs = list(zip(*parts, strict=True))
+    return np.array([math.hypot(x, y) for x, y in pairs]), np.array([math.atan2(y, x) for x, y in pairs])
 
 
 def _filled(total: Array, counts: Array) -> Array:
@@ -179,6 +210,6 @@ def line_fault(plan: RasterPlan, reach_m: float, speed_m_per_s: float, force_lim
         )
     if plan.line_s < 2.0 * period_s * plan.pixels:
         return f"a pixel needs at least two steps of the instrument: a dwell of {2.0 * period_s:g} s or more"
-    if not plan.setpoint_n < force_limit_n:
+    if plan.amplitude_m == 0.0 and not plan.setpoint_n < force_limit_n:
         return f"the set-point {plan.setpoint_n:g} N must be below safety.force_limit_n = {force_limit_n:g} N"
     return "" if math.isfinite(plan.clear_m) else "the base has no safe position"

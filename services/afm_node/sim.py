@@ -76,11 +76,17 @@ class SimulatedAfm:
     def exchange(self, base_m: float) -> AfmSample:
         if self._tip is None:
             raise RuntimeError("the simulated AFM is not open: call open() first")
-        # a surface that rises is to the tip a base that comes nearer
-        self._tip, sample = measure(self._plant, self._tip, base_m + self._height_m)
+        sample = self._respond(base_m)
         if self._has_lateral_force:
             self._rub(sample)
         return sample if self._height_m == 0.0 else sample._replace(base_m=base_m)
+
+    def _respond(self, base_m: float) -> AfmSample:
+        """Move the base [m] and return what the cantilever does; the base of the sample counts from the surface."""
+        assert self._tip is not None
+        # a surface that rises is to the tip a base that comes nearer
+        self._tip, sample = measure(self._plant, self._tip, base_m + self._height_m)
+        return sample
 
     def _rub(self, sample: AfmSample) -> None:
         """Find the lateral force where the tip is, which the motion since the last exchange has built up."""

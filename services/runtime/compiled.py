@@ -122,6 +122,15 @@ def compiled(function: F) -> F:
     return function
 
 
+def always_compiled(function: F) -> F:
+    """Compile a pure function in every process: a step that is thousands of others in one call.
+
+    The module that has it needs numba, so a node imports it only where its scenario asks for it. It may call only
+    functions that are compiled likewise. NUMBA_DISABLE_JIT=1 keeps it plain Python.
+    """
+    return cast(F, _compiler()(function))
+
+
 def chosen_step(choose: Callable[[type], Callable[..., Any]]) -> Callable[..., Any]:
     """Return a function of (params, *inputs) that calls the step which `choose` gives for the type of params.
 

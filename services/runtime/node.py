@@ -97,6 +97,8 @@ class Node(ABC):
     journalled: ClassVar[bool] = False
     # node/health of others is a turn as well, and not only for `admits`
     acts_on_health: ClassVar[bool] = False
+    # its deadlines are worth a busy wait
+    has_precise_deadlines = True
     period_s: float = 0.0
     state: NodeState = "ready"
 
@@ -182,7 +184,7 @@ class NodeLoop:
         self._bus = bus
         self._clock = node.context.clock
         self._realtime = realtime
-        self._spin = SpinMargin(round(spin_s * 1e9))
+        self._spin = SpinMargin(round(spin_s * 1e9) if node.has_precise_deadlines else 0)
         self._commands = CommandHandler(node.context.key, node.commands, node.on_control, node.event)
         self._lateness = LatenessWindow()
         self._limited_log = RateLimitedLog(node.context.log, self._clock)

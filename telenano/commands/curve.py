@@ -44,7 +44,10 @@ def curve(
         typer.Option("--afm", metavar="KEY=VALUE", help="Change a key of afm_node, as in a scenario (repeatable)."),
     ] = None,
     overlay: Annotated[
-        Path | None, typer.Option("--overlay", metavar="FILE", help="Measured curve to draw beside it (.ibw, .h5).")
+        Path | None,
+        typer.Option(
+            "--overlay", metavar="FILE", help="Measured curve to draw beside it (.ibw, .jpk-force, .h5, .tab)."
+        ),
     ] = None,
     reduced_modulus: Annotated[
         float | None,

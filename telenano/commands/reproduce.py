@@ -2,12 +2,13 @@
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
+from telenano.exit_codes import EXIT_FAILED
 from telenano.options import JsonOption
 from telenano.output import print_json, report_errors
 from telenano.sample_options import make_folder
@@ -46,7 +47,12 @@ def reproduce(
         with Progress(*columns, console=Console(stderr=True), disable=as_json, transient=True) as bar:
             tasks = {name: bar.add_task(name, total=None) for name in chosen}
             summary = make(chosen, out, pixels, lambda name, n, of: bar.update(tasks[name], completed=n, total=of))
+    failed: Any = summary.get("failed", {})
     if as_json:
         print_json(summary)
     else:
         typer.echo(f"page: {out / 'reproduce.html'}")
+        for reason in failed.values():
+            typer.echo(f"not made: {reason}", err=True)
+    if failed:
+        raise typer.Exit(EXIT_FAILED)

@@ -44,7 +44,10 @@ def scan(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for scan.gwy, scan.gsf, scan.png.")],
     mode: Annotated[
         ScanMode | None,
-        typer.Option("--mode", help="tapping: constant amplitude; contact: constant force; default: tapping."),
+        typer.Option(
+            "--mode",
+            help="tapping: constant amplitude; contact: constant force; default: tapping, with --live contact.",
+        ),
     ] = None,
     name: SampleOption = "dots",
     size: SampleSizeOption = None,
@@ -91,14 +94,19 @@ def scan(
         with report_errors(as_json):
             require("gwyfile")
             foreign = {"--sample": name != "dots", "--channel": channel, "--set": settings, "--afm": afm,
-                       "--temperature": temperature, "--mode tapping": mode is ScanMode.TAPPING}  # fmt: skip
+                       "--temperature": temperature}  # fmt: skip
             refuse_foreign(foreign)
             parameters: dict[str, Scalar] = {
                 "program": "scan", "scan.pixels": 64 if pixels is None else pixels,
                 "scan.lines": 64 if lines is None else lines, "scan.dwell_s": 4e-3 if dwell is None else dwell * 1e-3,
                 "scan.gain_per_s": 400.0 if gain is None else gain, "scan.x_m": x * 1e-9, "scan.y_m": y * 1e-9,
-                "scan.setpoint_n": 5e-9 if setpoint is None else setpoint * 1e-9,
             }  # fmt: skip
+            if mode is ScanMode.TAPPING:
+                share = 0.8 if setpoint is None else setpoint
+                parameters |= {"scan.mode": "tapping", "scan.setpoint_share": share,
+                               "scan.amplitude_m": amplitude * 1e-9}  # fmt: skip
+            else:
+                parameters["scan.setpoint_n"] = 5e-9 if setpoint is None else setpoint * 1e-9
             if size is not None:
                 parameters |= {"scan.width_m": size * 1e-9, "scan.depth_m": size * 1e-9}
             _scan_live(out, site_file, parameters, as_json=as_json)
@@ -167,15 +175,18 @@ def _scan_live(out: Path, site_file: Path, parameters: "dict[str, Scalar]", *, a
             "height": Image("Height", "m", image.trace_m[:count] - level, image.width_m, depth_m),
             "retrace": Image("Height retrace", "m", image.retrace_m[:count] - level, image.width_m, depth_m),
         }
-        for name, title, forces in (
-            ("lateral", "Lateral force", image.trace_n[:count]),
-            ("lateral_retrace", "Lateral force retrace", image.retrace_n[:count]),
+        for name, title, unit, values in (
+            ("amplitude", "Amplitude", "m", image.amplitude_m[:count]),
+            ("phase", "Phase", "rad", image.phase_rad[:count]),
+            ("lateral", "Lateral force", "N", image.trace_n[:count]),
+            ("lateral_retrace", "Lateral force retrace", "N", image.retrace_n[:count]),
         ):
-            if np.isfinite(forces).all():
-                images[name] = Image(title, "N", forces, image.width_m, depth_m)
+            if np.isfinite(values).all():
+                images[name] = Image(title, unit, values, image.width_m, depth_m)
         _write(out, images)
     files = [str(out / name) for name in ("scan.gwy", "scan.gsf", "scan.png")] if count else []
-    document = {"mode": "contact", "state": report.state, "lines": count, "pixels": parameters["scan.pixels"],
+    mode = parameters.get("scan.mode", "contact")
+    document = {"mode": mode, "state": report.state, "lines": count, "pixels": parameters["scan.pixels"],
                 "text": report.text, "files": files}  # fmt: skip
     print_document(document, str(out), as_json=as_json)
     if report.state != "finished":
@@ -190,7 +201,7 @@ def _show(bar: Progress, task: TaskID, lines: int) -> bool:
 def _images(result: "ScanResult", mode: ScanMode) -> "dict[str, Image]":
     """Return the channels that the mode has, and what the tip sees of the sample."""
     from analysis.image_files import Image
-    from services.afm_node.imaging import AMPLITUDE, DISSIPATED, FORCE, HEIGHT, PHASE
+    from services.afm_node.imaging import AMPLITUDE, DISSIPATED, FORCE, HEIGHT, LATERAL, PHASE
 
     width, depth = result.width_m, result.depth_m
 
@@ -204,7 +215,11 @@ def _images(result: "ScanResult", mode: ScanMode) -> "dict[str, Image]":
         "truth": image("Surface as the tip sees it", "m", result.truth_m),
     }
     if mode is ScanMode.CONTACT:
-        return images | {"force": image("Force", "N", trace[:, :, FORCE])}
+        return images | {
+            "force": image("Force", "N", trace[:, :, FORCE]),
+            "lateral": image("Lateral force", "N", trace[:, :, LATERAL]),
+            "lateral_retrace": image("Lateral force retrace", "N", back[:, :, LATERAL]),
+        }
     return images | {
         "amplitude": image("Amplitude", "m", trace[:, :, AMPLITUDE]),
         "phase": image("Phase", "rad", trace[:, :, PHASE]),

@@ -23,6 +23,7 @@ from studies.page import Page, text, write_images, write_parquet
 from telenano.commands.study_options import (
     BodyDampingOption,
     DeviceLatencyOption,
+    DisturbOption,
     Environment,
     EnvironmentName,
     EnvironmentOption,
@@ -83,6 +84,7 @@ def stability(
     hand: HandOption = HandName.FORCE,
     mass: MassOption = None,
     body_damping: BodyDampingOption = None,
+    disturb: DisturbOption = None,
     settings: SetOption = None,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
@@ -96,7 +98,7 @@ def stability(
         from studies.stability_page import write_stability
 
         given = _Given(law, environment, stiffness, gain, jitter, loss, seed, duration, settings, hand,
-                       mass, body_damping, device_latency)  # fmt: skip
+                       mass, body_damping, device_latency, disturb)  # fmt: skip
         axes = given.axes(delay)
         with _sweep(out, workers, scheduler, shown=not as_json) as sweep:
             results = run_stability(axes, sweep)
@@ -390,6 +392,7 @@ class _Given:
     mass_kg: float | None = None
     body_damping_n_s_per_m: float | None = None
     device_latency_ms: float = 0.0
+    disturbances: list[str] | None = None
 
     def axes(self, delay: str) -> "Axes":
         """Validate all options; ConfigError names the option."""
@@ -415,12 +418,13 @@ class _Given:
             self.hand.value,
             self._body(),
             self.device_latency_ms,
+            values.disturbances(self.disturbances or ()),
         )
         for line in axes.lines():
             cell = line.cell(max(axes.delays_ms))
             cell.controller()
             cell.hold_s()
-            cell.instrument()
+            cell.disturbed_instrument(0.0)
         return axes
 
     def _body(self) -> "Body":

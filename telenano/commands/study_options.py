@@ -111,6 +111,14 @@ SetOption = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="LAW.KEY=VALUE", help="Change a parameter of a law (SI units); may be repeated."),
 ]
+DisturbOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--disturb",
+        metavar="NAME|NAME.KEY=VALUE",
+        help="Switch on a disturbance of the instrument, or set a key of it, as in afm_node.disturbances (repeatable).",
+    ),
+]
 WorkersOption = Annotated[
     int | None, typer.Option("--workers", min=1, metavar="N", help="Processes on this machine; default: one a core.")
 ]

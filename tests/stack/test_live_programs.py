@@ -4,11 +4,15 @@ import json
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 from stack_rig import Rig
 
+from analysis.process_replay import rerun
 from proto.messages import AfmState
+from recording.reader import Recording
 from services.afm_node.config import AfmConfig
+from services.afm_node.surface import Surface
 from services.afm_node.surface_files import read_surface
 
 pytestmark = [pytest.mark.stack, pytest.mark.endurance]
@@ -28,6 +32,13 @@ def newest_state(rig: Rig) -> AfmState:
     return found
 
 
+def truth_of(surface: Surface) -> npt.NDArray[np.float64]:
+    """Give what the tip sees at the pixels of SCAN."""
+    xs = (-30e-9 + (np.arange(32) + 0.5) * 60e-9 / 32 + 75e-9) / surface.step_x_m
+    ys = (-30e-9 + (np.arange(6) + 0.5) * 10e-9 + 75e-9) / surface.step_y_m
+    return surface.height_m[np.ix_(ys.astype(int), xs.astype(int))]
+
+
 def test_a_running_rig_images_its_sample_and_takes_a_curve_and_the_tip_is_away_after_each(
     imaging: Rig, tmp_path: Path
 ) -> None:
@@ -39,9 +50,7 @@ def test_a_running_rig_images_its_sample_and_takes_a_curve_and_the_tip_is_away_a
     assert surface is not None
     image = read_surface(tmp_path / "scan" / "scan.gsf")
     assert image.width_m == pytest.approx(60e-9, rel=1e-6)
-    xs = (-30e-9 + (np.arange(32) + 0.5) * 60e-9 / 32 + 75e-9) / surface.step_x_m
-    ys = (-30e-9 + (np.arange(6) + 0.5) * 10e-9 + 75e-9) / surface.step_y_m
-    truth = surface.height_m[np.ix_(ys.astype(int), xs.astype(int))]
+    truth = truth_of(surface)
     # a dot of 10 nm among them, with flanks of a few pixels
     assert truth.max() - truth.min() > 3e-9
     assert np.corrcoef(image.height_m.ravel(), truth.ravel())[0, 1] > 0.9
@@ -57,3 +66,35 @@ def test_a_running_rig_images_its_sample_and_takes_a_curve_and_the_tip_is_away_a
     assert (done.returncode, newest_state(imaging).mode) == (1, "retracted")
     assert "a dwell" in done.stderr or "dwell_s" in done.stderr
     imaging.stop()
+
+
+def test_the_dynamic_cantilever_taps_a_sample_on_the_bus_and_runs_again_from_the_recording(
+    rig: Rig, tmp_path: Path
+) -> None:
+    rig.start("--set", "afm_node.model=dynamic", scenario="image")
+    rig.wait_until(rig.running, "the session")
+    tapping = (*SCAN, "--mode", "tapping", "--gain", "600")
+    done = rig.telenano(*tapping, "--out", str(tmp_path / "scan"), patience_s=90.0)
+    assert done.returncode == 0, done.stderr
+    document = json.loads(done.stdout)
+    assert (document["mode"], document["state"], document["lines"]) == ("tapping", "finished", 6)
+    surface = AfmConfig.model_validate({"sample": {"name": "dots"}}).to_surface()
+    assert surface is not None
+    image = read_surface(tmp_path / "scan" / "scan.gsf")
+    assert np.corrcoef(image.height_m.ravel(), truth_of(surface).ravel())[0, 1] > 0.9
+    amplitude = read_surface(tmp_path / "scan" / "scan.gwy", "Amplitude")
+    assert np.median(amplitude.height_m) == pytest.approx(16e-9, rel=0.02, abs=0.0)
+    done = rig.telenano("curve", "--live", "--json", "--out", str(tmp_path / "curve"), patience_s=90.0)
+    assert done.returncode == 0, done.stderr
+    # as of the quasi-static cantilever
+    assert json.loads(done.stdout)["pull_off_force_n"] == pytest.approx(-12.8e-9, rel=0.05)
+    rig.stop()
+    found = rerun(Recording(rig.out / "session.mcap"), "afm_node@slave")
+    assert found.identical, found.verdict()
+    assert found.compared["afm/scanline"] == 12
+
+
+def test_a_hand_holds_the_contact_of_the_dynamic_cantilever_as_in_fig_12(rig: Rig) -> None:
+    summary = rig.run("--set", "afm_node.model=dynamic")
+    assert summary["stable"] is True
+    assert summary["hold_ratio"] == pytest.approx(1.050, abs=0.005)

@@ -165,7 +165,8 @@ def test_an_emergency_stop_and_the_force_limit_end_an_image_with_the_tip_away(be
         ({"scan__dwell_s": 1e-3}, "a dwell of 0.002 s or more"),
         ({"scan__setpoint_n": 3e-7}, "must be below safety.force_limit_n"),
         ({"scan__lines": 0}, r"afm_node.scan.lines: .* \(allowed is from 1 to 4096\), got 0"),
-        ({"scan__mode": "tunnelling"}, "scan.mode: unknown key, known are width_m"),
+        ({"scan__mode": "tunnelling"}, "scan.mode: Input should be 'contact' or 'tapping', got 'tunnelling'"),
+        ({"scan__style": "tapping"}, "scan.style: unknown key, known are mode, width_m"),
         ({"program": "dance"}, "afm_node.program: Input should be 'scan', 'curve'"),
     ],
 )

@@ -1,6 +1,7 @@
 """Force curves against what the tip-sample force says about them, and in the field's own reader."""
 
 import math
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -60,6 +61,98 @@ def test_the_fields_reader_opens_the_file_and_ours_reads_it_back(tmp_path):
     assert found.metadata["spring constant"] == 40.0
     back = read_measured(tmp_path / "curve.h5")
     assert np.allclose(back.retract.base_m, curve.retract.base_m, rtol=1e-12, atol=0)
+
+
+def write_jpk(path, curve, *, sensitivity_m_per_v=5e-8, k=40.0):
+    """Write a curve as an instrument of JPK does: a ZIP of property files and big-endian integers."""
+
+    def channel(name, unit, slots, scale):
+        lines = [
+            f"channel.{name}.data.encoder.type=signedinteger",
+            f"channel.{name}.data.encoder.scaling.offset=0.0",
+            f"channel.{name}.data.encoder.scaling.multiplier={scale!r}",
+            f"channel.{name}.data.encoder.scaling.unit.unit=V",
+            f"channel.{name}.conversion-set.conversions.base={unit}",
+        ]
+        base = unit
+        for slot, of, multiplier in slots:
+            conversion = f"channel.{name}.conversion-set.conversion.{slot}"
+            lines += [
+                f"{conversion}.name={slot}",
+                f"{conversion}.base-calibration-slot={base}",
+                f"{conversion}.scaling.offset=0.0",
+                f"{conversion}.scaling.multiplier={multiplier!r}",
+                f"{conversion}.scaling.unit.unit={of}",
+            ]
+            base = slot
+        return lines
+
+    with zipfile.ZipFile(path, "w") as file:
+        file.writestr("header.properties", "force-scan-series.header.position-index=0\n")
+        file.writestr("segments/", "")
+        for number, (style, half) in enumerate((("extend", curve.approach), ("retract", curve.retract))):
+            folder = f"segments/{number}/"
+            file.writestr(folder, "")
+            properties = [
+                f"force-segment-header.num-points={len(half.base_m)}",
+                "force-segment-header.approach-id=a",
+                "force-segment-header.duration=0.5",
+                "force-segment-header.time-stamp=2020-01-01 10:00:00 +0100",
+                f"force-segment-header.settings.style={style}",
+                "force-segment-header.settings.segment-settings.duration=0.5",
+                f"force-segment-header.settings.segment-settings.z-start={float(half.base_m[0])!r}",
+                f"force-segment-header.settings.segment-settings.z-end={float(half.base_m[-1])!r}",
+                *channel("vDeflection", "volts", [("distance", "m", sensitivity_m_per_v), ("force", "N", k)], 1e-8),
+                *channel("measuredHeight", "volts", [("nominal", "m", 1e-6)], 1e-9),
+                *channel("height", "volts", [("nominal", "m", 1e-6), ("calibrated", "m", 1.0)], 1e-9),
+            ]
+            file.writestr(folder + "segment-header.properties", "\n".join(properties))
+            volts = half.force_n / k / sensitivity_m_per_v
+            heights = -half.base_m / 1e-6
+            for name, values in (
+                ("vDeflection", volts / 1e-8),
+                ("measuredHeight", heights / 1e-9),
+                ("height", heights),
+            ):
+                raw = np.round(values).astype(">i4").tobytes()
+                file.writestr(f"{folder}channels/{name}.dat", raw)
+
+
+def test_curves_of_other_instruments_are_read_as_they_were_written(tmp_path):
+    afmformats = pytest.importorskip("afmformats")
+    curve = force_curve(AfmConfig(), 10e-9, 10e-9, 200)
+    marks = marks_of(curve)
+    write_jpk(tmp_path / "curve.jpk-force", curve)
+    write_hdf5(tmp_path / "curve.h5", curve)
+    afmformats.load_data(tmp_path / "curve.h5")[0].export_data(tmp_path / "curve.tab", fmt="tab")
+    for name in ("curve.jpk-force", "curve.tab"):
+        found = read_measured(tmp_path / name)
+        assert (found.stiffness_n_per_m, len(found.approach.base_m)) == (40.0, 200)
+        # the files have six digits, or integers of 20 fN
+        assert np.allclose(found.retract.base_m, curve.retract.base_m, rtol=0, atol=1e-13)
+        # both begin where there is no force, which a measured curve is levelled to
+        offset = found.approach.force_n[0] - curve.approach.force_n[0]
+        assert np.allclose(found.retract.force_n - offset, curve.retract.force_n, rtol=0, atol=1e-13)
+        again = marks_of(found)
+        assert again.pull_off_base_m == pytest.approx(marks.pull_off_base_m, rel=0, abs=1e-12)
+        assert again.hysteresis_j == pytest.approx(marks.hysteresis_j, rel=1e-3, abs=0)
+
+
+def test_a_curve_without_spring_constant_or_way_back_is_refused_by_file(tmp_path):
+    afmformats = pytest.importorskip("afmformats")
+    curve = force_curve(AfmConfig(), 10e-9, 10e-9, 20)
+    write_hdf5(tmp_path / "curve.h5", curve)
+    whole = afmformats.load_data(tmp_path / "curve.h5")[0]
+    whole.export_data(tmp_path / "no_k.tab", fmt="tab", metadata=["imaging mode"])
+    whole.export_data(tmp_path / "whole.tab", fmt="tab")
+    lines = (tmp_path / "whole.tab").read_text().splitlines()
+    data = [number for number, line in enumerate(lines) if line and not line.startswith("#")]
+    (tmp_path / "half.tab").write_text("\n".join(lines[: data[19] + 1]) + "\n")
+    (tmp_path / "not_a.jpk-force").write_bytes(b"PK no archive")
+    for name, words in (("no_k.tab", "spring constant"), ("half.tab", "retraction"), ("not_a.jpk-force", "no whole")):
+        with pytest.raises(ConfigError, match=words) as error:
+            read_measured(tmp_path / name)
+        assert str(tmp_path / name) in str(error.value)
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import pytest
 
 from proto.errors import ConfigError
 from services.afm_node.config import AfmConfig
-from services.afm_node.imaging import ERROR, FORCE, HEIGHT
+from services.afm_node.imaging import ERROR, FORCE, HEIGHT, LATERAL
 from services.afm_node.sample import SampleConfig
 from services.afm_node.surface import checked
 from studies.scan import ScanRequest, scan
@@ -24,6 +24,26 @@ def test_contact_mode_follows_a_slope_at_its_force():
     assert np.abs(found.trace[:, 4:, FORCE] - 5e-9).max() < 1.5e-9
     # the retrace is laid over the trace, and both see the slope
     assert np.abs(found.trace[:, 4:, HEIGHT] - found.retrace[:, 4:, HEIGHT])[:, :-4].max() < 0.3e-9
+
+
+def test_a_contact_image_has_the_lateral_force_of_slope_and_friction_in_both_senses():
+    # 1 N/m holds the force on a slope within some percent; the lateral stiffness takes up 50 pm of the way
+    section = {"cantilever": {"stiffness_n_per_m": 1.0}, "friction": {"coefficient": 0.3}}
+    config = AfmConfig.model_validate(section)
+    ramp = checked(np.tile(np.linspace(0.0, 20e-9, 64), (8, 1)), 200e-9, 25e-9)
+    found = scan(ramp, ScanRequest(mode="contact", pixels=32, lines=1, dwell_s=2e-3), config)
+    slope, friction = 20e-9 / 63 / (200e-9 / 64), config.to_friction_params()
+    cosine = 1.0 / np.sqrt(1.0 + slope**2)
+    for image, sense in ((found.trace, 1.0), (found.retrace, -1.0)):
+        # away from the ends, where the ramp begins and the tip turns; Ogletree, Carpick, Salmeron 1996
+        load = image[0, 8:24, FORCE]
+        needed = (load * slope * cosine * sense + 0.3 * (load * cosine + friction.adhesion_n)) / (
+            cosine - 0.3 * slope * cosine * sense
+        )
+        assert image[0, 8:24, LATERAL] == pytest.approx(-sense * needed, rel=1e-3, abs=0.0)
+    # without friction the slope alone is left
+    smooth = scan(ramp, ScanRequest(mode="contact", pixels=32, lines=1, dwell_s=2e-3), CONFIG).trace[0, 8:24]
+    assert smooth[:, LATERAL] == pytest.approx(-smooth[:, FORCE] * slope, rel=1e-3, abs=0.0)
 
 
 def test_an_image_ends_when_it_is_asked_to_and_keeps_its_lines():

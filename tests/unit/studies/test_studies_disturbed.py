@@ -1,0 +1,91 @@
+"""Disturbances in the lockstep: those of the node, one for one, and what they do to a cell."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from proto.errors import ConfigError
+from services.afm_node import safety
+from services.afm_node.config import AfmConfig
+from services.afm_node.disturbances import DisturbanceConfig
+from services.afm_node.disturbed import DisturbedAfm
+from services.afm_node.step import AfmInputs
+from studies import values
+from studies.cells import Cell, course_of, run_cell
+from studies.disturbed import disturbed_params, initial_state, step
+
+AFM = AfmConfig.model_validate({"cantilever": {"stiffness_n_per_m": 2.0}}).to_params()
+ALL = {
+    "seed": 8,
+    "vibration": {"enabled": True},
+    "hysteresis": {"enabled": True, "range_m": 30e-9},
+    "creep": {"enabled": True},
+    "drift": {"enabled": True, "speed_m_per_s": 2e-9},
+    "thermal": {"enabled": True},
+    "readout": {"enabled": True},
+    "electrostatic": {"enabled": True, "voltage_v": 1.5, "noise_v": 0.3},
+}
+
+
+@pytest.mark.parametrize("name", [*(key for key in ALL if key != "seed"), "all"])
+def test_each_disturbs_as_in_the_node(name: str) -> None:
+    config = DisturbanceConfig.model_validate(ALL if name == "all" else {"seed": 8, name: ALL[name]})
+    node = DisturbedAfm(AFM, None, None, config)
+    node.open()
+    params = disturbed_params(AFM, config, 0.5)
+    state = initial_state(params)
+    rng = np.random.Generator(np.random.PCG64(1))
+    references = np.concatenate([np.linspace(-20e-9, 25e-9, 150), np.linspace(25e-9, -20e-9, 150)])
+    forces = []
+    # the first one is where both begin at rest
+    for reference in (-100e-9, *(references + rng.normal(0.0, 0.2e-9, 300)).tolist()):
+        asked = AfmInputs(reference, 0.0, safety.ACTION_POSITION, True, False)
+        state, found = step(params, state, asked, 1e-3)
+        node.elapse(1e-3)
+        expected = node.exchange(found.base_m)
+        assert (found.in_contact, found.meniscus) == (expected.in_contact, expected.meniscus)
+        # fixed points and roots end within a hundredth of a picometre
+        assert found.force_n == pytest.approx(expected.force_n, rel=1e-6, abs=2e-13)
+        forces.append(found.force_n)
+    assert max(forces) > 3e-9 > -3e-9 > min(forces)
+
+
+def test_a_cell_tells_what_there_is_to_disturb_and_what_is_unknown() -> None:
+    assert values.disturbances(["drift", "thermal.temperature_k=77"]) == (
+        ("drift.enabled", True),
+        ("thermal.enabled", True),
+        ("thermal.temperature_k", 77),
+    )
+
+    def cell(environment: str, *given: str) -> Cell:
+        return Cell(
+            law="virtual_impedance", environment=environment, round_trip_ms=0.0, stiffness_n_per_m=40.0,
+            disturbances=values.disturbances(given),
+        )  # fmt: skip
+
+    with pytest.raises(ConfigError, match="--disturb: spring has no instrument to disturb"):
+        cell("spring", "drift").disturbed_instrument(1.0)
+    with pytest.raises(ConfigError, match="gremlins"):
+        cell("contact", "gremlins").disturbed_instrument(1.0)
+    with pytest.raises(ConfigError, match=r"thermal\.temperature_k"):
+        cell("contact", "thermal.temperature_k=-1").disturbed_instrument(1.0)
+    assert cell("contact").key != cell("contact", "drift").key
+
+
+@pytest.mark.endurance
+def test_a_disturbed_cell_is_judged_and_its_seed_decides_it() -> None:
+    cells: list[Any] = [
+        Cell(law="virtual_impedance", environment="contact", round_trip_ms=10.0, stiffness_n_per_m=40.0, seed=seed,
+             disturbances=given)
+        for seed, given in (
+            (1, ()), (1, (("readout.enabled", True), ("vibration.enabled", True))),
+            (2, (("readout.enabled", True), ("vibration.enabled", True))),
+        )
+    ]  # fmt: skip
+    quiet, noisy, other = (run_cell(cell) for cell in cells)
+    assert (quiet.verdict, noisy.verdict) == ("stable", "stable")
+    assert quiet.peak_to_peak_n < 0.01 < noisy.peak_to_peak_n
+    assert noisy.peak_to_peak_n != other.peak_to_peak_n
+    again = course_of(cells[1], cells[1].hand_points(), 2.0)
+    assert np.array_equal(again.tip_force_n, course_of(cells[1], cells[1].hand_points(), 2.0).tip_force_n)
