@@ -101,7 +101,9 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return found
 
 
-@pytest.fixture(scope="module", params=[(), ("launcher",), ("launcher", "export"), ("studies", "instrument")], ids="+".join)
+@pytest.fixture(
+    scope="module", params=[(), ("launcher",), ("launcher", "export"), ("studies", "instrument")], ids="+".join
+)
 def installed(
     request: pytest.FixtureRequest, wheel: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[Installation]:
