@@ -1,6 +1,7 @@
 """The figures that the README states of studies are those that the studies give, read from its own tables."""
 
 import math
+import re
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ from studies.merits import Merit, Network, Sample, Trial, run_merits
 from studies.stability import Jitter
 from studies.sweep import Journal, Sweep
 from studies.theory import critical_delay_s, loop_model
+from studies.tuning import tuned
 
 README = (Path(__file__).resolve().parents[3] / "README.md").read_text(encoding="utf-8")
 # what the table calls a run that is not stable
@@ -44,6 +46,17 @@ def test_the_critical_delays_of_theory_are_those_of_the_readme() -> None:
         assert stated == [round(delay_ms, 2) for delay_ms in found]
     # the others close no linear loop through the link
     assert all(loop_model(law, LAWS[law].config(), 38.0) is None for law in LAWS if law not in rows)
+
+
+def test_the_price_of_the_damping_is_that_of_the_readme() -> None:
+    stated = re.search(r"at 120 ms free motion is (\d+) to (\d+) times as heavy", README)
+    assert stated is not None
+    light = LAWS["wave"].config().damping_n_s_per_m  # type: ignore[attr-defined]
+    ratios = []
+    for law in ("position_force", "virtual_impedance"):
+        gain = getattr(LAWS[law].config(), "force_gain", 1.0)
+        ratios.append(float(dict(tuned(law, 80.0, 0.12))[f"{law}.damping_n_s_per_m"]) / gain / light)
+    assert [round(ratio) for ratio in sorted(ratios)] == [int(number) for number in stated.groups()]
 
 
 @pytest.fixture(scope="module")
