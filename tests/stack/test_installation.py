@@ -101,10 +101,9 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return found
 
 
-EXTRAS = [(), ("launcher",), ("launcher", "export"), ("studies", "instrument")]
-
-
-@pytest.fixture(scope="module", params=EXTRAS, ids="+".join)
+@pytest.fixture(
+    scope="module", params=[(), ("launcher",), ("launcher", "export"), ("studies", "instrument")], ids="+".join
+)
 def installed(
     request: pytest.FixtureRequest, wheel: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[Installation]:
