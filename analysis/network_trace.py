@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from proto.errors import TelenanoError
 from proto.network_messages import LinkNetwork
+from services.runtime.datagram.account import SETTLE_NS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -94,6 +95,16 @@ def _trace(direction: Direction, reports: Sequence[LinkNetwork]) -> NetworkTrace
     number, lost = number[first], columns["lost_flag"][order][first] == 1
     delay_ns = columns["delay_ns"][order][first]
     sent_ns = columns["arrived_ns"][order][first] - delay_ns
+    if len(number) and not lost.all():
+        # what was lost in the last second is not reported yet: the numbers without a row
+        arrived = number[~lost]
+        lately = arrived[sent_ns[~lost] >= sent_ns[~lost].max() - SETTLE_NS]
+        absent = np.setdiff1d(np.arange(lately.min(), lately.max()), number)
+        order = np.argsort(np.concatenate([number, absent]), kind="stable")
+        number = np.concatenate([number, absent])[order]
+        lost = np.concatenate([lost, np.ones(len(absent), dtype=bool)])[order]
+        zeros = np.zeros(len(absent), dtype=delay_ns.dtype)
+        delay_ns, sent_ns = (np.concatenate([column, zeros])[order] for column in (delay_ns, sent_ns))
     known = ~lost
     if known.sum() < _FEWEST:
         raise TelenanoError(

@@ -183,7 +183,7 @@ def fig12(
         chosen["master"][-1] = f"recorder.exclude={json.dumps([t for t in EXCLUDED['master'] if t != 'link/fates'])}"
     if probe_into is not None:
         # its imports take longer than the programme where the rig has the processors
-        assert rig.master.telenano("scenario", "list").returncode == 0
+        assert rig.master.keys_command("show").returncode == 0
     try:
         rig.slave.start(*chosen["slave"])
         rig.master.start(
@@ -283,7 +283,8 @@ def table_lines(rows: list[dict[str, Any]]) -> list[str]:
         shown = [", ".join(map(_live, runs)) or "-" for runs in ((real, injected) if with_injected else (real,))]
         counted = ", ".join(f"{count} {verdict}" for verdict, count in drawn.most_common())
         among = {row["verdict"] for row in injected} | set(drawn)
-        same = "same" if all(row["verdict"] in among for row in real) else "differs"
+        other = sum(row["verdict"] not in among for row in real)
+        same = f"{other} of {len(real)} differs" if other else "same"
         lines.append(_row([law, f"{delay_ms:g} ms, {loss:.0%}", *shown, counted, same if among else ""]))
     left_out = [row for row in rows if row.get("distorted")]
     lines += [f"{len(left_out)} sessions left out because the cable was late itself:"] if left_out else []

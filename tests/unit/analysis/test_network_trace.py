@@ -87,3 +87,19 @@ def test_what_says_nothing_of_a_network_is_refused_or_left_out() -> None:
     lost = {number for number, lost in rows if lost} - arrived
     assert forward.lost.sum() == sum(min(arrived) < number < max(arrived) for number in lost)
     assert len({number for number, lost in rows if lost}) == len(lost) + 1
+
+
+def test_what_was_lost_in_the_last_second_counts_before_it_is_reported() -> None:
+    whole = reports("forward")
+    cut = []
+    for report in whole:
+        columns = {name: getattr(report, name).to_numpy() for name in ("number", "arrived_ns", "delay_ns", "lost_flag")}
+        # a second of a thousand a second
+        told = (columns["lost_flag"] == 0) | (columns["number"] < 3000)
+        kept = {name: Array.from_numpy(np.ascontiguousarray(values[told])) for name, values in columns.items()}
+        cut.append(report.model_copy(update=kept))
+    expected, found = (traces_of(given)["forward"] for given in (whole, cut))
+    assert expected.lost[-900:].any()
+    assert np.array_equal(found.lost, expected.lost)
+    assert np.array_equal(found.delay_s, expected.delay_s)
+    assert np.allclose(found.sent_s, expected.sent_s, rtol=0.0, atol=1e-6)
