@@ -179,6 +179,11 @@ class ModbusAfm:
         return self._readings.sample.bridge_voltage_v
 
     @property
+    def late_answers(self) -> int:
+        """Return how many answers were skipped on this connection: they were to requests before the one that is out."""
+        return self._conversation.late
+
+    @property
     def latency_s(self) -> float:
         """Return what the device is declared to add to the round trip [s]: from a command to its sample, in the mean.
 

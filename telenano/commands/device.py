@@ -204,7 +204,12 @@ def _opened_instrument(calibration: Path) -> tuple[Any, Any]:
 
     def tick() -> dict[str, Any]:
         sample = driver.exchange(driver.safe_position_m)
-        return {"base_m": sample.base_m, "input_v": sample.bridge_voltage_v, "exchanges": driver.exchanges}
+        return {
+            "base_m": sample.base_m,
+            "input_v": sample.bridge_voltage_v,
+            "exchanges": driver.exchanges,
+            "late_answers": driver.late_answers,
+        }
 
     return driver, tick
 

@@ -1,5 +1,6 @@
 """Fig. 12 on an emulated handle and the model of a T7: processes of their own, on a pseudo-terminal and a socket."""
 
+import math
 import os
 import signal
 import socket
@@ -12,11 +13,16 @@ from pathlib import Path
 from typing import Any
 
 import machine
+import numpy as np
 import pytest
+import yaml
 from stack_rig import ROOT, Rig
 
+from recording.arrays import columns
 from recording.reader import Recording
 from services.afm_node.modbus_frames import Conversation
+from services.controller.config import ControllerConfig
+from studies.theory import critical_link_delay_s, loop_model
 
 pytestmark = pytest.mark.endurance
 
@@ -29,22 +35,27 @@ STEP_N = 0.16
 
 
 class Devices:
-    """Both emulated devices, and the options with which a rig uses them."""
+    """Both emulated devices, and the options with which a rig uses them.
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
+    Parameters: scenario, whose hand and AFM they have; t7, further options of the model.
+    """
+
+    def __init__(self, folder: Path, scenario: Path = FIG12, t7: tuple[str, ...] = ()) -> None:
+        self.folder, self.scenario = folder, scenario
         self.link, self.handle_file, self.stage_file = folder / "handle", folder / "handle.yaml", folder / "stage.yaml"
         with socket.socket() as free:
             free.bind(("127.0.0.1", 0))
             self.port = free.getsockname()[1]
         self.handle = self._start("handle", "--link", str(self.link), "--calibration", str(self.handle_file))
-        self.t7 = self._start("t7", "--port", str(self.port), "--calibration", str(self.stage_file))
+        self._t7 = ("t7", "--port", str(self.port), "--calibration", str(self.stage_file), *t7)
+        self.t7 = self._start(*self._t7)
         self._conversation = Conversation(1)
         self._line: socket.socket | None = None
         wait_until(lambda: self.link.is_symlink() and self._serves(), "both devices")
 
     def _start(self, *arguments: str) -> "subprocess.Popen[bytes]":
-        command = [sys.executable, "-m", "telenano", "device", "simulate", *arguments, "--scenario", str(FIG12)]
+        command = [sys.executable, "-m", "telenano", "device", "simulate", *arguments]
+        command += ["--scenario", str(self.scenario)]
         return subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL)
 
     def _serves(self) -> bool:
@@ -66,6 +77,26 @@ class Devices:
         self.handle.send_signal(signal.SIGSTOP)
         time.sleep(duration_s)
         self.handle.send_signal(signal.SIGCONT)
+
+    def plug(self) -> None:
+        """Pull the cable of the handle out, or put it in again."""
+        plugged = self.link.is_symlink()
+        self.handle.send_signal(signal.SIGUSR1)
+        wait_until(lambda: self.link.is_symlink() is not plugged, "the cable")
+
+    def reset_handle(self) -> None:
+        self.handle.send_signal(signal.SIGUSR2)
+
+    def kill_t7(self) -> None:
+        self.t7.kill()
+        self.t7.wait()
+        if self._line is not None:
+            self._line.close()
+            self._line = None
+
+    def restart_t7(self) -> None:
+        self.t7 = self._start(*self._t7)
+        wait_until(self._serves, "the model of the T7")
 
     def read(self, address: int) -> float:
         """Read a float of the T7, beside the rig."""
@@ -146,3 +177,149 @@ def test_killed_node_is_retracted_by_the_script_on_the_device(rig: Rig, devices:
     machine.note(f"kill -9 of the AFM node: the T7's script had retracted after {waited_s * 1e3:.0f} ms")
     os.kill(rig.process.pid, signal.SIGINT) if rig.process is not None else None
     rig.finish()
+
+
+def modes(recording: Any, topic: str) -> list[tuple[str, str]]:
+    """Return device and mode of the states so far, each that differs from the one before."""
+    found: list[tuple[str, str]] = []
+    for message in recording.messages([topic]):
+        state = message.decode()
+        if not found or found[-1] != (state.device, state.mode):
+            found.append((state.device, state.mode))
+    return found
+
+
+def test_faults_of_a_running_rig_and_back(rig: Rig, devices: Devices) -> None:
+    """Cable out and in, board reset, instrument stopped, killed and started again, one after the other."""
+    rig.start(*devices.options, "--duration", "600")
+    rig.wait_until(lambda: rig.running() and devices.read(DAC0) > 1.5, "an approach")
+
+    def wait(topic: str, device: str, mode: str, times: int = 1) -> None:
+        wanted = (device, mode)
+        rig.wait_until(lambda: modes(rig.recording(), topic).count(wanted) >= times, f"{topic}: {wanted}")
+
+    def newest(topic: str) -> tuple[str, str]:
+        return modes(rig.recording(), topic)[-1]
+
+    devices.plug()
+    wait("haptic/state", "lost", "off")
+    devices.plug()
+    rig.wait_until(lambda: newest("haptic/state") == ("ok", "position"), "the hand behind its cable")
+    devices.reset_handle()
+    wait("haptic/state", "lost", "off", 2)
+    rig.wait_until(lambda: newest("haptic/state") == ("ok", "position"), "the hand after its reset")
+    devices.t7.send_signal(signal.SIGSTOP)
+    wait("afm/state", "lost", "retracted")
+    devices.t7.send_signal(signal.SIGCONT)
+    rig.wait_until(lambda: newest("afm/state") == ("ok", "retracted"), "the instrument that was stopped")
+    assert rig.telenano("session", "arm").returncode == 0
+    rig.wait_until(lambda: newest("afm/state") == ("ok", "follow"), "the tip")
+    devices.kill_t7()
+    rig.wait_until(lambda: newest("afm/state") == ("lost", "retracted"), "the loss")
+    refused = rig.telenano("session", "arm")
+    assert refused.returncode != 0
+    assert "device_lost" in refused.stderr + refused.stdout
+    devices.restart_t7()
+    rig.wait_until(lambda: newest("afm/state") == ("ok", "retracted"), "the instrument that was started again")
+    # a volt for 80 nm, 2.5 V at rest, retracted by 100 nm
+    assert devices.read(DAC0) == pytest.approx(1.25, abs=2e-3)
+    code, _, err = rig.stop()
+    assert code == 0, err + rig.logs()
+    recording = Recording(rig.out / "session.mcap")
+    hand = columns(recording, "haptic/state", ("t_ns", "position_m.2", "reference_m.2", "mode", "device"))
+    driven = (hand["mode"] == "position") & (hand["device"] == "ok")
+    both = driven[1:] & driven[:-1]
+    # the reference goes on from where the arm is, and no faster than the guard lets it
+    steps_m = np.abs(np.diff(hand["reference_m.2"]))[both]
+    begins = driven[1:] & (hand["mode"][:-1] == "off")
+    assert steps_m.max() <= 1.01 * 36e-6
+    assert begins.sum() >= 2
+    apart_m = np.abs(hand["reference_m.2"] - hand["position_m.2"])[1:][begins]
+    assert apart_m.max() <= 2 * 36e-6
+    texts = [message.decode().text for message in recording.messages(["session/event"])]
+    for text in ("the device is gone", "the handle was reset", "has been silent for 50 ms", "is ready and retracted"):
+        assert any(text in found for found in texts), text
+
+
+def test_refused_devices_end_the_start_with_exit_code_2(rig: Rig, devices: Devices) -> None:
+    calibration = yaml.safe_load(devices.handle_file.read_text())
+    devices.handle_file.write_text(yaml.safe_dump({**calibration, "device_id": "00000000000000ff"}))
+    rig.start(*devices.options)
+    code, _, err = rig.finish()
+    text = err + rig.logs()
+    assert code == 2, text
+    assert "the handle is 0102030405060708, and the calibration is that of 00000000000000ff" in text
+    assert devices.read(DAC0) == 0.0
+
+
+# travel of a stage whose steps are so fine that a motion which dies out is not lost in them [m/V]
+FINE_M_PER_V = 2e-9
+SPRING_N_PER_M = 38.0
+HAND_N = 8.0
+PERIOD_MS = 1.0
+
+
+def edge_scenario(folder: Path) -> Path:
+    """Write a session on the spring: the hand steps to its force and holds it."""
+    steps = [(0.0, 0.0), (0.2, 0.0), (0.21, HAND_N)]
+    safety = {"base_min_m": -5e-9, "base_max_m": 5e-9, "retract_position_m": 0.0, "force_limit_n": 1e-6}
+    document = {
+        "name": "edge",
+        "duration_s": 4.2,
+        "haptic_node": {
+            "operator": {"kind": "force_profile", "points": [{"time_s": t, "force_n": force} for t, force in steps]}
+        },
+        "controller": {"law": "virtual_impedance"},
+        "afm_node": {
+            "environment": "spring",
+            "spring": {"stiffness_n_per_m": SPRING_N_PER_M, "rest_position_m": 0.0, "bilateral": True},
+            "safety": safety,
+        },
+    }
+    path = folder / "edge.yaml"
+    path.write_text(yaml.safe_dump(document))
+    return path
+
+
+def growth_per_s(recording: Recording) -> float:
+    """Return the growth rate of what is left of the step, in the tip's force [1/s]."""
+    hand = columns(recording, "haptic/state", ("t_ns", "session_s"))
+    begin_ns = hand["t_ns"][np.argmax(hand["session_s"] >= 0.0)]
+    tip = columns(recording, "afm/state", ("t_ns", "tip_force_n.2"))
+    time_s = (tip["t_ns"] - begin_ns) * 1e-9
+    first, second = (tip["tip_force_n.2"][(time_s >= a) & (time_s < a + 1.5)] for a in (0.9, 2.4))
+    return math.log(second.std() / first.std()) / 1.5
+
+
+def test_critical_round_trip_on_the_bus_is_that_of_theory_less_the_declared_latency(tmp_path: Path) -> None:
+    config = ControllerConfig(law="virtual_impedance")
+    model = loop_model(config.law, config.law_config(), SPRING_N_PER_M)
+    assert model is not None
+    bears_ms = 1e3 * critical_link_delay_s(model, PERIOD_MS * 1e-3)
+    declared_ms = 2.5
+    scenario = edge_scenario(tmp_path)
+    found = []
+    for number, delay_ms in enumerate((bears_ms - declared_ms - 2.2, bears_ms - declared_ms + 0.8)):
+        folder = tmp_path / f"{number}"
+        folder.mkdir()
+        devices, rig = Devices(folder, scenario, ("--travel", str(FINE_M_PER_V))), Rig(folder)
+        try:
+            rig.start(*devices.options, "--round-trip-ms", f"{delay_ms:.3f}", "--headless", scenario=str(scenario))
+            code, summary, err = rig.finish()
+            assert code == 0, err + rig.logs()
+            recording = Recording(rig.out / "session.mcap")
+            health = {m.src: m.device_latency_s for m in states(recording, "node/health") if m.device_latency_s}
+            assert health["afm_node@slave"] == pytest.approx(1e-3 * declared_ms)
+            found.append((delay_ms, growth_per_s(recording), summary["loop_age_ms"]["p50"] - delay_ms))
+        finally:
+            rig.close()
+            devices.close()
+    (low_ms, dies, own_ms), (high_ms, grows, _) = found
+    assert dies < 0.0 < grows, found
+    edge_ms = low_ms + (high_ms - low_ms) * -dies / (grows - dies)
+    whole_ms = edge_ms + own_ms + declared_ms
+    machine.note(
+        f"critical round trip with devices: {edge_ms:.2f} ms of the link, {own_ms:.2f} ms of the processes, "
+        f"{declared_ms} ms declared; theory {bears_ms:.2f} ms ({found})"
+    )
+    assert whole_ms == pytest.approx(bears_ms, rel=0.05, abs=0.0)

@@ -10,6 +10,7 @@ from pymodbus.pdu import DecodePDU, ModbusPDU
 from services.afm_node.calibration import InstrumentCalibration
 from services.afm_node.config import AfmConfig
 from services.afm_node.modbus_driver import ModbusAfm
+from services.afm_node.node import AfmNode
 from services.afm_node.register_map import RegisterMap, read_map
 from services.afm_node.sim import SimulatedAfm
 from services.afm_node.t7_model import T7Model, calibration_of
@@ -34,7 +35,7 @@ class StageLine:
         afm = SimulatedAfm(PARAMS)
         afm.open()
         self.model = T7Model(afm)
-        self.reachable, self.running = True, True
+        self.reachable, self.running, self.accepting = True, True, True
         self.latency_ms = 0.0
         # what the device does with a request, and what the network does with the bytes of its answer
         self.respond: Callable[[ModbusPDU], ModbusPDU] = lambda request: respond(self.model, request, self.now_ns)
@@ -62,7 +63,7 @@ class StageLine:
         return self
 
     def ready(self) -> bool:
-        return True
+        return self.accepting
 
     def send(self, request: bytes) -> None:
         if not self.reachable:
@@ -90,3 +91,23 @@ class StageLine:
         for _ in range(duration_ms):
             self.now_ns += MS
             self.model.pass_time(self.now_ns)
+
+
+class Rig:
+    """An AFM node with the T7 model on a bench."""
+
+    def __init__(self, bench: Any) -> None:
+        self.bench, self.line = bench, StageLine()
+        self.node = AfmNode(bench.context, AfmConfig(), self.line.driver)
+
+    def tick(self, count: int = 1, x_s_m: float = 0.0) -> None:
+        for _ in range(count):
+            self.bench.advance_ms(1)
+            self.line.pass_ms(1)
+            fields = {"mode": "position", "base_position_m": (0.0, 0.0, -x_s_m), "hand_seq": 7}
+            fields["hand_t_ns"] = self.bench.clock.now_ns()
+            self.node.on_message(self.bench.received("afm/command", "controller@slave", **fields))
+
+    def control(self, command: str) -> str:
+        fields = {"id": "a", "command": command, "target": "afm_node", "parameters": {}}
+        return self.node.on_control(self.bench.make("session/control", "console@slave", **fields))

@@ -6,15 +6,13 @@ from typing import Any
 
 import pytest
 from pymodbus.pdu import ExceptionResponse, ModbusPDU
-from stage_line import MS, PARAMS, StageLine, calibration
+from stage_line import MS, PARAMS, Rig, StageLine, calibration
 
 from proto.errors import ConfigError
 from services.afm_node import t7_model
-from services.afm_node.config import AfmConfig
 from services.afm_node.driver import DeviceError
 from services.afm_node.modbus_driver import ModbusAfm
 from services.afm_node.modbus_frames import Conversation, FeedbackRequest, FramingError, Operation
-from services.afm_node.node import AfmNode
 from services.afm_node.register_map import Register, RegisterMap, read_map
 from services.afm_node.sim import SimulatedAfm
 from services.runtime.clock import VirtualClock
@@ -380,26 +378,6 @@ def test_function_76_has_the_bytes_of_the_manual() -> None:
     assert request.operations == (Operation(1000, 2, (0x4020, 0)), Operation(0, 2))
     with pytest.raises(FramingError):
         conversation.answer(b"\0" * 12)
-
-
-class Rig:
-    """An AFM node with the T7 model on a bench."""
-
-    def __init__(self, bench: Any) -> None:
-        self.bench, self.line = bench, StageLine()
-        self.node = AfmNode(bench.context, AfmConfig(), self.line.driver)
-
-    def tick(self, count: int = 1, x_s_m: float = 0.0) -> None:
-        for _ in range(count):
-            self.bench.advance_ms(1)
-            self.line.pass_ms(1)
-            fields = {"mode": "position", "base_position_m": (0.0, 0.0, -x_s_m), "hand_seq": 7}
-            fields["hand_t_ns"] = self.bench.clock.now_ns()
-            self.node.on_message(self.bench.received("afm/command", "controller@slave", **fields))
-
-    def control(self, command: str) -> str:
-        fields = {"id": "a", "command": command, "target": "afm_node", "parameters": {}}
-        return self.node.on_control(self.bench.make("session/control", "console@slave", **fields))
 
 
 def test_node_retracts_when_the_device_is_lost_and_waits_for_arm(bench_of: Any) -> None:

@@ -9,6 +9,7 @@ from services.haptic_node.calibration import HandleCalibration
 from services.haptic_node.config import HapticConfig
 from services.haptic_node.driver import DeviceError
 from services.haptic_node.emulated_handle import EmulatedHandle, calibration_of
+from services.haptic_node.node import HapticNode
 from services.haptic_node.serial_driver import SerialHandle
 from services.runtime.config import parse_yaml, validate
 
@@ -28,6 +29,8 @@ class Line:
         self.now_ns = 10**9
         self.handle = EmulatedHandle(HapticConfig(), session=0xBEEF)
         self.plugged, self.reading = True, True
+        # another program that has the port open
+        self.holder = ""
         self.to_host: Callable[[bytes], bytes] = lambda sent: sent
         self.to_device: Callable[[bytes], bytes] = lambda sent: sent
         # of what the device sent [ms]
@@ -48,6 +51,8 @@ class Line:
     def _open(self, path: str, baud: int) -> "Line":
         if not self.plugged:
             raise DeviceError(f"{path}: there is no such port")
+        if self.holder:
+            raise DeviceError(f"{path}: is in use by {self.holder}: end it first")
         self.opened += 1
         self._waiting.clear()
         return self
@@ -79,4 +84,27 @@ class Line:
     def _collect(self) -> None:
         sent = self.to_host(self.handle.sent())
         if sent and self.plugged:
-            self._waiting.append((self.now_ns + round(self.latency_ms * MS), sent))
+            # in order, whatever the latency was before
+            before_ns = self._waiting[-1][0] if self._waiting else 0
+            self._waiting.append((max(before_ns, self.now_ns + round(self.latency_ms * MS)), sent))
+
+
+class Rig:
+    """A haptic node with the emulated handle on a bench."""
+
+    def __init__(self, bench: Any) -> None:
+        self.bench, self.line = bench, Line()
+        self.node = HapticNode(bench.context, HapticConfig(), self.line.driver)
+        self.x_m = 0.0
+
+    def tick(self, count: int = 1) -> None:
+        for _ in range(count):
+            now_ns = self.bench.clock.now_ns()
+            command = {"mode": "position", "position_m": (0.0, 0.0, -self.x_m), "velocity_m_per_s": (0.0, 0.0, 0.0)}
+            stamps = {"force_n": (0.0, 0.0, 0.0), "hand_seq": 0, "hand_t_ns": now_ns}
+            received = self.bench.received("haptic/command", "controller@master", **command, **stamps)
+            self.node.on_message(received)
+            before_ns = self.bench.clock.monotonic_ns()
+            self.bench.clock.advance_ns(max(0, self.node.deadline_ns() - before_ns))
+            self.line.pass_ms(1)
+            self.node.on_deadline(self.bench.clock.monotonic_ns())

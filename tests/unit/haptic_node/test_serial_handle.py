@@ -8,13 +8,12 @@ import pytest
 if shutil.which("cc") is None:
     pytest.skip("the emulated handle needs a C compiler: apt install gcc libc6-dev", allow_module_level=True)
 
-from handle_line import PATH, Line, calibration
+from handle_line import PATH, Line, Rig, calibration
 
 from proto.errors import ConfigError
 from services.haptic_node import wire
 from services.haptic_node.config import HapticConfig
 from services.haptic_node.driver import DeviceError, DriveCommand
-from services.haptic_node.node import HapticNode
 from services.haptic_node.safety import MODE_FORCE, MODE_OFF, MODE_POSITION
 from services.haptic_node.sim import SimulatedHaptic
 
@@ -314,27 +313,6 @@ def test_sign_of_the_calibration_turns_everything_round() -> None:
     assert turned.position_raw(1e-3) == zero - 100_000
     assert turned.drive_raw(2.5 * turned.drive.n_per_count) == -2
     assert turned.drive_force_n(4) < 0.0
-
-
-class Rig:
-    """A haptic node with the emulated handle on a bench."""
-
-    def __init__(self, bench: Any) -> None:
-        self.bench, self.line = bench, Line()
-        self.node = HapticNode(bench.context, HapticConfig(), self.line.driver)
-        self.x_m = 0.0
-
-    def tick(self, count: int = 1) -> None:
-        for _ in range(count):
-            now_ns = self.bench.clock.now_ns()
-            command = {"mode": "position", "position_m": (0.0, 0.0, -self.x_m), "velocity_m_per_s": (0.0, 0.0, 0.0)}
-            stamps = {"force_n": (0.0, 0.0, 0.0), "hand_seq": 0, "hand_t_ns": now_ns}
-            received = self.bench.received("haptic/command", "controller@master", **command, **stamps)
-            self.node.on_message(received)
-            before_ns = self.bench.clock.monotonic_ns()
-            self.bench.clock.advance_ns(max(0, self.node.deadline_ns() - before_ns))
-            self.line.pass_ms(1)
-            self.node.on_deadline(self.bench.clock.monotonic_ns())
 
 
 def test_node_publishes_state_and_age_and_recovers_without_a_jump(bench_of: Any) -> None:

@@ -1,0 +1,35 @@
+"""docs/devices.md: every fault has its row, and every test that a row names exists."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[3]
+TEXT = (ROOT / "docs" / "devices.md").read_text(encoding="utf-8")
+NAMED = re.compile(r"(test_\w+\.py)::(test_\w+)(?:\[([^\]]+)\])?")
+# a row of a table of faults, and one of a start that is refused
+CASES = re.compile(r'^    "([^"]+)": Fault\(|pytest\.param\(.*\bid="([^"]+)"\)', re.MULTILINE)
+
+
+def found(name: str) -> str:
+    (path,) = (ROOT / "tests").rglob(name)
+    return path.read_text(encoding="utf-8")
+
+
+def test_every_test_that_is_named_exists_with_its_case() -> None:
+    named = NAMED.findall(TEXT)
+    assert len(named) > 30
+    for file, name, case in named:
+        source = found(file)
+        assert f"def {name}(" in source, f"{file}::{name}"
+        cases = {first or second for first, second in CASES.findall(source)}
+        assert not case or case in cases, f"{file}::{name}[{case}]"
+
+
+@pytest.mark.parametrize("file", ["test_handle_faults.py", "test_stage_faults.py"])
+def test_every_fault_that_is_tested_has_its_row(file: str) -> None:
+    rows = {case for name, _, case in NAMED.findall(TEXT) if name == file}
+    cases = {first or second for first, second in CASES.findall(found(file))}
+    assert len(cases) > 15
+    assert cases - rows == set()
