@@ -69,7 +69,7 @@ class T7Model:
 
     Parameters: afm, opened, whose base the output moves and whose bridge voltage the input reads; noise_v, standard
     deviation of a reading [V]; seed of that noise; word_swapped, for a device that is not what it should be;
-    output_step_v, of a converter of 12 bits unless it is another's [V].
+    output_step_v, of a converter of 12 bits unless it is another's [V]; m_per_v, travel of the stage for a volt [m/V].
     """
 
     def __init__(
@@ -80,8 +80,9 @@ class T7Model:
         seed: int = 1,
         word_swapped: bool = False,
         output_step_v: float = _DAC_STEP_V,
+        m_per_v: float = M_PER_V,
     ) -> None:
-        self._step_v = output_step_v
+        self._step_v, self._m_per_v = output_step_v, m_per_v
         self._afm, self._noise_v, self._random = afm, noise_v, random.Random(seed)
         self._words: dict[int, int] = {}
         self._forms = {address: form for address, form, _ in _REGISTERS}
@@ -171,7 +172,7 @@ class T7Model:
     def _move(self, volts: float) -> None:
         output_v = round(min(max(volts, 0.0), _DAC_MOST_V) / self._step_v) * self._step_v
         self._put(_DAC0, output_v)
-        self._bridge_v = self._afm.exchange((output_v - REST_V) * M_PER_V).bridge_voltage_v
+        self._bridge_v = self._afm.exchange((output_v - REST_V) * self._m_per_v).bridge_voltage_v
 
     def _sample(self) -> None:
         range_v = self.value(_AIN0_RANGE)
@@ -254,7 +255,11 @@ class HeartbeatScript:
 
 
 def calibration_of(
-    volts_per_m: float, stiffness_n_per_m: float, host: str = "127.0.0.1", port: int = 502
+    volts_per_m: float,
+    stiffness_n_per_m: float,
+    host: str = "127.0.0.1",
+    port: int = 502,
+    m_per_v: float = M_PER_V,
 ) -> dict[str, object]:
     """Return the content of a calibration file that fits the model exactly."""
     return {
@@ -263,7 +268,7 @@ def calibration_of(
         "calibrated": datetime(2026, 1, 1, tzinfo=UTC),
         "network": {"host": host, "port": port},
         "stage": {
-            "m_per_v": M_PER_V,
+            "m_per_v": m_per_v,
             "rest_v": REST_V,
             "retract_v": 0.0,
             "min_v": 0.0,

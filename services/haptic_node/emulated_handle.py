@@ -10,7 +10,7 @@ from services.haptic_node import wire
 from services.haptic_node.config import HapticConfig
 from services.haptic_node.driver import DriveCommand
 from services.haptic_node.firmware import BoardIdentity, BoardSample, FirmwareCore
-from services.haptic_node.motor import MotorParams
+from services.haptic_node.motor import MotorParams, MotorState
 from services.haptic_node.safety import MODE_OFF, MODE_POSITION
 from services.haptic_node.step import initial_plant, plant_step
 
@@ -51,6 +51,8 @@ class EmulatedHandle:
         self._config = config
         self._drive = 0
         self._session_ticks: int | None = None
+        self._gauge_m: float | None = None
+        self._load_n = 0.0
         self.device_id = device_id
         self.time_us = 0
         self.estop_pressed = False
@@ -61,6 +63,14 @@ class EmulatedHandle:
         self._drive = 0
         self._session_ticks = None
         self.core = self._boot(session)
+
+    def place(self, position_m: float) -> None:
+        """Put the arm against a gauge [m], towards the sample > 0, where it stays until it is driven."""
+        self._gauge_m = position_m
+
+    def load(self, force_n: float) -> None:
+        """Hang a weight at the sensor [N], towards the sample > 0, until the arm is driven: friction holds it."""
+        self._load_n = force_n
 
     def receive(self, received: bytes) -> None:
         self.core.receive(received)
@@ -73,6 +83,10 @@ class EmulatedHandle:
         self.time_us += TICK_US
         self._session_ticks = ((self._session_ticks or 0) + 1) if self.core.session_runs else None
         session_s = -1.0 if self._session_ticks is None else self._session_ticks * _TICK_S
+        if self.core.mode != MODE_OFF:
+            self._gauge_m, self._load_n = None, 0.0
+        elif self._gauge_m is not None:
+            self._plant = self._plant._replace(motor=MotorState(self._gauge_m, 0.0))
         before_m = self._plant.motor.position_m
         command = DriveCommand(MODE_OFF, 0.0, 0.0)
         if self.core.mode != MODE_OFF:
@@ -89,7 +103,7 @@ class EmulatedHandle:
             BoardSample(
                 self.time_us,
                 POSITION_ZERO + round(reading.position_m / M_PER_COUNT),
-                FORCE_ZERO + round(reading.operator_force_n / N_PER_COUNT),
+                FORCE_ZERO + round((reading.operator_force_n + self._load_n) / N_PER_COUNT),
                 max(-_FORCE_MAX, min(round(reading.motor_force_n / self._drive_n), _FORCE_MAX)),
                 _SUPPLY_10MV,
                 flags,

@@ -1,6 +1,8 @@
 """`telenano device`: the real devices of a rig, and emulated ones to try without."""
 
 import asyncio
+import logging
+import math
 import os
 import select
 import signal
@@ -308,6 +310,8 @@ def calibrate_handle(
             "max_force_n": max_force,
         }
         _check_and_write(out, document)
+        typer.echo(f"position: {position.scale:.4g} m for a count, standard error {position.scale_error:.2g}")
+        typer.echo(f"force: {force.scale:.4g} N for a count, standard error {force.scale_error:.2g}")
 
 
 def _check_and_write(path: Path, document: dict[str, object]) -> None:
@@ -333,7 +337,8 @@ def simulate_handle(
 ) -> None:
     """Run an emulated handle: the firmware, the motor and the hand, on a port of its own. Ctrl-C ends it.
 
-    SIGUSR1, or the Enter key, pulls the cable out, and puts it in again; SIGUSR2 resets the board.
+    SIGUSR1, or the Enter key, pulls the cable out, and puts it in again; SIGUSR2 resets the board. For a calibration,
+    `gauge M` puts the arm at a position [m] and `mass KG` hangs a mass at its sensor [kg].
     """
     with report_errors(as_json=False, interrupted="the emulated handle has ended"):
         from services.haptic_node import avr_board, emulated_handle
@@ -355,12 +360,17 @@ def simulate_handle(
             signal.signal(number, lambda found, frame: received.append(found))
         signal.signal(signal.SIGTERM, signal.default_int_handler)
         typer.echo(f"an emulated handle is at {link}; Enter pulls its cable out and puts it in again, Ctrl-C ends it")
+        if isinstance(handle, emulated_handle.EmulatedHandle):
+            typer.echo("`gauge 0.005` puts its arm at 5 mm, `mass 0.2` lets 0.2 kg pull at it, for a calibration")
         _run_ahead()
         has_keys = sys.stdin.isatty()
 
         def goes_on() -> bool:
-            if has_keys and select.select([sys.stdin], [], [], 0.0)[0] and sys.stdin.readline():
-                received.append(signal.SIGUSR1)
+            if has_keys and select.select([sys.stdin], [], [], 0.0)[0] and (line := sys.stdin.readline()):
+                if line.strip():
+                    typer.echo(handled(handle, line))
+                else:
+                    received.append(signal.SIGUSR1)
             while received:
                 if received.pop(0) == signal.SIGUSR2:
                     handle.reset(_boot())
@@ -379,6 +389,24 @@ def simulate_handle(
             port.pull_out()
 
 
+def handled(handle: Any, line: str) -> str:
+    """Do at an emulated handle what a line says, and return what was done, or what would be right."""
+    from services.haptic_node.handle_calibration import STANDARD_GRAVITY_M_PER_S2
+
+    word, _, text = line.strip().partition(" ")
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if word not in ("gauge", "mass") or not math.isfinite(value) or not hasattr(handle, "place"):
+        return f"{line.strip()!r} is not known: Enter, `gauge M` or `mass KG`, the latter two without --board avr328p"
+    if word == "gauge":
+        handle.place(value)
+        return f"the arm stands at {value:g} m until it is driven"
+    handle.load(value * STANDARD_GRAVITY_M_PER_S2)
+    return f"{value:g} kg pull at the arm until it is driven"
+
+
 @simulate.command("t7")
 def simulate_t7(
     host: Annotated[str, typer.Option("--host", metavar="ADDRESS", help="Address to serve on.")] = "127.0.0.1",
@@ -392,6 +420,9 @@ def simulate_t7(
     noise: Annotated[
         float, typer.Option("--noise", min=0.0, max=1.0, metavar="V", help="Noise of the input [V], one sigma.")
     ] = 1e-6,
+    travel: Annotated[
+        float, typer.Option("--travel", min=1e-12, max=1e-3, metavar="M", help="Travel of the stage for a volt [m].")
+    ] = 8.0e-8,
     calibration: WriteOption = None,
 ) -> None:
     """Serve the model of a LabJack T7 with stage and cantilever behind it, over Modbus TCP. Ctrl-C ends it."""
@@ -407,12 +438,15 @@ def simulate_t7(
         afm = SimulatedAfm(params)
         afm.open()
         if calibration is not None:
-            _write(calibration, calibration_of(params.plant.volts_per_m, params.plant.stiffness_n_per_m, host, port))
+            plant = params.plant
+            _write(calibration, calibration_of(plant.volts_per_m, plant.stiffness_n_per_m, host, port, travel))
         signal.signal(signal.SIGTERM, signal.default_int_handler)
         _run_ahead()
+        # it shows the last bytes of every connection that ends as an error
+        logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
         asyncio.run(
             serve_t7(
-                T7Model(afm, noise_v=noise),
+                T7Model(afm, noise_v=noise, m_per_v=travel),
                 host,
                 port,
                 latency,

@@ -16,6 +16,7 @@ from services.haptic_node.config import HapticConfig
 from services.haptic_node.driver import DeviceError, DriveCommand
 from services.haptic_node.safety import MODE_FORCE, MODE_OFF, MODE_POSITION
 from services.haptic_node.sim import SimulatedHaptic
+from telenano.commands.device import handled
 
 OFF = DriveCommand(MODE_OFF, 0.0, 0.0)
 
@@ -313,6 +314,19 @@ def test_sign_of_the_calibration_turns_everything_round() -> None:
     assert turned.position_raw(1e-3) == zero - 100_000
     assert turned.drive_raw(2.5 * turned.drive.n_per_count) == -2
     assert turned.drive_force_n(4) < 0.0
+
+
+def test_gauges_and_masses_at_the_emulated_handle_until_it_is_driven(line: Line) -> None:
+    assert handled(line.handle, "gauge 0.005\n") == "the arm stands at 0.005 m until it is driven"
+    assert handled(line.handle, "mass 0.2\n") == "0.2 kg pull at the arm until it is driven"
+    reading = tick(line, count=5)
+    assert reading.position_m == pytest.approx(5e-3, abs=1e-8, rel=0.0)
+    assert reading.operator_force_n == pytest.approx(0.2 * 9.80665, abs=1e-4, rel=0.0)
+    reading = tick(line, towards(5e-3), 50)
+    assert reading.position_m == pytest.approx(5e-3, abs=5e-6, rel=0.0)
+    assert reading.operator_force_n == pytest.approx(0.0, abs=1e-4)
+    for wrong in ("gauge\n", "gauge 1 mm\n", "mass nan\n", "hello\n"):
+        assert "is not known: Enter, `gauge M` or `mass KG`" in handled(line.handle, wrong)
 
 
 def test_node_publishes_state_and_age_and_recovers_without_a_jump(bench_of: Any) -> None:
