@@ -1,8 +1,10 @@
 """The emulated handle in real time on a pseudo-terminal: what a serial port with a board on it looks like."""
 
 import contextlib
+import fcntl
 import os
 import select
+import termios
 import time
 import tty
 from collections.abc import Callable
@@ -15,6 +17,8 @@ _TICK_NS = TICK_US * 1000
 _READ_BYTES = 4096
 # a process that was held up longer goes on from now: a board has no time to make up for
 _LONGEST_NS = 50 * _TICK_NS
+# a host sends a thousand commands a second
+_ABANDONED_NS = 200 * _TICK_NS
 
 
 class EmulatedBoard(Protocol):
@@ -41,7 +45,7 @@ class HandleOnPty:
     def __init__(self, handle: EmulatedBoard, link: Path) -> None:
         self._handle, self._link = handle, link
         self._master = self._slave = -1
-        self._next_ns = time.monotonic_ns()
+        self._next_ns = self._heard_ns = time.monotonic_ns()
         self.plug_in()
 
     @property
@@ -82,6 +86,13 @@ class HandleOnPty:
                 self._next_ns = time.monotonic_ns()
             self._handle.advance()
             self._send()
+            self._release_abandoned()
+
+    def _release_abandoned(self) -> None:
+        """Clear the mark of a host that was killed: its port would be free, and here the other end is still open."""
+        if self.plugged and self._next_ns - self._heard_ns > _ABANDONED_NS:
+            self._heard_ns = self._next_ns
+            fcntl.ioctl(self._slave, termios.TIOCNXCL)
 
     def _listen(self, wait_s: float) -> None:
         """Wait for bytes, and answer what they ask."""
@@ -90,6 +101,7 @@ class HandleOnPty:
             return
         ready, _, _ = select.select([self._master], [], [], wait_s)
         if ready:
+            self._heard_ns = time.monotonic_ns()
             with contextlib.suppress(BlockingIOError):
                 self._handle.receive(os.read(self._master, _READ_BYTES))
             self._send()

@@ -101,6 +101,9 @@ class SerialPort:
 
     def close(self) -> None:
         """Let the port go at once: as long as it is held the kernel gives a device that returns another name."""
+        # the mark outlives this process where another has the port open as well, and would keep everybody out
+        with contextlib.suppress(*PORT_ERRORS):
+            fcntl.ioctl(self._serial.fileno(), termios.TIOCNXCL)
         with contextlib.suppress(*PORT_ERRORS):
             self._serial.close()
 

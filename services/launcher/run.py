@@ -34,7 +34,8 @@ class Outcome:
 
     `recordings` are the files of the session, in the order of their numbers, none where none can be read from here;
     `note` is then the reason, and where they are. `restarts` counts how often each own node was started again.
-    `missing` has a sentence for each part of the recording that is known to be missing.
+    `missing` has a sentence for each part of the recording that is known to be missing. `bad_start`: a node cannot
+    start as it is configured, which is the failure.
     """
 
     failure: str
@@ -44,6 +45,7 @@ class Outcome:
     note: str
     restarts: dict[str, int]
     missing: tuple[str, ...] = ()
+    bad_start: bool = False
 
 
 def default_folder(scenario: str, now: datetime) -> Path:
@@ -111,7 +113,8 @@ def outcome_of(rig: RigNode, plan: Plan) -> Outcome:
     else:
         recordings, unreadable = _own_recordings(plan.out)
         missing += unreadable
-    return Outcome(rig.failure, rig.interrupted, ran, recordings, note, rig.supervisor.restarts(), tuple(missing))
+    restarts, bad_start = rig.supervisor.restarts(), rig.supervisor.bad_start
+    return Outcome(rig.failure, rig.interrupted, ran, recordings, note, restarts, tuple(missing), bad_start)
 
 
 def _own_recordings(folder: Path) -> tuple[tuple[Path, ...], list[str]]:

@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from services.launcher.processes import Children, StopObserver
 from services.launcher.restart_policy import ProcessExit, RestartTracker, describe_exit
 from services.runtime.clock import Clock
+from services.runtime.main import EXIT_BAD_START
 
 # level, sentence, and the facts of a session/event
 Report = Callable[..., None]
@@ -17,6 +18,8 @@ class Supervisor:
         """Supervise `nodes`, in the order of their start; none where all of them run elsewhere."""
         self.nodes = tuple(nodes)
         self.failure = ""
+        # whether that was a node which cannot start as it is configured
+        self.bad_start = False
         self._tracker = RestartTracker(clock, nodes)
         self._children = children
 
@@ -60,6 +63,7 @@ class Supervisor:
         report(level, text, about_node=ended.node, exit_code=ended.exit_code, life_s=ended.life_s)
         if ended.given_up and not self.failure:
             # the first failure is the cause, what follows are its consequences
+            self.bad_start = ended.exit_code == EXIT_BAD_START
             self.failure = "\n".join([text, *self._history(ended), self.log_tail_of(ended.node)])
 
     def _history(self, ended: ProcessExit) -> list[str]:

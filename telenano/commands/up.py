@@ -16,6 +16,7 @@ from services.launcher.run import Outcome, default_folder, report_of, run_rig
 from services.launcher.view import view_beside_rig
 from services.viz_node.figure_style import FigureOptions, figure_options
 from telenano.completion import scenario_names
+from telenano.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED
 from telenano.live_view import LineView, LiveView
 from telenano.options import FormatOption, JsonOption, RigFileOption, Site, StyleOption
 from telenano.output import (
@@ -170,7 +171,8 @@ def _restore_default_signals() -> None:
 
 def _print_outcome(outcome: Outcome, summary: dict[str, Any] | None, plan: Plan, *, as_json: bool) -> None:
     if outcome.failure:
-        fail(outcome.failure, as_json=as_json, summary=summary)
+        code = EXIT_BAD_CONFIGURATION if outcome.bad_start else EXIT_FAILED
+        fail(outcome.failure, code, as_json=as_json, summary=summary)
     if plan.site == "slave":
         _print_slave(outcome, plan, as_json=as_json)
     elif summary is not None:

@@ -1,9 +1,13 @@
 """A real serial port (a pseudo-terminal): what it refuses, that it never waits, and a handle at its other end."""
 
 import contextlib
+import fcntl
 import os
 import shutil
+import struct
+import termios
 import threading
+import time
 import tty
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,6 +17,9 @@ import pytest
 from services.haptic_node.config import HapticConfig, LimitsConfig
 from services.haptic_node.driver import DeviceError
 from services.haptic_node.port import SerialPort, holder_of
+
+# of Linux: the exclusive mark of a terminal
+TIOCGEXCL = 0x80045440
 
 
 @pytest.fixture
@@ -84,6 +91,21 @@ def test_port_that_is_held_missing_or_no_port_is_refused_in_a_sentence(pty: tupl
         SerialPort(str(tmp_path / "file"), 1_000_000)
 
 
+def is_exclusive(descriptor: int) -> bool:
+    return bool(struct.unpack("i", fcntl.ioctl(descriptor, TIOCGEXCL, struct.pack("i", 0)))[0])
+
+
+def test_port_is_free_again_once_it_is_closed_although_another_has_it_open(pty: tuple[int, str]) -> None:
+    _, name = pty
+    other = os.open(name, os.O_RDWR | os.O_NOCTTY)
+    port = SerialPort(name, 1_000_000)
+    # root may open it all the same, nobody else
+    assert is_exclusive(other)
+    port.close()
+    assert not is_exclusive(other)
+    os.close(other)
+
+
 def test_holder_of_a_port_is_named(tmp_path: Path) -> None:
     device = tmp_path / "ttyX"
     device.touch()
@@ -111,6 +133,14 @@ def test_handle_on_a_port_is_found_pulled_out_and_found_again(tmp_path: Path) ->
         driver = SerialHandle(str(link), 1_000_000, None, LimitsConfig())
         assert driver.identify().model == "telenano posix"
         driver.close()
+        # a host that was killed leaves its mark, which a board that is unplugged by nobody would keep
+        killed = os.open(link, os.O_RDWR | os.O_NOCTTY)
+        fcntl.ioctl(killed, termios.TIOCEXCL)
+        until = time.monotonic() + 30.0
+        while is_exclusive(killed):
+            assert time.monotonic() < until
+            time.sleep(0.01)
+        os.close(killed)
     finally:
         running.clear()
         thread.join()

@@ -185,6 +185,7 @@ def test_the_slave_starts_what_died_again_and_gives_up_what_cannot_run() -> None
     rig.tick()
     assert rig.finished
     assert "cannot start as it is configured" in rig.site.failure
+    assert rig.site.supervisor.bad_start
 
 
 def test_the_slave_gives_its_own_nodes_a_limit() -> None:

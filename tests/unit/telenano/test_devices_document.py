@@ -1,9 +1,14 @@
 """docs/devices.md: every fault has its row, and every test that a row names exists."""
 
 import re
+import textwrap
 from pathlib import Path
 
 import pytest
+
+from services.afm_node.config import AfmConfig
+from services.haptic_node.config import HapticConfig
+from services.runtime.scenario import load_scenario
 
 ROOT = Path(__file__).parents[3]
 TEXT = (ROOT / "docs" / "devices.md").read_text(encoding="utf-8")
@@ -33,3 +38,16 @@ def test_every_fault_that_is_tested_has_its_row(file: str) -> None:
     cases = {first or second for first, second in CASES.findall(found(file))}
     assert len(cases) > 15
     assert cases - rows == set()
+
+
+@pytest.mark.parametrize("page", ["devices", "devices/3-calibrate", "devices/4-first-touch"])
+def test_scenarios_of_the_pages_are_valid(page: str, tmp_path: Path) -> None:
+    text = (ROOT / "docs" / f"{page}.md").read_text(encoding="utf-8")
+    blocks = [textwrap.dedent(block) for block in re.findall(r"^ *```yaml\n(.*?)```", text, re.MULTILINE | re.DOTALL)]
+    scenarios = [block for block in blocks if block.startswith("name:")]
+    assert len(scenarios) == 1
+    path = tmp_path / "scenario.yaml"
+    path.write_text(scenarios[0])
+    found = load_scenario(path)
+    found.section("afm_node", AfmConfig)
+    found.section("haptic_node", HapticConfig)
