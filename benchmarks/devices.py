@@ -1,13 +1,16 @@
 """What real drivers cost and how old their samples are, against the emulated handle and the model of the T7.
 
 Both devices are processes of their own: the firmware on a pseudo-terminal, a Modbus server on a socket. Figures are
-ratios to the period or to a bare socket with the same bytes, in the same run.
+ratios to the period or to a bare socket with the same bytes, in the same run. The driver runs as in a node: scheduling,
+processor, memory. The emulated devices have that scheduling as well and would take its processor otherwise.
 
-    python benchmarks/devices.py [--seconds S] [--board avr328p]
+    python benchmarks/devices.py [--seconds S] [--board avr328p] [--scheduler normal]
 """
 
 import argparse
+import contextlib
 import json
+import os
 import signal
 import socket
 import struct
@@ -28,10 +31,13 @@ from services.haptic_node.config import LimitsConfig
 from services.haptic_node.driver import DriveCommand
 from services.haptic_node.safety import MODE_OFF
 from services.haptic_node.serial_driver import SerialHandle
+from services.runtime.log import StructuredLog, configure_logging
+from services.runtime.realtime import RealtimeConfig, apply_realtime, freeze_garbage, use_huge_pages
 
 PERIOD_S = 1e-3
 START_S = 60.0
 PORT = 5037
+PROCESSORS = os.sched_getaffinity(0)
 
 
 def quantiles(values: list[float]) -> dict[str, float]:
@@ -53,10 +59,22 @@ def paced(tick: Callable[[], None], seconds: float) -> list[float]:
     return spent
 
 
+def settle() -> None:
+    """Treat the memory of this process as a node does that of its own before its loop."""
+    freeze_garbage()
+    use_huge_pages()
+
+
+def as_anybody() -> None:
+    """Begin a child as from a terminal of its own: it asks for the scheduling of a device by itself."""
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    os.sched_setaffinity(0, PROCESSORS)
+
+
 def started(arguments: list[str], ready: Callable[[], bool]) -> "subprocess.Popen[bytes]":
     """Start an emulated device, and return its process once it is ready."""
     command = [sys.executable, "-m", "telenano", "device", "simulate", *arguments]
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, preexec_fn=as_anybody)
     until = time.monotonic() + START_S
     while not ready():
         if process.poll() is not None or time.monotonic() > until:
@@ -81,6 +99,7 @@ def handle_figures(folder: Path, seconds: float, board: str) -> dict[str, Any]:
             ages.append(driver.report.age_s / PERIOD_S)
 
         driver.open()
+        settle()
         spent = paced(tick, seconds)
         driver.close()
     finally:
@@ -111,6 +130,7 @@ def stage_figures(folder: Path, seconds: float, latency_s: float, *, stop: bool)
 
     try:
         driver.open()
+        settle()
         before = driver.exchanges
         spent = paced(tick, seconds)
         fresh = (driver.exchanges - before) / len(spent)
@@ -142,6 +162,7 @@ def broken_figures(folder: Path, seconds: float, *, garbage: bool) -> dict[str, 
     server: threading.Thread | None = None
     try:
         driver.open()
+        settle()
         process.kill()
         process.wait()
         if garbage:
@@ -196,6 +217,18 @@ def wire_figures(seconds: float) -> dict[str, Any]:
 
         frame = conversation.feedback((write, *reads))
 
+        def split() -> None:
+            with contextlib.suppress(BlockingIOError):
+                line.recv(4096)
+            line.sendall(frame)
+
+        line.setblocking(False)
+        line.sendall(frame)
+        floor = quantiles(paced(split, seconds))
+        line.setblocking(True)
+        time.sleep(0.05)
+        line.recv(4096)
+
         def one() -> None:
             ask(conversation.feedback((write, *reads)))
 
@@ -212,6 +245,7 @@ def wire_figures(seconds: float) -> dict[str, Any]:
                 taken[name].append(time.perf_counter() - began)
     medians = {name: quantiles(values)["p50"] for name, values in taken.items()}
     return {
+        "inside_bare_socket_over_period": floor,
         "exchange_over_bare": medians["one"] / medians["bare"],
         "two_requests_over_one": medians["two"] / medians["one"],
     }
@@ -222,7 +256,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=5.0, help="length of each part [s]")
     parser.add_argument("--board", action="append", choices=("posix", "avr328p"), help="what runs the handle (repeat)")
+    parser.add_argument("--scheduler", choices=("auto", "normal"), default="auto", help="as in a node; default: auto")
     given = parser.parse_args()
+    configure_logging()
+    apply_realtime(RealtimeConfig(scheduler=given.scheduler), StructuredLog("benchmark"), "afm_node@slave")
     seconds, boards = given.seconds, given.board or ["posix"]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
