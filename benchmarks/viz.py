@@ -4,8 +4,10 @@
 
 One rig runs throughout. Windows without a page and with `--pages` of them follow one another, and the age of the loop
 in each is read from the recording: the ratio compares moments of the same run. Pages are web sockets that read
-everything; with `--browser` a Chromium draws one of them, and its frames are timed. A browser on the same machine takes
-processor time as any program does, so its ratio says more about the machine than about the view.
+everything; with `--browser` a Chromium draws one of them, all scopes live. Of its frames the time between two is
+measured, which on a machine without a graphics processor is that of a renderer in software, and what the page itself
+took of each: taking in what came, decimation, drawing (`performance.now` in its own callbacks). A browser on the same
+machine takes processor time as any program does, so its ratio says more about the machine than about the view.
 """
 
 import argparse
@@ -32,6 +34,7 @@ from recording.reader import Recording
 SETTLE_S = 1.0
 PATIENCE_S = 90.0
 FLAGS = ["--no-sandbox", "--disable-background-networking", "--use-gl=angle", "--use-angle=swiftshader"]
+FLAGS += ["--enable-unsafe-swiftshader"]
 
 
 class Reader(threading.Thread):
@@ -122,7 +125,7 @@ def measure(given: argparse.Namespace, folder: Path) -> dict[str, Any]:
     up = ["up", "--scenario", "touch", "--duration", str(duration_s), "--out", str(out), "--json"]
     without: list[tuple[int, int]] = []
     with_pages: list[tuple[int, int]] = []
-    received, frames = [], []
+    received, frames, costs, pictures = [], [], [], 0
     with process(up, environment), process(["view", "--port", "0"], environment) as view:
         assert view.stdout is not None
         address = view.stdout.readline().split()[1]
@@ -136,11 +139,16 @@ def measure(given: argparse.Namespace, folder: Path) -> dict[str, Any]:
                 time.sleep(SETTLE_S)
                 before = [(reader.bytes, reader.frames) for reader in readers]
                 if page is not None:
-                    page.evaluate("telenano.frames.length = 0")
+                    pictures -= page.evaluate(
+                        "telenano.frames.length = telenano.costs.length = 0; telenano.view.frames"
+                    )
                 with_pages.append(_window(given.window))
                 received += [(r.bytes - b) / given.window for r, (b, _) in zip(readers, before, strict=True)]
                 if page is not None:
-                    frames += page.evaluate("telenano.frames")
+                    drawn_frames, drawn_costs, scenes = page.evaluate(
+                        "[telenano.frames, telenano.costs, telenano.view.frames]"
+                    )
+                    frames, costs, pictures = frames + drawn_frames, costs + drawn_costs, pictures + scenes
             for reader in readers:
                 reader.close()
             time.sleep(SETTLE_S)
@@ -154,6 +162,8 @@ def measure(given: argparse.Namespace, folder: Path) -> dict[str, Any]:
         "ratio_p99": watched["p99"] / alone["p99"],
         "kilobytes_per_s": statistics.mean(received) / 1e3 if received else None,
         "frame_ms": figures(frames) if frames else None,
+        "page_ms": figures(costs) if costs else None,
+        "pictures_of_the_scene": pictures if given.browser else None,
     }
 
 

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 from proto.ends import read_end
 from proto.nodes import site_of
-from services.viz_node.streams import BY_SOURCE, STREAMS, Batch
+from services.viz_node.streams import BY_SOURCE, STREAMS, Batch, LinkLoss
 
 # at most a second of the loop at once: more would hold up the page, and is past anyway
 _MOST_SAMPLES = 1000
@@ -51,6 +51,7 @@ class Feed:
         self._changes: dict[str, Any] = {}
         # what the clock of the slave's machine is ahead, as the link measures it
         self._slave_ahead_ns = 0
+        self._loss = LinkLoss()
 
     def record(self, seen: Seen) -> None:
         """Take a message."""
@@ -86,7 +87,8 @@ class Feed:
         stream = BY_SOURCE.get((seen.topic, site_of(seen.src)))
         if stream is not None:
             ahead_ns = self._slave_ahead_ns if stream.site == "slave" else 0
-            self._batches[stream.name].add(seen.t_ns - ahead_ns, seen.fields)
+            fields = self._loss.added(seen.fields) if stream.name == "link" else seen.fields
+            self._batches[stream.name].add(seen.t_ns - ahead_ns, fields)
         if keys := _STATE_KEYS.get(seen.topic):
             self._set_state(f"{seen.topic}/{site_of(seen.src)}", _facts(seen.fields, keys))
         elif seen.topic == "link/status":

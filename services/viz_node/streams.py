@@ -107,6 +107,15 @@ STREAMS = (
             Column("backward_delay", "s", "mean delay, slave to master", lambda f: _delay_s(f["backward"])),
             Column("forward_dropped", "1", "messages dropped since the start", lambda f: _dropped(f["forward"])),
             Column("backward_dropped", "1", "messages dropped since the start", lambda f: _dropped(f["backward"])),
+            Column(
+                "forward_loss", "1", "share dropped of those that came since the report before", _number("forward_loss")
+            ),
+            Column(
+                "backward_loss",
+                "1",
+                "share dropped of those that came since the report before",
+                _number("backward_loss"),
+            ),
         ),
     ),
 )
@@ -119,6 +128,29 @@ def _delay_s(way: Fields) -> float:
 
 def _dropped(way: Fields) -> float:
     return float(sum(way["dropped"].values()))
+
+
+class LinkLoss:
+    """Record the counts of link/status, to add the share of loss since the message before."""
+
+    def __init__(self) -> None:
+        self._before: dict[str, tuple[float, float]] = {}
+
+    def added(self, fields: Fields) -> Fields:
+        """Return the fields with `forward_loss` and `backward_loss`: NaN where nothing came, or the counts began anew.
+
+        A message is counted as dropped when it should have been delivered, some time after it came: the share is at
+        most 1. Raises KeyError, TypeError or AttributeError for fields that are no link/status.
+        """
+        shares = {}
+        for name in ("forward", "backward"):
+            way = fields[name]
+            counts = float(way["messages_in"]), _dropped(way)
+            before = self._before.get(name, counts)
+            self._before[name] = counts
+            came, dropped = counts[0] - before[0], counts[1] - before[1]
+            shares[f"{name}_loss"] = min(1.0, dropped / came) if came > 0.0 and dropped >= 0.0 else _NONE
+        return {**fields, **shares}
 
 
 class Batch:

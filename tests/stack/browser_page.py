@@ -90,6 +90,17 @@ class Page:
     def choose(self, selector: str, value: str) -> None:
         self.page.locator(selector).select_option(value, force=True)
 
+    def press(self, down_mm: float) -> None:
+        """Take hold of the virtual hand with the pointer, and mean to be so far below where the arm is."""
+        pad = self.page.locator("#hand-pad")
+        pad.evaluate("pad => pad.scrollIntoView()")
+        box = pad.bounding_box()
+        x, y = box["x"] + 120.0, box["y"] + 50.0
+        self.page.mouse.move(x, y)
+        self.page.mouse.down()
+        # the pad is 25 mm high
+        self.page.mouse.move(x, y + down_mm / 25.0 * box["height"], steps=8)
+
     def fact(self, state: str, key: str) -> Any:
         return self.value(f"telenano.store.fact('{state}', '{key}')")
 

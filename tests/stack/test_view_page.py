@@ -68,6 +68,11 @@ def operator(chromium: Any, view: View) -> Page:
     return page
 
 
+def has(selector: str, text: str) -> str:
+    """Return the expression for whether an element of the page has a text."""
+    return f"document.querySelector({selector!r}).textContent.includes({text!r})"
+
+
 def newest(rig: Rig, topic: str) -> Any:
     return rig.recording().messages(topic)[-1].decode()
 
@@ -113,16 +118,8 @@ def test_what_a_node_refuses_is_said_on_the_page(operator: Page) -> None:
 
 @pytest.mark.endurance
 def test_the_virtual_hand_presses_the_tip_and_the_force_comes_back(rig: Rig, operator: Page) -> None:
-    pad = operator.page.locator("#hand-pad")
-    pad.evaluate("pad => pad.scrollIntoView()")
-    box = pad.bounding_box()
-    assert box is not None
-    x, y = box["x"] + 120.0, box["y"] + 50.0
-    mouse = operator.page.mouse
-    mouse.move(x, y)
-    mouse.down()
     # to 10 mm below where the arm is: 2 N at first
-    mouse.move(x, y + 10.0 / 25.0 * box["height"], steps=8)
+    operator.press(10.0)
     rig.wait_until(lambda: newest(rig, "operator/force").force_n[2] < -0.2, "the force of the page on its topic")
     rig.wait_until(lambda: newest(rig, "haptic/state").operator_force_n[2] < -0.2, "the force at the device")
     rig.wait_until(lambda: newest(rig, "afm/state").in_contact, "the tip on the sample")
@@ -130,7 +127,37 @@ def test_the_virtual_hand_presses_the_tip_and_the_force_comes_back(rig: Rig, ope
     until(lambda: operator.last("command", "tip_force") > 0.1, "that force on the page")
     until(lambda: operator.last("tip", "force") > 1e-9, "the push of the sample")
     operator.picture("touch")
-    mouse.up()
+    operator.page.mouse.up()
+    rig.wait_until(lambda: newest(rig, "haptic/state").operator_force_n[2] == 0.0, "a hand that has let go")
+
+
+# a gamepad whose stick is pushed half way, and that keeps what it was told to rumble
+GAMEPAD = """
+globalThis.rumbles = []; globalThis.resets = 0;
+const motor = {
+  playEffect: (kind, effect) => { rumbles.push({ kind, ...effect }); return Promise.resolve("complete"); },
+  reset: () => { resets += 1; return Promise.resolve("complete"); },
+};
+globalThis.pad = { connected: true, axes: [0, 0], buttons: [], vibrationActuator: motor };
+Object.defineProperty(navigator, "getGamepads", { value: () => [null, pad] });
+"""
+
+
+@pytest.mark.endurance
+def test_a_gamepad_presses_with_its_stick_and_rumbles_with_the_force_that_comes_back(rig: Rig, operator: Page) -> None:
+    operator.value(GAMEPAD)
+    try:
+        operator.value("pad.axes[1] = 0.8")
+        rig.wait_until(lambda: newest(rig, "operator/force").force_n[2] < -0.2, "the force of the stick on its topic")
+        rig.wait_until(lambda: newest(rig, "haptic/command").force_n[2] > 0.1, "the force that comes back")
+        operator.until("rumbles.some((effect) => effect.strongMagnitude > 0.02)", "a gamepad that rumbles")
+        strongest = operator.value("Math.max(...rumbles.map((effect) => effect.strongMagnitude))")
+        felt_n = max(message.force_n[2] for message in since(rig, "haptic/command", 0))
+        # no more than what came back, of which 3 N are all that it has
+        assert strongest <= 1.01 * felt_n / 3.0
+    finally:
+        operator.value("pad.axes[1] = 0")
+    operator.until("resets > 0", "a gamepad that rests with the hand")
     rig.wait_until(lambda: newest(rig, "haptic/state").operator_force_n[2] == 0.0, "a hand that has let go")
 
 
@@ -145,6 +172,8 @@ def test_the_sample_is_imaged_from_the_page_and_the_tip_goes_where_the_pointer_s
     operator.until(f"{FILLED} > 1", "the first lines of the surface")
     first = operator.value(FILLED)
     operator.until(f"{FILLED} > {first}", "a surface that grows")
+    operator.until(f"{FILLED} > 24", "more than half of it")
+    operator.picture("surface")
     rig.wait_until(lambda: newest(rig, "afm/program").state == "finished", "the end of the image")
     operator.until(f"{FILLED} === 40", "the whole surface")
     published = [line for line in since(rig, "afm/scanline", begin_ns) if line.direction == "trace"]
@@ -154,9 +183,9 @@ def test_the_sample_is_imaged_from_the_page_and_the_tip_goes_where_the_pointer_s
     assert np.ptp(heights_nm) > 5.0
     shown_nm = operator.value("[telenano.view.surface.least, telenano.view.surface.greatest]")
     assert shown_nm == pytest.approx([heights_nm.min(), heights_nm.max()], rel=1e-5)
-    operator.until("document.querySelector('#program-state').textContent.startsWith('finished')", "the page's word")
+    operator.until(has("#program-state", "the scan is finished"), "the page's word")
     # after an image the tip is away until it is armed
-    operator.click("#arm")
+    operator.click("#mode-bilateral")
     rig.wait_until(lambda: newest(rig, "afm/state").mode == "follow", "a tip that follows")
     operator.click("#place-tip")
     box = operator.page.locator("#scene > canvas").bounding_box()
@@ -175,7 +204,26 @@ def test_the_sample_is_imaged_from_the_page_and_the_tip_goes_where_the_pointer_s
     rig.wait_until(
         lambda: newest(rig, "afm/state").base_position_m[:2] == pytest.approx(wanted[-1], rel=1e-6), "the tip there"
     )
+    # pressed onto the sample there, so that every curve has something to show
+    operator.press(14.0)
+    rig.wait_until(lambda: newest(rig, "haptic/command").force_n[2] > 0.1, "the force that comes back")
+    operator.page.wait_for_timeout(6000.0)
     operator.picture("scanned")
+    scale = operator.value("telenano.view.surface.mesh.scale.z")
+    operator.choose("#stretch", "2")
+    operator.click("#section")
+    operator.picture("section")
+    assert operator.value("telenano.view.surface.mesh.scale.z") == 2.0 * scale
+    operator.click("#section")
+    operator.choose("#stretch", "1")
+    operator.choose("#stereo", "anaglyph")
+    operator.picture("anaglyph")
+    operator.choose("#stereo", "off")
+    operator.page.set_viewport_size({"width": 820, "height": 1180})
+    operator.page.wait_for_timeout(500.0)
+    operator.picture("tablet")
+    operator.page.set_viewport_size({"width": 1360, "height": 850})
+    operator.page.mouse.up()
 
 
 @pytest.mark.endurance
@@ -308,7 +356,6 @@ def check_section_and_pick(page: Page) -> None:
     off_nm = np.abs(found - measured_nm)
     assert np.median(off_nm) < 0.01
     assert np.count_nonzero(off_nm > 0.1) <= 4
-    page.picture("section")
     page.click("#section")
     box = page.page.locator("#scene > canvas").bounding_box()
     page.page.mouse.dblclick(box["x"] + box["width"] / 2, box["y"] + 0.55 * box["height"])
@@ -357,12 +404,8 @@ def test_a_recording_plays_and_its_surface_grows(chromium: Any, tmp_path: Path) 
         page.until("telenano.store.source.playing === false", "the end of the recording")
         least, greatest = page.value("[telenano.view.surface.least, telenano.view.surface.greatest]")
         assert greatest - least == pytest.approx(8.0, rel=0.2)
-        page.picture("surface")
         check_section_and_pick(page)
-        page.choose("#stereo", "anaglyph")
-        page.page.wait_for_timeout(300.0)
-        page.picture("anaglyph")
-        page.choose("#stereo", "off")
+        check_exaggeration(page)
         assert "acknowledged" in page.answered(lambda: page.click("#play"))
         page.until("telenano.store.source.playing === true", "a recording that plays again")
         assert "acknowledged" in page.answered(lambda: page.click("#play"))
@@ -374,13 +417,51 @@ def test_a_recording_plays_and_its_surface_grows(chromium: Any, tmp_path: Path) 
         page.choose("#rate", "10")
         assert "acknowledged" in page.answered(lambda: page.click("#play"))
         page.until(f"{FILLED} === {POINTS}", "the whole surface again")
-        page.page.set_viewport_size({"width": 820, "height": 1180})
-        page.page.wait_for_timeout(300.0)
-        page.picture("tablet")
         assert page.faults == []
         check_old_page(chromium, view)
+        check_wrong_token(chromium, view)
     finally:
         view.close()
+
+
+@pytest.mark.endurance
+def test_a_page_says_that_the_server_is_gone_and_comes_back_by_itself(chromium: Any, tmp_path: Path) -> None:
+    environment = {**os.environ, "TELENANO_VIEW_OPERATOR_TOKEN": "operator-of-the-tests"}
+    recording = str(scanned(tmp_path))
+    view = View(environment, recording)
+    try:
+        page = open_page(chromium, view.operator)
+        view.close()
+        until(lambda: "DISCONNECTED" in page.banners(), "the banner of a lost server")
+        port = view.operator.partition("/#")[0].rpartition(":")[2]
+        view = View(environment, "--port", port, recording)
+        until(lambda: "REPLAYED" in page.banners(), "a page that is connected again")
+        page.until(f"{FILLED} > 0", "what the server sends")
+        page.page.context.close()
+    finally:
+        view.close()
+
+
+def check_exaggeration(page: Page) -> None:
+    """Draw heights five times as high: the page says so, and what is picked keeps its measured height."""
+    page.choose("#stretch", "5")
+    page.until("telenano.view.surface.mesh.scale.z === 5", "heights five times as high")
+    page.until(has("#scene .note", "drawn 5 times as high"), "the factor in words")
+    picked = page.value("telenano.view.mark.position.z / 5 + telenano.view.surface.least")
+    assert picked == pytest.approx(page.value("telenano.view.markHeight"), abs=1e-6)
+    page.choose("#stretch", "1")
+    page.until(has("#scene .note", "as measured, to scale"), "heights to scale")
+
+
+def check_wrong_token(chromium: Any, view: View) -> None:
+    """Open the page with a token that is none: it says what to do, and does not try again and again."""
+    window = chromium.new_context()
+    page = Page(window.new_page())
+    page.page.goto(f"{view.operator.partition('#')[0]}#not-the-token-0123", wait_until="commit")
+    page.page.wait_for_selector("#banners .banner", state="attached")
+    until(lambda: "the token is wrong: open the address that the view printed" in page.banners(), "what is wrong")
+    assert page.value("telenano.store.streams.size") == 0
+    window.close()
 
 
 def check_old_page(chromium: Any, view: View) -> None:

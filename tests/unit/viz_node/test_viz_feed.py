@@ -15,6 +15,7 @@ from services.viz_node.streams import STREAMS, described
 
 VECTORS = json.loads((Path(proto.__file__).parent / "golden" / "vectors.json").read_text())
 START_NS = 10**18
+WAYS = ("forward", "backward")
 
 
 def golden(topic: str, case: str = "ordinary") -> dict[str, Any]:
@@ -68,6 +69,17 @@ def test_the_clock_of_the_slave_is_put_right_by_what_the_link_measures() -> None
     feed.record(seen("link/status", "delay_node@master", clock=clock))
     feed.record(seen("afm/state", "afm_node@slave", START_NS + 2_000_000_000))
     assert feed.take()["streams"]["tip"]["t0"] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_the_loss_of_the_link_is_the_share_dropped_since_the_report_before() -> None:
+    feed = Feed()
+    # the last report is of a link that was started anew
+    for i, (came, dropped) in enumerate([(1000, 5), (1200, 55), (1200, 55), (1300, 255), (10, 0)]):
+        ways = {way: {**golden("link/status")[way], "messages_in": came, "dropped": {"loss": dropped}} for way in WAYS}
+        feed.record(seen("link/status", "delay_node@master", START_NS + i, **ways))
+    link = columns(feed.take(), "link")
+    for way in WAYS:
+        np.testing.assert_allclose(link[f"{way}_loss"], [np.nan, 0.25, np.nan, 1.0, np.nan], rtol=1e-6, atol=0)
 
 
 def test_only_what_changed_is_told_again() -> None:

@@ -66,12 +66,21 @@ export class Controls {
     }
   }
 
+  /** Called when an emergency stop is asked for, before it is answered. */
+  onEstop: () => void = () => {};
+
   async estop(): Promise<void> {
+    this.onEstop();
     await this.ask("emergency stop", { k: "estop" });
   }
 
   async command(about: string, command: string, target: string, parameters: Values = {}): Promise<boolean> {
     return this.ask(about, { k: "command", command, target, parameters });
+  }
+
+  /** Arm the devices one after the other, as far as they permit. */
+  async arm(): Promise<void> {
+    for (const device of DEVICES) if (!(await this.command(`arm ${device}`, "arm", device))) return;
   }
 
   private async ask(about: string, fields: Facts): Promise<boolean> {
@@ -92,9 +101,7 @@ export class Controls {
     row.append(
       button("start", "Start", () => this.command("start", "start", "haptic_node")),
       button("stop", "Stop", () => this.command("stop", "stop", "haptic_node")),
-      button("arm", "Arm", async () => {
-        for (const device of DEVICES) if (!(await this.command(`arm ${device}`, "arm", device))) return;
-      }),
+      button("arm", "Arm", () => this.arm()),
     );
     const second = make("div", { class: "row" });
     second.append(
@@ -136,6 +143,9 @@ export class Controls {
       const delay_s = Number(delay.value) / 1e3;
       void this.command(`delay ${delay.value} ms one way`, "set", "delay_node", { "forward.delay_s": delay_s, "backward.delay_s": delay_s });
     };
+    delay.addEventListener("keydown", (event) => {
+      if (event.key === "Enter") set();
+    });
     const row = make("div", { class: "row" }, select, delay, "ms", make("button", { type: "button", id: "delay-set", disabled: !may, onclick: set }, "Set"));
     this.linkForms = ["forward", "backward"].map((way) => {
       const wanted = new Set(LINK_KEYS.map((key) => `${way}.${key}`));

@@ -9,7 +9,12 @@ export const LIMIT_N = 5;
 const TRAVEL_M = 0.025;
 const TOP_M = -0.005;
 const SEND_MS = 15;
+/** The force of the tip at which a gamepad rumbles with all it has, and from which it does [N]. */
 const RUMBLE_N = 3;
+const LEAST_FELT_N = 0.03;
+/** Each effect lasts a little longer than the time to the next, so that a force that stands is felt without gaps. */
+const RUMBLE_MS = 100;
+const RUMBLE_EVERY_MS = 90;
 /** A stick pushed to its end means to be this far [m]. */
 const STICK_M = 0.015;
 const DEAD = 0.12;
@@ -18,6 +23,12 @@ const DEAD = 0.12;
 export function springForce(meant_m: number, arm_m: number): number {
   const force = STIFFNESS_N_PER_M * (meant_m - arm_m);
   return Math.max(-LIMIT_N, Math.min(LIMIT_N, force));
+}
+
+/** How strongly a gamepad rumbles for a force that comes back [N]: from 0 to 1, and not for what a hand would not feel. */
+export function rumbleStrength(back_n: number): number {
+  const size = Math.abs(back_n);
+  return size < LEAST_FELT_N ? 0 : Math.min(1, size / RUMBLE_N);
 }
 
 /** A hand for those who have no device: drag down to push, and see the arm lag behind the pointer. */
@@ -29,11 +40,14 @@ export class Hand {
     tabindex: 0,
     role: "slider",
     "aria-label": "Virtual hand: drag down, or hold the arrow keys, to push towards the sample",
+    "aria-orientation": "vertical",
     "aria-valuemin": -LIMIT_N,
     "aria-valuemax": LIMIT_N,
     "aria-valuenow": 0,
   });
   private readonly text = make("div", { class: "quiet", id: "hand-text" });
+  /** While it is pressed the hand stays where it is when the pointer or the key is let go, which then are free. */
+  private readonly keepButton = make("button", { type: "button", id: "hand-keep", "aria-pressed": "false", title: "The hand stays where it is, and the pointer is free for the other controls", onclick: () => this.toggleKeep() }, "Keep holding");
   private meant: number | undefined;
   private grabbedAt = { y: 0, arm: 0 };
   private force = 0;
@@ -46,7 +60,7 @@ export class Hand {
     private readonly store: Store,
   ) {
     this.pad.append(this.canvas);
-    part("hand").append(make("h2", {}, "Virtual hand"), this.pad, this.text);
+    part("hand").append(make("h2", {}, "Virtual hand"), this.pad, make("div", { class: "row" }, this.text, make("span", { class: "spacer" }), this.keepButton));
     this.pad.addEventListener("pointerdown", (event) => {
       this.pad.setPointerCapture(event.pointerId);
       this.grabbedAt = { y: event.clientY, arm: this.arm };
@@ -56,7 +70,7 @@ export class Hand {
       if (this.meant === undefined || !this.pad.hasPointerCapture(event.pointerId)) return;
       this.hold(this.grabbedAt.arm + ((event.clientY - this.grabbedAt.y) / this.pad.clientHeight) * TRAVEL_M);
     });
-    for (const name of ["pointerup", "pointercancel", "lostpointercapture"]) this.pad.addEventListener(name, () => this.letGo());
+    for (const name of ["pointerup", "pointercancel", "lostpointercapture"]) this.pad.addEventListener(name, () => this.release());
     this.pad.addEventListener("keydown", (event) => {
       const step = { ArrowDown: 1e-3, ArrowUp: -1e-3 }[event.key];
       if (step === undefined) return;
@@ -64,9 +78,11 @@ export class Hand {
       this.hold((this.meant ?? this.arm) + step);
     });
     this.pad.addEventListener("keyup", (event) => {
-      if (event.key === "ArrowDown" || event.key === "ArrowUp") this.letGo();
+      if (event.key === "ArrowDown" || event.key === "ArrowUp") this.release();
     });
-    this.pad.addEventListener("blur", () => this.letGo());
+    this.pad.addEventListener("blur", () => this.release());
+    // who does not see the page must not push
+    document.addEventListener("visibilitychange", () => document.hidden && this.letGo());
     // a timer and not the frames: a page in the background draws none, and its hand has to be let go in any case
     setInterval(() => this.send(), SEND_MS);
   }
@@ -129,6 +145,7 @@ export class Hand {
     this.text.textContent = this.refusal || `${own} · felt from the tip ${quantity(back, "N")}`;
     this.pad.dataset["held"] = String(this.meant !== undefined);
     this.pad.setAttribute("aria-valuenow", this.force.toFixed(2));
+    this.pad.setAttribute("aria-valuetext", `${this.force.toFixed(2)} N, ${back.toFixed(2)} N felt from the tip`);
     this.rumble(back);
   }
 
@@ -142,10 +159,26 @@ export class Hand {
     this.meant = Math.max(TOP_M, Math.min(TOP_M + TRAVEL_M, meant_m));
   }
 
-  private letGo(): void {
+  private get isKept(): boolean {
+    return this.keepButton.getAttribute("aria-pressed") === "true";
+  }
+
+  private toggleKeep(): void {
+    this.keepButton.setAttribute("aria-pressed", String(!this.isKept));
+    if (!this.isKept) this.letGo();
+  }
+
+  private release(): void {
+    if (!this.isKept) this.letGo();
+  }
+
+  /** Let go, also of a hand that is kept: after an emergency stop, and when the page is no longer seen. */
+  letGo(): void {
+    this.keepButton.setAttribute("aria-pressed", "false");
     if (this.meant === undefined) return;
     this.meant = undefined;
     this.force = 0;
+    for (const motor of motors()) void motor.reset().catch(() => undefined);
     this.connection.send({ k: "hand", force_n: 0, held: false });
   }
 
@@ -159,25 +192,33 @@ export class Hand {
   private stick = false;
 
   private readGamepad(): void {
-    const pad = navigator.getGamepads?.().find((found) => found?.connected);
-    const push = pad?.axes[1] ?? 0;
+    const push = gamepads()[0]?.axes[1] ?? 0;
     if (Math.abs(push) > DEAD) {
       this.stick = true;
       this.hold(push * STICK_M);
     } else if (this.stick) {
       this.stick = false;
-      this.letGo();
+      this.release();
     }
   }
 
+  /** Let a gamepad rumble while the hand is held, whether by its stick, the pointer, the keys or a headset. */
   private rumble(back_n: number): void {
     const now = performance.now();
-    if (!this.stick || now - this.rumbledAt < 90) return;
+    if (this.meant === undefined || now - this.rumbledAt < RUMBLE_EVERY_MS) return;
     this.rumbledAt = now;
-    const strength = Math.min(1, Math.abs(back_n) / RUMBLE_N);
-    const motor = navigator.getGamepads().find((found) => found?.connected)?.vibrationActuator;
-    void motor?.playEffect("dual-rumble", { duration: 100, strongMagnitude: strength, weakMagnitude: strength / 2 }).catch(() => undefined);
+    const strength = rumbleStrength(back_n);
+    const effect = { duration: RUMBLE_MS, strongMagnitude: strength, weakMagnitude: strength / 2 };
+    for (const motor of motors()) void motor.playEffect("dual-rumble", effect).catch(() => undefined);
   }
+}
+
+function motors(): GamepadHapticActuator[] {
+  return gamepads().flatMap((pad) => (pad.vibrationActuator ? [pad.vibrationActuator] : []));
+}
+
+function gamepads(): Gamepad[] {
+  return [...(navigator.getGamepads?.() ?? [])].filter((pad): pad is Gamepad => pad?.connected === true);
 }
 
 function disc(pen: CanvasRenderingContext2D, x: number, y: number, radius: number, stroke: string, filled: boolean): void {

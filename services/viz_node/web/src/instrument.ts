@@ -6,11 +6,22 @@ import type { Store } from "./store";
 
 const NM = 1e-9;
 const TARGET = "afm_node";
+const PROGRAM = "afm/program/slave";
+/** What the guard's modes mean to an operator. */
+const MODES: Record<string, string> = {
+  follow: "Mode bilateral: the tip follows the hand.",
+  hold: "Mode hold: the tip stays where it is, because no fresh command comes.",
+  retracted: "Mode retracted: the tip is away from the sample. Bilateral, or Arm, brings it back.",
+  retracting: "Mode retracting: the tip moves away from the sample.",
+  estop: "Emergency stop: the tip is away from the sample. Arm brings it back.",
+};
+const LOOK_MS = 100;
+const LONGEST_END_MS = 5000;
 const PROGRAMS: Record<string, string> = { scan: "Scan", curve: "Force curve", tactile: "Tactile" };
 
 /** What the instrument does by itself: images and force curves, and where the tip is over the sample. */
 export class Instrument {
-  private readonly state = make("div", { class: "quiet", id: "program-state" }, "No program runs: the tip follows the hand.");
+  private readonly state = make("div", { class: "quiet", id: "program-state" }, "");
   private wanted: [number, number] | undefined;
   private isSending = false;
 
@@ -43,7 +54,7 @@ export class Instrument {
     };
     root.replaceChildren(
       make("h2", {}, "Instrument"),
-      make("div", { class: "row" }, ...programs.map(({ name, form }) => button(`program-${name}`, PROGRAMS[name]!, begin(name, form)))),
+      make("div", { class: "row", role: "group", "aria-label": "Mode of the instrument" }, button("mode-bilateral", "Bilateral", () => this.followHand()), ...programs.map(({ name, form }) => button(`program-${name}`, PROGRAMS[name]!, begin(name, form)))),
       make("div", { class: "row" }, simple("pause", "Pause"), simple("resume", "Resume"), simple("abort", "Abort")),
       this.state,
       make("div", { class: "row tip-place" }, "Tip", x, y, "nm", button("tip-go", "Move", go)),
@@ -52,11 +63,24 @@ export class Instrument {
   }
 
   draw(): void {
-    const program = this.store.state.get("afm/program/slave");
-    if (!program) return;
-    const { text, state, done_percent: percent } = program as { text: string; state: string; done_percent: number };
-    const shown = state === "running" || state === "paused" ? `${state}, ${percent.toFixed(0)} %: ${text}` : `${state}: ${text}`;
+    const program = this.store.state.get(PROGRAM) as { program: string; text: string; state: string; done_percent: number } | undefined;
+    const mode = MODES[String(this.store.fact("afm/state/slave", "mode") ?? "")] ?? "";
+    let shown = mode;
+    if (program && this.runsProgram) shown = `Mode ${program.program}: ${program.state}, ${program.done_percent.toFixed(0)} %: ${program.text}`;
+    else if (program?.text) shown += ` Before: ${program.text}.`;
     if (this.state.textContent !== shown) this.state.textContent = shown;
+  }
+
+  private get runsProgram(): boolean {
+    return ["running", "paused"].includes(String(this.store.fact(PROGRAM, "state")));
+  }
+
+  /** End a program, wait until the tip is away, and let it follow the hand again. */
+  private async followHand(): Promise<void> {
+    if (this.runsProgram && !(await this.controls.command("abort", "set", TARGET, { program: "abort" }))) return;
+    const isEnding = (): boolean => this.runsProgram || this.store.fact("afm/state/slave", "mode") === "retracting";
+    for (let waited = 0; isEnding() && waited < LONGEST_END_MS; waited += LOOK_MS) await new Promise((go) => setTimeout(go, LOOK_MS));
+    await this.controls.arm();
   }
 
   /** Move the tip over the sample as the pointer goes [nm]: one command at a time, and then to the newest place. */

@@ -24,6 +24,7 @@ const scopes = new Scopes(part("scopes"), store);
 const controls = new Controls(connection, store);
 const hand = new Hand(connection, store);
 const instrument = new Instrument(controls, store);
+controls.onEstop = () => hand.letGo();
 let view: View | undefined;
 try {
   view = new View(part("scene"), store);
@@ -36,13 +37,17 @@ try {
   part("scene").append(make("p", { class: "note error" }, `No picture in three dimensions: ${String(error)}. Everything else works.`));
 }
 
+/** Between frames, and what the page itself took of each, drawing and taking in what came [ms]. */
 const frames: number[] = [];
+const costs: number[] = [];
+let taken = 0;
 let dirty = false;
 let statusAt = 0;
 let before = 0;
 
 connection.onState = (state, text) => status.setConnection(state, text);
 connection.onFrame = (frame: ServerFrame) => {
+  const begun = performance.now();
   if (frame.k === "snapshot") {
     store.begin(frame);
     hand.build();
@@ -53,6 +58,7 @@ connection.onFrame = (frame: ServerFrame) => {
   } else if (frame.k === "tick") store.take(frame);
   else if (frame.k === "hand") hand.refuse(frame.text);
   dirty = true;
+  taken += performance.now() - begun;
 };
 
 function build(): void {
@@ -62,21 +68,28 @@ function build(): void {
 }
 
 function draw(now: number): void {
-  if (before) frames.push(now - before);
-  if (frames.length > FRAMES_KEPT) frames.shift();
+  const begun = performance.now();
+  if (before) {
+    frames.push(now - before);
+    costs.push(taken + (view?.takeCost() ?? 0));
+    taken = 0;
+  }
+  for (const kept of [frames, costs]) if (kept.length > FRAMES_KEPT) kept.shift();
   before = now;
   if (dirty) {
     dirty = false;
-    scopes.draw();
-    view?.invalidate();
+    view?.follow();
   }
+  scopes.draw(now);
   hand.draw();
   if (now - statusAt > STATUS_MS) {
     statusAt = now;
     status.draw();
     controls.draw();
     instrument.draw();
+    view?.write();
   }
+  taken += performance.now() - begun;
   requestAnimationFrame(draw);
 }
 
@@ -108,7 +121,7 @@ requestAnimationFrame(draw);
 /** What the benchmark and the tests read; nothing of it changes the rig. */
 declare global {
   interface Window {
-    telenano: { store: Store; frames: number[]; connection: Connection; view: View | undefined };
+    telenano: { store: Store; frames: number[]; costs: number[]; connection: Connection; view: View | undefined };
   }
 }
-window.telenano = { store, frames, connection, view };
+window.telenano = { store, frames, costs, connection, view };

@@ -1,8 +1,6 @@
 import {
   AmbientLight,
-  BoxGeometry,
   Color,
-  ConeGeometry,
   DirectionalLight,
   GridHelper,
   Group,
@@ -24,9 +22,11 @@ import { StereoEffect } from "three/addons/effects/StereoEffect.js";
 import { gradient } from "./colormap";
 import { colour, make, part, quantity } from "./dom";
 import { Headset } from "./headset";
+import { drawsInSoftware, Pace } from "./pace";
+import { Probe } from "./probe";
 import type { Line } from "./protocol";
 import { Section } from "./section";
-import { arrow, bar, niceLength, point } from "./shapes";
+import { arrow, axesAndBars, empty, niceLength, point, type Extent } from "./shapes";
 import type { Store } from "./store";
 import { Surface } from "./surface";
 
@@ -34,17 +34,20 @@ type Stereo = "off" | "anaglyph" | "side by side";
 
 const NM = 1e9;
 const PLANE_NM = 120;
-const CANTILEVER_NM = 130;
-const TIP_NM = 34;
-const TIP_RADIUS_NM = 2.5;
 /** How much more the cantilever is bent in the picture than in the instrument. */
 const DEFLECTION_FACTOR = 5;
 const ARROW_NM = 34;
-const BEAM_PARTS = 16;
+/** How much higher than measured heights may be drawn. */
+const STRETCHES = [1, 2, 5, 10, 20, 50, 100];
 /** Distance of the eyes in that to what they look at: 64 mm at 1.6 m. */
 const EYE_SHARE = 0.04;
-/** From this time between frames on the picture is drawn in one frame of six. */
-const SLOW_MS = 45;
+/** A change of this much is seen: half a pixel of a picture of usual size. */
+const SEEN_NM = 0.2;
+/** Distance of the eye, in that at which a window of usual shape shows the sample; and that for its width. */
+const NEAREST = 0.66;
+const NEAREST_WIDE = 1.15;
+const AFM = "afm/state/slave";
+/** Where frames are slow the picture is drawn in one of this many, and the rest stays usable. */
 const SLOW_SHARE = 6;
 
 /** Tip, cantilever and surface, in nanometres, z away from the sample. */
@@ -57,18 +60,15 @@ export class View {
   /** Called with a place on the sample [nm]. */
   onPlace: (x: number, y: number) => void = () => {};
   frames = 0;
+  private cost = 0;
   private dirty = true;
-  /** Time between frames, smoothed [ms]: where it is long the picture is drawn less often, and the rest stays usable. */
-  private period = 16;
-  private frameAt = 0;
-  private drawnAt = 0;
+  private readonly pace = new Pace(SLOW_SHARE);
   private readonly renderer: WebGLRenderer;
   private readonly scene = new Scene();
   private readonly camera = new PerspectiveCamera(40, 1, 1, 4000);
   private readonly orbit: OrbitControls;
   private readonly world = new Group();
-  private readonly tip = new Group();
-  private readonly beam: Mesh[] = [];
+  private readonly tip = new Probe();
   private readonly normal = arrow(0xd2322d);
   private readonly lateral = arrow(0x7c3aed);
   private readonly contact: Mesh;
@@ -84,17 +84,27 @@ export class View {
   private stereo: Stereo = "off";
   private greatestForce = 1e-9;
   private readonly bars = new Group();
+  private readonly stretchSelect = make(
+    "select",
+    { id: "stretch", "aria-label": "Exaggeration of heights", onchange: () => this.setStretch(Number(this.stretchSelect.value)) },
+    ...STRETCHES.map((factor) => make("option", { value: factor }, factor === 1 ? "Heights to scale" : `Heights × ${factor}`)),
+  );
+  private stretch = 1;
+  /** What was drawn last, in steps that can be seen: the same is not drawn again. */
+  private pose = "";
   /** Middle and sides of what is shown [nm]: the camera, the tip and the bars go by it. */
-  private extent = { x: 0, y: 0, width: 0, depth: 0 };
+  private extent: Extent = { x: 0, y: 0, width: 0, depth: 0 };
   private picked = "";
+  private markHeight = 0;
   private readonly raycaster = new Raycaster();
 
   constructor(
     private readonly root: HTMLElement,
     private readonly store: Store,
   ) {
-    this.renderer = new WebGLRenderer({ antialias: true, preserveDrawingBuffer: true });
-    this.renderer.setPixelRatio(Math.min(2, devicePixelRatio));
+    const isSoftware = drawsInSoftware();
+    this.renderer = new WebGLRenderer({ antialias: !isSoftware });
+    this.renderer.setPixelRatio(isSoftware ? 1 : Math.min(2, devicePixelRatio));
     this.renderer.domElement.setAttribute("role", "img");
     this.renderer.domElement.setAttribute("aria-label", "Tip, cantilever and surface in three dimensions");
     root.append(this.renderer.domElement);
@@ -109,7 +119,6 @@ export class View {
     this.contact = new Mesh(new RingGeometry(3.5, 5.5, 40), new MeshStandardMaterial({ color: 0xd2322d, emissive: 0xd2322d, emissiveIntensity: 0.5 }));
     this.mark = new Mesh(new SphereGeometry(0.9), new MeshStandardMaterial({ color: 0xffb000, emissive: 0xffb000 }));
     this.mark.visible = false;
-    this.buildTip();
     this.world.add(this.plane, this.surface.mesh, this.tip, this.contact, this.mark, this.normal, this.lateral);
     this.world.add(this.bars);
     this.orbit = new OrbitControls(this.camera, this.renderer.domElement);
@@ -137,14 +146,35 @@ export class View {
     this.dirty = true;
   }
 
+  /** Draw again if the new samples moved, bent or loaded the tip so far that it can be seen. */
+  follow(): void {
+    const of = (column: string): number => this.store.last("tip", column);
+    const side = this.size;
+    const steps = [of("x"), of("y"), of("base"), of("separation"), of("deflection") * DEFLECTION_FACTOR].map((m) => Math.round((m * NM) / (SEEN_NM * side)));
+    const forces = ["force", "force_x", "force_y"].map((column) => Math.round((of(column) / this.greatestForce) * (ARROW_NM / SEEN_NM)));
+    const pose = [...steps, ...forces, this.store.fact(AFM, "in_contact"), this.store.fact(AFM, "meniscus")].join();
+    if (pose === this.pose) return;
+    this.pose = pose;
+    this.invalidate();
+  }
+
+  /** Draw heights, and the distance of the tip from them, so many times as high as measured. */
+  setStretch(factor: number): void {
+    this.stretch = factor;
+    this.buildBars();
+    this.invalidate();
+  }
+
   addLines(lines: Line[]): void {
     for (const line of lines) this.surface.add(line);
     this.plane.visible = this.grid.visible = this.surface.isEmpty;
     this.legend.hidden = this.surface.isEmpty;
     if (this.surface.extent) this.fit(this.surface.extent);
-    const ends = [this.surface.greatest, this.surface.least].map((height) => make("span", {}, `${height.toPrecision(3)} nm`));
-    this.ends.replaceChildren(...ends);
+    const { least, greatest } = this.surface;
+    const digits = Math.min(4, Math.max(0, 2 - Math.floor(Math.log10(greatest - least || 1))));
+    this.ends.replaceChildren(...[greatest, least].map((height) => make("span", {}, `${+height.toFixed(digits)} nm`)));
     this.section.draw();
+    this.invalidate();
   }
 
   clear(): void {
@@ -153,6 +183,9 @@ export class View {
     this.legend.hidden = true;
     this.greatestForce = 1e-9;
     this.section.clear();
+    this.mark.visible = false;
+    this.picked = "";
+    this.invalidate();
   }
 
   /** Look from above the front, as at a table. */
@@ -163,8 +196,10 @@ export class View {
     this.camera.far = 4000 * side;
     this.camera.updateProjectionMatrix();
     this.orbit.maxDistance = 1500 * side;
-    this.camera.position.set(x + 55 * side, 80 * side, 185 * side - y);
-    this.orbit.target.set(x - 8 * side, 8 * side, -y);
+    // a tall window shows the whole width from further away
+    const away = side * Math.max(NEAREST, NEAREST_WIDE / this.camera.aspect);
+    this.orbit.target.set(x + 4 * side, 8 * side, -y);
+    this.camera.position.set(50, 85, 175).multiplyScalar(away).add(this.orbit.target);
     this.orbit.update();
   }
 
@@ -174,7 +209,7 @@ export class View {
   }
 
   /** Show another part of the sample: the tip in proportion, bars beside it, the camera as at the beginning. */
-  private fit(extent: { x: number; y: number; width: number; depth: number }): void {
+  private fit(extent: Extent): void {
     const { x, y, width, depth } = extent;
     const changed = Math.abs(width - this.extent.width) + Math.abs(depth - this.extent.depth) + Math.abs(x - this.extent.x) + Math.abs(y - this.extent.y);
     if (changed < 1e-3 * (width + depth)) return;
@@ -182,15 +217,18 @@ export class View {
     const side = this.size;
     this.tip.scale.setScalar(side);
     for (const shape of [this.contact, this.mark]) shape.scale.setScalar(side);
-    this.bars.clear();
-    const length = niceLength(0.2 * PLANE_NM * side);
-    const [left, front] = [x - width / 2 - 6 * side, y - depth / 2 - 6 * side];
-    this.bars.add(bar("x", length, [left + 18 * side, front, 0], side), bar("y", length, [left, front + 18 * side, 0], side), bar("z", length / 2, [left, front, 0], side));
+    this.buildBars();
     this.reset();
+  }
+
+  private buildBars(): void {
+    empty(this.bars);
+    if (this.extent.width) this.bars.add(axesAndBars(this.extent, this.size, this.stretch, niceLength(0.2 * PLANE_NM * this.size)));
   }
 
   recolour(): void {
     this.invalidate();
+    this.buildBars();
     this.scene.background = new Color(colour("scene"));
     this.plane.material.color.set(colour("line"));
     this.world.remove(this.grid);
@@ -212,15 +250,25 @@ export class View {
     if (stereo === "off") this.renderer.setScissorTest(false);
   }
 
+  /** Return the time that drawing took since this was last asked [ms]; that of the graphics processor is not in it. */
+  takeCost(): number {
+    const cost = this.cost;
+    this.cost = 0;
+    return cost;
+  }
+
   private draw(): void {
     const now = performance.now();
-    this.period += 0.2 * (Math.min(1000, now - this.frameAt) - this.period);
-    this.frameAt = now;
-    const isSlow = this.period > SLOW_MS && now - this.drawnAt < SLOW_SHARE * this.period;
-    if ((!this.dirty || isSlow) && !this.headset.isPresenting) return;
+    const isDue = this.pace.isDue(now);
+    if (!(this.dirty && isDue) && !this.headset.isPresenting) return;
     this.dirty = false;
-    this.drawnAt = now;
+    this.pace.drawn(now);
     this.frames++;
+    this.render();
+    this.cost += performance.now() - now;
+  }
+
+  private render(): void {
     this.place();
     if (this.headset.isPresenting) this.headset.update(() => this.headsetLines());
     if (this.headset.isPresenting || this.stereo === "off") this.renderer.render(this.scene, this.camera);
@@ -234,19 +282,29 @@ export class View {
     }
   }
 
+  /** Where a height [nm] is in the scene: the lowest point of the image is its floor. */
+  private level(height: number): number {
+    return (height - (this.surface.isEmpty ? 0 : this.surface.least)) * this.stretch;
+  }
+
   private place(): void {
     const of = (column: string): number => this.store.last("tip", column);
     const [x, y] = [or(of("x")) * NM, or(of("y")) * NM];
     const force = of("force");
     const [forceX, forceY] = [or(of("force_x")), or(of("force_y"))];
     const separation = of("separation");
-    const height = this.surface.heightAt(x, y);
-    const apex = height + (Number.isNaN(separation) ? or(of("base")) * -NM + 10 : separation * NM);
+    for (const relief of [this.surface.mesh, this.section.polyline]) {
+      relief.position.z = this.level(0);
+      relief.scale.z = this.stretch;
+    }
+    this.mark.position.z = this.level(this.markHeight);
+    const height = this.level(this.surface.heightAt(x, y));
+    const apex = height + (Number.isNaN(separation) ? or(of("base")) * -NM + 10 : separation * NM) * this.stretch;
     const side = this.size;
     this.tip.position.set(x, y, apex);
-    this.bend((or(of("deflection")) * NM * DEFLECTION_FACTOR) / side);
-    const inContact = this.store.fact("afm/state/slave", "in_contact") === true;
-    const meniscus = this.store.fact("afm/state/slave", "meniscus") === true;
+    this.tip.bend((or(of("deflection")) * NM * DEFLECTION_FACTOR) / side);
+    const inContact = this.store.fact(AFM, "in_contact") === true;
+    const meniscus = this.store.fact(AFM, "meniscus") === true;
     this.contact.visible = inContact || meniscus;
     this.contact.position.set(x, y, height + 0.15 * side);
     (this.contact.material as MeshStandardMaterial).color.set(inContact ? 0xd2322d : 0x1f7fd0);
@@ -254,45 +312,26 @@ export class View {
     this.greatestForce = Math.max(this.greatestForce, Math.abs(or(force)), Math.hypot(forceX, forceY));
     point(this.normal, [x, y, apex], [0, 0, or(force)], ARROW_NM / this.greatestForce, side);
     point(this.lateral, [x, y, apex], [forceX, forceY, 0], ARROW_NM / this.greatestForce, side);
-    this.show("Normal force", quantity(force, "N"));
-    this.show("Deflection", quantity(of("deflection"), "m"));
+  }
+
+  /** Write the numbers beside the picture: a few times a second, faster nobody can read them. */
+  write(): void {
+    const separation = this.store.last("tip", "separation");
+    this.show("Normal force", quantity(this.store.last("tip", "force"), "N"));
+    this.show("Deflection", quantity(this.store.last("tip", "deflection"), "m"));
     this.show("Tip to sample", quantity(separation, "m"));
     this.show("Hand", quantity(this.store.last("hand", "position"), "m"));
-    this.note.textContent = [
-      this.surface.isEmpty ? "No image yet: the plane of contact. Grid 10 nm." : "Height field as measured, to scale.",
+    const side = this.size;
+    const heights = this.stretch === 1 ? "to scale" : `and distances of the tip drawn ${this.stretch} times as high`;
+    const apex = this.world.localToWorld(this.tip.position.clone()).project(this.camera);
+    const isAway = Math.max(Math.abs(apex.x), Math.abs(apex.y)) > 1 && !Number.isNaN(separation);
+    const text = [
+      this.surface.isEmpty ? "No image yet: the plane of contact. Grid 10 nm." : `Heights as measured, ${heights}.`,
       `Cantilever bent ${DEFLECTION_FACTOR} times as far as measured${side > 1.01 || side < 0.99 ? `, it and the tip drawn ${side.toPrecision(2)} times as large` : ""}. Longest force arrow ${quantity(this.greatestForce, "N", 2)}.`,
+      isAway ? `The tip is out of the picture, ${quantity(separation, "m")} from the sample.` : "",
       this.picked || "Double-click a point for its coordinates.",
-    ].join(" ");
-  }
-
-  /** Bend the beam like one clamped at its end and loaded at the tip: z = d (3 s^2 - s^3) / 2. */
-  private bend(deflection: number): void {
-    this.beam.forEach((piece, i) => {
-      // the apex is where the tip is: the clamp moves against it
-      const s = (i + 0.5) / BEAM_PARTS;
-      const lift = deflection * ((3 * s * s - s ** 3) / 2 - 1);
-      piece.position.z = TIP_NM + 2 + lift;
-      // a positive turn about y takes x down
-      piece.rotation.y = -Math.atan((deflection * (6 * s - 3 * s * s)) / 2 / CANTILEVER_NM);
-    });
-  }
-
-  private buildTip(): void {
-    const silicon = new MeshStandardMaterial({ color: 0x8fa3b8, metalness: 0.35, roughness: 0.45 });
-    const cone = new Mesh(new ConeGeometry(10, TIP_NM - TIP_RADIUS_NM, 32), silicon);
-    cone.rotation.x = -Math.PI / 2;
-    cone.position.z = (TIP_NM + TIP_RADIUS_NM) / 2;
-    const apex = new Mesh(new SphereGeometry(TIP_RADIUS_NM, 24, 16), silicon);
-    apex.position.z = TIP_RADIUS_NM;
-    this.tip.add(cone, apex);
-    for (let i = 0; i < BEAM_PARTS; i++) {
-      const length = CANTILEVER_NM / BEAM_PARTS;
-      const piece = new Mesh(new BoxGeometry(length * 1.08, 26, 3), silicon);
-      // the free end, with the tip, is at the origin; the clamp is on the side of -x
-      piece.position.set(-CANTILEVER_NM + (i + 0.5) * length + 8, 0, TIP_NM + 2);
-      this.beam.push(piece);
-      this.tip.add(piece);
-    }
+    ].filter(Boolean).join(" ");
+    if (this.note.textContent !== text) this.note.textContent = text;
   }
 
   private buildOverlay(): void {
@@ -311,6 +350,7 @@ export class View {
       make("button", { type: "button", "aria-label": "Zoom in", onclick: zoom(0.8) }, "+"),
       make("button", { type: "button", "aria-label": "Zoom out", onclick: zoom(1.25) }, "−"),
       stereo,
+      this.stretchSelect,
       this.section.button,
       this.placeButton,
       this.headset.button,
@@ -353,7 +393,8 @@ export class View {
     const found = this.surface.nearest(place.x, place.y);
     const [x, y, z] = found?.at ?? [place.x, place.y, 0];
     this.mark.visible = true;
-    this.mark.position.set(x, y, z);
+    this.mark.position.set(x, y, this.level(z));
+    this.markHeight = z;
     const which = found ? `Measured point ${found.point} of line ${found.line}` : "Point of the plane";
     this.say(`${which}: x ${x.toFixed(3)} nm, y ${y.toFixed(3)} nm, z ${z.toFixed(3)} nm.`);
   }

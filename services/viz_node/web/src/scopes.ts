@@ -1,8 +1,11 @@
 import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
 import { colour, make, save } from "./dom";
+import { Pace } from "./pace";
+import { Playhead } from "./playhead";
 import { grid, minMax, type Point } from "./ring";
 import type { Store } from "./store";
+import { ticks } from "./ticks";
 
 interface Curve {
   stream: string;
@@ -10,11 +13,15 @@ interface Curve {
   label: string;
   colour: string;
   scale: number;
+  /** Drawn against the axis on the right. */
+  right?: boolean;
 }
 
 interface ScopeAbout {
   name: string;
   unit: string;
+  /** Unit of the axis on the right. */
+  right?: string;
   curves: Curve[];
 }
 
@@ -47,12 +54,15 @@ export const SCOPES: ScopeAbout[] = [
     ],
   },
   {
-    name: "Loop age and link delay",
+    name: "Loop age, link delay",
     unit: "ms",
+    right: "loss, %",
     curves: [
       curve("hand", "loop_age", "loop age", "c1", 1e3),
       curve("link", "forward_delay", "link →", "c2", 1e3),
       curve("link", "backward_delay", "link ←", "c3", 1e3),
+      { ...curve("link", "forward_loss", "loss →", "c4", 1e2), right: true },
+      { ...curve("link", "backward_loss", "loss ←", "bad", 1e2), right: true },
     ],
   },
   {
@@ -69,13 +79,18 @@ export const SCOPES: ScopeAbout[] = [
 /** Without samples for this long a curve is broken [s]. */
 const GAPS: Record<string, number> = { link: 0.6, law_master: 0.2, law_slave: 0.2 };
 const GAP = 0.06;
+/** Where frames are slow the curves are drawn in every second one, so that the page still answers. */
+const SLOW_SHARE = 2;
 const SPANS = [0.5, 1, 2, 5, 10, 30, 60];
 
 class Scope {
   readonly area = make("div", { class: "area" });
   readonly element: HTMLElement;
+  /** Whether it is in the part of the page that is seen: what is not seen is not drawn. */
+  isSeen = true;
   private plot: uPlot;
   private data: uPlot.AlignedData = [[]];
+  private readonly values = make("div", { class: "at-cursor", hidden: true });
 
   constructor(
     readonly about: ScopeAbout,
@@ -86,8 +101,10 @@ class Scope {
       key.style.setProperty("--key", `var(--${c.colour})`);
       return key;
     });
-    this.element = make("div", { class: "plot", role: "img", "aria-label": `${about.name} in ${about.unit} over time` });
-    this.element.append(make("div", { class: "name" }, `${about.name}, ${about.unit}`, ...keys), this.area);
+    const title = titleOf(about);
+    this.element = make("div", { class: "plot", role: "img", "aria-label": `${title} over time` });
+    this.element.append(make("div", { class: "name" }, title, ...keys), this.area);
+    this.area.append(this.values);
     this.plot = this.build();
   }
 
@@ -125,6 +142,23 @@ class Scope {
     return this.plot.ctx.canvas;
   }
 
+  /** Write the values under the cursor, which all scopes share. */
+  private readAt(plot: uPlot): void {
+    const at = plot.cursor.idx;
+    this.values.hidden = at === null || at === undefined || (plot.cursor.left ?? -1) < 0;
+    if (this.values.hidden || at == null) return;
+    const value = (points: ArrayLike<Point>): string => {
+      const known = [0, 1, -1, 2, -2].map((step) => points[at + step]).find((point) => typeof point === "number");
+      return known === undefined ? "–" : `${+known.toPrecision(4)}`;
+    };
+    const shown = this.about.curves.map((c, i) => {
+      const text = make("span", {}, value(this.data[i + 1] as ArrayLike<Point>));
+      text.style.color = `var(--${c.colour})`;
+      return text;
+    });
+    this.values.replaceChildren(make("span", {}, `${(plot.data[0][at] ?? 0).toFixed(3)} s`), ...shown);
+  }
+
   private build(): uPlot {
     const axis = { stroke: colour("quiet"), grid: { stroke: colour("line"), width: 1 }, ticks: { show: false }, font: "11px system-ui" };
     return new uPlot(
@@ -133,17 +167,23 @@ class Scope {
         height: Math.max(50, this.area.clientHeight),
         legend: { show: false },
         cursor: { sync: { key: "scopes" }, drag: { x: false, y: false } },
-        scales: { x: { time: false }, y: { range: (_, min, max) => padded(min, max) } },
+        hooks: { setCursor: [(plot: uPlot) => this.readAt(plot)] },
+        scales: { x: { time: false }, y: { range: (_, min, max) => padded(min, max) }, ...(this.about.right && { right: { range: (_: uPlot, __: number, max: number): [number, number] => [0, Math.max(1, max || 0) * 1.06] } }) },
         axes: [
           { ...axis, size: 22, values: (_, splits) => splits.map((value) => `${+value.toPrecision(3)} s`) },
           { ...axis, size: 46, values: (_, splits) => splits.map((value) => `${+value.toPrecision(4)}`) },
+          ...(this.about.right ? [{ ...axis, scale: "right", side: 1 as const, size: 26, grid: { show: false }, values: (_: uPlot, splits: number[]) => splits.map((value) => `${+value.toPrecision(3)}`) }] : []),
         ],
-        series: [{}, ...this.about.curves.map((c) => ({ stroke: colour(c.colour), width: 1.25, points: { show: false } }))],
+        series: [{}, ...this.about.curves.map((c) => ({ stroke: colour(c.colour), width: 1.25, points: { show: false }, scale: c.right ? "right" : "y" }))],
       },
       this.data,
       this.area,
     );
   }
+}
+
+function titleOf(about: ScopeAbout): string {
+  return `${about.name}, ${about.unit}${about.right ? `; ${about.right}` : ""}`;
 }
 
 function padded(min: number | null, max: number | null): [number, number] {
@@ -154,13 +194,23 @@ function padded(min: number | null, max: number | null): [number, number] {
 
 /** Force against distance: the approach and the withdrawal differ by the meniscus. */
 class ForceDistance {
+  isSeen = true;
   readonly canvas = make("canvas");
-  readonly area = make("div", { class: "area" }, this.canvas);
+  private readonly values = make("div", { class: "at-cursor", hidden: true });
+  readonly area = make("div", { class: "area" }, this.canvas, this.values);
+  /** What is at a place of the canvas: distance [nm] and force [nN]. */
+  private readAt: ((x: number, y: number) => [number, number]) | undefined;
   readonly element = make("div", { class: "plot", role: "img", "aria-label": "Force on the tip in nN against distance in nm" });
 
   constructor(private readonly store: Store) {
     const name = make("div", { class: "name" }, "Force against distance, nN over nm", key("towards", "c1"), key("away", "c2"));
     this.element.append(name, this.area);
+    this.canvas.addEventListener("pointermove", (event) => {
+      const [distance, force] = this.readAt?.(event.offsetX, event.offsetY) ?? [NaN, NaN];
+      this.values.hidden = Number.isNaN(force);
+      this.values.textContent = `${+distance.toPrecision(4)} nm, ${+force.toPrecision(4)} nN`;
+    });
+    this.canvas.addEventListener("pointerleave", () => (this.values.hidden = true));
   }
 
   draw(from: number, to: number): void {
@@ -188,6 +238,7 @@ class ForceDistance {
     const bottom = height - 20;
     const toX = (x: number): number => left + ((x - x0) / (x1 - x0)) * (width - left - 6);
     const toY = (y: number): number => bottom - ((y - y0) / (y1 - y0)) * (bottom - 4);
+    this.readAt = (x, y) => [x0 + ((x - left) / (width - left - 6)) * (x1 - x0), y0 + ((bottom - y) / (bottom - 4)) * (y1 - y0)];
     pen.font = "11px system-ui";
     pen.lineWidth = 1;
     for (const [at, text] of ticks(x0, x1)) line(pen, toX(at), 4, toX(at), bottom, text, "center", toX(at), height - 6);
@@ -238,15 +289,6 @@ function key(text: string, name: string): HTMLElement {
   return found;
 }
 
-function ticks(min: number, max: number): [number, string][] {
-  const rough = (max - min) / 4;
-  const power = 10 ** Math.floor(Math.log10(rough));
-  const step = [1, 2, 5, 10].map((factor) => factor * power).find((candidate) => candidate >= rough) ?? rough;
-  const found: [number, string][] = [];
-  for (let at = Math.ceil(min / step) * step; at <= max; at += step) found.push([at, `${+at.toPrecision(3)}`]);
-  return found;
-}
-
 function line(
   pen: CanvasRenderingContext2D,
   x0: number,
@@ -275,6 +317,9 @@ export class Scopes {
   private readonly pauseButton: HTMLButtonElement;
   private span = 10;
   private pausedAt: number | undefined;
+  private readonly playhead = new Playhead();
+  private readonly pace = new Pace(SLOW_SHARE);
+  private drawnTo = NaN;
 
   constructor(
     root: HTMLElement,
@@ -282,7 +327,7 @@ export class Scopes {
   ) {
     const select = make(
       "select",
-      { id: "span", "aria-label": "Span of the scopes", onchange: () => (this.span = Number(select.value)) },
+      { id: "span", "aria-label": "Span of the scopes", onchange: () => this.setSpan(Number(select.value)) },
       ...SPANS.map((span) => make("option", { value: span, selected: span === this.span }, `${span} s`)),
     );
     this.pauseButton = make("button", { type: "button", id: "pause", "aria-pressed": "false", onclick: () => this.pause() }, "Pause");
@@ -297,29 +342,56 @@ export class Scopes {
     this.distance = new ForceDistance(store);
     const elements = this.scopes.map((scope) => scope.element);
     plots.append(...elements.slice(0, 3), this.distance.element, ...elements.slice(3));
-    new ResizeObserver(() => this.scopes.forEach((scope) => scope.resize())).observe(plots);
+    new ResizeObserver(() => {
+      this.scopes.forEach((scope) => scope.resize());
+      this.invalidate();
+    }).observe(plots);
+    const seen = new IntersectionObserver((entries) => {
+      for (const entry of entries) {
+        const scope = [...this.scopes, this.distance].find((found) => found.element === entry.target);
+        if (scope) scope.isSeen = entry.isIntersecting;
+      }
+      this.invalidate();
+    });
+    for (const scope of [...this.scopes, this.distance]) seen.observe(scope.element);
+  }
+
+  /** Draw with the next frame, also what does not move. */
+  invalidate(): void {
+    this.drawnTo = NaN;
+  }
+
+  private setSpan(span: number): void {
+    this.span = span;
+    this.invalidate();
   }
 
   pause(): void {
-    this.pausedAt = this.pausedAt === undefined ? this.store.newest : undefined;
+    this.pausedAt = this.pausedAt === undefined ? this.playhead.at : undefined;
     this.pauseButton.setAttribute("aria-pressed", String(this.pausedAt !== undefined));
     this.pauseButton.textContent = this.pausedAt === undefined ? "Pause" : "Go on";
   }
 
-  draw(): void {
-    const to = this.pausedAt ?? this.store.newest;
-    if (!Number.isFinite(to)) return;
-    for (const scope of this.scopes) scope.draw(to - this.span, to);
-    this.distance.draw(to - this.span, to);
+  /** Draw the curves up to the time of a frame [ms], unless nothing has changed since the last. */
+  draw(now: number): void {
+    const { source } = this.store;
+    const rate = source.kind === "live" ? 1 : source.playing ? (source.rate ?? 1) : 0;
+    const head = this.playhead.advance(this.store.newest, now, rate);
+    const to = this.pausedAt ?? head;
+    if (!this.pace.isDue(now) || !Number.isFinite(to) || to === this.drawnTo) return;
+    this.pace.drawn(now);
+    this.drawnTo = to;
+    for (const scope of [...this.scopes, this.distance]) if (scope.isSeen) scope.draw(to - this.span, to);
   }
 
   recolour(): void {
     this.scopes.forEach((scope) => scope.recolour());
+    this.invalidate();
   }
 
   /** Every sample of the span that is shown, in SI units: a block of lines for each stream. */
   csv(): string {
-    const to = this.pausedAt ?? this.store.newest;
+    const to = this.pausedAt ?? this.playhead.at;
     const lines = ["stream,time_s,column,value,unit"];
     for (const [name, ring] of this.store.rings) {
       const columns = this.store.streams.get(name)?.columns ?? [];
@@ -341,7 +413,7 @@ export class Scopes {
     pen.fillStyle = colour("panel");
     pen.fillRect(0, 0, sheet.width, sheet.height);
     pen.font = "15px system-ui";
-    const names = [...this.scopes.map((s) => `${s.about.name}, ${s.about.unit}`), "Force against distance, nN over nm"];
+    const names = [...this.scopes.map((s) => titleOf(s.about)), "Force against distance, nN over nm"];
     pictures.forEach((picture, i) => {
       const [x, y] = [(i % 2) * width, Math.floor(i / 2) * height];
       pen.fillStyle = colour("text");

@@ -1,5 +1,29 @@
-import { ArrowHelper, BoxGeometry, CanvasTexture, Group, Mesh, MeshStandardMaterial, Sprite, SpriteMaterial, Vector3, type Material } from "three";
-import { make } from "./dom";
+import {
+  ArrowHelper,
+  BoxGeometry,
+  BufferGeometry,
+  CanvasTexture,
+  Float32BufferAttribute,
+  Group,
+  LineBasicMaterial,
+  LineSegments,
+  Mesh,
+  MeshBasicMaterial,
+  Sprite,
+  SpriteMaterial,
+  Vector3,
+  type Material,
+} from "three";
+import { colour, make } from "./dom";
+import { ticks } from "./ticks";
+
+/** The part of the sample that is shown, in nm; `side` is how much larger it is than usual, `stretch` that of heights. */
+export interface Extent {
+  x: number;
+  y: number;
+  width: number;
+  depth: number;
+}
 
 /** An arrow that the tip does not hide. */
 export function arrow(rgb: number): ArrowHelper {
@@ -24,39 +48,79 @@ export function point(helper: ArrowHelper, from: [number, number, number], force
 
 /** The greatest of 1, 2 or 5 times a power of ten that is not above a length. */
 export function niceLength(most: number): number {
-  const power = 10 ** Math.floor(Math.log10(most));
-  return [5, 2, 1].map((factor) => factor * power).find((length) => length <= most) ?? power;
+  const power = 10 ** Math.floor(Math.log10(most) + 1e-9);
+  return [5, 2, 1].map((factor) => factor * power).find((length) => length <= most * (1 + 1e-9)) ?? power;
 }
 
-/** A bar that begins at a corner and goes along an axis; its label has the axis and the length. */
-export function bar(axis: "x" | "y" | "z", length: number, at: [number, number, number], side: number): Group {
-  const along = "xyz".indexOf(axis);
-  const size: [number, number, number] = [0.9 * side, 0.9 * side, 0.9 * side];
-  size[along] = length;
-  const middle: [number, number, number] = [0, 0, 0];
-  middle[along] = length / 2;
-  const rod = new Mesh(new BoxGeometry(...size), new MeshStandardMaterial({ color: 0x64748b }));
-  rod.position.set(...middle);
-  const label = caption(`${axis} ${length >= 1000 ? `${length / 1000} µm` : `${+length.toPrecision(2)} nm`}`);
-  label.scale.multiplyScalar(side);
-  label.position.set(...middle);
-  if (axis === "x") label.position.y -= 6 * side;
-  if (axis === "y") label.position.set(-6 * side, length + 4 * side, 0);
-  if (axis === "z") label.position.z = length + 5 * side;
+/** A length in nm as a text. */
+export function lengthText(length: number): string {
+  return length >= 1000 ? `${length / 1000} µm` : `${+length.toPrecision(2)} nm`;
+}
+
+/** Axes in nm before and right of what is shown, with ticks, and bars of a round length at its far left corner. */
+export function axesAndBars(extent: Extent, side: number, stretch: number, longest: number): Group {
+  const { x, y, width, depth } = extent;
+  const [left, right, front, back] = [x - width / 2, x + width / 2, y - depth / 2, y + depth / 2];
+  const away = 4 * side;
   const group = new Group();
-  group.add(rod, label);
-  group.position.set(...at);
+  const lines: number[] = [left, front - away, 0, right, front - away, 0, right + away, front, 0, right + away, back, 0];
+  const write = (text: string, place: [number, number, number]): void => {
+    const label = caption(text);
+    label.scale.multiplyScalar(side);
+    label.position.set(...place);
+    group.add(label);
+  };
+  for (const [at, text] of ticks(left, right)) {
+    lines.push(at, front - away, 0, at, front - away - 2 * side, 0);
+    write(text, [at, front - away - 7 * side, 0]);
+  }
+  for (const [at, text] of ticks(front, back)) {
+    lines.push(right + away, at, 0, right + away + 2 * side, at, 0);
+    write(text, [right + away + 8 * side, at, 0]);
+  }
+  write("x, nm", [x, front - away - 16 * side, 0]);
+  write("y, nm", [right + away + 22 * side, y, 0]);
+  const geometry = new BufferGeometry().setAttribute("position", new Float32BufferAttribute(lines, 3));
+  group.add(new LineSegments(geometry, new LineBasicMaterial({ color: colour("quiet") })));
+  const high = niceLength(longest / 2 / stretch);
+  const corner: [number, number, number] = [left - away, back + away, 0];
+  rod(group, [longest, 0, 0], corner, side);
+  rod(group, [0, -longest, 0], corner, side);
+  rod(group, [0, 0, high * stretch], corner, side);
+  write(`x ${lengthText(longest)}`, [corner[0] + longest + 4 * side, corner[1] + 6 * side, 3 * side]);
+  write(`y ${lengthText(longest)}`, [corner[0] - 16 * side, corner[1] - longest, 0]);
+  write(`z ${lengthText(high)}`, [corner[0], corner[1], high * stretch + 5 * side]);
   return group;
 }
 
+function rod(group: Group, along: [number, number, number], from: [number, number, number], side: number): void {
+  const size = along.map((length) => Math.max(Math.abs(length), 0.9 * side)) as [number, number, number];
+  const shape = new Mesh(new BoxGeometry(...size), new MeshBasicMaterial({ color: colour("quiet") }));
+  shape.position.set(from[0] + along[0] / 2, from[1] + along[1] / 2, from[2] + along[2] / 2);
+  group.add(shape);
+}
+
+/** A text that faces the viewer and that nothing hides. */
 function caption(text: string): Sprite {
   const canvas = make("canvas", { width: 256, height: 64 });
   const pen = canvas.getContext("2d")!;
   pen.font = "600 44px system-ui, sans-serif";
   pen.textAlign = "center";
-  pen.fillStyle = "#475569";
+  pen.fillStyle = colour("text");
   pen.fillText(text, 128, 48);
-  const sprite = new Sprite(new SpriteMaterial({ map: new CanvasTexture(canvas), transparent: true }));
+  const sprite = new Sprite(new SpriteMaterial({ map: new CanvasTexture(canvas), transparent: true, depthTest: false }));
   sprite.scale.set(26, 6.5, 1);
   return sprite;
+}
+
+/** Let go of what the graphics processor keeps for the members of a group, and empty it. */
+export function empty(group: Group): void {
+  group.traverse((part) => {
+    if (!(part instanceof Mesh || part instanceof LineSegments || part instanceof Sprite)) return;
+    part.geometry.dispose();
+    const material = part.material as SpriteMaterial;
+    material.map?.dispose();
+    material.dispose();
+  });
+  group.clear();
 }
