@@ -12,6 +12,7 @@ from proto.messages import (
 from services.controller import energy
 from services.controller.config import KNOWN_LAWS, PACKAGE_LAWS, ControllerConfig, changed_config
 from services.controller.deadband import deadband, fresh
+from services.controller.hand_periods import HandPeriods
 from services.controller.input_age import InputAge
 from services.controller.law import (
     LONGEST_BRIDGED_PERIODS,
@@ -59,6 +60,7 @@ class ControllerHalf(Node):
         self.input_age = InputAge(context, self.clock.now_ns())
         self._hand_stamp = (0, 0)
         self._period_ns = round(config.period_s * 1e9)
+        self._hand_periods = HandPeriods(self._period_ns)
         self._status_ticks = max(1, round(STATUS_PERIOD_S / config.period_s))
         self._reported_j = 0.0
         self._band = config.deadband.to_params()
@@ -184,14 +186,16 @@ class ControllerHalf(Node):
     def elapsed_s(self, hand_t_ns: int, previous_ns: int) -> float | None:
         """Return the whole periods between two hand samples [s]; None when the sequence starts anew.
 
-        The hand's grid is absolute, so its stamps differ from whole periods by its lateness only; rounding keeps the
-        law on that grid and makes a re-run from a recording exact. After a sample that was late by more than half a
+        The hand's grid is absolute, so its stamps differ from whole periods by its lateness only; counting on that grid
+        keeps the law on it and makes a re-run from a recording exact. After a sample that was late by more than half a
         period the next one is none later, 0.0: the time between them was counted already.
         """
-        periods = round((hand_t_ns - previous_ns) / self._period_ns)
-        if previous_ns == 0 or hand_t_ns <= previous_ns or periods > self.longest_pause_periods():
-            return None
-        return periods * self.config.period_s
+        if previous_ns and hand_t_ns > previous_ns:
+            periods = self._hand_periods.counted(hand_t_ns)
+            if periods <= self.longest_pause_periods():
+                return periods * self.config.period_s
+        self._hand_periods.begin(hand_t_ns)
+        return None
 
     def longest_pause_periods(self) -> int:
         return LONGEST_BRIDGED_PERIODS

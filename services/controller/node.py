@@ -114,7 +114,8 @@ class MasterController(ControllerHalf):
         self.law_state = self._resumed(self.reference, tip_m)
 
     def _on_hand(self, message: HapticState) -> None:
-        if self._command_due:
+        unanswered = self._command_due
+        if unanswered:
             self._publish_command()
         elif message.device == "stale" and self._hand_stamp[1]:
             self._send_reference()
@@ -141,9 +142,14 @@ class MasterController(ControllerHalf):
         counts = elapsed is not None and following and self.hand.following and self.reference.active
         count = energy.with_inflow if counts and not self.switching else energy.moved_to
         self.port = count(self.port, self.hand.position_m, self.hand.force_n)
+        if elapsed == 0.0:
+            # the sample before was late, and its step was that of both: a step more would be a period too many
+            if not unanswered:
+                self._send_reference()
+            return
         # after a pause the law goes on from its own state: a hand that was restarted is off, and a law stays with an
         # off hand, while one that was only held up finds its reference where it was
-        self._dt_s = elapsed or self.config.period_s
+        self._dt_s = elapsed if elapsed is not None else self.config.period_s
         hand = self.hand._replace(following=False) if self.switching else self.hand
         self.law_state, signal = self.law.master_send(self.params, self.law_state, hand, self._dt_s)
         self._tip_reference_m = signal.position_m

@@ -184,9 +184,13 @@ def charged(account: Account, work_j: float, lost_j: float) -> Account:
 
 
 @compiled
-def received_anew(account: Account, energy_j: float) -> Account:
-    """Start counting the other side's energy at a signal; what is left to spend stays."""
-    return Account(account.in_j, energy_j, account.remaining_j, account.lost_j, account.granted_j)
+def received_anew(account: Account, energy_j: float, heard: bool) -> Account:
+    """Start counting the other side's energy at a signal; what is left to spend stays.
+
+    Where none is heard nothing changes: to begin at zero would credit all that was received once more.
+    """
+    received_j = energy_j if heard else account.received_j
+    return Account(account.in_j, received_j, account.remaining_j, account.lost_j, account.granted_j)
 
 
 @compiled
@@ -254,7 +258,7 @@ def master_receive(
     force = p.force_scale * signal.force_n
     coupled = is_coupled(p, signal)
     if not (coupled and hand.following):
-        account = received_anew(state.account, signal.energy_j)
+        account = received_anew(state.account, signal.energy_j, signal.silence_s <= p.silence_limit_s)
         if is_retracted(p, signal):
             account = opened_anew(account, params.start_j)
         state = MasterState(let_go(p, state.mass, hand, signal), account)
@@ -309,7 +313,7 @@ def slave_receive(
     coupled = is_coupled(p, signal) and tip.following
     if not coupled:
         base = state.position_m if tip.following else signal.position_m
-        account = received_anew(state.account, signal.energy_j)
+        account = received_anew(state.account, signal.energy_j, signal.silence_s <= p.silence_limit_s)
         if not tip.following and not tip.in_contact:
             account = opened_anew(account, params.start_j)
         stretch = p.force_scale * tip.force_n / k if tip.following else 0.0

@@ -80,8 +80,8 @@ def slave(bench_of: Any) -> tuple[Any, SlaveController]:
     return bench, SlaveController(bench.context, ControllerConfig())
 
 
-def tick(bench: Any, node: MasterController, force_n: float = 0.0, **changes: Any) -> Any:
-    bench.clock.advance_ns(PERIOD_NS)
+def tick(bench: Any, node: MasterController, force_n: float = 0.0, wait_ns: int = PERIOD_NS, **changes: Any) -> Any:
+    bench.clock.advance_ns(wait_ns)
     hand = bench.received("haptic/state", "haptic_node@master", **{**hand_fields(force_n), **changes})
     node.on_message(hand)
     return hand.message
@@ -227,6 +227,27 @@ def test_sample_that_is_repeated_is_none(bench_of: Any, law: str) -> None:
         assert node.reference.position_m > 1e-4
         states.append(pickle.dumps(node.law_state))
     assert states[0] == states[1]
+
+
+@pytest.mark.parametrize("law", [law for law in sorted(LAWS) if law != "tactile"])
+def test_hand_is_where_it_would_be_if_no_sample_had_been_late(bench_of: Any, law: str) -> None:
+    places = []
+    for late_ns in (0, 400_000, 800_000):
+        bench = bench_of("controller@master")
+        node = MasterController(bench.context, ControllerConfig(law=law))
+        for number in range(200):
+            # late, and less late, and then in time again
+            waits_ns = {1: PERIOD_NS + late_ns, 2: PERIOD_NS - late_ns // 2, 3: PERIOD_NS - late_ns + late_ns // 2}
+            where_m = (0.0, 0.0, -node.reference.position_m)
+            hand = tick(bench, node, 1.0, waits_ns.get(number % 5, PERIOD_NS), position_m=where_m)
+            fields = answer_fields(0.0, hand.seq, hand.t_ns, law=law)
+            node.on_message(bench.received("teleop/backward", "controller@slave", **fields))
+            # and one command a tick, whether it is answered or none later
+            (command,) = bench.take("haptic/command")
+            assert command.position_m == (0.0, 0.0, -node.reference.position_m)
+        places.append(node.reference.position_m)
+    assert places[0] > 5e-4
+    assert places[1:] == pytest.approx([places[0]] * 2, rel=1e-9, abs=0.0)
 
 
 def test_parameters_change_at_run_time(master: Any) -> None:

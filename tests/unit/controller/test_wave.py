@@ -222,6 +222,32 @@ def test_line_of_a_hand_that_stays_off_is_let_down_after_the_silence_limit() -> 
     assert (state.up, state.impulse_m) == (False, 0.0)
 
 
+def test_force_that_the_line_begins_under_fades_and_is_granted_once() -> None:
+    tip = TipMeasurement(9e-9, 1e-8, 0.0, False, True, True)
+    heard = NO_SIGNAL._replace(active=True, silence_s=0.0, position_m=9e-9)
+    state, _ = slave_receive(PARAMS, slave_start(PARAMS, tip), heard, tip, T)
+    # 1 N at the hand's scale, which fades with tau_0 = 1 s
+    assert state.bias_n == 1.0
+    for _ in range(1000):
+        state, _ = slave_send(PARAMS, state, tip, T)
+    assert state.bias_n == pytest.approx(math.exp(-1.0), rel=1e-9, abs=0.0)
+    granted = state.granted_j
+    state, _ = slave_receive(PARAMS, state, NO_SIGNAL, tip, T)
+    assert not state.coupled
+    state, _ = slave_receive(PARAMS, state, heard, tip, T)
+    assert (state.coupled, state.bias_n, state.granted_j) == (True, 0.0, granted)
+
+
+@pytest.mark.parametrize(("silence_s", "moves"), [(0.0, True), (0.019, True), (0.021, False)])
+def test_base_stands_when_all_waves_have_died_out(silence_s: float, moves: bool) -> None:
+    tip = TipMeasurement(0.0, 0.0, 0.0, False, True, True)
+    heard = NO_SIGNAL._replace(active=True, silence_s=0.0)
+    state, _ = slave_receive(PARAMS, slave_start(PARAMS, tip), heard, tip, T)
+    late = heard._replace(position_m=1e-9, energy_j=1.0, silence_s=silence_s)
+    _, reference = slave_receive(PARAMS, state, late, tip, T)
+    assert (reference.position_m != 0.0) is moves
+
+
 def test_resumed_line_starts_without_a_wave() -> None:
     state = master_resume(PARAMS, HandSample(5e-3, 0.01, 1.0, True), 1e-8)
     state, signal = master_send(PARAMS, state, HandSample(5e-3, 0.01, 1.0, False), T)

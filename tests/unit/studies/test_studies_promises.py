@@ -1,7 +1,9 @@
 """The promises of docs/laws.md over bad links: which law makes no energy there, and which holds every sample."""
 
+import re
 from itertools import product
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 import pytest
@@ -95,12 +97,49 @@ def test_a_law_that_promises_passivity_and_makes_energy_is_named(tmp_path: Path)
     assert broken(outcomes(["position_force"], 5, Told(tmp_path, ("diverged", -1.0, 1.0)))) == []
 
 
+DOCUMENT = (Path(__file__).parents[3] / "docs" / "studies.md").read_text(encoding="utf-8")
+PRINTED_HANDS: dict[str, Hand] = {"constant force": "force", "arm of 300 N/m": "ordinary", "arm of 1000 N/m": "stiff"}
+
+
+def printed_shares() -> dict[tuple[str, Hand, float], tuple[float, float]]:
+    """Give median and least share of the force, as docs/studies.md prints them for a law, a hand and a round trip."""
+    found, law = {}, ""
+    heads, *lines = DOCUMENT[DOCUMENT.index("\n| | 0 ms |") + 1 :].split("\n\n")[0].splitlines()
+    delays_ms = [float(head) for head in re.findall(r"(\d+) ms", heads)]
+    for line in lines[1:]:
+        name, *cells = [cell.strip() for cell in line.strip("|").split("|")]
+        law, hand = name.split(", ") if ", " in name else (law, name)
+        for delay_ms, cell in zip(delays_ms, cells, strict=True):
+            middle, least = map(float, re.findall(r"\d\.\d\d", cell)[:2])
+            found[law, PRINTED_HANDS[hand], delay_ms] = middle, least
+    return found
+
+
+def test_the_document_prints_a_share_for_every_hand_and_round_trip() -> None:
+    laws = ("passivity", "wave", "model_mediated")
+    assert set(printed_shares()) == set(product(laws, HANDS, ROUND_TRIPS_MS))
+
+
 @pytest.mark.stack
 @pytest.mark.endurance
 def test_over_drawn_bad_links_no_energy_is_made_at_the_device(tmp_path: Path) -> None:
-    rows = outcomes(PASSIVE_LAWS, 50, Sweep(Journal(tmp_path / "journal.jsonl"), 1))
+    sweep = Sweep(Journal(tmp_path / "journal.jsonl"), 1)
+    rows = outcomes(PASSIVE_LAWS, 50, sweep)
     assert sum(row.runs for row in rows) == 50 * len(SAMPLES) * len(PASSIVE_LAWS)
     assert broken(rows) == []
+    printed = printed_shares()
+    for law in PASSIVE_LAWS:
+        results = sweep.run([cell for cell in drawn_cells([law], 50)])
+        stable = sum(result.verdict == "stable" for result in results)
+        assert re.search(rf"^\| {law} \| 300 of 300, [^|]+ \| {stable} \|", DOCUMENT, re.MULTILINE), stable
+        for hand, delay_ms in product(HANDS, ROUND_TRIPS_MS):
+            shares = [
+                (result.tip_n or 0.0) / (2.0 if result.cell.environment == "contact" else 1.0)
+                for result in results
+                if (result.cell.hand, result.cell.round_trip_ms) == (hand, delay_ms)
+            ]
+            found = median(shares), min(shares)
+            assert found == pytest.approx(printed[law, hand, delay_ms], rel=0.0, abs=0.0051), (law, hand, delay_ms)
 
 
 @pytest.mark.stack
@@ -119,3 +158,39 @@ def test_smith_goes_in_by_what_the_hand_does_in_a_round_trip(round_trip_ms: floa
     found = run_cell(Cell(law="smith", environment="contact", stiffness_n_per_m=40.0, round_trip_ms=round_trip_ms))
     assert found.verdict == "stable"
     assert found.peak_n == pytest.approx(greatest_n, rel=0.05, abs=0.0)
+
+
+@pytest.mark.stack
+@pytest.mark.endurance
+def test_waves_over_bad_links_are_as_the_document_says() -> None:
+    wave: dict[str, Any] = {"law": "wave", "environment": "spring"}
+    for round_trip_ms, apart_mm in ((60.0, 0.54), (120.0, 0.84), (200.0, 1.15), (500.0, 2.05)):
+        link: dict[str, Any] = {"round_trip_ms": round_trip_ms, "jitter_ms": 0.25 * round_trip_ms, "loss": 0.05}
+        held = [run_cell(Cell(**wave, **link, stiffness_n_per_m=20.0, seed=seed)) for seed in range(3)]
+        assert median(result.tip_n or 0.0 for result in held) == pytest.approx(1.0, rel=0.005, abs=0.0)
+        assert median(1e3 * (result.apart_m or 0.0) for result in held) == pytest.approx(apart_mm, rel=0.01, abs=0.0)
+    for seed in range(4):
+        ripples = run_cell(Cell(**wave, round_trip_ms=60.0, jitter_ms=15.0, stiffness_n_per_m=200.0, seed=seed))
+        assert 0.2 < ripples.peak_to_peak_n < 0.45
+    for filter_s, ripple_n, share in ((0.02, 0.10, 0.87), (0.2, 0.045, 0.61)):
+        link = {"round_trip_ms": 50.0, "jitter_ms": 12.5, "loss": 0.2, "settings": (("wave.filter_s", filter_s),)}
+        for seed in range(3):
+            held = [run_cell(Cell(**wave, **link, stiffness_n_per_m=80.0, hand=h, seed=seed)) for h in HANDS[:2]]
+            assert held[0].peak_to_peak_n == pytest.approx(ripple_n, rel=0.3, abs=0.0)
+            assert held[1].tip_n == pytest.approx(share, rel=0.01, abs=0.0)
+
+
+@pytest.mark.stack
+@pytest.mark.endurance
+def test_local_loop_of_passivity_ends_at_the_stiffness_of_its_damper() -> None:
+    cell: dict[str, Any] = {"law": "passivity", "environment": "spring", "round_trip_ms": 0.0}
+    assert run_cell(Cell(**cell, stiffness_n_per_m=380.0)).verdict == "stable"
+    assert run_cell(Cell(**cell, stiffness_n_per_m=420.0)).verdict != "stable"
+
+
+@pytest.mark.stack
+@pytest.mark.endurance
+def test_smith_cycles_on_a_wall_beyond_its_estimate() -> None:
+    cell: dict[str, Any] = {"law": "smith", "environment": "wall", "round_trip_ms": 50.0}
+    assert run_cell(Cell(**cell, stiffness_n_per_m=80.0)).verdict == "limit_cycle"
+    assert run_cell(Cell(**cell, stiffness_n_per_m=38.0)).verdict == "stable"

@@ -1,0 +1,33 @@
+"""The hand's time at both halves: however late its samples are, each period counts once."""
+
+import random
+
+import pytest
+
+from services.controller.hand_periods import HandPeriods
+
+PERIOD_NS = 1_000_000
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_no_period_counts_twice_however_late_the_samples_are(seed: int) -> None:
+    source, hand, counted, grid = random.Random(seed), HandPeriods(PERIOD_NS), 0, 0
+    hand.begin(10**18)
+    for _ in range(5000):
+        # some samples were lost on the way, and a late one still comes before the next
+        grid += source.choice((1, 1, 1, 1, 2, 5))
+        late_ns = source.choice((0, 0, 0, source.randrange(999_000)))
+        counted += hand.counted(10**18 + grid * PERIOD_NS + late_ns)
+        assert abs(counted - grid) <= 1
+    # by itself, each difference of two stamps would have been rounded: some hundred too many
+    counted += hand.counted(10**18 + (grid + 1) * PERIOD_NS)
+    assert counted == grid + 1
+
+
+def test_a_first_sample_that_was_late_is_not_what_the_others_are_counted_by() -> None:
+    source, hand = random.Random(1), HandPeriods(PERIOD_NS)
+    hand.begin(10**18 + 600_000)
+    stamps = [10**18 + n * PERIOD_NS + source.randrange(200_000) for n in range(1, 1000)]
+    counts = [hand.counted(stamp) for stamp in stamps]
+    assert set(counts[300:]) == {1}
+    assert sum(counts) in (998, 999)
