@@ -140,6 +140,6 @@ def tactile_figure(path: TactilePath) -> "Figure":
     axes.plot(path.way_m * 1e9, scaled, "--", color="#c0392b", label="surface as the tip sees it, at 0.1 cm/nm")
     axes.set_xlabel("way along the line [nm]")
     axes.set_ylabel("height at the hand [cm]")
-    axes.legend(loc="upper right")
+    axes.legend(loc="upper center")
     axes.grid(alpha=0.3)
     return figure

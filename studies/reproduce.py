@@ -25,6 +25,20 @@ from studies.scan import ScanRequest, ScanResult, scan
 
 FIGURES = ("equations", "fig5", "fig6", "models", "fig8", "fig10", "fig12")
 Progress = Callable[[str, int, int], None]
+# what the paper says of each figure, and where this one differs
+_BESIDE_THE_PAPER = {
+    "fig5": "The paper: on the way there the tip jumps into contact, on the way back it leaves later; the hysteresis"
+    " is energy that is lost. The same here; the paper draws it over the distance h, this figure over the base.",
+    "fig6": "The paper: measured on mica, with the noise of its electronics, and nearly linear in contact. The same"
+    " here without noise; tip and sample are those of Table 2, since the paper does not tell all of them.",
+    "fig8": "The paper: dots of about 5 nm radius and 10 nm height. Here they are wider, as the tip of 10 nm radius"
+    " sees them; their places are drawn by a seed.",
+    "fig10": "The paper: upward jumps of the hand stand for the dots, and x_m goes with alpha_p x_s. The same here; the"
+    " hand stays below the tops by what sample and device give way.",
+    "fig12": "The paper: the operator pushes from 0.8 s on, the tip is pulled before it touches, F_m and alpha_f F_s"
+    " balance, and after the release at 4.6 s the hand goes back to the point of contact. The same here; F_m is 1.05"
+    " times alpha_f F_s, as Eq. 17 has it for K_f = 20.",
+}
 
 
 class Value(NamedTuple):
@@ -116,6 +130,7 @@ def reproduce(figures: Sequence[str], out: Path, pixels: int, progress: Progress
             curve = force_curve(config, 20e-9, 20e-9, progress=partial(progress, name))
             page.heading(words)
             summary[name] = _add_curve(page, curve)
+            page.paragraph(_BESIDE_THE_PAPER[name])
     if "models" in figures:
         page.heading("The quasi-static cantilever beside Eq. 4 in full")
         found = compare_models(progress=partial(progress, "models"))
@@ -135,6 +150,7 @@ def reproduce(figures: Sequence[str], out: Path, pixels: int, progress: Progress
         image = scan(SampleConfig().build(), request, AfmConfig(), shown)
         page.heading("Fig. 8, InAs dots on 150 x 150 nm², tapping mode")
         summary["fig8"] = _add_image(page, image)
+        page.paragraph(_BESIDE_THE_PAPER["fig8"])
     live: tuple[tuple[str, str, Callable[[Page, Path], dict[str, object]]], ...] = (
         ("fig10", "Fig. 10, the hand over two InAs dots: x_m solid, the surface at 0.1 cm/nm dashed", _add_tactile),
         ("fig12", "Fig. 12, a hand presses the tip onto mica, presses harder, and lets go", _add_holds),
@@ -146,6 +162,7 @@ def reproduce(figures: Sequence[str], out: Path, pixels: int, progress: Progress
             page.heading(words)
             try:
                 summary[name] = add(page, run_scenario(name, out, partial(progress, name)))
+                page.paragraph(_BESIDE_THE_PAPER[name])
             except RigError as error:
                 failed[name] = str(error)
                 page.paragraph(f"Not made: {error}")

@@ -41,14 +41,15 @@ def _driver(config: AfmConfig) -> AfmDriver:
 def dynamic_afm(config: AfmConfig) -> AfmDriver:
     """Return the instrument with the dynamic cantilever; ConfigError, if there is no compiler or no such model."""
     try:
-        from services.afm_node.dynamic_sim import DynamicAfm
+        from services.afm_node.dynamic_sim import DynamicAfm, resting_steps
     except ImportError as error:
         raise ConfigError('afm_node.model: dynamic needs numba: pip install "telenano[studies]"') from error
     surface, friction = config.to_surface(), config.to_friction_params()
     try:
         # impulses of 1 K, which the driver scales: the temperature can be changed while it runs
-        plant = config.to_dynamic(temperature_k=1.0)
-        return DynamicAfm(config.to_params(), surface, friction, config.disturbances, plant)
+        driven = config.to_dynamic(temperature_k=1.0)
+        resting = config.to_dynamic(steps_per_period=resting_steps(driven), temperature_k=1.0, like=driven)
+        return DynamicAfm(config.to_params(), surface, friction, config.disturbances, driven, resting)
     except ValueError as error:
         raise ConfigError(f"afm_node.model: {error}") from error
 

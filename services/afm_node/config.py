@@ -350,10 +350,15 @@ class AfmConfig(_PackageSections):
         return SampleParams(SafetyParams(**self.safety.model_dump()), getattr(self, self.environment).to_params())
 
     def to_dynamic(
-        self, drive_hz: float | None = None, steps_per_period: int | None = None, temperature_k: float = 0.0
+        self,
+        drive_hz: float | None = None,
+        steps_per_period: int | None = None,
+        temperature_k: float = 0.0,
+        like: "DynamicPlant | None" = None,
     ) -> "DynamicPlant":
         """Return the cantilever with its dynamics (Eq. 4), driven at drive_hz [Hz] or at its resonance.
 
+        Parameters: like, one of this configuration, whose grid of the force is taken.
         Raises: ValueError naming value and unit, where the values admit no model.
         """
         # a node that asks for no dynamics does not import them
@@ -363,7 +368,7 @@ class AfmConfig(_PackageSections):
         damping = Damping(t.liquid_viscosity_pa_s, t.liquid_thickness_m, t.sample_viscosity_pa_s, t.sample_thickness_m)
         drive = c.resonance_hz if drive_hz is None else drive_hz
         plant, steps = self.to_params().plant, steps_per_period or c.steps_per_period
-        return build_dynamic(plant, c.resonance_hz, c.quality, drive, damping, steps, temperature_k)
+        return build_dynamic(plant, c.resonance_hz, c.quality, drive, damping, steps, temperature_k, like)
 
     def to_params(self) -> AfmParams:
         """Build the parameters of the pure step; built once per set of its parameters.

@@ -298,12 +298,13 @@ def build_dynamic(
     damping: Damping,
     steps_per_period: int = 96,
     temperature_k: float = 0.0,
+    like: DynamicPlant | None = None,
 ) -> DynamicPlant:
     """Prepare the exact motion of the driven spring over one step.
 
     Parameters: plant, the cantilever with its tip; resonance_hz, f; quality, Q, above 1/2 (it must oscillate);
     drive_hz; damping; steps_per_period, of the drive, a multiple of 8; temperature_k, of thermal noise, where normal
-    numbers are given.
+    numbers are given; like, one of the same cantilever, tip and sample, whose grid of the force is taken.
     Raises: ValueError naming value and unit of what cannot be.
     """
     checks = (("resonance f", resonance_hz, 0.0, "Hz"), ("drive frequency", drive_hz, 0.0, "Hz"),
@@ -341,7 +342,7 @@ def build_dynamic(
     # before this distance nothing begins or ends, and beyond it van der Waals' force is some pN
     far_m = 1e-9 + max(_FAR_M, tip.meniscus_break_m if tip.has_meniscus else 0.0, damping.liquid_thickness_m)
     far_flow, far = _together(flow, drive)
-    grid, passages = build_force_grid(tip, far_m + 20e-9)
+    grid, passages = build_force_grid(tip, far_m + 20e-9) if like is None else (like.grid, like.passages)
     viscosity = Viscosity(
         math.pi * damping.liquid_viscosity_pa_s * tip.radius_m,
         damping.liquid_thickness_m,

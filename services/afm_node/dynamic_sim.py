@@ -24,12 +24,14 @@ from services.afm_node.step import AfmParams, AfmSample
 from services.afm_node.surface import Surface
 from services.runtime.compiled import always_compiled
 
-# the motion that is gone through while nothing waits for it, of the millisecond between two exchanges, and at a time:
-# what shares the processor has to come in between
-_AHEAD_S, _SLICE_S = 0.9e-3, 0.3e-3
+# the motion that is gone through while nothing waits for it, of the millisecond between two exchanges, and at a time,
+# some 100 us: what shares the processor has to come in between
+_AHEAD_S, _SLICE_STEPS = 0.9e-3, 4500
 # simulated at once, however late the process is: a machine that is too slow falls behind, and goes on
 _MOST_S = 2e-3
 _LEAST_PERIODS = 8
+# a tip that is not driven has no phase to be met: it comes to rest at any step
+_RESTING_STEPS = 32
 # of the contact's own motion [rad]: the impulses are unstable beyond 2
 _MOST_ANGLE_A_STEP = 1.5
 # of the counters of Philox: the other numbers of the seed have 0 and 1
@@ -74,6 +76,21 @@ def least_steps(plant: DynamicPlant) -> int:
     return KICKS_PER_PERIOD * math.ceil(steps / KICKS_PER_PERIOD)
 
 
+def resting_steps(driven: DynamicPlant) -> int:
+    """Return the steps a period of a tip that is not driven: as few as its accuracy and its contact allow."""
+    return min(max(_RESTING_STEPS, least_steps(driven)), int(driven.drive.shape[0]))
+
+
+def with_exact_rest(plant: DynamicPlant) -> DynamicPlant:
+    """Return a cantilever whose impulses hold a tip exactly where the force would.
+
+    Between two impulses of a force F the spring swings by the angle w0 dt, so that a tip at rest would be found at
+    (w0 dt / 2) cot(w0 dt / 2) of F / k: 0.3 % less at 32 steps a period. The impulses have a mass that makes up for it.
+    """
+    half = 0.5 * math.sqrt(plant.stiffness_n_per_m / plant.mass_kg) * plant.step_s
+    return plant._replace(mass_kg=plant.mass_kg * half / math.tan(half))
+
+
 class DynamicAfm(DisturbedAfm):
     """The simulated AFM whose cantilever follows Eq. 4 in full; made only where numba is installed.
 
@@ -91,15 +108,16 @@ class DynamicAfm(DisturbedAfm):
         surface: Surface | None,
         friction: FrictionParams | None,
         disturbances: DisturbanceConfig,
-        plant: DynamicPlant,
+        driven: DynamicPlant,
+        resting: DynamicPlant,
     ) -> None:
         super().__init__(params, surface, friction, disturbances)
-        if plant.drive.shape[0] < (least := least_steps(plant)):
+        if driven.drive.shape[0] < (least := least_steps(driven)):
             raise ValueError(
-                f"cantilever.steps_per_period = {plant.drive.shape[0]} is too few for a cantilever of"
-                f" {plant.stiffness_n_per_m:g} N/m, which the contact makes swing faster: {least} or more are needed"
+                f"cantilever.steps_per_period = {driven.drive.shape[0]} is too few for a cantilever of"
+                f" {driven.stiffness_n_per_m:g} N/m, which the contact makes swing faster: {least} or more are needed"
             )
-        self._dynamic = plant
+        self._driven, self._resting = driven, with_exact_rest(resting)
         self._drive_m = 0.0
         self._due_s = 0.0
         self._calls = 0
@@ -129,7 +147,11 @@ class DynamicAfm(DisturbedAfm):
         """
         if not (math.isfinite(amplitude_m) and amplitude_m >= 0.0):
             raise ValueError(f"amplitude = {amplitude_m} m must be finite and >= 0 m")
-        self._drive_m = amplitude_m / free_amplitude_m(self._dynamic, 1.0)
+        drive_m = amplitude_m / free_amplitude_m(self._driven, 1.0)
+        if (drive_m == 0.0) != (self._drive_m == 0.0):
+            # the steps are others, so it begins a period
+            self._motion = self._motion._replace(phase_step=0)
+        self._drive_m = drive_m
 
     @property
     def oscillation(self) -> Oscillation:
@@ -138,16 +160,21 @@ class DynamicAfm(DisturbedAfm):
         x, y = self._in_phase_m, self._quadrature_m
         return Oscillation(math.hypot(x, y), math.atan2(y, x))
 
+    @property
+    def _dynamic(self) -> DynamicPlant:
+        return self._driven if self._drive_m > 0.0 else self._resting
+
     def settle(self) -> bool:
-        period_s = 1.0 / self._dynamic.drive_hz
-        ahead_s = self._due_s + _AHEAD_S
-        periods = int(min(ahead_s, _SLICE_S) / period_s)
+        plant = self._dynamic
+        n, period_s = int(plant.drive.shape[0]), 1.0 / plant.drive_hz
+        ahead_s, slice_s = self._due_s + _AHEAD_S, _SLICE_STEPS // n * period_s
+        periods = int(min(ahead_s, slice_s) / period_s)
         if periods > 0:
             self._due_s -= periods * period_s
-            steps = periods * int(self._dynamic.drive.shape[0])
+            steps = periods * n
             self._go_on(self._motion.base_m, self._motion.surface_m, Exchange(0, steps), periods)
         # a small rest is as well gone through with the next command
-        return ahead_s - periods * period_s > 0.5 * _SLICE_S
+        return ahead_s - periods * period_s > 0.5 * slice_s
 
     def _respond(self, base_m: float) -> AfmSample:
         plant, height = self._dynamic, self._height_m

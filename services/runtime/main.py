@@ -121,7 +121,9 @@ def _run(kind: NodeKind[C], given: NodeArguments, log: StructuredLog) -> None:
     book = load_site(given.site_file)
     loaded = load_scenario(given.scenario, given.set)
     config = loaded.section(kind.name, kind.config)
-    wanted = loaded.scenario.realtime if kind.realtime else RealtimeConfig(scheduler="normal", memory_lock="off")
+    wanted = (
+        loaded.scenario.realtime_in_force() if kind.realtime else RealtimeConfig(scheduler="normal", memory_lock="off")
+    )
     if not kind.realtime:
         ahead_of_others()
     # before the ZeroMQ context exists: its threads inherit what is asked for here

@@ -49,10 +49,11 @@ class RealtimeConfig(BaseModel):
         default=100e-6,
         description="Longest busy wait before a deadline [s]; as much of it is used as wake-ups are late by",
     )
-    cpus: Literal["auto", "free"] | dict[str, Annotated[int, Field(ge=0)]] = Field(
+    cpus: Literal["auto", "link_at_master", "free"] | dict[str, Annotated[int, Field(ge=0)]] = Field(
         default="auto",
         description="Processor that a process stays on. auto: under SCHED_FIFO the master's nodes on one, link and "
-        "slave's nodes on another; free: any; or a mapping of node or node@site to a processor",
+        "slave's nodes on another; link_at_master: the link with the master's, which auto means where the AFM has "
+        "model dynamic; free: any; or a mapping of node or node@site to a processor",
     )
     huge_pages: bool = Field(
         default=True, description="Put the memory of each process on pages of 2 MB at its start, where the kernel can"
@@ -92,7 +93,7 @@ def apply_realtime(config: RealtimeConfig, log: StructuredLog, node: str) -> Rea
     # without SCHED_FIFO a process must be free to leave a processor that others keep busy, unless it was pinned there
     if cpu is not None and (fifo or isinstance(config.cpus, dict)):
         _stay_on(cpu)
-        if config.cpus == "auto":
+        if not isinstance(config.cpus, dict):
             _permitted_before.update(permitted)
     locked = config.memory_lock != "off" and _lock_memory(libc, config, log)
     return RealtimeStatus(fifo=fifo, memory_locked=locked)
@@ -103,7 +104,7 @@ def processor_of(node: str, config: RealtimeConfig, permitted: Sequence[int]) ->
 
     Left to itself the scheduler moves real-time threads between processors at almost every message; in a pinned loop
     messages were measured a quarter younger. The two sides meet at the link, so only two of the eight hops change
-    processor.
+    processor, on whichever side it is.
     """
     if isinstance(config.cpus, dict):
         return config.cpus.get(node, config.cpus.get(name_of(node)))
@@ -111,7 +112,8 @@ def processor_of(node: str, config: RealtimeConfig, permitted: Sequence[int]) ->
         return None
     # the last ones: the first tend to serve the machine's interrupts
     masters, slaves = permitted[-2:]
-    return masters if node.endswith("@master") and not node.startswith("delay_node") else slaves
+    at_master = node.endswith("@master") and (config.cpus == "link_at_master" or not node.startswith("delay_node"))
+    return masters if at_master else slaves
 
 
 def ahead_of_others() -> None:

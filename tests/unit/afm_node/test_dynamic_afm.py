@@ -46,7 +46,8 @@ def settled(afm: DynamicAfm) -> None:
     parts = 1
     while afm.settle():
         parts += 1
-    assert parts == 3
+    # of 4500 steps: 32 or 96 a period
+    assert parts == (3 if afm._drive_m > 0.0 else 1)
 
 
 class Tapper:

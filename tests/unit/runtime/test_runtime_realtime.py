@@ -85,6 +85,11 @@ def machine(monkeypatch: pytest.MonkeyPatch, *, permitted: bool) -> FakeMachine:
 def test_each_side_of_the_link_has_a_processor(node: str, permitted: list[int], expected: int | None) -> None:
     assert processor_of(node, RealtimeConfig(), permitted) == expected
     assert processor_of(node, RealtimeConfig(cpus="free"), permitted) is None
+    with_master = RealtimeConfig(cpus="link_at_master")
+    assert processor_of("delay_node@master", with_master, [2, 3]) == processor_of(
+        "controller@master", with_master, [2, 3]
+    )
+    assert processor_of("afm_node@slave", with_master, [2, 3]) != processor_of("controller@master", with_master, [2, 3])
     own = RealtimeConfig(cpus={"controller": 5, "controller@slave": 6})
     assert processor_of(node, own, permitted) == {"controller@master": 5, "controller@slave": 6}.get(node)
 

@@ -1,13 +1,13 @@
 import os
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import pytest
 from pydantic import BaseModel, ConfigDict, Field
 
 from proto.errors import ConfigError
 from services.runtime.realtime import RealtimeConfig
-from services.runtime.scenario import load_scenario
+from services.runtime.scenario import Scenario, load_scenario
 
 GOOD = """
 name: fig12
@@ -98,3 +98,15 @@ def test_a_wrong_section_names_file_section_and_key(path: Path, flag: str, messa
 def test_a_missing_section_is_an_empty_one(path: Path) -> None:
     with pytest.raises(ConfigError, match=r"recorder\.gap_m: is missing"):
         load_scenario(path).section("recorder", Section)
+
+
+def test_the_dynamic_cantilever_has_the_processor_of_the_slave_without_the_link() -> None:
+    facts: dict[str, Any] = {"name": "a", "description": "b", "duration_s": 1.0}
+    for model, cpus, expected in (
+        ("dynamic", "auto", "link_at_master"),
+        ("dynamic", "free", "free"),
+        ("quasi_static", "auto", "auto"),
+    ):
+        document = {**facts, "afm_node": {"model": model}, "realtime": {"cpus": cpus, "spin_s": 5e-5}}
+        found = Scenario.model_validate(document).realtime_in_force()
+        assert (found.cpus, found.spin_s) == (expected, 5e-5)
