@@ -326,7 +326,7 @@ def test_critical_round_trip_on_the_bus_is_that_of_theory_less_the_declared_late
     assert dies < 0.0 < grows, found
     whole_ms = low_ms + (high_ms - low_ms) * -dies / (grows - dies)
     machine.note(
-        f"critical round trip with devices: {whole_ms:.2f} ms, {declared_ms} ms of them declared; theory {bears_ms:.2f} "
+        f"critical round trip with devices: {whole_ms:.2f} ms, {declared_ms} ms of it declared; theory {bears_ms:.2f} "
         f"ms; growth {dies:.2f} 1/s at {low_ms:.2f} ms and {grows:.2f} 1/s at {high_ms:.2f} ms"
     )
     assert whole_ms == pytest.approx(bears_ms, rel=0.05, abs=0.0)
