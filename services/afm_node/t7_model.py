@@ -8,9 +8,14 @@ import re
 import struct
 from collections.abc import Sequence
 from datetime import UTC, datetime
+from typing import Protocol
 
+from proto.errors import ConfigError
+from services.afm_node.config import AfmConfig
 from services.afm_node.driver import AfmDriver
 from services.afm_node.modbus_frames import Operation
+from services.afm_node.sim import SimulatedAfm, SimulatedSpring
+from services.afm_node.step import AfmSample
 
 SERIAL = 470012345
 M_PER_V = 8.0e-8
@@ -64,6 +69,42 @@ class RegisterError(ValueError):
         self.code = code
 
 
+class Bridged(Protocol):
+    """What is behind the converters: a base that moves, and the voltage of a bridge."""
+
+    def exchange(self, base_m: float) -> AfmSample: ...
+
+
+class BridgedSpring:
+    """The spring of the theory of delay, seen by the bridge of a cantilever: zeta = F / k.
+
+    Parameters: spring, opened; volts_per_n, of the bridge for a force on the tip [V/N].
+    """
+
+    def __init__(self, spring: AfmDriver, volts_per_n: float) -> None:
+        self._spring, self._volts_per_n = spring, volts_per_n
+
+    def exchange(self, base_m: float) -> AfmSample:
+        sample = self._spring.exchange(base_m)
+        return sample._replace(bridge_voltage_v=sample.force_n * self._volts_per_n)
+
+
+def instrument_of(config: AfmConfig) -> Bridged:
+    """Return the simulated instrument of a configuration, opened. Raises ConfigError for one without a bridge."""
+    plant = config.to_params().plant
+    if config.environment == "tip_sample":
+        afm = SimulatedAfm(config.to_params())
+        afm.open()
+        return afm
+    if config.environment == "spring":
+        spring = SimulatedSpring(config.to_spring_params())
+        spring.open()
+        return BridgedSpring(spring, plant.volts_per_m / plant.stiffness_n_per_m)
+    raise ConfigError(
+        f"afm_node.environment: the model of a T7 has tip_sample or spring behind it, not {config.environment}"
+    )
+
+
 class T7Model:
     """The device.
 
@@ -74,7 +115,7 @@ class T7Model:
 
     def __init__(
         self,
-        afm: AfmDriver,
+        afm: Bridged,
         *,
         noise_v: float = 0.0,
         seed: int = 1,

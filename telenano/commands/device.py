@@ -428,17 +428,13 @@ def simulate_t7(
     """Serve the model of a LabJack T7 with stage and cantilever behind it, over Modbus TCP. Ctrl-C ends it."""
     with report_errors(as_json=False, interrupted="the model of the T7 has ended"):
         from services.afm_node.config import AfmConfig
-        from services.afm_node.sim import SimulatedAfm
-        from services.afm_node.t7_model import T7Model, calibration_of
+        from services.afm_node.t7_model import T7Model, calibration_of, instrument_of
         from services.afm_node.t7_server import serve_t7
         from services.runtime.scenario import load_scenario
 
         config = AfmConfig() if scenario is None else load_scenario(scenario).section("afm_node", AfmConfig)
-        params = config.to_params()
-        afm = SimulatedAfm(params)
-        afm.open()
         if calibration is not None:
-            plant = params.plant
+            plant = config.to_params().plant
             _write(calibration, calibration_of(plant.volts_per_m, plant.stiffness_n_per_m, host, port, travel))
         signal.signal(signal.SIGTERM, signal.default_int_handler)
         _run_ahead()
@@ -446,7 +442,7 @@ def simulate_t7(
         logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
         asyncio.run(
             serve_t7(
-                T7Model(afm, noise_v=noise, m_per_v=travel),
+                T7Model(instrument_of(config), noise_v=noise, m_per_v=travel),
                 host,
                 port,
                 latency,

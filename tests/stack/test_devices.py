@@ -255,7 +255,8 @@ def test_refused_devices_end_the_start_with_exit_code_2(rig: Rig, devices: Devic
 # travel of a stage whose steps are so fine that a motion which dies out is not lost in them [m/V]
 FINE_M_PER_V = 2e-9
 SPRING_N_PER_M = 38.0
-HAND_N = 8.0
+# so little that the base stays within its range while the motion grows
+HAND_N = 1.0
 PERIOD_MS = 1.0
 
 
@@ -266,7 +267,7 @@ def edge_scenario(folder: Path) -> Path:
     document = {
         "name": "edge",
         "description": "a step of the hand on a spring",
-        "duration_s": 4.2,
+        "duration_s": 1.8,
         "haptic_node": {
             "operator": {"kind": "force_profile", "points": [{"time_s": t, "force_n": force} for t, force in steps]}
         },
@@ -288,8 +289,13 @@ def growth_per_s(recording: Recording) -> float:
     begin_ns = hand["t_ns"][np.argmax(hand["session_s"] >= 0.0)]
     tip = columns(recording, "afm/state", ("t_ns", "tip_force_n.2"))
     time_s = (tip["t_ns"] - begin_ns) * 1e-9
-    first, second = (tip["tip_force_n.2"][(time_s >= a) & (time_s < a + 1.5)] for a in (0.9, 2.4))
-    return math.log(second.std() / first.std()) / 1.5
+    first, second = (tip["tip_force_n.2"][(time_s >= a) & (time_s < a + 0.5)] for a in (0.5, 1.0))
+    # a motion about the force that the hand presses with, far above a step of the output, and within the base's range
+    assert max(np.abs(first).max(), np.abs(second).max()) < 0.95 * SPRING_N_PER_M * 5e-9
+    assert first.mean() == pytest.approx(second.mean(), rel=0.2, abs=0.0)
+    assert first.mean() > 5e-9
+    assert min(first.std(), second.std()) > 5 * FINE_M_PER_V * 5.0 / 4095.0 * SPRING_N_PER_M
+    return math.log(second.std() / first.std()) / 0.5
 
 
 def test_critical_round_trip_on_the_bus_is_that_of_theory_less_the_declared_latency(tmp_path: Path) -> None:
@@ -300,7 +306,7 @@ def test_critical_round_trip_on_the_bus_is_that_of_theory_less_the_declared_late
     declared_ms = 2.5
     scenario = edge_scenario(tmp_path)
     found = []
-    for number, delay_ms in enumerate((bears_ms - declared_ms - 2.2, bears_ms - declared_ms + 0.8)):
+    for number, delay_ms in enumerate((bears_ms - declared_ms - 2.2, bears_ms - declared_ms + 0.3)):
         folder = tmp_path / f"{number}"
         folder.mkdir()
         devices, rig = Devices(folder, scenario, ("--travel", str(FINE_M_PER_V))), Rig(folder)
@@ -311,16 +317,16 @@ def test_critical_round_trip_on_the_bus_is_that_of_theory_less_the_declared_late
             recording = Recording(rig.out / "session.mcap")
             health = {m.src: m.device_latency_s for m in states(recording, "node/health") if m.device_latency_s}
             assert health["afm_node@slave"] == pytest.approx(1e-3 * declared_ms)
-            found.append((delay_ms, growth_per_s(recording), summary["loop_age_ms"]["p50"] - delay_ms))
+            # what the processes take of the loop is this machine's, and counts
+            found.append((summary["loop_age_ms"]["p50"] + declared_ms, growth_per_s(recording)))
         finally:
             rig.close()
             devices.close()
-    (low_ms, dies, own_ms), (high_ms, grows, _) = found
+    (low_ms, dies), (high_ms, grows) = found
     assert dies < 0.0 < grows, found
-    edge_ms = low_ms + (high_ms - low_ms) * -dies / (grows - dies)
-    whole_ms = edge_ms + own_ms + declared_ms
+    whole_ms = low_ms + (high_ms - low_ms) * -dies / (grows - dies)
     machine.note(
-        f"critical round trip with devices: {edge_ms:.2f} ms of the link, {own_ms:.2f} ms of the processes, "
-        f"{declared_ms} ms declared; theory {bears_ms:.2f} ms ({found})"
+        f"critical round trip with devices: {whole_ms:.2f} ms, {declared_ms} ms of it declared; theory {bears_ms:.2f} "
+        f"ms; growth {dies:.2f} 1/s at {low_ms:.2f} ms and {grows:.2f} 1/s at {high_ms:.2f} ms"
     )
     assert whole_ms == pytest.approx(bears_ms, rel=0.05, abs=0.0)

@@ -2,6 +2,7 @@
 
 import math
 import socket
+import struct
 from typing import Any
 
 import pytest
@@ -10,6 +11,7 @@ from stage_line import MS, PARAMS, Rig, StageLine, calibration
 
 from proto.errors import ConfigError
 from services.afm_node import t7_model
+from services.afm_node.config import AfmConfig
 from services.afm_node.driver import DeviceError
 from services.afm_node.modbus_driver import ModbusAfm
 from services.afm_node.modbus_frames import Conversation, FeedbackRequest, FramingError, Operation
@@ -60,6 +62,21 @@ def test_force_is_that_of_the_simulated_instrument_within_a_step_of_the_converte
         adc_n = 40.0 * 2 * t7_model.RANGE_V / 65536 / PARAMS.plant.volts_per_m
         assert sample.force_n == pytest.approx(same.force_n, abs=1.01 * adc_n, rel=0.0)
         assert sample.in_contact == (sample.force_n > 1e-9)
+
+
+def test_spring_behind_the_converters_is_seen_by_a_bridge() -> None:
+    spring = {"stiffness_n_per_m": 38.0, "rest_position_m": 1e-9, "bilateral": False}
+    config = AfmConfig.model_validate({"environment": "spring", "spring": spring})
+    model = t7_model.T7Model(t7_model.instrument_of(config), output_step_v=1e-6)
+    for base_m in (0.0, 2e-9):
+        model.write(1000, struct.unpack(">2H", struct.pack(">f", 2.5 + base_m / t7_model.M_PER_V)), 0)
+        (volts,) = struct.unpack(">f", struct.pack(">2H", *model.read(0, 2, 0)))
+        # F = K (x_s - L), zeta = F / k
+        force_n = 38.0 * max(0.0, base_m - 1e-9)
+        expected_v = force_n / PARAMS.plant.stiffness_n_per_m * PARAMS.plant.volts_per_m
+        assert volts == pytest.approx(expected_v, abs=20.0 / 65536)
+    with pytest.raises(ConfigError, match="has tip_sample or spring behind it"):
+        t7_model.instrument_of(AfmConfig().model_copy(update={"environment": "layered"}))
 
 
 def test_settings_that_are_in_flash_are_written_only_where_they_differ(line: StageLine) -> None:
