@@ -157,7 +157,7 @@ def test_every_command_works_or_says_what_to_add(installed: Installation, reques
     wrong = {}
     for line, works_with in VERBS.items():
         done = installed.telenano(*(str(REFERENCE) if word == "REFERENCE" else word for word in line.split()))
-        says = re.search(r"pip install 'telenano\[[a-z,]+\]'", done.stderr)
+        says = re.search(r"""pip install ['"]telenano\[[a-z,]+\]['"]""", done.stderr)
         works = done.returncode in (0, 3)
         promised = set(extras) & set(works_with.split())
         # without a rig, a device or a known scenario the last ones fail whatever is installed
