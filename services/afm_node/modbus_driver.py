@@ -405,7 +405,9 @@ class ModbusAfm:
         reads = [Operation(part.address, part.count) for part in (self._input, self._readback)]
         if self._map.exchange == "feedback":
             if self._heart is not None:
-                self._beat = self._beat % _MOST_BEATS + 1
+                # where the guard keeps it retracted nobody drives: a pause, as before the loop, costs nothing there
+                is_driven = self._sent_v > self._calibration.voltage_v(self._limits.retract_position_m)
+                self._beat = self._beat % _MOST_BEATS + 1 if is_driven else 0
                 beat = self._heart.beat.encode(float(self._beat), self._map.word_order)
                 reads = [Operation(self._heart.beat.address, len(beat), beat), *reads]
                 reads.append(Operation(self._heart.trips.address, self._heart.trips.count))

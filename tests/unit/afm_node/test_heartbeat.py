@@ -133,6 +133,22 @@ def test_process_that_was_held_up_does_not_go_back_to_the_sample(line: StageLine
     approach(line)
 
 
+def test_pause_of_a_host_whose_tip_is_retracted_is_no_loss(line: StageLine) -> None:
+    follow(line, PARAMS.safety.retract_position_m, 100)
+    retracted_v = line.model.output_v
+    # as between the opening of the device and the first turn of the loop
+    line.pass_ms(200)
+    follow(line, PARAMS.safety.retract_position_m, 5)
+    assert line.driver.report.status == "ok"
+    assert line.model.value(TRIPS) == 0.0
+    assert line.model.output_v == retracted_v
+    # and from the first step towards the sample on the script watches
+    follow(line, PARAMS.safety.retract_position_m + 20e-9, 100)
+    assert line.model.output_v > retracted_v + 0.2
+    line.pass_ms(60)
+    assert line.model.output_v == 0.0
+
+
 def test_beat_that_got_lost_on_the_way_is_a_loss_although_the_device_answers(line: StageLine) -> None:
     approach(line)
     for _ in range(80):
