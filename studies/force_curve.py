@@ -251,7 +251,7 @@ def read_measured(path: Path) -> Curve:
     try:
         curve = readers[path.suffix.lower()](path)
     except ImportError as error:
-        raise ConfigError(f"{path}: needs {error.name} to be read: install telenano[instrument]") from error
+        raise ConfigError(f"{path}: needs {error.name} to be read: pip install 'telenano[instrument]'") from error
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from error
     except (KeyError, ValueError, IndexError) as error:

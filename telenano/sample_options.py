@@ -52,7 +52,7 @@ def require(*modules: str) -> None:
     """Raise ConfigError naming what is not installed, before anything takes its time."""
     missing = [name for name in modules if find_spec(name) is None]
     if missing:
-        raise ConfigError(f"{', '.join(missing)} is not installed: install telenano[instrument]")
+        raise ConfigError(f"{', '.join(missing)} is not installed: pip install 'telenano[instrument]'")
 
 
 def make_folder(out: Path) -> None:

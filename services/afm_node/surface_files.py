@@ -52,7 +52,7 @@ def read_surface(path: Path, channel: str | None = None, size_m: float | None = 
         side = _metres(found.unit_xy, f"the sides of channel {found.name}")
         return checked(found.values.astype(np.float64) * scale, found.width * side, found.depth * side)
     except ImportError as error:
-        raise ConfigError(f"{path}: needs {error.name} to be read: install telenano[instrument]") from error
+        raise ConfigError(f"{path}: needs {error.name} to be read: pip install 'telenano[instrument]'") from error
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from error
     except (ValueError, EOFError) as error:

@@ -13,6 +13,7 @@ milliseconds ([ADR 0049](../../docs/decisions/0049-compiled-code-by-what-went-in
 
 import contextlib
 import hashlib
+import importlib.util
 import os
 import shutil
 import time
@@ -46,11 +47,14 @@ _compiling = False
 def compile_steps() -> None:
     """Compile every step that is defined from now on in this process.
 
-    Raises: RuntimeError naming a step that exists already: compiled code could not call it.
+    Raises: RuntimeError naming a step that exists already: compiled code could not call it; ModuleNotFoundError without
+    the compiler, after which steps are plain Python as before.
     """
     global _compiling
     if _compiling:
         return
+    if importlib.util.find_spec("numba") is None:
+        raise ModuleNotFoundError("compiled steps need the package numba", name="numba")
     if _plain:
         raise RuntimeError(f"{_plain} was imported before compile_steps(): call it (or import studies) first")
     _compiling = True

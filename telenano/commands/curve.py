@@ -2,14 +2,14 @@
 
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from presets import DEFAULT_SITE_FILE
-from proto.errors import RigError
+from proto.errors import ConfigError, RigError
 from services.runtime.config import flag_overrides, validate
 from telenano.options import JsonOption, SiteFileOption
 from telenano.output import print_document, report_errors
@@ -80,14 +80,20 @@ def curve(
         make_folder(out)
         curves.write_hdf5(out / "curve.h5", found)
         other = None if measured is None else (measured, curves.marks_of(measured))
-        fit = None if measured is None else fit_adhesion(measured, config, reduced_modulus)
+        fit: dict[str, Any] | None = None
+        if measured is not None:
+            # a curve that this contact does not describe is worth a look all the same
+            try:
+                fit = fit_adhesion(measured, config, reduced_modulus).as_dict()
+            except ConfigError as error:
+                fit = {"refused": f"{error} with --reduced-modulus" if reduced_modulus is None else str(error)}
         pairs = [(found, marks), *([] if other is None else [other])]
         curve_figure(pairs).savefig(out / "curve.png", dpi=130)
     document = {"model": found.model, "stiffness_n_per_m": found.stiffness_n_per_m, **marks.as_dict()}
     if other is not None:
         document["measured"] = {"stiffness_n_per_m": other[0].stiffness_n_per_m, **other[1].as_dict()}
     if fit is not None:
-        document["fit"] = fit.as_dict()
+        document["fit"] = fit
     document["files"] = [str(out / "curve.h5"), str(out / "curve.png")]
     print_document(document, str(out), as_json=as_json)
 

@@ -70,6 +70,8 @@ def check(law: LawArgument, as_json: JsonOption = False) -> None:
         from services.controller.law_rules import broken_rules, known_law
 
         known_law(law)
+        if not as_json:
+            typer.echo("trying the rules; the first time the steps are compiled, up to a minute", err=True)
         broken = broken_rules(law)
     if as_json:
         print_json({"law": law, "rules": broken, "keeps_all": not any(broken.values())})

@@ -101,7 +101,9 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return found
 
 
-@pytest.fixture(scope="module", params=[(), ("launcher",), ("launcher", "export"), ("studies",)], ids="+".join)
+@pytest.fixture(
+    scope="module", params=[(), ("launcher",), ("launcher", "export"), ("studies", "instrument")], ids="+".join
+)
 def installed(
     request: pytest.FixtureRequest, wheel: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[Installation]:
@@ -131,9 +133,9 @@ VERBS = {
     "bag plot REFERENCE afm/state.tip_force_n.2 --out plot.png": "launcher studies",
     "report REFERENCE --out report": "launcher studies",
     "compare REFERENCE --paper --out compare": "launcher studies",
-    "study transparency --law wave --delay 0 --workers 1 --out study": "studies",
+    "study transparency --law wave --delay 0 --out study": "studies",
     "curve --out curve": "studies",
-    "sample --sample dots --out dots": "studies",
+    "sample --sample dots --out dots": "instrument",
     "scan --pixels 8 --lines 8 --out scan": "",
     "calibrate sensitivity --json": "",
     "view REFERENCE --port 0": "",
@@ -155,9 +157,12 @@ def test_every_command_works_or_says_what_to_add(installed: Installation, reques
     wrong = {}
     for line, works_with in VERBS.items():
         done = installed.telenano(*(str(REFERENCE) if word == "REFERENCE" else word for word in line.split()))
-        says = re.search(r"pip install 'telenano\[[a-z,]+\]'", done.stderr)
-        as_promised = done.returncode in (0, 3) or not set(extras) & set(works_with.split())
-        if "Traceback" in done.stderr or not as_promised or (not extras and line != "estop" and not says):
+        says = re.search(r"""pip install ['"]telenano\[[a-z,]+\]['"]""", done.stderr)
+        works = done.returncode in (0, 3)
+        promised = set(extras) & set(works_with.split())
+        # without a rig, a device or a known scenario the last ones fail whatever is installed
+        explained = bool(says) or (bool(extras) and not works_with) or line == "estop"
+        if "Traceback" in done.stderr or not (works or (explained and not promised)):
             wrong[line] = (done.returncode, done.stderr[-600:])
     assert not wrong
 

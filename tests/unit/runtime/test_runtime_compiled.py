@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from services.runtime import compiled
 from services.runtime.compiled import CACHE_DAYS, cache_directory, clean_cache, source_digest
 
 ROOT = Path(__file__).parents[3]
@@ -238,6 +239,14 @@ def test_a_process_that_does_not_ask_for_it_compiles_nothing_and_needs_no_compil
 def test_a_step_imported_before_the_compiler_was_asked_for_is_named(tmp_path: Path) -> None:
     program = "import model\ntry:\n    import studies\nexcept RuntimeError as error:\n    print(error)"
     assert run_step(tmp_path, program).startswith("model.step was imported before compile_steps()")
+
+
+def test_without_the_compiler_steps_stay_plain(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compiled, "_compiling", False)
+    monkeypatch.setitem(sys.modules, "numba", None)
+    with pytest.raises(ModuleNotFoundError, match="need the package numba"):
+        compiled.compile_steps()
+    assert not compiled.is_compiling()
 
 
 def test_compiled_code_that_nobody_has_used_for_long_is_deleted(tmp_path: Path) -> None:
