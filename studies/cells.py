@@ -263,7 +263,7 @@ def course_of(
     """
     settle_s = _SETTLE_S + _SETTLE_ROUND_TRIPS * cell.round_trip_s
     rig = rig_of(cell, hand_points, settle_s + end_s)
-    settle = round(settle_s / rig.period_s)
+    settle = settle_ticks(cell, rig.period_s)
     ticks = settle + max(1, round(end_s / rig.period_s))
     if measured is not None:
         settings, folder = measured
@@ -274,6 +274,11 @@ def course_of(
         jitter_s = cell.jitter_ms * 1e-3
         schedule = _schedule(delay_s, jitter_s, cell.loss, cell.seed, ticks, rig.period_s, play_out=cell.play_out)
     return simulate(rig, schedule, settle)
+
+
+def settle_ticks(cell: Cell, period_s: float) -> int:
+    """Return the ticks before the session, in which the instrument is armed and comes to its reference."""
+    return round((_SETTLE_S + _SETTLE_ROUND_TRIPS * cell.round_trip_s) / period_s)
 
 
 @functools.lru_cache(maxsize=16)

@@ -68,6 +68,13 @@ def schedule_of(
     sent_ns = np.arange(ticks, dtype=np.int64) * period_ns
     forward_ns, forward_of = _arrivals(settings, "forward", FORWARD_TOPIC, sent_ns, folder, play_out=play_out)
     backward_ns, backward_of = _arrivals(settings, "backward", BACKWARD_TOPIC, forward_ns, folder, play_out=play_out)
+    return schedule_from(forward_ns, forward_of, backward_ns, backward_of, ticks, period_ns)
+
+
+def schedule_from(
+    forward_ns: Times, forward_of: Times, backward_ns: Times, backward_of: Times, ticks: int, period_ns: int
+) -> Schedule:
+    """Return the schedule of known arrivals, in the order of time; the fields of `Schedule` say what is what."""
     behind = [
         forward_ns // period_ns - forward_of,
         np.searchsorted(forward_ns, backward_ns, side="right") - backward_of,

@@ -6,9 +6,10 @@ the tip's force: the RMS of the difference over the session, as a share of the h
 an oscillation depends on fractions of a millisecond, so there the verdict alone is compared.
 
 Over a link with jitter or loss the bus is one draw of its randomness: the same seed gives it other losses, because the
-session starts at another message. So lockstep runs SEEDS draws there. The bus agrees if its verdict is among theirs,
-and if its course is as near to one of them as they are to each other. Cells whose draws differ in the verdict are
-counted as undecided: there only the courses can disagree.
+session starts at another message. The recording has what became of every message, so lockstep also runs over these very
+losses and delays (`studies.recorded_link`), and the bus has to have the verdict of that run. SEEDS draws of the link
+tell how much depends on the draw: its course has to be as near to that run, or to one of them, as they are to each
+other. Where nothing is known of the recorded link, and the draws differ in the verdict, the cell is undecided.
 """
 
 import json
@@ -30,8 +31,9 @@ from recording.arrays import columns, last_session
 from recording.reader import Recording
 from services.afm_node.config import AfmConfig
 from services.afm_node.sample_models import SAMPLES
-from studies.cells import WALL_DISTANCE_M, Cell, judged, sample_config, scales_of, trajectory_of
-from studies.lockstep import Trajectory
+from studies.cells import WALL_DISTANCE_M, Cell, judged, rig_of, sample_config, scales_of, settle_ticks, trajectory_of
+from studies.lockstep import Trajectory, simulate
+from studies.recorded_link import recorded_schedule
 
 Series = npt.NDArray[np.float64]
 
@@ -52,8 +54,9 @@ class StudyError(TelenanoError):
 class Agreement:
     """One cell on the bus and in lockstep.
 
-    lockstep: the verdict of most draws of the link, lockstep_verdicts: of how many draws each; difference_share: of the
-    draw nearest to the bus, None where the cell is not stable; tolerance_share: what it may be at most.
+    lockstep: the verdict over the recorded losses and delays of a random link, else of most of its draws;
+    lockstep_verdicts: of how many draws each; recorded: whether the former; difference_share: of the run in lockstep
+    nearest to the bus, None where the cell is not stable; tolerance_share: what it may be at most.
     """
 
     law: str
@@ -72,11 +75,19 @@ class Agreement:
     loss: float = 0.0
     lockstep_verdicts: dict[str, int] = field(default_factory=dict)
     reason: str = ""
+    recorded: bool = False
 
     @property
     def undecided(self) -> bool:
-        """Return whether the draws of the link differ in lockstep: stable in some, not in others."""
-        return "stable" in self.lockstep_verdicts and len(self.lockstep_verdicts) > 1
+        """Return whether the draws of the link differ in lockstep, stable in some, and none is that of the bus."""
+        return not self.recorded and "stable" in self.lockstep_verdicts and len(self.lockstep_verdicts) > 1
+
+    @property
+    def draws(self) -> str:
+        """Return how many draws of a random link had which verdict; empty for a constant one."""
+        counts = self.lockstep_verdicts
+        several = sum(counts.values()) > 1
+        return ", ".join(f"{number} {kind.replace('_', ' ')}" for kind, number in counts.items()) if several else ""
 
 
 class Bus(NamedTuple):
@@ -84,6 +95,9 @@ class Bus(NamedTuple):
 
     site_file: Path | None
     out: Path
+
+    def recording_of(self, cell: Cell) -> Path:
+        return (self.out / f"bus-{cell.key[:12]}" / RECORDING_NAME).absolute()
 
 
 def scenario_of(cell: Cell) -> dict[str, Any]:
@@ -130,20 +144,34 @@ def validate_cells(
     agreements = []
     for number, cell in enumerate(cells, start=1):
         report(f"{number}/{len(cells)}: {cell.law} at {cell.round_trip_ms:g} ms on real processes")
-        agreements.append(compare(cell, draws_of(cell), run_on_bus(cell, bus)))
+        course = run_on_bus(cell, bus)
+        recorded = over_recorded_link(cell, bus.recording_of(cell)) if _is_random(cell) else None
+        agreements.append(compare(cell, draws_of(cell), course, recorded))
     return agreements
 
 
 def draws_of(cell: Cell) -> list[Trajectory]:
     """Run a cell in lockstep: once over a constant link, with SEEDS draws of a random one, its own seed first."""
-    random = cell.jitter_ms > 0.0 or cell.loss > 0.0
-    seeds = range(cell.seed, cell.seed + SEEDS) if random else (cell.seed,)
+    seeds = range(cell.seed, cell.seed + SEEDS) if _is_random(cell) else (cell.seed,)
     return [trajectory_of(cell.model_copy(update={"seed": seed})) for seed in seeds]
+
+
+def _is_random(cell: Cell) -> bool:
+    return cell.jitter_ms > 0.0 or cell.loss > 0.0
+
+
+def over_recorded_link(cell: Cell, path: Path) -> Trajectory:
+    """Run a cell in lockstep over the losses and delays that a recording of it had."""
+    rig = rig_of(cell, cell.hand_points())
+    settle = settle_ticks(cell, rig.period_s)
+    ticks = settle + round(cell.hold_s()[1] / rig.period_s)
+    return simulate(rig, recorded_schedule(path, settle, ticks, rig.period_s), settle)
 
 
 def run_on_bus(cell: Cell, bus: Bus) -> Trajectory:
     """Run a cell on real processes and read its recording."""
-    folder = (bus.out / f"bus-{cell.key[:12]}").absolute()
+    recording = bus.recording_of(cell)
+    folder = recording.parent
     folder.mkdir(parents=True, exist_ok=True)
     scenario = folder / "cell.yaml"
     document = scenario_of(cell)
@@ -159,7 +187,7 @@ def run_on_bus(cell: Cell, bus: Bus) -> Trajectory:
         raise StudyError(f"the rig did not end within {error.timeout:.0f} s, see {folder}") from error
     if done.returncode != 0:
         raise StudyError(f"the rig did not run: {_reason(done.stdout, done.stderr)}")
-    return read_course(folder / RECORDING_NAME)
+    return read_course(recording)
 
 
 def _reason(stdout: str, stderr: str) -> str:
@@ -209,23 +237,31 @@ def read_course(path: Path) -> Trajectory:
     )
 
 
-def compare(cell: Cell, lockstep: Sequence[Trajectory], bus: Trajectory) -> Agreement:
+def compare(
+    cell: Cell, lockstep: Sequence[Trajectory], bus: Trajectory, recorded: Trajectory | None = None
+) -> Agreement:
     """Compare verdicts and, where both are stable, the course of the tip's force.
 
-    Parameters: lockstep, the draws of the link: one, if it is constant.
+    Parameters: lockstep, the draws of the link: one, if it is constant; recorded, lockstep over the losses and delays
+    that the bus had, which then is what the bus is held against.
     """
-    draws, found = [judged(cell, course) for course in lockstep], judged(cell, bus)
-    verdicts = Counter(draw.verdict for draw in draws)
-    stable = [course for course, draw in zip(lockstep, draws, strict=True) if draw.verdict == "stable"]
-    undecided = 0 < len(stable) < len(draws)
+    drawn, found = [judged(cell, course) for course in lockstep], judged(cell, bus)
+    verdicts = Counter(draw.verdict for draw in drawn)
+    decisive = drawn if recorded is None else [judged(cell, recorded)]
+    stable = [course for course, draw in zip(lockstep, drawn, strict=True) if draw.verdict == "stable"]
+    if recorded is not None and decisive[0].verdict == "stable":
+        stable.append(recorded)
+    expected = any(draw.verdict == "stable" for draw in decisive)
+    undecided = expected and any(draw.verdict != "stable" for draw in decisive)
     difference, tolerance = None, TOLERANCE_SHARE
-    if undecided or (stable and found.verdict == "stable"):
+    if undecided or (expected and found.verdict == "stable"):
         among = lockstep if undecided else stable
         difference = min(course_difference(cell, course, bus) for course in among)
         apart = (course_difference(cell, first, second) for first, second in combinations(among, 2))
         tolerance = max(TOLERANCE_SHARE, *apart, 0.0)
-    same = undecided or bool(stable) == (found.verdict == "stable")
-    likely = next(draw for draw in draws if draw.verdict == verdicts.most_common(1)[0][0])
+    same = undecided or expected == (found.verdict == "stable")
+    most = Counter(draw.verdict for draw in decisive).most_common(1)[0][0]
+    likely = next(draw for draw in decisive if draw.verdict == most)
     return Agreement(
         cell.law,
         cell.environment,
@@ -243,6 +279,7 @@ def compare(cell: Cell, lockstep: Sequence[Trajectory], bus: Trajectory) -> Agre
         cell.loss,
         dict(verdicts),
         found.reason,
+        recorded is not None,
     )
 
 

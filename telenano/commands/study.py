@@ -347,10 +347,10 @@ def validate(
         }
         (out / "validate.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
         head = ("law", "environment", "stiffness [N/m]", "hand", "delay [ms]", "jitter [ms]", "loss", "lockstep", "bus",
-                "growth, lockstep [1/s]", "growth, bus [1/s]", "difference", "at most", "agree")  # fmt: skip
+                "draws", "growth, lockstep [1/s]", "growth, bus [1/s]", "difference", "at most", "agree")  # fmt: skip
         rows = [
             (a.law, a.environment, a.stiffness_n_per_m, a.hand, a.round_trip_ms, a.jitter_ms, a.loss, a.lockstep, a.bus,
-             a.lockstep_growth_per_s, a.bus_growth_per_s, a.difference_share, a.tolerance_share, _agreed(a))
+             a.draws, a.lockstep_growth_per_s, a.bus_growth_per_s, a.difference_share, a.tolerance_share, _agreed(a))
             for a in agreements
         ]  # fmt: skip
         what = f"{sample} drawn cells" if sample is not None else environment.value
@@ -359,9 +359,9 @@ def validate(
         page.table(head, rows)
         page.paragraph(
             "Difference: RMS of the tip's force on the bus less that in lockstep, over the session, as a share of the"
-            f" hand's force; at most {TOLERANCE_SHARE:g} where both are stable. Over a random link lockstep runs"
-            f" {SEEDS} draws: the bus has to be as near to one of them as they are to each other. Undecided: the draws"
-            " differ in the verdict, so that only the courses can disagree."
+            f" hand's force; at most {TOLERANCE_SHARE:g} where both are stable. Over a random link lockstep runs over"
+            " the losses and delays that the recording has of every message, and the bus has to have its verdict;"
+            f" the draws are {SEEDS} runs over other losses, and show how much depends on them."
         )
         if edges:
             page.table(("law", "stiffness [N/m]", "critical delay on the bus [ms]"), [(e[0], *e[2:]) for e in edges])

@@ -103,6 +103,21 @@ def test_draws_that_differ_leave_the_verdict_undecided() -> None:
     assert not far.agree
 
 
+def test_the_bus_is_held_against_the_link_that_was_recorded() -> None:
+    stable, cycling = trajectory_of(cell()), trajectory_of(cell(round_trip_ms=70.0))
+    # what the draws say does not decide
+    for draws in ([stable, stable], [stable, cycling], [cycling, cycling]):
+        same = compare(cell(loss=0.1), draws, moved_by(stable, 0.07), moved_by(stable, 0.03))
+        assert (same.agree, same.undecided, same.lockstep) == (True, False, "stable")
+        assert same.difference_share == pytest.approx(0.04, rel=1e-6, abs=0.0)
+        assert not compare(cell(loss=0.1), draws, moved_by(stable, 0.09), moved_by(stable, 0.03)).agree
+        assert not compare(cell(loss=0.1), draws, stable, cycling).agree
+        assert not compare(cell(loss=0.1), draws, cycling, stable).agree
+        assert compare(cell(loss=0.1), draws, cycling, cycling).agree
+    assert compare(cell(loss=0.1), [stable, cycling], stable, stable).draws == "1 stable, 1 limit cycle"
+    assert compare(cell(), [stable], stable).draws == ""
+
+
 def test_constant_link_has_one_draw_and_a_random_one_several(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(study, "SEEDS", 3)
     assert len(draws_of(cell(session_s=5.0))) == 1
