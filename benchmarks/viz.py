@@ -129,7 +129,10 @@ def measure(given: argparse.Namespace, folder: Path) -> dict[str, Any]:
     up = ["up", "--scenario", "touch", "--duration", str(duration_s), "--out", str(out), "--json"]
     without: list[tuple[int, int]] = []
     with_pages: list[tuple[int, int]] = []
-    received, frames, costs, pictures = [], [], [], 0
+    received: list[float] = []
+    frames: list[float] = []
+    costs: list[float] = []
+    pictures = 0
     with process(up, environment), process(["view", "--port", "0"], environment) as view:
         assert view.stdout is not None
         address = view.stdout.readline().split()[1]
