@@ -261,8 +261,7 @@ def course_of(
 
     Parameters: measured, settings of a link in the place of the cell's own, with the folder of their files.
     """
-    settle_s = _SETTLE_S + _SETTLE_ROUND_TRIPS * cell.round_trip_s
-    rig = rig_of(cell, hand_points, settle_s + end_s)
+    rig = rig_of(cell, hand_points, settle_s(cell) + end_s)
     settle = settle_ticks(cell, rig.period_s)
     ticks = settle + max(1, round(end_s / rig.period_s))
     if measured is not None:
@@ -276,9 +275,14 @@ def course_of(
     return simulate(rig, schedule, settle)
 
 
+def settle_s(cell: Cell) -> float:
+    """Return the time before the session [s], in which the instrument is armed and comes to its reference."""
+    return _SETTLE_S + _SETTLE_ROUND_TRIPS * cell.round_trip_s
+
+
 def settle_ticks(cell: Cell, period_s: float) -> int:
-    """Return the ticks before the session, in which the instrument is armed and comes to its reference."""
-    return round((_SETTLE_S + _SETTLE_ROUND_TRIPS * cell.round_trip_s) / period_s)
+    """Return `settle_s` in whole ticks."""
+    return round(settle_s(cell) / period_s)
 
 
 @functools.lru_cache(maxsize=16)

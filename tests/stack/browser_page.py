@@ -20,8 +20,8 @@ EMULATOR = ROOT / "services" / "viz_node" / "web" / "node_modules" / "iwer" / "b
 # only keeps a broken page from holding the suite
 PATIENCE_S = 60.0
 # a software renderer: the machines of tests have no graphics
-_FLAGS = ("--no-sandbox", "--disable-background-networking", "--use-gl=angle", "--use-angle=swiftshader")
-_FLAGS += ("--enable-unsafe-swiftshader",)
+_FLAGS: tuple[str, ...] = ("--no-sandbox", "--disable-background-networking")
+_FLAGS += ("--disable-gpu", "--enable-unsafe-swiftshader")
 # of several windows all but one would be given what the rig and the rest of the machine leave of the processors
 _FLAGS += ("--disable-renderer-backgrounding", "--disable-backgrounding-occluded-windows")
 _FLAGS += ("--disable-background-timer-throttling",)

@@ -44,8 +44,8 @@ const EYE_SHARE = 0.04;
 /** A change of this much is seen: half a pixel of a picture of usual size. */
 const SEEN_NM = 0.2;
 /** Distance of the eye, in that at which a window of usual shape shows the sample; and that for its width. */
-const NEAREST = 0.66;
-const NEAREST_WIDE = 1.15;
+const NEAREST = 1.08;
+const NEAREST_WIDE = 1.62;
 const AFM = "afm/state/slave";
 /** Where frames are slow the picture is drawn in one of this many, and the rest stays usable. */
 const SLOW_SHARE = 6;
@@ -136,6 +136,8 @@ export class View {
     this.recolour();
     new ResizeObserver(() => this.resize()).observe(root);
     this.resize();
+    // the distance goes by the shape of the window
+    this.reset();
     this.renderer.setAnimationLoop(() => this.draw());
     this.renderer.domElement.addEventListener("dblclick", (event) => this.pick(event));
     this.renderer.domElement.addEventListener("pointerdown", (event) => this.beginDrag(event), { capture: true });
@@ -198,7 +200,7 @@ export class View {
     this.orbit.maxDistance = 1500 * side;
     // a tall window shows the whole width from further away
     const away = side * Math.max(NEAREST, NEAREST_WIDE / this.camera.aspect);
-    this.orbit.target.set(x + 4 * side, 8 * side, -y);
+    this.orbit.target.set(x - 6 * side, -6 * side, -y);
     this.camera.position.set(50, 85, 175).multiplyScalar(away).add(this.orbit.target);
     this.orbit.update();
   }
