@@ -8,7 +8,7 @@ from proto.errors import ConfigError, RecordingError
 from proto.messages import AfmState, HapticState, Message, NodeHealth
 from recording.reader import Recording
 from recording.rewrite import CopyResult, CopyWriter
-from services.afm_node.calibration import InstrumentCalibration
+from services.afm_node.converter_calibration import InstrumentCalibration
 from services.haptic_node.calibration import HandleCalibration
 from services.runtime.frames import to_site_frame
 

@@ -19,7 +19,7 @@ from services.afm_node.step import AfmInputs
 from services.haptic_node.step import HapticInputs
 from services.haptic_node.step import step as haptic_step
 from services.runtime.compiled import compiled
-from studies import values
+from studies import option_values
 from studies.cells import DEFAULT_STIFFNESS, ENVIRONMENTS, Cell, rig_of
 from studies.dispatch import instrument_step
 from studies.link import schedule_of, symmetric_link
@@ -116,7 +116,7 @@ def main() -> None:
             given.repeats,
         )
         for environment in ENVIRONMENTS
-        for law in values.laws(given.laws)
+        for law in option_values.laws(given.laws)
     ]
     if given.json:
         print(json.dumps({"aim": AIM, "rows": rows}))

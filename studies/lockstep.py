@@ -33,7 +33,7 @@ from services.afm_node.spring import initial_state as initial_spring_state
 from services.afm_node.step import LONGEST_STEP_NS, AfmInputs, AfmOutputs, AfmParams, command_wait_ns, initial_afm_state
 from services.controller.clamp import ClampParams, clamped
 from services.controller.config import ControllerConfig
-from services.controller.deadband import DeadbandParams, deadband, fresh
+from services.controller.deadband import DeadbandParams, deadband, initial_deadband_state
 from services.controller.law import NO_SIGNAL, HandSample, PortSignal, TipMeasurement, longest_pause_periods, paced
 from services.haptic_node import safety as haptic_safety
 from services.haptic_node.config import HapticConfig
@@ -256,7 +256,7 @@ def _run(
     backward = [NO_SIGNAL for _ in range(window)]
     # what the dead band keeps back has a place in the schedule, and arrives nowhere
     sent_forward, sent_backward = np.zeros(window, np.bool_), np.zeros(window, np.bool_)
-    master_band, slave_band = fresh(NO_SIGNAL), fresh(NO_SIGNAL)
+    master_band, slave_band = initial_deadband_state(NO_SIGNAL), initial_deadband_state(NO_SIGNAL)
 
     hand = HandSample(haptic_state.plant.motor.position_m, 0.0, 0.0, False)
     master = master_start(law, hand)

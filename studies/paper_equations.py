@@ -12,9 +12,9 @@ from services.afm_node.capillary import meniscus_force, printed_meniscus_force
 from services.afm_node.config import AfmConfig, TipSampleConfig
 from services.afm_node.dynamic import damping_at
 from services.afm_node.maugis_dugdale import MaugisDugdale, pull_off_force_n
-from services.afm_node.tactile import felt_speed_m_per_s
+from services.afm_node.scan_speed import felt_speed_m_per_s
 from services.controller.config import LAWS
-from services.controller.laws.tactile import impedance_scaled
+from services.controller.laws.shared.impedance_scaling import impedance_scaled
 from services.haptic_node.config import DeviceConfig
 from services.haptic_node.motor import bandwidth_hz, closed_loop_poles
 from studies.simulation import SimulatedSession, simulate_scenario

@@ -60,7 +60,7 @@ def modbus_driver(section: ModbusConfig, limits: SafetyParams) -> AfmDriver:
         from services.afm_node.modbus_driver import ModbusAfm
     except ImportError as error:
         raise ConfigError('afm_node.driver: modbus needs pymodbus: pip install "telenano[afm]"') from error
-    from services.afm_node.calibration import read_calibration
+    from services.afm_node.converter_calibration import read_calibration
     from services.afm_node.register_map import read_map
 
     calibration = read_calibration(Path(section.calibration))

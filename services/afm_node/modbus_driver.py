@@ -13,7 +13,7 @@ from collections.abc import Callable
 from enum import Enum
 from typing import Protocol
 
-from services.afm_node.calibration import InstrumentCalibration
+from services.afm_node.converter_calibration import InstrumentCalibration
 from services.afm_node.driver import DeviceError, DeviceReport
 from services.afm_node.modbus_frames import Answer, Conversation, FramingError, Operation
 from services.afm_node.modbus_handshake import EXCEPTIONS, Handshake, Steps, heartbeat_of, is_retracted

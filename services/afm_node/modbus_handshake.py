@@ -3,7 +3,7 @@
 import struct
 from collections.abc import Callable, Generator
 
-from services.afm_node.calibration import InstrumentCalibration
+from services.afm_node.converter_calibration import InstrumentCalibration
 from services.afm_node.driver import DeviceError
 from services.afm_node.modbus_frames import Answer, Conversation
 from services.afm_node.register_map import Check, Heartbeat, Register, RegisterMap, Setting, agrees

@@ -7,6 +7,7 @@ from services.afm_node import approach, raster, safety, tactile
 from services.afm_node.lateral import LateralParams, Place
 from services.afm_node.program_config import CurveSettings, InstrumentRequest, ScanSettings, TactileSettings
 from services.afm_node.raster import FinishedLine, Measured
+from services.afm_node.scan_speed import felt_speed_m_per_s
 
 ProgramState = Literal["running", "paused", "finished", "ended"]
 # of the guard, where a program may not begin, and why
@@ -137,7 +138,7 @@ class ProgramRunner:
         if not s.setpoint_n < self._limits.force_limit_n:
             limit_n = self._limits.force_limit_n
             raise RefusedError(f"tactile.setpoint_n must be below safety.force_limit_n = {limit_n:g} N")
-        felt = tactile.felt_speed_m_per_s(s.feature_m, s.bandwidth_hz)
+        felt = felt_speed_m_per_s(s.feature_m, s.bandwidth_hz)
         speed = min(s.speed_m_per_s, felt, fastest)
         self._start("tactile")
         plan = tactile.TactilePlan(

@@ -116,7 +116,7 @@ class SafetyInputs(NamedTuple):
     """One tick of inputs.
 
     reference_m: base position asked for [m]; command_age_s: age of that command [s], infinite if none ever came;
-    action: ACTION_*; arm: one-shot; estop: pressed; force_n: tip force last measured [N], repulsive positive;
+    action: ACTION_*; arm_requested: now; estop: pressed; force_n: tip force last measured [N], repulsive positive;
     device_lost: nothing is known of the tip, and nothing reaches the base.
     """
 

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from services.afm_node.calibration import InstrumentCalibration
+from services.afm_node.converter_calibration import InstrumentCalibration
 from services.afm_node.driver import AfmDriver, DeviceError
 from services.runtime.line_fit import CalibrationError, LineFit, fit_line, mean_of
 

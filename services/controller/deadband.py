@@ -72,7 +72,7 @@ class DeadbandState(NamedTuple):
 
 
 @compiled
-def fresh(signal: PortSignal) -> DeadbandState:
+def initial_deadband_state(signal: PortSignal) -> DeadbandState:
     """Return the state in which the next signal is always sent; `signal` gives the type."""
     return DeadbandState(signal, -1.0, 0, 0)
 

@@ -11,7 +11,7 @@ from proto.messages import (
 )
 from services.controller import energy
 from services.controller.config import KNOWN_LAWS, PACKAGE_LAWS, ControllerConfig, changed_config
-from services.controller.deadband import deadband, fresh
+from services.controller.deadband import deadband, initial_deadband_state
 from services.controller.hand_periods import HandPeriods
 from services.controller.input_age import InputAge
 from services.controller.law import (
@@ -27,8 +27,8 @@ from services.runtime.frames import to_paper_axis, to_site_frame
 from services.runtime.node import Node, NodeContext
 
 STATUS_PERIOD_S = 0.01
-NEVER = (0.0, False)
-CENTRE = (0.0, 0.0)
+ROUND_TRIP_UNKNOWN = (0.0, False)
+ZERO_XY = (0.0, 0.0)
 
 
 class ControllerHalf(Node):
@@ -52,7 +52,7 @@ class ControllerHalf(Node):
         self.law_state: Any = None
         self.signal: PortSignal = NO_SIGNAL
         # x and y, which no law knows: what this half tells of its device [m], and what the other one sent last
-        self.lateral_m = self.far_lateral = CENTRE
+        self.lateral_m = self.far_lateral = ZERO_XY
         self.switching = False
         self.port = energy.opened(0.0, 0.0)
         self._signal_ns: int | None = None
@@ -64,7 +64,7 @@ class ControllerHalf(Node):
         self._status_ticks = max(1, round(STATUS_PERIOD_S / config.period_s))
         self._reported_j = 0.0
         self._band = config.deadband.to_params()
-        self._band_state = fresh(NO_SIGNAL)
+        self._band_state = initial_deadband_state(NO_SIGNAL)
         self._failing: dict[str, str] = {}
         for law in KNOWN_LAWS.values():  # a change of law is no time to compile
             self._warm_up(law)
@@ -129,7 +129,7 @@ class ControllerHalf(Node):
 
     def _switch(self) -> None:
         self.signal, self._signal_ns = NO_SIGNAL, None
-        self._band_state = fresh(NO_SIGNAL)
+        self._band_state = initial_deadband_state(NO_SIGNAL)
         self.port = energy.opened(self.port.position_m, self.port.force_n)
         self._reported_j = 0.0
         # before the first tick there is nothing to take over
@@ -181,7 +181,7 @@ class ControllerHalf(Node):
 
     def round_trip_s(self) -> tuple[float, bool]:
         """Return the age of the hand's sample that the newest answer descends from [s], and whether it is known."""
-        return NEVER
+        return ROUND_TRIP_UNKNOWN
 
     def elapsed_s(self, hand_t_ns: int, previous_ns: int) -> float | None:
         """Return the whole periods between two hand samples [s]; None when the sequence starts anew.

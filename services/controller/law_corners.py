@@ -10,7 +10,7 @@ import numpy as np
 from proto.ranges import ENERGY, FORCE, POSITION, VELOCITY, WAVE, WAY, Range
 from services.controller.clamp import clamped
 from services.controller.config import LAWS, OWN_LAWS, ControllerConfig
-from services.controller.deadband import deadband, fresh
+from services.controller.deadband import deadband, initial_deadband_state
 from services.controller.law import LONGEST_BRIDGED_PERIODS, NO_SIGNAL, HandSample, Law, PortSignal, TipMeasurement
 
 TICKS = 40
@@ -113,7 +113,7 @@ class _Halves:
         if rng.random() < 0.5:
             self.master = law.master_resume(params, self.hand, _quantity(WAY, rng))
         self.slave = law.slave_start(params, self.tip)
-        self.band = fresh(NO_SIGNAL)
+        self.band = initial_deadband_state(NO_SIGNAL)
 
     def dt_s(self) -> float:
         return self.period_s * self.rng.choice((1, 1, 1, 2, LONGEST_BRIDGED_PERIODS))

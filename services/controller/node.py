@@ -16,7 +16,7 @@ from proto.messages import (
 from services.controller import energy
 from services.controller.clamp import clamped
 from services.controller.config import ControllerConfig
-from services.controller.half import CENTRE, NEVER, ControllerHalf
+from services.controller.half import ROUND_TRIP_UNKNOWN, ZERO_XY, ControllerHalf
 from services.controller.input_age import INSTRUMENT_DEADLINE_S
 from services.controller.law import (
     NO_SIGNAL,
@@ -92,7 +92,7 @@ class MasterController(ControllerHalf):
 
     def round_trip_s(self) -> tuple[float, bool]:
         if self._signal_ns is None:
-            return NEVER
+            return ROUND_TRIP_UNKNOWN
         return max(
             0, round((self._hand_stamp[1] - self._signal_hand_ns) / self._period_ns)
         ) * self.config.period_s, True
@@ -133,7 +133,7 @@ class MasterController(ControllerHalf):
             message.mode != "off" and message.device in _FOLLOWING_DEVICE,
         )
         x, y, _ = message.position_m
-        self.lateral_m = self._at_the_tip(x, y) if x or y else CENTRE
+        self.lateral_m = self._at_the_tip(x, y) if x or y else ZERO_XY
         if self.law_state is None:
             self.law_state = self.law.master_start(self.params, self.hand)
         if elapsed is None:
@@ -226,7 +226,7 @@ class SlaveController(ControllerHalf):
         self._local = config.local_loop
         self._instrument_ns = 0
         self._instrument_lost = False
-        self._lateral_n = CENTRE
+        self._lateral_n = ZERO_XY
         # until when the instrument images or measures by itself, and obeys no hand
         self._occupied_until_ns = 0
 

@@ -5,7 +5,7 @@ from typing import Any
 from services.controller import energy
 from services.controller.clamp import clamped
 from services.controller.config import ControllerConfig
-from services.controller.deadband import deadband, fresh
+from services.controller.deadband import deadband, initial_deadband_state
 from services.controller.law import HandSample, Law, SlaveReference, TipMeasurement
 
 
@@ -21,7 +21,7 @@ def warm_up(law: Law, params: Any, config: ControllerConfig) -> None:
     slave, _ = law.slave_send(params, slave, tip, period_s)
     energy.is_passive(0.0, False, law.slave_energy_account(params, slave))
     law.retune(params, params, state)
-    deadband(config.deadband.to_params(), fresh(signal), signal, period_s)
+    deadband(config.deadband.to_params(), initial_deadband_state(signal), signal, period_s)
     clamped(config.clamp_params(), SlaveReference(0.0, True), signal, tip)
     port = energy.moved_to(energy.opened(0.0, 0.0), 0.0, 0.0)
     energy.with_inflow(port, 0.0, 0.0)

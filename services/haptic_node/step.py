@@ -104,7 +104,7 @@ def step(
     """Advance the haptic site by dt [s]. Raises ValueError if dt is not a positive time."""
     if not dt > 0.0:
         raise ValueError("dt of the haptic step must be a positive time in s")
-    guarded = safety.SafetyInputs(
+    guard_inputs = safety.SafetyInputs(
         inputs.command_mode,
         inputs.position_reference_m,
         inputs.force_reference_n,
@@ -114,7 +114,7 @@ def step(
         state.plant.motor.position_m,
         False,
     )
-    guard, applied = safety.step(params.safety, state.safety, guarded, dt)
+    guard, applied = safety.step(params.safety, state.safety, guard_inputs, dt)
     command = DriveCommand(applied.mode, applied.position_reference_m, applied.force_reference_n)
     plant, reading = plant_step(params.plant, state.plant, command, inputs.session_time_s, dt)
     return HapticStepState(guard, plant), HapticOutputs(applied, reading)

@@ -155,7 +155,7 @@ def recalibrate(
     """Read what real devices sent with another calibration, into a new recording."""
     with report_errors(as_json):
         from analysis.recalibrate import recalibrate as read_again
-        from services.afm_node.calibration import read_calibration as read_stage
+        from services.afm_node.converter_calibration import read_calibration as read_stage
         from services.haptic_node.calibration import read_calibration as read_handle
 
         found = read_again(

@@ -136,8 +136,8 @@ def _metres(text: str) -> float:
 
 def _opened(document: dict[str, Any]) -> tuple[Any, Any, Any]:
     """Return an open driver, what moves it, and the provisional calibration of both."""
-    from services.afm_node.calibration import InstrumentCalibration
     from services.afm_node.config import AfmConfig
+    from services.afm_node.converter_calibration import InstrumentCalibration
     from services.afm_node.modbus_driver import ModbusAfm
     from services.afm_node.register_map import read_map
     from services.afm_node.stage_calibration import Mover

@@ -76,9 +76,9 @@ def probe(
 def _laws(text: str | None) -> tuple[str, ...]:
     if text is None:
         return ()
-    from studies import values
+    from studies import option_values
 
-    return values.laws(text)
+    return option_values.laws(text)
 
 
 def _tried(

@@ -138,7 +138,7 @@ def transparency(
 ) -> None:
     """Measure what the hand feels: tracking, stiffness, hybrid matrix over frequency, Z-width of each law."""
     with report_errors(as_json, _INTERRUPTED):
-        from studies import values
+        from studies import option_values
         from studies.compare import (
             measure_all,
             spectra_of,
@@ -150,7 +150,7 @@ def transparency(
 
         given = _Given(law, EnvironmentName.SPRING, stiffness or "10", None, "0", "0", seed, None, settings, hand)
         axes = given.axes(delay)
-        frequencies = values.frequencies(frequency)
+        frequencies = option_values.frequencies(frequency)
         rows = measure_all(axes, axes.delays_ms, for_delay=tuned)
         spectra = spectra_of(axes, axes.delays_ms, frequencies, for_delay=tuned)
         _make_folder(out)
@@ -206,22 +206,22 @@ def compare(
 ) -> None:
     """Compare all laws on one page: advice, critical delays, holds with a force and with arms, transparency."""
     with report_errors(as_json, _INTERRUPTED):
-        from studies import values
+        from studies import option_values
         from studies.cells import DEFAULT_STIFFNESS
         from studies.compare import Request, run_comparison, write_comparison
 
-        springs = values.numbers("--stiffness", stiffness or "10,20,38", 1e-3, _STIFFEST_N_PER_M, "N/m")
+        springs = option_values.numbers("--stiffness", stiffness or "10,20,38", 1e-3, _STIFFEST_N_PER_M, "N/m")
         request = Request(
-            values.laws(law),
-            values.numbers("--map-delay", map_delay, 0.0, _LONGEST_MS, "ms"),
-            values.numbers("--delay", delay, 0.0, _LONGEST_MS, "ms"),
+            option_values.laws(law),
+            option_values.numbers("--map-delay", map_delay, 0.0, _LONGEST_MS, "ms"),
+            option_values.numbers("--delay", delay, 0.0, _LONGEST_MS, "ms"),
             springs,
             DEFAULT_STIFFNESS["contact"][0],
             seed,
             seeds,
             hands(hand),
-            values.frequencies(frequency),
-            values.samples(sample),
+            option_values.frequencies(frequency),
+            option_values.samples(sample),
         )
         with _sweep(out, workers, scheduler, shown=not as_json) as sweep:
             result = run_comparison(request, sweep)
@@ -260,17 +260,17 @@ def advise(
 ) -> None:
     """Say which law to take for a network and a sample: every law, tuned for them, tried with a force and with arms."""
     with report_errors(as_json, _INTERRUPTED):
-        from studies import values
+        from studies import option_values
         from studies.advice import Question, in_words
         from studies.advice import advise as find
 
-        k = stiffness if stiffness is not None else values.WALLS_N_PER_M[sample.value]
+        k = stiffness if stiffness is not None else option_values.WALLS_N_PER_M[sample.value]
         if not 0.0 < k <= _STIFFEST_N_PER_M:
             raise ConfigError(f"--stiffness: {k:g} N/m is outside 0 to {_STIFFEST_N_PER_M:g} N/m")
         if delay > _LONGEST_MS:
             raise ConfigError(f"--delay: {delay:g} ms is outside 0 to {_LONGEST_MS:g} ms")
         kind: Environment = environment.value
-        question = Question(delay, values.jitters(jitter)[0], values.losses(loss)[0], kind, k, seeds)
+        question = Question(delay, option_values.jitters(jitter)[0], option_values.losses(loss)[0], kind, k, seeds)
         with _sweep(out, workers, None, shown=not as_json) as sweep:
             candidates = find(question, sweep)
         words = in_words(question, candidates)
@@ -396,7 +396,7 @@ class _Given:
 
     def axes(self, delay: str) -> "Axes":
         """Validate all options; ConfigError names the option."""
-        from studies import values
+        from studies import option_values
         from studies.cells import DEFAULT_STIFFNESS
         from studies.stability import Axes
 
@@ -405,20 +405,20 @@ class _Given:
             raise ConfigError(f"--duration: {self.duration:g} s is outside 0 to 3600 s")
         stiffness = self.stiffness or ",".join(f"{k:g}" for k in DEFAULT_STIFFNESS[name])
         axes = Axes(
-            values.laws(self.law),
+            option_values.laws(self.law),
             name,
-            values.numbers("--delay", delay, 0.0, _LONGEST_MS, "ms"),
-            values.numbers("--stiffness", stiffness, 1e-3, _STIFFEST_N_PER_M, "N/m"),
-            (None,) if self.gain is None else values.numbers("--gain", self.gain, 0.0, 1e6, ""),
-            values.jitters(self.jitter),
-            values.losses(self.loss),
+            option_values.numbers("--delay", delay, 0.0, _LONGEST_MS, "ms"),
+            option_values.numbers("--stiffness", stiffness, 1e-3, _STIFFEST_N_PER_M, "N/m"),
+            (None,) if self.gain is None else option_values.numbers("--gain", self.gain, 0.0, 1e6, ""),
+            option_values.jitters(self.jitter),
+            option_values.losses(self.loss),
             self.seed,
             self.duration,
-            values.settings(self.settings or ()),
+            option_values.settings(self.settings or ()),
             self.hand.value,
             self._body(),
             self.device_latency_ms,
-            values.disturbances(self.disturbances or ()),
+            option_values.disturbances(self.disturbances or ()),
         )
         for line in axes.lines():
             cell = line.cell(max(axes.delays_ms))

@@ -28,12 +28,12 @@ def promises(
 ) -> None:
     """Try on drawn bad links what the laws promise; exit code 1 where one that promises passivity made energy."""
     with report_errors(as_json, "interrupted: the journal keeps the finished cells, the same command continues"):
-        from studies import values
+        from studies import option_values
         from studies.promises import as_dict, broken, outcomes
         from studies.sweep import JOURNAL_NAME, Journal, Sweep
 
         sweep = Sweep(Journal(out / JOURNAL_NAME), workers or os.cpu_count() or 1)
-        found = outcomes(values.laws(law), seeds, sweep)
+        found = outcomes(option_values.laws(law), seeds, sweep)
         failed = broken(found)
         summary = {"study": "promises", "seeds": seeds, "held": not failed, "rows": [as_dict(row) for row in found]}
         out.mkdir(parents=True, exist_ok=True)

@@ -35,7 +35,7 @@ def check_instrument(calibration: Path, patience_s: float = _PATIENCE_S) -> Find
 
     It is connected to and asked nothing: a rig may be driving it.
     """
-    from services.afm_node.calibration import read_calibration
+    from services.afm_node.converter_calibration import read_calibration
 
     network = read_calibration(calibration).network
     where = f"{network.host}:{network.port}"

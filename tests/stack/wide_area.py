@@ -30,7 +30,7 @@ import yaml
 from tun_cable import DEVICE
 from two_sites import MASTER, SLAVE, Cable, TwoSites
 
-import studies.values
+import studies.option_values
 from analysis.network_trace import QUANTILES
 from recording.reader import Recording
 from services.runtime.config import flatten
@@ -322,7 +322,7 @@ def main() -> None:
     parser.add_argument("--cells", type=int, default=1000, help="most sessions to run now")
     given = parser.parse_args()
     if given.table is not None:
-        laws = studies.values.laws(given.laws)
+        laws = studies.option_values.laws(given.laws)
         cells = list(itertools.product(laws, given.delays_ms, given.losses))
         table(given.table, cells, given.networks.split(","), given.cells)
         return

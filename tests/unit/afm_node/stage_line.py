@@ -7,8 +7,8 @@ import yaml
 from pymodbus.framer import FramerSocket
 from pymodbus.pdu import DecodePDU, ModbusPDU
 
-from services.afm_node.calibration import InstrumentCalibration
 from services.afm_node.config import AfmConfig
+from services.afm_node.converter_calibration import InstrumentCalibration
 from services.afm_node.modbus_driver import ModbusAfm
 from services.afm_node.node import AfmNode
 from services.afm_node.register_map import RegisterMap, read_map

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from services.controller.deadband import DeadbandConfig, DeadbandParams, DeadbandState, deadband, fresh
+from services.controller.deadband import DeadbandConfig, DeadbandParams, DeadbandState, deadband, initial_deadband_state
 from services.controller.law import NO_SIGNAL, PortSignal
 
 T = 1e-3
@@ -18,7 +18,7 @@ ENDLESS = PARAMS._replace(keep_alive_s=1e9)
 
 
 def passed(params: DeadbandParams, signals: list[PortSignal]) -> tuple[list[bool], DeadbandState]:
-    state, flags = fresh(NO_SIGNAL), []
+    state, flags = initial_deadband_state(NO_SIGNAL), []
     for signal in signals:
         state, send = deadband(params, state, signal, T)
         flags.append(send)
@@ -72,7 +72,7 @@ def test_rate_on_a_growing_force_is_logarithmic() -> None:
 @given(st.lists(st.floats(-2e-8, 2e-8), min_size=1, max_size=200), st.floats(0.0, 0.5))
 def test_receiver_is_never_further_off_than_the_band(forces: list[float], weber: float) -> None:
     params = ENDLESS._replace(weber_fraction=weber)
-    state = fresh(NO_SIGNAL)
+    state = initial_deadband_state(NO_SIGNAL)
     for force in forces:
         state, _ = deadband(params, state, of(force_n=force), T)
         assert abs(force - state.last.force_n) <= max(weber * abs(state.last.force_n), params.force_n)
@@ -80,7 +80,7 @@ def test_receiver_is_never_further_off_than_the_band(forces: list[float], weber:
 
 @pytest.mark.parametrize(("gap_s", "sent"), [(1e-3, 50), (1.9e-2, 500), (2e-2, 1000), (5e-2, 1000)])
 def test_keep_alive_is_a_time_and_not_a_number(gap_s: float, sent: int) -> None:
-    state = fresh(NO_SIGNAL)
+    state = initial_deadband_state(NO_SIGNAL)
     for _ in range(1000):
         state, _ = deadband(PARAMS, state, NO_SIGNAL, gap_s)
     assert state.sent == sent

@@ -11,7 +11,7 @@ from services.afm_node.config import AfmConfig
 from services.afm_node.disturbances import DisturbanceConfig
 from services.afm_node.disturbed import DisturbedAfm
 from services.afm_node.step import AfmInputs
-from studies import values
+from studies import option_values
 from studies.cells import Cell, course_of, run_cell
 from studies.disturbed import disturbed_params, initial_state, step
 
@@ -52,7 +52,7 @@ def test_each_disturbs_as_in_the_node(name: str) -> None:
 
 
 def test_a_cell_tells_what_there_is_to_disturb_and_what_is_unknown() -> None:
-    assert values.disturbances(["drift", "thermal.temperature_k=77"]) == (
+    assert option_values.disturbances(["drift", "thermal.temperature_k=77"]) == (
         ("drift.enabled", True),
         ("thermal.enabled", True),
         ("thermal.temperature_k", 77),
@@ -61,7 +61,7 @@ def test_a_cell_tells_what_there_is_to_disturb_and_what_is_unknown() -> None:
     def cell(environment: str, *given: str) -> Cell:
         return Cell(
             law="virtual_impedance", environment=environment, round_trip_ms=0.0, stiffness_n_per_m=40.0,
-            disturbances=values.disturbances(given),
+            disturbances=option_values.disturbances(given),
         )  # fmt: skip
 
     with pytest.raises(ConfigError, match="--disturb: spring has no instrument to disturb"):

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from proto.errors import ConfigError
 from services.controller.config import LAWS
-from studies import advice, values
+from studies import advice, option_values
 from studies.advice import Candidate, Question, cells_of
 from studies.cells import CellResult
 from studies.stability import Jitter
@@ -22,9 +22,9 @@ STABILITY = ["stability", "--law", "virtual_impedance", "--environment", "spring
 
 
 def test_numbers_are_lists_and_ranges() -> None:
-    assert values.numbers("--delay", "0:20:5", 0.0, 100.0, "ms") == (0.0, 5.0, 10.0, 15.0, 20.0)
-    assert values.numbers("--delay", "40,0:0.3:0.1,7", 0.0, 100.0, "ms") == (0.0, 0.1, 0.2, 0.3, 7.0, 40.0)
-    assert values.numbers("--delay", "3:3:1", 0.0, 100.0, "ms") == (3.0,)
+    assert option_values.numbers("--delay", "0:20:5", 0.0, 100.0, "ms") == (0.0, 5.0, 10.0, 15.0, 20.0)
+    assert option_values.numbers("--delay", "40,0:0.3:0.1,7", 0.0, 100.0, "ms") == (0.0, 0.1, 0.2, 0.3, 7.0, 40.0)
+    assert option_values.numbers("--delay", "3:3:1", 0.0, 100.0, "ms") == (3.0,)
 
 
 @pytest.mark.parametrize(
@@ -45,22 +45,22 @@ def test_numbers_are_lists_and_ranges() -> None:
 )
 def test_bad_numbers_name_option_and_remedy(text: str, words: str) -> None:
     with pytest.raises(ConfigError, match=words) as caught:
-        values.numbers("--delay", text, 0.0, 100.0, "ms")
+        option_values.numbers("--delay", text, 0.0, 100.0, "ms")
     assert str(caught.value).startswith("--delay")
 
 
 def test_frequencies_have_whole_periods() -> None:
-    assert values.frequencies("5,0.5") == (0.5, 5.0)
+    assert option_values.frequencies("5,0.5") == (0.5, 5.0)
     with pytest.raises(ConfigError, match=r"--frequency 3: a period of 333\.333 ms"):
-        values.frequencies("3")
+        option_values.frequencies("3")
 
 
 def test_laws_jitter_and_loss() -> None:
-    assert values.laws("all") == tuple(LAWS)
-    assert values.laws("wave, smith,wave") == ("wave", "smith")
-    assert values.jitters("0,5,50%") == (Jitter(0.0), Jitter(5.0), Jitter(0.5, relative=True))
-    assert values.losses("20%,0") == (0.0, 0.2)
-    assert values.settings(["wave.filter_s=0.0", "deadband.enabled=true"]) == (
+    assert option_values.laws("all") == tuple(LAWS)
+    assert option_values.laws("wave, smith,wave") == ("wave", "smith")
+    assert option_values.jitters("0,5,50%") == (Jitter(0.0), Jitter(5.0), Jitter(0.5, relative=True))
+    assert option_values.losses("20%,0") == (0.0, 0.2)
+    assert option_values.settings(["wave.filter_s=0.0", "deadband.enabled=true"]) == (
         ("deadband.enabled", True), ("wave.filter_s", 0.0),
     )  # fmt: skip
 
