@@ -606,8 +606,8 @@ def test_every_valid_message_comes_back_the_same(topic: str, data: st.DataObject
     message = TOPICS[topic].model.model_validate(data.draw(VALID[topic]))
     payload = encode(message)
     again = accept(topic, payload)
-    # repr distinguishes -0.0 from 0.0, 1 from 1.0 and from True
-    assert repr(again) == repr(message)
+    # repr distinguishes -0.0 from 0.0, 1 from 1.0 and from True; where a message keeps an absent key is no matter
+    assert repr(sorted(vars(again).items())) == repr(sorted(vars(message).items()))
     assert encode(again) == payload
     # the order of keys is free: the canonical one is the model's
     assert encode(decode(topic, msgpack.packb(dict(reversed(msgpack.unpackb(payload).items()))))) == payload

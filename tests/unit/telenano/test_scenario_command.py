@@ -66,7 +66,7 @@ def test_a_key_has_default_range_and_unit() -> None:
     rows = json.loads(out)["keys"]
     assert code == 0
     assert rows[0]["key"] == "afm_node.cantilever.stiffness_n_per_m"
-    assert all("[" in row["about"] or row["key"].endswith(("quality", "gain")) for row in rows)
+    assert all("[" in row["about"] or row["key"].endswith(("quality", "gain", "steps_per_period")) for row in rows)
     assert run("param", "list", "telepathy")[0] == 2
 
 
