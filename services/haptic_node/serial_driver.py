@@ -68,6 +68,8 @@ class SerialHandle:
     ) -> None:
         self.path = path
         self.hello: wire.Hello | None = None
+        # number of the last session that was ready: it is another after each boot of the device
+        self._session: int | None = None
         self.state: wire.State | None = None
         # of frames: sent and not taken by the port, missing by seq
         self.dropped = 0
@@ -286,7 +288,7 @@ class SerialHandle:
         if self.hello is None:
             return
         if state.session != self.hello.session:
-            self._lose(now_ns, f"{self.path}: the handle was reset: session {state.session}, not {self.hello.session}")
+            self._lose(now_ns, f"{self.path}: {self._note_reset(self.hello.session, state.session)}")
             return
         self._received_ns = now_ns
         if self._phase is _Phase.CONFIGURING:
@@ -294,6 +296,10 @@ class SerialHandle:
                 return
             self._phase = _Phase.READY
             self._text = f"{self.path}: {identity_text(self.hello)} is ready"
+            # a board that was silent while it booted has said hello before anything else of its new session came
+            if self._session not in (None, self.hello.session):
+                self._text += f"; {self._note_reset(self._session, self.hello.session)}"
+            self._session = self.hello.session
             if self._calibration is not None:
                 self._text += f", calibration {self._calibration.identity}"
         elif self.state is not None:
@@ -305,6 +311,11 @@ class SerialHandle:
         self._sampled_ns = self._clock.host_ns(state.time_us, now_ns)
         if self._calibration is not None:
             self._reading = reading_of(state, self._calibration)
+
+    def _note_reset(self, before: int | None, session: int) -> str:
+        """Return the report of a reset, and keep the number so that the reset is reported once."""
+        self._session = session
+        return f"the handle was reset: session {session}, not {before}"
 
     def _judge(self, now_ns: int) -> None:
         """Renew the report."""

@@ -223,6 +223,19 @@ def test_reset_in_mid_session_is_lost_and_configured_again(line: Line) -> None:
     tick(line, OFF, 700)
     assert line.driver.report.status == "ok"
     assert line.driver.hello is not None and line.driver.hello.session == 0x1234
+    assert "was reset" not in line.driver.report.text
+
+
+def test_reset_is_reported_of_a_board_that_was_silent_while_it_booted(line: Line) -> None:
+    tick(line, towards(2e-3), 50)
+    line.to_host = lambda sent: b""
+    tick(line, towards(2e-3), 60)
+    assert "silent for 50 ms" in line.driver.report.text
+    line.handle.reset(0x1234)
+    line.to_host = lambda sent: sent
+    tick(line, OFF, 700)
+    assert line.driver.report.status == "ok"
+    assert f"is ready; the handle was reset: session {0x1234}, not {0xBEEF}" in line.driver.report.text
 
 
 def test_slow_device_is_told_once(line: Line) -> None:
