@@ -92,6 +92,9 @@ class Cell(Settings):
     jitter_ms: float = Field(default=0.0, ge=0.0, le=1e5, description="Half-width of the uniform jitter each way [ms]")
     play_out: bool = Field(default=False, description="A play-out buffer at the end of each direction")
     loss: float = Field(default=0.0, ge=0.0, le=1.0, description="Share of messages lost each way; 0..1")
+    burst: float | None = Field(
+        default=None, ge=1.0, le=1e4, description="Mean number of messages lost in a row; none: each by itself"
+    )
     device_latency_ms: float = Field(
         default=0.0, ge=0.0, le=1e3, description="What real devices add to the round trip, as declared [ms]"
     )
@@ -271,7 +274,8 @@ def course_of(
         # a constant delay is the same to the loop wherever it is
         delay_s = (cell.round_trip_ms + cell.device_latency_ms) * 1e-3
         jitter_s = cell.jitter_ms * 1e-3
-        schedule = _schedule(delay_s, jitter_s, cell.loss, cell.seed, ticks, rig.period_s, play_out=cell.play_out)
+        link = (delay_s, jitter_s, cell.loss, cell.seed, cell.burst)
+        schedule = _schedule(link, ticks, rig.period_s, play_out=cell.play_out)
     return simulate(rig, schedule, settle)
 
 
@@ -287,10 +291,10 @@ def settle_ticks(cell: Cell, period_s: float) -> int:
 
 @functools.lru_cache(maxsize=16)
 def _schedule(
-    round_trip_s: float, jitter_s: float, loss: float, seed: int, ticks: int, period_s: float, *, play_out: bool
+    link: tuple[float, float, float, int, float | None], ticks: int, period_s: float, *, play_out: bool
 ) -> Schedule:
     """Return the arrivals of a link; laws and hands are tried over the same one, and a random one takes its time."""
-    return schedule_of(symmetric_link(round_trip_s, jitter_s, loss, seed), ticks, period_s, play_out=play_out)
+    return schedule_of(symmetric_link(*link), ticks, period_s, play_out=play_out)
 
 
 def judged(cell: Cell, course: Trajectory) -> CellResult:

@@ -41,18 +41,32 @@ class Schedule(NamedTuple):
     window: int
 
 
-def symmetric_link(round_trip_s: float, jitter_s: float, loss: float, seed: int) -> LinkSettings:
-    """Return a link whose two directions are alike.
+def direction_of(one_way_s: float, jitter_s: float, loss: float, burst: float | None = None) -> dict[str, object]:
+    """Return the settings of one direction that differ from their defaults.
 
-    Parameters: round_trip_s, half of it each way [s]; jitter_s, half-width of a uniform random part of each delay [s];
-    loss, share of the messages lost each way, 0..1; seed of the random streams.
-    Raises: ConfigError naming the key, for a value out of range.
+    Parameters: one_way_s, its delay [s]; jitter_s, half-width of a uniform random part of it [s]; loss, share of the
+    messages lost, 0..1; burst, mean number of messages that are lost in a row (E. N. Gilbert, Bell System Technical
+    Journal 39, 1960), None where each is lost by itself.
     """
-    direction: dict[str, object] = {"delay_s": 0.5 * round_trip_s}
+    direction: dict[str, object] = {"delay_s": one_way_s}
     if jitter_s != 0.0:
         direction["jitter"] = {"scale_s": jitter_s, "distribution": "uniform"}
-    if loss != 0.0:
+    if burst is not None and 0.0 < loss < 1.0:
+        # in the bad state for the share `loss` of the time, and each stay in it is `burst` messages long on average
+        direction["gilbert_elliott"] = {"p": min(loss / (1.0 - loss) / burst, 1.0), "r": 1.0 / burst}
+    elif loss != 0.0:
         direction["loss"] = {"probability": loss}
+    return direction
+
+
+def symmetric_link(
+    round_trip_s: float, jitter_s: float, loss: float, seed: int, burst: float | None = None
+) -> LinkSettings:
+    """Return a link whose two directions are alike, each with half of the round trip [s]; the rest as `direction_of`.
+
+    Raises: ConfigError naming the key, for a value out of range.
+    """
+    direction = direction_of(0.5 * round_trip_s, jitter_s, loss, burst)
     return parse_settings({"seed": seed, "forward": direction, "backward": direction})
 
 

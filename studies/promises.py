@@ -2,9 +2,9 @@
 
 Every seed has a link of its own, a round trip of 0 to 500 ms with jitter of half the delay and a loss of 0, 5 or 20 %,
 and over it a hand for every sample: a constant force or an arm of 300 or 1000 N/m, on springs of 5 to 200 N/m and in
-the contact. The laws are as they come, with the clamp that each has. The energy at the device is what the hand has put
-in more than the tip was given, with the servo of the device in the sum; LEAST_J below zero is what rounding and the
-trapezoid leave.
+the contact. In bursts, 5, 20 or 50 % are lost, a mean number of messages in a row. The laws are as they come, with the
+clamp that each has. The energy at the device is what the hand has put in more than the tip was given, with the servo of
+the device in the sum; LEAST_J below zero is what rounding and the trapezoid leave.
 """
 
 import itertools
@@ -18,6 +18,7 @@ from studies.sweep import Sweep
 
 ROUND_TRIPS_MS = (0.0, 20.0, 60.0, 120.0, 200.0, 500.0)
 LOSSES = (0.0, 0.05, 0.2)
+BURST_LOSSES = (0.05, 0.2, 0.5)
 HANDS: tuple[Hand, ...] = ("force", "ordinary", "stiff")
 SAMPLES: tuple[tuple[Environment, float], ...] = (
     ("spring", 5.0),
@@ -55,18 +56,20 @@ class Outcome(NamedTuple):
     failed: dict[str, int]
 
 
-def drawn_cells(laws: Sequence[str], seeds: int) -> list[Cell]:
+def drawn_cells(laws: Sequence[str], seeds: int, burst: float | None = None) -> list[Cell]:
     """Return a link for every seed with a hand drawn for every sample on it; every law gets the same ones.
 
     What runs over one link comes together: to draw a random one takes longer than to run over it.
+    Parameters: burst, mean number of messages lost in a row, None where each is lost by itself.
     """
-    return [cell for seed in range(seeds) for cell in _drawn(laws, seed)]
+    return [cell for seed in range(seeds) for cell in _drawn(laws, seed, burst)]
 
 
-def _drawn(laws: Sequence[str], seed: int) -> list[Cell]:
+def _drawn(laws: Sequence[str], seed: int, burst: float | None) -> list[Cell]:
     source = random.Random(seed)
     round_trip_ms = ROUND_TRIPS_MS[seed % len(ROUND_TRIPS_MS)]
-    loss = LOSSES[seed // len(ROUND_TRIPS_MS) % len(LOSSES)]
+    losses = LOSSES if burst is None else BURST_LOSSES
+    loss = losses[seed // len(ROUND_TRIPS_MS) % len(losses)]
     places = [(environment, stiffness, source.choice(HANDS)) for environment, stiffness in SAMPLES]
     return [
         Cell(
@@ -77,6 +80,7 @@ def _drawn(laws: Sequence[str], seed: int) -> list[Cell]:
             stiffness_n_per_m=stiffness,
             jitter_ms=_JITTER * round_trip_ms,
             loss=loss,
+            burst=burst,
             seed=seed,
         )
         for environment, stiffness, hand in places
@@ -84,9 +88,9 @@ def _drawn(laws: Sequence[str], seed: int) -> list[Cell]:
     ]
 
 
-def outcomes(laws: Sequence[str], seeds: int, sweep: Sweep) -> list[Outcome]:
+def outcomes(laws: Sequence[str], seeds: int, sweep: Sweep, burst: float | None = None) -> list[Outcome]:
     """Run the drawn cells; a row for every law and round trip, of a constant force and of the arms."""
-    results = sweep.run(drawn_cells(laws, seeds))
+    results = sweep.run(drawn_cells(laws, seeds, burst))
     rows = []
     for law, round_trip_ms in itertools.product(laws, ROUND_TRIPS_MS):
         for hand, hands in (("force", HANDS[:1]), ("arms", HANDS[1:])):

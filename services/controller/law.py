@@ -131,7 +131,9 @@ class Law:
     by itself, with the newest signal and the time since; what `slave_send` returns then is not sent. So its local loop
     goes on with the measured force while nothing arrives. dt of both is whole periods, as `paced` counts them, so that
     the half's time is the hand's: at least one on a signal, none between signals for a half that is not behind. A half
-    that only follows a reference steps by one period a call, whatever dt is.
+    that only follows a reference steps by one period a call, whatever dt is. With a local loop
+    `slave_send` accounts for steps that the instrument has carried out, so its dt is the sum of theirs. Where a signal
+    comes before the instrument has answered the one before, that one is answered with dt = 0 and the state dropped.
 
     `uses_waves` and `uses_energy`: which optional parts of the wire message the law fills.
     """

@@ -217,6 +217,8 @@ class SlaveController(ControllerHalf):
         self._dt_s = config.period_s
         # periods that the half is behind the hand, and the length of its last step
         self._behind, self._step_s = 0, config.period_s
+        # commands that the instrument has not carried out yet, each with the length of its step [s]
+        self._outstanding: list[tuple[int, float]] = []
         self._awaited_command_seq: int | None = None
         self._command_answers_signal = (
             True  # whether the awaited command belongs to a signal, and not to the local loop
@@ -248,6 +250,7 @@ class SlaveController(ControllerHalf):
     def forget(self) -> None:
         super().forget()
         self._awaited_command_seq = None
+        self._outstanding.clear()
         if self.tip.following:
             self._lose_instrument()
 
@@ -283,7 +286,10 @@ class SlaveController(ControllerHalf):
         if self._awaited_command_seq is not None:
             # the instrument has not answered the last tick: its newest sample has to do, for as long as it is fresh
             self._doubt_instrument()
-            self._send_answer()
+            if self.law.local_loop and not self._instrument_lost and not self.switching:
+                self._answer_early()
+            else:
+                self._send_answer()
         elapsed = self.elapsed_s(message.hand_t_ns, self._hand_stamp[1])
         self._hand_stamp = (message.hand_seq, message.hand_t_ns)
         if self.receive_signal(message, received_ns) and message.active:
@@ -320,6 +326,7 @@ class SlaveController(ControllerHalf):
         )
         self._awaited_command_seq = self._last_command_seq = command.seq
         self._command_answers_signal = answers
+        self._outstanding.append((command.seq, self._step_s))
 
     def _doubt_instrument(self) -> None:
         """Mark an instrument that has been silent for too long as not following, whatever it published last."""
@@ -360,6 +367,8 @@ class SlaveController(ControllerHalf):
             self._send_answer()
         elif self._awaited_command_seq is None and message.command_seq == self._last_command_seq:
             self._step_locally()
+        elif message.hand_t_ns > 0 and not self.switching:
+            self._account_for(message.command_seq)
 
     def _step_locally(self) -> None:
         """Go on with the force of a step that the instrument made by itself, while the last signal still counts."""
@@ -382,8 +391,34 @@ class SlaveController(ControllerHalf):
         self._awaited_command_seq = None
         if self.switching:
             self.law_state = self._standing()
-        self.law_state, signal = self.law.slave_send(self.params, self.law_state, self.tip, self._step_s)
-        if not self._command_answers_signal or not self.passes_deadband(signal, self._dt_s):
+        self.law_state, signal = self._sent(len(self._outstanding))
+        if self._command_answers_signal:
+            self._publish_answer(signal)
+
+    def _account_for(self, command_seq: int) -> None:
+        """Let the half account for a command that the instrument has carried out after a later one was sent."""
+        for commands, (seq, _) in enumerate(self._outstanding, start=1):
+            if seq == command_seq:
+                self.law_state, _ = self._sent(commands)
+                return
+
+    def _answer_early(self) -> None:
+        """Answer with the newest sample and account for nothing: the instrument has not carried the command out yet.
+
+        To a half that accounts for energy the tip would have stood for this step and moved twice as fast in the next,
+        which takes twice the energy for the same way.
+        """
+        if self._command_answers_signal:
+            self._publish_answer(self.law.slave_send(self.params, self.law_state, self.tip, 0.0)[1])
+
+    def _sent(self, commands: int) -> tuple[Any, PortSignal]:
+        """Return state and signal of the half after the first of the outstanding commands, whose steps add up."""
+        dt_s = sum(step_s for _, step_s in self._outstanding[:commands])
+        del self._outstanding[:commands]
+        return cast(tuple[Any, PortSignal], self.law.slave_send(self.params, self.law_state, self.tip, dt_s))
+
+    def _publish_answer(self, signal: PortSignal) -> None:
+        if not self.passes_deadband(signal, self._dt_s):
             return
         self.publish(
             "teleop/backward",

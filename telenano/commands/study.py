@@ -446,6 +446,8 @@ class _Given:
 def _agreed(agreement: "Agreement") -> str:
     if not agreement.agree:
         return "no"
+    if agreement.near_an_edge:
+        return "yes, near an edge"
     return "undecided" if agreement.undecided else "yes"
 
 

@@ -23,6 +23,12 @@ def promises(
     out: OutOption,
     law: LawOption = "passivity,wave",
     seeds: Annotated[int, typer.Option("--seeds", min=1, max=10_000, help="Seeds: six drawn cells each.")] = 50,
+    burst: Annotated[
+        float | None,
+        typer.Option(
+            "--burst", min=1.0, max=1e4, metavar="N", help="Lose 5, 20 or 50 %, N messages in a row on average."
+        ),
+    ] = None,
     workers: WorkersOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -33,9 +39,10 @@ def promises(
         from studies.sweep import JOURNAL_NAME, Journal, Sweep
 
         sweep = Sweep(Journal(out / JOURNAL_NAME), workers or os.cpu_count() or 1)
-        found = outcomes(option_values.laws(law), seeds, sweep)
+        found = outcomes(option_values.laws(law), seeds, sweep, burst)
         failed = broken(found)
-        summary = {"study": "promises", "seeds": seeds, "held": not failed, "rows": [as_dict(row) for row in found]}
+        rows_found = [as_dict(row) for row in found]
+        summary = {"study": "promises", "seeds": seeds, "burst": burst, "held": not failed, "rows": rows_found}
         out.mkdir(parents=True, exist_ok=True)
         (out / "promises.json").write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
         rows = [
@@ -44,11 +51,12 @@ def promises(
              ", ".join(f"{number} {kind.replace('_', ' ')}" for kind, number in r.failed.items()))
             for r in found
         ]  # fmt: skip
+        lost = "0, 5 or 20 % loss" if burst is None else f"5, 20 or 50 % loss, {burst:g} messages in a row on average"
         page = Page("What the laws promise over bad links")
         page.code(" ".join(["telenano", *sys.argv[1:]]))
         page.table(_HEAD, rows)
         page.paragraph(
-            "Jitter of half the delay, 0, 5 or 20 % loss, springs of 5 to 200 N/m and the contact, drawn at random;"
+            f"Jitter of half the delay, {lost}, springs of 5 to 200 N/m and the contact, drawn at random;"
             " force: at the tip, as a share of what the hand means to press with, in stable holds."
         )
         page.write(out / "promises.html")

@@ -426,6 +426,52 @@ def test_local_loop_goes_on_with_the_instruments_own_steps(bench_of: Any, law: s
     assert bench.take("teleop/backward") == []
 
 
+def wave_sent_back(bench_of: Any, answered_by: tuple[tuple[int, ...], ...]) -> list[Any]:
+    """Give the slave six signals of a free tip; answered_by: of which commands the instrument tells after each."""
+    bench = bench_of("controller@slave")
+    node = SlaveController(bench.context, ControllerConfig(law="wave"))
+    commands: list[Any] = []
+
+    def tells(command: Any) -> None:
+        state = tip_fields(0.0, command.seq) | {"base_position_m": command.base_position_m}
+        node.on_message(bench.received("afm/state", "afm_node@slave", **state))
+
+    # first it stands until both halves follow, then the hand jumps and its waves arrive
+    for seq, told in enumerate(((0,), (1,), *(tuple(n + 2 for n in some) for some in answered_by))):
+        fields = forward_fields(1e-8 * (seq > 1), seq, 50 + seq * PERIOD_NS)
+        fields |= {"law": "wave", "wave_sqrt_w": ZERO, "energy_j": 1.0 * (seq > 1)}
+        node.on_message(bench.received("teleop/forward", "controller@master", **fields))
+        commands += bench.take("afm/command")
+        for n in told:
+            tells(commands[n])
+    assert commands[-1].base_position_m[2] < -1e-9
+    return bench.take("teleop/backward")  # type: ignore[no-any-return]
+
+
+@pytest.mark.parametrize(
+    "answered_by",
+    [
+        # two signals come before the instrument has answered the first; three do; it tells of the last one alone
+        ((0,), (1,), (), (2, 3), (4,), (5,)),
+        ((0,), (1,), (), (), (2, 3, 4), (5,)),
+        ((0,), (), (), (), (), (5,)),
+        # an instrument that is always late by one
+        ((0,), (), (1,), (2,), (3,), (4, 5)),
+    ],
+)
+def test_no_wave_is_lost_where_signals_come_before_the_instrument_has_answered(bench_of: Any, answered_by: Any) -> None:
+    on_time = wave_sent_back(bench_of, ((0,), (1,), (2,), (3,), (4,), (5,)))
+    late = wave_sent_back(bench_of, answered_by)
+    # every signal has its answer, with the stamp of its own sample, and in the end as much has been sent back
+    assert [(message.hand_seq, message.hand_t_ns) for message in late] == [
+        (message.hand_seq, message.hand_t_ns) for message in on_time
+    ]
+    sent_m = on_time[-1].position_m[2]
+    assert sent_m < -1e-9
+    assert late[-1].position_m[2] == pytest.approx(sent_m, rel=1e-9, abs=0.0)
+    assert 0.0 < late[-1].energy_j <= on_time[-1].energy_j * (1.0 + 1e-9)
+
+
 def test_law_without_a_local_loop_waits_for_signals_and_gets_one_with_the_clamp(bench_of: Any) -> None:
     for enabled in (False, True):
         bench = bench_of("controller@slave")

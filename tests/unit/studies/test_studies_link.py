@@ -44,6 +44,17 @@ def test_loss_is_binomial() -> None:
     assert abs(count - 4_000) < 4.0 * np.sqrt(5_000 * 0.2 * 0.8)
 
 
+def test_bursts_lose_the_same_share_in_rows() -> None:
+    ticks, loss, burst = 40_000, 0.2, 25.0
+    arrived = schedule_of(symmetric_link(10e-3, 0.0, loss, 1, burst), ticks, PERIOD_S).forward_of
+    gaps = np.diff(arrived)
+    rows = gaps[gaps > 1] - 1
+    # about 320 rows whose lengths are geometric: the mean of so many is off by 6 % (one sigma)
+    assert rows.mean() == pytest.approx(burst, rel=0.25, abs=0.0)
+    assert 1.0 - len(arrived) / ticks == pytest.approx(loss, rel=0.3, abs=0.0)
+    assert len(schedule_of(symmetric_link(10e-3, 0.0, 1.0, 1, burst), 100, PERIOD_S).forward_ns) == 0
+
+
 def test_window_holds_all_that_is_in_flight() -> None:
     schedule = schedule_of(symmetric_link(300e-3, 40e-3, 0.0, 1), 3000, PERIOD_S)
     lag = schedule.forward_ns // 1_000_000 - schedule.forward_of

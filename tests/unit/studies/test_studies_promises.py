@@ -10,7 +10,17 @@ import pytest
 
 from studies import lockstep
 from studies.cells import Cell, CellResult, Hand, run_cell
-from studies.promises import HANDS, LOSSES, PASSIVE_LAWS, ROUND_TRIPS_MS, SAMPLES, broken, drawn_cells, outcomes
+from studies.promises import (
+    BURST_LOSSES,
+    HANDS,
+    LOSSES,
+    PASSIVE_LAWS,
+    ROUND_TRIPS_MS,
+    SAMPLES,
+    broken,
+    drawn_cells,
+    outcomes,
+)
 from studies.sweep import Journal, Sweep
 
 SEEDS = range(25)
@@ -67,6 +77,10 @@ def test_drawn_links_cover_what_is_promised_and_are_the_same_for_every_law() -> 
     assert {(cell.environment, cell.stiffness_n_per_m) for cell in cells} == set(SAMPLES)
     assert {cell.jitter_ms / cell.round_trip_ms for cell in cells if cell.round_trip_ms} == {0.25}
     assert {cell.seed for cell in cells} == set(range(50))
+    in_bursts = drawn_cells(["wave"], 50, 40.0)
+    assert {(cell.round_trip_ms, cell.loss) for cell in in_bursts} == set(product(ROUND_TRIPS_MS, BURST_LOSSES))
+    assert {cell.burst for cell in in_bursts} == {40.0}
+    assert [(cell.hand, cell.environment) for cell in in_bursts] == [(cell.hand, cell.environment) for cell in cells]
 
 
 class Told(Sweep):

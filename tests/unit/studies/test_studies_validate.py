@@ -43,6 +43,8 @@ def test_scenario_says_what_the_cell_says() -> None:
     operator = validate(HapticConfig, scenario.haptic_node, "test").operator
     assert tuple((p.time_s, p.force_n) for p in operator.points) == example.hand_points()
     assert scenario.duration_s == 6.0
+    in_bursts = validate(Scenario, scenario_of(cell(loss=0.1, seed=4, burst=30.0)), "test").delay_node
+    assert parse_settings(in_bursts).model_dump() == symmetric_link(0.04, 0.0, 0.1, 4, 30.0).model_dump()
 
 
 def test_the_same_course_agrees() -> None:
@@ -116,6 +118,30 @@ def test_the_bus_is_held_against_the_link_that_was_recorded() -> None:
         assert compare(cell(loss=0.1), draws, cycling, cycling).agree
     assert compare(cell(loss=0.1), [stable, cycling], stable, stable).draws == "1 stable, 1 limit cycle"
     assert compare(cell(), [stable], stable).draws == ""
+
+
+def test_where_draws_differ_one_course_may_have_two_verdicts() -> None:
+    stable, cycling = trajectory_of(cell()), trajectory_of(cell(round_trip_ms=70.0))
+
+    def swinging(share: float) -> Trajectory:
+        """Give the stable course with a swing of 5 Hz of so many shares of the hand's 2 N from peak to peak."""
+        swing = 0.5 * share * np.sin(2.0 * np.pi * 5.0 * stable.time_s)
+        return dataclasses.replace(stable, tip_force_n=stable.tip_force_n + swing * 2.0 / 1e8)
+
+    quiet, loud = swinging(0.045), swinging(0.065)
+    for recorded, bus, verdicts in (
+        (quiet, loud, ("stable", "limit_cycle")),
+        (loud, quiet, ("limit_cycle", "stable")),
+    ):
+        found = compare(cell(loss=0.1), [stable, cycling], bus, recorded)
+        assert (found.lockstep, found.bus) == verdicts
+        assert (found.agree, found.near_an_edge) == (True, True)
+        assert found.difference_share == pytest.approx(0.01 / np.sqrt(2.0), rel=0.1, abs=0.0)
+        # draws that are of one mind leave no such room, and neither does another course
+        assert not compare(cell(loss=0.1), [stable, stable], bus, recorded).agree
+        assert not compare(cell(loss=0.1), [cycling, cycling], bus, recorded).agree
+    assert not compare(cell(loss=0.1), [stable, cycling], swinging(0.3), quiet).agree
+    assert not compare(cell(loss=0.1), [stable, cycling], loud, loud).near_an_edge
 
 
 def test_constant_link_has_one_draw_and_a_random_one_several(monkeypatch: pytest.MonkeyPatch) -> None:
