@@ -88,12 +88,18 @@ def schema_of(topic: Topic) -> dict[str, Any]:
 def examples(topic: Topic) -> dict[str, Message]:
     """Return one valid message a case, by the name of the case; the same ones every time.
 
-    Where keys are optional each case is there without them, as before they were added, and then once more with them.
+    Where keys are optional each case is there without them, as before they were added, and then once more for each
+    version that added some, with all until then.
     """
     schema = topic.model.model_json_schema()
+    added = topic.model.additions
+    sets = {"": schema["required"]}
+    for number, version in enumerate(sorted(set(added.values()))):
+        keys = [name for name in schema["properties"] if added.get(name, 1) <= version]
+        sets[WITH_ADDITIONS + (f"_{version}" if number else "")] = keys
     made = {}
-    for suffix, keys in (("", schema["required"]), (WITH_ADDITIONS, list(schema["properties"]))):
-        for case in CASES if topic.model.additions or not suffix else ():
+    for suffix, keys in sets.items():
+        for case in CASES:
             fields = _Filler(topic, schema.get("$defs", {}), case).fill(schema, keys)
             made[case.name + suffix] = any_range(topic.model, fields)
     return made

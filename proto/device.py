@@ -54,6 +54,10 @@ LATERAL_FORCE_N: Any = Field(
     default=None,
     description="Force on the tip by the sample along x [N]; absent where it is not measured",
 )
+DISSIPATED_J: Any = Field(
+    default=None,
+    description="Energy that the sample takes from the tip in a period of its vibration [J]; absent in contact mode",
+)
 TORSION_RAD: Any = Field(
     default=None,
     description="Torsion of the cantilever that this force makes: over lateral stiffness and height of the tip [rad]",

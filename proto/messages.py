@@ -26,6 +26,7 @@ from pydantic_core import CoreSchema, core_schema
 from proto import device as real
 from proto.ranges import (
     ANGLE,
+    ENERGY,
     FORCE,
     POSITION,
     DurationS,
@@ -150,6 +151,7 @@ class Array(Record):
 Lengths = Annotated[Array, Elements(POSITION)]
 Angles = Annotated[Array, Elements(ANGLE)]
 Forces = Annotated[Array, Elements(FORCE)]
+Energies = Annotated[Array, Elements(ENERGY)]
 
 
 class _HandSample(Record):
@@ -264,8 +266,8 @@ class AfmState(real.StageVolts, _Extended, _HandSample):
 class AfmScanline(_Extended):
     """A finished line of an image."""
 
-    version: ClassVar[int] = 2
-    additions: ClassVar[Mapping[str, int]] = {"lateral_force_n": 2, "torsion_rad": 2}
+    version: ClassVar[int] = 3
+    additions: ClassVar[Mapping[str, int]] = {"lateral_force_n": 2, "torsion_rad": 2, "dissipated_j": 3}
     line: Count = Field(description="Number of the line, from 0")
     lines: Annotated[int, Field(ge=1, le=2**20)] = Field(description="Lines in the image")
     direction: Literal["trace", "retrace"] = Field(description="Sense of the fast axis")
@@ -276,6 +278,7 @@ class AfmScanline(_Extended):
     phase_rad: Angles | None = Field(description="Phase of vibration [rad]; nil in contact mode")
     lateral_force_n: Forces | None = real.LATERAL_FORCE_N
     torsion_rad: Angles | None = real.TORSION_RAD
+    dissipated_j: Energies | None = real.DISSIPATED_J
 
 
 class LawStatus(Message):

@@ -56,6 +56,9 @@ class ScanRequest:
         for name, value in positive.items():
             if not (math.isfinite(value) and value > 0.0):
                 raise ConfigError(f"{name} = {value:g} must be positive and finite")
+        for name, value in (("proportional gain", self.proportional), ("temperature [K]", self.temperature_k)):
+            if not (math.isfinite(value) and value >= 0.0):
+                raise ConfigError(f"{name} = {value:g} must be 0 or more, and finite")
 
 
 @dataclass(frozen=True)

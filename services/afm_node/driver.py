@@ -41,10 +41,14 @@ class LateralStage(Protocol):
 
 
 class Oscillation(NamedTuple):
-    """Amplitude of the deflection at the frequency of the drive [m], and its phase against the drive [rad]."""
+    """Amplitude of the deflection at the frequency of the drive [m], and its phase against the drive [rad].
+
+    dissipated_j: energy that the sample takes in a period [J].
+    """
 
     amplitude_m: float
     phase_rad: float
+    dissipated_j: float = 0.0
 
 
 @runtime_checkable

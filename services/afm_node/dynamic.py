@@ -135,7 +135,7 @@ def advance(
     """Go on by `steps` steps, while base and surface move evenly to base_m and surface_m [m].
 
     Parameters: drive_m, amplitude of the base's vibration [m]; normals, standard normal numbers for thermal
-    noise, one for each eighth of a period, or none at all.
+    noise, one for each eighth of a period, or none at all. Raises: ValueError, if there are fewer.
     """
     rest, step_s, drive, far = plant.rest_distance_m, plant.step_s, plant.drive, plant.far
     passages, viscosity, attraction = plant.passages, plant.viscosity, plant.grid.attraction_n_m2
@@ -148,8 +148,11 @@ def advance(
     half = 0.5 * step_s / mass
     periods = drive.shape[0]
     every = periods // KICKS_PER_PERIOD
+    # compiled code checks no index: both tables are looked up within their length
+    if normals.size > 0 and normals.size < steps // every:
+        raise ValueError("thermal noise needs a normal number for each eighth of a period")
     z, v = state.deflection_m, state.velocity_m_per_s
-    contact, meniscus, p = state.contact, state.meniscus, state.phase_step
+    contact, meniscus, p = state.contact, state.meniscus, state.phase_step % periods
     base, surface = state.base_m, state.surface_m
     base_step, surface_step = (base_m - base) / steps, (surface_m - surface) / steps
     base_velocity = base_step / step_s

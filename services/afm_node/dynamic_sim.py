@@ -54,15 +54,19 @@ def exchanged(
     drive_m: float,
     steps: Exchange,
     normals: npt.NDArray[np.float64],
-) -> tuple[DynamicState, Reading, float]:
-    """Return the state after an exchange, what was read, and the share of all of it that the tip touched the sample."""
+) -> tuple[DynamicState, Reading, float, float]:
+    """Return the state after an exchange, what was read, and of all of it what the sample took and how long it touched.
+
+    These two are an energy [J] and a share of the time.
+    """
     split = steps.moving * KICKS_PER_PERIOD // plant.drive.shape[0] if normals.size > 0 else 0
-    touched = 0.0
+    taken, touched = 0.0, 0.0
     if steps.moving > 0:
         state, before = advance(plant, state, base_m, surface_m, drive_m, steps.moving, normals[:split])
-        touched = before.contact_share * steps.moving
+        taken, touched = before.dissipated_j, before.contact_share * steps.moving
     state, reading = advance(plant, state, base_m, surface_m, drive_m, steps.reading, normals[split:])
-    return state, reading, (touched + reading.contact_share * steps.reading) / (steps.moving + steps.reading)
+    touched += reading.contact_share * steps.reading
+    return state, reading, taken + reading.dissipated_j, touched / (steps.moving + steps.reading)
 
 
 def least_steps(plant: DynamicPlant) -> int:
@@ -121,7 +125,8 @@ class DynamicAfm(DisturbedAfm):
         self._drive_m = 0.0
         self._due_s = 0.0
         self._calls = 0
-        self._in_phase_m = self._quadrature_m = 0.0
+        self._in_phase_m = self._quadrature_m = self._dissipated_j = 0.0
+        self._taken_j, self._periods = 0.0, 0
         self._motion = DynamicState(0.0, 0.0, self._safe_position_m, 0.0, self._height_m, False, False, 0)
         self._electronic = _without_thermal(disturbances)
 
@@ -158,7 +163,7 @@ class DynamicAfm(DisturbedAfm):
         if self._drive_m == 0.0:
             return Oscillation(0.0, 0.0)
         x, y = self._in_phase_m, self._quadrature_m
-        return Oscillation(math.hypot(x, y), math.atan2(y, x))
+        return Oscillation(math.hypot(x, y), math.atan2(y, x), self._dissipated_j)
 
     @property
     def _dynamic(self) -> DynamicPlant:
@@ -187,6 +192,8 @@ class DynamicAfm(DisturbedAfm):
         moving = periods // 2
         reading, touched = self._go_on(base_m, height, Exchange(moving * n, (periods - moving) * n), periods)
         self._in_phase_m, self._quadrature_m = reading.in_phase_m, reading.quadrature_m
+        # of all periods since the last exchange: a meniscus may form and break in each second or third of them only
+        self._dissipated_j, self._taken_j, self._periods = self._taken_j / self._periods, 0.0, 0
         zeta = reading.mean_deflection_m
         return AfmSample(
             base_m + height,
@@ -205,7 +212,10 @@ class DynamicAfm(DisturbedAfm):
             strength = electrostatic_strength_n_m2(self._voltage_v, plant.tip_radius_m)
             plant = plant._replace(electrostatic_n_m2=strength)
         kicks = self._kicks(periods)
-        self._motion, reading, touched = exchanged(plant, self._motion, base_m, surface_m, self._drive_m, steps, kicks)
+        self._motion, reading, taken_j, touched = exchanged(
+            plant, self._motion, base_m, surface_m, self._drive_m, steps, kicks
+        )
+        self._taken_j, self._periods = self._taken_j + taken_j, self._periods + periods
         self._calls += 1
         return reading, touched
 

@@ -53,9 +53,10 @@ class ForceGrid(NamedTuple):
 def grid_force(
     cubics: npt.NDArray[np.float64], start_m: float, cells_per_m: float, attraction_n_m2: float, h: float, b: int
 ) -> float:
-    """Return F [N] at h [m] on branch b = 2 contact + meniscus."""
+    """Return F [N] at h [m] on branch b = 2 contact + meniscus; of an h that is no number, none."""
     place = (h - start_m) * cells_per_m
-    if place >= cubics.shape[1]:
+    # asked this way round no NaN gets past it: compiled code would look it up anywhere in memory
+    if not place < cubics.shape[1]:
         return -attraction_n_m2 / (h * h)
     if place < 0.0:
         return float(cubics[b, 0, 0] + place * cubics[b, 0, 1])

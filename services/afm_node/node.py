@@ -296,10 +296,12 @@ class AfmNode(Node):
 
     def _publish_line(self, line: FinishedLine) -> None:
         lines = self._programs.report().lines
-        lateral = {
+        further = {
             "lateral_force_n": Array.from_numpy(line.lateral_n),
             "torsion_rad": Array.from_numpy(line.lateral_n / self._twist_n),
         }
+        if line.dissipated_j is not None:
+            further["dissipated_j"] = Array.from_numpy(line.dissipated_j)
         self.publish(
             "afm/scanline",
             line=line.line,
@@ -310,7 +312,7 @@ class AfmNode(Node):
             height_m=Array.from_numpy(line.height_m),
             amplitude_m=None if line.amplitude_m is None else Array.from_numpy(line.amplitude_m),
             phase_rad=None if line.phase_rad is None else Array.from_numpy(line.phase_rad),
-            **lateral,
+            **further,
         )
 
     def _publish_state(

@@ -60,7 +60,8 @@ class Measured(NamedTuple):
 class RasterState(NamedTuple):
     """Phase; line and sense; time in the phase or line [s]; of its pixels sums of height [m] and force [N], counts.
 
-    Sums of the vibration's parts in phase with the drive and a quarter of a period behind it [m].
+    Sums of the vibration's parts in phase with the drive and a quarter of a period behind it [m], and of the energy
+    that the sample takes in a period [J].
     """
 
     phase: int
@@ -72,12 +73,13 @@ class RasterState(NamedTuple):
     counts: Array
     in_phase_sum: Array
     quadrature_sum: Array
+    dissipated_sum: Array
 
 
 class FinishedLine(NamedTuple):
     """A line: its number and sense, its ends at the middles of the outer pixels, heights [m], forces in x [N].
 
-    Amplitude [m] and phase against the drive [rad], None in contact mode.
+    Amplitude [m], phase against the drive [rad] and energy that the sample takes in a period [J], None in contact mode.
     """
 
     line: int
@@ -88,6 +90,7 @@ class FinishedLine(NamedTuple):
     lateral_n: Array
     amplitude_m: Array | None = None
     phase_rad: Array | None = None
+    dissipated_j: Array | None = None
 
 
 def begun(plan: RasterPlan) -> RasterState:
@@ -151,9 +154,10 @@ def _advance(
     state.height_sum[pixel] -= measured.base_m
     state.lateral_sum[pixel] += measured.lateral_n
     if plan.amplitude_m > 0.0:
-        amplitude, angle = measured.oscillation
+        amplitude, angle, dissipated_j = measured.oscillation
         state.in_phase_sum[pixel] += amplitude * math.cos(angle)
         state.quadrature_sum[pixel] += amplitude * math.sin(angle)
+        state.dissipated_sum[pixel] += dissipated_j
     state.counts[pixel] += 1.0
     share = min(state.elapsed_s / plan.line_s, 1.0)
     end = _point(plan, state.line, 0.0 if state.backward else 1.0)
@@ -166,7 +170,7 @@ def _advance(
         _point(plan, state.line, 1.0 - 0.5 / plan.pixels),
         _filled(state.height_sum, state.counts),
         _filled(state.lateral_sum, state.counts),
-        *(_polar(state) if plan.amplitude_m > 0.0 else (None, None)),
+        *((*_polar(state), _filled(state.dissipated_sum, state.counts)) if plan.amplitude_m > 0.0 else ()),
     )
     line = state.line + int(state.backward)
     phase = DONE if line == plan.lines else LINES
@@ -175,9 +179,9 @@ def _advance(
     return after, target, finished
 
 
-def _no_samples(plan: RasterPlan) -> tuple[Array, Array, Array, Array, Array]:
+def _no_samples(plan: RasterPlan) -> tuple[Array, Array, Array, Array, Array, Array]:
     n = plan.pixels
-    return np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
+    return np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
 
 
 def _polar(state: RasterState) -> tuple[Array, Array]:

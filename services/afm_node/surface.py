@@ -47,7 +47,12 @@ class Surface(NamedTuple):
 def height_at(
     height_m: Heights, step_x_m: float, step_y_m: float, x_m: float, y_m: float
 ) -> tuple[float, float, float]:
-    """Return height [m] and slopes dz/dx, dz/dy at a point [m] of the map; outside it goes on level."""
+    """Return height [m] and slopes dz/dx, dz/dy at a point [m] of the map; outside it goes on level.
+
+    Raises: ValueError, if the point is not finite: compiled code would look it up anywhere in memory.
+    """
+    if not (math.isfinite(x_m) and math.isfinite(y_m)):
+        raise ValueError("the point of the map in m must be finite")
     rows, columns = height_m.shape
     x = min(max(x_m / step_x_m - 0.5, 0.0), columns - 1.0)
     y = min(max(y_m / step_y_m - 0.5, 0.0), rows - 1.0)

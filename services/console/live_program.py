@@ -34,7 +34,7 @@ class ProgramEndedError(RigError):
 class LiveImage:
     """The lines of an image so far: heights [m], lateral forces [N] of shape (lines, pixels), NaN for none; sides.
 
-    Of the trace in tapping mode amplitude [m] and phase [rad].
+    Of the trace in tapping mode amplitude [m], phase [rad], and energy that the sample takes in a period [J].
     """
 
     trace_m: Array = field(default_factory=lambda: np.empty((0, 0)))
@@ -43,6 +43,7 @@ class LiveImage:
     retrace_n: Array = field(default_factory=lambda: np.empty((0, 0)))
     amplitude_m: Array = field(default_factory=lambda: np.empty((0, 0)))
     phase_rad: Array = field(default_factory=lambda: np.empty((0, 0)))
+    dissipated_j: Array = field(default_factory=lambda: np.empty((0, 0)))
     width_m: float = 0.0
     depth_m: float = 0.0
     first_y_m: float = 0.0
@@ -53,7 +54,7 @@ class LiveImage:
         if self.trace_m.shape != (line.lines, len(heights)):
             shape = (line.lines, len(heights))
             self.trace_m, self.retrace_m, self.trace_n, self.retrace_n = (np.full(shape, np.nan) for _ in range(4))
-            self.amplitude_m, self.phase_rad = (np.full(shape, np.nan) for _ in range(2))
+            self.amplitude_m, self.phase_rad, self.dissipated_j = (np.full(shape, np.nan) for _ in range(3))
             # the ends are the middles of the outer pixels
             span = line.end_m[0] - line.start_m[0]
             self.width_m = span * len(heights) / max(len(heights) - 1, 1)
@@ -64,6 +65,8 @@ class LiveImage:
         if not is_back and line.amplitude_m is not None and line.phase_rad is not None:
             self.amplitude_m[line.line] = line.amplitude_m.to_numpy()
             self.phase_rad[line.line] = line.phase_rad.to_numpy()
+        if not is_back and line.dissipated_j is not None:
+            self.dissipated_j[line.line] = line.dissipated_j.to_numpy()
         if line.line == 0:
             self.first_y_m, self.depth_m = line.start_m[1], self.width_m / len(heights)
         else:

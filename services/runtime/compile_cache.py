@@ -15,7 +15,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from numba.core import types
+from numba.core import config, types
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 
 from services.runtime.code_digest import code_digest
@@ -81,7 +81,10 @@ class CheckedCache(FunctionCache):
         classes = list(dict.fromkeys(_classes(signature)))
         function = self._py_func
         names = [f"{kind.__module__}.{kind.__qualname__}" for kind in (function, *classes)]
-        described = repr((sys.implementation.cache_tag, names, signature, codegen.magic_tuple()))
+        # code that checks its indices (NUMBA_BOUNDSCHECK) is other code
+        described = repr(
+            (sys.implementation.cache_tag, names, signature, codegen.magic_tuple(), vars(config)["BOUNDSCHECK"])
+        )
         # not the line of the function, which numba's names have: lines above it come and go
         readable = re.sub(r"[^\w.]", "", names[0].rpartition("services.")[2])
         name = f"{readable}.{hashlib.sha256(described.encode()).hexdigest()[:24]}.nbc"

@@ -178,6 +178,7 @@ def _scan_live(out: Path, site_file: Path, parameters: "dict[str, Scalar]", *, a
         for name, title, unit, values in (
             ("amplitude", "Amplitude", "m", image.amplitude_m[:count]),
             ("phase", "Phase", "rad", image.phase_rad[:count]),
+            ("dissipated", "Dissipated energy in a period", "J", image.dissipated_j[:count]),
             ("lateral", "Lateral force", "N", image.trace_n[:count]),
             ("lateral_retrace", "Lateral force retrace", "N", image.retrace_n[:count]),
         ):

@@ -19,6 +19,9 @@ def test_a_plane_is_interpolated_without_error_and_goes_on_level_outside():
     assert height == pytest.approx(0.1 * 13.37 * NM - 0.03 * 21.1 * NM, rel=1e-12, abs=0)
     assert (slope_x, slope_y) == pytest.approx((0.1, -0.03), rel=1e-9, abs=0)
     assert at(tilted, -5 * NM, 10 * NM)[0] == at(tilted, 0.5 * NM, 10 * NM)[0]
+    for x_m, y_m in ((np.nan, 0.0), (0.0, -np.inf)):
+        with pytest.raises(ValueError, match="must be finite"):
+            at(tilted, x_m, y_m)
     assert at(tilted, 99 * NM, 99 * NM)[0] == at(tilted, 39.5 * NM, 39 * NM)[0]
 
 

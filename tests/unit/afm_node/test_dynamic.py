@@ -156,3 +156,22 @@ def test_what_cannot_be_is_named(arguments, what):
         build_dynamic(PLANT, *given)
     with pytest.raises(ValueError, match="as_printed has no dynamic model"):
         AfmConfig(mode="as_printed").to_dynamic()
+
+
+def test_compiled_code_looks_nothing_up_beyond_its_tables():
+    dynamic = CONFIG.to_dynamic()
+    n = dynamic.drive.shape[0]
+
+    def after(z_m, v_m_per_s, base_m, phase_step=0):
+        state = DynamicState(z_m, v_m_per_s, base_m, 0.0, 0.0, False, True, phase_step)
+        return advance(dynamic, state, base_m, 0.0, 1e-9, n, NO_NOISE)[0]
+
+    # far away, close, and deeper than the grid goes: what is no number has no place in it, and stays none
+    for base_m in (FAR_M, REST_M, 1e-3, math.nan, math.inf):
+        for z_m, v_m_per_s in ((0.0, 0.0), (math.nan, 0.0), (-1e3, 0.0), (0.0, math.inf)):
+            found = after(z_m, v_m_per_s, base_m)
+            assert math.isfinite(found.deflection_m) == math.isfinite(base_m + z_m + v_m_per_s)
+    # a step of the period that was counted with more steps a period
+    assert after(0.0, 0.0, FAR_M, 3 + 7 * n) == after(0.0, 0.0, FAR_M, 3)
+    with pytest.raises(ValueError, match="a normal number for each eighth of a period"):
+        advance(dynamic, found, FAR_M, 0.0, 1e-9, 2 * n, np.zeros(2 * KICKS_PER_PERIOD - 1))

@@ -11,6 +11,7 @@ from services.afm_node.__main__ import dynamic_afm
 from services.afm_node.config import AfmConfig
 from services.afm_node.disturbances import BOLTZMANN_J_PER_K, DisturbanceConfig
 from services.afm_node.driver import VibratingCantilever
+from services.afm_node.dynamic import drive_work_j, free_amplitude_m
 from services.afm_node.dynamic_sim import DynamicAfm
 from services.afm_node.node import AfmNode
 from services.afm_node.sim import SimulatedAfm
@@ -112,8 +113,16 @@ def test_a_tapping_image_holds_the_amplitude_and_its_lines_carry_amplitude_and_p
         # without a sample it is a quarter of a period behind; a tip held at 0.8 of that amplitude by repulsion is less
         phases = np.abs(line.phase_rad.to_numpy())
         assert np.all((phases > 0.5) & (phases < 2.7))
+        # in steady vibration the sample takes what the base gives and the cantilever's own damping does not
+        plant, free_m = afm.driver._driven, 20e-9
+        drive_m, turns_hz = free_m / free_amplitude_m(plant, 1.0), 2.0 * np.pi * plant.drive_hz
+        z = line.amplitude_m.to_numpy() * np.exp(1j * line.phase_rad.to_numpy())
+        given_j = np.array([drive_work_j(plant, drive_m, v.real, v.imag) for v in z.tolist()])
+        damped_j = np.pi * turns_hz * plant.damping_kg_per_s * np.abs(z) ** 2
+        taken_j = np.median(line.dissipated_j.to_numpy())
+        assert taken_j == pytest.approx(np.median(given_j - damped_j), rel=0.05, abs=0.0)
     # away from the sample the tip comes to rest
-    assert afm.driver.oscillation == (0.0, 0.0)
+    assert afm.driver.oscillation == (0.0, 0.0, 0.0)
     assert afm.driver._motion.contact is False
     reports = afm.bench.take("afm/program")
     assert (reports[-1].state, "the amplitude settles" in {report.text for report in reports}) == ("finished", True)

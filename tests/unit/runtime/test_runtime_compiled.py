@@ -105,6 +105,7 @@ def test_a_step_is_compiled_into_that_folder(tmp_path: Path) -> None:
 # spoils each file of the cache in each way, and runs the step as a process that starts then would
 SPOIL = """
 import logging, pathlib, studies, model
+from numba.core import config
 from services.runtime import compile_cache
 from services.runtime.compiled import cache_directory, compiled
 
@@ -131,6 +132,12 @@ for spoiled in (content[:middle], b"", flipped, bytes(len(content)), content + b
     assert (hits, texts) == (0, [f"the compiled code in {cache_directory()} was damaged, and is compiled again"])
     # and is sound afterwards
     assert run() == (1, [])
+
+# code that checks its indices is neither found as the other, nor left for it
+config.BOUNDSCHECK = 1
+assert [run(), run()] == [(0, []), (1, [])]
+config.BOUNDSCHECK = None
+assert run() == (1, [])
 
 def full(*_):
     raise OSError(28, "No space left on device")

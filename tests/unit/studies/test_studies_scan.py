@@ -74,6 +74,8 @@ def test_tapping_holds_its_amplitude_over_a_dot():
         ({"pixels": 1}, "an image of 1 x 128 is outside"),
         ({"dwell_s": 0.0}, r"dwell \[s\] = 0 must be positive"),
         ({"amplitude_m": float("nan")}, r"amplitude \[m\] = nan must be positive"),
+        ({"proportional": float("nan")}, "proportional gain = nan must be 0 or more"),
+        ({"temperature_k": -1.0}, r"temperature \[K\] = -1 must be 0 or more"),
     ],
 )
 def test_what_cannot_be_imaged_is_refused(changes, what):
