@@ -56,7 +56,7 @@ class Feed:
     def record(self, seen: Seen) -> None:
         """Take a message."""
         if not self.origin_ns:
-            self.origin_ns = seen.t_ns
+            self.origin_ns = self._changes["origin_ns"] = seen.t_ns
         try:
             self._record(seen)
         except (KeyError, TypeError, IndexError, ValueError, AttributeError):

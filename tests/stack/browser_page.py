@@ -19,6 +19,8 @@ ROOT = Path(__file__).resolve().parents[2]
 EMULATOR = ROOT / "services" / "viz_node" / "web" / "node_modules" / "iwer" / "build" / "iwer.min.js"
 # only keeps a broken page from holding the suite
 PATIENCE_S = 60.0
+# lines that the surface on the page has
+FILLED = "telenano.view.surface.filled.filter(Boolean).length"
 # a software renderer: the machines of tests have no graphics
 _FLAGS: tuple[str, ...] = ("--no-sandbox", "--disable-background-networking")
 _FLAGS += ("--disable-gpu", "--enable-unsafe-swiftshader")
@@ -37,6 +39,11 @@ def missing() -> str:
     if not (ROOT / "services" / "viz_node" / "web" / "dist" / "index.html").is_file():
         return "the page has not been built: make page"
     return ""
+
+
+def has(selector: str, text: str) -> str:
+    """Return the expression for whether an element of the page has a text."""
+    return f"document.querySelector({selector!r}).textContent.includes({text!r})"
 
 
 def until(condition: Callable[[], Any], what: str) -> Any:

@@ -85,9 +85,12 @@ def test_the_loss_of_the_link_is_the_share_dropped_since_the_report_before() -> 
 def test_only_what_changed_is_told_again() -> None:
     feed = Feed()
     feed.record(seen("afm/state", "afm_node@slave", mode="follow"))
-    assert feed.take()["state"]["afm/state/slave"]["mode"] == "follow"
+    first = feed.take()
+    assert first["state"]["afm/state/slave"]["mode"] == "follow"
+    # a page that came before anything was said learns when the times of the curves begin
+    assert first["origin_ns"] == feed.snapshot()["origin_ns"] == START_NS
     feed.record(seen("afm/state", "afm_node@slave", mode="follow"))
-    assert "state" not in feed.take()
+    assert not {"state", "origin_ns"} & feed.take().keys()
     feed.record(seen("afm/state", "afm_node@slave", mode="estop"))
     assert feed.take()["state"]["afm/state/slave"]["mode"] == "estop"
     assert feed.snapshot()["state"]["afm/state/slave"]["mode"] == "estop"

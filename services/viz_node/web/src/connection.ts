@@ -1,4 +1,5 @@
 import { PROTOCOL, pack, read, type Answer, type Facts, type ServerFrame } from "./protocol";
+import type { FromSocket, ToSocket } from "./socket.worker";
 
 const FIRST_RETRY_MS = 300;
 const LONGEST_RETRY_MS = 3000;
@@ -7,14 +8,13 @@ const ANSWER_MS = 12_000;
 
 export type LinkState = "connecting" | "open" | "lost" | "refused";
 
-/** The web socket of the page: it says hello, comes back by itself, and matches answers to requests. */
+/** The connection of the page: it says hello, comes back by itself, and matches answers to requests. */
 export class Connection {
   onFrame: (frame: ServerFrame) => void = () => {};
   onState: (state: LinkState, text: string) => void = () => {};
-  /** When the last frame came, on the clock of the page [ms]. */
-  heard = 0;
-  bytes = 0;
-  private socket: WebSocket | undefined;
+  private readonly worker = new Worker(new URL("./socket.worker.ts", import.meta.url), { type: "module" });
+  private isOpen = false;
+  private refusal = "";
   private retry = FIRST_RETRY_MS;
   private issued = 0;
   private readonly sender = crypto.getRandomValues(new Uint32Array(2)).join("");
@@ -23,44 +23,53 @@ export class Connection {
   constructor(
     private readonly url: string,
     private readonly token: string,
-  ) {}
+  ) {
+    this.worker.onmessage = ({ data }: MessageEvent<FromSocket>) => {
+      if (data.k === "frame") this.take(read(data.frame));
+      else if (data.k === "open") this.greet();
+      else this.lose();
+    };
+    this.worker.onerror = () => this.onState("lost", "the page was not loaded as a whole: load it again");
+  }
 
   open(): void {
     this.onState("connecting", "connecting to the server");
-    const socket = new WebSocket(this.url);
-    this.socket = socket;
-    socket.binaryType = "arraybuffer";
-    let refusal = "";
-    socket.onopen = () => socket.send(pack({ k: "hello", token: this.token, protocol: PROTOCOL }));
-    socket.onmessage = (message: MessageEvent<ArrayBuffer>) => {
-      this.heard = performance.now();
-      this.bytes += message.data.byteLength;
-      const frame = read(message.data);
-      if (frame.k === "refused") refusal = frame.text;
-      else if (frame.k === "answer") {
-        this.waiting.get(frame.id)?.(frame);
-        this.waiting.delete(frame.id);
-      } else {
-        if (frame.k === "snapshot") {
-          this.retry = FIRST_RETRY_MS;
-          this.onState("open", "");
-        }
-        this.onFrame(frame);
+    this.refusal = "";
+    this.tell({ open: this.url });
+  }
+
+  private greet(): void {
+    this.isOpen = true;
+    this.send({ k: "hello", token: this.token, protocol: PROTOCOL });
+  }
+
+  private take(frame: ServerFrame): void {
+    if (frame.k === "refused") this.refusal = frame.text;
+    else if (frame.k === "answer") {
+      this.waiting.get(frame.id)?.(frame);
+      this.waiting.delete(frame.id);
+    } else {
+      if (frame.k === "snapshot") {
+        this.retry = FIRST_RETRY_MS;
+        this.onState("open", "");
       }
-    };
-    socket.onclose = () => {
-      for (const [id, answered] of this.waiting) {
-        answered({ k: "answer", id, ok: false, text: "the connection to the server was lost before the answer came" });
-      }
-      this.waiting.clear();
-      // a wrong token stays wrong; a full server may have room later
-      if (refusal.includes("token")) this.onState("refused", refusal);
-      else {
-        this.onState(refusal ? "refused" : "lost", refusal || "the server does not answer; trying again");
-        setTimeout(() => this.open(), this.retry);
-        this.retry = Math.min(LONGEST_RETRY_MS, this.retry * 1.6);
-      }
-    };
+      this.onFrame(frame);
+    }
+  }
+
+  private lose(): void {
+    this.isOpen = false;
+    for (const [id, answered] of this.waiting) {
+      answered({ k: "answer", id, ok: false, text: "the connection to the server was lost before the answer came" });
+    }
+    this.waiting.clear();
+    // a wrong token stays wrong; a full server may have room later
+    if (this.refusal.includes("token")) this.onState("refused", this.refusal);
+    else {
+      this.onState(this.refusal ? "refused" : "lost", this.refusal || "the server does not answer; trying again");
+      setTimeout(() => this.open(), this.retry);
+      this.retry = Math.min(LONGEST_RETRY_MS, this.retry * 1.6);
+    }
   }
 
   /** Send a request and wait for its answer; one that never comes is a refusal in words. */
@@ -82,8 +91,16 @@ export class Connection {
   }
 
   send(fields: Facts): boolean {
-    if (this.socket?.readyState !== WebSocket.OPEN) return false;
-    this.socket.send(pack(fields));
-    return true;
+    if (this.isOpen) this.tell({ frame: pack(fields) });
+    return this.isOpen;
+  }
+
+  /** Say where the virtual hand means to be [m], now and again while it is held; null to let go. */
+  mean(meant_m: number | null): void {
+    this.tell({ meant: meant_m });
+  }
+
+  private tell(message: ToSocket): void {
+    this.worker.postMessage(message);
   }
 }

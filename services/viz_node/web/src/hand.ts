@@ -1,14 +1,13 @@
 import type { Connection } from "./connection";
 import { colour, make, part, quantity } from "./dom";
+import { LIMIT_N, springForce } from "./spring";
 import type { Store } from "./store";
 
-/** The spring between the pointer and the arm: an operator of 200 N/m, softer than a real arm, for the page is late. */
-export const STIFFNESS_N_PER_M = 200;
-export const LIMIT_N = 5;
 /** Height of the pad in the travel of the arm [m]. */
 const TRAVEL_M = 0.025;
 const TOP_M = -0.005;
-const SEND_MS = 15;
+/** How often the page says that it still means what it said: the spring lets go without it. */
+const SAY_MS = 50;
 /** The force of the tip at which a gamepad rumbles with all it has, and from which it does [N]. */
 const RUMBLE_N = 3;
 const LEAST_FELT_N = 0.03;
@@ -18,12 +17,6 @@ const RUMBLE_EVERY_MS = 90;
 /** A stick pushed to its end means to be this far [m]. */
 const STICK_M = 0.015;
 const DEAD = 0.12;
-
-/** The force of a hand that means to be at one place while the arm is at another [N], towards the sample. */
-export function springForce(meant_m: number, arm_m: number): number {
-  const force = STIFFNESS_N_PER_M * (meant_m - arm_m);
-  return Math.max(-LIMIT_N, Math.min(LIMIT_N, force));
-}
 
 /** How strongly a gamepad rumbles for a force that comes back [N]: from 0 to 1, and not for what a hand would not feel. */
 export function rumbleStrength(back_n: number): number {
@@ -50,8 +43,6 @@ export class Hand {
   private readonly keepButton = make("button", { type: "button", id: "hand-keep", "aria-pressed": "false", title: "The hand stays where it is, and the pointer is free for the other controls", onclick: () => this.toggleKeep() }, "Keep holding");
   private meant: number | undefined;
   private grabbedAt = { y: 0, arm: 0 };
-  private force = 0;
-  private sentAt = 0;
   private refusal = "";
   private rumbledAt = 0;
 
@@ -84,7 +75,7 @@ export class Hand {
     // who does not see the page must not push
     document.addEventListener("visibilitychange", () => document.hidden && this.letGo());
     // a timer and not the frames: a page in the background draws none, and its hand has to be let go in any case
-    setInterval(() => this.send(), SEND_MS);
+    setInterval(() => this.say(), SAY_MS);
   }
 
   build(): void {
@@ -122,9 +113,10 @@ export class Hand {
     }
     const x = width * 0.55;
     const arm = toY(this.arm);
+    const force = this.meant === undefined ? 0 : springForce(this.meant, this.arm);
     if (this.meant !== undefined) {
       pen.strokeStyle = colour("accent");
-      pen.lineWidth = 1 + 3 * Math.abs(this.force / LIMIT_N);
+      pen.lineWidth = 1 + 3 * Math.abs(force / LIMIT_N);
       pen.setLineDash([4, 3]);
       pen.beginPath();
       pen.moveTo(x, arm);
@@ -141,11 +133,11 @@ export class Hand {
       pen.fillRect(x + 18, arm, 5, -(back / LIMIT_N) * height * 0.4);
       pen.fillText(`${back.toFixed(2)} N`, x + 28, arm + 4);
     }
-    const own = this.meant === undefined ? "Drag down to push" : `Your force ${quantity(this.force, "N")}`;
+    const own = this.meant === undefined ? "Drag down to push" : `Your force ${quantity(force, "N")}`;
     this.text.textContent = this.refusal || `${own} · felt from the tip ${quantity(back, "N")}`;
     this.pad.dataset["held"] = String(this.meant !== undefined);
-    this.pad.setAttribute("aria-valuenow", this.force.toFixed(2));
-    this.pad.setAttribute("aria-valuetext", `${this.force.toFixed(2)} N, ${back.toFixed(2)} N felt from the tip`);
+    this.pad.setAttribute("aria-valuenow", force.toFixed(2));
+    this.pad.setAttribute("aria-valuetext", `${force.toFixed(2)} N, ${back.toFixed(2)} N felt from the tip`);
     this.rumble(back);
   }
 
@@ -157,6 +149,7 @@ export class Hand {
   private hold(meant_m: number): void {
     this.refusal = "";
     this.meant = Math.max(TOP_M, Math.min(TOP_M + TRAVEL_M, meant_m));
+    this.say();
   }
 
   private get isKept(): boolean {
@@ -177,16 +170,12 @@ export class Hand {
     this.keepButton.setAttribute("aria-pressed", "false");
     if (this.meant === undefined) return;
     this.meant = undefined;
-    this.force = 0;
     for (const motor of motors()) void motor.reset().catch(() => undefined);
-    this.connection.send({ k: "hand", force_n: 0, held: false });
+    this.connection.mean(null);
   }
 
-  private send(): void {
-    if (this.meant === undefined || performance.now() - this.sentAt < SEND_MS - 2) return;
-    this.sentAt = performance.now();
-    this.force = springForce(this.meant, this.arm);
-    this.connection.send({ k: "hand", force_n: this.force, held: true });
+  private say(): void {
+    if (this.meant !== undefined) this.connection.mean(this.meant);
   }
 
   private stick = false;

@@ -71,6 +71,8 @@ export interface SourceAbout {
 export type Facts = Record<string, unknown>;
 
 export interface Changes {
+  /** Time of the publishers at which the times of the curves begin [ns], to a quarter of a microsecond. */
+  origin_ns?: number;
   nodes?: Record<string, NodeFacts>;
   state?: Record<string, Facts>;
   events?: EventFacts[];

@@ -333,7 +333,7 @@ export class Scopes {
     this.pauseButton = make("button", { type: "button", id: "pause", "aria-pressed": "false", onclick: () => this.pause() }, "Pause");
     const toolbar = make("div", { class: "toolbar" }, make("h2", {}, "Scopes"), make("span", { class: "spacer" }), "Span", select, this.pauseButton);
     toolbar.append(
-      make("button", { type: "button", onclick: () => this.savePicture() }, "Save PNG"),
+      make("button", { type: "button", id: "save-png", onclick: () => this.savePicture() }, "Save PNG"),
       make("button", { type: "button", id: "save-csv", onclick: () => save("telenano-scopes.csv", new Blob([this.csv()], { type: "text/csv" })) }, "Save CSV"),
     );
     const plots = make("div", { class: "plots" });
@@ -389,10 +389,10 @@ export class Scopes {
     this.invalidate();
   }
 
-  /** Every sample of the span that is shown, in SI units: a block of lines for each stream. */
+  /** Every sample of the span that is shown, in SI units: when the times begin, then a block of lines for each stream. */
   csv(): string {
     const to = this.pausedAt ?? this.playhead.at;
-    const lines = ["stream,time_s,column,value,unit"];
+    const lines = ["stream,time_s,column,value,unit", `session,0.000000,t_ns,${this.store.originNs},ns`];
     for (const [name, ring] of this.store.rings) {
       const columns = this.store.streams.get(name)?.columns ?? [];
       for (let i = ring.indexAt(to - this.span); i < ring.length && ring.time(i) <= to; i++) {

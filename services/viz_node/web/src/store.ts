@@ -46,6 +46,7 @@ export class Store {
   hand = false;
   forms: Facts = {};
   source: SourceAbout = { kind: "live", name: "" };
+  originNs = 0;
   nodes = new Map<string, Node>();
   state = new Map<string, Facts>();
   events: EventFacts[] = [];
@@ -63,6 +64,7 @@ export class Store {
     this.hand = snapshot.hand;
     this.forms = snapshot.forms;
     this.source = snapshot.source;
+    this.originNs = snapshot.origin_ns ?? 0;
     this.nodes.clear();
     this.state.clear();
     this.events = [];
@@ -91,6 +93,7 @@ export class Store {
     for (const [name, data] of Object.entries(tick.streams ?? {})) this.push(name, data);
     if (tick.lines?.length) this.onLines(tick.lines);
     if (tick.source) this.source = tick.source;
+    if (tick.origin_ns) this.originNs = tick.origin_ns;
   }
 
   /** Nodes that have stopped reporting; those of a recording come at the pace of the recording. */

@@ -1,0 +1,213 @@
+"""The page without a rig: it plays a recording, is told of an image line by line, and finds its server again."""
+
+import os
+import re
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from browser_page import FILLED, Page, View, browser, has, needs_browser, open_page, until
+
+from presets import DEFAULT_SITE_FILE
+from proto import encode
+from proto.messages import AfmScanline, Array
+from recording.writer import RecordingWriter
+from services.recorder.config import RecorderConfig
+from services.runtime.bus import ZmqPublisher
+from services.runtime.main import load_site
+from services.runtime.participant import open_participant
+from services.viz_node.requests import PROTOCOL
+
+pytestmark = [pytest.mark.browser, needs_browser]
+
+# an image of 96 x 96 points over 120 nm: terraces of mica with a grain on them
+POINTS = 96
+SIZE_M = 120e-9
+EPOCH_NS = 10**18
+TIP = "afm_node@slave"
+LINE_NS = 20_000_000
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    with browser() as found:
+        yield found
+
+
+def heights_m(line: int) -> Any:
+    """Return a line of an image: terraces of mica with a grain on them."""
+    x, y = np.linspace(0.0, 1.0, POINTS), line / (POINTS - 1)
+    terrace = 1e-9 * (np.floor(3.0 * (0.7 * x + 0.4 * y)))
+    grain = 6e-9 * np.exp(-((x - 0.62) ** 2 + (y - 0.45) ** 2) / 0.012)
+    return terrace + grain + 0.05e-9 * np.sin(60.0 * x + 9.0 * y)
+
+
+def scanline(line: int) -> dict[str, Any]:
+    """Return the fields of a line of the image."""
+    y_m = (line / (POINTS - 1) - 0.5) * SIZE_M
+    return {
+        "line": line,
+        "lines": POINTS,
+        "direction": "trace",
+        "start_m": (-SIZE_M / 2, y_m, 0.0),
+        "end_m": (SIZE_M / 2, y_m, 0.0),
+        "height_m": Array.from_numpy(heights_m(line)),
+        "amplitude_m": None,
+        "phase_rad": None,
+    }
+
+
+def scanned(folder: Path) -> Path:
+    """Write a recording of an image, line by line."""
+    writer = RecordingWriter.create("recorder@master", RecorderConfig(directory=folder))
+    channel = writer.channel("afm/scanline", TIP, "slave")
+    for line in range(POINTS):
+        t_ns = EPOCH_NS + line * LINE_NS
+        message = AfmScanline(seq=line, t_ns=t_ns, src=TIP, v=1, **scanline(line))
+        writer.write(channel, t_ns, t_ns, line, encode(message))
+    writer.finish()
+    return writer.path
+
+
+def check_section_and_pick(page: Page) -> None:
+    """Look at the middle of the image: the section through it and a picked point are what was measured."""
+    page.click("#section")
+    page.until("telenano.view.section.profile", "a section along the lines")
+    profile = page.value("telenano.view.section.profile")
+    middle = heights_m((POINTS - 1) // 2), heights_m(POINTS // 2)
+    measured_nm = 0.5e9 * (middle[0] + middle[1])
+    where = np.linspace(0.0, SIZE_M * 1e9, POINTS)
+    found = np.interp(where, profile["distance"], profile["height"])
+    # terraces are steps, which lie between two samples of the section
+    off_nm = np.abs(found - measured_nm)
+    assert np.median(off_nm) < 0.01
+    assert np.count_nonzero(off_nm > 0.1) <= 4
+    page.click("#section")
+    box = page.page.locator("#scene > canvas").bounding_box()
+    page.page.mouse.dblclick(box["x"] + box["width"] / 2, box["y"] + 0.55 * box["height"])
+    page.until("/Measured point/.test(document.querySelector('#scene .note').textContent)", "a picked point")
+    note = page.page.inner_text("#scene .note")
+    numbers = re.search(r"Measured point (\d+) of line (\d+): x (\S+) nm, y (\S+) nm, z (\S+) nm", note)
+    assert numbers is not None, note
+    point, line = int(numbers[1]), int(numbers[2])
+    step_nm = SIZE_M * 1e9 / (POINTS - 1)
+    expected = (-SIZE_M * 5e8 + point * step_nm, -SIZE_M * 5e8 + line * step_nm, 1e9 * heights_m(line)[point])
+    assert [float(number) for number in numbers.groups()[2:]] == pytest.approx(expected, abs=1.1e-3)
+
+
+@pytest.mark.endurance
+def test_a_scan_grows_on_the_page_while_it_runs(chromium: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    with tempfile.TemporaryDirectory(prefix="tnv-") as folder:
+        monkeypatch.setenv("TELENANO_RUNTIME_DIR", folder)
+        with open_participant(TIP, load_site(DEFAULT_SITE_FILE)) as participant:
+            instrument = participant.bind(TIP)
+            view = View(dict(os.environ))
+            try:
+                page = open_page(chromium, view.operator)
+                assert page.value("telenano.view.surface.isEmpty")
+                for line in range(POINTS):
+                    # the first finds the page connected when it arrives, or is sent again
+                    until(lambda line=line: shown(page, instrument, line), f"line {line} on the page")
+                least, greatest = page.value("[telenano.view.surface.least, telenano.view.surface.greatest]")
+                assert greatest - least == pytest.approx(8.0, rel=0.2)
+                assert page.faults == []
+            finally:
+                view.close()
+
+
+def shown(page: Page, instrument: ZmqPublisher, line: int) -> bool:
+    """Publish a line, and return whether the page then has as many as were published."""
+    if page.value(FILLED) <= line:
+        instrument.publish("afm/scanline", **scanline(line))
+    return bool(page.value(FILLED) == line + 1)
+
+
+def test_a_recording_plays_and_its_surface_grows(chromium: Any, tmp_path: Path) -> None:
+    view = View(dict(os.environ), str(scanned(tmp_path)))
+    try:
+        page = open_page(chromium, view.operator)
+        page.until("telenano.view.surface.greatest > 0", "the first lines of the surface")
+        page.until("telenano.store.source.playing === false", "the end of the recording")
+        least, greatest = page.value("[telenano.view.surface.least, telenano.view.surface.greatest]")
+        assert greatest - least == pytest.approx(8.0, rel=0.2)
+        check_section_and_pick(page)
+        check_exaggeration(page)
+        assert "acknowledged" in page.answered(lambda: page.click("#play"))
+        page.until("telenano.store.source.playing === true", "a recording that plays again")
+        assert "acknowledged" in page.answered(lambda: page.click("#play"))
+        page.until("telenano.store.source.playing === false", "a recording that pauses")
+        half_s = LINE_NS * 1e-9 * POINTS / 2
+        sought = f"field => {{ field.value = {half_s}; field.dispatchEvent(new Event('change')); }}"
+        assert "acknowledged" in page.answered(lambda: page.page.locator("#place").evaluate(sought))
+        page.until(f"{FILLED} === {POINTS // 2 + 1}", "the surface as it was half way")
+        page.choose("#rate", "10")
+        assert "acknowledged" in page.answered(lambda: page.click("#play"))
+        page.until(f"{FILLED} === {POINTS}", "the whole surface again")
+        assert page.faults == []
+        check_old_page(chromium, view)
+        check_wrong_token(chromium, view)
+    finally:
+        view.close()
+
+
+@pytest.mark.endurance
+def test_a_page_says_that_the_server_is_gone_and_comes_back_by_itself(chromium: Any, tmp_path: Path) -> None:
+    environment = {**os.environ, "TELENANO_VIEW_OPERATOR_TOKEN": "operator-of-the-tests"}
+    recording = str(scanned(tmp_path))
+    view = View(environment, recording)
+    try:
+        page = open_page(chromium, view.operator)
+        view.close()
+        until(lambda: "DISCONNECTED" in page.banners(), "the banner of a lost server")
+        port = view.operator.partition("/#")[0].rpartition(":")[2]
+        view = View(environment, "--port", port, recording)
+        until(lambda: "REPLAYED" in page.banners(), "a page that is connected again")
+        page.until(f"{FILLED} > 0", "what the server sends")
+        page.page.context.close()
+    finally:
+        view.close()
+
+
+def check_exaggeration(page: Page) -> None:
+    """Draw heights five times as high: the page says so, and what is picked keeps its measured height."""
+    page.choose("#stretch", "5")
+    page.until("telenano.view.surface.mesh.scale.z === 5", "heights five times as high")
+    page.until(has("#scene .note", "drawn 5 times as high"), "the factor in words")
+    picked = page.value("telenano.view.mark.position.z / 5 + telenano.view.surface.least")
+    assert picked == pytest.approx(page.value("telenano.view.markHeight"), abs=1e-6)
+    page.choose("#stretch", "1")
+    page.until(has("#scene .note", "as measured, to scale"), "heights to scale")
+
+
+def check_wrong_token(chromium: Any, view: View) -> None:
+    """Open the page with a token that is none: it says what to do, and does not try again and again."""
+    window = chromium.new_context()
+    page = Page(window.new_page())
+    page.page.goto(f"{view.operator.partition('#')[0]}#not-the-token-0123", wait_until="commit")
+    page.page.wait_for_selector("#banners .banner", state="attached")
+    until(lambda: "the token is wrong: open the address that the view printed" in page.banners(), "what is wrong")
+    assert page.value("telenano.store.streams.size") == 0
+    window.close()
+
+
+def check_old_page(chromium: Any, view: View) -> None:
+    """Open the page as one of an older version would be: it says what to do, and is admitted to nothing."""
+    window = chromium.new_context()
+    replaced: list[int] = []
+
+    def older(route: Any) -> None:
+        script = route.fetch().text()
+        replaced.append(script.count(f"protocol:{PROTOCOL}"))
+        route.fulfill(body=script.replace(f"protocol:{PROTOCOL}", "protocol:0"), content_type="text/javascript")
+
+    window.route("**/assets/*.js", older)
+    page = Page(window.new_page())
+    page.page.goto(view.operator, wait_until="commit")
+    page.page.wait_for_selector("#banners .banner", state="attached")
+    until(lambda: "load the page again" in page.banners(), "what an old page says")
+    assert sum(replaced) == 1
+    assert page.value("telenano.store.streams.size") == 0
+    window.close()
