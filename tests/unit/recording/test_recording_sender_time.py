@@ -16,7 +16,7 @@ from recording.channel_filter import ALL, Selection
 from recording.reader import Recording
 from recording.writer import RecordingWriter
 from services.player.playback import Playback, Span
-from services.player.sender_time import SenderClock, SenderOrder, Sent
+from recording.sender_time import SenderClock, SenderOrder, Sent
 from services.recorder.config import RecorderConfig
 
 SECOND_NS = 1_000_000_000
