@@ -58,6 +58,16 @@ def title(found: dict[str, Any]) -> str:
     return ", ".join(words)
 
 
+def described(scenario: str, found: dict[str, Any]) -> str:
+    """Return all conditions in words, for the inside of a file: a figure for a paper has no title."""
+    parameters = ", ".join(f"{key}={value}" for key, value in found["parameters"].items())
+    return (
+        f"{scenario}, {title(found)}; parameters: {parameters}; changed: {', '.join(found['changed']) or 'nothing'}; "
+        f"link profile {found['link_profile']}, seed {found['link_seed']}; "
+        f"telenano {found['version']}, commit {found['commit']}"
+    )
+
+
 def _law_status(recording: RecordingSource, start_ns: int, end_ns: int) -> tuple[list[str], float | None]:
     if not any(channel.channel_topic == "law/status" for channel in recording.channels):
         return [], None

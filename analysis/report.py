@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
-from analysis.conditions import conditions, title
+from analysis.conditions import conditions, described, title
 from analysis.holds import Instrument, judge_holds, verdict_of
 from analysis.missing import Spans, account, cut_off, gaps
 from proto import TOPICS
@@ -110,7 +110,8 @@ def write_report(
     summary = summarise(session, recording.info(), read_traffic(recording, session), missing)
     # a node that stood still leaves a gap as well, which is no fault of the recording
     gaps_s = () if summary["recording"]["complete"] else session.gaps_s()
-    figures = fig12_files(session.series(gaps_s), _title(session, summary), options)
+    origin = described(session.scenario, session.conditions)
+    figures = fig12_files(session.series(gaps_s), _title(session, summary), options, origin)
     text = json.dumps(summary, indent=2) + "\n"
     try:
         write_files(out, {**figures, "summary.json": text.encode()})

@@ -14,17 +14,19 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("proto", "presets", "recording", "services", "analysis", "studies", "telenano")
 STUDY = (
-    *("study", "stability", "--law", "virtual_impedance", "--environment", "spring", "--stiffness", "20"),
+    *("study", "stability", "--law", "virtual_impedance", "--environment", "contact", "--stiffness", "40"),
     *("--delay", "0,20", "--duration", "1", "--workers", "1", "--json", "--out"),
 )
 # what is done, the file, a text in it and what takes its place
 LAW = "services/controller/laws/virtual_impedance.py"
+MODEL = "services/afm_node/lennard_jones.py"
 EDITS = (
     ("nothing", LAW, "", ""),
     ("a comment in the figures of studies", "studies/figures.py", '"""\n\nfrom', '"""\n\n# a comment\nfrom'),
     ("lines above the law of the study", LAW, '"""\n\nfrom', '"""\n\n# lines\n\nfrom'),
     ("another law", "services/controller/laws/wave.py", "+= 0.5 *", "+= 0.25 * 2.0 *"),
     ("the law of the study", LAW, "- scaled_force\n", "- 1.0 * scaled_force\n"),
+    ("a model of the instrument", MODEL, "q8 = q2 * q2", "q8 = 1.0 * q2 * q2"),
 )
 
 
@@ -37,7 +39,7 @@ def main() -> None:
             shutil.copytree(ROOT / name, sources / name, ignore=ignored)
         environment = {**os.environ, "PYTHONPATH": str(sources), "XDG_CACHE_HOME": str(cache)}
         cold_s, compiled, _ = study(environment, Path(folder) / "cold")
-        print(f"{'cold':40s} {compiled:4d} functions compiled, 1.00 of the time")
+        print(f"{'cold':40s} {compiled:4d} functions compiled, 1.00 of the time ({cold_s:.1f} s)")
         for number, (what, file, old, new) in enumerate(EDITS):
             path = sources / file
             text = path.read_text()

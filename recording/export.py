@@ -6,6 +6,7 @@ import json
 import os
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -22,6 +23,7 @@ from recording.quantities import quantity
 from recording.reader import Recording
 from recording.records import RECORDS
 from recording.rewrite import CopyResult, CopyWriter
+from recording.sender_time import SenderClock, SenderOrder
 from recording.tables import plain, table
 
 Format = Literal["parquet", "csv", "hdf5", "mcap-json", "mcap-protobuf"]
@@ -32,9 +34,10 @@ def export_recording(source: Path, target: Path, kind: Format, selection: Select
     """Write the chosen channels of a recording in another format.
 
     `parquet` and `csv` make a folder with a file for each channel, `hdf5` a file with a group for each, `mcap-json` and
-    `mcap-protobuf` an MCAP file, in which a topic of several publishers has a channel for each. Columns carry unit and
-    description: as metadata of a field (`parquet`), as attributes of a dataset (`hdf5`), in the table `columns.csv`
-    (`csv`), in the schema (`mcap-json`, `mcap-protobuf`).
+    `mcap-protobuf` an MCAP file, in which a topic of several publishers has a channel for each, and messages the time
+    of their sending. Columns carry unit and description: as metadata of a field (`parquet`), as attributes of a dataset
+    (`hdf5`), in the table `columns.csv` (`csv`), in the schema (`mcap-json`, `mcap-protobuf`). Attachments and metadata
+    of the recording, so scenario, versions and seeds, go along: as files beside the tables (`csv`), else inside.
 
     Raises RecordingError when nothing is selected, the source is not a recording, or the target exists or cannot be
     written, ConfigError when a package that the format needs is not installed.
@@ -68,6 +71,7 @@ def _export(recording: Recording, target: Path, kind: Format, selection: Selecti
         total += len(columns["log_ns"])
     if kind == "csv":
         _write_rows(target / "columns.csv", described)
+        _write_origin(target, recording)
     return CopyResult(path=str(target), messages=total, skipped=describe_damage(recording.structural_damage))
 
 
@@ -132,6 +136,17 @@ def _write_rows(path: Path, rows: list[tuple[Any, ...]]) -> None:
         csv.writer(file).writerows(rows)
 
 
+def _write_origin(folder: Path, recording: Recording) -> None:
+    """Write where tables of text are from: scenario, site file and what else is attached, and `metadata.json`."""
+    text = json.dumps(recording.metadata, indent=2, ensure_ascii=False)
+    (folder / "metadata.json").write_text(text + "\n", encoding="utf-8")
+    for name, data in recording.attachments.items():
+        # a recording may come from anybody: no folder but this one
+        path = folder / file_stem(name).replace("\\", "_").lstrip(".")
+        if not path.exists():
+            path.write_bytes(data)
+
+
 def _parquet_writer(recording: Recording) -> Callable[[Path, str, Columns], None]:
     arrow, parquet = _package("pyarrow", "parquet"), _package("pyarrow.parquet", "parquet")
     origin = {f"telenano.{name}": json.dumps(facts) for name, facts in recording.metadata.items()}
@@ -193,12 +208,15 @@ def _export_mcap(
 ) -> CopyResult:
     skipped: list[Damage] = list(recording.structural_damage)
     refused: list[str] = []
+    # viewers draw by log_time, and against the recorder's a ramp is a staircase
+    select = partial(recording.select, report=skipped.append)
+    sent = SenderOrder(recording, selection, SenderClock(recording), select=select, ends=True)
     publishers = Counter(name for name, _ in {(channel.channel_topic, channel.src) for channel in recording.channels})
     payloads = {channel.topic: payload_of(channel.topic) for channel in recording.channels if selection(channel)}
     channels: dict[RecordedChannel, RawChannel] = {}
     with CopyWriter(target, profile="") as writer:
         writer.copy_attachments_and_metadata([recording])
-        for message in recording.select(selection, report=skipped.append):
+        for sent_ns, _, message in sent:
             payload = payloads[message.topic]
             if message.channel not in channels:
                 several = publishers[message.channel_topic] > 1
@@ -208,7 +226,7 @@ def _export_mcap(
             except (TypeError, ValueError) as error:
                 refused.append(f"{message.channel_topic}, seq {message.seq}: {error}")
                 continue
-            writer.add(RawMessage(channels[message.channel], message.log_ns, message.publish_ns, message.seq, data))
+            writer.add(RawMessage(channels[message.channel], sent_ns, message.publish_ns, message.seq, data))
     return CopyResult(path=str(target), messages=writer.messages, skipped=(*describe_damage(skipped), *refused))
 
 

@@ -132,7 +132,7 @@ def write_comparison(result: Comparison, out: Path, command: str, options: Figur
             },
             **spectrum_figures(result.spectra),
         }
-        images = write_images(out, figures, options)
+        images = write_images(out, figures, command, options)
     write_parquet(out / "compare.parquet", [cell.as_dict() for cell in (*result.good, *result.bad)])
     write_parquet(out / "merits.parquet", [merit.as_dict() for merit in result.merits])
     write_parquet(out / "spectra.parquet", [row for found in result.spectra for row in found.rows()])

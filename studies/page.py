@@ -112,10 +112,17 @@ def png_of(figure: "Figure") -> bytes:
     return buffer.getvalue()
 
 
-def write_images(out: Path, figures: "Mapping[str, Figure]", options: FigureOptions = ON_SCREEN) -> dict[str, bytes]:
-    """Write figures into a folder in their formats; return each as PNG, by file name, for a page."""
+def write_images(
+    out: Path, figures: "Mapping[str, Figure]", command: str, options: FigureOptions = ON_SCREEN
+) -> dict[str, bytes]:
+    """Write figures into a folder in their formats; return each as PNG, by file name, for a page.
+
+    Parameters: command that makes them, which each file has in it with the version.
+    """
+    found = versions()
+    origin = f"{command}; telenano {found['package telenano']}, commit {found['commit']}"
     for stem, figure in figures.items():
-        for name, content in drawn(figure, stem, options).items():
+        for name, content in drawn(figure, stem, options, origin).items():
             (out / name).write_bytes(content)
     return {f"{stem}.png": png_of(figure) for stem, figure in figures.items()}
 

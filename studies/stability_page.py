@@ -58,7 +58,7 @@ def write_stability(
         if (ports := two_port_figure(results)) is not None:
             figures["two_ports"] = ports
         figures["energy"] = energy_figure(results)
-        images = write_images(out, figures, options)
+        images = write_images(out, figures, command, options)
     write_parquet(out / "stability.parquet", [row.as_dict() for result in results for row in result.cells])
     (out / "stability.json").write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
     _page(results, images, command).write(out / "stability.html")

@@ -229,13 +229,16 @@ def check_law(name: str) -> dict[str, list[str]]:
 def live(site_file: str | os.PathLike[str] | None = None) -> Iterator[LiveRig]:
     """Connect to a running rig, by the packaged site file of one machine or one of your own.
 
-    Raises: ConfigError naming what is wrong with the site file, or the key that this machine lacks.
+    Raises: ConfigError naming what is wrong with the site file, or the key that this machine lacks; RigError where no
+    rig of the site file runs.
     """
     from presets import DEFAULT_SITE_FILE
     from services.runtime.main import load_site
-    from services.runtime.observer import Observer
+    from services.runtime.observer import Observer, require_rig
 
-    book = load_site(Path(site_file) if site_file is not None else DEFAULT_SITE_FILE)
+    path = Path(site_file) if site_file is not None else DEFAULT_SITE_FILE
+    book = load_site(path)
+    require_rig(book, path)
     with closing(Observer(book)) as observer:
         yield LiveRig(observer)
 

@@ -17,7 +17,7 @@ from services.runtime.bus import ZmqPublisher
 from services.runtime.commands import Command, CommandClient
 from services.runtime.ends import publish_end
 from services.runtime.main import load_site
-from services.runtime.observer import RIG_HINT
+from services.runtime.observer import RIG_HINT, require_rig
 from services.runtime.participant import Participant, open_participant
 from services.runtime.security.keyring import MACHINE_VARIABLE, Keyring, this_machine
 
@@ -106,6 +106,7 @@ def send_control(
         console = console_of(book, site)
     except ConfigError as error:
         raise ConfigError(f"{site_file}: {error}") from error
+    require_rig(book, site_file)
     with open_participant(console, book) as participant:
         publisher = _bind(participant)
         subscribers = participant.subscribers(book.sources(console, ["session/event", "node/health"]))

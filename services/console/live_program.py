@@ -16,7 +16,7 @@ from proto.nodes import TIP, Site
 from services.console.command_client import send_control
 from services.runtime.commands import Command
 from services.runtime.main import load_site
-from services.runtime.observer import RIG_HINT, Observer
+from services.runtime.observer import RIG_HINT, Observer, require_rig
 
 Array = npt.NDArray[np.float64]
 
@@ -110,7 +110,9 @@ def run_program(
     silent.
     """
     topics = (*_TOPICS, "afm/state") if isinstance(collected, LiveCurve) else _TOPICS
-    with closing(Observer(load_site(site_file), topics)) as observer:
+    book = load_site(site_file)
+    require_rig(book, site_file)
+    with closing(Observer(book, topics)) as observer:
         _await_instrument(observer)
         _send(site_file, site, parameters)
         listener = _Listener(observer, collected)

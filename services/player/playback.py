@@ -10,7 +10,7 @@ from proto import TOPICS
 from proto.errors import RecordingError
 from recording.messages import ChannelFilter, RecordedChannel, RecordedMessage
 from recording.multi_file import RecordingSource
-from services.player.sender_time import SenderClock, SenderOrder, Sent
+from recording.sender_time import SenderClock, SenderOrder, Sent
 
 _NS = 1e9
 _LONGEST_S = 1e9

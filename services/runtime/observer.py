@@ -13,7 +13,7 @@ import zmq
 
 from proto import TOPICS
 from proto.errors import ConfigError, RigError
-from proto.nodes import site_of
+from proto.nodes import is_visitor, site_of
 from proto.sequence import SequenceTracker
 from services.runtime.address_book import AddressBook
 from services.runtime.bus import ConnectionEvent, Received
@@ -87,14 +87,28 @@ class Observer:
     def close(self) -> None:
         self._open.close()
 
+    @property
+    def silent(self) -> bool:
+        """Return whether nothing has been received yet."""
+        return not any(subscriber.trackers for subscriber in self.subscribers.values())
+
 
 def nobody_runs(book: AddressBook) -> bool:
-    """Return whether a rig cannot be running: all of its sockets would be on this machine, and none of them is."""
-    endpoints = [entry.local for entry in book.nodes.values()]
+    """Return whether a rig cannot be running: all of its sockets would be on this machine, and none of them is.
+
+    Those of consoles, players and pages say nothing of a rig: one that was killed leaves its socket behind.
+    """
+    endpoints = [entry.local for node, entry in book.nodes.items() if not is_visitor(node)]
     if any(entry.network is not None for entry in book.nodes.values()):
         return False
     paths = [Path(local_endpoint(text).removeprefix("ipc://")) for text in endpoints if text is not None]
     return not any(path.exists() for path in paths)
+
+
+def require_rig(book: AddressBook, site_file: Path) -> None:
+    """Raise RigError at once where no rig can be running, in the place of waiting for messages in vain."""
+    if nobody_runs(book):
+        raise RigError(f"{site_file}: no rig of this site file runs on this machine: {RIG_HINT}")
 
 
 def list_topics(observer: Observer, duration_s: float) -> list[dict[str, Any]]:

@@ -69,9 +69,11 @@ def draw_fig12(series: SessionSeries, title: str, options: FigureOptions = ON_SC
     return figure
 
 
-def fig12_files(series: SessionSeries, title: str, options: FigureOptions = ON_SCREEN) -> dict[str, bytes]:
-    """Return the figure in its formats, by file name."""
-    return drawn(draw_fig12(series, title, options), "fig12", options)
+def fig12_files(
+    series: SessionSeries, title: str, options: FigureOptions = ON_SCREEN, origin: str = ""
+) -> dict[str, bytes]:
+    """Return the figure in its formats, by file name; each has in it what it was made from, in words."""
+    return drawn(draw_fig12(series, title, options), "fig12", options, origin)
 
 
 def _draw_forces(axes: Axes, series: SessionSeries) -> None:

@@ -92,13 +92,20 @@ def styled(options: FigureOptions) -> Iterator[None]:
         yield
 
 
-def drawn(figure: "Figure", stem: str, options: FigureOptions) -> dict[str, bytes]:
-    """Return a figure as the content of its files, by name."""
+def drawn(figure: "Figure", stem: str, options: FigureOptions, origin: str = "") -> dict[str, bytes]:
+    """Return a figure as the content of its files, by name; each has in it what it was made from.
+
+    Parameters: origin, in words: the Description of PNG and SVG, the Subject of PDF.
+    """
     files = {}
     for name in options.formats:
         buffer = io.BytesIO()
         # no time of making: the same session gives the same bytes
-        metadata = {"png": {}, "pdf": {"CreationDate": None}, "svg": {"Date": None}}[name]
+        metadata = {
+            "png": {"Description": origin},
+            "pdf": {"Subject": origin, "CreationDate": None},
+            "svg": {"Description": origin, "Date": None},
+        }[name]
         with styled(options):
             figure.savefig(buffer, format=name, dpi=_DOTS_PER_INCH[options.style], metadata=metadata)
         files[f"{stem}.{name}"] = buffer.getvalue()

@@ -7,9 +7,10 @@ from typing import Annotated
 import typer
 
 from presets import DEFAULT_SITE_FILE
-from proto.errors import ConfigError
+from proto.errors import ConfigError, RigError
 from services.recorder.live import LiveRecording
 from services.runtime.main import load_site
+from services.runtime.observer import RIG_HINT, nobody_runs
 from telenano.foxglove_bridge import DEFAULT_PORT, DEFAULT_RATE_HZ, Bridge, FoxgloveServer
 from telenano.options import DurationOption, SiteFileOption, command_group
 from telenano.output import report_errors
@@ -38,7 +39,14 @@ def foxglove(
     with report_errors(False):
         if importlib.util.find_spec("foxglove") is None:
             raise ConfigError("foxglove-sdk is not installed: pip install 'telenano[foxglove]'")
-        with LiveRecording(load_site(site_file)) as live, contextlib.closing(FoxgloveServer(host, port)) as server:
+        book = load_site(site_file)
+        with LiveRecording(book) as live, contextlib.closing(FoxgloveServer(host, port)) as server:
             typer.echo(f"open ws://{host}:{server.port} in Foxglove or Lichtblick")
+            if nobody_runs(book):
+                # one may be started after its bridge
+                typer.echo("telenano: no rig of this site file runs on this machine yet; waiting for one", err=True)
+            handed_on = Bridge(server, rate)
             with contextlib.suppress(KeyboardInterrupt):
-                Bridge(server, rate).run(live.messages(duration_s=duration))
+                handed_on.run(live.messages(duration_s=duration))
+            if not handed_on.sent:
+                raise RigError(f"nothing was received: {RIG_HINT}")

@@ -54,6 +54,7 @@ def compare_sessions(
     # it imports matplotlib, which takes a second
     from analysis.compare import beside, compare_figure, rows_of
     from analysis.compare import compare as read
+    from analysis.conditions import described
     from analysis.published import paper_points, read_published
     from analysis.report import write_files
     from services.viz_node.figure_style import drawn
@@ -66,7 +67,8 @@ def compare_sessions(
     writer.writeheader()
     writer.writerows(rows)
     summaries = {session.name: session.summary for session in found}
-    files = drawn(compare_figure(found, options, points), "compare", options)
+    origin = "\n".join(f"{name}: {described(summary['scenario'], summary)}" for name, _, summary in found)
+    files = drawn(compare_figure(found, options, points), "compare", options, origin)
     files["compare.csv"] = table.getvalue().encode()
     files["compare.json"] = _json(summaries)
     if points:

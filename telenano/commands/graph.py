@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from presets import DEFAULT_SITE_FILE
+from proto.errors import RigError
 from telenano.options import JsonOption, SiteFileOption
 from telenano.output import print_json, print_rows, report_errors
 
@@ -31,7 +32,7 @@ def graph(
 ) -> None:
     """Draw the nodes of the loop, and the topics between them with their rates [Hz]."""
     with report_errors(as_json):
-        from services.runtime.observer import list_topics
+        from services.runtime.observer import RIG_HINT, list_topics
         from telenano.commands.topic import open_observer
         from telenano.rig_graph import dot, edges, mermaid
 
@@ -39,6 +40,8 @@ def graph(
         if live is not None:
             with open_observer(site_file) as observer:
                 rows = list_topics(observer, live)
+            if not any(row["heard"] for row in rows):
+                raise RigError(f"nothing was received within {live:g} s: {RIG_HINT}")
             measured = {row["topic"]: row["heard"] / live for row in rows if "@" not in row["topic"]}
         found = edges(measured)
     if as_json:

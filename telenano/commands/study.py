@@ -156,7 +156,7 @@ def transparency(
         _make_folder(out)
         options = figure_options(formats, style)
         with styled(options):
-            images = write_images(out, spectrum_figures(spectra), options)
+            images = write_images(out, spectrum_figures(spectra), _command(), options)
         page = Page("Transparency under delay")
         page.code(_command())
         write_transparency(page, rows)

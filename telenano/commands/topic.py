@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated, Any
@@ -25,7 +26,7 @@ from services.runtime.observer import (
     measure_delay,
     measure_rate,
     messages_of,
-    nobody_runs,
+    require_rig,
 )
 from telenano.options import (
     CountOption,
@@ -39,6 +40,7 @@ from telenano.options import (
 from telenano.output import print_document, print_json, print_rows, report_errors
 
 _LIST_S = 1.5
+_SILENCE_S = 4.0
 
 app = command_group()
 
@@ -211,7 +213,18 @@ def _measure(
 def open_observer(site_file: Path, topic: str | None = None) -> Iterator[Observer]:
     """Connect to the rig of a site file, for one topic or all of them; ConfigError for an unknown topic."""
     book = load_site(site_file)
-    if nobody_runs(book):
-        raise RigError(f"{site_file}: no rig of this site file runs on this machine: {RIG_HINT}")
+    require_rig(book, site_file)
     with contextlib.closing(Observer(book, (known_name(topic)[0],)) if topic else Observer(book)) as observer:
-        yield observer
+        # sockets that a killed rig left behind, a machine that is switched off: neither is noticed before
+        said = threading.Timer(_SILENCE_S, _say_silence, (observer, topic or "any topic"))
+        said.daemon = True
+        said.start()
+        try:
+            yield observer
+        finally:
+            said.cancel()
+
+
+def _say_silence(observer: Observer, topic: str) -> None:
+    if observer.silent:
+        typer.echo(f"telenano: nothing was received on {topic} within {_SILENCE_S:g} s: {RIG_HINT}", err=True)

@@ -132,6 +132,9 @@ def up(
             wait_s=wait,
         )
         plan = make_plan(request, default_folder(scenario, datetime.now()))
+        if delay_ms is not None and round_trip_ms is None:
+            text = f"--delay-ms {delay_ms:g} is one way: a round trip of {2 * delay_ms:g} ms"
+            typer.echo(f"telenano: {text}, as --round-trip-ms {2 * delay_ms:g}", err=True)
         if plan.warning:
             typer.echo(f"telenano: {plan.warning}", err=True)
         view = _open_view(live=not headless and not as_json, quiet=as_json)

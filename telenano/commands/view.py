@@ -1,5 +1,6 @@
 """`telenano view`: the operator's page, of a running rig or of a recording."""
 
+import contextlib
 import os
 import signal
 import socket
@@ -13,6 +14,7 @@ from presets import DEFAULT_SITE_FILE
 from proto.errors import ConfigError
 from recording.multi_file import open_recordings
 from services.runtime.main import load_site
+from services.runtime.observer import nobody_runs
 from services.runtime.realtime import die_with_parent
 from services.viz_node.access import LOOPBACK, Access
 from services.viz_node.hub import Hub
@@ -68,8 +70,12 @@ def view(
         check_exposure(host, tls)
         access = Access.made(names=[host, *(name or ())], allow=allow or (), **tokens_given())
         hub = _hub_of(files or (), site_file)
-        bound = _inherited() or bind(host, port)
+        inherited = _inherited()
+        bound = inherited or bind(host, port)
         os.nice(_NICENESS)
+        if inherited is None and not files and nobody_runs(load_site(site_file)):
+            # one may be started after its page
+            typer.echo("telenano: no rig of this site file runs on this machine yet; the page waits for one", err=True)
         # after the last thing that could fail: whoever reads this may open it
         for role, observer in (("operator", False), ("observer", True)):
             shown = (name or [""])[0]
@@ -77,7 +83,9 @@ def view(
         # imports starlette, which is an extra
         from services.viz_node.server import make_app
 
-        serve(make_app(hub, access, page_folder()), bound, tls)
+        # how a person ends it
+        with contextlib.suppress(KeyboardInterrupt):
+            serve(make_app(hub, access, page_folder()), bound, tls)
 
 
 def _hub_of(files: list[Path] | tuple[Path, ...], site_file: Path) -> Hub:

@@ -93,6 +93,8 @@ def test_a_session_is_run_recorded_with_its_packages_and_run_again(
     recording = rig.out / "session.mcap"
     tip = [message.fields() for message in Recording(recording).messages(["afm/state"])]
     assert max(fields["tip_force_n"][2] for fields in tip) > 2e-9
+    compared = result(rig.environment, "compare", str(recording), str(recording), "--out", str(rig.folder / "both"))
+    assert [row["law"] for row in compared["sessions"]] == 2 * summary["law"]
     nodes = ("controller@master", "controller@slave", "haptic_node@master", "afm_node@slave")
     chosen = [word for node in nodes for word in ("--node", node)]
     found = result(rig.environment, "bag", "rerun", str(recording), *chosen)

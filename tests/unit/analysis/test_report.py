@@ -1,6 +1,7 @@
 """A report of recordings that are whole, of parts of one, and into folders that cannot be written."""
 
 import errno
+import io
 import json
 import os
 from itertools import pairwise
@@ -10,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from analysis.missing import cut_off, gaps
 from analysis.report import _title, read_session, write_files, write_report
@@ -81,6 +83,14 @@ def full_disk(monkeypatch: pytest.MonkeyPatch) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(Path, "write_bytes", write_half)
+
+
+def test_the_file_of_the_figure_has_the_conditions_in_it(whole: tuple[dict[str, Any], bytes]) -> None:
+    summary, png = whole
+    words = Image.open(io.BytesIO(png)).info["Description"]
+    assert words.startswith(f"{summary['scenario']}, wave, ")
+    for part in ("impedance_n_s_per_m=", "seed 0", f"telenano {summary['version']}", f"commit {summary['commit']}"):
+        assert part in words
 
 
 @pytest.mark.usefixtures("full_disk")

@@ -78,7 +78,8 @@ def test_parquet_holds_every_digit(rich: Path, tmp_path: Path) -> None:
 
 def test_csv_holds_every_digit(rich: Path, tmp_path: Path) -> None:
     export_recording(rich, tmp_path / "csv", "csv", Selection.of(["haptic/*"]))
-    assert {path.name for path in (tmp_path / "csv").iterdir()} == {"columns.csv", "haptic_state.csv"}
+    names = {path.name for path in (tmp_path / "csv").iterdir()}
+    assert names == {"columns.csv", "haptic_state.csv", "metadata.json", "site.yaml"}
     with (tmp_path / "csv" / "haptic_state.csv").open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert [float(row["operator_force_n.2"]) for row in rows] == [
@@ -115,6 +116,8 @@ def test_columns_carry_units_and_descriptions_and_where_they_are_from(rich: Path
         assert file["teleop/forward@slave/position_m.2"].attrs["unit"] == "m"
         assert file["afm/scanline/height_m"].attrs["unit"] == "m"
         assert file["haptic/state/limited"].attrs["unit"] == ""
+    assert json.loads((tmp_path / "csv" / "metadata.json").read_text())["versions"] == {"python": "3"}
+    assert (tmp_path / "csv" / "site.yaml").read_bytes() == b"nodes: {}\n"
     with (tmp_path / "csv" / "columns.csv").open(newline="") as file:
         described = {(row["channel"], row["column"]): row for row in csv.DictReader(file)}
     assert described["teleop/forward@slave", "velocity_m_per_s.0"]["unit"] == "m/s"
@@ -323,6 +326,37 @@ def test_each_publisher_of_a_topic_is_a_line_of_its_own_in_a_viewer(kind: Format
     with (tmp_path / "viewer.mcap").open("rb") as file:
         topics = [channel.topic for _, channel, _ in make_reader(file).iter_messages()]
     assert topics == ["law/status/controller@master", "law/status/controller@slave"]
+
+
+def test_an_attachment_of_a_strangers_recording_is_written_into_the_folder_and_nowhere_else(tmp_path: Path) -> None:
+    with CopyWriter(tmp_path / "s.mcap") as writer:
+        facts = (("delivery", "lossless"), ("site", "slave"), ("src", "afm_node@slave"), ("topic", "new/topic"))
+        channel = RawChannel("new/topic", "msgpack", facts, None)
+        writer.add(RawMessage(channel, EPOCH_NS, EPOCH_NS, 0, b"\x81\xa1a\x01"))
+        for name in ("../outside", "/outside", "columns.csv"):
+            writer.attach(name, "text/plain", b"not ours", EPOCH_NS)
+    export_recording(tmp_path / "s.mcap", tmp_path / "csv", "csv")
+    assert {path.name for path in tmp_path.iterdir()} == {"s.mcap", "csv"}
+    assert (tmp_path / "csv" / "columns.csv").read_text().startswith("channel,column")
+
+
+@pytest.mark.parametrize("kind", ["mcap-json", "mcap-protobuf"])
+def test_a_viewer_draws_by_the_time_of_sending(kind: Format, tmp_path: Path) -> None:
+    writer = RecordingWriter.create(NODE, RecorderConfig(directory=tmp_path))
+    channel = writer.channel("haptic/state", "haptic_node@master", "master")
+    slow = writer.channel("afm/state", "afm_node@slave", "slave")
+    # a recorder that was held up takes ten messages at once, of the one publisher before the other
+    sent_ns = [EPOCH_NS + 1_000_000 * number for number in range(10)]
+    for number in range(0, 10, 2):
+        writer.write(channel, EPOCH_NS + 10**9, sent_ns[number], number, encode(haptic_state(number)))
+    for number in range(1, 10, 2):
+        payload = encode(sample("afm/state", number))
+        writer.write(slow, EPOCH_NS + 10**9 + number, sent_ns[number], number, payload)
+    writer.finish()
+    export_recording(writer.path, tmp_path / "viewer.mcap", kind)
+    with (tmp_path / "viewer.mcap").open("rb") as file:
+        found = [message.log_time for _, _, message in make_reader(file).iter_messages(log_time_order=False)]
+    assert found == sent_ns
 
 
 def test_a_topic_that_this_version_does_not_know_is_text_of_json_in_protobuf(tmp_path: Path) -> None:

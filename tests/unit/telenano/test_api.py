@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import zmq
 from recorder_samples import sample
 
 import telenano
-from proto.errors import ConfigError, RecordingError
+from proto.errors import ConfigError, RecordingError, RigError
 from services.runtime.bus import ZmqPublisher
 from services.runtime.clock import SystemClock
 
@@ -85,18 +86,19 @@ def test_a_running_rig_is_read(tmp_path: Path) -> None:
     site.write_text(f"nodes: {{haptic_node@master: '{endpoint}'}}\n")
     given = sample("haptic/state", 0, session_s=2.5).__dict__
     fields = {name: value for name, value in given.items() if name not in ("seq", "t_ns", "src", "v")}
-    with zmq.Context[Any]() as context, telenano.live(site) as rig:
+    with pytest.raises(RigError, match="no rig of this site file runs on this machine"), telenano.live(site):
+        pass
+    with zmq.Context[Any]() as context, ExitStack() as opened:
         hand = ZmqPublisher(context, SystemClock(), "haptic_node@master", endpoint)
-        try:
-            found: tuple[str, Any] | None = None
-            while found is None:
-                hand.publish("haptic/state", **fields)
-                found = next(rig.messages(0.1), None)
-            assert (found[0], found[1].src) == ("haptic/state", "haptic_node@master")
+        opened.callback(hand.close)
+        rig = opened.enter_context(telenano.live(site))
+        found: tuple[str, Any] | None = None
+        while found is None:
             hand.publish("haptic/state", **fields)
-            table = rig.table("haptic/state", duration_s=0.2)
-        finally:
-            hand.close()
+            found = next(rig.messages(0.1), None)
+        assert (found[0], found[1].src) == ("haptic/state", "haptic_node@master")
+        hand.publish("haptic/state", **fields)
+        table = rig.table("haptic/state", duration_s=0.2)
     assert table["time_s"][-1] == pytest.approx(2.5, abs=1e-6)
 
 

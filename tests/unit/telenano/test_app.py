@@ -148,10 +148,13 @@ def test_what_overrides_a_profile_is_one_line_on_the_terminal(tmp_path: Path, mo
     satellite = ("up", "--scenario", "fig12", "--out", str(tmp_path), "--set", "delay_node.profile=satellite")
     assert run(*satellite)[2] == "telenano: the rig would begin here\n"
     for more in ((), ("--json",)):
-        lines = run(*satellite, "--delay-ms", "20", *more)[2].splitlines()
+        lines = run(*satellite, "--round-trip-ms", "40", *more)[2].splitlines()
         assert len(lines) == 2
         assert lines[0].startswith("telenano: ")
         assert "the profile satellite is changed: forward.delay_s is 0.02, not 0.31, backward.delay_s" in lines[0]
+
+    lines = run("up", "--scenario", "fig12", "--out", str(tmp_path), "--delay-ms", "20")[2].splitlines()
+    assert lines[0] == "telenano: --delay-ms 20 is one way: a round trip of 40 ms, as --round-trip-ms 40"
 
 
 @pytest.mark.parametrize("duration", ["-1", "0", "nan"])
@@ -198,13 +201,43 @@ def test_an_error_with_json_is_one_object_on_stdout_and_a_sentence_on_stderr(arg
     assert err == f"telenano: {error}\n"
 
 
-@pytest.mark.parametrize("command", ["list", "echo afm/state", "hz afm/state", "bw afm/state", "delay afm/state"])
-def test_silence_without_a_rig_is_said_at_once(command: str) -> None:
-    # without a limit of time they would listen for ever
-    code, out, err = run("topic", *command.split(), "--json")
+@pytest.mark.parametrize(
+    "command",
+    [
+        *("topic list", "topic echo afm/state", "topic hz afm/state", "topic bw afm/state", "topic delay afm/state"),
+        *("session arm", "session set law=wave --target controller", "link show", "link set forward.delay_s=0.01"),
+        *("graph --live 60", "scan --live --out image", "curve --live --out curve"),
+    ],
+)
+def test_silence_without_a_rig_is_said_at_once(command: str, tmp_path: Path) -> None:
+    # what a console that was killed left behind is no rig
+    (tmp_path / "run").mkdir(mode=0o700)
+    for name in ("console@master", "player@master"):
+        (tmp_path / "run" / name).touch()
+    # without a limit of time some would listen for ever
+    code, out, err = run(*command.split(), "--json")
     assert code == 1
     assert "no rig of this site file runs on this machine: is `telenano up` running" in json.loads(out)["error"]
     assert err.startswith("telenano: ")
+
+
+def test_a_topic_that_stays_silent_is_said_to(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "run").mkdir(mode=0o700)
+    # as a rig leaves it that was killed with all its nodes
+    (tmp_path / "run" / "afm_node@slave").touch()
+    monkeypatch.setattr("telenano.commands.topic._SILENCE_S", 0.01)
+    code, _, err = run("topic", "echo", "afm/state", "--duration", "0.2")
+    assert code == 1
+    assert "telenano: nothing was received on afm/state within 0.01 s: is `telenano up` running" in err
+
+
+def test_a_bridge_without_a_rig_says_so_and_fails() -> None:
+    pytest.importorskip("foxglove")
+    code, out, err = run("bridge", "foxglove", "--port", "0", "--duration", "0")
+    assert code == 1
+    assert "open ws://127.0.0.1:" in out
+    assert "no rig of this site file runs on this machine yet; waiting for one" in err
+    assert "nothing was received" in err
 
 
 def test_a_recorder_without_a_rig_says_that_its_file_is_empty(tmp_path: Path) -> None:

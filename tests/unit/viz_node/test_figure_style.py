@@ -1,5 +1,6 @@
 """Figures can be read by the colour-blind and in grey, and be printed in a journal."""
 
+import io
 import itertools
 from typing import Any
 
@@ -7,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from matplotlib.figure import Figure
+from PIL import Image
 
 from analysis.verdict import KINDS
 from proto.errors import ConfigError
@@ -130,13 +132,17 @@ def test_a_figure_for_paper_is_a_column_wide_with_letters_of_8_points_and_no_tit
 
 def test_every_format_is_written_and_the_same_figure_gives_the_same_bytes() -> None:
     options = figure_options("svg, pdf,png", "screen")
-    files = fig12_files(series(), "title", options)
+    files = fig12_files(series(), "title", options, "wave, K_f 20 µ, seed 3")
     assert list(files) == ["fig12.svg", "fig12.pdf", "fig12.png"]
     assert files["fig12.png"].startswith(b"\x89PNG")
     assert files["fig12.pdf"].startswith(b"%PDF")
     # text stays text
     assert b"tip-sample distance" in files["fig12.svg"]
-    assert fig12_files(series(), "title", options) == files
+    # a figure for a paper has no title: what it was made from is inside of each file
+    assert Image.open(io.BytesIO(files["fig12.png"])).info["Description"] == "wave, K_f 20 µ, seed 3"
+    assert "wave, K_f 20 µ, seed 3" in files["fig12.svg"].decode()
+    assert "wave, K_f 20 µ, seed 3".encode("utf-16-be") in files["fig12.pdf"]
+    assert fig12_files(series(), "title", options, "wave, K_f 20 µ, seed 3") == files
 
 
 def test_unknown_formats_and_styles_are_refused_with_those_that_there_are() -> None:

@@ -14,9 +14,9 @@ from proto.ends import end_data
 from proto.messages import LinkClock
 from recording.channel_filter import ALL, Selection
 from recording.reader import Recording
+from recording.sender_time import SenderClock, SenderOrder, Sent
 from recording.writer import RecordingWriter
 from services.player.playback import Playback, Span
-from services.player.sender_time import SenderClock, SenderOrder, Sent
 from services.recorder.config import RecorderConfig
 
 SECOND_NS = 1_000_000_000

@@ -15,7 +15,7 @@ from proto.ends import END_TOPIC, read_end
 from proto.errors import RecordingError
 from proto.messages import LinkFates
 from proto.nodes import site_of
-from recording.messages import RecordedChannel, RecordedMessage
+from recording.messages import ChannelFilter, RecordedChannel, RecordedMessage
 from recording.multi_file import RecordingSource
 
 FATES_TOPIC = "link/fates"
@@ -71,7 +71,7 @@ class SenderOrder:
 
     What left the link is sent by the link: its time is that of `link/fates`, and where a recording lacks those, that of
     the publisher and the delay reported last, or the least seen on the channel. The last message of a publisher is left
-    out: it counts messages, and a replay may send others.
+    out but where it is asked for: it counts messages, and a replay may send others.
     """
 
     def __init__(
@@ -80,15 +80,23 @@ class SenderOrder:
         wanted: Callable[[RecordedChannel], bool],
         clock: SenderClock,
         first_ns: int | None = None,
+        *,
+        select: Callable[[ChannelFilter, int | None], Iterator[RecordedMessage]] | None = None,
+        ends: bool = False,
     ) -> None:
-        """Begin with what was sent at `first_ns` [ns] or later, None for the beginning."""
+        """Begin with what was sent at `first_ns` [ns] or later, None for the beginning.
+
+        Parameters: select, what reads the recording, its own `select` when None; ends, whether the last messages of
+        publishers are among them.
+        """
+        self._ends = ends
         self._clock = clock
         self._wanted = wanted
         links = any(channel.via == "link" and wanted(channel) for channel in recording.channels)
         reports = any(channel.topic == FATES_TOPIC for channel in recording.channels)
         self._fates: _Fates | None = _Fates() if links and reports else None
         start_ns = None if first_ns is None else max(0, first_ns - _LEAST_HORIZON_NS)
-        self._source: Iterator[RecordedMessage] = recording.select(self._needs, start_ns)
+        self._source: Iterator[RecordedMessage] = (select or recording.select)(self._needs, start_ns)
         self._heap: list[Sent] = []
         # by channel, what left the link and is not reported yet; with the time at which it was sent to the link
         self._waiting: dict[RecordedChannel, deque[Sent]] = {}
@@ -119,6 +127,11 @@ class SenderOrder:
         heappop(self._heap)
         self._next = None
 
+    def __iter__(self) -> Iterator[Sent]:
+        while (found := self.peek()) is not None:
+            self.pop()
+            yield found
+
     def _needs(self, channel: RecordedChannel) -> bool:
         return self._wanted(channel) or (self._fates is not None and channel.topic == FATES_TOPIC)
 
@@ -148,7 +161,7 @@ class SenderOrder:
         self._most_lag_ns = max(self._most_lag_ns, message.log_ns - time_ns)
         if self._fates is not None and message.topic == FATES_TOPIC:
             self._fates.record(message, time_ns - message.publish_ns)
-        if self._wanted(message.channel) and not _is_end(message):
+        if self._wanted(message.channel) and (self._ends or not _is_end(message)):
             heappush(self._heap, Sent(time_ns, self._place, message))
 
     def _add_forwarded(self, message: RecordedMessage) -> None:
