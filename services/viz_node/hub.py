@@ -22,9 +22,9 @@ TICK_S = 1.0 / 30.0
 IDLE_S = 0.25
 # two seconds: a page that is further behind begins anew
 MOST_QUEUED = 60
-# A page sends the force of its hand 60 times a second, from a thread of its own, but on a machine that is busy a browser
-# pauses for a tenth of a second and more. What it said last holds for this long, and is repeated to the haptic node,
-# which waits for less.
+# A page sends the force of its hand 60 times a second, from a thread of its own, but on a busy machine a browser pauses
+# for a tenth of a second and more. What it said last holds for this long, and is repeated to the haptic node, which
+# waits for less.
 HAND_DEADLINE_S = 0.25
 _REQUESTS_PER_S = 200
 
