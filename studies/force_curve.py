@@ -252,12 +252,15 @@ def read_measured(path: Path) -> Curve:
     if path.suffix.lower() not in readers:
         raise ConfigError(f"{path}: is no curve that can be read; these are {', '.join(readers)}")
     try:
+        # what is not there is said in the words of the system, which not every reader has
+        path.open("rb").close()
         curve = readers[path.suffix.lower()](path)
     except ImportError as error:
         raise ConfigError(f"{path}: needs {error.name} to be read: pip install 'telenano[instrument]'") from error
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except (KeyError, ValueError, IndexError) as error:
+    # the readers fail in whatever way the damage leads them to
+    except Exception as error:
         raise ConfigError(f"{path}: is no whole force curve: {error}") from error
     for half in (curve.approach, curve.retract):
         if not (len(half.base_m) >= 10 and np.isfinite(half.base_m).all() and np.isfinite(half.force_n).all()):
@@ -324,6 +327,8 @@ def _read_afmformats(path: Path) -> Curve:
 
 
 def _measured(base: Array, deflection: Array, k: float, turn: int, speed: float) -> Curve:
+    if not 0.0 < k < math.inf:
+        raise ValueError(f"its spring constant is {k:g} N/m; it must be above 0 N/m")
     # far from the sample, where the curve begins, there is no force
     zeta = deflection - float(np.median(deflection[: max(turn // 10, 2)]))
     ways = (slice(0, turn), slice(turn, None))

@@ -210,9 +210,12 @@ def _images(result: "ScanResult", mode: ScanMode) -> "dict[str, Image]":
         return Image(title, unit, values, width, depth)
 
     trace, back = result.trace, result.retrace
+    height = result.height_m
+    # both ways from one level: what they differ by is what the tip is behind
+    level_m = float(trace[:, :, HEIGHT].mean() - height.mean())
     images = {
-        "height": image("Height", "m", result.height_m),
-        "retrace": image("Height retrace", "m", back[:, :, HEIGHT] - back[:, :, HEIGHT].mean()),
+        "height": image("Height", "m", height),
+        "retrace": image("Height retrace", "m", back[:, :, HEIGHT] - level_m),
         "truth": image("Surface as the tip sees it", "m", result.truth_m),
     }
     if mode is ScanMode.CONTACT:

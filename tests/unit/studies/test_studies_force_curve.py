@@ -1,5 +1,6 @@
 """Force curves against what the tip-sample force says about them, and in the field's own reader."""
 
+import dataclasses
 import math
 import zipfile
 from pathlib import Path
@@ -174,6 +175,22 @@ def test_a_file_that_is_no_curve_is_named(tmp_path):
         (tmp_path / name).write_bytes(content)
         with pytest.raises(ConfigError, match=str(tmp_path / name)):
             read_measured(tmp_path / name)
+
+
+def test_damage_that_a_reader_did_not_expect_is_told_by_file(tmp_path, monkeypatch):
+    binarywave = pytest.importorskip("igor2.binarywave")
+
+    def load(path):
+        # what igor2 makes of a wave that was cut off
+        raise TypeError("buffer is too small for requested array")
+
+    monkeypatch.setattr(binarywave, "load", load)
+    with pytest.raises(ConfigError, match=r"cut\.ibw: is no whole force curve: buffer is too small"):
+        read_measured(tmp_path / "cut.ibw")
+    curve = force_curve(AfmConfig(), 10e-9, 10e-9, 20)
+    write_hdf5(tmp_path / "stiff.h5", dataclasses.replace(curve, stiffness_n_per_m=-40.0))
+    with pytest.raises(ConfigError, match="its spring constant is -40 N/m"):
+        read_measured(tmp_path / "stiff.h5")
 
 
 @pytest.mark.skipif(not DATA.exists(), reason="measured data are not beside the project: ../shared/data")
