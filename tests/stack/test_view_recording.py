@@ -203,7 +203,7 @@ def check_old_page(chromium: Any, view: View) -> None:
         replaced.append(script.count(f"protocol:{PROTOCOL}"))
         route.fulfill(body=script.replace(f"protocol:{PROTOCOL}", "protocol:0"), content_type="text/javascript")
 
-    window.route("**/assets/*.js", older)
+    window.route("**/assets/index-*.js", older)
     page = Page(window.new_page())
     page.page.goto(view.operator, wait_until="commit")
     page.page.wait_for_selector("#banners .banner", state="attached")
