@@ -26,6 +26,8 @@ MOST_QUEUED = 60
 # for a tenth of a second and more. What it said last holds for this long, and is repeated to the haptic node, which
 # waits for less.
 HAND_DEADLINE_S = 0.25
+# Of a standstill of this process no more counts as silence of a page: what the page sent meanwhile is read after it.
+_LONGEST_LOOK_S = 3.0 * TICK_S
 _REQUESTS_PER_S = 200
 
 Answers = Mapping[str, tuple[str, str]]
@@ -116,7 +118,8 @@ class Hub:
         self._about: Mapping[str, Any] = {}
         self._hand: HandOutlet | None = None
         self._holder: Session | None = None
-        self._hand_s = 0.0
+        # since when the hand was looked after, and how long the page has said nothing
+        self._looked_s = self._silent_s = 0.0
         self._force_n = 0.0
 
     async def run(self) -> None:
@@ -243,7 +246,8 @@ class Hub:
         try:
             if self._hand is None:
                 self._hand = self._open_hand()
-            self._holder, self._hand_s, self._force_n = session, time.monotonic(), request.force_n
+            self._holder, self._force_n = session, request.force_n
+            self._looked_s, self._silent_s = time.monotonic(), 0.0
             self._hand.push(request.force_n)
         except TelenanoError as error:
             session.offer(_packed({"k": "hand", "held": False, "text": str(error)}))
@@ -252,7 +256,10 @@ class Hub:
         """Repeat the force of the page that holds the hand, and let go for one that has said nothing for too long."""
         if self._holder is None or self._hand is None:
             return
-        if time.monotonic() - self._hand_s > HAND_DEADLINE_S:
+        now_s = time.monotonic()
+        self._silent_s += min(_LONGEST_LOOK_S, now_s - self._looked_s)
+        self._looked_s = now_s
+        if self._silent_s > HAND_DEADLINE_S:
             self._release()
             return
         with contextlib.suppress(TelenanoError):

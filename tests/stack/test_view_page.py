@@ -24,7 +24,7 @@ def chromium() -> Iterator[Any]:
 def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
     rig = Rig(tmp_path_factory.mktemp("viewed"))
     try:
-        rig.start("--duration", "600", scenario="image")
+        rig.start("--duration", "600", "--no-view", scenario="image")
         rig.wait_until(rig.running, "a running session")
         yield rig
     finally:
@@ -77,6 +77,129 @@ def test_every_control_changes_the_rig(rig: Rig, operator: Page) -> None:
     operator.answered(lambda: operator.click("#start"))
     rig.wait_until(lambda: newest(rig, "haptic/state").session_s >= 0.0, "its start")
     assert operator.faults == []
+
+
+@pytest.mark.endurance
+def test_the_forms_and_profiles_of_the_link_change_it(rig: Rig, operator: Page) -> None:
+    link = lambda: newest(rig, "link/status")  # noqa: E731
+    forms = {"#link-forward-jitter-scale_s": "0.002", "#link-backward-loss-probability": "0.05"}
+    for field, value in forms.items():
+        operator.fill(field, value)
+    assert "acknowledged" in operator.answered(lambda: operator.click("#link-apply"))
+    rig.wait_until(lambda: link().forward.settings["jitter.scale_s"] == 0.002, "the jitter on the bus")
+    rig.wait_until(lambda: link().backward.settings["loss.probability"] == 0.05, "the loss on the bus")
+    rig.wait_until(lambda: sum(link().backward.dropped.values()) > 0, "messages that are lost")
+    until(lambda: operator.last("link", "backward_loss") > 0.0, "the loss on the page")
+    # what is in force is what the rig reports, and a field that was applied is empty again
+    forward = "document.querySelector('#link-forward-jitter-scale_s')"
+    operator.until(f"{forward}.placeholder === '0.002' && {forward}.value === ''", "the jitter in its field")
+    operator.answered(lambda: operator.choose("#profile", "dsl"))
+    rig.wait_until(lambda: link().forward.profile == "dsl", "the profile on the bus")
+    until(lambda: "DELAYED" in operator.banners(), "the banner of its delay")
+    operator.answered(lambda: operator.choose("#profile", "clean"))
+    rig.wait_until(lambda: link().forward.profile == "clean", "the profile without impairments")
+
+
+@pytest.mark.endurance
+def test_the_programs_of_the_instrument_run_pause_and_end_from_the_page(rig: Rig, operator: Page) -> None:
+    def is_at(program: str, state: str) -> bool:
+        found = newest(rig, "afm/program")
+        return bool((found.program, found.state) == (program, state))
+
+    operator.until("!document.querySelector('#instrument').hidden", "the controls of the instrument")
+    operator.fill("#program-curve-load_n", "1e-8")
+    operator.fill("#program-curve-speed_m_per_s", "1e-7")
+    begin_ns = time.time_ns()
+    assert "acknowledged" in operator.answered(lambda: operator.click("#program-curve"))
+    rig.wait_until(lambda: is_at("curve", "finished"), "a force curve")
+    rig.wait_until(lambda: newest(rig, "afm/state").mode == "retracted", "a tip that is away")
+    pressed_n = max(state.tip_force_n[2] for state in since(rig, "afm/state", begin_ns))
+    assert pressed_n == pytest.approx(1e-8, rel=0.1)
+    operator.fill("#program-scan-lines", "8")
+    assert "acknowledged" in operator.answered(lambda: operator.click("#program-scan"))
+    rig.wait_until(lambda: is_at("scan", "running"), "an image that is taken")
+    for button, state in (("pause", "paused"), ("resume", "running"), ("abort", "ended")):
+        assert "acknowledged" in operator.answered(lambda button=button: operator.click(f"#program-{button}"))
+        rig.wait_until(lambda state=state: is_at("scan", state), f"an image that is {state}")
+    rig.wait_until(lambda: newest(rig, "afm/state").mode == "retracted", "a tip that is away")
+    assert "acknowledged" in operator.answered(lambda: operator.click("#program-tactile"))
+    rig.wait_until(lambda: is_at("tactile", "running"), "the tactile path")
+    # ends what runs, and lets the tip follow the hand again
+    operator.click("#mode-bilateral")
+    rig.wait_until(lambda: newest(rig, "afm/state").mode == "follow", "a tip that follows")
+    operator.fill("#tip-x", "-12")
+    operator.fill("#tip-y", "7")
+    assert "acknowledged" in operator.answered(lambda: operator.click("#tip-go"))
+    place_m = pytest.approx((-12e-9, 7e-9), rel=1e-6)
+    rig.wait_until(lambda: newest(rig, "afm/state").base_position_m[:2] == place_m, "the tip at its place")
+    files = len(list(rig.out.glob("session*.mcap")))
+    assert "acknowledged" in operator.answered(lambda: operator.click("#split"))
+    rig.wait_until(lambda: len(list(rig.out.glob("session*.mcap"))) == files + 1, "a new file")
+    assert operator.faults == []
+
+
+@pytest.mark.endurance
+def test_the_keyboard_pushes_marks_and_pauses(rig: Rig, operator: Page) -> None:
+    keyboard = operator.page.keyboard
+    begin_ns = time.time_ns()
+    operator.page.locator("#hand-pad").focus()
+    for _ in range(8):
+        # a key that is held repeats itself: a millimetre each time
+        keyboard.down("ArrowDown")
+    pushes = lambda: [message.force_n[2] < -0.2 for message in since(rig, "operator/force", begin_ns)]  # noqa: E731
+    rig.wait_until(lambda: any(pushes()), "the force of the keys on its topic")
+    keyboard.up("ArrowDown")
+    rig.wait_until(lambda: newest(rig, "haptic/state").operator_force_n[2] == 0.0, "a hand that has let go")
+    begin_ns = time.time_ns()
+    assert "acknowledged" in operator.answered(lambda: keyboard.press("m"))
+    rig.wait_until(lambda: any(event.kind == "mark" for event in since(rig, "session/event", begin_ns)), "the mark")
+    for pressed in ("true", "false"):
+        keyboard.press("p")
+        operator.until(f"document.querySelector('#pause').ariaPressed === '{pressed}'", "scopes that stand or go on")
+
+
+@pytest.mark.endurance
+def test_what_is_saved_is_every_sample_that_is_shown(rig: Rig, operator: Page) -> None:
+    operator.choose("#span", "1")
+    operator.click("#pause")
+    operator.until("document.querySelector('#pause').textContent === 'Go on'", "scopes that stand")
+    with operator.page.expect_download() as saved:
+        operator.click("#save-csv")
+    rows = [line.split(",") for line in saved.value.path().read_text().splitlines()]
+    assert rows[0] == ["stream", "time_s", "column", "value", "unit"]
+    assert rows[1][:3] == ["session", "0.000000", "t_ns"]
+    origin_ns = int(rows[1][3])
+    hand = [row for row in rows if (row[0], row[2]) == ("hand", "position")]
+    shown = {round((1e9 * float(row[1]) + origin_ns) * 1e-4): float(row[3]) for row in hand}
+    sent = {round(state.t_ns * 1e-4): -state.position_m[2] for state in since(rig, "haptic/state", origin_ns)}
+    assert len(shown) > 500, "of a second at 1 kHz"
+    # times to the hundredth of a millisecond: of the few that lie at its edge the neighbour was sent
+    known = shown.keys() & sent.keys()
+    assert len(known) > 0.8 * len(shown)
+    assert [shown[at] for at in known] == pytest.approx([sent[at] for at in known], rel=1e-6, abs=1e-9)
+    with operator.page.expect_download() as saved:
+        operator.click("#save-png")
+    assert saved.value.path().read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+    operator.click("#pause")
+    operator.choose("#span", "10")
+
+
+@pytest.mark.endurance
+def test_the_hand_holds_while_the_page_draws_for_longer_than_the_server_waits(rig: Rig, operator: Page) -> None:
+    operator.press(10.0)
+    rig.wait_until(lambda: newest(rig, "haptic/state").operator_force_n[2] < -0.2, "a hand that pushes")
+    begin_ns = time.time_ns()
+    # as one long picture does: nothing else of the page runs meanwhile
+    operator.value("(() => { const begun = performance.now(); while (performance.now() - begun < 700); })()")
+    end_ns = time.time_ns()
+    rig.wait_until(lambda: newest(rig, "haptic/state").t_ns > end_ns, "what was recorded meanwhile")
+    pushes = [-s.operator_force_n[2] for s in since(rig, "haptic/state", begin_ns) if s.t_ns < end_ns]
+    sent = [message for message in since(rig, "operator/force", begin_ns) if message.t_ns < end_ns]
+    operator.page.mouse.up()
+    assert min(pushes) > 0.0
+    # and by the newest place of the arm, not by that before the picture
+    assert len({message.force_n[2] for message in sent}) > 5
+    rig.wait_until(lambda: newest(rig, "haptic/state").operator_force_n[2] == 0.0, "a hand that has let go")
 
 
 @pytest.mark.endurance
@@ -256,16 +379,30 @@ def test_an_observer_sees_and_cannot_command(chromium: Any, view: View) -> None:
     observer.page.context.close()
 
 
+# how long after the last report of a node its banner stood there [ms]
+FIRST_LOST = """
+globalThis.lostAfter = Infinity;
+new MutationObserver((_, observer) => {
+  if (!document.querySelector("#banners").textContent.includes("LOST: controller@slave")) return;
+  globalThis.lostAfter = telenano.store.clock.ms - telenano.store.nodes.get("controller@slave").heard;
+  observer.disconnect();
+}).observe(document.querySelector("#banners"), { childList: true, subtree: true });
+"""
+
+
 @pytest.mark.endurance
-def test_a_lost_node_is_shown(rig: Rig, operator: Page) -> None:
+def test_a_lost_node_is_shown_within_a_second(rig: Rig, operator: Page) -> None:
     found = rig.process_of("controller@slave")
     assert found is not None
+    operator.value(FIRST_LOST)
     os.kill(found, signal.SIGSTOP)
     try:
         until(lambda: "LOST: controller@slave" in operator.banners(), "the banner of the lost node")
     finally:
         os.kill(found, signal.SIGCONT)
     until(lambda: "LOST" not in operator.banners(), "its return")
+    # by the clock of the page, which stands still when the page does
+    assert operator.value("lostAfter") <= 1000.0
 
 
 @pytest.mark.endurance

@@ -160,12 +160,17 @@ def test_a_page_says_that_the_server_is_gone_and_comes_back_by_itself(chromium: 
     view = View(environment, recording)
     try:
         page = open_page(chromium, view.operator)
-        view.close()
+        view.kill()
         until(lambda: "DISCONNECTED" in page.banners(), "the banner of a lost server")
+        answer = page.answered(lambda: page.click("#play"))
+        assert "there is no connection to the server" in answer
+        view.close()
         port = view.operator.partition("/#")[0].rpartition(":")[2]
         view = View(environment, "--port", port, recording)
         until(lambda: "REPLAYED" in page.banners(), "a page that is connected again")
+        assert "DISCONNECTED" not in page.banners()
         page.until(f"{FILLED} > 0", "what the server sends")
+        assert "acknowledged" in page.answered(lambda: page.click("#play"))
         page.page.context.close()
     finally:
         view.close()
@@ -203,7 +208,7 @@ def check_old_page(chromium: Any, view: View) -> None:
         replaced.append(script.count(f"protocol:{PROTOCOL}"))
         route.fulfill(body=script.replace(f"protocol:{PROTOCOL}", "protocol:0"), content_type="text/javascript")
 
-    window.route("**/assets/*.js", older)
+    window.route("**/assets/index-*.js", older)
     page = Page(window.new_page())
     page.page.goto(view.operator, wait_until="commit")
     page.page.wait_for_selector("#banners .banner", state="attached")

@@ -320,6 +320,21 @@ def test_a_page_that_pauses_for_a_moment_keeps_its_force(
     assert InteractiveConfig(kind="interactive").force_deadline_s / 2 > hubs.TICK_S
 
 
+def test_a_server_that_stood_still_does_not_take_that_for_silence_of_the_page(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s = 50.0
+    monkeypatch.setattr(hubs.time, "monotonic", lambda: now_s)
+    rig.hub._push(hubs.Session(server.Role.OPERATOR), HandRequest(1.5, True))
+    now_s += 20.0 * hubs.HAND_DEADLINE_S
+    rig.hub.tick()
+    assert changes(rig) == [1.5]
+    for _ in range(2 * round(hubs.HAND_DEADLINE_S / hubs.TICK_S)):
+        now_s += hubs.TICK_S
+        rig.hub.tick()
+    assert changes(rig) == [1.5, 0.0]
+
+
 def test_the_server_ends_with_a_source_that_cannot_be_read(
     rig: Rig, page: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -174,7 +174,7 @@ export class View {
     if (this.surface.extent) this.fit(this.surface.extent);
     const { least, greatest } = this.surface;
     const digits = Math.min(4, Math.max(0, 2 - Math.floor(Math.log10(greatest - least || 1))));
-    this.ends.replaceChildren(...[greatest, least].map((height) => make("span", {}, `${+height.toFixed(digits)} nm`)));
+    this.ends.replaceChildren(...[greatest, least].map((height) => make("span", {}, `${height.toFixed(digits)} nm`)));
     this.section.draw();
     this.invalidate();
   }

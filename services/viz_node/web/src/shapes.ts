@@ -57,7 +57,7 @@ export function lengthText(length: number): string {
   return length >= 1000 ? `${length / 1000} µm` : `${+length.toPrecision(2)} nm`;
 }
 
-/** Axes in nm before and right of what is shown, with ticks, and bars of a round length at its far left corner. */
+/** Axes in nm before and right of what is shown, with ticks, and bars of a round length left of it, where nothing hides them. */
 export function axesAndBars(extent: Extent, side: number, stretch: number, longest: number): Group {
   const { x, y, width, depth } = extent;
   const [left, right, front, back] = [x - width / 2, x + width / 2, y - depth / 2, y + depth / 2];
@@ -83,13 +83,13 @@ export function axesAndBars(extent: Extent, side: number, stretch: number, longe
   const geometry = new BufferGeometry().setAttribute("position", new Float32BufferAttribute(lines, 3));
   group.add(new LineSegments(geometry, new LineBasicMaterial({ color: colour("quiet") })));
   const high = niceLength(longest / 2 / stretch);
-  const corner: [number, number, number] = [left - away, back + away, 0];
+  const corner: [number, number, number] = [left - 34 * side, front, 0];
   rod(group, [longest, 0, 0], corner, side);
-  rod(group, [0, -longest, 0], corner, side);
+  rod(group, [0, longest, 0], corner, side);
   rod(group, [0, 0, high * stretch], corner, side);
-  write(`x ${lengthText(longest)}`, [corner[0] + longest + 4 * side, corner[1] + 6 * side, 3 * side]);
-  write(`y ${lengthText(longest)}`, [corner[0] - 16 * side, corner[1] - longest, 0]);
-  write(`z ${lengthText(high)}`, [corner[0], corner[1], high * stretch + 5 * side]);
+  write(`x ${lengthText(longest)}`, [corner[0] + longest / 2, corner[1] - 8 * side, 0]);
+  write(`y ${lengthText(longest)}`, [corner[0] + 15 * side, corner[1] + longest + 2 * side, 0]);
+  write(`z ${lengthText(high)}`, [corner[0] - 9 * side, corner[1], high * stretch + 5 * side]);
   return group;
 }
 
