@@ -50,6 +50,9 @@ class MasterController(ControllerHalf):
     """
 
     inputs = MASTER_INPUTS
+    # the hand takes the command
+    last_of_tick = "teleop/backward"
+    settle_ns = 100_000
 
     def __init__(self, context: NodeContext, config: ControllerConfig) -> None:
         super().__init__(context, config)
@@ -209,6 +212,9 @@ class SlaveController(ControllerHalf):
     """The half at the instrument's site: teleop/forward in, afm/command out; afm/state in, teleop/backward out."""
 
     inputs = SLAVE_INPUTS
+    # the link passes the answer on
+    last_of_tick = "afm/state"
+    settle_ns = 150_000
 
     def __init__(self, context: NodeContext, config: ControllerConfig) -> None:
         super().__init__(context, config)

@@ -46,6 +46,7 @@ class HapticNode(Node):
     commands: ClassVar[tuple[str, ...]] = ("start", "stop", "arm", "estop")
     named_commands: ClassVar[tuple[str, ...]] = ("set",)
     journalled = True
+    last_of_tick = "haptic/command"
     period_s = PERIOD_S
 
     def __init__(self, context: NodeContext, config: HapticConfig, device: HapticDevice) -> None:
