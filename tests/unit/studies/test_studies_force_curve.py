@@ -185,6 +185,9 @@ def test_damage_that_a_reader_did_not_expect_is_told_by_file(tmp_path, monkeypat
         raise TypeError("buffer is too small for requested array")
 
     monkeypatch.setattr(binarywave, "load", load)
+    with pytest.raises(ConfigError, match=r"cut\.ibw: cannot be read: No such file"):
+        read_measured(tmp_path / "cut.ibw")
+    (tmp_path / "cut.ibw").write_bytes(b"IGOR")
     with pytest.raises(ConfigError, match=r"cut\.ibw: is no whole force curve: buffer is too small"):
         read_measured(tmp_path / "cut.ibw")
     curve = force_curve(AfmConfig(), 10e-9, 10e-9, 20)
