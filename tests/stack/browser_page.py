@@ -18,6 +18,8 @@ ROOT = Path(__file__).resolve().parents[2]
 _PACKAGES = ROOT / "services" / "viz_node" / "web" / "node_modules"
 # of WebXR
 EMULATOR = _PACKAGES / "iwer" / "build" / "iwer.min.js"
+# what a screen reader and a reader with weak eyes need
+AXE = _PACKAGES / "axe-core" / "axe.min.js"
 # only keeps a broken page from holding the suite
 PATIENCE_S = 60.0
 # lines that the surface on the page has

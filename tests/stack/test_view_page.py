@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browser_page import FILLED, Page, View, browser, has, needs_browser, open_page, until
+from browser_page import AXE, FILLED, Page, View, browser, has, needs_browser, open_page, until
 from stack_rig import Rig
 
 pytestmark = [pytest.mark.browser, needs_browser]
@@ -285,7 +285,7 @@ def test_the_sample_is_imaged_from_the_page_and_the_tip_goes_where_the_pointer_s
     rig.wait_until(lambda: newest(rig, "afm/state").mode == "follow", "a tip that follows")
     operator.click("#place-tip")
     box = operator.page.locator("#scene > canvas").bounding_box()
-    x, y = box["x"] + 0.56 * box["width"], box["y"] + 0.68 * box["height"]
+    x, y = box["x"] + 0.56 * box["width"], box["y"] + 0.58 * box["height"]
     operator.page.mouse.move(x, y)
     operator.page.mouse.down()
     operator.page.mouse.move(x + 40.0, y, steps=4)
@@ -301,7 +301,9 @@ def test_the_sample_is_imaged_from_the_page_and_the_tip_goes_where_the_pointer_s
         lambda: newest(rig, "afm/state").base_position_m[:2] == pytest.approx(wanted[-1], rel=1e-6), "the tip there"
     )
     # pressed onto the sample there, so that every curve has something to show
+    operator.click("#hand-keep")
     operator.press(14.0)
+    operator.page.mouse.up()
     rig.wait_until(lambda: newest(rig, "haptic/command").force_n[2] > 0.1, "the force that comes back")
     operator.page.wait_for_timeout(6000.0)
     operator.picture("scanned")
@@ -319,7 +321,8 @@ def test_the_sample_is_imaged_from_the_page_and_the_tip_goes_where_the_pointer_s
     operator.page.wait_for_timeout(500.0)
     operator.picture("tablet")
     operator.page.set_viewport_size({"width": 1360, "height": 850})
-    operator.page.mouse.up()
+    operator.click("#hand-keep")
+    rig.wait_until(lambda: newest(rig, "haptic/state").operator_force_n[2] == 0.0, "a hand that has let go")
 
 
 @pytest.mark.endurance
@@ -403,6 +406,19 @@ def test_a_lost_node_is_shown_within_a_second(rig: Rig, operator: Page) -> None:
     until(lambda: "LOST" not in operator.banners(), "its return")
     # by the clock of the page, which stands still when the page does
     assert operator.value("lostAfter") <= 1000.0
+
+
+@pytest.mark.endurance
+def test_everything_has_a_name_and_can_be_read_in_light_and_dark(operator: Page) -> None:
+    operator.value("document.querySelectorAll('details').forEach((found) => { found.open = true; })")
+    # what axe-core can tell of the rules of WCAG 2.2, level AA: names, roles, contrast, focus
+    operator.value(f"{AXE.read_text()}; 0")
+    for _ in range(2):
+        found = operator.value("axe.run({ runOnly: ['wcag2a', 'wcag2aa', 'wcag21a', 'wcag21aa', 'wcag22aa'] })")
+        assert found["passes"]
+        assert {fault["id"]: [node["html"] for node in fault["nodes"]] for fault in found["violations"]} == {}
+        operator.click("#theme")
+    operator.value("document.querySelectorAll('details').forEach((found) => { found.open = false; })")
 
 
 @pytest.mark.endurance

@@ -96,8 +96,8 @@ export class Connection {
   }
 
   /** Say where the virtual hand means to be [m], now and again while it is held; null to let go. */
-  mean(meant_m: number | null): void {
-    this.tell({ meant: meant_m });
+  mean(meant_m: number | null, isKept = false): void {
+    this.tell({ meant: meant_m, isKept });
   }
 
   private tell(message: ToSocket): void {

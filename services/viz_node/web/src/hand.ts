@@ -158,7 +158,8 @@ export class Hand {
 
   private toggleKeep(): void {
     this.keepButton.setAttribute("aria-pressed", String(!this.isKept));
-    if (!this.isKept) this.letGo();
+    if (this.isKept) this.say();
+    else this.letGo();
   }
 
   private release(): void {
@@ -175,7 +176,7 @@ export class Hand {
   }
 
   private say(): void {
-    if (this.meant !== undefined) this.connection.mean(this.meant);
+    if (this.meant !== undefined) this.connection.mean(this.meant, this.isKept);
   }
 
   private stick = false;

@@ -329,7 +329,7 @@ export class View {
     const isAway = Math.max(Math.abs(apex.x), Math.abs(apex.y)) > 1 && !Number.isNaN(separation);
     const text = [
       this.surface.isEmpty ? "No image yet: the plane of contact. Grid 10 nm." : `Heights as measured, ${heights}.`,
-      `Cantilever bent ${DEFLECTION_FACTOR} times as far as measured${side > 1.01 || side < 0.99 ? `, it and the tip drawn ${side.toPrecision(2)} times as large` : ""}. Longest force arrow ${quantity(this.greatestForce, "N", 2)}.`,
+      `Cantilever bent ${DEFLECTION_FACTOR} times as far as measured${side > 1.01 || side < 0.99 ? `, it and the tip drawn ${side.toPrecision(2)} times as large` : ""}. Longest force arrow ${quantity(this.greatestForce, "N")}.`,
       isAway ? `The tip is out of the picture, ${quantity(separation, "m")} from the sample.` : "",
       this.picked || "Double-click a point for its coordinates.",
     ].filter(Boolean).join(" ");

@@ -5,7 +5,7 @@ import { Pace } from "./pace";
 import { Playhead } from "./playhead";
 import { grid, minMax, type Point } from "./ring";
 import type { Store } from "./store";
-import { ticks } from "./ticks";
+import { ticks, tickText } from "./ticks";
 
 interface Curve {
   stream: string;
@@ -171,7 +171,7 @@ class Scope {
         scales: { x: { time: false }, y: { range: (_, min, max) => padded(min, max) }, ...(this.about.right && { right: { range: (_: uPlot, __: number, max: number): [number, number] => [0, Math.max(1, max || 0) * 1.06] } }) },
         axes: [
           { ...axis, size: 22, values: (_, splits) => splits.map((value) => `${+value.toPrecision(3)} s`) },
-          { ...axis, size: 46, values: (_, splits) => splits.map((value) => `${+value.toPrecision(4)}`) },
+          { ...axis, size: 46, values: (_, splits) => splits.map((value) => tickText(value, 4)) },
           ...(this.about.right ? [{ ...axis, scale: "right", side: 1 as const, size: 26, grid: { show: false }, values: (_: uPlot, splits: number[]) => splits.map((value) => `${+value.toPrecision(3)}`) }] : []),
         ],
         series: [{}, ...this.about.curves.map((c) => ({ stroke: colour(c.colour), width: 1.25, points: { show: false }, scale: c.right ? "right" : "y" }))],

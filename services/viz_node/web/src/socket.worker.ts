@@ -6,8 +6,8 @@ import { Spring } from "./spring";
  * as often and as fresh where a picture takes half a second as where it takes a hundredth of one.
  */
 
-/** From the page: open a socket; send a frame; where the hand means to be [m], null to let go. */
-export type ToSocket = { open: string } | { frame: Uint8Array<ArrayBuffer> } | { meant: number | null };
+/** From the page: open a socket; send a frame; where the hand means to be [m], null to let go, and whether it is kept there. */
+export type ToSocket = { open: string } | { frame: Uint8Array<ArrayBuffer> } | { meant: number | null; isKept: boolean };
 /** To the page: the socket is open; a frame has come; the socket has closed. */
 export type FromSocket = { k: "open" } | { k: "frame"; frame: ArrayBuffer } | { k: "closed" };
 
@@ -22,7 +22,7 @@ page.onmessage = ({ data }: MessageEvent<ToSocket>) => {
   if ("open" in data) open(data.open);
   else if ("frame" in data) send(data.frame);
   else {
-    spring.mean(data.meant, performance.now());
+    spring.mean(data.meant, data.isKept, performance.now());
     if (data.meant === null) push();
   }
 };

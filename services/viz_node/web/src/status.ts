@@ -7,7 +7,7 @@ type Banner = [kind: "good" | "warn" | "bad", text: string];
 /** Nodes, events and the banners of what an operator must not overlook. */
 export class Status {
   private readonly rows = make("tbody");
-  private readonly list = make("ol");
+  private readonly list = make("ol", { tabindex: 0, "aria-label": "Events, newest first" });
   private shownEvents = 0;
   private connection: LinkState = "connecting";
   private connectionText = "";

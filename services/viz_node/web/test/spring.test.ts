@@ -1,6 +1,6 @@
 import { expect, it } from "vitest";
 import type { Snapshot, Tick } from "../src/protocol";
-import { LIMIT_N, PAGE_DEADLINE_MS, Spring, springForce } from "../src/spring";
+import { KEPT_DEADLINE_MS, LIMIT_N, PAGE_DEADLINE_MS, Spring, springForce } from "../src/spring";
 
 const column = (name: string): { name: string; unit: string; about: string } => ({ name, unit: "", about: "" });
 const SNAPSHOT = { k: "snapshot", streams: [{ name: "hand", topic: "haptic/state", columns: [column("force"), column("position")] }] } as unknown as Snapshot;
@@ -15,7 +15,7 @@ function held(...positions: number[]): Spring {
   const spring = new Spring();
   spring.take(SNAPSHOT);
   spring.take(tick(...positions));
-  spring.mean(0.01, 0);
+  spring.mean(0.01, false, 0);
   return spring;
 }
 
@@ -38,7 +38,7 @@ it("goes by the newest place of the arm, although the page says nothing new", ()
 it("lets go once when the page does", () => {
   const spring = held(0);
   expect(spring.next(10)).toBe(2);
-  spring.mean(null, 15);
+  spring.mean(null, false, 15);
   expect([spring.next(15), spring.next(30)]).toEqual([null, undefined]);
 });
 
@@ -47,14 +47,21 @@ it("lets go of a page that stands still, and holds again when it goes on", () =>
   expect(spring.next(PAGE_DEADLINE_MS - 1)).toBe(2);
   expect(spring.next(PAGE_DEADLINE_MS)).toBe(null);
   expect(spring.next(PAGE_DEADLINE_MS + 15)).toBe(undefined);
-  spring.mean(0.01, PAGE_DEADLINE_MS + 20);
+  spring.mean(0.01, false, PAGE_DEADLINE_MS + 20);
   expect(spring.next(PAGE_DEADLINE_MS + 30)).toBe(2);
+});
+
+it("holds on for longer where the hand is kept without a pointer", () => {
+  const spring = held(0);
+  spring.mean(0.01, true, 0);
+  expect(spring.next(KEPT_DEADLINE_MS - 1)).toBe(2);
+  expect(spring.next(KEPT_DEADLINE_MS)).toBe(null);
 });
 
 it("does not push before it knows where the arm is, nor by what it knew of a server before", () => {
   const spring = new Spring();
   spring.take(SNAPSHOT);
-  spring.mean(0.01, 0);
+  spring.mean(0.01, false, 0);
   expect(spring.next(10)).toBe(undefined);
   spring.take(tick(0));
   expect(spring.next(20)).toBe(2);

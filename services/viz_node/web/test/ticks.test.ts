@@ -4,6 +4,7 @@ import { ticks } from "../src/ticks";
 it.each([
   [-60, 60, ["-50", "0", "50"]],
   [-1e-4, 6.5e-4, ["0", "0.0002", "0.0004", "0.0006"]],
+  [-2.7e-5, 0, ["-2e-5", "-1e-5", "0"]],
   [-2450, 150, ["-2000", "-1000", "0"]],
 ])("are round numbers between %d and %d", (min, max, texts) => {
   const found = ticks(min, max);
