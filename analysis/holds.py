@@ -17,6 +17,11 @@ SETTLING_SHARE = 0.2
 _HAND_STEADY_SHARE = 0.01
 # of the greatest force: below it the hand has let go
 _PRESSING_SHARE = 0.05
+# a session that swings and drifts swings: what a person meets first, and what does not end by itself
+_WORST_FIRST: tuple[Kind, ...] = (
+    *("diverged", "guarded", "limit_cycle", "contact_lost", "wrong_force", "drifting", "cannot_say", "released"),
+    "stable",
+)
 
 
 class Hold(NamedTuple):
@@ -90,8 +95,10 @@ def judge_holds(
 
 
 def verdict_of(holds: list[Hold]) -> tuple[Kind, str]:
-    """Return the verdict on a session and the reason: that of the first hold which is not stable, or of the last."""
+    """Return the verdict on a session and the reason: those of its worst hold, or of the last where all are stable."""
     if not holds:
         return "cannot_say", "the hand never stood still for long enough"
-    decisive = next((hold for hold in holds if hold.verdict != "stable"), holds[-1])
+    # of several that are as bad the first
+    decisive = min(holds, key=lambda hold: _WORST_FIRST.index(hold.verdict))
+    decisive = holds[-1] if decisive.verdict == "stable" else decisive
     return decisive.verdict, decisive.reason

@@ -10,6 +10,7 @@ from typing import Any, Generic, NoReturn, TypeVar
 
 from pydantic import BaseModel
 
+from presets import DEFAULT_SITE_FILE, find_scenario, site_file_named
 from proto.errors import TelenanoError
 from proto.nodes import sites_of
 from services.runtime.address_book import AddressBook
@@ -89,8 +90,10 @@ class _Parser(argparse.ArgumentParser):
 def parse_arguments(name: str, sites: Sequence[str], arguments: Sequence[str] | None) -> NodeArguments:
     """Read the command line of a node."""
     parser = _Parser(prog=f"telenano node {name}", description=f"Run one {name} of the rig.")
-    parser.add_argument("--site-file", type=Path, required=True, help="address book of the rig (YAML)")
-    parser.add_argument("--scenario", type=Path, required=True, help="scenario with this node's section (YAML)")
+    about = "address book of the rig: a known name or a YAML file; default: local, all on this machine"
+    parser.add_argument("--site-file", type=Path, default=DEFAULT_SITE_FILE, metavar="NAME|FILE", help=about)
+    about = "scenario with this node's section: a known name or a YAML file"
+    parser.add_argument("--scenario", type=Path, required=True, metavar="NAME|FILE", help=about)
     parser.add_argument("--site", choices=sites, default=sites[0], help="site that this process belongs to")
     parser.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE", help="change one key")
     parser.add_argument("--with-parent", action="store_true", help="stop when the process that started this one ends")
@@ -118,8 +121,10 @@ def run_node(kind: NodeKind[C], arguments: Sequence[str] | None = None) -> int:
 def _run(kind: NodeKind[C], given: NodeArguments, log: StructuredLog) -> None:
     if given.with_parent:
         die_with_parent(signal.SIGTERM)
-    book = load_site(given.site_file)
-    loaded = load_scenario(given.scenario, given.set)
+    site_file = site_file_named(given.site_file) or DEFAULT_SITE_FILE
+    scenario_file = find_scenario(str(given.scenario))
+    book = load_site(site_file)
+    loaded = load_scenario(scenario_file, given.set)
     config = loaded.section(kind.name, kind.config)
     wanted = (
         loaded.scenario.realtime_in_force() if kind.realtime else RealtimeConfig(scheduler="normal", memory_lock="off")
@@ -137,7 +142,7 @@ def _run(kind: NodeKind[C], given: NodeArguments, log: StructuredLog) -> None:
 
         report_trace = hop_trace.install(log)
     with open_participant(key, book, signals.descriptor) as participant:
-        wiring = Wiring(**vars(participant), site_file=given.site_file, scenario_file=given.scenario)
+        wiring = Wiring(**vars(participant), site_file=site_file, scenario_file=scenario_file)
         node, bus = kind.build(wiring, config)
         huge_pages = use_huge_pages() if loaded.scenario.realtime.huge_pages else 0
         log.info("ready", realtime=status.fifo, memory_locked=status.memory_locked, huge_pages=huge_pages)

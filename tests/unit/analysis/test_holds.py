@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from analysis.holds import SETTLING_SHARE, Instrument, constant_stretches, judge_holds, verdict_of
+from analysis.holds import _WORST_FIRST, SETTLING_SHARE, Instrument, constant_stretches, judge_holds, verdict_of
+from analysis.verdict import KINDS
 
 TIME_S = np.arange(9000) * 1e-3
 # at rest, pressed with 1 N, pressed with 2 N; the steps between them are ramps of half a second
@@ -76,6 +77,18 @@ def test_the_tip_has_to_touch_and_press_as_the_hand_does() -> None:
     assert [hold.verdict for hold in away] == ["stable", "contact_lost", "contact_lost"]
     wrong = judge_holds(TIME_S, HAND_N, TIME_S, 4.0 * HAND_N, instrument())
     assert [hold.verdict for hold in wrong] == ["stable", "wrong_force", "wrong_force"]
+
+
+def test_a_session_is_called_by_its_worst_hold() -> None:
+    holds = judge_holds(TIME_S, HAND_N, TIME_S, HAND_N + swing(5.0, 9.0, 0.0, 1.0), instrument())
+    assert [hold.verdict for hold in holds] == ["stable", "stable", "limit_cycle"]
+    drifting = holds[1]._replace(verdict="drifting", reason="the force drifts")
+    assert verdict_of([holds[0], drifting, holds[2]]) == ("limit_cycle", holds[2].reason)
+    assert verdict_of([drifting, holds[0]]) == ("drifting", "the force drifts")
+
+
+def test_every_verdict_has_a_place_among_the_worst() -> None:
+    assert sorted(_WORST_FIRST) == sorted(KINDS)
 
 
 def test_a_session_without_holds_cannot_be_called_stable() -> None:

@@ -10,8 +10,9 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from presets import TWO_SITES_FILE, site_file_named
+from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE, site_file_named
 from proto.errors import RigError
+from services.runtime.main import node_kind, parse_arguments, run_node
 from telenano.lazy_commands import GROUPS as HEADINGS
 from telenano.lazy_commands import LAZY_COMMANDS, load
 from telenano.root import app
@@ -279,7 +280,7 @@ def test_an_unknown_node_lists_the_known() -> None:
     assert "haptic_node" in err
 
 
-def test_a_node_gets_the_arguments_that_follow_its_name() -> None:
+def test_a_node_gets_the_arguments_that_follow_its_name(capsys: pytest.CaptureFixture[str]) -> None:
     result = subprocess.run(
         [sys.executable, "-c", "from telenano.app import main; main()", "node", "recorder", "--help"],
         capture_output=True,
@@ -288,6 +289,11 @@ def test_a_node_gets_the_arguments_that_follow_its_name() -> None:
     )
     assert "telenano node recorder" in result.stdout
     assert "--with-parent" in result.stdout
+    # names of scenarios and site files as for every other command
+    wrong = run_node(node_kind("recorder"), ["--scenario", "no_such"])
+    assert wrong == 2
+    assert "unknown scenario 'no_such': known are fig10" in capsys.readouterr().err
+    assert parse_arguments("recorder", ("master",), ["--scenario", "fig12"]).site_file == DEFAULT_SITE_FILE
 
 
 def test_help_does_not_import_what_it_does_not_need() -> None:

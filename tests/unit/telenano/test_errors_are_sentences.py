@@ -181,7 +181,7 @@ def test_a_node_is_told_what_is_missing_in_one_sentence(capsys: pytest.CaptureFi
     from services.runtime.main import parse_arguments
 
     for arguments, said in (
-        ([], "the following arguments are required: --site-file, --scenario"),
+        ([], "the following arguments are required: --scenario"),
         (["--site", "nowhere"], "argument --site: invalid choice: 'nowhere' (choose from "),
     ):
         with pytest.raises(SystemExit) as caught:
