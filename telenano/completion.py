@@ -26,13 +26,25 @@ def topic_names(incomplete: str) -> list[str]:
 
 
 def law_names(incomplete: str) -> list[str]:
+    """Return the laws that begin so, those of installed packages included, and `all`; of a list a,b,c the last part."""
+    before, comma, last = incomplete.rpartition(",")
+    known = [*law_name(last), *(["all"] if "all".startswith(last) else [])]
+    return [f"{before}{comma}{name}" for name in known]
+
+
+def law_name(incomplete: str) -> list[str]:
     """Return the laws that begin so, those of installed packages included, without importing one."""
     from presets.plugins import installed
 
     own = ("virtual_impedance", "position_force", "wave", "passivity", "model_mediated", "smith")
-    # of a list a,b,c the last part is completed
-    before, comma, last = incomplete.rpartition(",")
-    return [f"{before}{comma}{name}" for name in (*own, "all", *installed("laws")) if name.startswith(last)]
+    return [name for name in (*own, *installed("laws")) if name.startswith(incomplete)]
+
+
+def service_names(incomplete: str) -> list[str]:
+    """Return what `telenano node` takes that begins so: names without a site, and `list`."""
+    from proto.nodes import SERVICES
+
+    return [name for name in (*SERVICES, "list") if name.startswith(incomplete)]
 
 
 def node_names(incomplete: str) -> list[str]:

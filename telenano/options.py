@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from presets import site_file_named
-from telenano.completion import topic_names
+from telenano.completion import node_names, topic_names
 
 # as ros2 and docker have it
 HELP_NAMES = {"help_option_names": ["-h", "--help"]}
@@ -47,7 +47,13 @@ TopicArgument = Annotated[
     ),
 ]
 TargetOption = Annotated[
-    str, typer.Option("--target", metavar="NODES", help="Nodes meant: node@site, node, or a pattern such as '*'.")
+    str,
+    typer.Option(
+        "--target",
+        metavar="NODES",
+        help="Nodes meant: node@site, node, or a pattern such as '*'.",
+        autocompletion=node_names,
+    ),
 ]
 SiteOption = Annotated[
     Site | None,

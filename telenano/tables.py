@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from rich.console import Group, RenderableType
-from rich.table import Table
+from rich.table import Column, Table
 from rich.text import Text
 
 from proto.messages import SUPERSEDED
@@ -72,7 +72,8 @@ def _take_lists(tree: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, S
 
 def rows_table(rows: Sequence[Mapping[str, Any]], title: str | None = None) -> Table:
     """Draw rows that have the same keys."""
-    table = Table(*rows[0], title=title)
+    # as text: the units in brackets would be taken for markup
+    table = Table(*(Column(Text(name)) for name in rows[0]), title=None if title is None else Text(title))
     for column, value in zip(table.columns, rows[0].values(), strict=True):
         column.justify = "left" if isinstance(value, str) else "right"
         column.overflow = "fold"
@@ -82,7 +83,7 @@ def rows_table(rows: Sequence[Mapping[str, Any]], title: str | None = None) -> T
 
 
 def _values_table(values: Mapping[str, Any], title: str) -> Table:
-    table = Table("quantity", "value", title=title)
+    table = Table("quantity", "value", title=Text(title))
     for column in table.columns:
         column.overflow = "fold"
     for key, value in _leaves("", values):
@@ -90,7 +91,7 @@ def _values_table(values: Mapping[str, Any], title: str) -> Table:
         text = Text("\n".join(value)) if value and key.rpartition(".")[2] in _SENTENCES else _value_text(value)
         if value and key.rpartition(".")[2] in _ALARMING:
             text.stylize("red")
-        table.add_row(key, text)
+        table.add_row(Text(key), text)
     return table
 
 

@@ -23,6 +23,7 @@ from recording.rewrite import filter_recording, merge_recordings, split_recordin
 from recording.tables import line, plain
 from recording.tolerance import Tolerances
 from recording.verify import verify as check
+from telenano.completion import node_names
 from telenano.exit_codes import EXIT_FAILED
 from telenano.options import CountOption, ExcludeOption, JsonOption, TopicsOption, command_group
 from telenano.output import console, print_document, print_json, print_rows, report_errors
@@ -278,7 +279,12 @@ def rerun(
     file: FileArgument,
     node: Annotated[
         list[str],
-        typer.Option("--node", metavar="NODE@SITE", help="Node to run again (repeatable), such as controller@master."),
+        typer.Option(
+            "--node",
+            metavar="NODE@SITE",
+            help="Node to run again (repeatable), such as controller@master.",
+            autocompletion=node_names,
+        ),
     ],
     tolerance: ToleranceOption = None,
     settings: Annotated[

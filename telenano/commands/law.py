@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
-from telenano.completion import law_names
+from telenano.completion import law_name
 from telenano.exit_codes import EXIT_FAILED
 from telenano.options import JsonOption, command_group
 from telenano.output import print_document, print_json, print_rows, report_errors
@@ -14,7 +14,7 @@ app = command_group()
 _OWN = "telenano"
 
 LawArgument = Annotated[
-    str, typer.Argument(metavar="LAW", help="Name of a law, as `law list` gives it.", autocompletion=law_names)
+    str, typer.Argument(metavar="LAW", help="Name of a law, as `law list` gives it.", autocompletion=law_name)
 ]
 
 

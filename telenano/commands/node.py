@@ -9,7 +9,7 @@ import typer
 from proto import TOPICS
 from proto.errors import ConfigError
 from proto.nodes import NODES, SERVICES, name_of
-from telenano.completion import node_names
+from telenano.completion import service_names
 from telenano.options import command_group
 from telenano.output import print_json, print_rows, report_errors
 
@@ -21,7 +21,9 @@ def node(
     context: typer.Context,
     name: Annotated[
         str,
-        typer.Argument(metavar="NAME|list", help=f"One of {', '.join(SERVICES)}; or list.", autocompletion=node_names),
+        typer.Argument(
+            metavar="NAME|list", help=f"One of {', '.join(SERVICES)}; or list.", autocompletion=service_names
+        ),
     ],
 ) -> None:
     """Run one node alone; what follows NAME goes to the node, whose --help lists it. `list` lists the nodes."""

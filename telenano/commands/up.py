@@ -14,7 +14,7 @@ from recording.multi_file import open_recordings
 from services.launcher.plan import Plan, UpRequest, make_plan
 from services.launcher.run import Outcome, default_folder, report_of, run_rig
 from services.viz_node.figure_style import FigureOptions, figure_options
-from telenano.completion import scenario_names
+from telenano.completion import node_names, scenario_names
 from telenano.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED
 from telenano.live_view import LineView, LiveView
 from telenano.options import FormatOption, JsonOption, RigFileOption, Site, StyleOption
@@ -92,7 +92,10 @@ def up(
     without: Annotated[
         list[str] | None,
         typer.Option(
-            "--without", metavar="NODE", help="Leave this node out, for a replay to take its place (repeatable)."
+            "--without",
+            metavar="NODE",
+            help="Leave this node out, for a replay to take its place (repeatable).",
+            autocompletion=node_names,
         ),
     ] = None,
     allow_replay: Annotated[

@@ -1,3 +1,4 @@
+import io
 import json
 import re
 import subprocess
@@ -8,6 +9,7 @@ from pathlib import Path
 
 import pytest
 import typer
+from rich.console import Console
 from typer.testing import CliRunner
 
 from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE, site_file_named
@@ -16,6 +18,7 @@ from services.runtime.main import node_kind, parse_arguments, run_node
 from telenano.lazy_commands import GROUPS as HEADINGS
 from telenano.lazy_commands import LAZY_COMMANDS, load
 from telenano.root import app
+from telenano.tables import rows_table
 
 DOCUMENTATION = Path(__file__).parents[3] / "docs" / "cli.md"
 RUNNER = CliRunner()
@@ -56,6 +59,19 @@ def test_every_command_and_flag_is_documented_and_no_other(path: str) -> None:
     parameters = getattr(COMMANDS[path], "params", [])
     flags = {flag for parameter in parameters for flag in parameter.opts if flag.startswith("--")} - {"--help"}
     assert documented_flags(path) == flags
+
+
+@pytest.mark.parametrize("path", sorted(GROUPS))
+def test_a_group_lists_its_commands_with_whole_sentences(path: str) -> None:
+    code, out, _ = run(*path.split()[1:], "--help")
+    assert code == 0
+    listed = out.partition("Commands:")[2]
+    assert "..." not in listed
+
+
+def test_the_bounds_of_a_number_are_written_as_a_person_writes_them() -> None:
+    assert "[≥ 0]" in run("up", "--help")[1]
+    assert "[≥ 0, ≤ 65535]" in run("view", "--help")[1]
 
 
 def test_headings_name_commands_that_exist() -> None:
@@ -239,6 +255,16 @@ def test_a_bridge_without_a_rig_says_so_and_fails() -> None:
     assert "open ws://127.0.0.1:" in out
     assert "no rig of this site file runs on this machine yet; waiting for one" in err
     assert "nothing was received" in err
+
+
+def test_units_in_brackets_are_in_the_tables() -> None:
+    out = run("topic", "info", "afm/state")[1]
+    assert "deadline [s]" in out
+    assert "declared rate [Hz]" in out
+    console = Console(width=80, file=io.StringIO())
+    console.print(rows_table([{"age [s]": 1.0}], title="x [s]"))
+    assert "age [s]" in console.file.getvalue()  # type: ignore[attr-defined]
+    assert "x [s]" in console.file.getvalue()  # type: ignore[attr-defined]
 
 
 def test_a_recorder_without_a_rig_says_that_its_file_is_empty(tmp_path: Path) -> None:

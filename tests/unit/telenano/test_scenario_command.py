@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 
 from presets import SCENARIO_DIRECTORY, SCHEMA_DIRECTORY, SITE_DIRECTORY
 from proto.errors import ConfigError
+from proto.nodes import SERVICES
 from services.launcher.plan import UpRequest, make_plan
 from services.launcher.scenario_keys import all_keys, markdown, scenario_schema, site_schema, value_at
 from services.runtime.config import read_yaml
@@ -135,6 +136,10 @@ def test_the_shell_completes_names() -> None:
     assert "fig12" in completion.scenario_names("fi")
     assert completion.topic_names("teleop/f") == ["teleop/forward", "teleop/forward@slave"]
     assert completion.law_names("wave,sm") == ["wave,smith"]
+    assert completion.law_names("al") == ["all"]
+    # one law, one node: what the command takes
+    assert completion.law_name("") == [name for name in completion.law_names("") if name != "all"]
+    assert completion.service_names("") == [*SERVICES, "list"]
     assert "controller@slave" in completion.node_names("contr")
     assert completion.scenario_sections("af") == ["afm_node"]
 
