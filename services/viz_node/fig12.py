@@ -25,9 +25,10 @@ Series = npt.NDArray[np.float64]
 # a pause in a series of a sample a millisecond
 _LONGEST_STEP_S = 0.05
 # of the span of the distance: what moves less has not turned back
-_TURN_SHARE = 0.1
-# between two samples of a millisecond: the base goes 2 um/s at most, which is a hundredth of this
-_JUMP_M = 2e-10
+_TURN_SHARE = 0.05
+# between two samples of a millisecond, in which the base of Fig. 12 goes 15 pm; and against the steps just before
+_JUMP_M = 1e-10
+_JUMP_RATIO = 4.0
 
 
 @dataclass(frozen=True)
@@ -126,15 +127,19 @@ def retracting(time_s: Series, separation_m: Series) -> npt.NDArray[np.bool_]:
     if known.size < 2:
         return np.zeros(len(separation_m), dtype=bool)
     least_m = _TURN_SHARE * float(np.ptp(known))
-    away, turned_m, found = False, float(known[0]), np.zeros(len(separation_m), dtype=bool)
+    away, turned_m, turn, found = False, float(known[0]), 0, np.zeros(len(separation_m), dtype=bool)
     for index, distance in enumerate(separation_m.tolist()):
         if not np.isfinite(distance):
             found[index] = away
             continue
         # the last extreme, and whether the tip has left it by more than noise and ripple
-        turned_m = max(turned_m, distance) if away else min(turned_m, distance)
+        if (distance >= turned_m) if away else (distance <= turned_m):
+            turned_m, turn = distance, index
         if abs(distance - turned_m) > least_m:
-            away, turned_m = not away, distance
+            away = not away
+            # it was on this way from the extreme on
+            found[turn + 1 : index] = away
+            turned_m, turn = distance, index
         found[index] = away
     return found
 
@@ -144,10 +149,11 @@ def _mark_jumps(axes: Axes, separation_m: Series, force_n: Series) -> None:
     steps_m = np.diff(separation_m)
     if not np.isfinite(steps_m).any():
         return
-    least_m = _JUMP_M
     to, off = int(np.nanargmin(steps_m)), int(np.nanargmax(steps_m))
     for place, size_m, words in ((to, -steps_m[to], "jump to contact"), (off, steps_m[off], "jump off contact")):
-        if size_m > least_m:
+        before_m = np.abs(steps_m[max(0, place - 3) : place])
+        usual_m = float(np.nanmax(before_m)) if np.isfinite(before_m).any() else 0.0
+        if size_m > max(_JUMP_M, _JUMP_RATIO * usual_m):
             where = (1e9 * separation_m[place], 1e9 * force_n[place])
             axes.annotate(
                 words, where, xytext=(12, -14 if words.startswith("jump to") else 14), textcoords="offset points",

@@ -2,6 +2,7 @@
 
 import io
 import itertools
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -104,11 +105,20 @@ def test_the_path_is_told_apart_by_approach_and_retraction() -> None:
     away = retracting(found.tip_time_s, found.separation_m)
     assert not away[(found.tip_time_s > 1.2) & (found.tip_time_s < 5.2)].any()
     assert away[(found.tip_time_s > 5.6) & (found.tip_time_s < 6.0)].all()
+    # from where it turned, and not from where that is certain
+    turn = retracting(np.arange(201.0), 1e-8 * np.abs(np.arange(-100.0, 101.0)) / 100.0)
+    assert np.flatnonzero(turn).tolist() == list(range(101, 201))
     # what ripples does not turn back
     ripple = found.separation_m + 2e-10 * np.sin(300.0 * found.tip_time_s)
     changes = np.count_nonzero(np.diff(retracting(found.tip_time_s, ripple)))
     assert changes == 1
     assert not retracting(found.tip_time_s, np.full(801, np.nan)).any()
+
+
+def test_a_motion_that_is_fast_all_the_time_is_no_jump() -> None:
+    found = replace(series(), separation_m=4e-9 + 4e-9 * np.cos(40.0 * series().tip_time_s))
+    assert np.abs(np.diff(found.separation_m)).max() > 1e-10
+    assert not draw_fig12(found, "title").axes[2].texts
 
 
 def test_the_figure_has_letters_both_ways_and_the_jumps_in_words() -> None:
