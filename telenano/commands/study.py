@@ -478,8 +478,7 @@ def _make_folder(out: Path) -> None:
 
 def _command() -> str:
     """Return the command that makes the page."""
-    arguments = sys.argv[1:] if sys.argv[1:2] == ["study"] else ["study", *sys.argv[1:]]
-    return " ".join(["telenano", *arguments])
+    return " ".join(["telenano", *(() if sys.argv[1:2] == ["study"] else ("study",)), *sys.argv[1:]])
 
 
 def _ms(value: float | None) -> str:
