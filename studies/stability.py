@@ -109,6 +109,8 @@ class Line:
         parts += [f"K_f = {self.gain:g}"] if self.gain is not None else []
         parts += [f"jitter {self.jitter}"] if self.jitter.value else []
         parts += [f"loss {100.0 * self.loss:g}%"] if self.loss else []
+        disturbed = dict.fromkeys(key.partition(".")[0] for key, _ in self.axes.disturbances if key != "seed")
+        parts += [f"with {', '.join(disturbed)}"] if disturbed else []
         return ", ".join(parts)
 
 

@@ -199,6 +199,8 @@ def test_relative_jitter_grows_with_the_delay() -> None:
     line = axes(jitters=(Jitter(0.5, relative=True),), losses=(0.2,)).lines()[0]
     assert line.cell(100.0).jitter_ms == 25.0
     assert line.label == "K = 10 N/m, jitter 50%, loss 20%"
+    given = (("readout.enabled", True), ("readout.white_v", 1e-4), ("drift.enabled", True), ("seed", 3))
+    assert axes(disturbances=given).lines()[0].label == "K = 10 N/m, with readout, drift"
 
 
 def test_page_table_and_summary(folder: Path, results: list[LineResult]) -> None:
