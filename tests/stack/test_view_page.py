@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browser_page import AXE, FILLED, Page, View, browser, has, needs_browser, open_page, until
+from browser_page import AXE, FILLED, PATIENT, Page, View, browser, has, needs_browser, open_page, until
 from stack_rig import Rig
 
 pytestmark = [pytest.mark.browser, needs_browser]
@@ -24,7 +24,7 @@ def chromium() -> Iterator[Any]:
 def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
     rig = Rig(tmp_path_factory.mktemp("viewed"))
     try:
-        rig.start("--duration", "600", "--no-view", scenario="image")
+        rig.start("--duration", "600", "--no-view", "--set", PATIENT, scenario="image")
         rig.wait_until(rig.running, "a running session")
         yield rig
     finally:

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from browser_page import FILLED, PATIENCE_S, Page, View, browser, needs_browser, open_page
+from browser_page import FILLED, PATIENCE_S, PATIENT, Page, View, browser, needs_browser, open_page
 from stack_rig import Rig
 
 from analysis.verdict import Circumstances, Verdict, judge
@@ -17,8 +17,6 @@ pytestmark = [pytest.mark.browser, pytest.mark.endurance, needs_browser]
 
 # what docs/view.md tells a newcomer to type
 STIFFNESS = "afm_node.cantilever.stiffness_n_per_m=4"
-# on a machine that is busy with other things the server of the page stands still for longer than a tenth of a second
-PATIENT = "haptic_node.operator.force_deadline_s=1"
 DELAYS_MS = (200, 300)
 LAW = "wave"
 # alpha_f of the scenario
