@@ -50,8 +50,8 @@ class MasterController(ControllerHalf):
     """
 
     inputs = MASTER_INPUTS
-    # the hand takes the command
-    last_of_tick = "teleop/backward"
+    # until the answer to the sample comes this side has nothing to do; after that the next sample is near
+    last_of_tick = "haptic/state"
     settle_ns = 100_000
 
     def __init__(self, context: NodeContext, config: ControllerConfig) -> None:

@@ -99,8 +99,8 @@ class Node(ABC):
     acts_on_health: ClassVar[bool] = False
     # its deadlines are worth a busy wait
     has_precise_deadlines = True
-    # of a node of the loop: the topic whose message ends a tick's work here, and how long those that are then still to
-    # come have a use for this processor; what no message waits for is done after that
+    # of a node of the loop: the topic whose message ends a part of a tick's work here, or OWN_DEADLINE, and how long
+    # others have a use for this processor then; what no message waits for is done after that
     last_of_tick: ClassVar[str] = ""
     settle_ns: ClassVar[int] = 0
     period_s: float = 0.0
@@ -228,7 +228,8 @@ class NodeLoop:
         # a message may have moved the deadline
         deadline = self.node.deadline_ns()
         now = self._clock.monotonic_ns()
-        if deadline - self._spin.ns <= now:
+        had_deadline = deadline - self._spin.ns <= now
+        if had_deadline:
             if not taken and woken >= wanted:
                 self._spin.record(woken - wanted)
             while now < deadline:
@@ -240,14 +241,14 @@ class NodeLoop:
             self.node.on_deadline(now)
             if journal is not None:
                 journal.record_deadline()
-        if now >= self.health_due_ns or (self._quiet.waits and taken):
-            self._report_in_quiet(taken, now)
+        if now >= self.health_due_ns or (self._quiet.waits and (taken or had_deadline)):
+            self._report_in_quiet(taken, now, had_deadline=had_deadline)
         elif self._journal is not None and self._journal.full:
             self._journal.publish()
 
-    def _report_in_quiet(self, taken: Sequence[Received], now_ns: int) -> None:
+    def _report_in_quiet(self, taken: Sequence[Received], now_ns: int, *, had_deadline: bool) -> None:
         """Send node/health, and the journal in another tick, once nothing of the loop waits for this node."""
-        self.health_due_ns = self._quiet.put_off(taken, now_ns, self.health_due_ns)
+        self.health_due_ns = self._quiet.put_off(taken, now_ns, self.health_due_ns, had_deadline=had_deadline)
         if self._quiet.waits:
             return
         if not self._quiet.last_of_tick:

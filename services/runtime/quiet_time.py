@@ -12,12 +12,14 @@ if TYPE_CHECKING:
     from services.runtime.bus import Received
 
 HEALTH_PERIOD_NS = 500_000_000
+# in the place of a topic: its own deadline ends the work of a tick at a node
+OWN_DEADLINE = "own deadline"
 # how long the end of a tick is waited for: a loop that stands still has no ticks
 PATIENCE_NS = 20_000_000
 
 
 class QuietTime:
-    """Puts a report off until a tick has passed through its node.
+    """Puts a report off until a tick has passed through its node, or has gone on from it for a while.
 
     Health and journal of each node have a part of the period of their own, on a clock that all of a machine share.
     """
@@ -37,14 +39,16 @@ class QuietTime:
         self._slot_ns = HEALTH_PERIOD_NS // (2 * len(START_ORDER))
         self._phase_ns = (2 * START_ORDER.index(node) if node in START_ORDER else 0) * self._slot_ns
 
-    def put_off(self, taken: Sequence["Received"], now_ns: int, due_ns: int) -> int:
+    def put_off(self, taken: Sequence["Received"], now_ns: int, due_ns: int, *, had_deadline: bool) -> int:
         """Return when a report that is due may be made [ns]; `waits` is false when that is now.
 
-        Parameters: taken, the messages of the turn in hand; due_ns, when it was due or may be made at the latest.
+        Parameters: taken, the messages of the turn in hand; had_deadline, a deadline was acted on in it; due_ns, when
+        it was due or may be made at the latest.
         """
         if not self.last_of_tick:
             return due_ns
-        if not self._has_passed and any(received.topic == self.last_of_tick for received in taken):
+        by_message = any(received.topic == self.last_of_tick for received in taken)
+        if not self._has_passed and (by_message or (had_deadline and self.last_of_tick == OWN_DEADLINE)):
             self._has_passed = self.waits = True
             due_ns = now_ns + self._settle_ns
         elif not self.waits:

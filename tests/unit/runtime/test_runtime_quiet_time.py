@@ -15,7 +15,7 @@ from services.runtime.bus import ConnectionEvent, Received
 from services.runtime.clock import VirtualClock
 from services.runtime.log import StructuredLog
 from services.runtime.node import Node, NodeContext, NodeLoop
-from services.runtime.quiet_time import HEALTH_PERIOD_NS, PATIENCE_NS
+from services.runtime.quiet_time import HEALTH_PERIOD_NS, OWN_DEADLINE, PATIENCE_NS, QuietTime
 from services.runtime.realtime import RealtimeStatus
 
 MS = 1_000_000
@@ -127,3 +127,14 @@ def test_a_node_whose_loop_stands_still_reports_all_the_same(ticks_until_ns: int
     late = [at_ns for at_ns, topic in found if topic == "node/health" and at_ns > ticks_until_ns + HEALTH_PERIOD_NS]
     assert len(late) >= 2
     assert max(b - a for a, b in pairwise(late)) <= HEALTH_PERIOD_NS + 2 * PATIENCE_NS
+
+
+def test_a_node_that_paces_the_loop_reports_some_time_after_its_own_deadline() -> None:
+    quiet = QuietTime("haptic_node@master", OWN_DEADLINE, SETTLE_NS)
+    # the report falls due between two deadlines: the next one is waited for, and then the time of others
+    assert quiet.put_off([], 5 * MS, 5 * MS, had_deadline=False) == 5 * MS + PATIENCE_NS
+    assert quiet.waits
+    assert quiet.put_off([], 6 * MS, 5 * MS + PATIENCE_NS, had_deadline=True) == 6 * MS + SETTLE_NS
+    assert quiet.waits
+    assert quiet.put_off([], 6 * MS + SETTLE_NS, 6 * MS + SETTLE_NS, had_deadline=False) == 6 * MS + SETTLE_NS
+    assert not quiet.waits
