@@ -14,10 +14,11 @@ One function decides, for recordings, maps and the check of the bus against lock
 
 A growth rate counts where it exceeds three of its standard errors and changes the motion by more than a tenth over the
 later part of the hold, and where the mode is more than a tenth of the motion that is left: friction makes that no sum
-of exponentials, and leaves a fit with modes a hundredth as large. One of less than a quarter of a cycle is the bend of
-a drift, and has to be larger than a twentieth of the hand's force. Over a link with jitter or loss a motion that the
-link's randomness keeps up is a limit cycle too, and a trend has to be a factor of two, because it may be chance. White
-noise of the read-out is estimated from the data and is no motion.
+of exponentials, and leaves a fit with modes a hundredth as large. It has to be more than a millionth of the hand's
+force: what is smaller is a rest of rounding. One of less than a quarter of a cycle is the bend of a drift, and has to
+be larger than a twentieth of the hand's force. Over a link with jitter or loss a motion that the link's randomness
+keeps up is a limit cycle too, and a trend has to be a factor of two, because it may be chance. White noise of the
+read-out is estimated from the data and is no motion.
 """
 
 import math
@@ -76,6 +77,8 @@ _LATE_ONSET = 4.0
 _DRIFT_CYCLES = 0.25
 # of the motion at the end of the hold: a growing mode that is smaller is a residue of the rest
 _RESIDUE_SHARE = 0.1
+# of the hand's force: what a hand sets in motion and what grows is larger, and a rest of rounding is not
+_NOTHING_SHARE = 1e-6
 
 
 class Verdict(NamedTuple):
@@ -155,7 +158,7 @@ def _decided(
     least = _NOISY_CHANGE if known.noisy else _SUSTAINED_CHANGE
     span_s = _SPAN * motion.length_s
     large = [mode for mode in motion.modes if _reach(mode) > small_n]
-    residue_n = _RESIDUE_SHARE * float(motion.sizes_n[-1])
+    residue_n = max(_RESIDUE_SHARE * float(motion.sizes_n[-1]), _NOTHING_SHARE * hand_force_n)
     growing = [
         mode
         for mode in motion.modes

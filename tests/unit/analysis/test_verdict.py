@@ -211,6 +211,13 @@ def test_sizes_below_the_floor_count_as_nothing() -> None:
     assert trend == -1.0
 
 
+@pytest.mark.parametrize(("size_n", "kind"), [(4e-7, "stable"), (4e-6, "diverged")])
+def test_less_than_a_millionth_of_the_force_is_a_rest_of_rounding_and_no_growth(size_n: float, kind: str) -> None:
+    time_s = np.arange(0.0, 8.0, 1e-3)
+    swing = 0.5 * size_n * np.exp(0.5 * (time_s - 8.0)) * np.sin(2.0 * np.pi * 1.05 * time_s)
+    assert judge(time_s, 1.0 + swing, 1.0).kind == kind
+
+
 def test_windows_cover_the_hold() -> None:
     centres, sizes = window_sizes(TIME_S, TIME_S)
     assert len(centres) == len(sizes) == WINDOWS
