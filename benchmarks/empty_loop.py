@@ -29,10 +29,14 @@ class Stall(NamedTuple):
 
 
 class EmptyLoops:
-    """Runs a loop on each processor while the block runs; `stalls` are known once it has ended."""
+    """Runs a loop on each processor while the block runs; `stalls` are known once it has ended.
 
-    def __init__(self) -> None:
+    Parameters: period_ns [ns]; late_ns, from which lateness on it is a stall [ns].
+    """
+
+    def __init__(self, period_ns: int = PERIOD_NS, late_ns: int = LATE_NS) -> None:
         self.stalls: list[Stall] = []
+        self._period_ns, self._late_ns = period_ns, late_ns
 
     def __enter__(self) -> "EmptyLoops":
         # not a new interpreter: beside a rig that would take seconds to start
@@ -41,7 +45,9 @@ class EmptyLoops:
         self._loops = []
         for cpu in sorted(os.sched_getaffinity(0)):
             here, there = multiprocessing.Pipe()
-            loop = context.Process(target=keep_deadlines, args=(cpu, there), daemon=True)
+            loop = context.Process(
+                target=keep_deadlines, args=(cpu, there, self._period_ns, self._late_ns), daemon=True
+            )
             loop.start()
             self._ends.append(here)
             self._loops.append(loop)
@@ -70,7 +76,7 @@ class EmptyLoops:
         return max((stall.last_ns - stall.first_ns for stall in inside), default=0) * 1e-9
 
 
-def keep_deadlines(cpu: int, stop: Connection) -> None:
+def keep_deadlines(cpu: int, stop: Connection, period_ns: int = PERIOD_NS, late_ns: int = LATE_NS) -> None:
     """Keep deadlines on one processor until stopped, then send when they were missed."""
     os.sched_setaffinity(0, {cpu})
     # where it is not permitted the rig has no real time either
@@ -80,10 +86,10 @@ def keep_deadlines(cpu: int, stop: Connection) -> None:
     stalls: list[Stall] = []
     deadline = time.monotonic_ns()
     while not stop.poll():
-        deadline += PERIOD_NS
+        deadline += period_ns
         time.sleep(max(0, deadline - time.monotonic_ns()) * 1e-9)
         now = time.monotonic_ns()
-        if now - deadline > LATE_NS:
+        if now - deadline > late_ns:
             wall = time.time_ns()
             stalls.append(Stall(wall - (now - deadline), wall))
             deadline = now

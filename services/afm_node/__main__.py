@@ -13,10 +13,15 @@ from services.afm_node.sample_models import SAMPLES, SimulatedSample
 from services.afm_node.sim import SimulatedSpring
 from services.runtime.main import NodeKind, ordinary, run_node
 from services.runtime.node import NodeContext
+from services.runtime.realtime import ordinary_scheduling
 
 
 def build(context: NodeContext, config: AfmConfig) -> AfmNode:
     """Build the node with its instrument."""
+    if config.driver == "simulated" and config.model == "dynamic":
+        # what it loads and compiles takes seconds, in which the law beside it has its period to keep
+        with ordinary_scheduling():
+            return AfmNode(context, config, _driver(config))
     return AfmNode(context, config, _driver(config))
 
 

@@ -19,12 +19,19 @@ class LatenessWindow:
 
     def take(self) -> tuple[float, float, float]:
         """Return p50, p99 and the greatest lateness [s] since the last call, and reset; zeros if there was none."""
-        used = self._samples[: min(self._count, _WINDOW)]
+        used = np.sort(self._samples[: min(self._count, _WINDOW)])
         self._count = 0
         if used.size == 0:
             return 0.0, 0.0, 0.0
-        p50, p99 = np.percentile(used, [50.0, 99.0])
-        return float(p50), float(p99), float(used.max())
+        return _quantile(used, 0.5), _quantile(used, 0.99), float(used[-1])
+
+
+def _quantile(ordered: npt.NDArray[np.float64], share: float) -> float:
+    # np.percentile takes a quarter of a millisecond for it, in which a command may come
+    place = share * (ordered.size - 1)
+    i = int(place)
+    low, high = float(ordered[i]), float(ordered[min(i + 1, ordered.size - 1)])
+    return low + (place - i) * (high - low)
 
 
 class SpinMargin:

@@ -23,6 +23,7 @@ from services.runtime.realtime import (
     ahead_of_others,
     apply_realtime,
     die_with_parent,
+    ordinary_scheduling,
     raise_file_limit,
     use_huge_pages,
 )
@@ -144,7 +145,9 @@ def _run(kind: NodeKind[C], given: NodeArguments, log: StructuredLog) -> None:
     with open_participant(key, book, signals.descriptor) as participant:
         wiring = Wiring(**vars(participant), site_file=site_file, scenario_file=scenario_file)
         node, bus = kind.build(wiring, config)
-        huge_pages = use_huge_pages() if loaded.scenario.realtime.huge_pages else 0
+        # tens of ms for a large process, in which the others on its processor have their periods to keep
+        with ordinary_scheduling():
+            huge_pages = use_huge_pages() if loaded.scenario.realtime.huge_pages else 0
         log.info("ready", realtime=status.fifo, memory_locked=status.memory_locked, huge_pages=huge_pages)
         run_loop(node, bus, signals, status, spin_s=wanted.spin_s)
     if report_trace is not None:

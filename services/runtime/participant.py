@@ -22,7 +22,7 @@ from services.runtime.node import (
     install_stop_signals,
 )
 from services.runtime.reader import Reader
-from services.runtime.realtime import RealtimeStatus, freeze_garbage
+from services.runtime.realtime import RealtimeStatus, freeze_garbage, ordinary_scheduling
 from services.runtime.security.keyring import Keyring, this_machine
 from services.runtime.transport import Transport, open_context
 
@@ -185,5 +185,7 @@ def run_loop(
     loop = NodeLoop(node, bus, realtime, spin_s=spin_s, starting_period_ns=STARTING_PERIOD_NS)
     signals.interrupt(node)
     if freeze:
-        freeze_garbage()
+        # it looks at every object of the process, in which the others on its processor have their periods to keep
+        with ordinary_scheduling():
+            freeze_garbage()
     loop.run()

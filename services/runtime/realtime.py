@@ -116,6 +116,23 @@ def processor_of(node: str, config: RealtimeConfig, permitted: Sequence[int]) ->
     return masters if at_master else slaves
 
 
+@contextlib.contextmanager
+def ordinary_scheduling() -> Iterator[None]:
+    """Leave SCHED_FIFO while the block runs: for work at the start that others on this processor must not wait for.
+
+    Of this thread alone, and of those that it begins meanwhile.
+    """
+    if not is_linux() or os.sched_getscheduler(0) != os.SCHED_FIFO:
+        yield
+        return
+    granted = os.sched_getparam(0)
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    try:
+        yield
+    finally:
+        os.sched_setscheduler(0, os.SCHED_FIFO, granted)
+
+
 def ahead_of_others() -> None:
     """Raise the priority above ordinary processes where permitted, for a node that has to keep up with the loop."""
     with contextlib.suppress(PermissionError):

@@ -23,6 +23,7 @@ from services.runtime.realtime import (
     die_with_parent,
     freeze_garbage,
     lower_thread,
+    ordinary_scheduling,
     processor_of,
     shallow_idle,
 )
@@ -92,6 +93,29 @@ def test_each_side_of_the_link_has_a_processor(node: str, permitted: list[int], 
     assert processor_of("afm_node@slave", with_master, [2, 3]) != processor_of("controller@master", with_master, [2, 3])
     own = RealtimeConfig(cpus={"controller": 5, "controller@slave": 6})
     assert processor_of(node, own, permitted) == {"controller@master": 5, "controller@slave": 6}.get(node)
+
+
+@pytest.mark.parametrize("granted", [os.SCHED_FIFO, os.SCHED_OTHER])
+def test_work_at_the_start_is_done_without_fifo_and_what_was_granted_comes_back(
+    monkeypatch: pytest.MonkeyPatch, granted: int
+) -> None:
+    fake = machine(monkeypatch, permitted=True)
+    monkeypatch.setattr(os, "sched_getscheduler", lambda pid: granted)
+    monkeypatch.setattr(os, "sched_getparam", lambda pid: os.sched_param(37))
+    during = []
+
+    def work() -> None:
+        with ordinary_scheduling():
+            during.extend(fake.asked)
+            raise RuntimeError("no such sample")
+
+    with pytest.raises(RuntimeError, match="no such sample"):
+        work()
+    if granted == os.SCHED_FIFO:
+        assert during == [("scheduler", 0, os.SCHED_OTHER, 0)]
+        assert fake.asked == [*during, ("scheduler", 0, os.SCHED_FIFO, 37)]
+    else:
+        assert fake.asked == during == []
 
 
 def test_a_process_without_fifo_is_left_free(monkeypatch: pytest.MonkeyPatch) -> None:
