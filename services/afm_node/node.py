@@ -58,9 +58,6 @@ class AfmNode(Node):
     commands: ClassVar[tuple[str, ...]] = ("arm", "estop")
     named_commands: ClassVar[tuple[str, ...]] = ("set",)
     journalled = True
-    # the slave's half and the link pass the answer on
-    last_of_tick = "afm/command"
-    settle_ns = 300_000
     period_s = PERIOD_S
 
     def __init__(self, context: NodeContext, config: AfmConfig, driver: AfmDriver) -> None:

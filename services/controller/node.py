@@ -50,9 +50,6 @@ class MasterController(ControllerHalf):
     """
 
     inputs = MASTER_INPUTS
-    # until the answer to the sample comes this side has nothing to do; after that the next sample is near
-    last_of_tick = "haptic/state"
-    settle_ns = 100_000
 
     def __init__(self, context: NodeContext, config: ControllerConfig) -> None:
         super().__init__(context, config)
@@ -212,9 +209,6 @@ class SlaveController(ControllerHalf):
     """The half at the instrument's site: teleop/forward in, afm/command out; afm/state in, teleop/backward out."""
 
     inputs = SLAVE_INPUTS
-    # the link passes the answer on
-    last_of_tick = "afm/state"
-    settle_ns = 150_000
 
     def __init__(self, context: NodeContext, config: ControllerConfig) -> None:
         super().__init__(context, config)

@@ -20,14 +20,10 @@ from services.runtime.deadlines import PeriodicDeadline
 from services.runtime.ends import publish_end
 from services.runtime.freshness import StallDetector
 from services.runtime.node import AccountedBus, Node, NodeContext
-from services.runtime.quiet_time import PATIENCE_NS
 
 STATUS_PERIOD_NS = 100_000_000
 # exchanges of time stamps in view, one a report: the clocks of two sites drift by microseconds in this time
 _CLOCK_WINDOW = 64
-# how long after a message of the loop no report is made: the answer to a sample of the hand comes within the tick, or
-# after what delays it
-_WAIT_FOR_ANSWER_NS = {"teleop/forward": 2_000_000, "teleop/backward": 0}
 # rows of ground truth that make a message worth sending
 _FATES_AT_ONCE = 32
 # rows that fit into a message with room to spare
@@ -63,7 +59,6 @@ class DelayNode(Node):
     commands: ClassVar[tuple[str, ...]] = ("set",)
     journalled = True
     acts_on_health = True
-    last_of_tick = "teleop/backward"
     period_s = 0.0
 
     def __init__(
@@ -95,16 +90,12 @@ class DelayNode(Node):
         self._spans_machines = spans_machines
         self._stalls = StallDetector()
         self._unreported = 0
-        # the report of every tenth of a second is not made while the answer to a tick is still to come
-        self._quiet_from_ns = 0
         self._status = PeriodicDeadline(self.clock.monotonic_ns(), STATUS_PERIOD_NS)
         self.state = "running"
 
     def deadline_ns(self) -> int:
         release_ns = self.engine.next_release_ns()
-        status_ns = self._status.deadline_ns
-        status_ns = min(max(status_ns, self._quiet_from_ns), status_ns + PATIENCE_NS)
-        due_ns = min(status_ns, self._stalls.deadline_ns())
+        due_ns = min(self._status.deadline_ns, self._stalls.deadline_ns())
         return due_ns if release_ns is None else min(due_ns, release_ns - self.clock.epoch_offset_ns)
 
     def on_message(self, received: Received) -> None:
@@ -123,9 +114,6 @@ class DelayNode(Node):
                 )
                 self._send(way, due)
         self.steps += 1
-        if received.topic in _WAIT_FOR_ANSWER_NS:
-            arrived_ns = received.received_ns - self.clock.epoch_offset_ns
-            self._quiet_from_ns = arrived_ns + _WAIT_FOR_ANSWER_NS[received.topic]
         self._unreported += 1
         # after a backward message, when a tick has passed through and the next is some time away
         if self._unreported >= _FATES_AT_ONCE and direction == "backward":

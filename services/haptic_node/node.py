@@ -21,7 +21,6 @@ from services.runtime.deadlines import PeriodicDeadline
 from services.runtime.frames import to_paper_axis, to_site_frame
 from services.runtime.freshness import LOOP_DEADLINE_NS, HandAge, age_s
 from services.runtime.node import DeviceDelay, Node, NodeContext
-from services.runtime.quiet_time import OWN_DEADLINE
 from services.runtime.replay_guard import ReplayGuard
 
 INPUTS = ("haptic/command", "operator/force", "link/delay", "session/control", "node/health")
@@ -47,9 +46,6 @@ class HapticNode(Node):
     commands: ClassVar[tuple[str, ...]] = ("start", "stop", "arm", "estop")
     named_commands: ClassVar[tuple[str, ...]] = ("set",)
     journalled = True
-    # while the slave's side works on the sample
-    last_of_tick = OWN_DEADLINE
-    settle_ns = 200_000
     period_s = PERIOD_S
 
     def __init__(self, context: NodeContext, config: HapticConfig, device: HapticDevice) -> None:

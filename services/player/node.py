@@ -24,8 +24,7 @@ from services.player.playback import Playback, PlaybackClock, is_state
 from services.runtime.address_book import AddressBook
 from services.runtime.bus import ZmqPublisher
 from services.runtime.clock import Clock
-from services.runtime.node import Node, NodeContext, resident_bytes
-from services.runtime.quiet_time import HEALTH_PERIOD_NS
+from services.runtime.node import HEALTH_PERIOD_NS, Node, NodeContext, resident_bytes
 
 # the recorder, the observer `telenano record` and the player itself are not part of the rig that is played, and an
 # emergency stop has no endpoint that could be taken

@@ -23,10 +23,10 @@ from services.runtime.ends import publish_end
 from services.runtime.freshness import LOOP_DEADLINE_NS
 from services.runtime.journal import InputJournal
 from services.runtime.log import RateLimitedLog, StructuredLog
-from services.runtime.quiet_time import HEALTH_PERIOD_NS, QuietTime
 from services.runtime.realtime import RealtimeStatus
 
 NodeState = Literal["starting", "ready", "running", "safe", "stopping"]
+HEALTH_PERIOD_NS = 500_000_000
 # at first, where a rig waits until every node has said that it receives its inputs
 STARTING_PERIOD_NS, _STARTING_NS = 100_000_000, 3_000_000_000
 _FAR_FUTURE_NS = 2**62
@@ -99,10 +99,6 @@ class Node(ABC):
     acts_on_health: ClassVar[bool] = False
     # its deadlines are worth a busy wait
     has_precise_deadlines = True
-    # of a node of the loop: the topic whose message ends a part of a tick's work here, or OWN_DEADLINE, and how long
-    # others have a use for this processor then; what no message waits for is done after that
-    last_of_tick: ClassVar[str] = ""
-    settle_ns: ClassVar[int] = 0
     period_s: float = 0.0
     state: NodeState = "ready"
 
@@ -194,7 +190,6 @@ class NodeLoop:
         self._limited_log = RateLimitedLog(node.context.log, self._clock)
         self._started_ns = self._awake_ns = self.health_due_ns = self._last_health_ns = self._clock.monotonic_ns()
         self._journal = InputJournal(node, bus.sequence_numbers) if node.journalled else None
-        self._quiet = QuietTime(node.context.key, node.last_of_tick, node.settle_ns)
         self._last_cpu_s = time.process_time()
         self._last_steps = 0
         self._rejected_seen = 0
@@ -228,8 +223,7 @@ class NodeLoop:
         # a message may have moved the deadline
         deadline = self.node.deadline_ns()
         now = self._clock.monotonic_ns()
-        had_deadline = deadline - self._spin.ns <= now
-        if had_deadline:
+        if deadline - self._spin.ns <= now:
             if not taken and woken >= wanted:
                 self._spin.record(woken - wanted)
             while now < deadline:
@@ -241,33 +235,13 @@ class NodeLoop:
             self.node.on_deadline(now)
             if journal is not None:
                 journal.record_deadline()
-        if now >= self.health_due_ns or (self._quiet.waits and (taken or had_deadline)):
-            self._report_in_quiet(taken, now, had_deadline=had_deadline)
+        if now >= self.health_due_ns:
+            self.publish_health(now)
         elif self._journal is not None and self._journal.full:
             self._journal.publish()
 
-    def _report_in_quiet(self, taken: Sequence[Received], now_ns: int, *, had_deadline: bool) -> None:
-        """Send node/health, and the journal in another tick, once nothing of the loop waits for this node."""
-        self.health_due_ns = self._quiet.put_off(taken, now_ns, self.health_due_ns, had_deadline=had_deadline)
-        if self._quiet.waits:
-            return
-        if not self._quiet.last_of_tick:
-            self.publish_health(now_ns)
-        elif self._quiet.is_for_journal:
-            if self._journal is not None:
-                self._journal.publish()
-            self.health_due_ns = self._quiet.after_journal()
-        else:
-            self._send_health(now_ns)
-            self.health_due_ns = self._quiet.after_health(now_ns, self.health_due_ns)
-
     def publish_health(self, now_ns: int) -> None:
         """Send node/health and what the journal holds, and start a new interval."""
-        self._send_health(now_ns)
-        if self._journal is not None:
-            self._journal.publish()
-
-    def _send_health(self, now_ns: int) -> None:
         self._report_connections(self._bus.process_events(now=True))
         self._report_rejections()
         elapsed_s = max(now_ns - self._last_health_ns, 1) * 1e-9
@@ -300,6 +274,8 @@ class NodeLoop:
         # a node that runs is in a session, whose loop pays for each report
         starting = now_ns - self._started_ns < _STARTING_NS and self.node.state != "running"
         self.health_due_ns = now_ns + (self._starting_period_ns if starting else HEALTH_PERIOD_NS)
+        if self._journal is not None:
+            self._journal.publish()
 
     def _note_awake(self) -> int:
         """Return the monotonic time [ns], and note it if the process did nothing for longer than a command is valid."""

@@ -132,30 +132,6 @@ def test_status_has_settings_and_figures(link_of: Any) -> None:
     assert not status.backward.delay_valid
 
 
-def test_no_report_is_made_while_an_answer_is_to_come(link_of: Any) -> None:
-    link = link_of()
-    known = {"separation_m": 0.0, "separation_valid": False, "in_contact": False}
-    begin_ns = link.bench.clock.now_ns()
-    # a report falls due at a whole millisecond, a tenth after a forward message and two before its answer
-    link.pass_ms(0.9)
-    for _ in range(300):
-        link.receive("teleop/forward", "controller@master", **HALF)
-        link.pass_ms(0.3)
-        link.receive("teleop/backward", "controller@slave", **HALF, **known)
-        link.pass_ms(0.7)
-    times_ns = [status.t_ns - begin_ns for status in link.bench.take("link/status")]
-    assert [t_ns // 1_000_000 for t_ns in times_ns] == [100, 200, 300]
-    assert {t_ns % 1_000_000 for t_ns in times_ns} == {200_000}
-
-
-def test_reports_do_not_wait_for_answers_that_never_come(link_of: Any) -> None:
-    link = link_of()
-    for _ in range(350):
-        link.receive("teleop/forward", "controller@master", **HALF)
-        link.pass_ms(1.0)
-    assert len(link.bench.take("link/status")) == 3
-
-
 def control(link: Link, **parameters: Any) -> Any:
     fields = {"id": "a", "command": "set", "target": "delay_node", "parameters": parameters}
     return link.bench.make("session/control", "console@master", **fields)

@@ -26,13 +26,13 @@ from services.runtime.clock import VirtualClock
 from services.runtime.deadlines import PeriodicDeadline
 from services.runtime.log import StructuredLog
 from services.runtime.node import (
+    HEALTH_PERIOD_NS,
     Node,
     NodeContext,
     NodeLoop,
     install_stop_signals,
     resident_bytes,
 )
-from services.runtime.quiet_time import HEALTH_PERIOD_NS
 from services.runtime.realtime import RealtimeStatus
 
 MS = 1_000_000
