@@ -14,6 +14,7 @@ import yaml
 from presets import TWO_SITES_FILE
 from proto.errors import ConfigError
 from proto.nodes import START_ORDER, site_of
+from services.launcher.processes import LINGER_GRACE_S, RECORDER_GRACE_S
 from services.runtime.config import environment_overrides, validate
 from services.runtime.main import load_site, node_kind
 from services.runtime.realtime import RealtimeConfig
@@ -157,6 +158,13 @@ def test_nodes_come_back_after_a_crash_but_not_for_ever(path: Path) -> None:
         assert set(service["ulimits"]) == {"rtprio", "memlock"}
     for name in (NOT_NODES - {VIEW}) & set(effective(path)):
         assert "restart" not in effective(path)[name], name
+
+
+@pytest.mark.parametrize("path", [WHOLE, MASTER, SLAVE], ids=lambda path: path.name)
+def test_engine_waits_for_as_long_as_a_node_may_send(path: Path) -> None:
+    for name, service in nodes(path).items():
+        grace_s = float(service["stop_grace_period"].removesuffix("s"))
+        assert grace_s >= (RECORDER_GRACE_S if name.startswith("recorder") else LINGER_GRACE_S), name
 
 
 @pytest.mark.parametrize("path", [WHOLE, MASTER], ids=lambda path: path.name)
