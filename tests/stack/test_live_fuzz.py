@@ -157,5 +157,5 @@ def test_no_frame_ends_a_live_node_and_the_loops_keep_their_rate(
         machine.note(f"only {share:.0%} of the processors were to be had while frames were sent: no rate is judged")
         return
     assert min(rates.values()) >= 0.98 * share * 1000.0, (rates, share)
-    # what the link is held up by it sends on two at a time, and the slave's half takes the newer: 95.8 to 98.4 % measured
+    # what the link is held up by it sends on two at a time, and the slave's half takes the newer: 95.8 to 98.4 %
     assert min(passed.values()) >= 0.90 * share, (passed, share)
