@@ -29,7 +29,7 @@ from recording.reader import Recording
 from recording.records import REJECTED_TOPIC, RejectedRecord
 from recording.tolerance import Tolerances, first_difference
 from services.runtime.address_book import AddressBook
-from services.runtime.bus import Publisher, Received, Subscriber, ZmqBus, ZmqPublisher
+from services.runtime.bus import Received, Subscriber, ZmqBus
 from services.runtime.clock import TurnClock
 from services.runtime.config import flag_overrides, merge, validate
 from services.runtime.journal import COMMAND, DEADLINE, MESSAGE
@@ -37,6 +37,7 @@ from services.runtime.log import StructuredLog
 from services.runtime.main import Wiring, node_kind
 from services.runtime.node import Node
 from services.runtime.node_state import restore
+from services.runtime.publisher import Publisher, ZmqPublisher
 from services.runtime.reader import Reader
 from services.runtime.scenario import LoadedScenario, Scenario
 
@@ -465,7 +466,7 @@ class _ReplayWiring(Wiring):
         """Return the bus of the re-run."""
         return cast(ZmqBus, self.replay_bus)
 
-    def bind(self, key: str, kind: int = zmq.PUB) -> ZmqPublisher:
+    def bind(self, key: str, kind: int = zmq.PUB, *, batched: bool = False) -> ZmqPublisher:
         """Return an endpoint of the node."""
         return cast(ZmqPublisher, ReplayOutlet(self.replay_bus, key))
 

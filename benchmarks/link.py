@@ -24,9 +24,10 @@ import numpy as np
 import yaml
 import zmq
 
-from services.runtime.bus import Subscriber, ZmqPublisher
+from services.runtime.bus import Subscriber
 from services.runtime.clock import EPOCH_OFFSET_VARIABLE, SystemClock
 from services.runtime.log import StructuredLog
+from services.runtime.publisher import ZmqPublisher
 from services.runtime.realtime import RealtimeConfig, apply_realtime, freeze_garbage, shallow_idle
 
 BURST = 3

@@ -14,7 +14,7 @@ def build(wiring: Wiring, settings: LinkSettings) -> tuple[Node, AccountedBus]:
     if changes := changes_text(settings):
         wiring.log.warning(changes)
     # the publishers first: they are what may fail
-    to_master, to_slave = wiring.bind("delay_node@master"), wiring.bind("delay_node@slave")
+    to_master, to_slave = (wiring.bind(f"delay_node@{site}", batched=True) for site in ("master", "slave"))
     connections = [wiring.book.bridged_from(site) for site in ("master", "slave")]
     for answering, topics in wiring.book.sources("delay_node@slave", ["clock/pong"]).items():
         connections[1].setdefault(answering, []).extend(topics)

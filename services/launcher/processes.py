@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Protocol
 
 from proto.nodes import name_of
-from services.runtime.bus import LINGER_S
 from services.runtime.clock import EPOCH_OFFSET_VARIABLE
 from services.runtime.config import ENVIRONMENT_PREFIX
+from services.runtime.publisher import LINGER_S
 from services.runtime.realtime import die_with_parent
 
 # a node is safe within milliseconds and then publishes how much it has sent

@@ -4,8 +4,9 @@ import sys
 
 from proto.nodes import site_of
 from services.recorder.config import RecorderConfig
-from services.recorder.intake import Intake, Listener
-from services.recorder.live import connect
+from services.recorder.intake import Intake
+from services.recorder.listener import Listener
+from services.recorder.live import accept_batches, connect
 from services.recorder.node import RecorderBus, RecorderNode
 from services.recorder.open_recording import open_recording
 from services.runtime.main import NodeKind, Wiring, run_node
@@ -17,11 +18,11 @@ def build(wiring: Wiring, config: RecorderConfig) -> tuple[Node, AccountedBus]:
     """Connect to every node of the site file and begin the recording."""
     publisher = wiring.bind(wiring.key)
     intake = begin(wiring, config)
-    bus = RecorderBus(
-        publisher, listeners(wiring, config), intake, wiring.clock, wiring.wake_descriptor, wiring.network
-    )
+    sources = listeners(wiring, config)
+    held_s = accept_batches(sources, wiring, config)
+    bus = RecorderBus(publisher, sources, intake, wiring.clock, wiring.wake_descriptor, wiring.network)
     own = (site_of(wiring.key),) if wiring.book.spans_machines else SITES
-    return RecorderNode(wiring.context(bus), config, intake, sites=own), bus
+    return RecorderNode(wiring.context(bus), config, intake, sites=own, on_end=bus.end, held_s=held_s), bus
 
 
 def listeners(wiring: Wiring, config: RecorderConfig) -> list[Listener]:

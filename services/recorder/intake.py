@@ -3,22 +3,23 @@
 import contextlib
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from proto import MAX_MESSAGE_BYTES, TOPICS, Topic, WireError, decode, decode_header
+from proto.batch import BATCH_TOPIC, read_batch
 from proto.ends import END_TOPIC, read_end
 from proto.errors import RecordingError
 from proto.messages import SOURCE_PATTERN
 from proto.nodes import START_ORDER, name_of, site_of
-from proto.sequence import MOST_COUNTED, Arrival, SequenceTracker
+from proto.sequence import MOST_COUNTED, Arrival
 from recording.channel_filter import ALL, Selection
 from recording.info import END_NAME
 from recording.records import GapRecord, RejectedRecord
 from recording.writer import FileEnd, RecordingWriter, channel_topic
+from services.recorder.listener import Listener, Stream
 from services.recorder.rotation import FileRotation, QuotaError
 from services.recorder.snapshot_buffer import Entry, SnapshotBuffer, Trigger, event_trigger
-from services.runtime.bus import Received, Subscriber, split_frames
+from services.runtime.bus import Received, split_frames
 
 _SOURCE = re.compile(SOURCE_PATTERN)
 _MAX_SOURCE_LENGTH = 64
@@ -29,36 +30,6 @@ _SENDERS = tuple(node for node in START_ORDER if name_of(node) != "recorder")
 _SILENT_NS = 500_000_000
 # a queue of messages holds less than this
 _LONGEST_QUEUE_NS = 30_000_000_000
-
-
-@dataclass(slots=True)
-class Stream:
-    """What one publisher sends on one topic, received at one site.
-
-    `live`: received at its publisher, with the stamps of this time: no queue is as long as those of a replay are old.
-    """
-
-    topic: Topic
-    channel_topic: str
-    src: str
-    site: str
-    channel: int | None
-    direct: bool
-    live: bool
-    wanted: bool
-    tracker: SequenceTracker
-
-
-@dataclass
-class Listener:
-    """Connection to one publisher: what comes through it was received at that publisher's site.
-
-    A `publisher` without a site stands for many, each of which is received at its own.
-    """
-
-    publisher: str
-    subscriber: Subscriber
-    streams: dict[tuple[bytes, str], Stream] = field(default_factory=dict)
 
 
 class Intake:
@@ -236,6 +207,9 @@ class Intake:
 
     def _record_message(self, listener: Listener, frames: Sequence[bytes], received_ns: int) -> Received | None:
         topic, payload = split_frames(frames)
+        if topic == BATCH_TOPIC:
+            # here comes only one that could not be taken apart
+            read_batch(payload)
         (seq, t_ns, src), fields = decode_header(topic, payload)
         permit = listener.subscriber.permit
         if permit is not None:

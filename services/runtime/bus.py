@@ -1,7 +1,6 @@
 """The bus of one node: a PUB socket that it binds, SUB connections to those it listens to, and the account of both."""
 
 import select
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from heapq import nlargest
 from itertools import islice
@@ -9,50 +8,39 @@ from typing import Any, NamedTuple, Protocol, cast
 
 import zmq
 
-from proto import TOPICS, WireError, accept, compose, decode_header
+from proto import TOPICS, WireError, accept, decode_header
 from proto.codec import MAX_MESSAGE_BYTES
-from proto.errors import EndpointError
 from proto.messages import MAX_ROWS, SUPERSEDED, InputHealth, Message
 from proto.ranges import limited
 from proto.sequence import Arrival, SequenceTracker
 from services.runtime.clock import Clock
-from services.runtime.endpoint_lock import EndpointLock
 from services.runtime.newest import Header, Taken, without_superseded
+from services.runtime.outgoing_batch import OutgoingBatch
+from services.runtime.publisher import FIRST_THREAD, SEND_HIGH_WATER_MARK, Publisher
 from services.runtime.reader import NetworkEvents, Reader
 
-# Messages that wait for a reader: at the publisher ten seconds of the busiest ones, the halves of the controller with
-# 2100 a second, where the reader's whole process stands still; and as much again in a reader that runs and is behind,
-# such as a recorder. Beyond that the newest are lost, which the reader counts.
+# Ten seconds of messages wait for a reader at the publisher, and as much again in a reader that runs and is behind.
+# Beyond that the newest are lost, which the reader counts.
 QUEUE_S = 10
-SEND_HIGH_WATER_MARK = RECEIVE_HIGH_WATER_MARK = 22_000
+RECEIVE_HIGH_WATER_MARK = SEND_HIGH_WATER_MARK
 # a reader of the newest has no use for more than it takes at once; what is older than ten seconds is dropped for it
 # by the publisher, together with the connection, so that it begins with the newest when it goes on
 _NEWEST_HIGH_WATER_MARK = 256
 _PING_MS = 1000
 # a frame above this is not even taken into memory: libzmq drops the connection that sent it
 _LARGEST_FRAME = 16 * MAX_MESSAGE_BYTES
-# a subscriber sends nothing but names of topics
-_LARGEST_SUBSCRIPTION = 4096
 _RECONNECT_MS = 50
 # messages taken before a node looks at its deadline again, so that a flood cannot hold a loop
 _BATCH = 256
 # messages after which a reader expects more of them
 _FEW = 3
 # as plain numbers: the enumerations of the binding cost half as much again as the question itself
-_EVENTS, _READABLE, _DONTWAIT, _SNDMORE = int(zmq.EVENTS), int(zmq.POLLIN), int(zmq.DONTWAIT), int(zmq.SNDMORE)
-# of a context's threads, the one that moves the messages of a node; what strangers can reach is left to another one
-_FIRST_THREAD = 1
-# of topics whose messages have one version whatever keys they have
-_VERSIONS = {name: row.model.version for name, row in TOPICS.items() if not row.model.additions}
-_FRAMES = {topic: topic.encode() for topic in TOPICS}
+_EVENTS, _READABLE, _DONTWAIT = int(zmq.EVENTS), int(zmq.POLLIN), int(zmq.DONTWAIT)
 # sources that one node keeps account of; a peer that makes up names must not fill the memory
 _MOST_TRACKERS = 1024
 # of those, the ones that a connection tells of twice a second: each is worked on by the sender and by every reader, and
 # a thousand would cost a loop of 1 kHz tens of ticks
 MOST_REPORTED = 64
-# how long a node that ends goes on sending what a reader that is behind has not yet taken, its recorder above all;
-# within the grace that a supervisor gives
-LINGER_S = 20.0
 
 
 class Received(NamedTuple):
@@ -84,106 +72,6 @@ class ConnectionEvent(NamedTuple):
     level: str
     text: str
     data: dict[str, bool | float | str]
-
-
-class Publisher(Protocol):
-    """What a bus sends with."""
-
-    def publish(self, topic: str, **fields: Any) -> Message:
-        """Send a message on a topic; the header is filled in."""
-
-    def sequence_numbers(self) -> dict[str, int]:
-        """Return the seq of the next message on each topic."""
-
-
-class _NumberingPublisher(ABC):
-    def __init__(self, clock: Clock, node: str) -> None:
-        self.node = node
-        # called with a sentence when a quantity was beyond its range
-        self.on_limited: Callable[[str], None] = lambda text: None
-        self._clock = clock
-        self._sequence: dict[str, int] = {}
-
-    def publish(self, topic: str, **fields: Any) -> Message:
-        """Send a message on a topic; the header is filled in, and what is beyond its range is sent as the nearer end.
-
-        Raises pydantic.ValidationError when the fields do not make a valid message, WireError when it is too large.
-        """
-        seq = self._sequence.get(topic, 0)
-        version = _VERSIONS.get(topic) or TOPICS[topic].model.version_of(fields)
-        header = {"seq": seq, "t_ns": self._clock.now_ns(), "src": self.node, "v": version}
-        message, payload = compose(topic, {**header, **fields}, self.on_limited)
-        self.send(topic, payload)
-        self._sequence[topic] = seq + 1
-        return message
-
-    def sequence_numbers(self) -> dict[str, int]:
-        """Return the seq of the next message on each topic."""
-        return dict(self._sequence)
-
-    @abstractmethod
-    def send(self, topic: str, payload: bytes) -> None: ...
-
-
-class NullPublisher(_NumberingPublisher):
-    """The publisher of who has no endpoint: numbers and checks as any other, and sends nothing."""
-
-    def send(self, topic: str, payload: bytes) -> None:
-        """Drop a message."""
-
-
-class ZmqPublisher(_NumberingPublisher):
-    """The PUB socket of a node: numbers, stamps, checks and sends its messages."""
-
-    def __init__(
-        self,
-        context: "zmq.Context[zmq.Socket[bytes]]",
-        clock: Clock,
-        node: str,
-        endpoint: str,
-        *,
-        kind: int = zmq.PUB,
-        prepare: Callable[["zmq.Socket[bytes]"], None] = lambda socket: None,
-    ) -> None:
-        """Bind an endpoint, with a socket that `prepare` was called with; EndpointError if that fails."""
-        super().__init__(clock, node)
-        self._lock = EndpointLock(endpoint)
-        self.socket = context.socket(kind)
-        self.socket.set(zmq.AFFINITY, _FIRST_THREAD)
-        self.socket.set(zmq.SNDHWM, SEND_HIGH_WATER_MARK)
-        self.socket.set(zmq.LINGER, round(LINGER_S * 1e3))
-        self.socket.set(zmq.MAXMSGSIZE, _LARGEST_SUBSCRIPTION)
-        # of the base class: the method of the class looks first at what only other kinds of sockets know
-        self._send = super(zmq.Socket, self.socket).send
-        # called with topic and bytes of each message first: the other way on which some cross to another machine
-        self.carry: Callable[[str, bytes], None] | None = None
-        prepare(self.socket)
-        try:
-            bind(self.socket, endpoint, node)
-        except EndpointError:
-            self._lock.release()
-            raise
-
-    def send(self, topic: str, payload: bytes) -> None:
-        """Send bytes as they are: what the link forwards keeps the header of its publisher."""
-        if self.carry is not None:
-            self.carry(topic, payload)
-        # a player may send under another name
-        self._send(_FRAMES.get(topic) or topic.encode(), _SNDMORE)
-        self._send(payload)
-
-    def also_bind(self, endpoint: str) -> None:
-        """Bind a further endpoint; if that fails, everything is closed and EndpointError gives the reason."""
-        try:
-            bind(self.socket, endpoint, self.node)
-        except EndpointError:
-            self._lock.release()
-            raise
-
-    def close(self) -> None:
-        """Close the socket and let the endpoint go."""
-        self.socket.close()
-        self._lock.release()
 
 
 class Subscriber:
@@ -219,7 +107,7 @@ class Subscriber:
         # somebody else calls the socket as well, which may take the signal of its descriptor
         self.shared = not connect
         self.socket = context.socket(zmq.SUB)
-        self.socket.set(zmq.AFFINITY, _FIRST_THREAD)
+        self.socket.set(zmq.AFFINITY, FIRST_THREAD)
         self.socket.set(zmq.RCVHWM, _NEWEST_HIGH_WATER_MARK if newest_only else RECEIVE_HIGH_WATER_MARK)
         if newest_only:
             # the peer cuts a connection on which nothing came for the time that a ping of this side names
@@ -333,8 +221,8 @@ class Subscriber:
         received = {topic for topic, _ in self.trackers}
         silent = [_health_of(topic, "", SequenceTracker(), now) for topic in self.topics if topic not in received]
         sources = self.trackers.items()
-        told = sources if len(sources) <= MOST_REPORTED else nlargest(MOST_REPORTED, sources, key=_messages_received)
-        return (*(_health_of(topic, src, t, now) for (topic, src), t in sorted(told)), *silent)
+        chosen = sources if len(sources) <= MOST_REPORTED else nlargest(MOST_REPORTED, sources, key=_messages_received)
+        return (*(_health_of(topic, src, t, now) for (topic, src), t in sorted(chosen)), *silent)
 
     def close(self) -> None:
         """Close the socket."""
@@ -362,8 +250,10 @@ class ZmqBus:
         clock: Clock,
         wake_descriptor: int,
         network: NetworkEvents | None = None,
+        batches: Sequence[OutgoingBatch] = (),
     ) -> None:
         self.subscribers = list(subscribers)
+        self._batches = batches
         # at most one holds messages back until their time: the end of the link's datagrams
         self._timed = next((reader for reader in subscribers if not isinstance(reader, Subscriber)), None)
         self._clock = clock
@@ -403,6 +293,12 @@ class ZmqBus:
         that it signalled has been taken.
         """
         self._readable = ()
+        now_ns = self._clock.monotonic_ns()
+        for batch in self._batches:
+            if batch.due_ns <= now_ns:
+                batch.flush()
+            elif batch.latest_ns < deadline_ns:
+                deadline_ns = batch.latest_ns
         for subscriber in self.subscribers:
             if not subscriber.drained:
                 return
@@ -453,17 +349,6 @@ def split_frames(frames: Sequence[bytes]) -> tuple[str, bytes]:
         return frames[0].decode(), frames[1]
     except UnicodeDecodeError as error:
         raise WireError("topic", f"the topic frame {frames[0][:40]!r} is not UTF-8") from error
-
-
-def bind(socket: "zmq.Socket[bytes]", endpoint: str, node: str) -> None:
-    """Bind a socket; EndpointError names node, endpoint and what to do."""
-    try:
-        socket.bind(endpoint)
-    except zmq.ZMQError as error:
-        socket.close()
-        hint = "another process has it: stop that one or give another endpoint in the site file"
-        reason = hint if error.errno == zmq.EADDRINUSE else error.strerror
-        raise EndpointError(f"{node} cannot bind {endpoint}: {reason}") from error
 
 
 def _messages_received(source: tuple[tuple[str, str], SequenceTracker]) -> int:

@@ -8,8 +8,9 @@ import zmq
 from proto import WireError
 from proto.messages import InputHealth
 from proto.nodes import is_estop
-from services.runtime.bus import Subscriber, bind
+from services.runtime.bus import Subscriber
 from services.runtime.clock import Clock
+from services.runtime.publisher import bind
 
 
 class EstopInlet(Subscriber):

@@ -9,8 +9,9 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from services.runtime.bus import Subscriber, ZmqBus, ZmqPublisher
+from services.runtime.bus import Subscriber, ZmqBus
 from services.runtime.log import StructuredLog
+from services.runtime.publisher import ZmqPublisher
 
 # in the order of a hop; `act` is all that a node does besides: its step, the journal, the loop around both
 PARTS = ("take", "decode", "act", "build", "send", "after")

@@ -10,7 +10,7 @@ import zmq
 from proto.errors import EndpointError
 from proto.nodes import DEVICES, FAR_END, site_of
 from services.runtime.address_book import AddressBook
-from services.runtime.bus import Bus, Publisher, Subscriber, ZmqBus, ZmqPublisher
+from services.runtime.bus import Bus, Subscriber, ZmqBus
 from services.runtime.clock import Clock, SystemClock
 from services.runtime.log import RateLimitedLog, StructuredLog
 from services.runtime.node import (
@@ -21,6 +21,8 @@ from services.runtime.node import (
     NodeLoop,
     install_stop_signals,
 )
+from services.runtime.outgoing_batch import OutgoingBatch
+from services.runtime.publisher import Publisher, ZmqPublisher
 from services.runtime.reader import Reader
 from services.runtime.realtime import RealtimeStatus, freeze_garbage, ordinary_scheduling
 from services.runtime.security.keyring import Keyring, this_machine
@@ -46,10 +48,16 @@ class Participant:
     network: Transport
     wake_descriptor: int
     resources: contextlib.ExitStack = field(default_factory=contextlib.ExitStack)
+    batches: list[OutgoingBatch] = field(default_factory=list)
 
-    def bind(self, key: str, kind: int = zmq.PUB) -> ZmqPublisher:
-        """Bind the endpoints of a node; EndpointError gives the reason if that fails."""
+    def bind(self, key: str, kind: int = zmq.PUB, *, batched: bool = False) -> ZmqPublisher:
+        """Bind the endpoints of a node; EndpointError gives the reason if that fails.
+
+        Parameters: batched, a recorder on this machine may have the messages in batches, which the bus sends.
+        """
         publisher = self.resources.enter_context(contextlib.closing(self.network.publisher(key, kind)))
+        if batched:
+            self.batches.append(publisher.keep_batch())
         log = RateLimitedLog(self.log, self.clock)
         publisher.on_limited = lambda text: log.warning("range", text)
         return publisher
@@ -74,7 +82,7 @@ class Participant:
         Parameters: newest_only, for a node of the loop, which acts on the newest message of each `latest` topic.
         """
         # the publisher first: it is what may fail, and nothing is open yet
-        publisher = self.bind(self.key)
+        publisher = self.bind(self.key, batched=newest_only)
         subscribers = self.subscribers(self.book.sources(self.key, topics), newest_only=newest_only)
         ends = self.datagrams(publisher, publisher, subscribers) if self.key == FAR_END else []
         return self.bus_of(publisher, [*subscribers, *ends, *(self.estop_inlet() if self.key in DEVICES else ())])
@@ -105,7 +113,7 @@ class Participant:
 
     def bus_of(self, publisher: Publisher, subscribers: Sequence[Reader]) -> ZmqBus:
         """Make one bus of sockets that were opened before."""
-        return ZmqBus(publisher, subscribers, self.clock, self.wake_descriptor, self.network)
+        return ZmqBus(publisher, subscribers, self.clock, self.wake_descriptor, self.network, self.batches)
 
     def context(self, bus: Bus) -> NodeContext:
         return NodeContext(self.key, self.clock, bus, self.log)

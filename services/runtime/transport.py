@@ -13,9 +13,10 @@ import zmq
 
 from proto.errors import ConfigError, EndpointError
 from services.runtime.address_book import AddressBook
-from services.runtime.bus import ConnectionEvent, Subscriber, ZmqPublisher
+from services.runtime.bus import ConnectionEvent, Subscriber
 from services.runtime.clock import Clock
 from services.runtime.estop_inlet import EstopInlet
+from services.runtime.publisher import ZmqPublisher
 from services.runtime.realtime import lower_thread
 from services.runtime.security.access_control import AccessControl
 from services.runtime.security.keyring import Keyring

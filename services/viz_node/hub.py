@@ -18,7 +18,7 @@ from services.viz_node.source import Source
 from services.viz_node.streams import described
 
 TICK_S = 1.0 / 30.0
-# without a page only what a page that comes later has to be told is collected
+# without a page only what a page that comes later needs is collected
 IDLE_S = 0.25
 # two seconds: a page that is further behind begins anew
 MOST_QUEUED = 60

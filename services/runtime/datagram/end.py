@@ -77,7 +77,7 @@ class Outlets(NamedTuple):
 
 
 class Place(NamedTuple):
-    """Where an end binds, and where it finds the other one: None until that has been heard."""
+    """Where an end binds, and where it finds the other one: None until something of it was received."""
 
     family: socket.AddressFamily
     bind: Address
@@ -130,7 +130,7 @@ class DatagramEnd:
         self.receiving: Way = "stream"
         # whether the topics are subscribed over TCP, as they are when a subscriber is made
         self._streaming = True
-        # from when on they are, if no datagram has come by then; None while nothing was heard of the other machine
+        # from when on they are, if no datagram has come by then; None while nothing was received of the other machine
         self._stream_at_ns: int | None = None
         self._clock = clock
         self._place = place

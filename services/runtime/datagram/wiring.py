@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 
 from proto.nodes import FAR_END, LINK
 from services.runtime.address_book import AddressBook, split_tcp
-from services.runtime.bus import Subscriber, ZmqPublisher
+from services.runtime.bus import Subscriber
 from services.runtime.datagram.end import DatagramEnd, Outlets, Place
+from services.runtime.publisher import ZmqPublisher
 
 if TYPE_CHECKING:
     from services.runtime.participant import Participant

@@ -22,10 +22,11 @@ from services.player.playback import Playback, Span
 from services.player.run import ReplayRequest, absent_topics, refused_messages, remote_control, run_replay
 from services.recorder.config import RecorderConfig
 from services.runtime.address_book import AddressBook
-from services.runtime.bus import ZmqBus, ZmqPublisher
+from services.runtime.bus import ZmqBus
 from services.runtime.clock import VirtualClock
 from services.runtime.log import StructuredLog
 from services.runtime.node import NodeContext
+from services.runtime.publisher import ZmqPublisher
 
 HAND, FAR = "haptic_node@master", "delay_node@slave"
 MakeFile = Callable[..., Path]

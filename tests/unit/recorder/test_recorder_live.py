@@ -12,8 +12,8 @@ from proto.errors import ConfigError
 from recording.messages import RecordedMessage
 from services.recorder.live import LiveRecording
 from services.runtime.address_book import AddressBook
-from services.runtime.bus import ZmqPublisher
 from services.runtime.clock import SystemClock
+from services.runtime.publisher import ZmqPublisher
 
 HAND, FAR = "haptic_node@master", "delay_node@slave"
 

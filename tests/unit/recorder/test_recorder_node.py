@@ -24,11 +24,12 @@ from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake
 from services.recorder.node import RecorderBus, RecorderNode
 from services.runtime.address_book import AddressBook
-from services.runtime.bus import ConnectionEvent, Received, ZmqPublisher
+from services.runtime.bus import ConnectionEvent, Received
 from services.runtime.clock import SystemClock, VirtualClock
 from services.runtime.log import StructuredLog
 from services.runtime.main import Wiring
 from services.runtime.node import NodeContext, NodeLoop
+from services.runtime.publisher import ZmqPublisher
 from services.runtime.realtime import RealtimeStatus
 from services.runtime.transport import Transport
 

@@ -14,8 +14,9 @@ from typing import Any
 from proto import TOPICS, Message, encode
 from proto.contract import examples
 from services.runtime.address_book import AddressBook
-from services.runtime.bus import ConnectionEvent, Received, Subscriber, ZmqPublisher
+from services.runtime.bus import ConnectionEvent, Received, Subscriber
 from services.runtime.clock import VirtualClock
+from services.runtime.publisher import ZmqPublisher
 from services.runtime.security.keyring import Keyring, Role
 from services.runtime.transport import Transport, open_context
 

@@ -7,10 +7,11 @@ import pytest
 import zmq
 
 from services.runtime import hop_trace
-from services.runtime.bus import Subscriber, ZmqBus, ZmqPublisher
+from services.runtime.bus import Subscriber, ZmqBus
 from services.runtime.clock import SystemClock
 from services.runtime.hop_trace import PARTS, HopTrace
 from services.runtime.log import StructuredLog
+from services.runtime.publisher import ZmqPublisher
 
 
 def test_a_hop_is_divided_into_its_parts() -> None:

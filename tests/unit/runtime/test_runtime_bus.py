@@ -23,18 +23,9 @@ from proto.errors import EndpointError
 from proto.messages import AfmState, HapticState, SessionControl
 from proto.nodes import NODES, name_of
 from proto.sequence import Arrival
-from services.runtime.bus import (
-    QUEUE_S,
-    RECEIVE_HIGH_WATER_MARK,
-    SEND_HIGH_WATER_MARK,
-    NullPublisher,
-    Received,
-    Subscriber,
-    ZmqBus,
-    ZmqPublisher,
-    split_frames,
-)
+from services.runtime.bus import QUEUE_S, RECEIVE_HIGH_WATER_MARK, Received, Subscriber, ZmqBus, split_frames
 from services.runtime.clock import SystemClock, VirtualClock
+from services.runtime.publisher import SEND_HIGH_WATER_MARK, NullPublisher, ZmqPublisher
 
 Context = zmq.Context[zmq.Socket[bytes]]
 MOST_TRACKERS = 1024
@@ -518,7 +509,7 @@ def test_an_ipc_endpoint_in_use_names_its_holder(context: Context, endpoint: str
 
 HOLDER = """
 import sys, zmq
-from services.runtime.bus import ZmqPublisher
+from services.runtime.publisher import ZmqPublisher
 from services.runtime.clock import SystemClock
 holder = ZmqPublisher(zmq.Context(), SystemClock(), "afm_node@slave", sys.argv[1])
 print("holding", flush=True)

@@ -12,10 +12,11 @@ import zmq
 
 from proto.errors import ConfigError, EndpointError
 from services.runtime.address_book import AddressBook
-from services.runtime.bus import NullPublisher, Received
+from services.runtime.bus import Received
 from services.runtime.clock import VirtualClock
 from services.runtime.node import Node, NodeContext
 from services.runtime.participant import OBSERVER, Participant, StopSignals, open_participant, run_loop
+from services.runtime.publisher import NullPublisher
 
 HAND, LINK = "haptic_node@master", "delay_node@master"
 

@@ -35,8 +35,9 @@ from proto import WireError
 from proto.errors import ConfigError, EndpointError
 from services.runtime import transport
 from services.runtime.address_book import AddressBook
-from services.runtime.bus import Subscriber, ZmqBus, ZmqPublisher
+from services.runtime.bus import Subscriber, ZmqBus
 from services.runtime.clock import SystemClock, VirtualClock
+from services.runtime.publisher import ZmqPublisher
 from services.runtime.security import peer_connections, socket_monitor, zap_authenticator
 from services.runtime.security.accept_limiter import BURST, PER_S, AcceptLimiter
 from services.runtime.security.keyring import Keyring

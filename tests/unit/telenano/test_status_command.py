@@ -23,10 +23,11 @@ from services.launcher.rig_status import (
     stalled_inputs,
 )
 from services.runtime.address_book import AddressBook
-from services.runtime.bus import ConnectionEvent, Received, ZmqPublisher
+from services.runtime.bus import ConnectionEvent, Received
 from services.runtime.clock import SystemClock
 from services.runtime.main import load_site
 from services.runtime.observer import ObservedMessage, Observer
+from services.runtime.publisher import ZmqPublisher
 from telenano.commands import status
 from telenano.root import app
 from telenano.tables import health_cells

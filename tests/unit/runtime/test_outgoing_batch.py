@@ -1,0 +1,40 @@
+"""Copies for a recorder: when they go out, in which order, and that nothing of them is left behind."""
+
+from proto.batch import Batch, SentCopy, read_batch
+from services.runtime.clock import VirtualClock
+from services.runtime.outgoing_batch import DUE_NS, LATEST_NS, OutgoingBatch
+
+NEVER_NS = 2**62
+
+
+class Outgoing:
+    def __init__(self) -> None:
+        self.clock = VirtualClock(start_ns=1_000)
+        self.sent: list[Batch] = []
+        self.batch = OutgoingBatch(self.clock.monotonic_ns, lambda payload: self.sent.append(read_batch(payload)))
+
+
+def test_it_is_due_by_its_oldest_copy_and_never_while_empty() -> None:
+    rig = Outgoing()
+    assert (rig.batch.due_ns, rig.batch.latest_ns) == (NEVER_NS, NEVER_NS)
+    rig.batch.add(b"a", b"1")
+    rig.clock.advance_ns(700)
+    rig.batch.add(b"b", b"2")
+    assert (rig.batch.due_ns, rig.batch.latest_ns) == (1_000 + DUE_NS, 1_000 + LATEST_NS)
+    rig.batch.flush()
+    assert rig.sent == [Batch(1, [SentCopy(1_000, b"a", b"1"), SentCopy(1_700, b"b", b"2")], False)]
+    assert (rig.batch.due_ns, rig.batch.latest_ns) == (NEVER_NS, NEVER_NS)
+    rig.batch.flush()
+    assert len(rig.sent) == 1
+
+
+def test_large_messages_go_out_at_once_and_the_end_is_said() -> None:
+    rig = Outgoing()
+    rig.batch.add(b"a", bytes(65_535))
+    assert not rig.sent
+    rig.batch.add(b"a", b"1")
+    assert [len(copy.payload) for copy in rig.sent[0].sent] == [65_535, 1]
+    rig.batch.add(b"b", b"2")
+    rig.batch.flush(last=True)
+    rig.batch.flush(last=True)
+    assert [(len(batch.sent), batch.last) for batch in rig.sent] == [(2, False), (1, True), (0, True)]
