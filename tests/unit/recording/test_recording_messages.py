@@ -1,6 +1,8 @@
 """Messages written the short way: the same file as by the library, byte for byte."""
 
-from io import BytesIO
+import tracemalloc
+from io import BytesIO, RawIOBase
+from typing import Any
 
 import pytest
 from mcap.writer import CompressionType, Writer
@@ -45,3 +47,37 @@ def test_another_inside_of_the_library_is_left_to_it() -> None:
         writer.add_message(channel, 3, b"abc", 4, 5)
         writer.finish()
     assert stream.getvalue() == expected.getvalue()
+
+
+class Sink(RawIOBase):
+    """A file of which nothing is kept."""
+
+    def __init__(self) -> None:
+        self.size = 0
+
+    def writable(self) -> bool:
+        return True
+
+    def write(self, data: Any) -> int:
+        self.size += len(data)
+        return len(data)
+
+    def tell(self) -> int:
+        return self.size
+
+
+def test_the_index_of_the_chunks_takes_a_fraction_of_the_memory() -> None:
+    def grown(kind: type[Writer]) -> int:
+        writer = kind(Sink(), compression=CompressionType.NONE)
+        writer.start()
+        channels = [writer.register_channel(f"topic{number}", "msgpack", 0) for number in range(40)]
+        tracemalloc.start()
+        for chunk in range(100):
+            for channel in channels:
+                writer.add_message(channel, chunk, b"", chunk, chunk)
+            writer.flush()
+        size = tracemalloc.get_traced_memory()[0]
+        tracemalloc.stop()
+        return size
+
+    assert grown(MessageWriter) < 0.4 * grown(Writer)
