@@ -19,6 +19,7 @@ from proto.errors import ConfigError, RigError
 from services.afm_node.cantilever import deflection_m, equilibrium, initial_state
 from services.afm_node.config import AfmConfig
 from services.afm_node.dynamic import NO_NOISE, advance, steady_state
+from services.afm_node.dynamic_sim import require_steps
 
 Array = npt.NDArray[np.float64]
 
@@ -145,6 +146,7 @@ def _static(config: AfmConfig, begin_m: float) -> Callable[[float], float]:
 def _dynamic(config: AfmConfig, begin_m: float) -> Callable[[float], float]:
     try:
         plant = config.to_dynamic()
+        require_steps(plant)
     except ValueError as error:
         raise ConfigError(str(error)) from error
     state = steady_state(plant, begin_m, 0.0)

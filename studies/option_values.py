@@ -114,11 +114,7 @@ def losses(text: str) -> tuple[float, ...]:
 
 def settings(given: Sequence[str]) -> tuple[tuple[str, float | int | str | bool], ...]:
     """Read KEY=VALUE of the section `controller` into dotted keys."""
-    flat = flatten(flag_overrides(given))
-    for key, value in flat.items():
-        if not isinstance(value, float | int | str | bool):
-            raise ConfigError(f"--set {key}: {value!r} is not a single value")
-    return tuple(sorted(flat.items()))
+    return tuple(sorted(_single_values("--set", given).items()))
 
 
 def disturbances(given: Sequence[str]) -> tuple[tuple[str, float | int | str | bool], ...]:
@@ -127,9 +123,16 @@ def disturbances(given: Sequence[str]) -> tuple[tuple[str, float | int | str | b
     >>> disturbances(["thermal.temperature_k=77", "drift"])
     (('drift.enabled', True), ('thermal.enabled', True), ('thermal.temperature_k', 77))
     """
-    flat = flatten(flag_overrides([text for text in given if "=" in text]))
+    flat = _single_values("--disturb", [text for text in given if "=" in text])
     names = [text for text in given if "=" not in text] + [key.partition(".")[0] for key in flat if "." in key]
-    for key, value in flat.items():
-        if not isinstance(value, float | int | str | bool):
-            raise ConfigError(f"--disturb {key}: {value!r} is not a single value")
     return tuple(sorted({**{f"{name}.enabled": True for name in names}, **flat}.items()))
+
+
+def _single_values(option: str, given: Sequence[str]) -> dict[str, float | int | str | bool]:
+    """Return KEY=VALUE by dotted key. Raises ConfigError naming the option, for a value that is a list or nothing."""
+    flat: dict[str, float | int | str | bool] = {}
+    for key, value in flatten(flag_overrides(given)).items():
+        if not isinstance(value, float | int | str | bool):
+            raise ConfigError(f"{option} {key}: {value!r} is not a single value")
+        flat[key] = value
+    return flat

@@ -13,6 +13,8 @@ from proto.errors import ConfigError
 from services.afm_node.cantilever import Plant, initial_state
 from services.afm_node.config import AfmConfig
 from services.afm_node.dynamic import KICKS_PER_PERIOD, NO_NOISE, free_amplitude_m, steady_state
+from services.afm_node.dynamic_sim import require_steps
+from services.afm_node.feedback import gain_fault, number_fault, remaining
 from services.afm_node.friction import FrictionState
 from services.afm_node.imaging import CHANNELS, HEIGHT, Feedback, Line, contact_line, tapping_line
 from services.afm_node.surface import Surface, dilated, height_at
@@ -22,6 +24,12 @@ Array = npt.NDArray[np.float64]
 
 # way of the feedback in contact [s]: 20 kHz, as instruments have it
 CONTACT_PERIOD_S = 50e-6
+# names of the gains: in ScanRequest, and on the command line
+GAIN_NAMES = ("gain_per_s (--gain)", "proportional (--proportional)")
+_GAINS = {"tapping": (5000.0, 1.0), "contact": (12_500.0, 0.0)}
+_PIEZO_M_PER_S = 1e-3
+# as on the bus
+_MOST_DWELL_S, _MOST_K = 10.0, 2000.0
 # the tip begins this far above the first point [m], and has this long to arrive and settle before the first line [s]
 _ABOVE_M = 5e-9
 _SETTLE_S = 0.03
@@ -29,7 +37,11 @@ _SETTLE_S = 0.03
 
 @dataclass(frozen=True)
 class ScanRequest:
-    """What to image and how; lengths [m], times [s], forces [N]."""
+    """What to image and how; lengths [m], times [s], forces [N].
+
+    gain_per_s and proportional, of the feedback (`services.afm_node.feedback`): 5000/s and 1 in tapping mode, which
+    acts once a period of the drive; 12 500/s and 0 in contact, at 20 kHz.
+    """
 
     mode: Literal["tapping", "contact"] = "tapping"
     pixels: int = 128
@@ -38,8 +50,8 @@ class ScanRequest:
     amplitude_m: float = 20e-9
     setpoint_share: float = 0.8
     setpoint_n: float = 5e-9
-    integral_per_s: float = 5000.0
-    proportional: float = 1.0
+    gain_per_s: float | None = None
+    proportional: float | None = None
     temperature_k: float = 0.0
     seed: int = 0
 
@@ -52,13 +64,31 @@ class ScanRequest:
                 f"the set-point is {self.setpoint_share:g} of the free amplitude; it must lie between 0.05 and 1,"
                 " or the tip never reaches the sample"
             )
-        positive = {"dwell [s]": self.dwell_s, "amplitude [m]": self.amplitude_m, "gain [1/s]": self.integral_per_s}
-        for name, value in positive.items():
-            if not (math.isfinite(value) and value > 0.0):
-                raise ConfigError(f"{name} = {value:g} must be positive and finite")
-        for name, value in (("proportional gain", self.proportional), ("temperature [K]", self.temperature_k)):
-            if not (math.isfinite(value) and value >= 0.0):
-                raise ConfigError(f"{name} = {value:g} must be 0 or more, and finite")
+        for name, value, most in (
+            ("dwell [s]", self.dwell_s, _MOST_DWELL_S),
+            ("amplitude [m]", self.amplitude_m, 1e-3),
+        ):
+            if not 0.0 < value <= most:
+                raise ConfigError(f"{name} = {value:g} must be positive, and at most {most:g}")
+        if not 0.0 <= self.temperature_k <= _MOST_K:
+            raise ConfigError(f"temperature [K] = {self.temperature_k:g} must be 0 or more, and at most {_MOST_K:g}")
+        if fault := number_fault(*self.gains, GAIN_NAMES):
+            raise ConfigError(fault)
+
+    @property
+    def gains(self) -> tuple[float, float]:
+        """Return the integral gain [1/s] and the proportional gain."""
+        gain_per_s, proportional = _GAINS[self.mode]
+        return (
+            gain_per_s if self.gain_per_s is None else self.gain_per_s,
+            proportional if self.proportional is None else self.proportional,
+        )
+
+    def feedback(self, setpoint_m: float, period_s: float, lag: float | None, limits: tuple[float, float]) -> Feedback:
+        """Return the feedback; ConfigError names a gain with which it is unstable."""
+        if fault := gain_fault(*self.gains, period_s, lag, GAIN_NAMES):
+            raise ConfigError(fault)
+        return Feedback(setpoint_m, *self.gains, _PIEZO_M_PER_S, *limits)
 
 
 @dataclass(frozen=True)
@@ -160,23 +190,25 @@ class _Tapping(_Run):
     def __init__(self, request: ScanRequest, config: AfmConfig, begin_m: float, limits: tuple[float, float]) -> None:
         try:
             self.plant = config.to_dynamic(temperature_k=request.temperature_k)
+            require_steps(self.plant)
         except ValueError as error:
             raise ConfigError(str(error)) from error
         super().__init__(request.dwell_s, 1.0 / self.plant.drive_hz)
         self.drive_m = request.amplitude_m / free_amplitude_m(self.plant, 1.0)
         setpoint = request.setpoint_share * request.amplitude_m
-        self.feedback = Feedback(setpoint, request.integral_per_s, request.proportional, 1e-3, *limits)
+        lag = remaining(self.period_s, config.cantilever.resonance_hz, config.cantilever.quality)
+        self.feedback = request.feedback(setpoint, self.period_s, lag, limits)
         self.state = steady_state(self.plant, begin_m, self.drive_m)
-        self.integral_m, self.error_m = begin_m, request.amplitude_m - setpoint
+        self.proportional_m, self.error_m = 0.0, request.amplitude_m - setpoint
         self.random = np.random.Generator(np.random.PCG64(request.seed)) if request.temperature_k > 0.0 else None
 
     def scan_line(self, seen: Surface, line: Line, out: Array) -> None:
         count = line.pixels * line.periods * KICKS_PER_PERIOD
         normals = NO_NOISE if self.random is None else self.random.standard_normal(count)
-        self.state, self.integral_m, self.error_m = tapping_line(
+        self.state, self.proportional_m, self.error_m = tapping_line(
             self.plant,
             self.state,
-            self.integral_m,
+            self.proportional_m,
             self.error_m,
             self.feedback,
             line,
@@ -187,8 +219,8 @@ class _Tapping(_Run):
         )
 
 
-def _contact_stiffness(plant: Plant, force_n: float) -> float:
-    """Return the stiffness of the contact [N/m] where it pushes with force_n [N]; ConfigError if it does nowhere."""
+def _require_contact(plant: Plant, force_n: float) -> None:
+    """Raise ConfigError if the contact pushes with force_n [N] nowhere."""
     tip = plant.tip
     low, high = -5e-9, tip.contact_end_m
     for _ in range(60):
@@ -200,7 +232,6 @@ def _contact_stiffness(plant: Plant, force_n: float) -> float:
     force, gradient = branch_force(tip, low, True, tip.has_meniscus)
     if not (abs(force - force_n) < 1e-3 * abs(force_n) + 1e-12 and gradient < 0.0):
         raise ConfigError(f"the set-point {force_n:g} N is no force at which the contact with this sample is stable")
-    return -gradient
 
 
 class _Contact(_Run):
@@ -211,18 +242,15 @@ class _Contact(_Run):
         self.plant = config.to_params().plant
         k = self.plant.stiffness_n_per_m
         setpoint = request.setpoint_n / k
-        # a base that comes nearer by 1 nm bends the cantilever by less: the rest goes into the sample
-        share = _contact_stiffness(self.plant, request.setpoint_n)
-        gain = request.integral_per_s * (1.0 + k / share)
-        # the deflection answers at once, so that the integral alone is stable
-        self.feedback = Feedback(setpoint, gain, 0.0, 1e-3, *limits)
+        _require_contact(self.plant, request.setpoint_n)
+        self.feedback = request.feedback(setpoint, self.period_s, None, limits)
         self.state = initial_state(self.plant, begin_m)
-        self.base_m = self.integral_m = begin_m
+        self.base_m, self.proportional_m = begin_m, 0.0
         self.error_m = setpoint
         self.friction, self.held = config.to_friction_params(), FrictionState(0.0, 0.0)
 
     def scan_line(self, seen: Surface, line: Line, out: Array) -> None:
-        self.state, self.base_m, self.integral_m, self.error_m, self.held = contact_line(
-            self.plant, self.state, self.base_m, self.integral_m, self.error_m, self.feedback, line, *seen,
+        self.state, self.base_m, self.proportional_m, self.error_m, self.held = contact_line(
+            self.plant, self.state, self.base_m, self.proportional_m, self.error_m, self.feedback, line, *seen,
             self.period_s, self.friction, self.held, out,
         )  # fmt: skip

@@ -1,6 +1,7 @@
 """Run the AFM node with the instrument that its configuration names."""
 
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 
 from proto.errors import ConfigError
@@ -18,11 +19,9 @@ from services.runtime.realtime import ordinary_scheduling
 
 def build(context: NodeContext, config: AfmConfig) -> AfmNode:
     """Build the node with its instrument."""
-    if config.driver == "simulated" and config.model == "dynamic":
-        # what it loads and compiles takes seconds, in which the law beside it has its period to keep
-        with ordinary_scheduling():
-            return AfmNode(context, config, _driver(config))
-    return AfmNode(context, config, _driver(config))
+    # what the dynamic one loads and compiles takes seconds, in which the law beside it has its period to keep
+    with ordinary_scheduling() if config.model == "dynamic" else nullcontext():
+        return AfmNode(context, config, _driver(config))
 
 
 def _driver(config: AfmConfig) -> AfmDriver:

@@ -105,8 +105,8 @@ class DisturbanceConfig(Settings):
 
     @property
     def any_enabled(self) -> bool:
-        parts = (self.vibration, self.hysteresis, self.creep, self.drift, self.thermal, self.readout)
-        return any(part.enabled for part in parts) or self.electrostatic.enabled
+        parts = (getattr(self, name) for name in type(self).model_fields if name != "seed")
+        return any(part.enabled for part in parts)
 
 
 class DisturbanceState(NamedTuple):

@@ -10,16 +10,17 @@ from services.afm_node.disturbances import (
     read_out,
     sines_of,
 )
-from services.afm_node.electrostatic import electrostatic_force_n, electrostatic_strength_n_m2
+from services.afm_node.electrostatic import (
+    MOST_TURNS,
+    SETTLED_M,
+    electrostatic_force_n,
+    electrostatic_strength_n_m2,
+)
 from services.afm_node.friction import FrictionParams
 from services.afm_node.sim import SimulatedAfm
 from services.afm_node.step import AfmParams, AfmSample
 from services.afm_node.surface import Surface
 from services.runtime.normal_numbers import NormalNumbers
-
-# the tip and its force are found in turns, until a turn moves it by less than this [m]
-_SETTLED_M = 1e-14
-_MOST_TURNS = 40
 
 
 class DisturbedAfm(SimulatedAfm):
@@ -92,11 +93,11 @@ class DisturbedAfm(SimulatedAfm):
             return super()._respond(base_m)
         k, tip = self._plant.stiffness_n_per_m, self._plant.tip
         strength = electrostatic_strength_n_m2(self._voltage_v, tip.radius_m)
-        for _ in range(_MOST_TURNS):
+        for _ in range(MOST_TURNS):
             before_m = self._tip.distance_m
             pull_m = electrostatic_force_n(strength, tip.radius_m, tip.contact_distance_m, before_m) / k
             sample = super()._respond(base_m - pull_m)
-            if abs(self._tip.distance_m - before_m) < _SETTLED_M:
+            if abs(self._tip.distance_m - before_m) < SETTLED_M:
                 break
         zeta = sample.deflection_m + pull_m
         return sample._replace(

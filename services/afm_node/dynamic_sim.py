@@ -70,14 +70,27 @@ def exchanged(
 
 
 def least_steps(plant: DynamicPlant) -> int:
-    """Return the fewest steps a period with which a tip in the stiffest contact of the grid does not gain energy.
+    """Return the fewest steps a period with which a tip in the steepest force of its sample does not gain energy.
 
-    There it swings at w0 sqrt(1 + c / k), and impulses of the force are stable as far as two steps a radian (Verlet).
+    In the stiffest contact of the grid it swings at w0 sqrt(1 + c / k), and impulses of the force are stable as far as
+    two steps a radian (Verlet). Attraction is steepest, 2 A / h^3, where contact begins.
     """
     grid, k = plant.grid, plant.stiffness_n_per_m
     contact_n_per_m = float(np.abs(grid.cubics[2:, :, 1]).max()) * grid.cells_per_m
-    steps = 2.0 * math.pi * math.sqrt(1.0 + contact_n_per_m / k) / _MOST_ANGLE_A_STEP
+    attraction_n_per_m = 2.0 * grid.attraction_n_m2 / plant.passages.onset_m**3
+    steepest_n_per_m = max(contact_n_per_m, attraction_n_per_m)
+    steps = 2.0 * math.pi * math.sqrt(1.0 + steepest_n_per_m / k) / _MOST_ANGLE_A_STEP
     return KICKS_PER_PERIOD * math.ceil(steps / KICKS_PER_PERIOD)
+
+
+def require_steps(plant: DynamicPlant) -> None:
+    """Raise ValueError naming the steps a period that a tip in contact needs, where there are fewer."""
+    steps, least = int(plant.drive.shape[0]), least_steps(plant)
+    if steps < least:
+        raise ValueError(
+            f"cantilever.steps_per_period = {steps} is too few for a cantilever of {plant.stiffness_n_per_m:g} N/m,"
+            f" which the sample makes swing faster: {least} or more are needed"
+        )
 
 
 def resting_steps(driven: DynamicPlant) -> int:
@@ -116,11 +129,7 @@ class DynamicAfm(DisturbedAfm):
         resting: DynamicPlant,
     ) -> None:
         super().__init__(params, surface, friction, disturbances)
-        if driven.drive.shape[0] < (least := least_steps(driven)):
-            raise ValueError(
-                f"cantilever.steps_per_period = {driven.drive.shape[0]} is too few for a cantilever of"
-                f" {driven.stiffness_n_per_m:g} N/m, which the contact makes swing faster: {least} or more are needed"
-            )
+        require_steps(driven)
         self._driven, self._resting = driven, with_exact_rest(resting)
         self._drive_m = 0.0
         self._due_s = 0.0

@@ -12,6 +12,9 @@ real tip has its oxide there: below the contact distance the force stays what it
 import math
 
 VACUUM_PERMITTIVITY_F_PER_M = 8.8541878128e-12
+# a quasi-static tip and its force are found in turns, until a turn moves it by less than this [m]
+SETTLED_M = 1e-14
+MOST_TURNS = 40
 
 
 def electrostatic_strength_n_m2(voltage_v: float, radius_m: float) -> float:

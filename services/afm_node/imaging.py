@@ -1,8 +1,7 @@
 """One line of an image: the feedback that holds amplitude or force while the tip goes there and back.
 
-The feedback is proportional and integral, on the error in metres: the amplitude of a tapping tip above its set-point,
-or the deflection in contact below its own. Positive moves the base towards the sample. What the base does is the
-picture: height = -x_s, up to a constant.
+What the base does is the picture: height = -x_s, up to a constant. The feedback (`feedback`) is that of an image on the
+bus, here within the range and speed of a piezo and more often.
 """
 
 import math
@@ -13,6 +12,7 @@ import numpy.typing as npt
 
 from services.afm_node.cantilever import Plant, PlantState, deflection_m, equilibrium
 from services.afm_node.dynamic import KICKS_PER_PERIOD, DynamicPlant, DynamicState, advance
+from services.afm_node.feedback import carried_out, feedback_step
 from services.afm_node.friction import FrictionParams, FrictionState, friction_step
 from services.afm_node.surface import height_at
 from services.runtime.compiled import compiled
@@ -25,10 +25,10 @@ CHANNELS = 7
 
 
 class Feedback(NamedTuple):
-    """Set-point [m], of amplitude or deflection; gains; greatest speed [m/s] and range of the base [m]."""
+    """Set-point [m], of amplitude or deflection; gains Ki and Kp; greatest speed [m/s] and range of the base [m]."""
 
     setpoint_m: float
-    integral_per_s: float
+    gain_per_s: float
     proportional: float
     speed_m_per_s: float
     base_min_m: float
@@ -47,20 +47,30 @@ class Line(NamedTuple):
 
 
 @compiled
-def regulated(feedback: Feedback, base_m: float, integral_m: float, error_m: float, dt: float) -> tuple[float, float]:
-    """Return where the base goes within dt [s], and the integral: both within range and speed."""
-    low, high = feedback.base_min_m, feedback.base_max_m
-    integral_m = min(max(integral_m + feedback.integral_per_s * error_m * dt, low), high)
+def regulated(
+    feedback: Feedback, base_m: float, proportional_m: float, error_m: float, dt: float
+) -> tuple[float, float]:
+    """Return where the base goes within dt [s], within range and speed, and the proportional part in that."""
+    share = feedback.gain_per_s * dt
+    wanted, part = feedback_step(base_m, proportional_m, error_m, share, feedback.proportional)
     reach = feedback.speed_m_per_s * dt
-    wanted = integral_m + feedback.proportional * error_m
-    return min(max(min(max(wanted, base_m - reach), base_m + reach), low), high), integral_m
+    near = min(max(wanted, base_m - reach), base_m + reach)
+    base = min(max(near, feedback.base_min_m), feedback.base_max_m)
+    return base, carried_out(part, wanted - base)
+
+
+@compiled
+def require_rows(line: Line, out: Array) -> None:
+    """Raise ValueError where `out` has no row of all channels for each pixel: compiled code would write beyond it."""
+    if out.shape[0] < line.pixels or out.shape[1] != CHANNELS:
+        raise ValueError("a line needs a row of all channels for each of its pixels")
 
 
 @compiled
 def tapping_line(
     plant: DynamicPlant,
     state: DynamicState,
-    integral_m: float,
+    proportional_m: float,
     error_m: float,
     feedback: Feedback,
     line: Line,
@@ -73,12 +83,13 @@ def tapping_line(
 ) -> tuple[DynamicState, float, float]:
     """Scan a line in tapping mode, the feedback acting once in each period of the drive; fill `out` (pixels, CHANNELS).
 
-    Parameters: integral_m, error_m, of the feedback so far; height_m and its steps, the map as the tip sees it;
-    drive_m, amplitude of the base's vibration; normals, for thermal noise, eight for each period, or none. Returns:
-    state, integral, error.
+    Parameters: proportional_m, the part of the feedback in the base, and error_m, so far; height_m and its steps, the
+    map as the tip sees it; drive_m, amplitude of the base's vibration; normals, for thermal noise, eight for each
+    period, or none. Returns: state, proportional part, error.
     """
     steps = plant.drive.shape[0]
     dt = steps * plant.step_s
+    require_rows(line, out)
     total = line.pixels * line.periods
     n = 0
     for i in range(line.pixels):
@@ -87,7 +98,7 @@ def tapping_line(
             share = (n + 1.0) / total
             x, y = line.x0_m + share * (line.x1_m - line.x0_m), line.y0_m + share * (line.y1_m - line.y0_m)
             surface = height_at(height_m, step_x_m, step_y_m, x, y)[0]
-            base, integral_m = regulated(feedback, state.base_m, integral_m, error_m, dt)
+            base, proportional_m = regulated(feedback, state.base_m, proportional_m, error_m, dt)
             noise = normals[n * KICKS_PER_PERIOD : (n + 1) * KICKS_PER_PERIOD] if normals.size > 0 else normals
             before = state.base_m
             state, reading = advance(plant, state, base, surface, drive_m, steps, noise)
@@ -102,7 +113,7 @@ def tapping_line(
             n += 1
         for c in range(CHANNELS):
             out[i, c] = sums[c] / line.periods
-    return state, integral_m, error_m
+    return state, proportional_m, error_m
 
 
 @compiled
@@ -110,7 +121,7 @@ def contact_line(
     plant: Plant,
     state: PlantState,
     base_m: float,
-    integral_m: float,
+    proportional_m: float,
     error_m: float,
     feedback: Feedback,
     line: Line,
@@ -126,8 +137,9 @@ def contact_line(
 
     A surface that rises by s is to the tip what a base is that comes nearer by s. LATERAL is the force along the line's
     axis x, of slope and friction. Parameters: as `tapping_line`; dt [s], period of the feedback; held, the tip that
-    friction holds back. Returns: state, base, integral, error, held.
+    friction holds back. Returns: state, base, proportional part, error, held.
     """
+    require_rows(line, out)
     total = line.pixels * line.periods
     n = 0
     moved_x, moved_y = (line.x1_m - line.x0_m) / total, (line.y1_m - line.y0_m) / total
@@ -137,7 +149,7 @@ def contact_line(
             share = (n + 1.0) / total
             x, y = line.x0_m + share * (line.x1_m - line.x0_m), line.y0_m + share * (line.y1_m - line.y0_m)
             surface, slope_x, slope_y = height_at(height_m, step_x_m, step_y_m, x, y)
-            base_m, integral_m = regulated(feedback, base_m, integral_m, error_m, dt)
+            base_m, proportional_m = regulated(feedback, base_m, proportional_m, error_m, dt)
             state = equilibrium(plant, state, base_m + surface)
             zeta = deflection_m(plant, state.distance_m, base_m + surface)
             error_m = feedback.setpoint_m - zeta
@@ -150,4 +162,4 @@ def contact_line(
             n += 1
         out[i, HEIGHT], out[i, ERROR] = height / line.periods, error / line.periods
         out[i, FORCE], out[i, LATERAL] = force / line.periods, lateral / line.periods
-    return state, base_m, integral_m, error_m, held
+    return state, base_m, proportional_m, error_m, held

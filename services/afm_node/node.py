@@ -10,6 +10,7 @@ from services.afm_node import safety
 from services.afm_node.config import AfmConfig
 from services.afm_node.disturbed import DisturbedAfm
 from services.afm_node.driver import AfmDriver, DeviceReport, Oscillation, VibratingCantilever
+from services.afm_node.feedback import remaining
 from services.afm_node.lateral import Place, moved
 from services.afm_node.program_config import changed_disturbances, requested
 from services.afm_node.programs import ProgramRunner
@@ -374,5 +375,6 @@ def _programs(config: AfmConfig, driver: AfmDriver) -> ProgramRunner:
     lateral = None if driver.stage is None else config.to_lateral_params()
     sides = config.sample_sides_m()
     vibrates = isinstance(driver, VibratingCantilever)
-    stiffness = config.cantilever.stiffness_n_per_m
-    return ProgramRunner(params.safety, lateral, sides, stiffness, PERIOD_S, can_vibrate=vibrates)
+    c = config.cantilever
+    lag = remaining(PERIOD_S, c.resonance_hz, c.quality)
+    return ProgramRunner(params.safety, lateral, sides, c.stiffness_n_per_m, PERIOD_S, can_vibrate=vibrates, lag=lag)

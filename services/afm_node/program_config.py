@@ -32,7 +32,8 @@ class ScanSettings(Settings):
     setpoint_n: Force = Field(5e-9, description="Force that is held in contact mode [N].")
     amplitude_m: Length = Field(20e-9, description="Amplitude without a sample, in tapping mode [m].")
     setpoint_share: float = Field(0.8, ge=0.05, lt=1.0, description="Share of it that is held, 0.05 to below 1.")
-    gain_per_s: float = Field(400.0, gt=0.0, le=1e5, description="Gain of the feedback [1/s].")
+    gain_per_s: float = Field(400.0, gt=0.0, le=1e5, description="Integral gain of the feedback [1/s].")
+    proportional: float = Field(0.0, ge=0.0, le=100.0, description="Proportional gain of the feedback, no unit.")
     approach_m_per_s: Speed = Field(100e-9, description="Speed of the approach [m/s].")
     settle_s: float = Field(0.2, ge=0.0, le=60.0, description="Time for the force to settle before the first line [s].")
 

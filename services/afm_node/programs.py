@@ -27,7 +27,7 @@ class Wanted(NamedTuple):
 
 
 class Report(NamedTuple):
-    """What is told of a program: `afm/program`."""
+    """What is reported of a program: `afm/program`."""
 
     program: str
     state: ProgramState
@@ -41,7 +41,8 @@ class ProgramRunner:
     """Runs one program at a time; its state is plain values, for the journal of the node.
 
     Parameters: limits of the guard and of the stage, None where there is none; size_m, sides of the sample [m];
-    stiffness_n_per_m, of the cantilever; period_s, of the node; can_vibrate, the base can be driven.
+    stiffness_n_per_m, of the cantilever; period_s, of the node; can_vibrate, the base can be driven; lag, what
+    is left of a change of the amplitude after a period.
     """
 
     def __init__(
@@ -53,12 +54,14 @@ class ProgramRunner:
         period_s: float,
         *,
         can_vibrate: bool = False,
+        lag: float = 0.0,
     ) -> None:
         self.name = ""
         self.state: ProgramState = "finished"
         self._limits, self._lateral = limits, lateral
         self._size_m, self._stiffness, self._period_s = size_m, stiffness_n_per_m, period_s
         self._can_vibrate, self._free_amplitude_m = can_vibrate, 0.0
+        self._lag = lag
         self._raster: tuple[raster.RasterPlan, raster.RasterState] | None = None
         self._curve: tuple[approach.CurvePlan, approach.CurveState] | None = None
         self._tactile: tuple[tactile.TactilePlan, tactile.TactileState] | None = None
@@ -99,6 +102,7 @@ class ProgramRunner:
         plan = raster.RasterPlan(
             Place(s.x_m, s.y_m), width_m, depth_m, s.pixels, s.lines, s.pixels * s.dwell_s, s.setpoint_n, s.gain_per_s,
             s.approach_m_per_s, s.settle_s, self._stiffness, self._limits.retract_position_m, s.setpoint_share * free_m,
+            s.proportional, self._period_s, self._lag,
         )  # fmt: skip
         reach_m, speed = self._lateral
         fault = raster.line_fault(plan, reach_m, speed, self._limits.force_limit_n, self._period_s)

@@ -1,9 +1,9 @@
 """An image taken by the node: a raster of the stage and the feedback that holds force or amplitude, one step a period.
 
-The feedback is integral, on the deflection that is missing to the set-point, or in tapping mode on the amplitude above
-its own: it moves the base by gain times that way in a second. What the base does is the picture, height = -x_s, up to a
-constant. On a tip of stiffness k over a contact of stiffness c the loop closes k + c over c times as slowly as on a
-rigid sample. The amplitude follows within Q / (pi f), 0.2 ms in Table 2, and is read before it has: at the next step.
+The feedback (`feedback`) acts on the deflection that is missing to the set-point, or in tapping mode on the amplitude
+above its own. What the base does is the picture, height = -x_s, up to a constant. On a tip of stiffness k over a
+contact of stiffness c the loop closes k + c over c times as slowly as on a rigid sample. The amplitude follows within
+Q / (pi f), 0.2 ms in Table 2, and is read before it has: at the next step.
 """
 
 import math
@@ -13,23 +13,25 @@ import numpy as np
 import numpy.typing as npt
 
 from services.afm_node.driver import Oscillation
+from services.afm_node.feedback import carried_out, feedback_step, gain_fault, most_integral_share
 from services.afm_node.lateral import Place
 
 Array = npt.NDArray[np.float64]
 
 # phases, in order
 RISE, TRAVEL, APPROACH, SETTLE, LINES, DONE = range(6)
-# a step of the feedback moves the base by no more than this share of the missing deflection: beyond 2 it is unstable
-_MOST_GAIN_A_STEP = 0.9
-# the amplitude answers a step later, and beyond 1 that is unstable
-_MOST_TAPPING_GAIN_A_STEP = 0.5
+# of the gains, for whoever gave them by `set`, in a scenario, or on the command line
+_GAINS = ("scan.gain_per_s (--gain)", "scan.proportional (--proportional)")
+# a step that comes late takes the integral no further than this share of the stable limit
+_CONTACT_SHARE, _TAPPING_SHARE = 0.45, 0.5
 
 
 class RasterPlan(NamedTuple):
     """What is imaged and how: centre and sides [m], pixels and lines, time of a line each way [s].
 
     stiffness_n_per_m turns the force into a deflection; clear_m is the base above every point [m], where the tip moves
-    to the first one; amplitude_m, the set-point of the amplitude in tapping mode [m], 0 in contact mode.
+    to the first one; amplitude_m, the set-point of the amplitude in tapping mode [m], 0 in contact mode; gain_per_s and
+    proportional, Ki and Kp of the feedback; period_s, its period; lag, what is left of a change of the amplitude then.
     """
 
     centre: Place
@@ -45,6 +47,19 @@ class RasterPlan(NamedTuple):
     stiffness_n_per_m: float
     clear_m: float
     amplitude_m: float = 0.0
+    proportional: float = 0.0
+    period_s: float = 0.0
+    lag: float = 0.0
+
+    @property
+    def most_integral_share(self) -> float:
+        """Return the greatest Ki T of a step, however late it is."""
+        share = _TAPPING_SHARE if self.amplitude_m > 0.0 else _CONTACT_SHARE
+        return max(share * most_integral_share(self.proportional, self.loop_lag), self.gain_per_s * self.period_s)
+
+    @property
+    def loop_lag(self) -> float | None:
+        return self.lag if self.amplitude_m > 0.0 else None
 
 
 class Measured(NamedTuple):
@@ -61,7 +76,7 @@ class RasterState(NamedTuple):
     """Phase; line and sense; time in the phase or line [s]; of its pixels sums of height [m] and force [N], counts.
 
     Sums of the vibration's parts in phase with the drive and a quarter of a period behind it [m], and of the energy
-    that the sample takes in a period [J].
+    that the sample takes in a period [J]. Where the base was sent at the last step, and the proportional part in that.
     """
 
     phase: int
@@ -74,6 +89,8 @@ class RasterState(NamedTuple):
     in_phase_sum: Array
     quadrature_sum: Array
     dissipated_sum: Array
+    reference_m: float = 0.0
+    proportional_m: float = 0.0
 
 
 class FinishedLine(NamedTuple):
@@ -113,13 +130,17 @@ def raster_step(
     if phase == TRAVEL:
         return (_in(state, APPROACH) if place == first else state), plan.clear_m, first, None
     if phase == APPROACH:
-        if missing_m(plan, measured) <= 0.0:
-            return _in(state, SETTLE), base_m, first, None
+        if (error_m := missing_m(plan, measured)) <= 0.0:
+            # the base goes on from where it is
+            settling = _in(state, SETTLE)._replace(reference_m=base_m, proportional_m=plan.proportional * error_m)
+            return settling, base_m, first, None
         return state, base_m + plan.approach_m_per_s * dt, first, None
     if phase == DONE:
         return state, base_m, place, None
-    most = _MOST_TAPPING_GAIN_A_STEP if plan.amplitude_m > 0.0 else _MOST_GAIN_A_STEP
-    held = base_m + missing_m(plan, measured) * min(plan.gain_per_s * dt, most)
+    part_m = carried_out(state.proportional_m, state.reference_m - base_m)
+    share = min(plan.gain_per_s * dt, plan.most_integral_share)
+    held, part_m = feedback_step(base_m, part_m, missing_m(plan, measured), share, plan.proportional)
+    state = state._replace(reference_m=held, proportional_m=part_m)
     if phase == SETTLE:
         return (_in(state, LINES) if elapsed >= plan.settle_s else state._replace(elapsed_s=elapsed)), held, first, None
     if paused:
@@ -174,7 +195,8 @@ def _advance(
     )
     line = state.line + int(state.backward)
     phase = DONE if line == plan.lines else LINES
-    after = RasterState(phase, line, not state.backward, 0.0, *_no_samples(plan))
+    feedback = state.reference_m, state.proportional_m
+    after = RasterState(phase, line, not state.backward, 0.0, *_no_samples(plan), *feedback)
     target = place if phase == DONE else _point(plan, line, 0.0 if state.backward else 1.0)
     return after, target, finished
 
@@ -216,4 +238,6 @@ def line_fault(plan: RasterPlan, reach_m: float, speed_m_per_s: float, force_lim
         return f"a pixel needs at least two steps of the instrument: a dwell of {2.0 * period_s:g} s or more"
     if plan.amplitude_m == 0.0 and not plan.setpoint_n < force_limit_n:
         return f"the set-point {plan.setpoint_n:g} N must be below safety.force_limit_n = {force_limit_n:g} N"
-    return "" if math.isfinite(plan.clear_m) else "the base has no safe position"
+    if not math.isfinite(plan.clear_m):
+        return "the base has no safe position"
+    return gain_fault(plan.gain_per_s, plan.proportional, period_s, plan.loop_lag, _GAINS)

@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
 from presets import DEFAULT_SITE_FILE
+from proto.errors import ConfigError
 from services.runtime.config import flag_overrides, validate
 from telenano.exit_codes import EXIT_FAILED
 from telenano.options import JsonOption, SiteFileOption
@@ -70,11 +71,20 @@ def scan(
     ] = None,
     gain: Annotated[
         float | None,
-        typer.Option("--gain", metavar="1/S", help="Integral gain of the feedback [1/s]; 5000, or 400 with --live."),
+        typer.Option(
+            "--gain",
+            metavar="1/S",
+            help="Integral gain of the feedback [1/s]; 5000, in contact 12500, with --live 400.",
+        ),
     ] = None,
     proportional: Annotated[
-        float, typer.Option("--proportional", metavar="P", help="Proportional gain, in tapping mode.")
-    ] = 1.0,
+        float | None,
+        typer.Option(
+            "--proportional",
+            metavar="P",
+            help="Proportional gain of the feedback; 1 in tapping mode, 0 in contact and with --live.",
+        ),
+    ] = None,
     temperature: Annotated[
         float, typer.Option("--temperature", metavar="K", help="Temperature of the thermal noise [K]; 0: none.")
     ] = 0.0,
@@ -96,11 +106,19 @@ def scan(
             foreign = {"--sample": name != "dots", "--channel": channel, "--set": settings, "--afm": afm,
                        "--temperature": temperature}  # fmt: skip
             refuse_foreign(foreign)
+            gain = 400.0 if gain is None else gain
+            from services.afm_node.feedback import number_fault
+
+            if fault := number_fault(gain, proportional or 0.0, ("--gain", "--proportional")):
+                raise ConfigError(fault)
             parameters: dict[str, Scalar] = {
                 "program": "scan", "scan.pixels": 64 if pixels is None else pixels,
                 "scan.lines": 64 if lines is None else lines, "scan.dwell_s": 4e-3 if dwell is None else dwell * 1e-3,
-                "scan.gain_per_s": 400.0 if gain is None else gain, "scan.x_m": x * 1e-9, "scan.y_m": y * 1e-9,
+                "scan.gain_per_s": gain, "scan.x_m": x * 1e-9, "scan.y_m": y * 1e-9,
             }  # fmt: skip
+            # what the rig takes without it is its own affair
+            if proportional is not None:
+                parameters["scan.proportional"] = proportional
             if mode is ScanMode.TAPPING:
                 share = 0.8 if setpoint is None else setpoint
                 parameters |= {"scan.mode": "tapping", "scan.setpoint_share": share,
@@ -129,7 +147,7 @@ def scan(
             amplitude_m=amplitude * 1e-9,
             setpoint_share=0.8 if setpoint is None or mode is ScanMode.CONTACT else setpoint,
             setpoint_n=5e-9 if setpoint is None or mode is ScanMode.TAPPING else setpoint * 1e-9,
-            integral_per_s=5000.0 if gain is None else gain,
+            gain_per_s=gain,
             proportional=proportional,
             temperature_k=temperature,
             seed=seed,

@@ -42,7 +42,7 @@ def truth_of(surface: Surface) -> npt.NDArray[np.float64]:
 def test_a_running_rig_images_its_sample_and_takes_a_curve_and_the_tip_is_away_after_each(
     imaging: Rig, tmp_path: Path
 ) -> None:
-    done = imaging.telenano(*SCAN, "--out", str(tmp_path / "scan"), patience_s=90.0)
+    done = imaging.telenano(*SCAN, "--proportional", "0.3", "--out", str(tmp_path / "scan"), patience_s=90.0)
     assert done.returncode == 0, done.stderr
     document = json.loads(done.stdout)
     assert (document["state"], document["lines"]) == ("finished", 6)
@@ -65,6 +65,9 @@ def test_a_running_rig_images_its_sample_and_takes_a_curve_and_the_tip_is_away_a
     done = imaging.telenano(*SCAN, "--out", str(tmp_path / "no"), "--dwell", "0.5")
     assert (done.returncode, newest_state(imaging).mode) == (1, "retracted")
     assert "a dwell" in done.stderr or "dwell_s" in done.stderr
+    done = imaging.telenano(*SCAN, "--out", str(tmp_path / "no"), "--gain", "5000")
+    assert (done.returncode, newest_state(imaging).mode) == (1, "retracted")
+    assert "(--gain) = 5000 1/s makes the feedback unstable in contact mode at 1000 Hz" in done.stderr
     imaging.stop()
 
 
@@ -73,7 +76,7 @@ def test_the_dynamic_cantilever_taps_a_sample_on_the_bus_and_runs_again_from_the
 ) -> None:
     rig.start("--set", "afm_node.model=dynamic", scenario="image")
     rig.wait_until(rig.running, "the session")
-    tapping = (*SCAN, "--mode", "tapping", "--gain", "600")
+    tapping = (*SCAN, "--mode", "tapping", "--gain", "500", "--proportional", "0.2")
     done = rig.telenano(*tapping, "--out", str(tmp_path / "scan"), patience_s=90.0)
     assert done.returncode == 0, done.stderr
     document = json.loads(done.stdout)

@@ -2,13 +2,18 @@
 
 from typing import Any
 
+import msgpack
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
-from proto.errors import RefusedError
+from proto.errors import ConfigError, RefusedError
 from services.afm_node.config import AfmConfig
+from services.afm_node.disturbed import DisturbedAfm
 from services.afm_node.node import AfmNode
 from services.afm_node.sim import SimulatedAfm, SimulatedSpring
+from services.afm_node.surface import height_at
+from services.runtime.config import validate
 from services.runtime.journal import StateSnapshot
 from services.runtime.node_state import restore
 
@@ -109,8 +114,9 @@ def test_an_image_is_published_line_by_line_and_is_what_the_tip_sees(afm: Imager
     assert np.median(forces) == pytest.approx(5e-9, rel=0.02, abs=0.0)
 
 
-def test_a_pause_holds_the_force_where_the_tip_is_and_an_abort_retracts_it(afm: Imager) -> None:
-    afm.set(**QUICK)
+@pytest.mark.parametrize("proportional", [0.0, 0.5])
+def test_a_pause_holds_the_force_where_the_tip_is_and_an_abort_retracts_it(afm: Imager, proportional: float) -> None:
+    afm.set(**parameters(scan__proportional=proportional))
     afm.run(until=lambda: any(topic == "afm/scanline" for topic, _ in afm.bench.sent))
     afm.set(program="pause")
     afm.bench.take("afm/state")
@@ -165,6 +171,11 @@ def test_an_emergency_stop_and_the_force_limit_end_an_image_with_the_tip_away(be
         ({"scan__dwell_s": 1e-3}, "a dwell of 0.002 s or more"),
         ({"scan__setpoint_n": 3e-7}, "must be below safety.force_limit_n"),
         ({"scan__lines": 0}, r"afm_node.scan.lines: .* \(allowed is from 1 to 4096\), got 0"),
+        ({"scan__gain_per_s": 2000.0}, r"scan.gain_per_s \(--gain\) = 2000 1/s makes .* it must be below 2000 1/s"),
+        ({"scan__proportional": 0.9}, r"unstable in contact mode at 1000 Hz with .* = 0.9: it must be below 200 1/s"),
+        ({"scan__proportional": 1.0}, r"scan.proportional \(--proportional\) = 1 makes .* it must be below 1"),
+        ({"scan__proportional": -0.1}, r"afm_node.scan.proportional: .* \(allowed is from 0 to 100\), got -0.1"),
+        ({"scan__gain_per_s": -1.0}, r"afm_node.scan.gain_per_s: .*, got -1.0"),
         ({"scan__mode": "tunnelling"}, "scan.mode: Input should be 'contact' or 'tapping', got 'tunnelling'"),
         ({"scan__style": "tapping"}, "scan.style: unknown key, known are mode, width_m"),
         ({"program": "dance"}, "afm_node.program: Input should be 'scan', 'curve'"),
@@ -177,6 +188,46 @@ def test_what_cannot_be_imaged_is_refused_and_the_tip_stays_away(afm: Imager, ch
         afm.bench.advance_ms(1.0)
         afm.node.on_deadline(afm.bench.clock.monotonic_ns())
     assert {state.mode for state in afm.bench.take("afm/state")} == {"retracted"}
+
+
+@pytest.mark.parametrize("key", ["gain_per_s", "proportional"])
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_a_gain_that_is_no_number_comes_neither_by_a_message_nor_in_a_scenario(
+    afm: Imager, key: str, value: float
+) -> None:
+    with pytest.raises(ValidationError, match=f"scan.{key}"):
+        afm.set(**parameters(**{f"scan__{key}": value}))
+    with pytest.raises(ConfigError, match=f"begin.scan.{key}: Input should be a finite number, got {value}"):
+        validate(AfmConfig, {"begin": {"program": "scan", "scan": {key: value}}}, "s.yaml", "afm_node")
+
+
+def edges(bench_of: Any, **settings: Any) -> tuple[float, float, float]:
+    """Give of an image of the grating, with noise: RMS error to what the tip sees, trace against retrace [m], force."""
+    noise = {"seed": 1, "thermal": {"enabled": True}, "readout": {"enabled": True}}
+    afm = Imager(bench_of("afm_node@slave"), {**SOFT, "disturbances": noise})
+    surface = afm.config.to_surface()
+    assert surface is not None
+    afm.driver = DisturbedAfm(afm.config.to_params(), surface, None, afm.config.disturbances)
+    afm.node = AfmNode(afm.bench.context, afm.config, afm.driver)
+    afm.set(**parameters(**settings))
+    afm.run()
+    trace, back = (line.height_m.to_numpy() for line in afm.bench.take("afm/scanline")[:2])
+    places = np.linspace(-57.5e-9, 57.5e-9, 24)
+    seen = [height_at(*surface, x + 60e-9, 30e-9)[0] for x in places.tolist()]
+    away = trace - np.array(seen)
+    forces = [state.tip_force_n[2] for state in afm.bench.take("afm/state") if state.in_contact]
+    error, apart = float(np.std(away)), float(np.sqrt(np.mean((trace - back) ** 2)))
+    return error, apart, float(np.median(forces))
+
+
+def test_a_proportional_gain_follows_an_edge_more_closely(bench_of: Any) -> None:
+    (i_error, i_apart, i_force), (pi_error, pi_apart, pi_force) = (
+        edges(bench_of, scan__proportional=proportional, scan__lines=1) for proportional in (0.0, 0.5)
+    )
+    # by 8 and 10 % with the noise of Table 2 on
+    assert pi_error < 0.95 * i_error
+    assert pi_apart < 0.93 * i_apart
+    assert (i_force, pi_force) == pytest.approx((5e-9, 5e-9), rel=0.02, abs=0.0)
 
 
 def test_a_curve_turns_at_the_load_and_its_states_are_the_curve(bench_of: Any) -> None:
@@ -226,13 +277,32 @@ def command(afm: Imager) -> Any:
     return afm.bench.received("afm/command", "controller@slave", **fields, hand_t_ns=afm.bench.clock.now_ns())
 
 
-def test_a_node_restored_in_the_middle_of_an_image_goes_on_with_the_same_lines(bench_of: Any) -> None:
+def unproportional(packed: Any) -> Any:
+    """Give a state as it was before there was a proportional gain: without the fields that came with it."""
+    if not isinstance(packed, list | dict):
+        return packed
+    if isinstance(packed, dict):
+        return {name: unproportional(value) for name, value in packed.items()}
+    newer = {"services.afm_node.raster:RasterPlan": 3, "services.afm_node.raster:RasterState": 2}
+    if len(packed) == 3 and packed[0] == "tuple" and packed[1] in newer:
+        return [*packed[:2], [unproportional(part) for part in packed[2][: -newer[packed[1]]]]]
+    return [unproportional(part) for part in packed]
+
+
+@pytest.mark.parametrize(("proportional", "is_old"), [(0.0, False), (0.0, True), (0.4, False)])
+def test_a_node_restored_in_the_middle_of_an_image_goes_on_with_the_same_lines(
+    bench_of: Any, proportional: float, is_old: bool
+) -> None:
     first = Imager(bench_of("afm_node@slave"))
     snapshot = StateSnapshot(first.node)
-    first.set(**QUICK)
+    first.set(**parameters(scan__proportional=proportional))
     first.run(until=lambda: any(topic == "afm/scanline" for topic, _ in first.bench.sent))
     state = snapshot.capture()
     assert state
+    if is_old:
+        older = msgpack.packb(unproportional(msgpack.unpackb(state, strict_map_key=False)))
+        assert len(older) < len(state) - 30
+        state = older
     second = Imager(bench_of("afm_node@slave"))
     restore(second.node, state)
     for afm in (first, second):

@@ -14,7 +14,9 @@ from services.afm_node.driver import VibratingCantilever
 from services.afm_node.dynamic import drive_work_j, free_amplitude_m
 from services.afm_node.dynamic_sim import DynamicAfm
 from services.afm_node.node import AfmNode
+from services.afm_node.safety import MODE_RETRACTED
 from services.afm_node.sim import SimulatedAfm
+from services.afm_node.surface import height_at
 from services.runtime.journal import StateSnapshot
 from services.runtime.node_state import restore
 
@@ -126,6 +128,35 @@ def test_a_tapping_image_holds_the_amplitude_and_its_lines_carry_amplitude_and_p
     assert afm.driver._motion.contact is False
     reports = afm.bench.take("afm/program")
     assert (reports[-1].state, "the amplitude settles" in {report.text for report in reports}) == ("finished", True)
+
+
+def test_a_proportional_gain_follows_an_edge_more_closely_in_tapping_mode_too(bench_of: Any) -> None:
+    errors, apart = [], []
+    for proportional in (0.0, 0.4):
+        afm = Tapper(bench_of("afm_node@slave"))
+        noise = {"disturbances.thermal.enabled": True, "disturbances.readout.enabled": True}
+        afm.set(**{**TAPPING, **noise, "scan.dwell_s": 8e-3, "scan.proportional": proportional})
+        afm.run(until=lambda afm=afm: not afm.node._programs.name)
+        trace, retrace = afm.bench.take("afm/scanline")
+        surface = afm.config.to_surface()
+        assert surface is not None
+        places = np.linspace(trace.start_m[0], trace.end_m[0], 16).tolist()
+        seen = np.array([height_at(*surface, x + 60e-9, 30e-9)[0] for x in places])
+        heights = trace.height_m.to_numpy()
+        errors.append(float(np.std(heights - seen)))
+        apart.append(float(np.sqrt(np.mean((heights - retrace.height_m.to_numpy()) ** 2))))
+        assert np.median(trace.amplitude_m.to_numpy()) == pytest.approx(16e-9, rel=0.01, abs=0.0)
+    assert errors[1] < 0.97 * errors[0]
+    assert apart[1] < 0.95 * apart[0]
+    afm.run(until=lambda: afm.node._guard.mode == MODE_RETRACTED)
+    # what would swing on is refused, and the base stays away undriven
+    for changes, words in (
+        ({"scan.gain_per_s": 5000.0}, "tapping mode at 1000 Hz .* it must be below 666.667 1/s"),
+        ({"scan.proportional": 0.7}, "tapping mode at 1000 Hz: it must be below 0.6727"),
+    ):
+        with pytest.raises(RefusedError, match=words):
+            afm.set(**{**TAPPING, **changes})
+    assert (afm.driver._drive_m, afm.node._guard.mode) == (0.0, MODE_RETRACTED)
 
 
 def test_a_journal_goes_on_in_the_middle_of_a_tapping_line(bench_of: Any) -> None:

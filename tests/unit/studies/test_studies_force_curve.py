@@ -10,6 +10,7 @@ import pytest
 
 from proto.errors import ConfigError, RigError
 from services.afm_node.config import AfmConfig
+from studies.curve_models import compare_models
 from studies.force_curve import curve_of_samples, force_curve, marks_of, read_measured, write_hdf5
 
 DATA = Path(__file__).parents[4] / "shared" / "data" / "SiN_FD_plot.ibw"
@@ -50,6 +51,17 @@ def test_the_dynamic_model_measures_the_same_curve():
     assert np.abs(static.retract.force_n - moving.retract.force_n).max() < 0.05 * np.abs(static.retract.force_n).max()
     a, b = marks_of(static), marks_of(moving)
     assert b.pull_off_force_n == pytest.approx(a.pull_off_force_n, rel=0.02, abs=0)
+
+
+def test_both_models_agree_at_every_stiffness_of_the_paper():
+    rows = compare_models(points=200)
+    assert [row.stiffness_n_per_m for row in rows] == [40.0, 8.0, 1.0]
+    for row in rows:
+        # the bounds that docs/instrument.md states; a place is known to a step of the curve
+        assert abs(row.pull_off_share) < 2e-3
+        assert abs(row.snap_in_difference_m) < 1.01 * row.step_m
+        assert abs(row.hysteresis_share) < 0.03
+        assert -13e-9 < row.static_pull_off_n < -12e-9
 
 
 def test_the_fields_reader_opens_the_file_and_ours_reads_it_back(tmp_path):

@@ -9,7 +9,8 @@ from proto.errors import ConfigError
 from services.afm_node.config import AfmConfig
 from services.afm_node.imaging import ERROR, FORCE, HEIGHT, LATERAL
 from services.afm_node.sample import SampleConfig
-from services.afm_node.surface import checked
+from services.afm_node.surface import checked, grating
+from studies.force_curve import force_curve
 from studies.scan import ScanRequest, scan
 
 DATA = Path(__file__).parents[4] / "shared" / "data" / "spot_1-1000nm.ibw"
@@ -66,6 +67,20 @@ def test_tapping_holds_its_amplitude_over_a_dot():
     assert np.sqrt(np.mean(found.trace[:, :, ERROR] ** 2)) < 0.5e-9
 
 
+def swing(gain_per_s: float, monkeypatch: pytest.MonkeyPatch) -> float:
+    """Give the error of the amplitude a millisecond after an edge of 1 nm, without a proportional gain."""
+    monkeypatch.setattr("studies.scan.gain_fault", lambda *_: "")
+    request = ScanRequest(pixels=200, lines=1, dwell_s=2e-4, gain_per_s=gain_per_s, proportional=0.0)
+    found = scan(grating(400e-9, 128, 400e-9, 1e-9), request, CONFIG)
+    return float(np.abs(found.trace[0, -12:, ERROR]).max())
+
+
+def test_a_quick_feedback_in_tapping_mode_is_stable_as_far_as_routh_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    most_per_s = 2.0 * np.pi * 150e3 / 100.0
+    assert swing(0.7 * most_per_s, monkeypatch) < 1e-11
+    assert swing(1.5 * most_per_s, monkeypatch) > 1e-10
+
+
 @pytest.mark.parametrize(
     ("changes", "what"),
     [
@@ -74,12 +89,34 @@ def test_tapping_holds_its_amplitude_over_a_dot():
         ({"pixels": 1}, "an image of 1 x 128 is outside"),
         ({"dwell_s": 0.0}, r"dwell \[s\] = 0 must be positive"),
         ({"amplitude_m": float("nan")}, r"amplitude \[m\] = nan must be positive"),
-        ({"proportional": float("nan")}, "proportional gain = nan must be 0 or more"),
+        ({"proportional": float("nan")}, "proportional .--proportional. = nan must be 0 or more"),
+        ({"proportional": -1.0}, "proportional .--proportional. = -1 must be 0 or more"),
+        ({"gain_per_s": float("inf")}, "gain_per_s .--gain. = inf must be positive and finite"),
+        ({"mode": "contact", "gain_per_s": 40_000.0}, "contact mode at 20000 Hz .* must be below 40000 1/s"),
+        ({"mode": "contact", "proportional": 1.0}, "contact mode at 20000 Hz: it must be below 1"),
+        ({"gain_per_s": 2e4}, "= 20000 1/s makes .* in tapping mode at 150000 Hz .* must be below 18849.6 1/s"),
+        ({"proportional": 100.0}, "unstable in tapping mode at 150000 Hz: it must be below 21.5"),
         ({"temperature_k": -1.0}, r"temperature \[K\] = -1 must be 0 or more"),
     ],
 )
 def test_what_cannot_be_imaged_is_refused(changes, what):
     with pytest.raises(ConfigError, match=what):
+        scan(DOTS.build(), ScanRequest(**changes), CONFIG)
+
+
+def test_steps_too_few_for_the_contact_of_a_soft_tip_are_refused_for_images_and_curves():
+    soft = AfmConfig.model_validate({"cantilever": {"stiffness_n_per_m": 0.1}})
+    with pytest.raises(ConfigError, match=r"steps_per_period = 96 is too few for a cantilever of 0\.1 N/m"):
+        scan(DOTS.build(), ScanRequest(), soft)
+    with pytest.raises(ConfigError, match=r"steps_per_period = 96 is too few .* or more are needed"):
+        force_curve(soft, 20e-9, 10e-9, 10, dynamic=True)
+
+
+@pytest.mark.parametrize(
+    "changes", [{"dwell_s": 1e300}, {"amplitude_m": 1e300}, {"temperature_k": 1e300}, {"temperature_k": float("nan")}]
+)
+def test_what_would_never_end_or_is_no_number_is_refused_with_the_most_that_is_possible(changes):
+    with pytest.raises(ConfigError, match="and at most"):
         scan(DOTS.build(), ScanRequest(**changes), CONFIG)
 
 
