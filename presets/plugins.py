@@ -5,7 +5,7 @@ A package names them in its `pyproject.toml`, and is found as soon as pip has in
     [project.entry-points."telenano.laws"]
     my_law = "my_package.law:MY_LAW"
 
-One that cannot be used is no harm to what does not use it: it is missing from the table, and its problem is told to
+One that cannot be used is no harm to what does not use it: it is missing from the table, and its problem is reported to
 whoever asks for it. What is recorded of one is its package, version and a digest of the package's files.
 """
 

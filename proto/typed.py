@@ -28,7 +28,7 @@ class TypedForm(NamedTuple):
     """The fast way of one topic.
 
     `fields` returns the fields of a payload, None to leave it to the declared model; it has not looked at texts. `read`
-    returns the message, and `compose` the message with these fields and its bytes, likewise. `note` is told what the
+    returns the message, and `compose` the message with these fields and its bytes, likewise. `note` takes what the
     declared model has accepted.
     """
 

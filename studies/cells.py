@@ -112,6 +112,11 @@ class Cell(Settings):
         return hashlib.sha256(text.encode()).hexdigest()[:24]
 
     @property
+    def has_random_link(self) -> bool:
+        """Return whether another seed gives another session."""
+        return self.jitter_ms > 0.0 or self.loss > 0.0
+
+    @property
     def round_trip_s(self) -> float:
         """Round trip [s], jitter at its widest and the devices included."""
         return (self.round_trip_ms + self.device_latency_ms + 2.0 * self.jitter_ms) * 1e-3
@@ -317,7 +322,7 @@ def judged(cell: Cell, course: Trajectory) -> CellResult:
         _LEVELS_N[cell.environment][-1],
         Circumstances(
             guarded=ended < len(lost),
-            noisy=cell.jitter_ms > 0.0 or cell.loss > 0.0 or bool(cell.disturbances),
+            noisy=cell.has_random_link or bool(cell.disturbances),
             touching=float(course.in_contact[later].mean()) if later.stop > later.start else None,
             expected_n=float(course.hand_force_n[later].mean()) if later.stop > later.start else None,
         ),

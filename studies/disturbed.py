@@ -23,7 +23,12 @@ from services.afm_node.disturbances import (
     read_out,
     sines_of,
 )
-from services.afm_node.electrostatic import electrostatic_strength_n_m2
+from services.afm_node.electrostatic import (
+    MOST_TURNS,
+    SETTLED_M,
+    electrostatic_force_n,
+    electrostatic_strength_n_m2,
+)
 from services.afm_node.safety import SafetyState
 from services.afm_node.step import AfmInputs, AfmOutputs, AfmParams, guarded, initial_afm_state
 from services.runtime.compiled import compiled
@@ -34,8 +39,6 @@ Array = npt.NDArray[np.float64]
 _STEP_S = 1e-3
 # bits of a converter that rounds nothing that matters, within a range that is never reached: noise alone is left
 _FINE_BITS, _WIDE_V = 52, 1e3
-_SETTLED_M = 1e-14
-_MOST_TURNS = 40
 
 
 class DisturbedParams(NamedTuple):
@@ -115,6 +118,10 @@ def initial_state(params: DisturbedParams) -> DisturbedState:
     return DisturbedState(start.safety, start.plant, start.force_n, 0.0, plays, lags)
 
 
+# compiled here, and plain Python where nodes without a compiler call it
+_electrostatic = compiled(electrostatic_force_n)
+
+
 @compiled
 def step(
     params: DisturbedParams, state: DisturbedState, inputs: AfmInputs, dt: float
@@ -140,13 +147,12 @@ def step(
             lags[i] += (sent - lags[i]) * (1.0 - math.exp(-dt / params.lag_s[i]))
             base += params.lag_share * (lags[i] - sent)
     tip, pull_m, charge = state.plant, 0.0, params.charge_n_m2[n]
-    for _ in range(_MOST_TURNS):
+    for _ in range(MOST_TURNS):
         before_m = tip.distance_m
         if charge > 0.0:
-            h = max(before_m, tip_sample.contact_distance_m)
-            pull_m = -charge / (h * (h + tip_sample.radius_m)) / k
+            pull_m = _electrostatic(charge, tip_sample.radius_m, tip_sample.contact_distance_m, before_m) / k
         tip = equilibrium(plant, tip, base - pull_m)
-        if charge == 0.0 or abs(tip.distance_m - before_m) < _SETTLED_M:
+        if charge == 0.0 or abs(tip.distance_m - before_m) < SETTLED_M:
             break
     zeta = deflection_m(plant, tip.distance_m, base) + params.added_deflection_m[n]
     if params.lsb_m > 0.0:

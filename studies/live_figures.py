@@ -1,6 +1,5 @@
 """Fig. 10 and 12 of the paper, from a running rig: each is its scenario, and its recording is read."""
 
-import json
 import subprocess
 import sys
 import time
@@ -17,6 +16,7 @@ from recording.arrays import columns
 from recording.reader import Recording
 from services.afm_node.config import AfmConfig
 from services.runtime.scenario import load_scenario
+from studies.rig_output import reason_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -78,16 +78,9 @@ def run_scenario(name: str, out: Path, progress: Callable[[int, int], object] = 
                 raise
     # 3: the recording lacks something, and says what; the figure shows it
     if rig.returncode not in (0, 3) or not (folder / RECORDING_NAME).exists():
-        raise RigError(f"{name}: the rig did not run: {_reason(stdout, stderr)}")
+        raise RigError(f"{name}: the rig did not run: {reason_of(stdout, stderr)}")
     progress(usual, usual)
     return folder / RECORDING_NAME
-
-
-def _reason(stdout: str, stderr: str) -> str:
-    try:
-        return str(json.loads(stdout)["error"])
-    except (ValueError, KeyError):
-        return stderr.strip() or stdout.strip() or "no output"
 
 
 def tactile_path(recording_file: Path) -> TactilePath:

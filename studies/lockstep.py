@@ -269,7 +269,7 @@ def _run(
 
     tip = TipMeasurement(0.0, 0.0, 0.0, False, False, False)
     slave = slave_start(law, tip)
-    slave_tick, heard, heard_ns = -1, NO_SIGNAL, -1
+    slave_tick, received, received_ns = -1, NO_SIGNAL, -1
     slave_behind, slave_dt = 0, dt
     # the time that a command counts from is that of the hand's sample, told delay included
     action, base_reference_m, base_hand_ns = afm_safety.ACTION_HOLD, 0.0, -1
@@ -344,16 +344,16 @@ def _run(
                 elif elapsed > loop.longest_periods:
                     slave, _ = slave_receive(law, slave, NO_SIGNAL, tip, dt)
                     elapsed, slave_behind = 1, 0
-                slave_tick, heard, heard_ns = tick, forward[tick & mask], event_ns
+                slave_tick, received, received_ns = tick, forward[tick & mask], event_ns
                 base_hand_ns = tick * period_ns + _told(event_ns - tick * period_ns)
             # what the instrument steps by itself, the slave half goes along with, while its last signal counts
-            local = loop.local and not commanded and heard_ns >= 0 and event_ns - heard_ns <= loop.longest_ns
-            local = local and heard.active and tip.following
+            local = loop.local and not commanded and received_ns >= 0 and event_ns - received_ns <= loop.longest_ns
+            local = local and received.active and tip.following
             if commanded or local:
-                silent = (event_ns - heard_ns) // period_ns
+                silent = (event_ns - received_ns) // period_ns
                 slave_behind, periods = paced(slave_behind, elapsed if commanded else 0, silent)
                 slave_dt = periods * dt
-                present = _as_received(heard, (event_ns - heard_ns) * 1e-9, 0.0)
+                present = _as_received(received, (event_ns - received_ns) * 1e-9, 0.0)
                 slave, wanted = slave_receive(law, slave, present, tip, slave_dt)
                 wanted = clamped(loop.clamp, wanted, present, tip)
                 action = afm_safety.ACTION_POSITION if wanted.active else afm_safety.ACTION_HOLD

@@ -249,7 +249,7 @@ def broken_assumption(cell: Cell, result: CellResult) -> str:
         if cell.law in ("virtual_impedance", "position_force"):
             return f"{made}: a channel that sends position and force as they are is not passive with delay"
         return f"{made}: the channel's own bound did not hold at its ports"
-    if cell.jitter_ms or cell.loss:
+    if cell.has_random_link:
         return (
             "the two-port held its bound: what is lost or late holds the motion back, the hand of constant force makes"
             " up for it, and the link's randomness keeps that going"

@@ -14,7 +14,6 @@ the hand's force): there the bus may have another verdict than the recorded link
 TOLERANCE_SHARE of that run. Where nothing is known of the recorded link, such a cell is undecided.
 """
 
-import json
 import subprocess
 import sys
 from collections import Counter
@@ -37,6 +36,7 @@ from studies.cells import WALL_DISTANCE_M, Cell, judged, rig_of, sample_config, 
 from studies.link import direction_of
 from studies.lockstep import Trajectory, simulate
 from studies.recorded_link import recorded_schedule
+from studies.rig_output import reason_of
 
 Series = npt.NDArray[np.float64]
 
@@ -149,19 +149,15 @@ def validate_cells(
     for number, cell in enumerate(cells, start=1):
         report(f"{number}/{len(cells)}: {cell.law} at {cell.round_trip_ms:g} ms on real processes")
         course = run_on_bus(cell, bus)
-        recorded = over_recorded_link(cell, bus.recording_of(cell)) if _is_random(cell) else None
+        recorded = over_recorded_link(cell, bus.recording_of(cell)) if cell.has_random_link else None
         agreements.append(compare(cell, draws_of(cell), course, recorded))
     return agreements
 
 
 def draws_of(cell: Cell) -> list[Trajectory]:
     """Run a cell in lockstep: once over a constant link, with SEEDS draws of a random one, its own seed first."""
-    seeds = range(cell.seed, cell.seed + SEEDS) if _is_random(cell) else (cell.seed,)
+    seeds = range(cell.seed, cell.seed + SEEDS) if cell.has_random_link else (cell.seed,)
     return [trajectory_of(cell.model_copy(update={"seed": seed})) for seed in seeds]
-
-
-def _is_random(cell: Cell) -> bool:
-    return cell.jitter_ms > 0.0 or cell.loss > 0.0
 
 
 def over_recorded_link(cell: Cell, path: Path) -> Trajectory:
@@ -190,15 +186,8 @@ def run_on_bus(cell: Cell, bus: Bus) -> Trajectory:
     except subprocess.TimeoutExpired as error:
         raise StudyError(f"the rig did not end within {error.timeout:.0f} s, see {folder}") from error
     if done.returncode != 0:
-        raise StudyError(f"the rig did not run: {_reason(done.stdout, done.stderr)}")
+        raise StudyError(f"the rig did not run: {reason_of(done.stdout, done.stderr)}")
     return read_course(recording)
-
-
-def _reason(stdout: str, stderr: str) -> str:
-    try:
-        return str(json.loads(stdout)["error"])
-    except (ValueError, KeyError):
-        return stderr.strip() or stdout.strip() or "no output"
 
 
 _MODE_NUMBERS = {"retracted": 0, "follow": 1, "hold": 2, "retracting": 3, "estop": 4}

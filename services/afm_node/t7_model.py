@@ -231,7 +231,7 @@ class T7Model:
 class HeartbeatScript:
     """What the heartbeat script of the maps does on the device, at its pace; another script does nothing here.
 
-    Loading is that of a device: a script that is cut, or of another size than was told, does not run.
+    Loading is that of a device: a script that is cut, or of another size than was announced, does not run.
     """
 
     def __init__(self, model: T7Model) -> None:

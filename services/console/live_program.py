@@ -164,7 +164,7 @@ class _Listener:
 
 
 def _await_instrument(observer: Observer) -> None:
-    """Wait until the instrument is heard: then nothing that it says of a program is missed."""
+    """Wait until a message of the instrument is received: then nothing that it says of a program is missed."""
     end_s = time.monotonic() + _PATIENCE_S
     while time.monotonic() < end_s:
         for observed in observer.listen(_LISTEN_S):

@@ -294,7 +294,7 @@ class InteractiveConfig(Settings):
     max_force_n: MaxForce = 10.0
 
     def to_params(self) -> OperatorParams:
-        # a profile of one corner, which the device holds until it is told another force
+        # a profile of one corner, which the device holds until it is given another force
         return OperatorParams(FORCE_PROFILE, np.zeros(1), np.zeros(1), 0.0, 0.0, 0.0, 0.0, 0.0, self.max_force_n)
 
 

@@ -45,7 +45,7 @@ class HandleOnPty:
     def __init__(self, handle: EmulatedBoard, link: Path) -> None:
         self._handle, self._link = handle, link
         self._master = self._slave = -1
-        self._next_ns = self._heard_ns = time.monotonic_ns()
+        self._next_ns = self._received_ns = time.monotonic_ns()
         self.plug_in()
 
     @property
@@ -90,8 +90,8 @@ class HandleOnPty:
 
     def _release_abandoned(self) -> None:
         """Clear the mark of a host that was killed: its port would be free, and here the other end is still open."""
-        if self.plugged and self._next_ns - self._heard_ns > _ABANDONED_NS:
-            self._heard_ns = self._next_ns
+        if self.plugged and self._next_ns - self._received_ns > _ABANDONED_NS:
+            self._received_ns = self._next_ns
             fcntl.ioctl(self._slave, termios.TIOCNXCL)
 
     def _listen(self, wait_s: float) -> None:
@@ -101,7 +101,7 @@ class HandleOnPty:
             return
         ready, _, _ = select.select([self._master], [], [], wait_s)
         if ready:
-            self._heard_ns = time.monotonic_ns()
+            self._received_ns = time.monotonic_ns()
             with contextlib.suppress(BlockingIOError):
                 self._handle.receive(os.read(self._master, _READ_BYTES))
             self._send()

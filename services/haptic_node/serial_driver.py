@@ -288,7 +288,9 @@ class SerialHandle:
         if self.hello is None:
             return
         if state.session != self.hello.session:
-            self._lose(now_ns, f"{self.path}: {self._note_reset(self.hello.session, state.session)}")
+            # reported with this loss, and not once more when it is ready
+            self._session = state.session
+            self._lose(now_ns, f"{self.path}: {reset_text(self.hello.session, state.session)}")
             return
         self._received_ns = now_ns
         if self._phase is _Phase.CONFIGURING:
@@ -298,7 +300,7 @@ class SerialHandle:
             self._text = f"{self.path}: {identity_text(self.hello)} is ready"
             # a board that was silent while it booted has said hello before anything else of its new session came
             if self._session not in (None, self.hello.session):
-                self._text += f"; {self._note_reset(self._session, self.hello.session)}"
+                self._text += f"; {reset_text(self._session, self.hello.session)}"
             self._session = self.hello.session
             if self._calibration is not None:
                 self._text += f", calibration {self._calibration.identity}"
@@ -311,11 +313,6 @@ class SerialHandle:
         self._sampled_ns = self._clock.host_ns(state.time_us, now_ns)
         if self._calibration is not None:
             self._reading = reading_of(state, self._calibration)
-
-    def _note_reset(self, before: int | None, session: int) -> str:
-        """Return the report of a reset, and keep the number so that the reset is reported once."""
-        self._session = session
-        return f"the handle was reset: session {session}, not {before}"
 
     def _judge(self, now_ns: int) -> None:
         """Renew the report."""
@@ -391,6 +388,11 @@ def identity_text(hello: wire.Hello) -> str:
     """Return who a device is, for a person."""
     emulated = ", emulated" if hello.flags & wire.IS_EMULATED else ""
     return f"{hello.model} {hello.device_id:016x}, firmware {hello.firmware >> 8}.{hello.firmware & 0xFF}{emulated}"
+
+
+def reset_text(before: int | None, session: int) -> str:
+    """Return the report of a device that was started anew, by the numbers of its sessions."""
+    return f"the handle was reset: session {session}, not {before}"
 
 
 def refusal(hello: wire.Hello, calibration: HandleCalibration | None) -> str:

@@ -184,12 +184,12 @@ def charged(account: Account, work_j: float, lost_j: float) -> Account:
 
 
 @compiled
-def received_anew(account: Account, energy_j: float, heard: bool) -> Account:
+def received_anew(account: Account, energy_j: float, received: bool) -> Account:
     """Start counting the other side's energy at a signal; what is left to spend stays.
 
-    Where none is heard nothing changes: to begin at zero would credit all that was received once more.
+    Where none is received nothing changes: to begin at zero would credit all that was received once more.
     """
-    received_j = energy_j if heard else account.received_j
+    received_j = energy_j if received else account.received_j
     return Account(account.in_j, received_j, account.remaining_j, account.lost_j, account.granted_j)
 
 

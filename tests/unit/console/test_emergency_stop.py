@@ -23,10 +23,10 @@ from proto.nodes import DEVICES
 from proto.topics import TOPICS
 from services.console.emergency_stop import LocalRig, Reach, _answer, _Inlet, _Sender
 from services.runtime.address_book import AddressBook
-from services.runtime.bus import ZmqPublisher
 from services.runtime.clock import SystemClock
 from services.runtime.commands import CommandHandler
 from services.runtime.estop_inlet import EstopInlet
+from services.runtime.publisher import ZmqPublisher
 from telenano.estop_command import EstopRequest, read_arguments, run_estop
 
 HAND, TIP, LINK, RECORDER = "haptic_node@master", "afm_node@slave", "delay_node@master", "recorder@master"

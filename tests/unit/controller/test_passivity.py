@@ -88,20 +88,20 @@ def test_account_takes_growing_counters_only_and_caps_its_store() -> None:
 def test_silence_credits_nothing_that_was_received_before() -> None:
     tip = TipMeasurement(0.0, 0.0, 0.0, False, True, True)
     hand = HandSample(0.0, 0.0, 0.0, True)
-    heard = NO_SIGNAL._replace(active=True, silence_s=0.0, energy_j=3e-3)
-    slave, _ = slave_receive(PARAMS, slave_start(PARAMS, tip), heard, tip, T)
-    master, _ = master_receive(PARAMS, master_start(PARAMS, hand), hand, heard, T)
+    received = NO_SIGNAL._replace(active=True, silence_s=0.0, energy_j=3e-3)
+    slave, _ = slave_receive(PARAMS, slave_start(PARAMS, tip), received, tip, T)
+    master, _ = master_receive(PARAMS, master_start(PARAMS, hand), hand, received, T)
     before = slave.account, master.account
     assert before[0].remaining_j == before[1].remaining_j == pytest.approx(4e-3, rel=1e-12, abs=0.0)
-    # nothing is heard for a while, and then the same counter again
-    for signal in (NO_SIGNAL, heard):
+    # nothing is received for a while, and then the same counter again
+    for signal in (NO_SIGNAL, received):
         slave, _ = slave_receive(PARAMS, slave, signal, tip, T)
         master, _ = master_receive(PARAMS, master, hand, signal, T)
         assert (slave.account, master.account) == before
     # a half that begins anew counts from its own zero
     anew = NO_SIGNAL._replace(active=False, in_contact=True, silence_s=0.0, energy_j=1e-4)
     slave, _ = slave_receive(PARAMS, slave, anew, tip, T)
-    slave, _ = slave_receive(PARAMS, slave, heard._replace(energy_j=3e-4), tip, T)
+    slave, _ = slave_receive(PARAMS, slave, received._replace(energy_j=3e-4), tip, T)
     assert slave.account.remaining_j == pytest.approx(4e-3 + 2e-4, rel=1e-12, abs=0.0)
 
 

@@ -170,6 +170,11 @@ def device_was_never_configured(line: Line) -> None:
     assert not line.handle.core.tripped
 
 
+def refused(text: str, **answer: Any) -> Fault:
+    """Return the fault of a device whose answer says that it must not be driven."""
+    return Fault(exchange_for(**answer), text, duration_ms=250, end=mended, seen=device_was_never_configured)
+
+
 FAULTS: dict[str, Fault] = {
     "cable out": Fault(pull, "the device is gone", end=mended),
     "silent board": Fault(fall_silent, "has been silent for 50 ms", duration_ms=80, end=mended),
@@ -180,19 +185,9 @@ FAULTS: dict[str, Fault] = {
     "garbage to the device": Fault(disturb_device, "", "ok", end=mended, seen=device_counts_bad_frames),
     "bytes dropped": Fault(drop_bytes, "bad frames were dropped", "ok", end=mended, seen=both_count_bad_frames),
     "bits flipped": Fault(flip_bits, "bad frames were dropped", "ok", end=mended, seen=both_count_bad_frames),
-    "other protocol": Fault(
-        exchange_for(major=2),
-        "speaks protocol 2.0, 1 is needed",
-        duration_ms=250,
-        end=mended,
-        seen=device_was_never_configured,
-    ),
-    "other device": Fault(
-        exchange_for(device_id=0xFF),
-        "the handle is 00000000000000ff, and the calibration is that of 0102030405060708",
-        duration_ms=250,
-        end=mended,
-        seen=device_was_never_configured,
+    "other protocol": refused("speaks protocol 2.0, 1 is needed", major=2),
+    "other device": refused(
+        "the handle is 00000000000000ff, and the calibration is that of 0102030405060708", device_id=0xFF
     ),
     "reset in mid-session": Fault(reset, "the handle was reset: session 4660", seen=device_was_never_configured),
     "slow device": Fault(slow_down, "looks at the latency timer", "ok", duration_ms=1200, end=speed_up),

@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[3]
 TEXT = (ROOT / "docs" / "devices.md").read_text(encoding="utf-8")
 NAMED = re.compile(r"(test_\w+\.py)::(test_\w+)(?:\[([^\]]+)\])?")
 # a row of a table of faults, and one of a start that is refused
-CASES = re.compile(r'^    "([^"]+)": Fault\(|pytest\.param\(.*\bid="([^"]+)"\)', re.MULTILINE)
+CASES = re.compile(r'^    "([^"]+)": (?:Fault|refused)\(|pytest\.param\(.*\bid="([^"]+)"\)', re.MULTILINE)
 
 
 def found(name: str) -> str:

@@ -15,10 +15,10 @@ from presets import DEFAULT_SITE_FILE
 from proto.errors import TelenanoError
 from proto.messages import Array
 from proto.nodes import TIP
-from services.runtime.bus import ZmqPublisher
 from services.runtime.main import load_site
 from services.runtime.observer import Observer
 from services.runtime.participant import open_participant
+from services.runtime.publisher import ZmqPublisher
 from services.viz_node.access import Role
 from services.viz_node.feed import Seen
 from services.viz_node.hub import Hub, Session

@@ -140,7 +140,7 @@ def is_coupled(params: MassParams, signal: PortSignal) -> bool:
 
 @compiled
 def is_retracted(params: Any, signal: PortSignal) -> bool:
-    """Return whether the other half is heard and says that the tip neither follows nor touches: it has to be armed."""
+    """Return whether the other half says that the tip neither follows nor touches, and lately: it has to be armed."""
     return not signal.active and not signal.in_contact and signal.silence_s <= params.silence_limit_s
 
 
