@@ -1,0 +1,41 @@
+"""What work costs beside other work in the same minute, on a machine that others use as well."""
+
+import gc
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+ROUNDS = 20
+
+
+def ratio_of_costs(work: Callable[[], object], reference: Callable[[], object], *, below: float) -> float:
+    """Return the ratio of the least processor times of both, in turns until it is below a bound, at most 20 times.
+
+    A processor that others share has cold caches and page tables, which costs more and never less: one quiet turn
+    shows what work takes. The collector is off, as in a node: it takes longer the more tests there have been.
+    """
+    costs: tuple[list[float], list[float]] = ([], [])
+    with _without_collector():
+        for _ in range(ROUNDS):
+            for cost, call in zip(costs, (work, reference), strict=True):
+                cost.append(_cost_s(call))
+            if (ratio := min(costs[0]) / min(costs[1])) < below:
+                break
+    return ratio
+
+
+def _cost_s(work: Callable[[], object]) -> float:
+    started = time.process_time()
+    work()
+    return time.process_time() - started
+
+
+@contextmanager
+def _without_collector() -> Iterator[None]:
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_enabled:
+            gc.enable()
