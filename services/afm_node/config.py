@@ -46,7 +46,7 @@ class CantileverConfig(Settings):
     """Spring and read-out of the cantilever (Table 2, Eq. 3)."""
 
     stiffness_n_per_m: float = Field(40.0, ge=1e-3, le=1e4, description="Spring constant k [N/m], 0.001 to 10000.")
-    resonance_hz: float = Field(150e3, gt=0.0, le=1e9, description="Free resonance f [Hz], for the dynamic model.")
+    resonance_hz: float = Field(150e3, gt=0.0, le=1e7, description="Free resonance f [Hz], for the dynamic model.")
     quality: float = Field(100.0, gt=0.5, le=1e7, description="Quality factor Q in air, above 0.5; dynamic model.")
     steps_per_period: int = Field(
         96, ge=16, le=4096, multiple_of=8, description="Steps of a period of the drive, a multiple of 8; dynamic model."

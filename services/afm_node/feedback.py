@@ -41,6 +41,8 @@ from services.runtime.compiled import compiled
 
 # what gains are multiplied with before they are held against the limit
 CONTACT_MARGIN, TAPPING_MARGIN = 1.0, 1.5
+# a step that comes late takes the integral no further than this share of the stable limit
+_CONTACT_SHARE, _TAPPING_SHARE = 0.45, 0.5
 
 
 @compiled
@@ -74,10 +76,17 @@ def most_integral_share(proportional: float, lag: float | None) -> float:
     return (1.0 + proportional) * (1.0 - (1.0 - lag) * proportional)
 
 
+def greatest_share(gain_per_s: float, proportional: float, period_s: float, lag: float | None) -> float:
+    """Return the greatest Ki T of a step, however late it is; arguments as in `gain_fault`."""
+    share = _CONTACT_SHARE if lag is None else _TAPPING_SHARE
+    return max(share * most_integral_share(proportional, lag), gain_per_s * period_s)
+
+
 def number_fault(gain_per_s: float, proportional: float, names: tuple[str, str]) -> str:
     """Return which of two gains is impossible anywhere, and what would be right; empty for none.
 
-    Parameters: names of the integral and the proportional gain, as whoever gave them knows them.
+    Parameters: names of the integral and the proportional gain, as whoever gave them knows them; the second one empty
+    where there is none.
     """
     if not (math.isfinite(gain_per_s) and gain_per_s > 0.0):
         return f"{names[0]} = {gain_per_s:g} must be positive and finite [1/s]"
@@ -104,8 +113,9 @@ def gain_fault(
     if lag is not None and lag > 0.0:
         most_per_s = min(most_per_s, -2.0 * (1.0 + proportional) * math.log(lag) / period_s)
     if not gain_per_s < most_per_s:
+        beside = f" with {names[1]} = {proportional:g}" if names[1] else ""
         return (
-            f"{names[0]} = {gain_per_s:g} 1/s makes the feedback unstable {loop} with {names[1]} = {proportional:g}:"
+            f"{names[0]} = {gain_per_s:g} 1/s makes the feedback unstable {loop}{beside}:"
             f" it must be below {most_per_s:.6g} 1/s"
         )
     return ""

@@ -144,11 +144,13 @@ class ProgramRunner:
             raise RefusedError(f"tactile.setpoint_n must be below safety.force_limit_n = {limit_n:g} N")
         felt = felt_speed_m_per_s(s.feature_m, s.bandwidth_hz)
         speed = min(s.speed_m_per_s, felt, fastest)
-        self._start("tactile")
         plan = tactile.TactilePlan(
             start, end, s.drive == "pointer", speed, s.setpoint_n, s.hold == "force", s.gain_per_s, s.approach_m_per_s,
-            self._stiffness, self._limits.retract_position_m,
+            self._stiffness, self._limits.retract_position_m, self._period_s,
         )  # fmt: skip
+        if fault := tactile.plan_fault(plan):
+            raise RefusedError(f"tactile: {fault}")
+        self._start("tactile")
         self._tactile = (plan, tactile.TactileState(tactile.RISE, False))
         clipped = ""
         if speed < s.speed_m_per_s:

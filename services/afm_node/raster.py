@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from services.afm_node.driver import Oscillation
-from services.afm_node.feedback import carried_out, feedback_step, gain_fault, most_integral_share
+from services.afm_node.feedback import carried_out, feedback_step, gain_fault, greatest_share
 from services.afm_node.lateral import Place
 
 Array = npt.NDArray[np.float64]
@@ -22,8 +22,6 @@ Array = npt.NDArray[np.float64]
 RISE, TRAVEL, APPROACH, SETTLE, LINES, DONE = range(6)
 # of the gains, for whoever gave them by `set`, in a scenario, or on the command line
 _GAINS = ("scan.gain_per_s (--gain)", "scan.proportional (--proportional)")
-# a step that comes late takes the integral no further than this share of the stable limit
-_CONTACT_SHARE, _TAPPING_SHARE = 0.45, 0.5
 
 
 class RasterPlan(NamedTuple):
@@ -54,8 +52,7 @@ class RasterPlan(NamedTuple):
     @property
     def most_integral_share(self) -> float:
         """Return the greatest Ki T of a step, however late it is."""
-        share = _TAPPING_SHARE if self.amplitude_m > 0.0 else _CONTACT_SHARE
-        return max(share * most_integral_share(self.proportional, self.loop_lag), self.gain_per_s * self.period_s)
+        return greatest_share(self.gain_per_s, self.proportional, self.period_s, self.loop_lag)
 
     @property
     def loop_lag(self) -> float | None:

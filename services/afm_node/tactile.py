@@ -10,17 +10,20 @@ and the stage goes no faster. The base stands, so that the deflection is the hei
 import math
 from typing import NamedTuple
 
+from services.afm_node.feedback import gain_fault, greatest_share
 from services.afm_node.lateral import LateralParams, Place, moved
 
 # phases, in order
 RISE, TRAVEL, APPROACH, FEEL, DONE = range(5)
+# of the gains, for whoever gave them
+_GAINS = ("tactile.gain_per_s", "")
 
 
 class TactilePlan(NamedTuple):
     """The line, or only its start where a pointer leads; how the tip is brought there, and what the base does.
 
-    speed_m_per_s: after Eq. 14; holds_force: the base moves by gain_per_s times the missing deflection; clear_m: base
-    above every point [m].
+    speed_m_per_s: after Eq. 14; holds_force: a feedback (`feedback`) of gain_per_s with the period period_s moves the
+    base; clear_m: base above every point [m].
     """
 
     start: Place
@@ -33,6 +36,7 @@ class TactilePlan(NamedTuple):
     approach_m_per_s: float
     stiffness_n_per_m: float
     clear_m: float
+    period_s: float
 
 
 class TactileState(NamedTuple):
@@ -61,5 +65,13 @@ def tactile_step(
         return TactileState(DONE, False), base_m, place
     target, limited = moved(LateralParams(math.inf, plan.speed_m_per_s), place, goal, dt)
     if plan.holds_force:
-        base_m += (plan.setpoint_n - force_n) / plan.stiffness_n_per_m * min(plan.gain_per_s * dt, 0.9)
+        share = min(plan.gain_per_s * dt, greatest_share(plan.gain_per_s, 0.0, plan.period_s, None))
+        base_m += (plan.setpoint_n - force_n) / plan.stiffness_n_per_m * share
     return TactileState(FEEL, plan.by_pointer and limited != 0), base_m, target
+
+
+def plan_fault(plan: TactilePlan) -> str:
+    """Return why a path cannot be felt as it is planned; empty for nothing."""
+    if not plan.holds_force:
+        return ""
+    return gain_fault(plan.gain_per_s, 0.0, plan.period_s, None, _GAINS)

@@ -83,6 +83,26 @@ def test_a_speed_beyond_what_the_hand_can_feel_is_limited_with_an_event(afm: Ima
         afm.set(**{**LINE, "tactile.x1_m": 1e-3})
 
 
+def test_a_gain_with_which_the_force_would_swing_is_refused_and_the_tip_stays_retracted(afm: Imager) -> None:
+    fault = (
+        r"tactile: tactile\.gain_per_s = 5000 1/s makes the feedback unstable in contact mode at 1000 Hz: it must be"
+    )
+    with pytest.raises(RefusedError, match=rf"{fault} below 2000 1/s"):
+        afm.set(**LINE, **{"tactile.hold": "force", "tactile.gain_per_s": 5000.0})
+    assert not afm.node._programs.name
+    # where the base stands there is no feedback
+    afm.set(**LINE, **{"tactile.gain_per_s": 5000.0})
+    afm.set(program="abort")
+    afm.run()
+    # beyond the 900/s at which gains were cut once: the force settles within a few steps and stays
+    afm.set(**LINE, **{"tactile.hold": "force", "tactile.gain_per_s": 1500.0})
+    afm.bench.take("afm/state")
+    afm.run()
+    forces = np.array([state.tip_force_n[2] for state in afm.bench.take("afm/state") if state.in_contact])
+    flat = forces[50:250]
+    assert np.abs(flat - 5e-9).max() < 0.2e-9
+
+
 def test_a_pointer_leads_the_tip_and_is_told_when_it_is_ahead(afm: Imager) -> None:
     afm.set(**LINE, **{"tactile.drive": "pointer"})
     afm.set(**{"lateral.x_m": -25e-9})
