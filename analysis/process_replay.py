@@ -36,7 +36,7 @@ from services.runtime.journal import COMMAND, DEADLINE, MESSAGE
 from services.runtime.log import StructuredLog
 from services.runtime.main import Wiring, node_kind
 from services.runtime.node import Node
-from services.runtime.node_state import restore
+from services.runtime.node_state import names, restore
 from services.runtime.publisher import Publisher, ZmqPublisher
 from services.runtime.reader import Reader
 from services.runtime.scenario import LoadedScenario, Scenario
@@ -114,7 +114,11 @@ def rerun(
     bus = ReplayBus(key, clock, recorded, tolerances or Tolerances(), take)
     packages = _packages(recording, key)
     node = _build(recording, key, clock, bus, settings)
-    restore(node, batches[begun].state.data, recorded.payload)
+    state = batches[begun].state.data
+    restore(node, state, recorded.payload)
+    if "quiet_work" not in names(state):
+        # recorded before reports waited for pauses: each was part of the turn in which it became due
+        node.quiet_work.do_at_once()
     bus.numbers = dict(batches[begun].outputs)
     facts: dict[str, Any] = {}
     try:
@@ -406,7 +410,14 @@ def _take_turn(node: Node, clock: TurnClock, turn: Turn, recorded: _Recorded) ->
     clock.time_ns = turn.time_ns
     if turn.kind == DEADLINE:
         node.on_deadline(clock.monotonic_ns())
-        return
+    else:
+        _take_message(node, turn, recorded)
+    # a loop that waits for pauses has made a turn of its own of it
+    if not node.quiet_work.waits_for_pauses and node.quiet_ns() <= clock.monotonic_ns():
+        node.on_deadline(clock.monotonic_ns())
+
+
+def _take_message(node: Node, turn: Turn, recorded: _Recorded) -> None:
     found = recorded.input(turn)
     if found is None:
         raise _EndError(f"the recording lacks {turn.topic}, seq {turn.seq} of {turn.src}, which the node received")

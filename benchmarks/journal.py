@@ -81,6 +81,7 @@ def main(law: str) -> None:
 
     def batch() -> None:
         turns()
+        journal.complete()
         journal.publish()
 
     decoding_s = _best(lambda: [decode("haptic/state", payload) for _ in range(TURNS)]) / TURNS
@@ -180,6 +181,7 @@ def measure_links() -> None:
 
 def _timed(turns: Any, journal: InputJournal) -> float:
     taken_s = timeit.timeit(turns, number=1)
+    journal.complete()
     journal.publish()
     return taken_s
 

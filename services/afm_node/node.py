@@ -56,6 +56,8 @@ class AfmNode(Node):
     """
 
     inputs = INPUTS
+    # the tick then goes through the slave's half and the link, which may share its processor
+    last_of_tick, pause_after_ns = "afm/command", 350_000
     commands: ClassVar[tuple[str, ...]] = ("arm", "estop")
     named_commands: ClassVar[tuple[str, ...]] = ("set",)
     journalled = True

@@ -66,6 +66,8 @@ class ControllerHalf(Node):
         self._band = config.deadband.to_params()
         self._band_state = initial_deadband_state(NO_SIGNAL)
         self._failing: dict[str, str] = {}
+        # law/status as it was at its tick, until it is sent
+        self._status: dict[str, Any] = {}
         for law in KNOWN_LAWS.values():  # a change of law is no time to compile
             self._warm_up(law)
 
@@ -90,9 +92,11 @@ class ControllerHalf(Node):
         return self.input_age.deadline_ns()
 
     def on_deadline(self, now_ns: int) -> None:
-        """Detect a stall: a controller acts on messages only."""
+        """Detect a stall: a controller acts on messages only. In a pause, report."""
         if self.input_age.stalled(now_ns):
             self.forget()
+        if self.quiet_work.take(now_ns):
+            self.publish("law/status", **self._status)
 
     def rejects(self, received: Received) -> bool:
         """Return whether a message is too old to act on; forget the time before, where this process stalled."""
@@ -100,6 +104,8 @@ class ControllerHalf(Node):
             self.forget()
         rejected = self.input_age.rejects(received)
         self.stale += rejected
+        if received.topic == self.last_of_tick:
+            self.quiet_work.note_tick(received.received_ns - self.clock.epoch_offset_ns)
         return rejected
 
     def forget(self) -> None:
@@ -219,7 +225,7 @@ class ControllerHalf(Node):
         return send or self.switching
 
     def report_status(self, other_energy_j: float | None) -> None:
-        """Publish law/status every so many ticks; other_energy_j [J]: what has entered at the other port, if known."""
+        """Have law/status sent every so many ticks; other_energy_j [J]: what entered at the other port, if known."""
         if self.steps % self._status_ticks or self.law_state is None:
             return
         account: EnergyAccount = self.energy_account()
@@ -228,23 +234,23 @@ class ControllerHalf(Node):
         round_trip_s, measured = self.round_trip_s()
         entered_j, self._reported_j = self.port.energy_j - self._reported_j, self.port.energy_j
         offered = self._band_state.offered
-        self.publish(
-            "law/status",
-            law=self.law.name,
-            switching=self.switching,
-            port_energy_j=self.port.energy_j,
-            port_power_w=entered_j / (self._status_ticks * self.config.period_s),
-            net_valid=known,
-            net_energy_j=net_j if known else 0.0,
-            left_j=account.remaining_j,
-            dissipated_j=account.dissipated_j,
-            passive=bool(energy.is_passive(net_j, known, account)),
-            saved_percent=100.0 * (offered - self._band_state.sent) / offered if offered else 0.0,
-            heard=self._signal_ns is not None,
-            silence_s=self._silence_s() if self._signal_ns is not None else 0.0,
-            round_trip_valid=measured,
-            round_trip_s=round_trip_s,
-        )
+        self._status = {
+            "law": self.law.name,
+            "switching": self.switching,
+            "port_energy_j": self.port.energy_j,
+            "port_power_w": entered_j / (self._status_ticks * self.config.period_s),
+            "net_valid": known,
+            "net_energy_j": net_j if known else 0.0,
+            "left_j": account.remaining_j,
+            "dissipated_j": account.dissipated_j,
+            "passive": bool(energy.is_passive(net_j, known, account)),
+            "saved_percent": 100.0 * (offered - self._band_state.sent) / offered if offered else 0.0,
+            "heard": self._signal_ns is not None,
+            "silence_s": self._silence_s() if self._signal_ns is not None else 0.0,
+            "round_trip_valid": measured,
+            "round_trip_s": round_trip_s,
+        }
+        self.quiet_work.add(self.clock.monotonic_ns(), "status")
 
     def _silence_s(self) -> float:
         return max(0.0, (self.clock.now_ns() - (self._signal_ns or 0)) * 1e-9)

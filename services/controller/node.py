@@ -50,6 +50,8 @@ class MasterController(ControllerHalf):
     """
 
     inputs = MASTER_INPUTS
+    # the tick then is with the slave's side
+    last_of_tick, pause_after_ns = "haptic/state", 150_000
 
     def __init__(self, context: NodeContext, config: ControllerConfig) -> None:
         super().__init__(context, config)
@@ -209,6 +211,8 @@ class SlaveController(ControllerHalf):
     """The half at the instrument's site: teleop/forward in, afm/command out; afm/state in, teleop/backward out."""
 
     inputs = SLAVE_INPUTS
+    # the tick then goes through the link, which may share its processor
+    last_of_tick, pause_after_ns = "afm/state", 250_000
 
     def __init__(self, context: NodeContext, config: ControllerConfig) -> None:
         super().__init__(context, config)

@@ -26,6 +26,10 @@ STATUS_PERIOD_NS = 100_000_000
 _CLOCK_WINDOW = 64
 # rows of ground truth that make a message worth sending
 _FATES_AT_ONCE = 32
+# a report in pieces: what happened to the messages of each direction, the state of the link, its delays, which readers
+# that came later need and which the clocks change, and the next exchange of time stamps
+_FATES = ("fates forward", "fates backward")
+_REPORT = (*_FATES, "status", "delay forward", "delay backward", "ping")
 # rows that fit into a message with room to spare
 _MOST_FATES = 1000
 
@@ -60,6 +64,8 @@ class DelayNode(Node):
     journalled = True
     acts_on_health = True
     period_s = 0.0
+    # the tick then is with the master's side
+    last_of_tick, pause_after_ns = "teleop/backward", 150_000
 
     def __init__(
         self,
@@ -115,9 +121,11 @@ class DelayNode(Node):
                 self._send(way, due)
         self.steps += 1
         self._unreported += 1
-        # after a backward message, when a tick has passed through and the next is some time away
+        received_ns = received.received_ns - self.clock.epoch_offset_ns
+        if received.topic == self.last_of_tick:
+            self.quiet_work.note_tick(received_ns)
         if self._unreported >= _FATES_AT_ONCE and direction == "backward":
-            self._publish_fates()
+            self.quiet_work.add(received_ns, *_FATES)
 
     def on_deadline(self, now_ns: int) -> None:
         self._report_stall(now_ns)
@@ -126,14 +134,9 @@ class DelayNode(Node):
             self._send(way, way.engine.due(epoch_ns))
         if now_ns >= self._status.deadline_ns:
             self._status.advance(now_ns)
-            self._publish_fates()
-            self._report()
-            if self._spans_machines:
-                self._between = between_sites(self._offset.estimate())
-            # for readers that came later, and for what the clocks have done
-            for way in self._ways:
-                self._declare(way)
-            self._forward.outlet.publish("clock/ping")
+            self.quiet_work.add(now_ns, *_REPORT)
+        for piece in self.quiet_work.take(now_ns):
+            self._report(piece)
 
     def further_outputs(self) -> dict[str, int]:
         """Return the count of messages forwarded at each endpoint, by its name, and the numbers of the slave's."""
@@ -190,14 +193,30 @@ class DelayNode(Node):
             text = f"this process stalled for {stalled_s * 1e3:.0f} ms: what waited is sent on late, and is rejected"
             self.event("fault", "warning", text, stalled_s=stalled_s)
 
-    def _publish_fates(self) -> None:
-        self._unreported = 0
-        for way in self._ways:
-            fates = tuple(_link_fate(fate) for fate in way.engine.take_fates())
-            for first in range(0, len(fates), _MOST_FATES):
-                self.publish("link/fates", direction=way.name, fates=fates[first : first + _MOST_FATES])
+    def _report(self, piece: str) -> None:
+        match piece:
+            case "fates forward":
+                self._unreported = 0
+                self._publish_fates(self._forward)
+            case "fates backward":
+                self._publish_fates(self._backward)
+            case "status":
+                self._publish_status()
+            case "delay forward":
+                if self._spans_machines:
+                    self._between = between_sites(self._offset.estimate())
+                self._declare(self._forward)
+            case "delay backward":
+                self._declare(self._backward)
+            case "ping":
+                self._forward.outlet.publish("clock/ping")
 
-    def _report(self) -> None:
+    def _publish_fates(self, way: DirectionPath) -> None:
+        fates = tuple(_link_fate(fate) for fate in way.engine.take_fates())
+        for first in range(0, len(fates), _MOST_FATES):
+            self.publish("link/fates", direction=way.name, fates=fates[first : first + _MOST_FATES])
+
+    def _publish_status(self) -> None:
         settings, profile = flattened(self.engine.settings, only_set=True), self.engine.settings.profile
         self.publish(
             "link/status",

@@ -43,6 +43,8 @@ class HapticNode(Node):
     """
 
     inputs = INPUTS
+    # the tick is then with the master's half, and soon with the slave's side
+    last_of_tick, pause_after_ns = "", 250_000
     commands: ClassVar[tuple[str, ...]] = ("start", "stop", "arm", "estop")
     named_commands: ClassVar[tuple[str, ...]] = ("set",)
     journalled = True

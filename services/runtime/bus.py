@@ -295,7 +295,7 @@ class ZmqBus:
         self._readable = ()
         now_ns = self._clock.monotonic_ns()
         for batch in self._batches:
-            if batch.due_ns <= now_ns:
+            if batch.latest_ns <= now_ns:
                 batch.flush()
             elif batch.latest_ns < deadline_ns:
                 deadline_ns = batch.latest_ns
@@ -309,6 +309,20 @@ class ZmqBus:
             self._readable = ready
             if self._network_descriptors:
                 self._events_pending = not self._network_descriptors.isdisjoint(ready)
+
+    def has_arrived(self) -> bool:
+        """Return whether something may have arrived since the last wait, for `receive`."""
+        self._readable, _, _ = select.select(self._descriptors, (), (), 0)
+        return bool(self._readable)
+
+    def is_batch_due(self, now_ns: int) -> bool:
+        """Return whether copies for a recorder are to be sent in the next pause."""
+        return any(batch.due_ns <= now_ns for batch in self._batches)
+
+    def send_batches(self) -> None:
+        """Send the copies for a recorder that there are."""
+        for batch in self._batches:
+            batch.flush()
 
     def process_events(self, *, now: bool = False) -> Sequence[ConnectionEvent]:
         """Process events of network connections, if there may be any or `now`; return what happened to them."""

@@ -1,8 +1,9 @@
 """The input journal of a node: in which order it took its messages and deadlines, published in batches."""
 
 from array import array
-from collections.abc import Callable
-from typing import Any
+from collections import deque
+from collections.abc import Callable, Iterable
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,6 +16,19 @@ from services.runtime.node_state import StateSnapshot
 DEADLINE, MESSAGE, COMMAND = 0, 1, 2
 # turns in one message: some 80 kB, and below what is allowed however many sources there are
 _BATCH = 4096
+
+
+class _Batch(NamedTuple):
+    """A complete batch; `state` and `outputs` are those before its first turn."""
+
+    first_turn: int
+    sources: Iterable[tuple[str, str]]
+    outputs: dict[str, int]
+    state: bytes
+    kind: "array[int]"
+    time_ns: "array[int]"
+    input: "array[int]"
+    number: "array[int]"
 
 
 class InputJournal:
@@ -32,6 +46,7 @@ class InputJournal:
         self._sequence_numbers = sequence_numbers
         self._snapshot = StateSnapshot(node)
         self._first_turn = 0
+        self._complete: deque[_Batch] = deque()
         self._begin()
         node.clock = self.clock
 
@@ -59,24 +74,32 @@ class InputJournal:
         self._input.append(place)
         self._number.append(message.seq)
 
+    def complete(self) -> None:
+        """End the batch, if there were turns since the last one, and begin a new one."""
+        if self._kind:
+            arrays = (self._kind, self._time_ns, self._input, self._number)
+            self._complete.append(_Batch(self._first_turn, self._sources, self._outputs, self._state, *arrays))
+            self._first_turn += len(self._kind)
+            self._begin()
+
     def publish(self) -> None:
-        """Send the turns since the last batch, if there were any, and begin a new batch."""
-        if not self._kind:
-            return
-        self._node.publish(
-            "node/journal",
-            first_turn=self._first_turn,
-            epoch_offset_ns=self.clock.epoch_offset_ns,
-            inputs=tuple(JournalInput(topic=topic, src=src) for topic, src in self._sources),
-            outputs=self._outputs,
-            kind=Array.from_numpy(np.asarray(self._kind)),
-            time_ns=Array.from_numpy(np.asarray(self._time_ns)),
-            input=Array.from_numpy(np.asarray(self._input)),
-            number=Array.from_numpy(np.asarray(self._number)),
-            state=Array.from_numpy(np.frombuffer(self._state, dtype=np.uint8)),
-        )
-        self._first_turn += len(self._kind)
-        self._begin()
+        """Send the batches that are complete."""
+        while self._complete:
+            batch = self._complete.popleft()
+            arrays = (batch.kind, batch.time_ns, batch.input, batch.number, np.frombuffer(batch.state, dtype=np.uint8))
+            kind, time_ns, place, number, state = (Array.from_numpy(np.asarray(found)) for found in arrays)
+            self._node.publish(
+                "node/journal",
+                first_turn=batch.first_turn,
+                epoch_offset_ns=self.clock.epoch_offset_ns,
+                inputs=tuple(JournalInput(topic=topic, src=src) for topic, src in batch.sources),
+                outputs=batch.outputs,
+                kind=kind,
+                time_ns=time_ns,
+                input=place,
+                number=number,
+                state=state,
+            )
 
     def _begin(self) -> None:
         self._sources: dict[tuple[str, str], int] = {}

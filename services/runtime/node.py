@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
-from typing import ClassVar, Literal, Protocol, cast
+from typing import Any, ClassVar, Literal, Protocol, cast
 
 from proto import TOPICS
 from proto.errors import RefusedError
@@ -23,13 +23,15 @@ from services.runtime.ends import publish_end
 from services.runtime.freshness import LOOP_DEADLINE_NS
 from services.runtime.journal import InputJournal
 from services.runtime.log import RateLimitedLog, StructuredLog
+from services.runtime.quiet_work import NEVER_NS, QuietWork
 from services.runtime.realtime import RealtimeStatus
 
 NodeState = Literal["starting", "ready", "running", "safe", "stopping"]
 HEALTH_PERIOD_NS = 500_000_000
+# pieces of a report, each for a pause of its own: what node/health says, the message, the end of a batch, its message
+_REPORT, _JOURNAL_REPORT = ("account", "health"), ("complete", "journal")
 # at first, where a rig waits until every node has said that it receives its inputs
 STARTING_PERIOD_NS, _STARTING_NS = 100_000_000, 3_000_000_000
-_FAR_FUTURE_NS = 2**62
 _STATM = Path("/proc/self/statm")
 
 
@@ -99,6 +101,10 @@ class Node(ABC):
     acts_on_health: ClassVar[bool] = False
     # its deadlines are worth a busy wait
     has_precise_deadlines = True
+    # the message with which a tick of the loop comes for the last time before a pause, "" for the node's own deadline,
+    # None where there are no ticks; and the time from then until nobody needs its processor [ns]
+    last_of_tick: ClassVar[str | None] = None
+    pause_after_ns: ClassVar[int] = 0
     period_s: float = 0.0
     state: NodeState = "ready"
 
@@ -111,6 +117,8 @@ class Node(ABC):
         self.overruns = 0
         # messages that were not acted on because they, or the hand's sample behind them, were past their deadline
         self.stale = 0
+        # what `on_deadline` does in pauses of the loop
+        self.quiet_work = QuietWork(self.pause_after_ns)
         # of a real device, for node/health
         self.device_delay: DeviceDelay | None = None
 
@@ -128,7 +136,11 @@ class Node(ABC):
 
     def deadline_ns(self) -> int:
         """Return the monotonic time [ns] at which `on_deadline` is wanted."""
-        return _FAR_FUTURE_NS
+        return NEVER_NS
+
+    def quiet_ns(self) -> int:
+        """Return the monotonic time [ns] at which `on_deadline` is wanted for work in a pause, without a busy wait."""
+        return self.quiet_work.due_ns
 
     @abstractmethod
     def on_deadline(self, now_ns: int) -> None:
@@ -166,6 +178,15 @@ class AccountedBus(Bus, Protocol):
     def process_events(self, *, now: bool = False) -> Sequence[ConnectionEvent]:
         """Process events of network connections, if there may be any or `now`; return what happened to them."""
 
+    def has_arrived(self) -> bool:
+        """Return whether something may have arrived since the last wait, for `receive`."""
+
+    def is_batch_due(self, now_ns: int) -> bool:
+        """Return whether copies for a recorder are to be sent in the next pause."""
+
+    def send_batches(self) -> None:
+        """Send the copies for a recorder that there are."""
+
 
 class NodeLoop:
     """The loop of a node: messages as they come, deadlines when they come, health twice a second."""
@@ -188,9 +209,13 @@ class NodeLoop:
         self._commands = CommandHandler(node.context.key, node.commands, node.on_control, node.event)
         self._lateness = LatenessWindow()
         self._limited_log = RateLimitedLog(node.context.log, self._clock)
-        self._started_ns = self._awake_ns = self.health_due_ns = self._last_health_ns = self._clock.monotonic_ns()
+        self._started_ns = self._awake_ns = self._health_ns = self._last_health_ns = self._clock.monotonic_ns()
+        self._quiet = QuietWork(node.pause_after_ns)
+        # threads of equal priority share its processor
+        self._yields = realtime.fifo
         self._journal = InputJournal(node, bus.sequence_numbers) if node.journalled else None
         self._last_cpu_s = time.process_time()
+        self._health: dict[str, Any] = {}
         self._last_steps = 0
         self._rejected_seen = 0
 
@@ -208,16 +233,17 @@ class NodeLoop:
             self.publish_health(self._clock.monotonic_ns())
             self.node.publish_end(self._bus)
 
+    @property
+    def health_due_ns(self) -> int:
+        """Monotonic time [ns] of the next report, or of the next piece of one."""
+        return min(self._health_ns, self._quiet.due_ns)
+
     def turn(self) -> None:
         """Wait for the next message or deadline and act on it."""
-        wanted, health = self.node.deadline_ns() - self._spin.ns, self.health_due_ns
-        self._bus.wait(wanted if wanted < health else health)
+        wanted = self.node.deadline_ns() - self._spin.ns
+        self._bus.wait(min(wanted, self.node.quiet_ns(), self._health_ns, self._quiet.due_ns))
         woken = self._note_awake()
-        taken = list(self._bus.receive())
-        if taken and self._journal is not None:
-            taken = self._retimed(taken, woken)
-        for received in taken:
-            self._dispatch(received)
+        taken = self._take(woken)
         if notices := self._bus.process_events():
             self._report_connections(notices)
         # a message may have moved the deadline
@@ -226,22 +252,89 @@ class NodeLoop:
         if deadline - self._spin.ns <= now:
             if not taken and woken >= wanted:
                 self._spin.record(woken - wanted)
-            while now < deadline:
-                now = self._clock.monotonic_ns()
-            self._lateness.record((now - deadline) * 1e-9)
-            journal = self._journal
-            if journal is not None:
-                journal.clock.time_ns = now + journal.clock.epoch_offset_ns
-            self.node.on_deadline(now)
-            if journal is not None:
-                journal.record_deadline()
+            now, deadline = self._await(deadline)
+            if deadline <= now:
+                self._lateness.record((now - deadline) * 1e-9)
+                self._act_on_deadline(now)
+                if self.node.last_of_tick == "":
+                    self._note_tick(now)
+        elif self.node.quiet_ns() <= now:
+            self._act_on_deadline(now)
         if now >= self.health_due_ns:
-            self.publish_health(now)
+            self._work(now)
         elif self._journal is not None and self._journal.full:
+            self._journal.complete()
             self._journal.publish()
+
+    def _await(self, deadline_ns: int) -> tuple[int, int]:
+        """Wait busily for a deadline; return the time and the deadline [ns], later where a message has moved it.
+
+        Others have this processor meanwhile, for what they have to say to this node before its deadline: kept from
+        them it would come a period later.
+        """
+        while (now := self._clock.monotonic_ns()) < deadline_ns:
+            if self._yields:
+                os.sched_yield()
+                if self._bus.has_arrived():
+                    self._take(self._note_awake())
+                    deadline_ns = self.node.deadline_ns()
+                    if now < deadline_ns - self._spin.ns:
+                        break
+        return now, deadline_ns
+
+    def _take(self, woken_ns: int) -> list[Received]:
+        """Act on what has arrived."""
+        taken = list(self._bus.receive())
+        if taken and self._journal is not None:
+            taken = self._retimed(taken, woken_ns)
+        for received in taken:
+            self._dispatch(received)
+        return taken
+
+    def _act_on_deadline(self, now_ns: int) -> None:
+        journal = self._journal
+        if journal is None:
+            self.node.on_deadline(now_ns)
+            return
+        journal.clock.time_ns = now_ns + journal.clock.epoch_offset_ns
+        self.node.on_deadline(now_ns)
+        journal.record_deadline()
+
+    def _note_tick(self, now_ns: int) -> None:
+        self._quiet.note_tick(now_ns)
+        if self._bus.is_batch_due(now_ns):
+            self._quiet.add(now_ns, "batches")
+
+    def _work(self, now_ns: int) -> None:
+        """Do what is due of the work that can wait."""
+        if now_ns >= self._health_ns:
+            # a node that runs is in a session, whose loop pays for each report
+            starting = now_ns - self._started_ns < _STARTING_NS and self.node.state != "running"
+            self._health_ns = now_ns + (self._starting_period_ns if starting else HEALTH_PERIOD_NS)
+            self._quiet.add(now_ns, *_REPORT, *(_JOURNAL_REPORT if self._journal is not None else ()))
+        for piece in self._quiet.take(now_ns):
+            match piece:
+                case "account":
+                    self._account(now_ns)
+                case "health":
+                    self._send_health()
+                case "batches":
+                    self._bus.send_batches()
+                case "complete" if self._journal is not None:
+                    self._journal.complete()
+                case "journal" if self._journal is not None:
+                    self._journal.publish()
 
     def publish_health(self, now_ns: int) -> None:
         """Send node/health and what the journal holds, and start a new interval."""
+        self._account(now_ns)
+        self._send_health()
+        if self._journal is not None:
+            self._journal.complete()
+            self._journal.publish()
+
+    def _account(self, now_ns: int) -> None:
+        """Make up the account that node/health gives, and begin a new interval."""
         self._report_connections(self._bus.process_events(now=True))
         self._report_rejections()
         elapsed_s = max(now_ns - self._last_health_ns, 1) * 1e-9
@@ -250,32 +343,29 @@ class NodeLoop:
         rejected, _ = self._bus.rejections()
         if self.node.stale:
             rejected["stale"] = self.node.stale
-        self.node.publish(
-            "node/health",
-            pid=os.getpid(),
-            state=self.node.state,
-            uptime_s=(now_ns - self._started_ns) * 1e-9,
-            rate_hz=(self.node.steps - self._last_steps) / elapsed_s,
-            period_s=self.node.period_s,
-            lateness_p50_s=p50,
-            lateness_p99_s=p99,
-            lateness_max_s=greatest,
-            overruns=self.node.overruns,
-            rejected=rejected,
-            cpu_percent=100.0 * max(0.0, cpu_s - self._last_cpu_s) / elapsed_s,
-            memory_bytes=resident_bytes(),
-            realtime=self._realtime.fifo,
-            memory_locked=self._realtime.memory_locked,
-            replay=self.node.replay,
-            inputs=self._bus.input_health(),
+        self._health = {
+            "pid": os.getpid(),
+            "state": self.node.state,
+            "uptime_s": (now_ns - self._started_ns) * 1e-9,
+            "rate_hz": (self.node.steps - self._last_steps) / elapsed_s,
+            "period_s": self.node.period_s,
+            "lateness_p50_s": p50,
+            "lateness_p99_s": p99,
+            "lateness_max_s": greatest,
+            "overruns": self.node.overruns,
+            "rejected": rejected,
+            "cpu_percent": 100.0 * max(0.0, cpu_s - self._last_cpu_s) / elapsed_s,
+            "memory_bytes": resident_bytes(),
+            "realtime": self._realtime.fifo,
+            "memory_locked": self._realtime.memory_locked,
+            "replay": self.node.replay,
+            "inputs": self._bus.input_health(),
             **(self.node.device_delay.report() if self.node.device_delay is not None else {}),
-        )
+        }
         self._last_steps, self._last_cpu_s, self._last_health_ns = self.node.steps, cpu_s, now_ns
-        # a node that runs is in a session, whose loop pays for each report
-        starting = now_ns - self._started_ns < _STARTING_NS and self.node.state != "running"
-        self.health_due_ns = now_ns + (self._starting_period_ns if starting else HEALTH_PERIOD_NS)
-        if self._journal is not None:
-            self._journal.publish()
+
+    def _send_health(self) -> None:
+        self.node.publish("node/health", **self._health)
 
     def _note_awake(self) -> int:
         """Return the monotonic time [ns], and note it if the process did nothing for longer than a command is valid."""
@@ -290,6 +380,8 @@ class NodeLoop:
             self._report_gap(received)
         if not self.node.admits(received):
             return
+        if received.topic == self.node.last_of_tick:
+            self._note_tick(self._awake_ns)
         journal = self._journal
         if journal is not None:
             journal.clock.time_ns = received.received_ns

@@ -4,8 +4,7 @@ from collections.abc import Callable
 
 from proto.batch import SentCopy, pack_batch
 
-# age of the oldest copy at which a batch goes out when the node comes to its next wait, and for which it is woken up:
-# a loop of 1 kHz never is
+# age of the oldest copy at which a batch goes out in the next pause of the loop, and without one
 DUE_NS, LATEST_NS = 5_000_000, 10_000_000
 # payload bytes at which it goes out at once, so that a batch never holds more than this and one message
 _MOST_BYTES = 65_536
@@ -16,7 +15,7 @@ class OutgoingBatch:
     """Collects copies, and hands their bytes to `send` once they are due."""
 
     def __init__(self, monotonic_ns: Callable[[], int], send: Callable[[bytes], None]) -> None:
-        # when the copies go out at the next wait, and when at the latest, on the monotonic clock [ns]
+        # when the copies go out in the next pause, and when at the latest, on the monotonic clock [ns]
         self.due_ns = self.latest_ns = _NEVER_NS
         self._monotonic_ns = monotonic_ns
         self._send = send

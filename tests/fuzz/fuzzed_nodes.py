@@ -107,6 +107,15 @@ class FuzzedBus:
     def process_events(self, *, now: bool = False) -> Sequence[ConnectionEvent]:
         return ()
 
+    def has_arrived(self) -> bool:
+        return False
+
+    def is_batch_due(self, now_ns: int) -> bool:
+        return False
+
+    def send_batches(self) -> None:
+        """There are none."""
+
     def send(self, topic: str, payload: bytes) -> bool:
         """Send what the link or a player passes on."""
         self.published += 1

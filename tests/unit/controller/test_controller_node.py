@@ -507,11 +507,37 @@ def test_energy_is_counted_at_the_device_and_a_law_that_makes_some_is_not_passiv
         node.on_message(bench.received("teleop/backward", "controller@slave", **fields))
         far = status_fields(0.0)
         node.on_message(bench.received("law/status", "controller@slave", **far))
+        bench.advance_ms(0.2)
+        node.on_deadline(bench.clock.monotonic_ns())
     last = bench.take("law/status")[-1]
     assert last.port_energy_j == pytest.approx(expected_j, rel=0.4)
     assert last.port_energy_j < -1e-4
     assert last.net_valid
     assert not last.passive
+
+
+def test_the_status_of_the_law_leaves_in_the_pause_after_its_tick_as_it_was_then(master: Any) -> None:
+    bench, node = master
+    for n in range(1, 41):
+        bench.advance_ms(0.7)
+        hand = bench.received("haptic/state", "haptic_node@master", **hand_fields(0.5, position_m=n * 1e-5))
+        node.on_message(hand)
+        due_ns, entered_j = node.quiet_ns(), node.port.energy_j
+        assert bench.take("law/status") == []
+        assert (due_ns == bench.clock.monotonic_ns() + node.pause_after_ns) is (n % 10 == 0)
+        if n % 10 == 0:
+            # the answer comes before the pause, and changes nothing in what is said of the tick
+            bench.advance_ms(0.1)
+            fields = answer_fields(1.5e-8, hand.message.seq, hand.message.t_ns)
+            node.on_message(bench.received("teleop/backward", "controller@slave", **fields))
+            bench.clock.advance_ns(due_ns - bench.clock.monotonic_ns())
+            node.on_deadline(due_ns)
+            (status,) = bench.take("law/status")
+            assert (status.port_energy_j, status.t_ns) == (entered_j, due_ns + bench.clock.epoch_offset_ns)
+            # not once more
+            node.on_deadline(due_ns + 10_000)
+            assert bench.take("law/status") == []
+        bench.advance_ms(0.3)
 
 
 def status_fields(port_energy_j: float) -> dict[str, Any]:

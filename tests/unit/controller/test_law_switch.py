@@ -94,9 +94,15 @@ class Rig:
 
     def tick(self, count: int = 1, force_n: float = 1.0, wait_ns: int = PERIOD_NS) -> None:
         for _ in range(count):
+            pause_ns = wait_ns // 2
+            for node, bench in ((self.slave, self.at_tip), (self.master, self.at_hand)):
+                bench.clock.advance_ns(pause_ns)
+                if node.quiet_ns() <= bench.clock.monotonic_ns():
+                    node.on_deadline(bench.clock.monotonic_ns())
+            self.after()
             self.n += 1
-            self.at_hand.clock.advance_ns(wait_ns)
-            self.at_tip.clock.advance_ns(wait_ns)
+            self.at_hand.clock.advance_ns(wait_ns - pause_ns)
+            self.at_tip.clock.advance_ns(wait_ns - pause_ns)
             hand = self.at_hand.received(
                 "haptic/state",
                 "haptic_node@master",

@@ -20,7 +20,7 @@ from services.recorder.node import HELD_S, RecorderBus
 from services.runtime.bus import Subscriber, ZmqBus
 from services.runtime.clock import VirtualClock
 from services.runtime.main import load_site
-from services.runtime.outgoing_batch import DUE_NS, OutgoingBatch
+from services.runtime.outgoing_batch import DUE_NS, LATEST_NS, OutgoingBatch
 from services.runtime.participant import OBSERVER, open_participant
 from services.runtime.publisher import NullPublisher, ZmqPublisher
 
@@ -242,13 +242,20 @@ def test_a_stamp_of_another_clock_is_no_time_of_reception(rig: Rig) -> None:
     assert [time_ms for _, _, time_ms in rig.recorded()] == [0.0, 21.0, 21.0]
 
 
-def test_a_bus_sends_a_batch_when_it_waits(rig: Rig) -> None:
+def test_a_batch_is_due_in_a_pause_and_goes_without_one_when_the_bus_waits(rig: Rig) -> None:
     node = rig.node(HAND)
     assert node.batch is not None
     listener = rig.listeners[HAND]
     bus = ZmqBus(node.publisher, [listener.subscriber], rig.clock, rig.waker.fileno(), None, [node.batch])
     node.send("haptic/state", hand(0))
     rig.advance(DUE_NS / MILLISECOND_NS - 0.1)
+    assert not bus.is_batch_due(rig.clock.monotonic_ns())
+    rig.advance(0.2)
+    assert bus.is_batch_due(rig.clock.monotonic_ns())
+    bus.send_batches()
+    assert node.batch.due_ns == 2**62
+    node.send("haptic/state", hand(1))
+    rig.advance(LATEST_NS / MILLISECOND_NS - 0.1)
     # virtual time: the wait is over at once
     bus.wait(rig.clock.monotonic_ns())
     assert node.batch.due_ns < 2**62

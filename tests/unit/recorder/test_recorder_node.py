@@ -70,6 +70,15 @@ class QuietBus:
     def process_events(self, *, now: bool = False) -> Sequence[ConnectionEvent]:
         return ()
 
+    def has_arrived(self) -> bool:
+        return False
+
+    def is_batch_due(self, now_ns: int) -> bool:
+        return False
+
+    def send_batches(self) -> None:
+        """There are none."""
+
     def close(self) -> None:
         pass
 

@@ -51,6 +51,8 @@ class FakeBus:
         self.oversleep_ns = 0
         self.notices: list[ConnectionEvent] = []
         self.attended: list[bool] = []
+        self.batch_due_ns = 2**62
+        self.batches_ns: list[int] = []
 
     def publish(self, topic: str, **fields: Any) -> Message:
         model = TOPICS[topic].model
@@ -95,6 +97,17 @@ class FakeBus:
         self.attended.append(now)
         turns_of, self.notices = self.notices, []
         return turns_of
+
+    def has_arrived(self) -> bool:
+        now = self.clock.monotonic_ns()
+        return any(at <= now for at, _ in self.coming)
+
+    def is_batch_due(self, now_ns: int) -> bool:
+        return now_ns >= self.batch_due_ns
+
+    def send_batches(self) -> None:
+        self.batches_ns.append(self.clock.monotonic_ns())
+        self.batch_due_ns = 2**62
 
     def close(self) -> None:
         self.sent.clear()
@@ -286,6 +299,102 @@ def test_the_loop_spins_to_the_deadline_and_never_past_it() -> None:
     for step, tick in enumerate(rig.node.ticks):
         assert (6 + step) * MS <= tick <= (6 + step) * MS + 20_000
     assert min(deadline % MS for deadline in rig.bus.waits[1:]) == 900_000
+
+
+def test_a_message_that_comes_during_the_busy_wait_is_acted_on_before_the_deadline() -> None:
+    rig = Rig(period_ns=MS, spin_s=100e-6)
+    reading = rig.clock.monotonic_ns
+
+    def passing() -> int:
+        rig.clock.advance_ns(10_000)
+        return reading()
+
+    rig.clock.monotonic_ns = passing
+    seen: list[tuple[str, int]] = []
+    on_deadline = rig.node.on_deadline
+    rig.node.on_message = lambda received: seen.append(("message", reading()))
+
+    def noted(now_ns: int) -> None:
+        seen.append(("deadline", now_ns))
+        on_deadline(now_ns)
+
+    rig.node.on_deadline = noted
+    # the wait ends 0.1 ms before the deadline at 6 ms
+    rig.loop.turn()
+    rig.bus.wait = lambda deadline_ns: rig.clock.advance_ns(max(0, deadline_ns - reading()))
+    rig.bus.arrives(5 * MS + 950_000, "haptic/state")
+    rig.loop.turn()
+    assert [kind for kind, _ in seen] == ["message", "deadline"]
+    assert 5 * MS + 950_000 <= seen[0][1] < 6 * MS <= seen[1][1] <= 6 * MS + 20_000
+
+
+def test_a_message_in_the_busy_wait_that_moves_the_deadline_ends_it() -> None:
+    rig = Rig(period_ns=MS, spin_s=100e-6)
+    reading = rig.clock.monotonic_ns
+
+    def passing() -> int:
+        rig.clock.advance_ns(10_000)
+        return reading()
+
+    rig.clock.monotonic_ns = passing
+    rig.loop.turn()
+    rig.bus.wait = lambda deadline_ns: rig.clock.advance_ns(max(0, deadline_ns - reading()))
+
+    def postpone(received: Received) -> None:
+        rig.node.grid = PeriodicDeadline(6 * MS, 2 * MS)
+
+    rig.node.on_message = postpone
+    rig.bus.arrives(5 * MS + 950_000, "haptic/state")
+    rig.loop.turn()
+    assert rig.node.ticks == []
+    assert reading() < 6 * MS
+    rig.loop.turn()
+    assert len(rig.node.ticks) == 1
+    assert 8 * MS <= rig.node.ticks[0] <= 8 * MS + 20_000
+
+
+class Ticking(Probe):
+    """A node with a pause 0.3 ms after each message of the hand."""
+
+    journalled = True
+    last_of_tick, pause_after_ns = "haptic/state", 300_000
+
+
+def test_reports_and_batches_go_out_a_piece_in_each_pause_of_a_loop() -> None:
+    rig = Rig()
+    rig.node = Ticking(rig.node.context)
+    rig.loop = NodeLoop(rig.node, rig.bus, GRANTED)
+    for tick in range(6, 606):
+        rig.bus.arrives(tick * MS, "haptic/state", src="haptic_node@master", seq=tick)
+    rig.bus.batch_due_ns = 300 * MS
+    sent_ns: list[tuple[str, int]] = []
+    publish = rig.node.publish
+
+    def noted(topic: str, **fields: Any) -> Message:
+        sent_ns.append((topic, rig.clock.monotonic_ns()))
+        return publish(topic, **fields)
+
+    rig.node.publish = noted
+    rig.run_until(605 * MS)
+    # at the start nothing ticks yet; later each has a pause of its own
+    assert sent_ns == [
+        ("node/health", 5 * MS),
+        ("node/health", 506 * MS + 300_000),
+        ("node/journal", 508 * MS + 300_000),
+    ]
+    assert rig.bus.batches_ns == [300 * MS + 300_000]
+
+
+def test_a_report_does_not_wait_for_ticks_that_come_no_more() -> None:
+    rig = Rig()
+    rig.node = Ticking(rig.node.context)
+    rig.loop = NodeLoop(rig.node, rig.bus, GRANTED)
+    for tick in range(6, 505):
+        rig.bus.arrives(tick * MS, "haptic/state", src="haptic_node@master", seq=tick)
+    rig.run_until(1100 * MS)
+    assert [(h.t_ns - 10**18) / MS for h in rig.health][:3] == [5, 525, 1005]
+    (journal,) = rig.bus.of(NodeJournal)
+    assert journal.t_ns - 10**18 == 525 * MS
 
 
 def test_stop_leaves_after_the_step_in_hand_and_makes_the_node_safe() -> None:
@@ -591,7 +700,8 @@ def test_the_journal_numbers_its_turns_and_the_outputs_so_far() -> None:
     assert [found.first_turn for found in journals[1:]] == [
         sum(len(turns_of(found)) for found in journals[:count]) for count in (1, 2)
     ]
-    assert journals[1].outputs == {"haptic/state": rig.bus.sent.index(journals[0]) + 1}
+    # those of turns: what the first journal came in is none of them
+    assert journals[1].outputs == {"haptic/state": rig.bus.sent.index(journals[0])}
 
 
 def test_a_flood_makes_a_batch_before_the_half_second(monkeypatch: pytest.MonkeyPatch) -> None:
