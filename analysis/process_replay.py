@@ -413,7 +413,7 @@ def _take_turn(node: Node, clock: TurnClock, turn: Turn, recorded: _Recorded) ->
     else:
         _take_message(node, turn, recorded)
     # a loop that waits for pauses has made a turn of its own of it
-    if not node.quiet_work.waits_for_pauses and node.quiet_ns() <= clock.monotonic_ns():
+    if not node.quiet_work.waits_for_pauses and node.quiet_work.due_ns <= clock.monotonic_ns():
         node.on_deadline(clock.monotonic_ns())
 
 

@@ -317,7 +317,10 @@ class ZmqBus:
 
     def is_batch_due(self, now_ns: int) -> bool:
         """Return whether copies for a recorder are to be sent in the next pause."""
-        return any(batch.due_ns <= now_ns for batch in self._batches)
+        for batch in self._batches:  # noqa: SIM110 - a generator takes three times as long
+            if batch.due_ns <= now_ns:
+                return True
+        return False
 
     def send_batches(self) -> None:
         """Send the copies for a recorder that there are."""

@@ -117,7 +117,7 @@ class Node(ABC):
         self.overruns = 0
         # messages that were not acted on because they, or the hand's sample behind them, were past their deadline
         self.stale = 0
-        # what `on_deadline` does in pauses of the loop
+        # what `on_deadline` does in pauses of the loop: at its `due_ns` it is called, without a busy wait
         self.quiet_work = QuietWork(self.pause_after_ns)
         # of a real device, for node/health
         self.device_delay: DeviceDelay | None = None
@@ -137,10 +137,6 @@ class Node(ABC):
     def deadline_ns(self) -> int:
         """Return the monotonic time [ns] at which `on_deadline` is wanted."""
         return NEVER_NS
-
-    def quiet_ns(self) -> int:
-        """Return the monotonic time [ns] at which `on_deadline` is wanted for work in a pause, without a busy wait."""
-        return self.quiet_work.due_ns
 
     @abstractmethod
     def on_deadline(self, now_ns: int) -> None:
@@ -241,7 +237,7 @@ class NodeLoop:
     def turn(self) -> None:
         """Wait for the next message or deadline and act on it."""
         wanted = self.node.deadline_ns() - self._spin.ns
-        self._bus.wait(min(wanted, self.node.quiet_ns(), self._health_ns, self._quiet.due_ns))
+        self._bus.wait(min(wanted, self._health_ns, self._quiet.due_ns, self.node.quiet_work.due_ns))
         woken = self._note_awake()
         taken = self._take(woken)
         if notices := self._bus.process_events():
@@ -258,9 +254,9 @@ class NodeLoop:
                 self._act_on_deadline(now)
                 if self.node.last_of_tick == "":
                     self._note_tick(now)
-        elif self.node.quiet_ns() <= now:
+        elif self.node.quiet_work.due_ns <= now:
             self._act_on_deadline(now)
-        if now >= self.health_due_ns:
+        if now >= self._health_ns or now >= self._quiet.due_ns:
             self._work(now)
         elif self._journal is not None and self._journal.full:
             self._journal.complete()

@@ -23,13 +23,8 @@ class QuietWork:
         self._waiting: list[str] = []
         self.waits_for_pauses = True
         self._tick_ns = -NEVER_NS
-        # when the first piece is due, in the next pause, and when all are, on the monotonic clock [ns]
-        self._pause_ns = self._latest_ns = NEVER_NS
-
-    @property
-    def due_ns(self) -> int:
-        """Monotonic time [ns] at which there is something to do."""
-        return self._pause_ns if self._waiting else NEVER_NS
+        # when there is something to do, and when everything has to be done, on the monotonic clock [ns]
+        self.due_ns = self._latest_ns = NEVER_NS
 
     def do_at_once(self) -> None:
         """Have all pieces due when they are added from now on, as before there were pauses."""
@@ -39,16 +34,16 @@ class QuietWork:
         """Note that a tick has gone on from here at this monotonic time [ns]."""
         self._tick_ns = now_ns
         if self._waiting:
-            self._pause_ns = min(now_ns + self._pause_after_ns, self._latest_ns)
+            self.due_ns = min(now_ns + self._pause_after_ns, self._latest_ns)
 
     def add(self, now_ns: int, *pieces: str) -> None:
         """Add pieces, in their order; one that is waiting keeps its place."""
         if now_ns - self._tick_ns >= _TICKING_NS or not self.waits_for_pauses:
-            self._pause_ns = self._latest_ns = now_ns
+            self.due_ns = self._latest_ns = now_ns
         elif not self._waiting:
             self._latest_ns = now_ns + _PATIENCE_NS
             pause_ns = self._tick_ns + self._pause_after_ns
-            self._pause_ns = pause_ns if pause_ns > now_ns else self._latest_ns
+            self.due_ns = pause_ns if pause_ns > now_ns else self._latest_ns
         self._waiting += [piece for piece in pieces if piece not in self._waiting]
 
     def take(self, now_ns: int) -> list[str]:
@@ -57,5 +52,5 @@ class QuietWork:
             return []
         count = 1 if now_ns < self._latest_ns else len(self._waiting)
         due, self._waiting = self._waiting[:count], self._waiting[count:]
-        self._pause_ns = self._latest_ns
+        self.due_ns = self._latest_ns if self._waiting else NEVER_NS
         return due

@@ -522,7 +522,7 @@ def test_the_status_of_the_law_leaves_in_the_pause_after_its_tick_as_it_was_then
         bench.advance_ms(0.7)
         hand = bench.received("haptic/state", "haptic_node@master", **hand_fields(0.5, position_m=n * 1e-5))
         node.on_message(hand)
-        due_ns, entered_j = node.quiet_ns(), node.port.energy_j
+        due_ns, entered_j = node.quiet_work.due_ns, node.port.energy_j
         assert bench.take("law/status") == []
         assert (due_ns == bench.clock.monotonic_ns() + node.pause_after_ns) is (n % 10 == 0)
         if n % 10 == 0:

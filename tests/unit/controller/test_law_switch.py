@@ -97,7 +97,7 @@ class Rig:
             pause_ns = wait_ns // 2
             for node, bench in ((self.slave, self.at_tip), (self.master, self.at_hand)):
                 bench.clock.advance_ns(pause_ns)
-                if node.quiet_ns() <= bench.clock.monotonic_ns():
+                if node.quiet_work.due_ns <= bench.clock.monotonic_ns():
                     node.on_deadline(bench.clock.monotonic_ns())
             self.after()
             self.n += 1

@@ -65,7 +65,7 @@ class Link:
     def pass_time(self, duration_ns: int) -> None:
         clock = self.bench.clock
         end_ns = clock.monotonic_ns() + duration_ns
-        while (due_ns := min(self.node.deadline_ns(), self.node.quiet_ns())) < end_ns:
+        while (due_ns := min(self.node.deadline_ns(), self.node.quiet_work.due_ns)) < end_ns:
             clock.advance_ns(max(0, due_ns - clock.monotonic_ns()))
             self.node.on_deadline(clock.monotonic_ns())
         clock.advance_ns(end_ns - clock.monotonic_ns())
