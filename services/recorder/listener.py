@@ -12,7 +12,7 @@ from services.runtime.bus import Subscriber
 
 # a node sends its health twice a second, and with it a batch
 _SILENT_NS = 1_200_000_000
-# messages that may have come before the first batch, which has them as well
+# messages that may have come before the first batch, which has them as well: no more, and none that is older than that
 _MOST_RECENT = 1024
 
 # a process stands still for less; what is older was stamped by another clock
@@ -54,7 +54,8 @@ class Listener:
     _accepts_batches: bool = False
     _last_batch_ns: int = 0
     _last_ns: int = 0
-    _recent: deque[Frames] = field(default_factory=lambda: deque(maxlen=_MOST_RECENT))
+    # with the time of reception [ns]
+    _recent: deque[tuple[int, Frames]] = field(default_factory=lambda: deque(maxlen=_MOST_RECENT))
 
     def accept_batches(self) -> None:
         """Ask for batches; until the first one comes, and when there are no more, the messages come one by one.
@@ -74,7 +75,7 @@ class Listener:
                 yield from self._unpacked(frames, received_ns, epoch_offset_ns)
             elif not self.batched:
                 if self._accepts_batches:
-                    self._recent.append(frames)
+                    self._keep(received_ns, frames)
                 yield self._in_order(received_ns), frames
 
     def check(self, now_ns: int) -> None:
@@ -107,9 +108,15 @@ class Listener:
         self.batched = True
         for topic in self.subscriber.topics:
             self.subscriber.socket.unsubscribe(topic.encode())
-        known = list(self._recent)
+        known = [frames for _, frames in self._recent]
         self._recent.clear()
         return known
+
+    def _keep(self, received_ns: int, frames: Frames) -> None:
+        """Keep a message that the first batch may have as well."""
+        while self._recent and received_ns - self._recent[0][0] > _SILENT_NS:
+            self._recent.popleft()
+        self._recent.append((received_ns, frames))
 
     def _take_singly(self) -> None:
         self.batched = False

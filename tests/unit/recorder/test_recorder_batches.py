@@ -242,6 +242,17 @@ def test_a_stamp_of_another_clock_is_no_time_of_reception(rig: Rig) -> None:
     assert [time_ms for _, _, time_ms in rig.recorded()] == [0.0, 21.0, 21.0]
 
 
+def test_of_a_publisher_without_batches_no_more_is_kept_than_a_first_batch_may_have(rig: Rig) -> None:
+    node = rig.node(HAND, batches=False)
+    listener = rig.listeners[HAND]
+    for number in range(10):
+        node.send("haptic/state", hand(number))
+        rig.advance(500.0)
+        rig.take()
+    # of the last 1.2 s
+    assert len(listener._recent) == 3
+
+
 def test_a_batch_is_due_in_a_pause_and_goes_without_one_when_the_bus_waits(rig: Rig) -> None:
     node = rig.node(HAND)
     assert node.batch is not None
