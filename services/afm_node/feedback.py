@@ -76,10 +76,11 @@ def most_integral_share(proportional: float, lag: float | None) -> float:
     return (1.0 + proportional) * (1.0 - (1.0 - lag) * proportional)
 
 
-def greatest_share(gain_per_s: float, proportional: float, period_s: float, lag: float | None) -> float:
-    """Return the greatest Ki T of a step, however late it is; arguments as in `gain_fault`."""
+def integral_share(gain_per_s: float, proportional: float, period_s: float, lag: float | None, dt: float) -> float:
+    """Return Ki T of a step of dt [s], limited where it is late; other arguments as in `gain_fault`."""
     share = _CONTACT_SHARE if lag is None else _TAPPING_SHARE
-    return max(share * most_integral_share(proportional, lag), gain_per_s * period_s)
+    greatest = max(share * most_integral_share(proportional, lag), gain_per_s * period_s)
+    return min(gain_per_s * dt, greatest)
 
 
 def number_fault(gain_per_s: float, proportional: float, names: tuple[str, str]) -> str:

@@ -17,6 +17,7 @@ from services.afm_node.programs import ProgramRunner
 from services.afm_node.raster import FinishedLine, Measured
 from services.afm_node.step import LONGEST_STEP_NS, AfmSample, command_wait_ns
 from services.runtime.bus import Received
+from services.runtime.clock import NEVER_NS
 from services.runtime.frames import to_paper_axis
 from services.runtime.freshness import LOOP_DEADLINE_NS, HandAge
 from services.runtime.node import DeviceDelay, Node, NodeContext
@@ -31,7 +32,6 @@ _PROGRAM_PERIOD_NS = 100_000_000
 _SETTLE_NS = 250_000
 # from one part of that to the next: they take some 80 us each, and what waits for the processor comes in between
 _SETTLE_AGAIN_NS = 120_000
-_NEVER_NS = 2**62
 _LONGEST_STEP_S = LONGEST_STEP_NS * 1e-9
 _ACTION_CODES = {name: code for code, name in safety.ACTION_NAMES.items()}
 _AT_REST = Oscillation(0.0, 0.0)
@@ -97,7 +97,7 @@ class AfmNode(Node):
         self._report_device(driver.report)
         self._stepped_ns = self.clock.monotonic_ns()
         self._due_ns = self._stepped_ns + _PERIOD_NS
-        self._settle_ns = _NEVER_NS
+        self._settle_ns = NEVER_NS
         # what comes before the deadline to settle shares this processor
         self.has_precise_deadlines = self._disturbed is None or not self._disturbed.settles
         if config.driver == "simulated" and config.environment == "tip_sample" and (doubts := config.doubts()):
@@ -127,7 +127,7 @@ class AfmNode(Node):
     def on_deadline(self, now_ns: int) -> None:
         """Step without a command: the guard judges the silence. Before that, do what nothing waits for."""
         if self._disturbed is not None and self._settle_ns <= now_ns < self._due_ns:
-            self._settle_ns = now_ns + _SETTLE_AGAIN_NS if self._disturbed.settle() else _NEVER_NS
+            self._settle_ns = now_ns + _SETTLE_AGAIN_NS if self._disturbed.settle() else NEVER_NS
             return
         self._handle_stall(now_ns)
         self._step(now_ns)

@@ -105,7 +105,7 @@ class ProgramRunner:
             s.proportional, self._period_s, self._lag,
         )  # fmt: skip
         reach_m, speed = self._lateral
-        fault = raster.line_fault(plan, reach_m, speed, self._limits.force_limit_n, self._period_s)
+        fault = raster.line_fault(plan, reach_m, speed, self._limits.force_limit_n)
         if fault:
             raise RefusedError(f"scan: {fault}")
         self._start("scan")

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from services.afm_node.driver import Oscillation
-from services.afm_node.feedback import carried_out, feedback_step, gain_fault, greatest_share
+from services.afm_node.feedback import carried_out, feedback_step, gain_fault, integral_share
 from services.afm_node.lateral import Place
 
 Array = npt.NDArray[np.float64]
@@ -48,11 +48,6 @@ class RasterPlan(NamedTuple):
     proportional: float = 0.0
     period_s: float = 0.0
     lag: float = 0.0
-
-    @property
-    def most_integral_share(self) -> float:
-        """Return the greatest Ki T of a step, however late it is."""
-        return greatest_share(self.gain_per_s, self.proportional, self.period_s, self.loop_lag)
 
     @property
     def loop_lag(self) -> float | None:
@@ -135,7 +130,7 @@ def raster_step(
     if phase == DONE:
         return state, base_m, place, None
     part_m = carried_out(state.proportional_m, state.reference_m - base_m)
-    share = min(plan.gain_per_s * dt, plan.most_integral_share)
+    share = integral_share(plan.gain_per_s, plan.proportional, plan.period_s, plan.loop_lag, dt)
     held, part_m = feedback_step(base_m, part_m, missing_m(plan, measured), share, plan.proportional)
     state = state._replace(reference_m=held, proportional_m=part_m)
     if phase == SETTLE:
@@ -216,7 +211,7 @@ def _filled(total: Array, counts: Array) -> Array:
     return np.asarray(np.interp(np.arange(len(counts)), known, total[known] / counts[known]))
 
 
-def line_fault(plan: RasterPlan, reach_m: float, speed_m_per_s: float, force_limit_n: float, period_s: float) -> str:
+def line_fault(plan: RasterPlan, reach_m: float, speed_m_per_s: float, force_limit_n: float) -> str:
     """Return what of a plan cannot be done with a stage and a guard, and what would be right; empty for none."""
     furthest = max(
         abs(plan.centre.x_m) + 0.5 * plan.width_m,
@@ -231,10 +226,10 @@ def line_fault(plan: RasterPlan, reach_m: float, speed_m_per_s: float, force_lim
             f"a line would need {speed:.3g} m/s, above lateral.speed_m_per_s = {speed_m_per_s:g} m/s: a dwell of"
             f" {needed_s:.3g} s or more on each pixel is within it"
         )
-    if plan.line_s < 2.0 * period_s * plan.pixels:
-        return f"a pixel needs at least two steps of the instrument: a dwell of {2.0 * period_s:g} s or more"
+    if plan.line_s < 2.0 * plan.period_s * plan.pixels:
+        return f"a pixel needs at least two steps of the instrument: a dwell of {2.0 * plan.period_s:g} s or more"
     if plan.amplitude_m == 0.0 and not plan.setpoint_n < force_limit_n:
         return f"the set-point {plan.setpoint_n:g} N must be below safety.force_limit_n = {force_limit_n:g} N"
     if not math.isfinite(plan.clear_m):
         return "the base has no safe position"
-    return gain_fault(plan.gain_per_s, plan.proportional, period_s, plan.loop_lag, _GAINS)
+    return gain_fault(plan.gain_per_s, plan.proportional, plan.period_s, plan.loop_lag, _GAINS)

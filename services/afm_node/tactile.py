@@ -10,7 +10,7 @@ and the stage goes no faster. The base stands, so that the deflection is the hei
 import math
 from typing import NamedTuple
 
-from services.afm_node.feedback import gain_fault, greatest_share
+from services.afm_node.feedback import gain_fault, integral_share
 from services.afm_node.lateral import LateralParams, Place, moved
 
 # phases, in order
@@ -65,7 +65,7 @@ def tactile_step(
         return TactileState(DONE, False), base_m, place
     target, limited = moved(LateralParams(math.inf, plan.speed_m_per_s), place, goal, dt)
     if plan.holds_force:
-        share = min(plan.gain_per_s * dt, greatest_share(plan.gain_per_s, 0.0, plan.period_s, None))
+        share = integral_share(plan.gain_per_s, 0.0, plan.period_s, None, dt)
         base_m += (plan.setpoint_n - force_n) / plan.stiffness_n_per_m * share
     return TactileState(FEEL, plan.by_pointer and limited != 0), base_m, target
 

@@ -15,7 +15,7 @@ from services.recorder.disk_watch import DiskWatch
 from services.recorder.intake import Intake
 from services.recorder.listener import Frames, Listener
 from services.runtime.bus import Received, ZmqBus
-from services.runtime.clock import Clock
+from services.runtime.clock import NEVER_NS, Clock
 from services.runtime.deadlines import PeriodicDeadline
 from services.runtime.node import Node, NodeContext
 from services.runtime.outgoing_batch import LATEST_NS
@@ -41,7 +41,6 @@ _TAKE_NS = 20_000_000
 _HOLD_NS = LATEST_NS + 2_000_000
 # so much later than it was sent a message has reached the file, if nobody stands still
 HELD_S = (LATEST_NS + _TAKE_NS + _HOLD_NS) * 1e-9
-_FAR_FUTURE_NS = 2**62
 _time_of = itemgetter(0)
 ACTIONS = ("record.split", "record.snapshot", "record.status")
 
@@ -99,7 +98,7 @@ class RecorderBus(ZmqBus):
         if takes:
             self._sort_out(now_ns + offset_ns)
         if not self._batched:
-            yield from self._record_until(_FAR_FUTURE_NS)
+            yield from self._record_until(NEVER_NS)
         elif takes:
             yield from self._record_until(now_ns + offset_ns - _HOLD_NS)
 

@@ -13,7 +13,7 @@ from proto.codec import MAX_MESSAGE_BYTES
 from proto.messages import MAX_ROWS, SUPERSEDED, InputHealth, Message
 from proto.ranges import limited
 from proto.sequence import Arrival, SequenceTracker
-from services.runtime.clock import Clock
+from services.runtime.clock import NEVER_NS, Clock
 from services.runtime.newest import Header, Taken, without_superseded
 from services.runtime.outgoing_batch import OutgoingBatch
 from services.runtime.publisher import FIRST_THREAD, SEND_HIGH_WATER_MARK, Publisher
@@ -78,7 +78,7 @@ class Subscriber:
     """SUB connections of a node: decodes, counts what is refused or lost, and drops what was overtaken."""
 
     # it gives what has arrived, and nothing else
-    due_ns = 2**62
+    due_ns = NEVER_NS
 
     def __init__(
         self,

@@ -7,6 +7,8 @@ from typing import Protocol
 from proto.errors import ConfigError
 
 EPOCH_OFFSET_VARIABLE = "TELENANO_EPOCH_OFFSET_NS"
+# a time on any clock that does not come [ns]
+NEVER_NS = 2**62
 
 
 class Clock(Protocol):

@@ -8,6 +8,7 @@ from bisect import bisect_right
 from proto.messages import LinkDelay
 from proto.nodes import LINK, name_of, site_of
 from proto.topics import LOOP_DEADLINE_S
+from services.runtime.clock import NEVER_NS
 
 LOOP_DEADLINE_NS = round(LOOP_DEADLINE_S * 1e9)
 # the link reports its delay in steps of this, rounded down: an age may come out too great by less than one step
@@ -16,7 +17,6 @@ DELAY_STEP_NS = 1_000_000
 _OLDER_THAN_READER_NS = 1_000_000_000
 # changes of the delay in flight: a round trip of four seconds with a change at every sample
 _MOST_CHANGES = 4096
-_NEVER_NS = 2**62
 
 
 class DelayHistory:
@@ -130,7 +130,7 @@ class StallDetector:
 
     def deadline_ns(self) -> int:
         """Return when to take a turn at the latest [ns]."""
-        return self.turn_ns + LOOP_DEADLINE_NS // 2 if self.turn_ns else _NEVER_NS
+        return self.turn_ns + LOOP_DEADLINE_NS // 2 if self.turn_ns else NEVER_NS
 
     def stalled_s(self, now_ns: int) -> float:
         """Return how long ago the last turn was [s] where that is beyond the bound, else 0.0; this is the next turn."""

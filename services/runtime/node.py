@@ -16,14 +16,14 @@ from proto.errors import RefusedError
 from proto.messages import MAX_TEXT, SUPERSEDED, InputHealth, NodeHealth, Scalar, SessionControl
 from proto.sequence import Arrival
 from services.runtime.bus import Bus, ConnectionEvent, Received
-from services.runtime.clock import Clock
+from services.runtime.clock import NEVER_NS, Clock
 from services.runtime.commands import HELD_UP_NS, CommandHandler
 from services.runtime.deadlines import LatenessWindow, SpinMargin
 from services.runtime.ends import publish_end
 from services.runtime.freshness import LOOP_DEADLINE_NS
 from services.runtime.journal import InputJournal
 from services.runtime.log import RateLimitedLog, StructuredLog
-from services.runtime.quiet_work import NEVER_NS, QuietWork
+from services.runtime.quiet_work import QuietWork
 from services.runtime.realtime import RealtimeStatus
 
 NodeState = Literal["starting", "ready", "running", "safe", "stopping"]

@@ -3,12 +3,12 @@
 from collections.abc import Callable
 
 from proto.batch import SentCopy, pack_batch
+from services.runtime.clock import NEVER_NS
 
 # age of the oldest copy at which a batch goes out in the next pause of the loop, and without one
 DUE_NS, LATEST_NS = 5_000_000, 10_000_000
 # payload bytes at which it goes out at once, so that a batch never holds more than this and one message
 _MOST_BYTES = 65_536
-_NEVER_NS = 2**62
 
 
 class OutgoingBatch:
@@ -16,7 +16,7 @@ class OutgoingBatch:
 
     def __init__(self, monotonic_ns: Callable[[], int], send: Callable[[bytes], None]) -> None:
         # when the copies go out in the next pause, and when at the latest, on the monotonic clock [ns]
-        self.due_ns = self.latest_ns = _NEVER_NS
+        self.due_ns = self.latest_ns = NEVER_NS
         self._monotonic_ns = monotonic_ns
         self._send = send
         self._copies: list[SentCopy] = []
@@ -38,4 +38,4 @@ class OutgoingBatch:
             self._send(pack_batch(self._copies, last=last))
         self._copies = []
         self._bytes = 0
-        self.due_ns = self.latest_ns = _NEVER_NS
+        self.due_ns = self.latest_ns = NEVER_NS

@@ -1,6 +1,7 @@
 """Work that can wait, done a piece at a time while a tick of the loop is elsewhere."""
 
-NEVER_NS = 2**62
+from services.runtime.clock import NEVER_NS
+
 # a tick within this time before: the loop runs, and there will be another pause
 _TICKING_NS = 5_000_000
 # the most that work waits for a pause

@@ -20,7 +20,7 @@ from proto.messages import InputHealth, Message
 from proto.network_messages import LinkKey
 from services.runtime.address_book import LinkTransport
 from services.runtime.bus import ConnectionEvent, Received, Subscriber
-from services.runtime.clock import Clock
+from services.runtime.clock import NEVER_NS, Clock
 from services.runtime.clock_offset import Exchange, OffsetFilter
 from services.runtime.datagram import flood_filter
 from services.runtime.datagram.account import ArrivalAccount
@@ -56,7 +56,6 @@ _REMEMBERED = 16
 _RECEIVE_BUFFER_BYTES = 1 << 20
 _REMIND_NS = 60_000_000_000
 
-_NEVER_NS = 2**62
 
 Way = Literal["datagram", "stream"]
 Address = tuple[Any, ...]
@@ -119,7 +118,7 @@ class DatagramEnd:
         self.sockets: list[Any] = []
         self.account = ArrivalAccount()
         # when the next sample of the play-out buffer is due, on the monotonic clock
-        self.due_ns = _NEVER_NS
+        self.due_ns = NEVER_NS
         self._play_out = PlayOut() if settings.play_out else None
         self._held: list[tuple[int, int, list[bytes]]] = []
         self._order = itertools.count()
@@ -286,13 +285,13 @@ class DatagramEnd:
         for frames, _ in waiting:
             heapq.heappush(self._held, (release_ns, next(self._order), frames))
         waiting.clear()
-        self.due_ns = self._held[0][0] if self._held else _NEVER_NS
+        self.due_ns = self._held[0][0] if self._held else NEVER_NS
 
     def _released(self, now_ns: int) -> list[tuple[list[bytes], int]]:
         released = []
         while self._held and self._held[0][0] <= now_ns:
             released.append((heapq.heappop(self._held)[2], now_ns + self._clock.epoch_offset_ns))
-        self.due_ns = self._held[0][0] if self._held else _NEVER_NS
+        self.due_ns = self._held[0][0] if self._held else NEVER_NS
         return released
 
     def _refuse(self, cause: str, address: Address) -> None:

@@ -1,4 +1,5 @@
-from services.runtime.quiet_work import NEVER_NS, QuietWork
+from services.runtime.clock import NEVER_NS
+from services.runtime.quiet_work import QuietWork
 
 MS = 1_000_000
 PAUSE_NS = 200_000
