@@ -7,8 +7,6 @@ same compiled force. Accuracy is that of amplitude and phase of the last periods
 solve_ivp the loosest tolerance is taken that is no less accurate. Times are processor times of this process.
 """
 
-# first of all: it has every step compiled that is imported after it
-import studies  # noqa: F401, I001
 import math
 import time
 
@@ -18,7 +16,7 @@ from scipy.integrate import solve_ivp
 from services.afm_node.config import AfmConfig
 from services.afm_node.dynamic import NO_NOISE, advance, free_amplitude_m, steady_state
 from services.afm_node.force_grid import grid_force
-from services.runtime.compiled import compiled
+from services.runtime.compiled import always_compiled
 
 PERIODS = 150
 MEASURED = 20
@@ -27,7 +25,7 @@ AMPLITUDE_M = 20e-9
 METHODS = ("DOP853", "RK45", "LSODA")
 
 
-@compiled
+@always_compiled
 def derivative(t, z, v, k, m, c, w, drive, rest, base, onset, start, cells, attraction, cubics):
     """Eq. 4 as zeta', zeta''; x_d = drive cos(w t)."""
     h = rest + z - base - drive * math.cos(w * t)

@@ -18,7 +18,7 @@ import numpy as np
 from services.afm_node.step import AfmInputs
 from services.haptic_node.step import HapticInputs
 from services.haptic_node.step import step as haptic_step
-from services.runtime.compiled import compiled
+from services.runtime.compiled import always_compiled
 from studies import option_values
 from studies.cells import DEFAULT_STIFFNESS, ENVIRONMENTS, Cell, rig_of
 from studies.dispatch import instrument_step
@@ -29,7 +29,7 @@ AIM = 2000.0
 _SETTLE_TICKS = 300
 
 
-@compiled
+@always_compiled
 def haptic_alone(params: Any, state: Any, references_m: np.ndarray, times_s: np.ndarray, dt: float) -> float:
     """Run the haptic site under the references of a course."""
     total = 0.0
@@ -40,7 +40,7 @@ def haptic_alone(params: Any, state: Any, references_m: np.ndarray, times_s: np.
     return total
 
 
-@compiled
+@always_compiled
 def instrument_alone(params: Any, state: Any, bases_m: np.ndarray, dt: float) -> float:
     """Run the instrument over the base positions of a course."""
     total, arm = 0.0, True

@@ -26,7 +26,7 @@ from services.afm_node.maugis_dugdale import (
     pull_off_indentation_m,
     reduced_modulus_pa,
 )
-from services.runtime.compiled import compiled
+from services.runtime.compiled import compiled, compiled_form
 from studies.force_curve import Curve
 
 Array = npt.NDArray[np.float64]
@@ -159,7 +159,7 @@ def _predicted(model: _Model, free: Array, base: Array, k: float, load_n: float)
     # fine where the contact ends
     depths = first + (deepest - first) * np.linspace(0.0, 1.0, _GRID) ** 2
     forces = np.empty(_GRID)
-    _forces(contact, depths, forces)
+    compiled_form(_forces)(contact, depths, forces)
     forces += model.capillary_n_per_m * radius
     bases = np.maximum.accumulate(depths + free[2] * 1e-9 + forces / k)
     # beyond both ends along the spring, so that the fit is led back

@@ -22,7 +22,7 @@ from services.afm_node.cantilever import deflection_m, equilibrium, initial_stat
 from services.afm_node.config import AfmConfig
 from services.afm_node.disturbances import BOLTZMANN_J_PER_K, converted_v
 from services.afm_node.dynamic import KICKS_PER_PERIOD, DynamicPlant, DynamicState, advance, steady_state
-from services.runtime.compiled import compiled
+from services.runtime.compiled import compiled, compiled_form
 
 Array = npt.NDArray[np.float64]
 
@@ -144,9 +144,10 @@ def calibrate_stiffness(
     random = np.random.Generator(np.random.PCG64(seed))
     state = steady_state(plant, -1e-6, 0.0)
     settling = np.empty(length * 2)
-    state = _thermal_motion(plant, state, random.standard_normal(len(settling)), settling)
+    thermal_motion = compiled_form(_thermal_motion)
+    state = thermal_motion(plant, state, random.standard_normal(len(settling)), settling)
     zeta = np.empty(means * length)
-    _thermal_motion(plant, state, random.standard_normal(len(zeta)), zeta)
+    thermal_motion(plant, state, random.standard_normal(len(zeta)), zeta)
     zeta -= zeta.mean()
     zeta += floor_m_per_root_hz * math.sqrt(0.5 * rate) * random.standard_normal(len(zeta))
     frequencies, density = _spectrum(zeta, rate, length)

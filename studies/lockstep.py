@@ -40,7 +40,7 @@ from services.haptic_node.config import HapticConfig
 from services.haptic_node.step import HapticInputs, HapticParams
 from services.haptic_node.step import HapticStepState as HapticChainState
 from services.haptic_node.step import step as haptic_step
-from services.runtime.compiled import compiled
+from services.runtime.compiled import compiled, compiled_form
 from services.runtime.freshness import DELAY_STEP_NS
 from studies.body import BodyParams
 from studies.body import initial_state as initial_body_state
@@ -177,7 +177,7 @@ def simulate(rig: Rig, schedule: Schedule, session_tick: int) -> Trajectory:
     if not 0 <= session_tick < schedule.ticks:
         raise ValueError(f"the session cannot start at tick {session_tick} of {schedule.ticks}")
     rows = np.empty((schedule.ticks, len(COLUMNS)))
-    _run(
+    compiled_form(_run)(
         rig.haptic,
         rig.law,
         rig.band,

@@ -18,7 +18,7 @@ Vectors are those of the wire: in the frame of a site, z away from the sample, a
 import importlib
 import os
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing, contextmanager
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -97,7 +97,6 @@ class RecordedSession:
     @cached_property
     def summary(self) -> dict[str, Any]:
         """Conditions, figures and verdict, as in `summary.json`; RecordingError when the programme never ran."""
-        _compile_what_follows()
         from analysis.report import read_traffic, summarise
 
         return summarise(self._session, self._source.info(), read_traffic(self._source, self._session))
@@ -112,7 +111,6 @@ class RecordedSession:
 
     @cached_property
     def _session(self) -> Any:
-        _compile_what_follows()
         from analysis.report import read_session
 
         return read_session(self._source)
@@ -195,8 +193,6 @@ def simulate(
     """
     try:
         from studies.simulation import simulate_scenario
-    except RuntimeError as error:
-        raise ConfigError(f"import telenano and studies before the modules of services: {error}") from error
     except ImportError as error:
         text = f"a simulation needs the package {error.name}: pip install 'telenano[studies]'"
         raise ConfigError(text) from error
@@ -217,8 +213,6 @@ def check_law(name: str) -> dict[str, list[str]]:
 
     As `telenano law check` does. Raises ConfigError naming the laws there are, or what keeps one of a package from use.
     """
-    # the rules import steps, which a simulation in this process needs compiled
-    _compile_what_follows()
     from services.controller.law_rules import broken_rules, known_law
 
     known_law(name)
@@ -241,13 +235,6 @@ def live(site_file: str | os.PathLike[str] | None = None) -> Iterator[LiveRig]:
     require_rig(book, path)
     with closing(Observer(book)) as observer:
         yield LiveRig(observer)
-
-
-def _compile_what_follows() -> None:
-    """Have the steps of the models compiled that are imported from now on, for a simulation later in this process."""
-    # where numba is missing, or steps were imported already, a simulation says so
-    with suppress(ImportError, RuntimeError):
-        importlib.import_module("studies")
 
 
 def _table(topic: str, rows: list[tuple[int, dict[str, Any]]], start_ns: int | None) -> Table:

@@ -1,7 +1,5 @@
 """What every test shares: seeded property tests without a time limit on single examples."""
 
-# first of all: with it every step is compiled in this process, as in a study
-import studies  # noqa: F401, I001
 from hypothesis import HealthCheck, settings
 
 # derandomize: the same examples every run, and no database of them on disk

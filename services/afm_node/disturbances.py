@@ -126,8 +126,8 @@ class DisturbanceState(NamedTuple):
 class Sines(NamedTuple):
     """Angular frequencies [rad/s] and phases of the vibration."""
 
-    rates: Array
-    phases: Array
+    rates: tuple[float, ...]
+    phases: tuple[float, ...]
 
 
 def sines_of(config: DisturbanceConfig) -> Sines:
@@ -135,9 +135,11 @@ def sines_of(config: DisturbanceConfig) -> Sines:
     random = np.random.Generator(np.random.Philox(key=config.seed, counter=[0, 0, 0, 1]))
     v = config.vibration
     low, high = sorted((v.low_hz, v.high_hz))
-    # each somewhere in its part of the band: an even comb would have a period
-    places = (np.arange(_SINES) + random.random(_SINES)) / _SINES
-    return Sines(2.0 * math.pi * low * (high / low) ** places, 2.0 * math.pi * random.random(_SINES))
+    # Each lies somewhere in its part of the band: an even comb would have a period. Powers and sines are those of the C
+    # library, one after the other: NumPy's own depend on the instructions of the processor.
+    places = [(i + share) / _SINES for i, share in enumerate(random.random(_SINES).tolist())]
+    rates = tuple(2.0 * math.pi * low * math.pow(high / low, place) for place in places)
+    return Sines(rates, tuple(2.0 * math.pi * share for share in random.random(_SINES).tolist()))
 
 
 def begun() -> DisturbanceState:
@@ -168,7 +170,9 @@ def displaced(
         x += config.drift.speed_m_per_s * time
     if config.vibration.enabled:
         amplitude = config.vibration.rms_m * math.sqrt(2.0 / _SINES)
-        x += amplitude * float(np.sin(sines.rates * time + sines.phases).sum())
+        x += amplitude * sum(
+            math.sin(rate * time + phase) for rate, phase in zip(sines.rates, sines.phases, strict=True)
+        )
     return state._replace(time_s=time, plays_m=plays, lags_m=lags), x
 
 

@@ -15,7 +15,7 @@ from services.afm_node.dynamic import KICKS_PER_PERIOD, DynamicPlant, DynamicSta
 from services.afm_node.feedback import carried_out, feedback_step
 from services.afm_node.friction import FrictionParams, FrictionState, friction_step
 from services.afm_node.surface import height_at
-from services.runtime.compiled import compiled
+from services.runtime.compiled import always_compiled, compiled
 
 Array = npt.NDArray[np.float64]
 
@@ -66,7 +66,7 @@ def require_rows(line: Line, out: Array) -> None:
         raise ValueError("a line needs a row of all channels for each of its pixels")
 
 
-@compiled
+@always_compiled
 def tapping_line(
     plant: DynamicPlant,
     state: DynamicState,
@@ -116,7 +116,7 @@ def tapping_line(
     return state, proportional_m, error_m
 
 
-@compiled
+@always_compiled
 def contact_line(
     plant: Plant,
     state: PlantState,

@@ -12,7 +12,7 @@ from proto.errors import ConfigError
 from services.controller.config import LAWS, PACKAGE_LAWS, ControllerConfig
 from services.controller.law import NO_SIGNAL, HandSample, Law, TipMeasurement
 from services.controller.law_corners import failures
-from services.runtime.compiled import is_compiling
+from services.runtime.compiled import compiled_form, is_step
 
 _HAND = HandSample(5e-3, 0.01, 0.7, True)
 _TIP = TipMeasurement(1.1e-8, 7e-9, 1e-10, True, True, True)
@@ -206,11 +206,10 @@ def _pure(name: str) -> Iterator[str]:
         first, second = function(*arguments), function(*arguments)
         if repr(first) != repr(second):
             yield f"{step} gives two answers to the same call: it must keep nothing and draw no random numbers"
-        plain = getattr(function, "py_func", None)
-        if plain is not None and repr(plain(*arguments)) != repr(first):
-            yield f"{step} gives other bits compiled than as plain Python"
-        if plain is None and is_compiling():
+        if not is_step(function):
             yield f"{step} is not marked @compiled"
+        elif repr(compiled_form(function)(*arguments)) != repr(first):
+            yield f"{step} gives other bits compiled than as plain Python"
 
 
 def _finite(name: str) -> Iterator[str]:

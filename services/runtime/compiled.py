@@ -1,14 +1,16 @@
 """Compilation of pure steps.
 
-A step is plain Python until `compile_steps` is called, before the modules with steps are imported: a node makes a few
-calls a millisecond, and boxing their tuples for compiled code costs it more than the arithmetic. A process
-that makes millions of calls in a row, as a study, compiles. Both give the same bits.
+`@compiled` marks a pure step and leaves it the plain Python function that it is. Python calls it as such: a node makes
+a few calls a millisecond, and boxing their tuples for compiled code would cost more than the arithmetic. Compiled code
+that calls a marked step finds its compiled form, which is made at the first need; `compiled_form` gives that form to a
+study, whose one call makes millions of others. Both forms give the same bits, and a process may use both, whatever it
+imported first.
 
-`@compiled` is then `numba.njit` with a cache on disk and a type that mypy understands. Numba notices a change of the
-file a function is in, but not of the functions it calls from other files, so a plain cache would go on running an
-old model after an edit. Here what was compiled is kept with a digest of all that went into it (`code_digest`): after
-an edit the functions that depend on it are compiled again, the others and a run on unchanged sources load in
-milliseconds ([ADR 0049](../../docs/decisions/0049-compiled-code-by-what-went-into-it.md)).
+Compiled forms are `numba.njit` with a cache on disk. Numba notices a change of the file that a function is in, but not
+of the functions that it calls from other files, so a plain cache would go on running an old model after an edit. This
+one keeps a digest of all that went into a compiled form (`code_digest`): after an edit the functions that depend on it
+are compiled again, and the others load in milliseconds
+([ADR 0049](../../docs/decisions/0049-compiled-code-by-what-went-into-it.md)).
 """
 
 import contextlib
@@ -21,6 +23,7 @@ from collections.abc import Callable
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
+from types import FunctionType
 from typing import Any, TypeVar, cast
 
 from presets.plugins import digest_of_all
@@ -39,30 +42,10 @@ _CLEANED = "cleaned"
 # the attribute of a step that is chosen while compiling, by the class of its parameters: the function that chooses
 CHOICE = "_telenano_choice"
 
-# the first step that was left as plain Python, and whether those after it are compiled
-_plain = ""
-_compiling = False
-
-
-def compile_steps() -> None:
-    """Compile every step that is defined from now on in this process.
-
-    Raises: RuntimeError naming a step that exists already: compiled code could not call it; ModuleNotFoundError without
-    the compiler, after which steps are plain Python as before.
-    """
-    global _compiling
-    if _compiling:
-        return
-    if importlib.util.find_spec("numba") is None:
-        raise ModuleNotFoundError("compiled steps need the package numba", name="numba")
-    if _plain:
-        raise RuntimeError(f"{_plain} was imported before compile_steps(): call it (or import studies) first")
-    _compiling = True
-
-
-def is_compiling() -> bool:
-    """Return whether steps are compiled in this process."""
-    return _compiling
+# The attribute that marks a step. It holds the compiled form, None before it was needed.
+STEP = "_telenano_step"
+# The choices whose compiled form the compiler does not know yet: it is imported when it is needed.
+_unregistered: list[Callable[..., Any]] = []
 
 
 def source_digest(root: Path = _ROOT) -> str:
@@ -114,21 +97,33 @@ def _unused(path: Path, now_s: float) -> bool:
 
 
 def compiled(function: F) -> F:
-    """Compile a pure function where this process compiles; NUMBA_DISABLE_JIT=1 keeps it plain Python there too."""
-    global _plain
-    if _compiling:
-        return cast(F, _compiler()(function))
-    _plain = _plain or f"{function.__module__}.{function.__qualname__}"
+    """Mark a pure step: plain Python where Python calls it, compiled where compiled code calls it."""
+    setattr(function, STEP, None)
     return function
 
 
+def is_step(function: Callable[..., Any]) -> bool:
+    """Return whether a function is marked as a step that can be compiled."""
+    return hasattr(function, STEP)
+
+
+def compiled_form(function: F) -> F:
+    """Return the compiled form of a marked step, for a caller whose one call makes many others.
+
+    Without numba, or with NUMBA_DISABLE_JIT=1, that is the plain function, which is slower and gives the same bits.
+    """
+    if importlib.util.find_spec("numba") is None:
+        return function
+    return _form_of(function)
+
+
 def always_compiled(function: F) -> F:
-    """Compile a pure function in every process: a step that is thousands of others in one call.
+    """Compile a pure function for Python as well: a step that is thousands of others in one call.
 
     The module that has it needs numba, so a node imports it only where its scenario asks for it. It may call only
-    functions that are compiled likewise. NUMBA_DISABLE_JIT=1 keeps it plain Python.
+    marked steps and functions like itself. NUMBA_DISABLE_JIT=1 keeps it plain Python.
     """
-    return cast(F, _compiler()(function))
+    return _form_of(compiled(function))
 
 
 def chosen_step(choose: Callable[[type], Callable[..., Any]]) -> Callable[..., Any]:
@@ -141,25 +136,49 @@ def chosen_step(choose: Callable[[type], Callable[..., Any]]) -> Callable[..., A
     def plain(params: Any, *inputs: Any) -> Any:
         return choose(type(params))(params, *inputs)
 
-    def typed(params: Any, *inputs: Any) -> Callable[..., Any]:
-        step = choose(params.instance_class)
-        return lambda params, *inputs: step(params, *inputs)
-
     setattr(plain, CHOICE, choose)
-    if _compiling:
-        from numba.extending import overload
+    _unregistered.append(plain)
+    return plain
+
+
+def _form_of(function: F) -> F:
+    compile_and_keep = _compiler()
+    _register_choices()
+    form = getattr(function, STEP)
+    if form is None:
+        form = compile_and_keep(function)
+        setattr(function, STEP, form)
+    return cast(F, form)
+
+
+def _register_choices() -> None:
+    """Tell the compiler of the choices that were made since it was told last."""
+    from numba.extending import overload
+
+    while _unregistered:
+        plain = _unregistered.pop()
+        choose = getattr(plain, CHOICE)
+
+        def typed(params: Any, *inputs: Any, choose: Any = choose) -> Callable[..., Any]:
+            step = choose(params.instance_class)
+            return lambda params, *inputs: step(params, *inputs)
 
         overload(plain, strict=False)(typed)
-    return plain
 
 
 @cache
 def _compiler() -> Callable[[Callable[..., object]], object]:
     # here and not above: a process that compiles nothing need not have numba, nor wait for its import
     import numba
-    from numba.core import config
+    from numba.core import config, types
+    from numba.core.typing.typeof import typeof_impl
 
     from services.runtime.compile_cache import CheckedCache
+
+    @typeof_impl.register(FunctionType)
+    def _typeof_step(function: FunctionType, context: object) -> object:
+        # A function that compiled code names: one that is not marked has no compiled form, and numba says so.
+        return types.Dispatcher(cast(Any, _form_of(function))) if is_step(function) else None
 
     if "NUMBA_CACHE_DIR" not in os.environ:
         folder = cache_directory()

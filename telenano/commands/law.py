@@ -65,8 +65,6 @@ def show(law: LawArgument, as_json: JsonOption = False) -> None:
 def check(law: LawArgument, as_json: JsonOption = False) -> None:
     """Check the rules that the rig relies on; exit code 1 and a sentence for each that the law breaks."""
     with report_errors(as_json):
-        # what is checked is what a study runs: compiled steps, beside the same steps as plain Python
-        import studies  # noqa: F401
         from services.controller.law_rules import broken_rules, known_law
 
         known_law(law)

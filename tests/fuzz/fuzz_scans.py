@@ -4,8 +4,6 @@ Run with NUMBA_BOUNDSCHECK=1: code compiled without it looks up whatever lies in
 a ConfigError of `scan`, and a ValueError of the lines beneath it; anything else ends this process.
 """
 
-# first of all: with it every step is compiled
-import studies  # noqa: F401, I001
 import math
 import sys
 from typing import Any
@@ -22,7 +20,7 @@ from services.afm_node.dynamic import NO_NOISE, steady_state
 from services.afm_node.friction import FrictionState
 from services.afm_node.imaging import CHANNELS, Feedback, Line, contact_line, tapping_line
 from services.afm_node.surface import Surface, checked, height_at
-from services.runtime.compiled import compiled
+from services.runtime.compiled import always_compiled
 from studies.scan import ScanRequest, scan
 
 EXAMPLES = int(sys.argv[1])
@@ -160,7 +158,7 @@ def lines(surface: Surface, x: list[float], pixels: int, channels: int) -> None:
             continue
 
 
-@compiled
+@always_compiled
 def beyond(values: np.ndarray, i: int) -> float:
     return float(values[i])
 

@@ -9,17 +9,21 @@ instructions.
 
 import hashlib
 import json
+import os
 import sys
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
+from types import FunctionType
 
 from in_memory import InMemory
 
-import studies  # noqa: F401 first: with it every step is compiled, unless NUMBA_DISABLE_JIT says otherwise
 from analysis.process_replay import RerunResult, rerun
 from proto import Message, encode
 from recording.reader import Recording
 from recording.tolerance import Tolerances
+from services.controller.config import LAWS
+from services.runtime.compiled import compiled_form, is_step
 
 FOLDER = Path(__file__).resolve().parent
 REFERENCES = sorted(FOLDER.glob("*.mcap"))
@@ -31,6 +35,8 @@ OUTPUTS = {
     "haptic_node@master": ("haptic/state",),
     LINK_NODE: ("link/fates", "link/status"),
 }
+# The variable of the environment with which every step of the nodes is compiled.
+COMPILED = "TELENANO_TEST_COMPILED"
 # of the greatest value that a field has in the recording
 SHARE = 1e-9
 # shows all that the nodes do
@@ -92,5 +98,19 @@ def digests_of_beginnings() -> dict[str, tuple[str, int, str]]:
     return found
 
 
+def compile_every_step() -> None:
+    """Put the compiled form in the place of every step that the nodes call as plain Python."""
+    for name, law in LAWS.items():
+        LAWS[name] = replace(
+            law, **{key: compiled_form(value) for key, value in vars(law).items() if callable(value) and is_step(value)}
+        )
+    for module in [found for name, found in sys.modules.items() if name.startswith("services.")]:
+        for name, value in list(vars(module).items()):
+            if isinstance(value, FunctionType) and is_step(value):
+                setattr(module, name, compiled_form(value))
+
+
 if __name__ == "__main__":
+    if COMPILED in os.environ:
+        compile_every_step()
     sys.stdout.write(json.dumps(digests_of_beginnings()))

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from in_memory import InMemory
-from references import LINK_REFERENCE, OUTPUTS, REFERENCES, SHARE, MachineTolerances, nodes_of, rerun_digests
+from references import COMPILED, LINK_REFERENCE, OUTPUTS, REFERENCES, SHARE, MachineTolerances, nodes_of, rerun_digests
 
 from analysis.process_replay import RerunResult, rerun
 from proto.errors import ConfigError, RecordingError
@@ -95,12 +95,13 @@ def test_the_tolerance_is_a_billionth_of_what_a_field_reaches(reference: Recordi
     assert 1e-3 * SHARE < allowed.on("haptic/command").of("position_m.2") < 1.0 * SHARE
 
 
-# what chooses a BLAS kernel, what takes instructions from the C library, and our own compiler switched off
+# What chooses a BLAS kernel, what takes instructions from NumPy and from the C library, and every step compiled.
 ELSEWHERE = {
     "haswell": {"OPENBLAS_CORETYPE": "Haswell"},
     "skylakex": {"OPENBLAS_CORETYPE": "SkylakeX"},
     "zen": {"OPENBLAS_CORETYPE": "Zen"},
-    "uncompiled": {"NUMBA_DISABLE_JIT": "1"},
+    "compiled": {COMPILED: "1"},
+    "numpy_baseline": {"NPY_DISABLE_CPU_FEATURES": "X86_V3 X86_V4 AVX512_ICL AVX512_SPR"},
     "without_fma": {"GLIBC_TUNABLES": "glibc.cpu.hwcaps=-FMA,-FMA4,-AVX2,-FMA_Usable,-FMA4_Usable,-AVX2_Usable"},
 }
 

@@ -28,8 +28,8 @@ def sample(topic: str, seq: int, **changes: Any) -> Message:
 
 def haptic_state(seq: int, **changes: Any) -> Message:
     fields = {
-        "position_m": (0.0, 0.0, -1e-3 * seq),
-        "operator_force_n": (0.1, 0.2, -0.5 - seq),
+        "position_m": (0.0, 0.0, -1e-3 * (seq % 10_000)),
+        "operator_force_n": (0.1, 0.2, -0.5 - seq % 10_000),
         "limited": seq % 2 == 1,
     }
     return sample("haptic/state", seq, src="haptic_node@master", **(fields | changes))

@@ -1,6 +1,9 @@
 """Disturbances: off they change no bit, on each has the size and the spectrum that it is configured with."""
 
 import math
+import os
+import subprocess
+import sys
 from typing import Any
 
 import numpy as np
@@ -194,3 +197,26 @@ def test_they_are_switched_on_while_the_node_runs_and_a_restored_node_goes_on_al
     plain = AfmNode(bare.context, CONFIG, SimulatedAfm(CONFIG.to_params()))
     with pytest.raises(RefusedError, match="a real instrument has its own"):
         switch(bare, plain, **{"disturbances.drift.enabled": True})
+
+
+VIBRATION = """
+import hashlib
+from services.afm_node.disturbances import DisturbanceConfig, begun, displaced, sines_of
+config = DisturbanceConfig.model_validate({"vibration": {"enabled": True}})
+sines, state, digest = sines_of(config), begun(), hashlib.sha256()
+for _ in range(2000):
+    state, x = displaced(config, sines, state, 0.0, 1e-3)
+    digest.update(x.hex().encode())
+print(digest.hexdigest())
+"""
+
+
+def test_the_vibration_has_the_same_bits_whatever_instructions_numpy_takes() -> None:
+    other = {"NPY_DISABLE_CPU_FEATURES": "X86_V3 X86_V4 AVX512_ICL AVX512_SPR"}
+    found = {
+        subprocess.run(
+            [sys.executable, "-c", VIBRATION], env={**os.environ, **more}, capture_output=True, text=True, check=True
+        ).stdout
+        for more in ({}, other)
+    }
+    assert len(found) == 1

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from services.runtime import compiled
 from services.runtime.compiled import CACHE_DAYS, cache_directory, clean_cache, source_digest
 
 ROOT = Path(__file__).parents[3]
+USERS_CACHE = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
 
 MODULE = """
 from typing import NamedTuple
@@ -23,12 +23,20 @@ class State(NamedTuple):
 @compiled
 def step(state: State, dt_s: float) -> State:
     return State(state.position_m + 2.0 * dt_s, state.steps + 1)
+
+def unmarked(x):
+    return x
+
+@compiled
+def calls_unmarked(x):
+    return unmarked(x)
 """
 PROGRAM = """
-import studies, model
-s = model.step(model.State(1.0, 0), 0.25)
-assert s == (1.5, 1)
-print(type(model.step).__name__)
+import model
+from services.runtime.compiled import compiled_form
+step = compiled_form(model.step)
+assert step(model.State(1.0, 0), 0.25) == model.step(model.State(1.0, 0), 0.25) == (1.5, 1)
+print(type(model.step).__name__, type(step).__name__)
 """
 
 
@@ -96,7 +104,7 @@ def run_step(folder: Path, program: str = PROGRAM, **environment: str) -> str:
 
 
 def test_a_step_is_compiled_into_that_folder(tmp_path: Path) -> None:
-    assert run_step(tmp_path) == "CPUDispatcher"
+    assert run_step(tmp_path) == "function CPUDispatcher"
     folder = tmp_path / "telenano" / cache_directory().name
     assert list(folder.rglob("*.nbc")), "no compiled code in the cache"
     assert not list(ROOT.glob("services/runtime/__pycache__/*.nb?"))
@@ -104,16 +112,16 @@ def test_a_step_is_compiled_into_that_folder(tmp_path: Path) -> None:
 
 # spoils each file of the cache in each way, and runs the step as a process that starts then would
 SPOIL = """
-import logging, pathlib, studies, model
+import logging, pathlib, model
 from numba.core import config
 from services.runtime import compile_cache
-from services.runtime.compiled import cache_directory, compiled
+from services.runtime.compiled import cache_directory, compiled, compiled_form
 
 def run():
     said.clear()
     compile_cache._warn.cache_clear()
     # as a process that starts now: it has loaded nothing
-    step = compiled(model.step.py_func)
+    step = compiled_form(compiled(model.step))
     assert step(model.State(1.0, 0), 0.25) == (1.5, 1)
     return sum(step.stats.cache_hits.values()), list(said)
 
@@ -155,8 +163,8 @@ def test_damaged_compiled_code_is_compiled_again_and_what_cannot_be_kept_is_used
 
 # edits its own sources, and imports them as a process that starts then would
 EDIT = """
-import importlib, pathlib, sys, studies
-from services.runtime.compiled import cache_directory, chosen_step
+import importlib, pathlib, sys
+from services.runtime.compiled import cache_directory, compiled_form
 
 FORCE = '''
 from typing import NamedTuple
@@ -202,8 +210,9 @@ def run(force, loop=LOOP):
     importlib.invalidate_caches()
     module = importlib.import_module("edited_loop")
     force = module.force
-    results = module.loop(force.Spring(k=2.0, b=5.0), 2), module.loop(force.Wall(3.0), 1)
-    return results, sum(module.loop.stats.cache_hits.values())
+    loop = compiled_form(module.loop)
+    results = loop(force.Spring(k=2.0, b=5.0), 2), loop(force.Wall(3.0), 1)
+    return results, sum(loop.stats.cache_hits.values())
 
 print(run(FORCE))
 files = sorted(cache_directory().rglob("*.nb?"))
@@ -230,30 +239,49 @@ def test_an_edit_compiles_again_what_depends_on_it_in_the_place_of_what_was(tmp_
 
 
 def test_without_the_compiler_a_step_is_plain_python_with_the_same_result(tmp_path: Path) -> None:
-    assert run_step(tmp_path, NUMBA_DISABLE_JIT="1") == "function"
+    assert run_step(tmp_path, NUMBA_DISABLE_JIT="1") == "function function"
     assert not list(tmp_path.rglob("*.nb?"))
 
 
-def test_a_process_that_does_not_ask_for_it_compiles_nothing_and_needs_no_compiler(tmp_path: Path) -> None:
+def test_nodes_compile_nothing_and_need_no_compiler(tmp_path: Path) -> None:
     nodes = "services.haptic_node, services.controller, services.afm_node, services.delay_node, services.recorder"
     imports = ", ".join(f"{name.strip()}.__main__" for name in nodes.split(","))
     program = f"import sys, {imports}; print(sorted({{'numba', 'scipy', 'llvmlite'}} & set(sys.modules)))"
     assert run_step(tmp_path, program) == "[]"
-    assert run_step(tmp_path, PROGRAM.replace("studies, ", "")) == "function"
     assert not list(tmp_path.rglob("*.nb?"))
 
 
-def test_a_step_imported_before_the_compiler_was_asked_for_is_named(tmp_path: Path) -> None:
-    program = "import model\ntry:\n    import studies\nexcept RuntimeError as error:\n    print(error)"
-    assert run_step(tmp_path, program).startswith("model.step was imported before compile_steps()")
+LOCKSTEP = """
+import hashlib, telenano
+done = telenano.simulate(duration_s=1.0)
+print(hashlib.sha256(done["scaled_tip_force_n"].tobytes() + done["time_s"].tobytes()).hexdigest())
+"""
 
 
-def test_without_the_compiler_steps_stay_plain(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(compiled, "_compiling", False)
-    monkeypatch.setitem(sys.modules, "numba", None)
-    with pytest.raises(ModuleNotFoundError, match="need the package numba"):
-        compiled.compile_steps()
-    assert not compiled.is_compiling()
+@pytest.mark.parametrize(
+    "before",
+    ["import studies", "from services.controller.law_rules import known_law", "import services.afm_node.cantilever"],
+)
+def test_a_simulation_does_not_depend_on_what_was_imported_before(tmp_path: Path, before: str) -> None:
+    found = {run_step(tmp_path, f"{first}\n{LOCKSTEP}", XDG_CACHE_HOME=USERS_CACHE) for first in ("", before)}
+    assert len(found) == 1
+
+
+def test_a_simulation_without_the_compiler_gives_the_same_bits(tmp_path: Path) -> None:
+    program = "import sys; sys.modules['numba'] = None\n" + LOCKSTEP
+    assert run_step(tmp_path, program) == run_step(tmp_path, LOCKSTEP, XDG_CACHE_HOME=USERS_CACHE)
+
+
+def test_what_is_not_marked_is_named_by_the_compiler(tmp_path: Path) -> None:
+    program = """
+import model
+from services.runtime.compiled import compiled_form
+try:
+    compiled_form(model.calls_unmarked)(1.0)
+except Exception as error:
+    print("unmarked" in str(error))
+"""
+    assert run_step(tmp_path, program) == "True"
 
 
 def test_compiled_code_that_nobody_has_used_for_long_is_deleted(tmp_path: Path) -> None:

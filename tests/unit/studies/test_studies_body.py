@@ -16,7 +16,7 @@ from studies.body import BodyParams, body_params
 from studies.cells import Cell, run_cell
 
 DT = 1e-3
-pushed: Any = getattr(model.pushed, "py_func", model.pushed)
+pushed: Any = model.pushed
 SAFETY = SafetyParams(**SafetyConfig().model_dump())
 
 
@@ -79,7 +79,7 @@ def test_body_that_the_period_cannot_show_is_refused() -> None:
 @pytest.fixture
 def plain(monkeypatch: pytest.MonkeyPatch) -> None:
     """Run the loop without the compiler: no law has to be compiled into it."""
-    monkeypatch.setattr(lockstep, "_run", getattr(lockstep._run, "py_func", lockstep._run))
+    monkeypatch.setattr(lockstep, "compiled_form", lambda step: step)
 
 
 def cell(law: str, delay_ms: float, mass_kg: float) -> Cell:

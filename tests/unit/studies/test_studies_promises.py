@@ -48,7 +48,7 @@ def held(law: str, stiffness: float, link: tuple[float, float, float], hand: Han
 
 def test_waves_keep_hand_and_tip_together_over_a_link_with_jitter(monkeypatch: pytest.MonkeyPatch) -> None:
     # without the compiler: the law need not be compiled into the loop
-    monkeypatch.setattr(lockstep, "_run", getattr(lockstep._run, "py_func", lockstep._run))
+    monkeypatch.setattr(lockstep, "compiled_form", lambda step: step)
     held = run_cell(
         Cell(
             law="wave",

@@ -112,12 +112,3 @@ def test_the_command_does_not_pay_for_it() -> None:
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
     with pytest.raises(AttributeError, match="no attribute 'close'"):
         telenano.close  # noqa: B018
-
-
-@pytest.mark.endurance
-def test_a_simulation_may_follow_the_summary_of_a_recording() -> None:
-    # the summary needs the laws: as plain Python they would keep the simulation from compiling its own
-    code = f"import telenano; telenano.open({str(WAVE)!r}).summary; from services.controller.laws import wave; "
-    code += "print(hasattr(wave.master_send, 'py_func'))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout == "True\n"
