@@ -74,6 +74,7 @@ bench: setup
 reliability: setup
 	@mkdir -p out && rm -f out/faults.jsonl
 	TELENANO_LEDGER=out/faults.jsonl $(BIN)/pytest -m stack tests/stack/test_chaos.py tests/stack/test_stalls.py tests/stack/test_running_rig.py \
+	  tests/stack/test_estop_kept.py \
 	  tests/stack/test_full_disk.py tests/stack/test_two_sites.py tests/stack/test_compose.py
 	$(BIN)/python tests/stack/ledger.py out/faults.jsonl docs/reliability.md
 

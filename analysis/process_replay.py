@@ -495,6 +495,10 @@ class _ReplayWiring(Wiring):
         """Return none, as for all inputs."""
         return []
 
+    def kept_stop(self) -> Path | None:
+        """Return none: a stop that the node found is among the recorded inputs."""
+        return None
+
     def bus_of(self, publisher: Publisher, subscribers: Sequence[Reader]) -> ZmqBus:
         """Return the bus of the re-run."""
         return cast(ZmqBus, self.replay_bus)

@@ -73,6 +73,7 @@ Count = Annotated[int, Field(ge=0, lt=2**63)]
 Text = Annotated[str, Field(max_length=MAX_TEXT)]
 Facts = Annotated[dict[str, Annotated[Scalar, _OneFault()]], Field(max_length=MAX_KEYS)]
 Counts = Annotated[dict[str, Count], Field(max_length=MAX_KEYS)]
+Latches = Annotated[dict[str, Annotated[str, Field(max_length=64)]], Field(max_length=MAX_KEYS)]
 
 _DTYPES: dict[str, npt.DTypeLike] = {"u1": "u1", "i2": "<i2", "i4": "<i4", "i8": "<i8", "f4": "<f4", "f8": "<f8"}
 
@@ -401,8 +402,8 @@ class ClockPong(Message):
 class SessionControl(_Extended):
     """A command to the nodes of a session; each node it concerns answers with a session/event of the same id."""
 
-    version: ClassVar[int] = 2
-    additions: ClassVar[Mapping[str, int]] = {"validity_s": 2, "node_t_ns": 2}
+    version: ClassVar[int] = 3
+    additions: ClassVar[Mapping[str, int]] = {"validity_s": 2, "node_t_ns": 2, "node_latch": 3}
 
     id: str = Field(pattern=r"^[A-Za-z0-9_-]{1,64}$", description="Identifier that the answers repeat")
     command: Literal["start", "stop", "arm", "estop", "set", "mark"] = Field(
@@ -417,6 +418,11 @@ class SessionControl(_Extended):
     node_t_ns: Counts | None = Field(
         default=None,
         description="By node@site: t_ns of the newest message received from it, on the clock of that node [ns]",
+    )
+    node_latch: Latches | None = Field(
+        default=None,
+        description="By node@site: latch in the data of the refusal that this answers, which names the node's run and "
+        "counts its emergency stops",
     )
 
 

@@ -56,6 +56,7 @@ HAND, TIP = "haptic_node@master", "afm_node@slave"
 # what an emergency stop stops
 DEVICES = (HAND, TIP)
 LAUNCHER = "launcher@master"
+LAUNCHERS = (LAUNCHER, "launcher@slave")
 PLAYER = "player@master"
 VIEW = "view@master"
 RECORDER = "recorder@master"

@@ -10,7 +10,7 @@ from typing import Literal, NamedTuple
 
 from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE, site_file_named
 from proto.errors import ConfigError, RigError, TelenanoError
-from services.console.emergency_stop import Answer, LocalRig, emergency_stop
+from services.console.emergency_stop import Answer, LocalRig, emergency_stop, keep_for_absent
 from telenano.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED
 
 
@@ -94,6 +94,8 @@ def _stop(request: EstopRequest) -> dict[str, Answer]:
     if reach.direct or reach.by_link:
         emergency_stop(rig, reach, request.target, on_answer)
     elif reach.absent and not reach.by_console:
+        if kept := keep_for_absent(rig, reach, request.target):
+            raise RigError(f"{', '.join(kept)} does not run now: the stop is kept, it comes back in emergency stop")
         raise RigError("no device of the site file runs here: is `telenano up` running with this site file?")
     for device in reach.absent:
         sys.stderr.write(f"telenano: {device} does not run\n")

@@ -59,7 +59,8 @@ class AfmNode(Node):
     # the tick then goes through the slave's half and the link, which may share its processor
     last_of_tick, pause_after_ns = "afm/command", 350_000
     commands: ClassVar[tuple[str, ...]] = ("arm", "estop")
-    named_commands: ClassVar[tuple[str, ...]] = ("set",)
+    # a pattern means the end of the operator's programme, after which the tip may stay where it is
+    named_commands: ClassVar[tuple[str, ...]] = ("stop", "set")
     journalled = True
     period_s = PERIOD_S
 
@@ -106,6 +107,10 @@ class AfmNode(Node):
     def admits(self, received: Received) -> bool:
         return self._replay_guard.admits(received)
 
+    @property
+    def is_latched(self) -> bool:
+        return self._guard.mode == safety.MODE_ESTOP
+
     def deadline_ns(self) -> int:
         return min(self._due_ns, self._settle_ns)
 
@@ -137,6 +142,8 @@ class AfmNode(Node):
         if control.command == "estop":
             self._step(self.clock.monotonic_ns(), estop=True)
             return "emergency stop latched: the tip retracts and stays until armed"
+        if control.command == "stop":
+            return self._withdraw()
         if control.command == "set":
             return self._set(control)
         if control.command == "arm":
@@ -151,6 +158,15 @@ class AfmNode(Node):
                 return self._programs.request(self._begin, self._guard.mode, device_lost=self._device_lost)
             return "armed: the tip follows fresh commands"
         return super().on_control(control)
+
+    def _withdraw(self) -> str:
+        """Retract the tip as at the end of a session: nobody has stopped it, and it stays retracted until armed."""
+        if self._programs.name:
+            return self._programs.abort()
+        mode = self._step(self.clock.monotonic_ns(), withdraw=True).mode
+        if mode == safety.MODE_ESTOP:
+            return "the tip is in emergency stop already"
+        return "the tip retracts and stays until armed"
 
     def _set(self, control: SessionControl) -> str:
         """Begin or change a program, or move the tip over the sample."""
@@ -208,9 +224,18 @@ class AfmNode(Node):
         return self._hand_age.age_s(now_ns, command.hand_t_ns, command_age_s)
 
     def _step(
-        self, now_ns: int, command_age_s: float | None = None, *, arm: bool = False, estop: bool = False
+        self,
+        now_ns: int,
+        command_age_s: float | None = None,
+        *,
+        arm: bool = False,
+        estop: bool = False,
+        withdraw: bool = False,
     ) -> safety.SafetyOutputs:
-        """Take a step at now_ns [ns], with the age of the command [s] where it is known already."""
+        """Take a step at now_ns [ns], with the age of the command [s] where it is known already.
+
+        With `withdraw` the step asks for a retraction, whatever afm/command asks for.
+        """
         elapsed_s = min(max(now_ns - self._stepped_ns, 1) * 1e-9, _LONGEST_STEP_S)
         self._stepped_ns = now_ns
         if self._programs.name:
@@ -225,6 +250,8 @@ class AfmNode(Node):
             force_n=self._force_n,
             device_lost=self._device_lost,
         )
+        if withdraw:
+            asked = asked._replace(reference_m=self._guard.base_m, command_age_s=0.0, action=safety.ACTION_RETRACT)
         wanted = self._pointer
         if command is not None:
             x, y, _ = command.base_position_m

@@ -83,12 +83,16 @@ class ProgramRunner:
         if not self.name:
             raise RefusedError(f"program: there is none to {request.program}")
         if request.program == "abort":
-            self._aborted = "it was aborted"
-            return f"the {self._label} ends and the tip retracts"
+            return self.abort()
         if self._raster is None:
             raise RefusedError(f"program: a {self.name} cannot {request.program}, it can be aborted")
         self.state = "paused" if request.program == "pause" else "running"
         return f"the {self.name} is {self.state}"
+
+    def abort(self) -> str:
+        """End the program that runs, with the tip retracted; return a sentence."""
+        self._aborted = "it was aborted"
+        return f"the {self._label} ends and the tip retracts"
 
     def _begin_scan(self, settings: ScanSettings) -> str:
         if self._lateral is None:

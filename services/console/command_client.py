@@ -92,14 +92,23 @@ def _machines_here(book: AddressBook) -> list[str] | None:
 
 
 def send_control(
-    command: Command, site_file: Path, site: Site, on_answer: Callable[[SessionEvent], None]
+    command: Command,
+    site_file: Path,
+    site: Site,
+    on_answer: Callable[[SessionEvent], None],
+    *,
+    issued_ns: int | None = None,
 ) -> dict[str, SessionEvent]:
     """Send a command to a running rig; which nodes have to answer follows from its target and the site file.
 
-    Parameters: command; site_file; site, at which it is typed; on_answer, called with each answer when it comes.
+    Parameters: command; site_file; site, at which it is typed; on_answer, called with each answer when it comes;
+    issued_ns, when a person gave the command, on the monotonic clock of this machine [ns], now if None. One that has
+    waited for its turn since then does not move a device that an emergency stop has stopped meanwhile.
     Returns: the answers by node, refusals among them.
-    Raises: RigError when nodes do not answer or no rig is there, EndpointError when another console is at work.
+    Raises: RigError when nodes do not answer, no rig is there, or an emergency stop has made the command void;
+    EndpointError when another console is at work.
     """
+    issued_ns = time.monotonic_ns() if issued_ns is None else issued_ns
     book = load_site(site_file)
     meant = addressed(book, command.target, site)
     try:
@@ -111,7 +120,8 @@ def send_control(
         publisher = _bind(participant)
         subscribers = participant.subscribers(book.sources(console, ["session/event", "node/health"]))
         expected = () if is_pattern(command.target) else tuple(meant)
-        client = CommandClient(participant.clock, publisher.publish, [replace(command, expected=expected)])
+        wanted = [replace(command, expected=expected)]
+        client = CommandClient(participant.clock, publisher.publish, wanted, issued_ns=issued_ns)
         alive: set[str] = set()
         while not client.advance():
             if _new_subscriptions(publisher):
@@ -125,6 +135,8 @@ def send_control(
                     on_answer(message)
         # the next command comes from a process that counts anew
         publish_end(publisher, console)
+    if client.void:
+        raise RigError(client.failure)
     if not alive:
         raise RigError(f"{client.failure}; no node reports: {RIG_HINT}")
     if not client.answers and not expected:

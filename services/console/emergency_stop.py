@@ -1,7 +1,8 @@
 """An emergency stop for the devices of this machine: at once, whoever else is sending commands.
 
 It connects to the inlet that each device, the link and the recorders bind (ADR 0014), so it needs neither an endpoint
-nor a lock. It imports no model: those of all messages would take longer than everything else together.
+nor a lock. It imports no model: those of all messages would take longer than everything else together. Before it sends
+the stop it keeps it in a file beside the inlet of each device, for one that cannot take it now (ADR 0059).
 """
 
 import os
@@ -16,9 +17,10 @@ import msgpack
 import zmq
 
 from proto.errors import RigError
-from proto.nodes import DEVICES, LINK, NODES, RECORDER, is_meant, name_of, site_of
+from proto.nodes import DEVICES, LAUNCHERS, LINK, NODES, RECORDER, is_meant, name_of, site_of
 from services.runtime.clock import SystemClock
-from services.runtime.local_endpoint import estop_endpoint, local_endpoint
+from services.runtime.kept_stop import keep
+from services.runtime.local_endpoint import estop_endpoint, kept_stop_path, local_endpoint
 
 _DEADLINE_S = 5.0
 _RESEND_S = 0.05
@@ -79,6 +81,10 @@ class LocalRig:
     def has_inlet(self, node: str) -> bool:
         """Return whether a node runs here and takes emergency stops."""
         return node in self.endpoints and _is_bound(estop_endpoint(self.endpoints[node]))
+
+    def is_supervised(self) -> bool:
+        """Return whether a launcher runs here, which starts a device again that does not run."""
+        return any(node in self.endpoints and _is_bound(self.endpoints[node]) for node in LAUNCHERS)
 
     def reach(self, target: str, site: str) -> Reach:
         """Return the way to each device that a target means, from one site, or as empty text from both at once."""
@@ -145,15 +151,21 @@ class _Sender:
         """Send the stop to nodes that are ready only now; with `again` to those as well that were before."""
         new = [inlet.read_subscription(len(self._messages)) for inlet in self.inlets]
         if any(new) or (again and self._messages):
-            header = {"seq": len(self._messages), "t_ns": self._clock.now_ns()}
-            self._messages.append(msgpack.packb({**header, **self._fields}))
+            self._messages.append(self.message())
         for inlet in self.inlets:
             inlet.send(self._messages)
+
+    def message(self) -> bytes:
+        """Return the stop as it is sent next."""
+        header = {"seq": len(self._messages), "t_ns": self._clock.now_ns()}
+        packed: bytes = msgpack.packb({**header, **self._fields})
+        return packed
 
 
 def emergency_stop(rig: LocalRig, reach: Reach, target: str, on_answer: Callable[[Answer], None]) -> dict[str, Answer]:
     """Stop the devices that are reached directly or through the link, and wait until all of them have answered.
 
+    The stop is kept for those on this machine, and for those of a rig here that do not run: they obey it when they can.
     Parameters: rig; reach, the way to each device; target, as in a session/control; on_answer, called with each answer.
     Returns: the answers by node. Raises RigError naming the devices that did not answer.
     """
@@ -168,6 +180,7 @@ def emergency_stop(rig: LocalRig, reach: Reach, target: str, on_answer: Callable
             reader.connect(rig.endpoints[node])
         # random, with no time in it: ids of two senders differ whatever their clocks say
         identifier = os.urandom(12).hex()
+        keep_stop(rig, reach, target, identifier)
         recorders = [node for node in rig.endpoints if name_of(node) == name_of(RECORDER) and rig.has_inlet(node)]
         senders = []
         for site in sorted({site_of(node) for node in _stopped_at(reach)}):
@@ -192,8 +205,27 @@ def emergency_stop(rig: LocalRig, reach: Reach, target: str, on_answer: Callable
             now_s = time.monotonic()
     missing = sorted(expected - set(answers))
     if missing:
-        raise RigError(f"{', '.join(missing)} did not answer estop within {_DEADLINE_S:g} s")
+        # once more: an arm from before the stop may have taken the first one away
+        kept = [device for device in keep_stop(rig, reach, target, identifier) if device in missing]
+        later = f": {', '.join(kept)} will obey it on going on, or when started again" if kept else ""
+        raise RigError(f"{', '.join(missing)} did not answer estop within {_DEADLINE_S:g} s{later}")
     return answers
+
+
+def keep_stop(rig: LocalRig, reach: Reach, target: str, identifier: str) -> list[str]:
+    """Keep a stop for the devices of this machine that are meant, also those that a launcher will start again.
+
+    Returns: the devices that it is kept for; a file that cannot be written is no reason not to send the stop.
+    """
+    absent = reach.absent if reach.direct or reach.by_link or rig.is_supervised() else ()
+    devices = (*reach.direct, *absent)
+    messages = {device: _Sender(site_of(device), identifier, target, ()).message() for device in devices}
+    return [device for device, message in messages.items() if not keep(kept_stop_path(rig.endpoints[device]), message)]
+
+
+def keep_for_absent(rig: LocalRig, reach: Reach, target: str) -> list[str]:
+    """Keep a stop for devices none of which runs; return those of a rig whose launcher will start them again."""
+    return keep_stop(rig, reach, target, os.urandom(12).hex()) if reach.absent else []
 
 
 def _stopped_at(reach: Reach) -> list[str]:

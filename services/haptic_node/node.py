@@ -75,6 +75,7 @@ class HapticNode(Node):
         self._ignored_force = False
         self._estop_requested = False
         self._arm_requested = False
+        self._switch_pressed = False
         self._session_ticks: int | None = None
         self._reported = (safety.MODE_OFF, safety.REASON_COMMAND_STALE)
         self._device_text = ""
@@ -86,6 +87,10 @@ class HapticNode(Node):
 
     def admits(self, received: Received) -> bool:
         return self._replay_guard.admits(received)
+
+    @property
+    def is_latched(self) -> bool:
+        return self._guard.estop_latched or self._estop_requested
 
     def deadline_ns(self) -> int:
         return self._grid.deadline_ns
@@ -130,6 +135,8 @@ class HapticNode(Node):
             self._estop_requested = True
             return "emergency stop latched: the motor is off until armed"
         if control.command == "arm":
+            if self._switch_pressed:
+                raise RefusedError("not armed: the device itself reports an emergency stop")
             self._arm_requested = True
             return "armed: the motor follows fresh commands"
         if control.command == "set":
@@ -239,6 +246,8 @@ class HapticNode(Node):
         if self.device_delay is not None and report.status != "lost":
             self.device_delay.record(report.age_s)
         self._estop_requested |= report.estop_pressed
+        self.own_stops += report.estop_pressed and not self._switch_pressed
+        self._switch_pressed = report.estop_pressed
         if report.text != self._device_text:
             self._device_text = report.text
             ready = report.status == "ok" and report.age_s <= _FRESH_S

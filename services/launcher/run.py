@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from proto.errors import RecordingError, RigError
-from proto.nodes import LINK, RECORDER, STOP_ORDER
+from proto.nodes import DEVICES, LINK, RECORDER, STOP_ORDER
 from recording.reader import Recording
 from services.launcher.disk_space import disk_warning
 from services.launcher.external_recording import ExternalRecording, readable_here
@@ -19,6 +19,7 @@ from services.launcher.processes import NodeProcesses, node_command
 from services.launcher.session import RigNode, SessionNode, SiteNode
 from services.launcher.supervisor import Supervisor
 from services.runtime.bus import ZmqBus
+from services.runtime.kept_stop import forget
 from services.runtime.log import configure_logging
 from services.runtime.node import NodeContext
 from services.runtime.participant import StopSignals, open_participant, run_loop
@@ -72,8 +73,19 @@ def run_rig(plan: Plan, observe: Observer, show: Callable[[str], None]) -> Outco
         stack.enter_context(own_log(log_directory / f"{plan.launcher}.log"))
         rig = make_rig(plan, participant.context(bus), Supervisor(clock, plan.nodes, children))
         rig.observe = observe
+        if plan.site != "slave":
+            # a session that a person starts is a new one; a site may be started again in the midst of another's session
+            forget_stops(plan)
+        stack.callback(forget_stops, plan)
         _run(rig, bus, signals)
     return outcome_of(rig, plan)
+
+
+def forget_stops(plan: Plan) -> None:
+    """Keep no emergency stop for the devices of a rig that is started, or has been ended, as a whole."""
+    for node in set(plan.nodes) & set(DEVICES):
+        if (path := plan.book.kept_stop(node)) is not None:
+            forget(path)
 
 
 def make_rig(plan: Plan, context: NodeContext, supervisor: Supervisor) -> RigNode:

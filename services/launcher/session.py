@@ -37,7 +37,7 @@ BEGIN = (
 )
 END = Command("stop", "*", (HAND,), required=False, deadline_ns=_STOP_ANSWER_NS)
 # where the nodes keep running without a session the tip must not stay on the sample without an operator
-RETRACT_TIP = Command("estop", "afm_node", (TIP,), required=False, deadline_ns=_STOP_ANSWER_NS)
+WITHDRAW_TIP = Command("stop", "afm_node", (TIP,), required=False, deadline_ns=_STOP_ANSWER_NS)
 # what the operator has to do when a device was lost and is back; {at} is the option for the site, where there are two
 _RECOVERY_HINTS = {
     TIP: "a tip that has retracted stays retracted until `telenano session arm --target afm_node{at}`",
@@ -257,6 +257,10 @@ class SessionNode(RigNode):
         self._wait_s = wait_s
         self._readiness = ReadinessGate(context.clock, supervisor.nodes, others, wait_s)
         self._commands: CommandClient | None = None
+        # a person has asked for the session, and so for all that it arms, by starting this process
+        self._wished_ns = context.clock.monotonic_ns()
+        # a device in emergency stop from before, and since when it is waited for
+        self._latched, self._latched_ns = "", 0
         self._running_ns: int | None = None
         self._wait = RecorderWait(context.clock, RECORDER, self._publishes, self.reports.append)
         # what is commanded to a recorder that runs elsewhere once it has caught up
@@ -299,6 +303,8 @@ class SessionNode(RigNode):
         if self.phase == "starting":
             count = f"{len(self.waiting())} of {len(self._needed)} nodes"
             return f"waiting for {count} to be ready ({self._time_limits()})"
+        if self.phase == "arming" and self._latched:
+            return self._release_hint()
         if self.phase == "running":
             silent = f"; silent: {', '.join(self.liveness.silent)}" if self.liveness.silent else ""
             return f"running for {self.duration_s:g} s, Ctrl-C stops it cleanly{silent}"
@@ -356,7 +362,15 @@ class SessionNode(RigNode):
         steps = [step for step in BEGIN if set(step.expected) <= set(self._needed)]
         if self.recording is not None:
             steps = [*self.recording.begin_steps(), *steps]
-        self._commands = CommandClient(self.clock, self.publish, steps, retry_ns=_REFUSAL_RETRY_NS)
+        self._commands = CommandClient(
+            self.clock,
+            self.publish,
+            steps,
+            retry_ns=_REFUSAL_RETRY_NS,
+            issued_ns=self._wished_ns,
+            # it may have been started by a supervisor, and its nodes by somebody else
+            releases_stops=False,
+        )
         self._advance_arming()
 
     def _advance_arming(self) -> None:
@@ -364,11 +378,27 @@ class SessionNode(RigNode):
             # a node was lost while the devices were armed: it is waited for as at the start
             self.phase, self._commands = "starting", None
             self._readiness.reset()
-        elif (commands := self._commands) is not None and commands.advance():
+        elif (commands := self._commands) is not None and not commands.advance():
+            self._await_release(commands.latched)
+        elif commands is not None:
             if commands.failure:
                 self._fail(commands.failure)
             else:
                 self._run(commands)
+
+    def _await_release(self, latched: str) -> None:
+        """Report once that a device is in emergency stop from before the session; wait for a person to release it."""
+        now_ns = self.clock.monotonic_ns()
+        if latched and latched != self._latched:
+            self._latched, self._latched_ns = latched, now_ns
+            self.report("warning", self._release_hint(), about_node=latched, state="latched")
+        elif self._latched and self._wait_s is not None and (now_ns - self._latched_ns) * 1e-9 >= self._wait_s:
+            self._fail(f"{self._release_hint()}; nobody did within {self._wait_s:g} s")
+
+    def _release_hint(self) -> str:
+        at = f" --site {self.site}" if self.site else ""
+        arm = f"telenano session arm --target {name_of(self._latched)}{at}"
+        return f"{self._latched} is in emergency stop, which a person has to release: `{arm}`"
 
     def _run(self, commands: CommandClient) -> None:
         self._running_ns = self.clock.monotonic_ns()
@@ -388,11 +418,11 @@ class SessionNode(RigNode):
         if self.ran and not self.failure:
             end = [END] if set(END.expected) <= set(self._needed) else []
             split = list(self.recording.end_steps()) if self.recording is not None else []
-            retract = [RETRACT_TIP] if self.attached and TIP in self._needed else []
+            withdraw = [WITHDRAW_TIP] if self.attached and TIP in self._needed else []
             # the file of the session is whole before anything else is commanded, but no tip waits for a recorder
-            steps = [*end, *split, *retract]
+            steps = [*end, *split, *withdraw]
             if self.attached and self._wait.behind_s():
-                steps, self._last_steps = [*end, *retract], split
+                steps, self._last_steps = [*end, *withdraw], split
         self._commands = CommandClient(self.clock, self.publish, steps, retry_ns=_REFUSAL_RETRY_NS)
         self._advance_end()
 

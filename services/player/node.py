@@ -176,6 +176,8 @@ class SequenceShift:
         fields["seq"] = message.seq + offset
         if is_command:
             fields["t_ns"] = now_ns
+            # it refers to an emergency stop of the recorded run, which nobody can release a second time
+            fields.pop("node_latch", None)
         packed: bytes = msgpack.packb(fields)
         return packed
 

@@ -7,6 +7,7 @@ import re
 import socket
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
+from pathlib import Path
 from typing import Annotated, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
@@ -16,7 +17,7 @@ from proto.messages import SOURCE_PATTERN
 from proto.nodes import LINK, name_of, site_of
 from proto.topics import TOPICS, Topic
 from services.runtime.config import Settings
-from services.runtime.local_endpoint import estop_endpoint, is_in_runtime_directory, local_endpoint
+from services.runtime.local_endpoint import estop_endpoint, is_in_runtime_directory, kept_stop_path, local_endpoint
 
 # the machine that the link runs on, with its endpoints for both sites
 LINK_MACHINE = "master"
@@ -156,6 +157,11 @@ class AddressBook(Settings):
         local = self.local_endpoint(node)
         endpoint = "" if local is None else estop_endpoint(local)
         return endpoint if 0 < len(os.fsencode(endpoint.removeprefix("ipc://"))) <= _LONGEST_IPC_PATH else None
+
+    def kept_stop(self, node: str) -> Path | None:
+        """Return the file that keeps an emergency stop for a node; None where it takes none at an inlet."""
+        local = self.local_endpoint(node)
+        return None if local is None or self.estop_endpoint(node) is None else kept_stop_path(local)
 
     def network_endpoint(self, node: str) -> str | None:
         """Return the tcp endpoint at which other machines reach a node, None if it has none."""

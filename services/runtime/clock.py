@@ -2,6 +2,7 @@
 
 import os
 import time
+from pathlib import Path
 from typing import Protocol
 
 from proto.errors import ConfigError
@@ -77,6 +78,21 @@ class TurnClock:
 
     def now_ns(self) -> int:
         return self.time_ns
+
+
+def process_start_ns() -> int:
+    """Return when this process was started, on the monotonic clock [ns]: when a person gave its command.
+
+    It is the time of this call on a system that does not tell.
+    """
+    now_ns = time.monotonic_ns()
+    try:
+        # after the name in parentheses, which may have spaces: the 20th is the start, in ticks since the boot
+        ticks = int(Path("/proc/self/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[19])
+        age_ns = time.clock_gettime_ns(time.CLOCK_BOOTTIME) - ticks * 10**9 // os.sysconf("SC_CLK_TCK")
+    except (OSError, ValueError, IndexError, AttributeError):
+        return now_ns
+    return now_ns - max(0, age_ns)
 
 
 def _inherited_ns(text: str) -> int:

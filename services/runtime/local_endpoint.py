@@ -6,6 +6,7 @@ from pathlib import Path
 RUNTIME_DIRECTORY_VARIABLE = "TELENANO_RUNTIME_DIR"
 _RUNTIME_PLACEHOLDER = "{runtime}"
 _ESTOP_SUFFIX = ".estop"
+_KEPT_SUFFIX = ".kept"
 
 
 def runtime_directory() -> Path:
@@ -36,3 +37,8 @@ def is_in_runtime_directory(text: str) -> bool:
 def estop_endpoint(endpoint: str) -> str:
     """Return where the node with an ipc endpoint takes emergency stops, from any number of senders."""
     return endpoint + _ESTOP_SUFFIX
+
+
+def kept_stop_path(endpoint: str) -> Path:
+    """Return the file that keeps an emergency stop for the device with an ipc endpoint until it is armed."""
+    return Path(estop_endpoint(endpoint).removeprefix("ipc://") + _KEPT_SUFFIX)

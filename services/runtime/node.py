@@ -11,13 +11,13 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, ClassVar, Literal, Protocol, cast
 
-from proto import TOPICS
+from proto import TOPICS, WireError, accept
 from proto.errors import RefusedError
 from proto.messages import MAX_TEXT, SUPERSEDED, InputHealth, NodeHealth, Scalar, SessionControl
 from proto.sequence import Arrival
 from services.runtime.bus import Bus, ConnectionEvent, Received
 from services.runtime.clock import NEVER_NS, Clock
-from services.runtime.commands import HELD_UP_NS, CommandHandler
+from services.runtime.commands import HELD_UP_NS, CommandHandler, stop_of
 from services.runtime.deadlines import LatenessWindow, SpinMargin
 from services.runtime.ends import publish_end
 from services.runtime.freshness import LOOP_DEADLINE_NS
@@ -44,6 +44,8 @@ class NodeContext:
     bus: Bus
     log: StructuredLog
     stop_requested: bool = False
+    # where an emergency stop is kept for this node until it is armed; None where it has no such place
+    kept_stop: Path | None = None
 
     def request_stop(self) -> None:
         """End the loop of the node after the step in hand."""
@@ -121,6 +123,8 @@ class Node(ABC):
         self.quiet_work = QuietWork(self.pause_after_ns)
         # of a real device, for node/health
         self.device_delay: DeviceDelay | None = None
+        # how often a switch of the device itself has stopped it
+        self.own_stops = 0
 
     @abstractmethod
     def on_message(self, received: Received) -> None:
@@ -129,6 +133,11 @@ class Node(ABC):
     def admits(self, received: Received) -> bool:
         """Return whether a message may be acted on; device nodes keep out what comes from a recording."""
         return True
+
+    @property
+    def is_latched(self) -> bool:
+        """Whether the node is in emergency stop, until it is armed."""
+        return False
 
     def further_outputs(self) -> Mapping[str, int]:
         """Return the number of the next output by each way past the node's own bus, for the journal."""
@@ -202,7 +211,18 @@ class NodeLoop:
         self._clock = node.context.clock
         self._realtime = realtime
         self._spin = SpinMargin(round(spin_s * 1e9) if node.has_precise_deadlines else 0)
-        self._commands = CommandHandler(node.context.key, node.commands, node.on_control, node.event)
+        self._commands = CommandHandler(
+            node.context.key,
+            node.commands,
+            node.on_control,
+            node.event,
+            is_latched=lambda: node.is_latched,
+            kept=node.context.kept_stop,
+        )
+        # looked for at the start, after each time that the process stood still, and twice a second: the sender may
+        # have been ended before it could send
+        self._may_be_kept = True
+        self._own_stops = 0
         self._lateness = LatenessWindow()
         self._limited_log = RateLimitedLog(node.context.log, self._clock)
         self._started_ns = self._awake_ns = self._health_ns = self._last_health_ns = self._clock.monotonic_ns()
@@ -239,6 +259,8 @@ class NodeLoop:
         wanted = self.node.deadline_ns() - self._spin.ns
         self._bus.wait(min(wanted, self._health_ns, self._quiet.due_ns, self.node.quiet_work.due_ns))
         woken = self._note_awake()
+        if self._may_be_kept:
+            self._take_kept_stop()
         taken = self._take(woken)
         if notices := self._bus.process_events():
             self._report_connections(notices)
@@ -287,14 +309,34 @@ class NodeLoop:
             self._dispatch(received)
         return taken
 
+    def _take_kept_stop(self) -> None:
+        """Obey an emergency stop that was kept for this node and that it has not had: before anything that waited."""
+        self._may_be_kept = False
+        latch, now_ns = self._commands.latch, self._clock.now_ns()
+        if (payload := latch.kept()) is None:
+            return
+        try:
+            control = accept("session/control", payload)
+        except WireError:
+            control = None
+        if not isinstance(control, SessionControl) or control.command != "estop":
+            # a file that nobody can read is still there because somebody stopped the node
+            control = stop_of(self.node.context.key, now_ns)
+        if control.id != latch.newest_id:
+            self._dispatch(Received("session/control", control, payload, now_ns, Arrival.NEXT))
+            self.node.event("mode", "warning", "an emergency stop that was kept for this device is in force")
+
     def _act_on_deadline(self, now_ns: int) -> None:
         journal = self._journal
         if journal is None:
             self.node.on_deadline(now_ns)
-            return
-        journal.clock.time_ns = now_ns + journal.clock.epoch_offset_ns
-        self.node.on_deadline(now_ns)
-        journal.record_deadline()
+        else:
+            journal.clock.time_ns = now_ns + journal.clock.epoch_offset_ns
+            self.node.on_deadline(now_ns)
+            journal.record_deadline()
+        if self.node.own_stops != self._own_stops:
+            self._own_stops = self.node.own_stops
+            self._commands.note_own_stop(self.node.clock.now_ns())
 
     def _note_tick(self, now_ns: int) -> None:
         self._quiet.note_tick(now_ns)
@@ -307,6 +349,7 @@ class NodeLoop:
             # a node that runs is in a session, whose loop pays for each report
             starting = now_ns - self._started_ns < _STARTING_NS and self.node.state != "running"
             self._health_ns = now_ns + (self._starting_period_ns if starting else HEALTH_PERIOD_NS)
+            self._may_be_kept = True
             self._quiet.add(now_ns, *_REPORT, *(_JOURNAL_REPORT if self._journal is not None else ()))
         for piece in self._quiet.take(now_ns):
             match piece:
@@ -368,6 +411,7 @@ class NodeLoop:
         now = self._clock.monotonic_ns()
         if now - self._awake_ns > HELD_UP_NS:
             self._commands.note_held_up(self._clock.now_ns(), now - self._awake_ns)
+        self._may_be_kept |= now - self._awake_ns > LOOP_DEADLINE_NS
         self._awake_ns = now
         return now
 

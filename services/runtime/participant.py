@@ -4,6 +4,7 @@ import contextlib
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import zmq
 
@@ -116,7 +117,11 @@ class Participant:
         return ZmqBus(publisher, subscribers, self.clock, self.wake_descriptor, self.network, self.batches)
 
     def context(self, bus: Bus) -> NodeContext:
-        return NodeContext(self.key, self.clock, bus, self.log)
+        return NodeContext(self.key, self.clock, bus, self.log, kept_stop=self.kept_stop())
+
+    def kept_stop(self) -> Path | None:
+        """Return where emergency stops of a device are kept; None for other nodes, and without an ipc endpoint."""
+        return self.book.kept_stop(self.key) if self.key in DEVICES else None
 
 
 @contextlib.contextmanager

@@ -10,6 +10,7 @@ import typer
 from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE
 from proto.messages import SessionEvent
 from services.console.command_client import parse_parameters, send_control
+from services.runtime.clock import process_start_ns
 from services.runtime.commands import Command
 from telenano.estop_command import EstopRequest, run_estop
 from telenano.exit_codes import EXIT_FAILED
@@ -58,7 +59,9 @@ def send_command(
         book_file = site_file or (DEFAULT_SITE_FILE if site is None else TWO_SITES_FILE)
         at: Literal["master", "slave"] = "master" if site is None else site.value
         wanted = Command(command.value, target, parameters=parse_parameters(parameters))
-        answers = send_control(wanted, book_file, at, lambda event: None if as_json else _print_answer(event))
+        answers = send_control(
+            wanted, book_file, at, lambda event: None if as_json else _print_answer(event), issued_ns=process_start_ns()
+        )
     if as_json:
         rows = {src: {"kind": event.kind, "text": event.text} for src, event in sorted(answers.items())}
         print_json({"command": command.value, "target": target, "answers": rows})

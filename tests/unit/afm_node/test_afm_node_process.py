@@ -91,6 +91,30 @@ def test_arming_needs_a_fresh_command(afm: Instrument) -> None:
     assert afm.control("arm") == "armed already"
 
 
+def test_the_end_of_a_session_withdraws_the_tip_and_is_no_emergency_stop(afm: Instrument) -> None:
+    follow(afm)
+    assert afm.control("stop") == "the tip retracts and stays until armed"
+    # whatever is commanded meanwhile
+    afm.pass_ms(200.0, every_ms=1.0)
+    states = afm.states()
+    assert list(dict.fromkeys(state.mode for state in states)) == ["retracting", "retracted"]
+    assert states[-1].base_position_m[2] == pytest.approx(100e-9, rel=1e-9, abs=0.0)
+    reasons = [event.data["reason"] for event in afm.bench.take("session/event") if event.kind == "mode"]
+    assert reasons[-1] == "retract_requested"
+    afm.control("arm")
+    afm.pass_ms(10.0, every_ms=1.0)
+    assert afm.states()[-1].mode == "follow"
+
+
+def test_a_withdrawal_releases_no_emergency_stop(afm: Instrument) -> None:
+    follow(afm)
+    afm.control("estop")
+    assert afm.node.is_latched
+    assert afm.control("stop") == "the tip is in emergency stop already"
+    afm.pass_ms(200.0, every_ms=1.0)
+    assert {state.mode for state in afm.states()} == {"estop"}
+
+
 def test_silence_holds_then_retracts_and_stays(afm: Instrument) -> None:
     follow(afm)
     start_ns = afm.bench.clock.monotonic_ns()

@@ -114,6 +114,17 @@ def test_an_image_is_published_line_by_line_and_is_what_the_tip_sees(afm: Imager
     assert np.median(forces) == pytest.approx(5e-9, rel=0.02, abs=0.0)
 
 
+def test_the_end_of_a_session_aborts_a_program(afm: Imager) -> None:
+    afm.set(**parameters())
+    afm.run(until=lambda: any(topic == "afm/scanline" for topic, _ in afm.bench.sent))
+    fields = {"id": "a", "command": "stop", "target": "afm_node", "parameters": {}}
+    control = afm.bench.make("session/control", "launcher@master", **fields)
+    assert afm.node.on_control(control) == "the scan ends and the tip retracts"
+    afm.run()
+    assert afm.outcome() == ("ended", "the scan ended, it was aborted")
+    assert afm.bench.take("afm/state")[-1].mode == "retracted"
+
+
 @pytest.mark.parametrize("proportional", [0.0, 0.5])
 def test_a_pause_holds_the_force_where_the_tip_is_and_an_abort_retracts_it(afm: Imager, proportional: float) -> None:
     afm.set(**parameters(scan__proportional=proportional))

@@ -15,7 +15,7 @@ import pytest
 import zmq
 
 from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE
-from proto import encode
+from proto import decode, encode
 from proto.contract import examples
 from proto.errors import EndpointError
 from proto.messages import SessionControl
@@ -169,7 +169,11 @@ def test_a_device_that_does_not_answer_is_named(
         assert run_estop(EstopRequest(site_file=site_file)) == 1
     out, err = capsys.readouterr()
     assert out == f"{HAND} ack: stopped\n"
-    assert err == f"telenano: {TIP} did not answer estop within 0.3 s\n"
+    later = f"{TIP} will obey it on going on, or when started again"
+    assert err == f"telenano: {TIP} did not answer estop within 0.3 s: {later}\n"
+    kept = decode("session/control", (site_file.parent / f"{TIP}.estop.kept").read_bytes())
+    assert isinstance(kept, SessionControl)
+    assert (kept.src, kept.command, kept.target) == ("estop@slave", "estop", "*")
 
 
 def test_a_stop_needs_nothing_that_another_sender_has(run: Callable[..., Device], site_file: Path) -> None:

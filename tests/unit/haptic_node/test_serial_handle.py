@@ -10,7 +10,7 @@ if shutil.which("cc") is None:
 
 from handle_line import PATH, Line, Rig, calibration
 
-from proto.errors import ConfigError
+from proto.errors import ConfigError, RefusedError
 from services.haptic_node import wire
 from services.haptic_node.config import HapticConfig
 from services.haptic_node.driver import DeviceError, DriveCommand
@@ -384,3 +384,25 @@ def test_emergency_stop_of_the_device_latches_at_the_node(bench_of: Any) -> None
     rig.tick(20)
     state = rig.bench.take("haptic/state")[-1]
     assert (state.mode, state.estop) == ("off", True)
+
+
+def test_a_handle_that_holds_its_own_stop_is_not_armed_until_it_is_connected_anew(bench_of: Any) -> None:
+    rig = Rig(bench_of("haptic_node@master"))
+    rig.tick(10)
+    fields = {"id": "a", "command": "arm", "target": "*", "parameters": {}}
+    arm = rig.bench.make("session/control", "console@master", **fields)
+    rig.line.handle.estop_pressed = True
+    rig.tick(20)
+    rig.line.handle.estop_pressed = False
+    rig.tick(20)
+    assert (rig.node.own_stops, rig.node.is_latched) == (1, True)
+    with pytest.raises(RefusedError, match="the device itself reports an emergency stop"):
+        rig.node.on_control(arm)
+    rig.line.plugged = False
+    rig.tick(40)
+    rig.line.plugged = True
+    rig.tick(700)
+    assert rig.node.is_latched
+    rig.node.on_control(arm)
+    rig.tick(3)
+    assert (rig.node.own_stops, rig.node.is_latched) == (1, False)

@@ -187,6 +187,8 @@ class Rig(Bench):
         for control in controls[self.answered :]:
             named = {control.target + "@slave", control.target + "@master"}
             known = {"arm": named, "estop": named, "set": {control.target}}
+            # a pattern reaches the hand, which alone ends its programme by one
+            known["stop"] = {"haptic_node@master"} if control.target == "*" else named
             concerned = known.get(control.command, {"haptic_node@master"}) & set(self.rig_nodes)
             for node in concerned - self.silent:
                 self.receive_event(node, "refused" if node in self.refusing else "ack", answer_to=control.id)

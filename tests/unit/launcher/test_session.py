@@ -61,6 +61,73 @@ def test_a_refusal_ends_the_rig_with_its_reason() -> None:
     assert rig.session.failure == "afm_node@slave refused arm: reason"
 
 
+@pytest.mark.parametrize("device", ["afm_node@slave", "haptic_node@master"])
+def test_an_emergency_stop_ends_the_start_of_a_session_at_once(device: str) -> None:
+    rig = Rig()
+    rig.refusing = {"afm_node@slave"}
+    rig.all_ready()
+    rig.tick(20)
+    rig.receive_event(device, "ack", "emergency stop latched", answer_to="x", command="estop")
+    asked = len(rig.bus.controls())
+    rig.refusing = set()
+    rig.tick(2)
+    assert rig.finished
+    assert rig.session.failure == f"{device} was stopped by an emergency stop"
+    assert len(rig.bus.controls()) == asked
+
+
+def test_an_emergency_stop_in_a_running_session_does_not_end_it() -> None:
+    rig = Rig()
+    rig.all_ready()
+    rig.tick(4)
+    rig.receive_event("afm_node@slave", "ack", "emergency stop latched", answer_to="x", command="estop")
+    rig.tick(2)
+    assert (rig.session.phase, rig.session.failure) == ("running", "")
+
+
+def test_a_stop_between_the_start_of_the_rig_and_its_arming_ends_the_session() -> None:
+    rig = Rig()
+    rig.silent = {"afm_node@slave"}
+    rig.tick(20)
+    rig.all_ready()
+    rig.tick(1)
+    asked = rig.bus.controls()[-1].id
+    facts = {"command": "arm", "latch": "5d0c-1", "latched": True, "estop_age_s": 0.5}
+    rig.receive_event("afm_node@slave", "refused", answer_to=asked, **facts)
+    rig.tick(2)
+    assert rig.finished
+    assert rig.session.failure.startswith("arm is void: an emergency stop came to afm_node@slave after it")
+
+
+@pytest.mark.parametrize("wait_s", [None, 20.0])
+def test_a_device_that_is_in_emergency_stop_from_before_is_waited_for(wait_s: float | None) -> None:
+    rig = Rig(wait_s=wait_s)
+    rig.silent = {"afm_node@slave"}
+    hint = "a person has to release: `telenano session arm --target afm_node`"
+
+    def refuse(count: int) -> None:
+        for _ in range(count):
+            rig.tick(1)
+            facts = {"command": "arm", "latch": "5d0c-1", "latched": True, "estop_age_s": 1000.0}
+            rig.receive_event("afm_node@slave", "refused", answer_to=rig.bus.controls()[-1].id, **facts)
+
+    rig.all_ready()
+    rig.tick(1)
+    refuse(300)
+    assert not rig.session.failure
+    assert hint in rig.session.status_line()
+    assert sum(hint in line for line in rig.reports) == 1
+    # a second one is as often as a person needs
+    assert len({control.id for control in rig.bus.controls()}) < 20
+    if wait_s is not None:
+        refuse(120)
+        assert rig.session.failure.endswith("; nobody did within 20 s")
+        return
+    rig.silent = set()
+    rig.tick(30)
+    assert rig.session.ran
+
+
 def test_a_device_that_becomes_able_is_asked_again() -> None:
     rig = Rig()
     rig.refusing = {"afm_node@slave"}

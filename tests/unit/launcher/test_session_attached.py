@@ -67,13 +67,24 @@ def test_a_session_has_a_file_of_its_own_and_leaves_the_nodes() -> None:
         ("stop", "*"),
         ("set", RECORDER),
         # there is no operator any more: the tip is withdrawn, after the session's file is complete
-        ("estop", "afm_node"),
+        ("stop", "afm_node"),
     ]
     assert {**rig.bus.controls()[0].parameters} == {"record.split": True}
     # the file that the second command began is not the session's
     assert rig.recording.files == [FILES[0]]
     assert rig.bus.events()[-1].text == "the session is over, the nodes keep running"
     assert rig.children.started == []
+
+
+def test_the_end_of_an_attached_session_is_no_emergency_stop() -> None:
+    rig = Attached(duration_s=2.0)
+    rig.all_ready()
+    rig.with_recorder()
+    rig.tick(5)
+    rig.tick_alive(46)
+    assert rig.finished
+    assert commands(rig)[-1] == ("stop", "afm_node")
+    assert "estop" not in {command for command, _ in commands(rig)}
 
 
 def test_a_recorder_that_is_behind_completes_the_file_before_it_begins_the_next() -> None:
@@ -91,7 +102,7 @@ def test_a_recorder_that_is_behind_completes_the_file_before_it_begins_the_next(
 
     tick_behind(46, 3.0)
     # no tip stays on the sample for the sake of a recorder
-    assert commands(rig)[-2:] == [("stop", "*"), ("estop", "afm_node")]
+    assert commands(rig)[-2:] == [("stop", "*"), ("stop", "afm_node")]
     tick_behind(40, 2.0)
     assert not rig.finished
     assert any("which is 2.0 s behind" in line for line in rig.reports)
@@ -221,7 +232,7 @@ def test_a_node_lost_while_the_devices_are_armed_is_waited_for_again() -> None:
 
 
 @pytest.mark.parametrize(
-    ("ready", "last"), [(False, []), (True, [("stop", "*"), ("set", RECORDER), ("estop", "afm_node")])]
+    ("ready", "last"), [(False, []), (True, [("stop", "*"), ("set", RECORDER), ("stop", "afm_node")])]
 )
 def test_an_interruption_ends_the_session_and_completes_its_file(ready: bool, last: list[tuple[str, str]]) -> None:
     rig = Attached()

@@ -332,6 +332,21 @@ def test_a_recorded_command_is_sent_as_one_of_now(stage: Callable[..., Stage], t
     assert played == [session_control(seq).model_copy(update={"t_ns": 0}) for seq in range(2)]
 
 
+def test_a_recorded_arm_releases_no_emergency_stop_of_now(stage: Callable[..., Stage], tmp_path: Path) -> None:
+    writer = RecordingWriter.create(NODE, RecorderConfig(directory=tmp_path))
+    channel = writer.channel("session/control", "launcher@master", "slave")
+    quoting = session_control(0).model_copy(update={"node_latch": {"afm_node@slave": "5d0c-1"}, "v": 3})
+    writer.write(channel, EPOCH_NS, EPOCH_NS, 0, encode(quoting))
+    writer.finish()
+    rig = stage(writer.path, Selection())
+    rig.listen([FAR], "session/control")
+    rig.run_ms(60)
+    ((topic, payload),) = rig.received(1)
+    sent = decode(topic, payload)
+    assert isinstance(sent, SessionControl)
+    assert (sent.id, sent.node_latch) == (quoting.id, None)
+
+
 def test_the_recorders_own_words_and_recorded_health_are_not_played(tmp_path: Path, book: AddressBook) -> None:
     writer = RecordingWriter.create(NODE, RecorderConfig(directory=tmp_path))
     played = {"session/event": NODE, "node/health": HAND, "haptic/state": HAND, "session/control": "estop@master"}

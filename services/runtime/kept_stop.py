@@ -1,0 +1,51 @@
+"""An emergency stop in a file beside a device's inlet, until the device is armed (ADR 0059).
+
+The file is the message itself, so that a device which finds it takes it as any other: it is in the journal of the
+device and in the recording. The sender of a stop writes it before it sends, and the device when it latches. So a device
+that was stopped for longer than anybody repeats a message, or that was killed, comes back latched, whoever started it.
+It imports no model: an emergency stop has no time for them.
+"""
+
+import contextlib
+import os
+from pathlib import Path
+
+# far above a session/control of an emergency stop
+_LARGEST = 4096
+
+
+def keep(path: Path, payload: bytes) -> str:
+    """Keep a stop in the place of any before; return why that was not possible, empty where it was.
+
+    A reader sees the whole file or none, and nothing is written through a link that somebody put there.
+    """
+    part = path.with_name(f"{path.name}.{os.getpid()}")
+    try:
+        with contextlib.suppress(FileNotFoundError):
+            part.unlink()
+        descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+        with os.fdopen(descriptor, "wb") as file:
+            file.write(payload)
+        part.replace(path)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            part.unlink()
+        return f"{path}: the emergency stop cannot be kept: {error.strerror}"
+    return ""
+
+
+def kept(path: Path) -> bytes | None:
+    """Return the stop that is kept, None where there is none; a file that cannot be read counts as an empty one."""
+    try:
+        with path.open("rb") as file:
+            return file.read(_LARGEST)
+    except FileNotFoundError:
+        return None
+    except OSError:
+        return b""
+
+
+def forget(path: Path) -> None:
+    """Keep no stop any longer: the device was armed, or its rig has ended."""
+    with contextlib.suppress(OSError):
+        path.unlink()

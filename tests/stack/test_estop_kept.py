@@ -1,0 +1,171 @@
+"""An emergency stop is the last word in a real rig: with processes stopped, killed, and arms that waited for them.
+
+The same in every order is in virtual time, in `tests/unit/runtime/test_runtime_estop_orders.py`.
+"""
+
+import os
+import signal
+import subprocess
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from ledger import record
+from stack_rig import CONSTANT_PUSH, Rig
+
+from presets import DEFAULT_SITE_FILE
+from proto.errors import RigError
+from services.console.command_client import send_control
+from services.runtime.commands import Command
+
+HAND, TIP, SLAVE_HALF = "haptic_node@master", "afm_node@slave", "controller@slave"
+# in which an arm that was not void would have been obeyed
+WATCHED_S = 1.5
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
+    rig = Rig(tmp_path_factory.mktemp("kept"))
+    try:
+        rig.start("--duration", "600", "--set", CONSTANT_PUSH)
+        rig.wait_until(rig.running, "a running session")
+        yield rig
+    finally:
+        rig.close()
+
+
+@contextmanager
+def stopped(rig: Rig, node: str) -> Iterator[None]:
+    process_id = rig.process_of(node)
+    assert process_id is not None
+    os.kill(process_id, signal.SIGSTOP)
+    try:
+        yield
+    finally:
+        os.kill(process_id, signal.SIGCONT)
+
+
+def states(rig: Rig, since_ns: int) -> list[Any]:
+    """Give what was sent since then: a batch from before a process was stopped is received after it went on."""
+    sent = [found.decode() for found in rig.recording().messages("afm/state", since_ns)]
+    return sorted((state for state in sent if state.t_ns >= since_ns), key=lambda state: state.t_ns)
+
+
+def mode(rig: Rig) -> str:
+    return str(rig.recording().messages("afm/state")[-1].decode().mode)
+
+
+def stays_stopped(rig: Rig, since_ns: int) -> str:
+    """Watch the tip for a while, and give how far it went towards the sample; it must not leave the stop."""
+    rig.wait_until(lambda: mode(rig) == "estop", "the tip in emergency stop")
+    time.sleep(WATCHED_S)
+    until_ns = time.time_ns()
+    rig.wait_until(lambda: rig.recording().messages("afm/state")[-1].publish_ns > until_ns, "what came of it")
+    seen = states(rig, since_ns)
+    first = next(place for place, state in enumerate(seen) if state.mode == "estop")
+    assert {state.mode for state in seen[first:]} == {"estop"}
+    base_m = [state.base_position_m[2] for state in seen[first:]]
+    # towards the sample is down
+    return f"{1e9 * (base_m[0] - min(base_m)):.1f} nm"
+
+
+def arm(rig: Rig) -> None:
+    for device in ("afm_node", "haptic_node"):
+        rig.wait_until(
+            lambda device=device: rig.telenano("session", "arm", "--target", device).returncode == 0, f"{device} armed"
+        )
+    rig.wait_until(lambda: mode(rig) == "follow", "a tip that follows")
+
+
+def test_an_arm_that_has_its_turn_after_a_stop_is_void(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TELENANO_RUNTIME_DIR", str(rig.sockets))
+    begin_ns = time.time_ns()
+
+    def ask(command: Command, issued_ns: int) -> str:
+        try:
+            return str(send_control(command, DEFAULT_SITE_FILE, "master", lambda event: None, issued_ns=issued_ns))
+        except RigError as error:
+            return str(error)
+
+    # one command after the other, as a page has them sent: the first waits for the process that is stopped
+    with ThreadPoolExecutor(1) as turns:
+        with stopped(rig, SLAVE_HALF):
+            setting = Command("set", SLAVE_HALF, parameters={"virtual_impedance.force_gain": 10.0})
+            turns.submit(ask, setting, time.monotonic_ns())
+            waiting = turns.submit(ask, Command("arm", "afm_node"), time.monotonic_ns())
+            time.sleep(0.5)
+            assert rig.telenano("estop").returncode == 0
+            time.sleep(1.0)
+        text = waiting.result(60.0)
+    assert text.startswith(f"arm is void: an emergency stop came to {TIP} after it"), text
+    way = stays_stopped(rig, begin_ns)
+    record("an arm behind a stopped controller, then an emergency stop", f"void; the tip approached by {way}")
+
+
+def test_an_arm_that_waits_at_a_stopped_instrument_is_void_after_a_stop(rig: Rig) -> None:
+    begin_ns = time.time_ns()
+    rig.wait_until(lambda: mode(rig) == "estop", "left by the test before")
+    pipes = {"env": rig.environment, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with stopped(rig, TIP):
+        waiting: Any = subprocess.Popen(rig.command("session", "arm", "--target", "afm_node"), **pipes)
+        time.sleep(2.0)
+        stopping: Any = subprocess.Popen(rig.command("estop"), **pipes)
+        time.sleep(1.2)
+    out, err = stopping.communicate(timeout=60)
+    assert stopping.returncode == 0, out + err
+    out, err = waiting.communicate(timeout=60)
+    assert waiting.returncode == 1, out + err
+    assert "emergency stop" in err
+    way = stays_stopped(rig, begin_ns)
+    record("an arm at a stopped AFM, then an emergency stop", f"void; the tip approached by {way}")
+    # who arms now means this stop
+    arm(rig)
+
+
+def test_an_instrument_that_was_stopped_for_longer_than_the_stop_is_sent_comes_back_latched(rig: Rig) -> None:
+    with stopped(rig, TIP):
+        sent = rig.telenano("estop")
+        assert sent.returncode == 1
+        assert sent.stderr == (
+            f"telenano: {TIP} did not answer estop within 5 s: {TIP} will obey it on going on, or when started again\n"
+        )
+        time.sleep(1.0)
+        begin_ns = time.time_ns()
+    stays_stopped(rig, begin_ns)
+    # what it had in hand when it was stopped, and the stall, come first
+    (at_ns, *_) = (state.t_ns for state in states(rig, begin_ns) if state.mode == "estop")
+    assert "follow" not in {state.mode for state in states(rig, begin_ns + 50_000_000)}
+    took = f"in emergency stop {(at_ns - begin_ns) / 1e6:.0f} ms after it went on"
+    record("an AFM stopped for longer than the emergency stop is sent", took)
+
+
+def test_an_instrument_that_is_killed_in_emergency_stop_comes_back_in_it(rig: Rig) -> None:
+    begin_ns = time.time_ns()
+    rig.kill(TIP)
+    rig.wait_until(lambda: rig.log_has("launcher@master", f"{TIP} was started again"), "the restart")
+    rig.wait_until(
+        lambda: rig.log_has(TIP, "an emergency stop that was kept for this device is in force", 2), "its word"
+    )
+    stays_stopped(rig, begin_ns)
+    record("kill -9 of an AFM in emergency stop", "it came back in emergency stop")
+    arm(rig)
+
+
+def test_a_stop_for_an_instrument_that_does_not_run_is_kept_for_the_next_one(rig: Rig) -> None:
+    begin_ns = time.time_ns()
+    rig.kill(TIP)
+    time.sleep(0.05)
+    rig.telenano("estop")
+    stays_stopped(rig, begin_ns)
+    record("an emergency stop while the AFM is being started again", "it came back in emergency stop")
+
+
+def test_the_end_of_the_rig_keeps_no_stop(rig: Rig) -> None:
+    assert {path.name for path in rig.sockets.glob("*.kept")} == {f"{node}.estop.kept" for node in (TIP, HAND)}
+    code, _, err = rig.stop()
+    assert code == 0, err
+    assert list(Path(rig.sockets).glob("*.kept")) == []
