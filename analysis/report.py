@@ -16,6 +16,7 @@ from analysis.holds import Instrument, judge_holds, verdict_of
 from analysis.missing import Spans, account, cut_off, gaps
 from proto import TOPICS
 from proto.errors import RecordingError, ReportError
+from proto.nodes import name_of
 from recording.arrays import columns, last_session, replay_shifts
 from recording.info import RecordingInfo
 from recording.multi_file import RecordingSource, open_recordings
@@ -145,10 +146,10 @@ def read_session(recording: RecordingSource) -> Session:
     hand = _series(
         recording,
         "haptic/state",
-        ("session_s", "operator_force_n.2", "position_m.2", "answered_seq", "answered_t_ns", "answered_at_ns"),
+        ("seq", "session_s", "operator_force_n.2", "position_m.2", "answered_seq", "answered_t_ns", "answered_at_ns"),
         shifts,
     )
-    running = last_session(hand["session_s"])
+    running = last_session(hand["session_s"], hand["seq"], hand["t_ns"], _session_starts_ns(recording))
     if running.size < 2:
         raise RecordingError(f"{recording.path}: the operator's programme never ran in it, so there is no session")
     start_ns = int(hand["t_ns"][running[0]] - round(hand["session_s"][running[0]] * 1e9))
@@ -229,10 +230,11 @@ def _hold_ratio(series: SessionSeries) -> float | None:
 def _loop_age_ms(session: Session) -> dict[str, float] | None:
     """Return the age of the first answer to each sample of the hand, on the hand's own clock."""
     hand = session.hand
-    seqs, first = np.unique(hand["answered_seq"], return_index=True)
+    # not by number, which a device that was started again uses anew
+    stamps, first = np.unique(hand["answered_t_ns"], return_index=True)
     ages = (hand["answered_at_ns"] - hand["answered_t_ns"])[first] * 1e-6
     ages = ages[hand["answered_t_ns"][first] >= session.start_ns]
-    if seqs.size == 0 or ages.size == 0:
+    if stamps.size == 0 or ages.size == 0:
         return None
     p50, p99 = np.percentile(ages, [50.0, 99.0])
     return {"p50": round(float(p50), 4), "p99": round(float(p99), 4), "max": round(float(ages.max()), 4)}
@@ -263,6 +265,16 @@ def _series(
     src = next(channel.src for channel in recording.channels if channel.channel_topic == channel_topic)
     series["t_ns"] = series["t_ns"] + shifts.get(src, 0)
     return series
+
+
+def _session_starts_ns(recording: RecordingSource) -> list[int]:
+    """Return when launchers reported that a session runs [ns]."""
+    events = recording.select(
+        lambda channel: (
+            channel.topic == "session/event" and channel.via == "direct" and name_of(channel.src) == "launcher"
+        )
+    )
+    return [event.publish_ns for event in events if "duration_s" in event.fields().get("data", {})]
 
 
 def _within(series: dict[str, Series], start_ns: int, end_ns: int) -> dict[str, Series]:

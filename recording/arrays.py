@@ -16,6 +16,10 @@ Column = npt.NDArray[Any]
 _RECORD_FIELDS = ("log_ns", "publish_ns")
 # topics of the loop, by their declared rate [Hz]
 _FAST_HZ = 100.0
+# so many samples in a row that are so much older than the newest are those of a player that was set back
+_REWIND_RUN, _REWIND_NS = 8, 1_000_000_000
+# a launcher reports a session when the device has answered that its programme runs
+_START_REPORT_NS = 2_000_000_000
 
 
 def columns(
@@ -109,13 +113,50 @@ def _array(recording: RecordingSource, channel_topic: str, field: str, values: l
     )
 
 
-def last_session(session_s: Column) -> npt.NDArray[np.intp]:
+def last_programme(session_s: Column, t_ns: Column) -> npt.NDArray[np.intp]:
     """Return the indices of the last run of the operator's programme.
 
-    Parameters: session_s of `haptic/state` [s], negative while no programme runs.
-    Returns: indices, fewer than two when there is no session.
+    It begins where the time of the programme falls while the time of sending goes on, or where a player was set back.
+    A message that stands behind later ones, or is repeated, is in none.
+
+    Parameters: session_s of `haptic/state` [s], negative while no programme runs; t_ns, time of sending [ns].
+    Returns: indices, fewer than two when no programme ran.
     """
     running = np.flatnonzero(session_s >= 0.0)
-    # a programme that was started again begins at a lower time
-    begins = np.flatnonzero(np.diff(session_s[running]) < 0.0)
-    return running[begins[-1] + 1 :] if begins.size else running
+    old = t_ns[running] < np.maximum.accumulate(t_ns[running])
+    while old.any():
+        begins, ends = np.flatnonzero(np.diff(old, prepend=False, append=False)).reshape(-1, 2).T
+        set_back_ns = t_ns[running[begins - 1]] - t_ns[running[begins]]
+        rewinds = begins[(ends - begins >= _REWIND_RUN) & (set_back_ns > _REWIND_NS)]
+        if not rewinds.size:
+            running = running[~old]
+            break
+        running = running[rewinds[0] :]
+        old = t_ns[running] < np.maximum.accumulate(t_ns[running])
+    anew = np.flatnonzero(np.diff(session_s[running]) < 0.0)
+    return running[anew[-1] + 1 :] if anew.size else running
+
+
+def last_session(session_s: Column, seq: Column, t_ns: Column, starts_ns: Sequence[int] = ()) -> npt.NDArray[np.intp]:
+    """Return the indices of the last session: the last programme, and those that a restart of the device has cut off.
+
+    A device whose process died while the programme ran begins it anew when it is commanded to; that is the same
+    session, unless a launcher has started one since.
+
+    Parameters: session_s of `haptic/state` [s], negative while no programme runs; seq and t_ns [ns] of its messages;
+    starts_ns, when launchers reported that a session runs [ns].
+    Returns: indices, fewer than two when no programme ran.
+    """
+    session = last_programme(session_s, t_ns)
+    while session.size and (first := int(session[0])) > 0:
+        before = last_programme(session_s[:first], t_ns[:first])
+        if not before.size or not _was_cut_off(int(before[-1]), first, seq, t_ns, starts_ns):
+            break
+        session = np.concatenate((before, session))
+    return session
+
+
+def _was_cut_off(last: int, first: int, seq: Column, t_ns: Column, starts_ns: Sequence[int]) -> bool:
+    """Return whether a programme ended with its process, and the one that follows is of the same session."""
+    died = seq[last + 1] <= seq[last] and t_ns[last + 1] > t_ns[last]
+    return bool(died) and not any(t_ns[last] < start_ns < t_ns[first] + _START_REPORT_NS for start_ns in starts_ns)

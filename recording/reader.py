@@ -1,5 +1,6 @@
 """Reading a recording, whether it was finished, killed, cut off or damaged."""
 
+import contextlib
 import mmap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
@@ -18,6 +19,7 @@ from recording.mcap_index import index_faults
 from recording.mcap_scan import (
     MAGIC,
     MESSAGE_HEAD,
+    RECORD_HEAD,
     UNREADABLE,
     Block,
     Damage,
@@ -36,6 +38,8 @@ from recording.messages import (
     raw_channel,
     recorded_channel,
 )
+from recording.overtaken import BlockOrder, OvertakenFinder, Place
+from recording.records import RECORDS
 
 _END_OF_TIME = 2**64
 # of a file: the next one begins at once, or with the next trigger
@@ -66,6 +70,8 @@ class Recording:
             raise RecordingError(f"{self.path}: {what}")
         with self._open() as data:
             self._layout = scan(data)
+        # the block that an overtaken message was read from last
+        self._fetched: tuple[int, bytes] = (-1, b"")
 
     @property
     def closed(self) -> bool:
@@ -112,7 +118,7 @@ class Recording:
     def messages(
         self, topics: Iterable[str] | None = None, start_ns: int | None = None, end_ns: int | None = None
     ) -> Iterator[RecordedMessage]:
-        """Yield messages in the order in which they were received.
+        """Yield messages in the order in which they were received; those of one publisher in the order of its numbers.
 
         Parameters: topics, names of channels such as `teleop/forward@slave`, all when None; start_ns (included) and
         end_ns (excluded), bounds of the time of reception [ns], none when None.
@@ -136,7 +142,7 @@ class Recording:
         first = 0 if start_ns is None else start_ns
         after = _END_OF_TIME if end_ns is None else end_ns
         table = self._recorded_channels(wanted, None if start_ns is None else self._channels_by_number)
-        for message in self._walk(table, RecordedMessage, report, first, after):
+        for message in self._walk(table, RecordedMessage, report, first, after, order=self._order):
             if first <= message.log_ns < after:
                 yield message
 
@@ -153,7 +159,7 @@ class Recording:
                 continue
             found: dict[RecordedChannel, RecordedMessage] = {}
             table = self._recorded_channels(missing.__contains__, self._channels_by_number)
-            for message in self._walk(table, RecordedMessage, blocks=(block,)):
+            for message in self._walk(table, RecordedMessage, blocks=(block,), order=self._order):
                 if message.log_ns < time_ns:
                     found[message.channel] = message
             newest |= found
@@ -167,6 +173,11 @@ class Recording:
         before.
         """
         return self._walk(_ChannelTable(self._layout, raw_channel), RawMessage, report)
+
+    @property
+    def overtaken(self) -> int:
+        """Number of messages that stand in the file behind later ones of their publisher."""
+        return sum(len(block.left_out) for block in self._order.values())
 
     @property
     def structural_damage(self) -> tuple[Damage, ...]:
@@ -207,12 +218,14 @@ class Recording:
         first_ns: int = 0,
         after_ns: int = _END_OF_TIME,
         blocks: Iterable[Block] | None = None,
+        order: Mapping[int, BlockOrder] | None = None,
     ) -> Iterator[_MessageT]:
         """Yield the messages of the selected channels, add new channels to the table, report what cannot be used.
 
-        Blocks that lie outside of the bounds [ns] as a whole are skipped.
+        Blocks that lie outside of the bounds [ns] as a whole are skipped. With `order`, by the offset of a block, what
+        stands behind later messages comes where it belongs, as received no later than those.
         """
-        known, selected = channels.known, channels.selected
+        known, selected, order = channels.known, channels.selected, order or {}
         with self._open() as data:
             for block in self._layout.blocks if blocks is None else blocks:
                 if block.last_ns < first_ns or block.first_ns >= after_ns:
@@ -223,17 +236,60 @@ class Recording:
                     if report is not None:
                         report(Damage(block.offset, block.data_end - block.offset, str(error)))
                     continue
+                moved = order.get(block.offset)
                 for opcode, start, end in records_of(content):
                     if opcode == Opcode.MESSAGE:
                         number, seq, log_ns, publish_ns = MESSAGE_HEAD.unpack_from(content, start)
                         channel = selected.get(number)
                         if channel is not None:
+                            if moved is not None:
+                                if start in moved.left_out:
+                                    continue
+                                for place in moved.before.get(start, ()):
+                                    head, body = self._message_at(data, place)
+                                    yield message_type(channel, min(head[2], log_ns), head[3], head[1], body)
                             payload = content[start + MESSAGE_HEAD.size : end]
                             yield message_type(channel, log_ns, publish_ns, seq, payload)
                         elif number not in known and report is not None:
                             report(Damage(block.offset, end - start, f"a message of the unknown channel {number}"))
                     elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                         channels.read(opcode, content[start:end])
+
+    @cached_property
+    def _order(self) -> dict[int, BlockOrder]:
+        """What is read at another place than that in the file, by the offset of its block."""
+        finder, table = OvertakenFinder(), self._recorded_channels()
+
+        def is_numbered(number: int) -> bool:
+            # what was received at its publisher has the numbers of one process in the order of sending
+            channel = table.known.get(number)
+            return (
+                channel is not None and channel.via == "direct" and bool(channel.src) and channel.topic not in RECORDS
+            )
+
+        with self._open() as data:
+            for _, content in self._contents(data):
+                for opcode, start, end in finder.scan(content, is_numbered):
+                    table.read(opcode, content[start:end])
+            for block, content in self._contents(data) if finder.suspects else ():
+                finder.place(block.offset, content)
+        return finder.finish()
+
+    def _contents(self, data: mmap.mmap) -> Iterator[tuple[Block, bytes]]:
+        """Yield the blocks that can be read, with what is in them."""
+        for block in self._layout.blocks:
+            with contextlib.suppress(DamagedBlockError):
+                yield block, unpack(data, block)
+
+    def _message_at(self, data: mmap.mmap, place: Place) -> tuple[tuple[int, int, int, int], bytes]:
+        """Return the head and the payload of a message in another block."""
+        if self._fetched[0] != place.block:
+            block = next(block for block in self._layout.blocks if block.offset == place.block)
+            self._fetched = place.block, unpack(data, block)
+        content = self._fetched[1]
+        _, length = RECORD_HEAD.unpack_from(content, place.at - RECORD_HEAD.size)
+        channel, seq, log_ns, publish_ns = MESSAGE_HEAD.unpack_from(content, place.at)
+        return (channel, seq, log_ns, publish_ns), content[place.at + MESSAGE_HEAD.size : place.at + length]
 
 
 def info_of(recordings: Sequence[Recording]) -> RecordingInfo:

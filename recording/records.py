@@ -11,9 +11,9 @@ REJECTED_TOPIC = "recorder/rejected"
 
 
 class GapRecord(Record):
-    """Messages that the recorder should have received at this point and did not.
+    """Messages that the recorder should have received shortly before this point and did not.
 
-    One that arrives later, overtaken on its way, is recorded where it arrives; its gap record stays.
+    One that arrives within a tenth of a second, overtaken on its way, is recorded where it arrives and is not missing.
     """
 
     channel_topic: Text = Field(description="Channel on which messages are missing")

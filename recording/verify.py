@@ -95,6 +95,9 @@ class _Check:
         for message in self._recording.select(report=damage.append):
             self.messages += 1
             self._check_message(message)
+        if moved := self._recording.overtaken:
+            text = f"{moved} messages stand behind later ones of their publisher; they are read in the order of sending"
+            self._report("order", "info", "", text)
         for text in describe_damage(damage):
             self._report("crc", "error", "", text)
         for channel, newest in self._last.items():

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from proto.errors import RecordingError
-from recording.arrays import columns, last_session
+from recording.arrays import columns, last_programme
 from recording.reader import Recording
 from studies.link import BACKWARD_TOPIC, FORWARD_TOPIC, Schedule, schedule_from
 
@@ -27,7 +27,7 @@ def recorded_schedule(path: Path, settle: int, ticks: int, period_s: float) -> S
     recording = Recording(path)
     period_ns = round(period_s * 1e9)
     hand = columns(recording, "haptic/state", ("t_ns", "session_s", "step_s"))
-    running = last_session(hand["session_s"])
+    running = last_programme(hand["session_s"], hand["t_ns"])
     if not running.size:
         raise RecordingError(f"{path}: the operator's programme never ran in it")
     # each sample says how many periods it is after the one before: that is its tick, however late it was

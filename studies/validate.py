@@ -28,7 +28,7 @@ import numpy.typing as npt
 import yaml
 
 from proto.errors import ConfigError, TelenanoError
-from recording.arrays import columns, last_session
+from recording.arrays import columns, last_programme
 from recording.reader import Recording
 from services.afm_node.config import AfmConfig
 from services.afm_node.sample_models import SAMPLES
@@ -200,7 +200,7 @@ def read_course(path: Path) -> Trajectory:
     """
     recording = Recording(path)
     hand = columns(recording, "haptic/state", ("t_ns", "session_s", "operator_force_n.2", "position_m.2", "mode"))
-    running = last_session(hand["session_s"])
+    running = last_programme(hand["session_s"], hand["t_ns"])
     if running.size < 2:
         raise StudyError(f"{path}: the operator's programme never ran in it")
     hand = {name: values[running] for name, values in hand.items()}

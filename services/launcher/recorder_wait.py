@@ -1,16 +1,20 @@
-"""A recorder that is behind when it is to begin a new file: how far, and how long it is waited for."""
+"""A recorder that is behind at the end of a session: by how much, how long it is waited for, and what never came."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from proto.messages import NodeHealth
 from services.launcher.liveness import NODE_TIMEOUT_S
 from services.launcher.readiness import input_ages_s
 from services.runtime.clock import Clock
 
+Report = Callable[[str], None]
+
 # more than a flush and a report of its health; a recorder that keeps up is behind by milliseconds
 BEHIND_S = 1.0
 _LIMIT_S = 20.0
 _REPORT_NS = 1_000_000_000
+# what the other site sends so long after the end of a session still belongs to it: the answers to the last samples
+_TAIL_NS = 500_000_000
 
 
 class RecorderWait:
@@ -20,9 +24,7 @@ class RecorderWait:
     after the session's.
     """
 
-    def __init__(
-        self, clock: Clock, recorder: str, publishes: Callable[[str], bool], report: Callable[[str], None]
-    ) -> None:
+    def __init__(self, clock: Clock, recorder: str, publishes: Callable[[str], bool], report: Report) -> None:
         """Prepare to wait.
 
         Parameters: publishes, whether a node is at work now: what another one sent last grows old without a fault of
@@ -74,3 +76,101 @@ class RecorderWait:
     def skip(self) -> None:
         """End the wait."""
         self._until_ns = self._clock.monotonic_ns()
+
+
+class LastMessages:
+    """Determines whether a recorder has what the nodes of another site sent until the end of a session.
+
+    Those nodes run on and publish no last message. Their reports reach this process as well: the first one that was
+    sent after the session has to reach the recorder, and so has everything before it, which comes on the same
+    connection. All stamps of a node are of its own clock, whatever that is.
+    """
+
+    def __init__(
+        self, clock: Clock, recorder: str, senders: Sequence[str], alive: Callable[[str], bool], report: Report
+    ) -> None:
+        """Prepare to wait.
+
+        Parameters: senders, nodes of the other site; alive, whether a node is at work now; report, called with the
+        lines of progress.
+        """
+        self.recorder = recorder
+        # sentences on what the recorder lacks, once the wait is over
+        self.missing: list[str] = []
+        self._senders = tuple(senders)
+        self._clock = clock
+        self._alive = alive
+        self._report = report
+        self._end_ns: int | None = None
+        self._until_ns = self._report_ns = 0
+        # by sender: the least time from sending to reception, across two clocks; its uptime; stamp of the first report
+        # after the session; stamp of the newest one that the recorder has
+        self._least_lag_ns: dict[str, int] = {}
+        self._uptime_s: dict[str, float] = {}
+        self._due_ns: dict[str, int] = {}
+        self._recorded_ns: dict[str, int] = {}
+
+    def record(self, health: NodeHealth) -> None:
+        """Take note of a report of the recorder or of a sender."""
+        if health.src == self.recorder:
+            reports = [row for row in health.inputs if row.topic == "node/health" and row.age_valid]
+            self._recorded_ns = {row.src: health.t_ns - round(row.age_s * 1e9) for row in reports}
+        elif health.src in self._senders:
+            self._record_sender(health)
+
+    def over(self) -> bool:
+        """Return whether there is no more to wait for; report once a second what it waits for."""
+        now = self._clock.monotonic_ns()
+        if self._end_ns is None:
+            self._end_ns = self._clock.now_ns()
+            self._until_ns, self._report_ns = now + round(_LIMIT_S * 1e9), now + _REPORT_NS
+        waiting = self._outstanding()
+        if waiting and now < self._until_ns and self._alive(self.recorder):
+            if now >= self._report_ns:
+                self._report_ns = now + _REPORT_NS
+                left_s = (self._until_ns - now) * 1e-9
+                self._report(
+                    f"waiting for the last messages of {', '.join(waiting)} to reach {self.recorder}, for at most "
+                    f"{left_s:.0f} s more; Ctrl-C does not wait"
+                )
+            return False
+        self.missing = [self._lacks(node) for node in waiting]
+        self.missing += [
+            f"{node} was silent at the end of the session: what it sent last may be missing"
+            for node in self._senders
+            if node in self._least_lag_ns and not self._alive(node)
+        ]
+        return True
+
+    def skip(self) -> None:
+        """End the wait."""
+        self._until_ns = self._clock.monotonic_ns()
+
+    def _record_sender(self, health: NodeHealth) -> None:
+        src, lag_ns = health.src, self._clock.now_ns() - health.t_ns
+        if health.uptime_s < self._uptime_s.get(src, 0.0):
+            # started again, with a clock that may be another one
+            self._least_lag_ns.pop(src, None)
+        self._uptime_s[src] = health.uptime_s
+        least_ns = self._least_lag_ns[src] = min(self._least_lag_ns.get(src, lag_ns), lag_ns)
+        if self._end_ns is not None and health.t_ns + least_ns >= self._end_ns + _TAIL_NS:
+            self._due_ns.setdefault(src, health.t_ns)
+
+    def _outstanding(self) -> list[str]:
+        """Return the senders at work, of those that the recorder receives, whose last messages it lacks."""
+        return [
+            node
+            for node in self._senders
+            if self._alive(node) and node in self._recorded_ns and not self._has_last(node)
+        ]
+
+    def _has_last(self, node: str) -> bool:
+        due_ns = self._due_ns.get(node)
+        return due_ns is not None and self._recorded_ns[node] >= due_ns
+
+    def _lacks(self, node: str) -> str:
+        now_ns = self._clock.now_ns() - self._least_lag_ns.get(node, 0)
+        return (
+            f"what {node} sent in the last {(now_ns - self._recorded_ns[node]) * 1e-9:.1f} s had not reached "
+            f"{self.recorder} when the wait for it was over"
+        )

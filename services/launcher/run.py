@@ -125,6 +125,7 @@ def outcome_of(rig: RigNode, plan: Plan) -> Outcome:
     else:
         recordings, unreadable = _own_recordings(plan.out)
         missing += unreadable
+        missing += rig.not_recorded if isinstance(rig, SessionNode) else ()
     restarts, bad_start = rig.supervisor.restarts(), rig.supervisor.bad_start
     return Outcome(rig.failure, rig.interrupted, ran, recordings, note, restarts, tuple(missing), bad_start)
 

@@ -13,7 +13,7 @@ from services.launcher.external_recording import ExternalRecording
 from services.launcher.liveness import Change, LivenessMonitor
 from services.launcher.processes import StopObserver
 from services.launcher.readiness import READY_DEADLINE_S, ReadinessGate, unmet
-from services.launcher.recorder_wait import RecorderWait
+from services.launcher.recorder_wait import LastMessages, RecorderWait
 from services.launcher.supervisor import Supervisor
 from services.runtime.bus import Received
 from services.runtime.commands import Command, CommandClient
@@ -263,6 +263,8 @@ class SessionNode(RigNode):
         self._latched, self._latched_ns = "", 0
         self._running_ns: int | None = None
         self._wait = RecorderWait(context.clock, RECORDER, self._publishes, self.reports.append)
+        far = () if self.attached or not other_site else others
+        self._last_messages = LastMessages(context.clock, RECORDER, far, self._publishes, self.reports.append)
         # what is commanded to a recorder that runs elsewhere once it has caught up
         self._last_steps: list[Command] = []
 
@@ -281,6 +283,11 @@ class SessionNode(RigNode):
     def ran(self) -> bool:
         """Whether the operator's programme was started."""
         return self._running_ns is not None
+
+    @property
+    def not_recorded(self) -> tuple[str, ...]:
+        """What the recorder was found to lack at the end, in sentences."""
+        return tuple(self._last_messages.missing)
 
     @property
     def attached(self) -> bool:
@@ -320,6 +327,7 @@ class SessionNode(RigNode):
         super().on_message(received)
         if isinstance(received.message, NodeHealth):
             self._wait.record(received.message)
+            self._last_messages.record(received.message)
             if self.recording is not None:
                 self.recording.on_health(received.message)
 
@@ -435,6 +443,8 @@ class SessionNode(RigNode):
             self._commands = CommandClient(self.clock, self.publish, self._last_steps, retry_ns=_REFUSAL_RETRY_NS)
             self._last_steps = []
             return
+        if self.ran and not self.failure and not self._last_messages.over():
+            return
         ends = "the nodes keep running" if self.attached else "the nodes are stopped"
         text = f"the session is over, {ends}"
         self.event("node", "info", text, answer_to="", interrupted=self.interrupted)
@@ -449,6 +459,7 @@ class SessionNode(RigNode):
         """Request an early end; while the recorder is waited for, the end of the wait."""
         if self.phase == "ending":
             self._wait.skip()
+            self._last_messages.skip()
         super().interrupt()
 
 

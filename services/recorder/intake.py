@@ -2,7 +2,8 @@
 
 import contextlib
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from proto import MAX_MESSAGE_BYTES, TOPICS, Topic, WireError, decode, decode_header
@@ -25,11 +26,32 @@ _SOURCE = re.compile(SOURCE_PATTERN)
 _MAX_SOURCE_LENGTH = 64
 _MAX_REJECTED_FRAMES = 4
 _NEVER = event_trigger(())
+# a gap is recorded when so much has passed: what a batch, or the link, has late is not missing
+_LATE_NS = 100_000_000
 # the nodes that are stopped before a recorder; each sends far more often
 _SENDERS = tuple(node for node in START_ORDER if name_of(node) != "recorder")
 _SILENT_NS = 500_000_000
 # a queue of messages holds less than this
 _LONGEST_QUEUE_NS = 30_000_000_000
+
+
+@dataclass
+class _OpenGap:
+    """Numbers that a stream has left out, and those of them that came late."""
+
+    stream: Stream
+    first: int
+    last: int
+    noticed_ns: int
+    came: set[int] = field(default_factory=set)
+
+    def missing(self) -> Iterator[tuple[int, int]]:
+        """Yield first and last of each run of numbers that did not come."""
+        first = self.first
+        for seq in (*sorted(self.came), self.last + 1):
+            if seq > first:
+                yield first, seq - 1
+            first = seq + 1
 
 
 class Intake:
@@ -78,6 +100,8 @@ class Intake:
         self._replayed: set[str] = set()
         self._triggered = False
         self._until_ns = 0
+        self._open_gaps: list[_OpenGap] = []
+        self._newest_ns = 0
 
     @property
     def size_bytes(self) -> int:
@@ -101,6 +125,7 @@ class Intake:
     def flush(self, now_ns: int = 0) -> None:
         """Make what was received so far safe against a kill; at `now_ns` begin and end the files that are due."""
         try:
+            self._record_gaps(self._newest_ns - _LATE_NS)
             if self.writer is not None:
                 self.writer.flush()
                 self._check_in_place(self.writer, now_ns)
@@ -113,6 +138,7 @@ class Intake:
         """Continue in a new file; RecordingError gives the reason when that is not possible."""
         if self.writer is None or self.rotation is None:
             raise RecordingError(self.fault or "nothing is being written")
+        self._record_gaps(self._newest_ns)
         self._next_file(self.rotation, self.writer, now_ns)
 
     def snapshot(self) -> None:
@@ -122,11 +148,12 @@ class Intake:
         self._triggered = True
 
     def finish(self) -> None:
-        if self.writer is not None:
-            try:
+        try:
+            self._record_gaps(self._newest_ns)
+            if self.writer is not None:
                 self.writer.finish(self._end("stopped"))
-            except RecordingError as error:
-                self._stop(error)
+        except RecordingError as error:
+            self._stop(error)
 
     def silent_at_the_end(self, sites: Sequence[str], now_ns: int) -> tuple[str, ...]:
         """Return the nodes at these sites that are silent without having published their last message.
@@ -219,9 +246,12 @@ class Intake:
             live = abs(received_ns - t_ns) < _LONGEST_QUEUE_NS
             stream = self._open_stream(listener, frames[0], TOPICS[topic], src, live=live)
         arrival = stream.tracker.accept(seq, t_ns)
+        self._newest_ns = received_ns
         if stream.wanted:
             if arrival is Arrival.AFTER_GAP:
-                self._record_gap(stream, received_ns)
+                self._open_gap(stream, received_ns)
+            elif arrival is Arrival.LATE:
+                self._fill_gap(stream, seq)
             self._write(stream, received_ns, t_ns, seq, payload)
         if topic == "node/health" and fields.get("replay") is True:
             self._replayed.add(src)
@@ -266,22 +296,50 @@ class Intake:
         for (name, source), count in sent.items():
             stream = listener.streams.get((name.encode(), source))
             if stream is not None and stream.tracker.finish(count) and stream.wanted:
-                self._record_gap(stream, received_ns, at_end=True)
+                self._record_gaps(received_ns)
+                first, last = stream.tracker.last_gap
+                self._count_missing(stream, last - first + 1, at_end=True)
+                self._write_gap(stream, first, last)
 
-    def _record_gap(self, stream: Stream, received_ns: int, *, at_end: bool = False) -> None:
-        first, last = stream.tracker.last_gap
-        count = last - first + 1
-        self.gaps += 1
+    def _open_gap(self, stream: Stream, received_ns: int) -> None:
+        """Take note of missing numbers, which are recorded as missing unless they come within a moment."""
+        gap = _OpenGap(stream, *stream.tracker.last_gap, received_ns)
+        self._open_gaps.append(gap)
+        self._count_missing(stream, gap.last - gap.first + 1)
+
+    def _fill_gap(self, stream: Stream, seq: int) -> None:
+        """Take note of a number that came late."""
+        for gap in reversed(self._open_gaps):
+            if gap.stream is stream and gap.first <= seq <= gap.last:
+                gap.came.add(seq)
+                self._count_missing(stream, -1)
+                return
+
+    def _record_gaps(self, until_ns: int) -> None:
+        """Record what is missing in the gaps that were noticed up to a time [ns]."""
+        while self._open_gaps and self._open_gaps[0].noticed_ns <= until_ns:
+            gap = self._open_gaps.pop(0)
+            for first, last in gap.missing():
+                self._write_gap(gap.stream, first, last)
+
+    def _count_missing(self, stream: Stream, count: int, *, at_end: bool = False) -> None:
         self.lost = min(self.lost + count, MOST_COUNTED)
         # what an impaired link drops on its way is the experiment, not a fault; what it has sent on at last is not
         if stream.direct or at_end:
             self.missing = min(self.missing + count, MOST_COUNTED)
         if stream.direct and stream.topic.delivery == "lossless":
             self.lossless_lost = min(self.lossless_lost + count, MOST_COUNTED)
+
+    def _write_gap(self, stream: Stream, first: int, last: int) -> None:
+        self.gaps += 1
         gap = GapRecord(
-            channel_topic=stream.channel_topic, src=stream.src, first_missing=first, last_missing=last, count=count
+            channel_topic=stream.channel_topic,
+            src=stream.src,
+            first_missing=first,
+            last_missing=last,
+            count=last - first + 1,
         )
-        self._store(Entry(received_ns, received_ns, 0, b"", None, gap))
+        self._store(Entry(self._newest_ns, self._newest_ns, 0, b"", None, gap))
 
     def _reject(self, listener: Listener, frames: Sequence[bytes], received_ns: int, error: WireError) -> None:
         subscriber = listener.subscriber

@@ -1,19 +1,24 @@
 """A recorder's connection to one publisher: message by message, or in batches where the publisher makes them."""
 
+from bisect import bisect_right
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from operator import itemgetter
 
 from proto.batch import BATCH_FRAME, read_batch
 from proto.codec import WireError
 from proto.sequence import SequenceTracker
 from proto.topics import Topic
 from services.runtime.bus import Subscriber
+from services.runtime.outgoing_batch import LATEST_NS
 
 # a node sends its health twice a second, and with it a batch
 _SILENT_NS = 1_200_000_000
 # messages that may have come before the first batch, which has them as well: no more, and none that is older than that
 _MOST_RECENT = 1024
+# age at which all that was sent before has come in a batch: the age of a batch, and its way
+HOLD_NS = LATEST_NS + 2_000_000
 
 # a process stands still for less; what is older was stamped by another clock
 _LONGEST_STALL_NS = 3_600_000_000_000
@@ -54,8 +59,15 @@ class Listener:
     _accepts_batches: bool = False
     _last_batch_ns: int = 0
     _last_ns: int = 0
-    # with the time of reception [ns]
+    # single messages with the time of reception [ns]: those that wait for a batch that may begin before them, and
+    # those that were yielded lately
+    _held: list[tuple[int, Frames]] = field(default_factory=list)
     _recent: deque[tuple[int, Frames]] = field(default_factory=lambda: deque(maxlen=_MOST_RECENT))
+
+    @property
+    def accepts_batches(self) -> bool:
+        """Whether this publisher's messages may come in batches."""
+        return self._accepts_batches
 
     def accept_batches(self) -> None:
         """Ask for batches; until the first one comes, and when there are no more, the messages come one by one.
@@ -65,23 +77,34 @@ class Listener:
         self._accepts_batches = True
         self.subscriber.socket.subscribe(BATCH_FRAME)
 
-    def receive(self, epoch_offset_ns: int) -> Iterator[tuple[int, Frames]]:
+    def receive(self, epoch_offset_ns: int, now_ns: int) -> Iterator[tuple[int, Frames]]:
         """Yield what has arrived, in the order of sending: time of reception [ns], frames.
 
         Of a batch that is the time of sending, on this process's clock: its monotonic clock and `epoch_offset_ns`.
+        Where batches are accepted a single message is yielded `HOLD_NS` after its reception, because the first batch
+        may have messages that were sent before it; `now_ns` is the time on the epoch [ns].
         """
         for frames, received_ns in self.subscriber.receive_raw():
             if self._accepts_batches and frames[0] == BATCH_FRAME:
                 yield from self._unpacked(frames, received_ns, epoch_offset_ns)
+            elif self._accepts_batches and not self.batched:
+                self._held.append((received_ns, frames))
             elif not self.batched:
-                if self._accepts_batches:
-                    self._keep(received_ns, frames)
                 yield self._in_order(received_ns), frames
+        yield from self._release(now_ns - HOLD_NS)
 
     def check(self, now_ns: int) -> None:
         """Go back to single messages when there has been no batch for long, with everything that has come taken."""
         if self.batched and now_ns - self._last_batch_ns > _SILENT_NS:
             self._take_singly()
+
+    def _release(self, until_ns: int) -> Iterator[tuple[int, Frames]]:
+        """Yield the single messages that have waited for long enough."""
+        count = bisect_right(self._held, until_ns, key=itemgetter(0))
+        for received_ns, frames in self._held[:count]:
+            self._keep(received_ns, frames)
+            yield self._in_order(received_ns), frames
+        del self._held[:count]
 
     def _unpacked(self, frames: Frames, received_ns: int, epoch_offset_ns: int) -> Iterator[tuple[int, Frames]]:
         self._last_batch_ns = received_ns
@@ -93,24 +116,41 @@ class Listener:
             # for whoever keeps what is no message
             yield self._in_order(received_ns), frames
             return
-        known = self._take_batches() if not self.batched else ()
-        for sent_ns, topic, payload in batch.sent:
-            single = [topic, payload]
-            if single not in known:
-                time_ns = sent_ns + epoch_offset_ns
-                plausible = received_ns - _LONGEST_STALL_NS <= time_ns <= received_ns
-                yield self._in_order(time_ns if plausible else received_ns), single
+        copies: list[tuple[int, Frames]] = [
+            (self._sent_ns(sent_ns + epoch_offset_ns, received_ns), [topic, payload])
+            for sent_ns, topic, payload in batch.sent
+        ]
+        if not self.batched:
+            copies = self._take_batches(copies)
+        for time_ns, single in copies:
+            yield self._in_order(time_ns), single
         if batch.last:
             self._take_singly()
 
-    def _take_batches(self) -> Sequence[Frames]:
-        """Subscribe to batches only; return what came before the first one."""
+    @staticmethod
+    def _sent_ns(time_ns: int, received_ns: int) -> int:
+        """Return the time of sending, or that of reception where the other one is of another clock."""
+        return time_ns if received_ns - _LONGEST_STALL_NS <= time_ns <= received_ns else received_ns
+
+    def _take_batches(self, copies: Sequence[tuple[int, Frames]]) -> list[tuple[int, Frames]]:
+        """Subscribe to batches only; return what is to be yielded with the first one, in the order of sending.
+
+        A single message that is not in the batch was sent before it.
+        """
         self.batched = True
         for topic in self.subscriber.topics:
             self.subscriber.socket.unsubscribe(topic.encode())
-        known = [frames for _, frames in self._recent]
+        batch = {tuple(frames) for _, frames in copies}
+        yielded = {tuple(frames) for _, frames in self._recent}
+        first_ns = copies[0][0] if copies else 0
+        before = [
+            (min(received_ns, first_ns) if copies else received_ns, frames)
+            for received_ns, frames in self._held
+            if tuple(frames) not in batch
+        ]
         self._recent.clear()
-        return known
+        self._held.clear()
+        return [*before, *(copy for copy in copies if tuple(copy[1]) not in yielded)]
 
     def _keep(self, received_ns: int, frames: Frames) -> None:
         """Keep a message that the first batch may have as well."""

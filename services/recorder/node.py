@@ -13,7 +13,7 @@ from proto.messages import MAX_TEXT, SessionControl
 from services.recorder.config import RecorderConfig
 from services.recorder.disk_watch import DiskWatch
 from services.recorder.intake import Intake
-from services.recorder.listener import Frames, Listener
+from services.recorder.listener import HOLD_NS, Frames, Listener
 from services.runtime.bus import Received, ZmqBus
 from services.runtime.clock import NEVER_NS, Clock
 from services.runtime.deadlines import PeriodicDeadline
@@ -35,12 +35,10 @@ _RATE_PERIOD_NS = 1_000_000_000
 # to wake up for every message costs more than to write it, and takes its turn from the loop
 _BATCH_NS = 1_000_000
 # how often batches are taken: a recorder that works between two turns of the loop evicts the loop's data from the
-# caches, so it works seldom; and how old what is recorded has to be, so that all that was sent before it has come: the
-# age of a batch, and its way
+# caches, so it works seldom
 _TAKE_NS = 20_000_000
-_HOLD_NS = LATEST_NS + 2_000_000
 # so much later than it was sent a message has reached the file, if nobody stands still
-HELD_S = (LATEST_NS + _TAKE_NS + _HOLD_NS) * 1e-9
+HELD_S = (LATEST_NS + _TAKE_NS + HOLD_NS) * 1e-9
 _time_of = itemgetter(0)
 ACTIONS = ("record.split", "record.snapshot", "record.status")
 
@@ -48,8 +46,8 @@ ACTIONS = ("record.split", "record.snapshot", "record.status")
 class RecorderBus(ZmqBus):
     """A bus with a connection of its own to each publisher, so that the place where a message was received is known.
 
-    What comes message by message is received as it comes, batches every `_TAKE_NS`. Where there are batches everything
-    is recorded a little later, in the order of its times, which one publisher's batch alone does not give.
+    What comes message by message is received as it comes, batches every `_TAKE_NS`. Where there may be batches
+    everything is recorded a little later, in the order of its times, which one publisher's batch alone does not give.
     """
 
     def __init__(
@@ -71,6 +69,7 @@ class RecorderBus(ZmqBus):
             self._poller.register(listener.subscriber.socket, zmq.POLLIN)
         for descriptor in (wake_descriptor, *self._network_descriptors):
             self._poller.register(descriptor, zmq.POLLIN)
+        self._holds = any(listener.accepts_batches for listener in listeners)
         self._batched: list[Listener] = []
         self._ready: list[tuple[object, int]] = []
         self._batch_start_ns = 0
@@ -90,17 +89,18 @@ class RecorderBus(ZmqBus):
         found = [self._listeners[socket] for socket, _ in ready if socket in self._listeners]
         now_ns, offset_ns = self._clock.monotonic_ns(), self._clock.epoch_offset_ns
         takes = self._ending or now_ns >= self._take_ns
-        if takes and self._batched:
+        if takes and self._holds:
             self._take_ns = now_ns + _TAKE_NS
-            found += self._batched
+            found = list(self._listeners.values())
         for listener in found:
-            self._waiting += [(time_ns, listener, frames) for time_ns, frames in listener.receive(offset_ns)]
+            taken = listener.receive(offset_ns, now_ns + offset_ns)
+            self._waiting += [(time_ns, listener, frames) for time_ns, frames in taken]
         if takes:
             self._sort_out(now_ns + offset_ns)
-        if not self._batched:
+        if not self._holds:
             yield from self._record_until(NEVER_NS)
         elif takes:
-            yield from self._record_until(now_ns + offset_ns - _HOLD_NS)
+            yield from self._record_until(now_ns + offset_ns - HOLD_NS)
 
     def wait(self, deadline_ns: int) -> None:
         """Wait until something has arrived or the monotonic clock has reached `deadline_ns`.
@@ -112,7 +112,7 @@ class RecorderBus(ZmqBus):
             time.sleep((self._batch_start_ns + _BATCH_NS - now_ns) * 1e-9)
             now_ns = self._clock.monotonic_ns()
         self._batch_start_ns = now_ns
-        if self._batched:
+        if self._holds:
             deadline_ns = min(deadline_ns, self._take_ns)
         remaining_ns = max(0, deadline_ns - now_ns)
         # rounded up, because waking a little early would only mean to wait once more

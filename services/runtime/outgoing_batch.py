@@ -7,7 +7,7 @@ from services.runtime.clock import NEVER_NS
 
 # age of the oldest copy at which a batch goes out in the next pause of the loop, and without one
 DUE_NS, LATEST_NS = 5_000_000, 10_000_000
-# payload bytes at which it goes out at once, so that a batch never holds more than this and one message
+# payload bytes at which it goes out before the next message: a batch never holds more than this and one message
 _MOST_BYTES = 65_536
 
 
@@ -23,14 +23,18 @@ class OutgoingBatch:
         self._bytes = 0
 
     def add(self, topic: bytes, payload: bytes) -> None:
-        """Keep a copy of what was sent just now."""
+        """Keep a copy of what is about to be sent.
+
+        Copies that are overdue go out first, so that a recorder that takes single messages, because this process stood
+        still, gets them before anything that was sent later.
+        """
         now_ns = self._monotonic_ns()
+        if now_ns >= self.latest_ns or self._bytes >= _MOST_BYTES:
+            self.flush()
         if not self._copies:
             self.due_ns, self.latest_ns = now_ns + DUE_NS, now_ns + LATEST_NS
         self._copies.append(SentCopy(now_ns, topic, payload))
         self._bytes += len(payload)
-        if self._bytes >= _MOST_BYTES:
-            self.flush()
 
     def flush(self, *, last: bool = False) -> None:
         """Send what there is; `last` also when there is nothing."""

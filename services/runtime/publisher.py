@@ -117,10 +117,10 @@ class ZmqPublisher(_NumberingPublisher):
             self.carry(topic, payload)
         # a player may send under another name
         frame = _FRAMES.get(topic) or topic.encode()
-        self._send(frame, _SNDMORE)
-        self._send(payload)
         if self._batch is not None:
             self._batch.add(frame, payload)
+        self._send(frame, _SNDMORE)
+        self._send(payload)
 
     def keep_batch(self) -> OutgoingBatch:
         """Keep copies of what is sent from now on; whoever waits for this node's messages flushes the batch."""

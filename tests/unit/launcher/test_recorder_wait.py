@@ -1,8 +1,10 @@
-"""A recorder that has to catch up before it begins a new file, in virtual time."""
+"""A recorder that has to catch up at the end of a session, in virtual time."""
 
+import pytest
 from launcher_bench import SECOND_NS, health, row
 
-from services.launcher.recorder_wait import RecorderWait
+from proto.messages import InputHealth, NodeHealth
+from services.launcher.recorder_wait import LastMessages, RecorderWait
 from services.runtime.clock import VirtualClock
 
 RECORDER, HAND = "recorder@master", "haptic_node@master"
@@ -69,3 +71,116 @@ def test_what_a_replay_or_a_node_that_has_ended_sent_is_old_without_a_fault_of_t
     waiting = Waiting(publishes=False)
     waiting.report(1e6)
     assert waiting.wait.behind_s() == 0.0
+
+
+class Ending:
+    """A session that ends, two nodes of the other site with a clock of their own, and the way to the recorder."""
+
+    def __init__(self, ahead_s: float = 0.0, way_s: float = 0.05) -> None:
+        self.clock = VirtualClock(SECOND_NS, epoch_offset_ns=10**18)
+        self.ahead_s, self.way_s = ahead_s, way_s
+        self.lines: list[str] = []
+        self.alive = {RECORDER, *FAR}
+        self.last = LastMessages(self.clock, RECORDER, FAR, self.alive.__contains__, self.lines.append)
+        self.recorded_ns: dict[str, int] = {}
+        self.uptime_s = 5.0
+        self.run(2.0)
+
+    def run(self, seconds: float, backlog_s: float = 0.0) -> bool:
+        """Let time pass in which the recorder has what is older than its backlog; return whether the wait is over."""
+        for _ in range(round(4.0 * seconds)):
+            self.clock.advance_ns(SECOND_NS // 4)
+            self.uptime_s += 0.25
+            sent_ns = self.clock.now_ns() + round((self.ahead_s - self.way_s) * 1e9)
+            for node in FAR:
+                if node in self.alive:
+                    self.last.record(stamped(node, sent_ns, self.uptime_s))
+                    self.recorded_ns[node] = sent_ns - round(backlog_s * 1e9)
+            now_ns = self.clock.now_ns()
+            rows = (row("node/health", node, age_s=(now_ns - at) * 1e-9) for node, at in self.recorded_ns.items())
+            self.last.record(stamped(RECORDER, now_ns, 5.0, *rows))
+        return self.ended and self.last.over()
+
+    ended = False
+
+    def end(self) -> bool:
+        self.ended = True
+        return self.last.over()
+
+
+FAR = ("afm_node@slave", "controller@slave")
+
+
+def stamped(node: str, t_ns: int, uptime_s: float, *rows: InputHealth) -> NodeHealth:
+    return health(node, inputs=rows, uptime_s=uptime_s).model_copy(update={"t_ns": t_ns})
+
+
+@pytest.mark.parametrize("ahead_s", [0.0, 37.0, -37.0])
+@pytest.mark.parametrize("way_s", [0.0, 0.05, 0.4])
+def test_the_last_messages_of_the_other_site_are_waited_for_whatever_its_clock(ahead_s: float, way_s: float) -> None:
+    ending = Ending(ahead_s, way_s)
+    assert not ending.end()
+    # what was under way when the session ended is not its end
+    assert not ending.run(0.25)
+    assert ending.run(0.25)
+    assert ending.last.missing == []
+    assert ending.lines == []
+
+
+def test_a_backlog_on_the_way_to_the_recorder_is_waited_for() -> None:
+    ending = Ending()
+    assert not ending.end()
+    for backlog_s in (4.0, 4.0, 3.0, 3.0, 3.0, 3.0):
+        assert not ending.run(0.5, backlog_s)
+    assert ending.run(1.0, 0.5)
+    assert ending.last.missing == []
+    assert ending.lines[0] == (
+        "waiting for the last messages of afm_node@slave, controller@slave to reach recorder@master, for at most 19 s "
+        "more; Ctrl-C does not wait"
+    )
+
+
+@pytest.mark.parametrize("skip", [False, True])
+def test_what_never_comes_is_named(skip: bool) -> None:
+    ending = Ending()
+    assert not ending.end()
+    assert not ending.run(3.0, 4.0)
+    if skip:
+        ending.last.skip()
+        assert ending.last.over()
+    else:
+        # the backlog grows as fast as time passes
+        while not ending.run(0.5, 30.0):
+            pass
+        assert len(ending.lines) > 15
+    behind_s = 4.0 if skip else 30.0
+    assert ending.last.missing == [
+        f"what {node} sent in the last {behind_s:.1f} s had not reached recorder@master when the wait for it was over"
+        for node in FAR
+    ]
+
+
+def test_a_site_that_is_silent_at_the_end_is_named_and_not_waited_for() -> None:
+    ending = Ending()
+    ending.alive -= set(FAR)
+    assert ending.end()
+    assert ending.last.missing == [
+        f"{node} was silent at the end of the session: what it sent last may be missing" for node in FAR
+    ]
+
+
+def test_a_recorder_that_has_died_is_not_waited_for() -> None:
+    ending = Ending()
+    ending.alive.remove(RECORDER)
+    assert ending.end()
+    assert len(ending.last.missing) == 2
+
+
+def test_a_node_that_was_started_again_with_another_clock_is_waited_for_by_that_one() -> None:
+    ending = Ending(ahead_s=-1e6)
+    ending.ahead_s, ending.uptime_s = 0.0, 0.0
+    ending.run(1.0)
+    assert not ending.end()
+    assert not ending.run(0.25)
+    assert ending.run(0.25)
+    assert ending.last.missing == []

@@ -225,3 +225,31 @@ def test_the_live_view_draws_a_site_without_a_session() -> None:
     rig.tick_linked(1)
     Console(file=text, width=200).print(rig_picture(rig.site))
     assert "the master's site is alive and conducts" in text.getvalue()
+
+
+def test_the_master_waits_at_the_end_for_what_the_slave_sent_last_and_names_what_did_not_come() -> None:
+    rig = master(duration_s=2.0)
+    rig.tick_alive(6)
+    assert rig.session.phase == "running"
+
+    def tick(recorded_s_ago: float) -> None:
+        now_ns = rig.clock.now_ns()
+        rows = tuple(row("node/health", node, age_s=recorded_s_ago) for node in SLAVE)
+        for node, inputs in (*((node, ()) for node in (*MASTER[1:], *SLAVE)), (MASTER[0], rows)):
+            rig.receive(health(node, inputs=inputs).model_copy(update={"t_ns": now_ns}), "node/health")
+        rig.tick()
+
+    for _ in range(45):
+        tick(0.1)
+    assert rig.session.phase == "ending"
+    # four seconds of what the slave sent are under way when the session ends, and the line gives up
+    for _ in range(60):
+        tick(4.0)
+    assert not rig.finished
+    assert any("waiting for the last messages of afm_node@slave, controller@slave" in line for line in rig.reports)
+    for _ in range(19 * 20):
+        tick(30.0)
+    assert rig.finished
+    assert [text.partition(" in the last ")[0] for text in rig.session.not_recorded] == [
+        f"what {node} sent" for node in SLAVE
+    ]

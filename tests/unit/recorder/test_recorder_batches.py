@@ -2,13 +2,14 @@
 
 from collections.abc import Iterator
 from pathlib import Path
+from unittest import mock
 
 import pytest
 import zmq
 from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state, sample
 
 from proto import Message, encode
-from proto.batch import BATCH_FRAME
+from proto.batch import BATCH_FRAME, SentCopy
 from recording.reader import Recording
 from recording.verify import verify
 from recording.writer import RecordingWriter
@@ -99,6 +100,11 @@ class Rig:
         self.advance(21.0)
         return [received.topic for received in self.bus.receive()]
 
+    def drop_commands(self) -> None:
+        """Let the recorder receive now."""
+        for _ in self.bus.receive():
+            pass
+
     def recorded(self) -> list[tuple[str, int, float]]:
         """End the recording; return topic, number and time of reception since the start [ms] of each message."""
         self.take()
@@ -158,6 +164,7 @@ def test_what_came_before_the_first_batch_is_recorded_once(rig: Rig) -> None:
     for seq in range(3):
         node.send("haptic/state", hand(seq))
     rig.take()
+    rig.take()
     assert rig.intake.received == 3
     node.send("haptic/state", hand(3))
     node.flush()
@@ -185,6 +192,56 @@ def test_a_foreign_publisher_is_recorded_message_by_message(rig: Rig) -> None:
     assert [seq for topic, seq, _ in found if topic == "afm/state"] == [0, 1, 2, 3, 4, 5]
     assert not rig.listeners[HAND].batched
     assert rig.listeners[AFM].batched
+
+
+@pytest.mark.parametrize("late_ms", [0.0, 90.0])
+def test_a_first_batch_that_begins_before_the_single_messages_is_recorded_in_order(rig: Rig, late_ms: float) -> None:
+    node = rig.node(HAND)
+    assert node.batch is not None
+    # sent before anybody had subscribed, so that only the batch has it
+    with mock.patch.object(node.publisher, "_send"):
+        node.send("haptic/state", hand(4453))
+    for seq in range(4454, 4460):
+        rig.advance(1.0)
+        node.send("haptic/state", hand(seq))
+    for _ in range(2):
+        # of a publisher that stands still meanwhile the single messages are written first
+        rig.advance(late_ms / 2.0)
+        rig.drop_commands()
+    for seq in (4460, 4461):
+        node.batch._copies.append(SentCopy(rig.clock.monotonic_ns(), b"haptic/state", encode(hand(seq))))
+    node.flush()
+    found = [seq for _, seq, _ in rig.recorded()]
+    assert found == list(range(4453, 4462))
+    if not late_ms:
+        assert [message.seq for message in Recording(rig.path).raw()] == found
+    assert (rig.intake.gaps, rig.intake.lost, rig.intake.missing) == (0, 0, 0)
+    channel = next(channel for channel in Recording(rig.path).info().channels if channel.topic == "haptic/state")
+    assert (channel.gaps, channel.lost, channel.repeated, channel.restarts) == (0, 0, 0, 0)
+
+
+def test_a_publisher_that_stood_still_is_recorded_in_order_and_without_a_gap(rig: Rig) -> None:
+    node = rig.node(HAND)
+    rig.begin(node)
+    node.subscriptions(3)
+    for seq in range(10):
+        node.send("haptic/state", hand(seq))
+        rig.advance(0.5)
+    # two seconds: the recorder goes back to single messages
+    for _ in range(100):
+        rig.take()
+    assert not rig.listeners[HAND].batched
+    node.subscriptions(3)
+    for seq in range(10, 30):
+        node.send("haptic/state", hand(seq))
+        rig.drop_commands()
+        rig.advance(0.5)
+    node.flush()
+    assert [seq for _, seq, _ in rig.recorded()] == list(range(30))
+    assert [message.seq for message in Recording(rig.path).raw() if message.channel.topic == "haptic/state"] == list(
+        range(30)
+    )
+    assert (rig.intake.gaps, rig.intake.lost) == (0, 0)
 
 
 @pytest.mark.parametrize("killed", [False, True])

@@ -92,22 +92,44 @@ def test_sources_on_one_topic_are_counted_apart(intake: Intake, listen: MakeList
     assert intake.gaps == 0
 
 
-def test_a_gap_is_written_where_it_happened(intake: Intake, listen: MakeListener) -> None:
+def test_a_gap_is_recorded_a_moment_after_it_was_noticed(intake: Intake, listen: MakeListener) -> None:
     listener = listen("haptic_node@master")
     for seq in (0, 1, 5, 6):
         intake.record(listener, frames("haptic/state", haptic_state(seq)), EPOCH_NS + seq)
-    found = list(recorded(intake).messages())
+    assert GAP_TOPIC not in {message.topic for message in recorded(intake).messages()}
+    path = recorded(intake).path
+    intake.finish()
+    found = list(Recording(path).messages())
     assert [(m.topic, m.log_ns - EPOCH_NS) for m in found] == [
         ("haptic/state", 0),
         ("haptic/state", 1),
-        (GAP_TOPIC, 5),
         ("haptic/state", 5),
         ("haptic/state", 6),
+        (GAP_TOPIC, 6),
     ]
-    assert found[2].decode() == GapRecord(
+    assert found[4].decode() == GapRecord(
         channel_topic="haptic/state", src="haptic_node@master", first_missing=2, last_missing=4, count=3
     )
     assert (intake.gaps, intake.lost, intake.lossless_lost) == (1, 3, 0)
+
+
+@pytest.mark.parametrize("stamp_ms", [1, 3000])
+def test_what_comes_late_is_not_recorded_as_missing(intake: Intake, listen: MakeListener, stamp_ms: int) -> None:
+    """The batch of a process that stood still, written behind what was sent after it."""
+    listener = listen("haptic_node@master")
+    for place, seq in enumerate((0, 1, 8, 9, 2, 3, 5, 4, 10, 11)):
+        t_ns = EPOCH_NS + (seq + stamp_ms * (seq > 7)) * 1_000_000
+        intake.record(listener, frames("haptic/state", haptic_state(seq, t_ns=t_ns)), EPOCH_NS + place * 1_000_000)
+    path = recorded(intake).path
+    intake.finish()
+    found = Recording(path)
+    gaps = [message.decode() for message in found.messages([GAP_TOPIC])]
+    assert gaps == [
+        GapRecord(channel_topic="haptic/state", src="haptic_node@master", first_missing=6, last_missing=7, count=2)
+    ]
+    assert (intake.gaps, intake.lost, intake.missing) == (1, 2, 2)
+    assert [message.seq for message in found.messages(["haptic/state"])] == [0, 1, 2, 3, 4, 5, 8, 9, 10, 11]
+    assert found.info().missing == ("2 messages of haptic_node@master on haptic/state are missing",)
 
 
 def ended(src: str, seq: int, sent: dict[str, int], **forwarded: int) -> list[bytes]:
@@ -189,7 +211,8 @@ def test_repetitions_and_late_messages_are_recorded_as_they_come(intake: Intake,
     listener = listen("haptic_node@master")
     for seq in (0, 2, 1, 1):
         intake.record(listener, frames("haptic/state", haptic_state(seq)), EPOCH_NS)
-    assert [m.seq for m in recorded(intake).messages(["haptic/state"])] == [0, 2, 1, 1]
+    assert [m.seq for m in recorded(intake).raw() if m.channel.topic == "haptic/state"] == [0, 2, 1, 1]
+    assert [m.seq for m in recorded(intake).messages(["haptic/state"])] == [0, 1, 2, 1]
 
 
 def test_only_a_command_received_from_its_publisher_is_given_back(intake: Intake, listen: MakeListener) -> None:

@@ -28,13 +28,23 @@ def test_it_is_due_by_its_oldest_copy_and_never_while_empty() -> None:
     assert len(rig.sent) == 1
 
 
-def test_large_messages_go_out_at_once_and_the_end_is_said() -> None:
+def test_large_messages_go_out_before_the_next_one_and_the_end_is_said() -> None:
     rig = Outgoing()
     rig.batch.add(b"a", bytes(65_535))
-    assert not rig.sent
     rig.batch.add(b"a", b"1")
-    assert [len(copy.payload) for copy in rig.sent[0].sent] == [65_535, 1]
+    assert not rig.sent
     rig.batch.add(b"b", b"2")
+    assert [len(copy.payload) for copy in rig.sent[0].sent] == [65_535, 1]
     rig.batch.flush(last=True)
     rig.batch.flush(last=True)
     assert [(len(batch.sent), batch.last) for batch in rig.sent] == [(2, False), (1, True), (0, True)]
+
+
+def test_what_a_process_that_stood_still_has_kept_goes_out_before_what_it_sends_next() -> None:
+    rig = Outgoing()
+    rig.batch.add(b"a", b"before")
+    rig.clock.advance_ns(2_000_000_000)
+    rig.batch.add(b"a", b"after")
+    assert [[copy.payload for copy in batch.sent] for batch in rig.sent] == [[b"before"]]
+    rig.batch.flush()
+    assert [copy.payload for copy in rig.sent[1].sent] == [b"after"]

@@ -1,0 +1,78 @@
+"""A rig started and ended again and again, at any moment and in any way: nothing of it is left."""
+
+import os
+import random
+import shutil
+import signal
+import time
+from pathlib import Path
+
+import pytest
+from stack_rig import Rig
+
+from proto.errors import RecordingError
+from recording.reader import Recording
+
+CYCLES = int(os.environ.get("TELENANO_CYCLES", "200"))
+LONGEST_S = 6.0
+PATIENCE_S = 60.0
+WAYS = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL, None)
+
+
+def left_of(rig: Rig) -> list[str]:
+    """Return the processes that still run for a rig."""
+    found = []
+    for entry in Path("/proc").iterdir():
+        try:
+            words = (entry / "cmdline").read_bytes().decode().split("\0") if entry.name.isdigit() else []
+        except OSError:
+            continue
+        if any(word.startswith(str(rig.out)) for word in words):
+            found.append(" ".join(words))
+    return found
+
+
+def end(rig: Rig, way: signal.Signals | None, after_s: float) -> None:
+    """End a rig in a way at a moment, or let it end by itself."""
+    assert rig.process is not None
+    if way is not None:
+        signal.sigtimedwait((), after_s)
+        if rig.process.poll() is None:
+            rig.process.send_signal(way)
+    rig.process.communicate(timeout=PATIENCE_S)
+    begin = time.monotonic()
+    while left := left_of(rig):
+        assert time.monotonic() - begin < PATIENCE_S, left
+        signal.sigtimedwait((), 0.05)
+
+
+@pytest.mark.endurance
+@pytest.mark.timeout(7200)
+def test_a_rig_that_is_started_and_ended_again_and_again_leaves_nothing(tmp_path: Path) -> None:
+    draw = random.Random(13)
+    before = set(Path("/dev/shm").iterdir())
+    readable = 0
+    for number in range(CYCLES):
+        rig = Rig(tmp_path / str(number))
+        rig.folder.mkdir()
+        way, after_s = draw.choice(WAYS), draw.uniform(0.0, LONGEST_S)
+        try:
+            rig.start("--duration", "1.5")
+            end(rig, way, after_s)
+            sockets = {path.name for path in rig.sockets.iterdir()} if rig.sockets.exists() else set()
+            # what a process that was killed has had to leave, and the next one takes over
+            assert sockets <= ({"launcher@master", "launcher@master.lock"} if way is signal.SIGKILL else set()), way
+            for path in rig.out.glob("session*.mcap"):
+                try:
+                    Recording(path).info()
+                    readable += 1
+                except RecordingError as error:
+                    # killed before the first byte was written
+                    assert "is empty" in str(error) or "ends before its first record" in str(error), error
+            assert not list(rig.out.glob("*.part"))
+        finally:
+            rig.close()
+        shutil.rmtree(rig.folder)
+    assert readable > CYCLES // 4
+    ours = {name for name in set(Path("/dev/shm").iterdir()) - before if "telenano" in name.name}
+    assert not ours

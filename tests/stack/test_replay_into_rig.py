@@ -1,0 +1,51 @@
+"""A recording played at its own rate into a live rig: it takes no running node's place, and no device obeys it."""
+
+from pathlib import Path
+
+import pytest
+from stack_rig import ROOT, Rig
+
+from recording.reader import Recording
+
+REFERENCE = str(ROOT / "tests" / "replay" / "passivity.mcap")
+LAW = "controller@slave"
+
+
+def modes(rig: Rig, topic: str) -> set[str]:
+    return {str(message.fields()["mode"]) for message in Recording(rig.out / "session.mcap").messages([topic])}
+
+
+@pytest.mark.endurance
+def test_a_replay_does_not_take_the_place_of_a_node_that_runs(rig: Rig) -> None:
+    rig.start("--duration", "600")
+    rig.wait_until(rig.running, "a running session")
+    played = rig.telenano("replay", REFERENCE, "--nodes", LAW)
+    assert played.returncode == 2
+    assert f"{LAW} cannot bind" in played.stderr
+    code, summary, err = rig.stop()
+    assert code == 0, err
+    assert summary["recording"]["complete"]
+    assert modes(rig, "afm/state") <= {"retracted", "follow"}
+
+
+@pytest.mark.endurance
+def test_no_device_obeys_a_replay_in_the_place_of_the_law(rig: Rig) -> None:
+    rig.start("--duration", "600", "--without", LAW)
+    rig.wait_until(lambda: rig.log_has("afm_node@slave", "ready"), "a rig without the law of the slave")
+    played = rig.telenano("replay", REFERENCE, "--nodes", LAW, "--rate", "1")
+    assert played.returncode == 0, played.stderr
+    text = f"commands of {LAW} come from a recording and are rejected"
+    rig.wait_until(lambda: rig.log_has("afm_node@slave", text), "the instrument's refusal")
+    rig.stop()
+    recording = Recording(rig.out / "session.mcap")
+    # it was there, at the rate of the recording
+    assert len(list(recording.messages(["afm/command"]))) > 1000
+    states = [message.fields() for message in recording.messages(["afm/state"])]
+    assert {state["mode"] for state in states} == {"retracted"}
+    # at rest where nothing can be touched
+    assert len({state["base_position_m"] for state in states}) == 1
+
+
+def test_the_recording_that_is_played_has_commands() -> None:
+    assert Path(REFERENCE).is_file()
+    assert len(list(Recording(REFERENCE).messages(["afm/command"]))) > 1000
