@@ -17,6 +17,8 @@ from proto.codec import WireError
 BATCH_TOPIC = "node/batch"
 BATCH_FRAME = BATCH_TOPIC.encode()
 _VERSION = 1
+# far above what a publisher keeps, and a small part of what would fit into the longest frame
+MOST_COPIES = 4096
 _Int64 = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
 
 
@@ -32,7 +34,7 @@ class Batch(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Copies in the order of sending; `last`: the publisher closes, and sends no further batch."""
 
     v: int
-    sent: list[SentCopy]
+    sent: Annotated[list[SentCopy], msgspec.Meta(max_length=MOST_COPIES)]
     last: bool
 
 
@@ -47,6 +49,9 @@ def pack_batch(sent: Sequence[SentCopy], *, last: bool = False) -> bytes:
 
 def read_batch(payload: bytes) -> Batch:
     """Return a batch; WireError (`newer_version`, `malformed`) for anything else. The copies are as they came."""
+    # Every key is needed and no other is known, so that one which comes twice shows in their number.
+    if (count := _keys_of(payload)) > len(Batch.__struct_fields__):
+        raise WireError("malformed", f"{BATCH_TOPIC} has {count} keys, a key twice or one that is not known")
     try:
         batch = _decode(payload)
     except (msgspec.MsgspecError, ValueError, RecursionError) as error:
@@ -54,3 +59,12 @@ def read_batch(payload: bytes) -> Batch:
     if batch.v != _VERSION:
         raise WireError("newer_version", f"{BATCH_TOPIC} has version {batch.v}, {_VERSION} is known")
     return batch
+
+
+def _keys_of(payload: bytes) -> int:
+    """Return how many keys the map has that a payload begins with; 0 where it begins with something else."""
+    head = payload[0] if payload else 0
+    if head & 0xF0 == 0x80:
+        return head & 0x0F
+    size = {0xDE: 2, 0xDF: 4}.get(head, 0)
+    return int.from_bytes(payload[1 : 1 + size])

@@ -11,10 +11,11 @@ import socket
 import time
 from collections.abc import Callable
 from enum import Enum
-from typing import Protocol
+from typing import Any, Protocol
 
 from services.afm_node.converter_calibration import InstrumentCalibration
 from services.afm_node.driver import DeviceError, DeviceReport
+from services.afm_node.host_address import HostAddress
 from services.afm_node.modbus_frames import Answer, Conversation, FramingError, Operation
 from services.afm_node.modbus_handshake import EXCEPTIONS, Handshake, Steps, heartbeat_of, is_retracted
 from services.afm_node.register_map import RegisterMap
@@ -27,6 +28,8 @@ LOST_NS = 50 * _MS
 RETRY_NS = 500 * _MS
 # of a step of the handshake: a setting that goes to flash takes long
 STEP_NS = 1000 * _MS
+# what a name server may take; the system gives up after ten seconds, with the usual settings
+NAME_NS = 15_000 * _MS
 _PERIOD_S = 1e-3
 _CLOSE_S, _RECONNECT_S = 0.1, 0.3
 _READ_BYTES = 4096
@@ -36,7 +39,13 @@ _MOST_BEATS = 65535
 
 
 class Line(Protocol):
-    """A connection that never waits; each method but `close` raises OSError when it is gone."""
+    """A connection that never waits; each method but `close` raises OSError when it is gone.
+
+    `resolved`: whether the address of the device is known, so that it is connected to.
+    """
+
+    @property
+    def resolved(self) -> bool: ...
 
     def ready(self) -> bool:
         """Return whether it is connected by now."""
@@ -49,24 +58,39 @@ class Line(Protocol):
     def close(self) -> None: ...
 
 
-class TcpLine:
-    """A TCP connection to a device, made without waiting for it."""
+Connect = Callable[[str, int], Line]
 
-    def __init__(self, host: str, port: int) -> None:
-        """Begin to connect. Raises OSError for a name that is not known."""
-        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-        self._socket = socket.socket(family, kind, protocol)
-        self._socket.setblocking(False)
+
+class TcpLine:
+    """A TCP connection to a device, made without waiting for it, nor for its address."""
+
+    def __init__(self, place: HostAddress) -> None:
+        """Begin to connect, as soon as the address is known."""
+        self._place = place
+        self._socket: Any = None
+        self._connected = False
+
+    @property
+    def resolved(self) -> bool:
+        return self._socket is not None
+
+    def _connect(self, family: int, address: Any) -> None:
+        self._socket = made = socket.socket(family, socket.SOCK_STREAM)
+        made.setblocking(False)
         # a request is one small segment, and the next one waits for its answer
-        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        failed = self._socket.connect_ex(address)
+        made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        failed = made.connect_ex(address)
         self._connected = failed == 0
         if failed not in (0, errno.EINPROGRESS):
-            self._socket.close()
             raise OSError(failed, "cannot connect")
 
     def ready(self) -> bool:
-        """Return whether it is connected by now."""
+        """Return whether it is connected by now; OSError also for a name that is not known."""
+        if self._socket is None:
+            found = self._place.poll()
+            if found is None:
+                return False
+            self._connect(*found)
         if not self._connected and select.select([], [self._socket], [], 0)[1]:
             failed = self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
             if failed:
@@ -81,7 +105,7 @@ class TcpLine:
     def receive(self) -> bytes:
         """Return what has come, without waiting."""
         try:
-            received = self._socket.recv(_READ_BYTES)
+            received: bytes = self._socket.recv(_READ_BYTES)
         except BlockingIOError:
             return b""
         if not received:
@@ -89,7 +113,25 @@ class TcpLine:
         return received
 
     def close(self) -> None:
-        self._socket.close()
+        if self._socket is not None:
+            self._socket.close()
+
+
+class TcpConnector:
+    """Makes the connections to a device, one after the other, and keeps its address in between."""
+
+    def __init__(self) -> None:
+        self._places: dict[tuple[str, int], HostAddress] = {}
+
+    def __call__(self, host: str, port: int) -> TcpLine:
+        """Begin to connect to a host by address or name."""
+        place = self._places.get((host, port))
+        if place is None:
+            place = self._places[host, port] = HostAddress(host, port)
+        else:
+            # by the next time the device may have another one
+            place.renew()
+        return TcpLine(place)
 
 
 class _Phase(Enum):
@@ -113,7 +155,7 @@ class ModbusAfm:
         registers: RegisterMap,
         limits: SafetyParams,
         *,
-        connect: Callable[[str, int], Line] = TcpLine,
+        connect: Connect | None = None,
         now_ns: Callable[[], int] = time.monotonic_ns,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
@@ -124,7 +166,8 @@ class ModbusAfm:
         self._calibration, self._map = calibration, registers
         self._where = f"{calibration.network.host}:{calibration.network.port}"
         self._limits = limits
-        self._connect, self._now_ns, self._sleep = connect, now_ns, sleep
+        self._connect: Connect = TcpConnector() if connect is None else connect
+        self._now_ns, self._sleep = now_ns, sleep
         stage, deflection = calibration.stage, calibration.deflection
         self._output = registers.output.of_channel(stage.dac)
         self._readback = registers.readback.of_channel(stage.dac)
@@ -138,7 +181,7 @@ class ModbusAfm:
         self._words: tuple[int, ...] = ()
         self._target_v = self._sent_v = stage.retract_v
         self._sent_ns = self._cycle_ns = self._answered_ns = self._sampled_ns = 0
-        self._retry_ns = 0
+        self._retry_ns = self._begun_ns = 0
         # after a (re)connection the base stays retracted until the guard has it there as well
         self._released = False
         self._opened = False
@@ -182,6 +225,11 @@ class ModbusAfm:
     def late_answers(self) -> int:
         """Return how many answers were skipped on this connection: they were to requests before the one that is out."""
         return self._conversation.late
+
+    @property
+    def refused_answers(self) -> int:
+        """Return how many answers of another unit or to another function came on this connection: none was taken."""
+        return self._conversation.refused
 
     @property
     def latency_s(self) -> float:
@@ -268,7 +316,7 @@ class ModbusAfm:
         except OSError as error:
             self._lose(now_ns, f"cannot be reached: {error.strerror or error}")
             return
-        self._phase, self._sent_ns = _Phase.CONNECTING, now_ns
+        self._phase, self._sent_ns, self._begun_ns = _Phase.CONNECTING, now_ns, now_ns
 
     def _drop(self, now_ns: int) -> None:
         if self._line is not None:
@@ -304,10 +352,20 @@ class ModbusAfm:
             self._lose(now_ns, f"the connection is gone: {error.strerror or error}")
 
     def _go_on_connecting(self, now_ns: int, line: Line) -> None:
-        if line.ready():
+        try:
+            ready = line.ready()
+        except OSError as error:
+            if line.resolved:
+                raise
+            raise DeviceError(f"its name is not known: {error.strerror or error}") from error
+        if ready:
             self._preparation = Handshake(self._calibration, self._map, self._conversation, self._now_ns)
             self._phase, self._handshake = _Phase.PREPARING, self._preparation.steps()
             self._send(next(self._handshake), now_ns)
+        elif not line.resolved:
+            self._sent_ns = now_ns
+            if now_ns - self._begun_ns > NAME_NS:
+                raise DeviceError("no name server answers: set network.host to its address")
         elif now_ns - self._sent_ns > STEP_NS:
             raise DeviceError("does not answer: check address, cable and firewall")
 
@@ -319,7 +377,8 @@ class ModbusAfm:
     def _prepare(self, now_ns: int, answer: Answer | None) -> None:
         if answer is None or self._handshake is None:
             if now_ns - self._sent_ns > STEP_NS:
-                raise DeviceError("is connected and does not answer requests: is it a Modbus TCP device?")
+                text = "is connected and does not answer requests: is it a Modbus TCP device?"
+                raise DeviceError(text + self._conversation.refusals)
             return
         self._outstanding = False
         try:
@@ -343,7 +402,7 @@ class ModbusAfm:
                 raise DeviceError(f"{reason} ({self._output.name} = {self._sent_v:.4f} V was sent)")
             self._take(answer, now_ns)
         if now_ns - self._answered_ns > LOST_NS:
-            raise DeviceError(f"has been silent for {LOST_NS // _MS} ms")
+            raise DeviceError(f"has been silent for {LOST_NS // _MS} ms{self._conversation.refusals}")
         if self._outstanding:
             return
         if self._requests:

@@ -18,6 +18,8 @@ from pymodbus.pdu.register_message import (
 
 _FRAME = struct.Struct(">BHB")
 _HEADER = 8
+# of the function of an answer: what was asked for was not done
+_EXCEPTION = 0x80
 _LONGEST = 260
 _READ, _WRITE = 0, 1
 
@@ -95,8 +97,17 @@ class Conversation:
         self._framer: Any = FramerSocket(decoder)
         self._transaction = 0
         self._received = b""
+        self._function = 0
         # answers that came too late, to requests that were given up
         self.late = 0
+        # answers of another unit, or to another function
+        self.refused = 0
+        self._refused_last = ""
+
+    @property
+    def refusals(self) -> str:
+        """Return what was refused as the end of a sentence; empty if nothing was."""
+        return f"; {self.refused} answers were refused, the last one {self._refused_last}" if self.refused else ""
 
     def read(self, address: int, count: int) -> bytes:
         return self._framed(ReadHoldingRegistersRequest(address=address, count=count))
@@ -122,7 +133,8 @@ class Conversation:
     def answer(self, received: bytes) -> Answer | None:
         """Take bytes, and return the answer to the newest request once it is complete.
 
-        Raises FramingError for what is not Modbus TCP. An answer to an older request is skipped and counted.
+        Raises FramingError for what is not Modbus TCP. An answer to an older request is skipped and counted, and so is
+        one of another unit or to another function: behind a gateway several devices share a connection.
         """
         self._received += received
         while len(self._received) >= _HEADER:
@@ -134,6 +146,12 @@ class Conversation:
             frame, self._received = self._received[: length + 6], self._received[length + 6 :]
             if transaction != self._transaction:
                 self.late += 1
+                continue
+            unit, function = frame[6], frame[7]
+            if unit != self._device_id or function & ~_EXCEPTION != self._function:
+                self.refused += 1
+                asked = f"unit {self._device_id} was asked for function {self._function}"
+                self._refused_last = f"of unit {unit} to function {function & ~_EXCEPTION}, where {asked}"
                 continue
             return self._parsed(frame)
         return None
@@ -153,5 +171,6 @@ class Conversation:
         # 0 stands for no transaction in pymodbus
         self._transaction = self._transaction % 0xFFFF + 1
         request.transaction_id, request.dev_id = self._transaction, self._device_id
+        self._function = request.function_code
         frame: bytes = self._framer.buildFrame(request)
         return frame

@@ -52,6 +52,9 @@ class Children(Protocol):
     def reap(self) -> dict[str, int]:
         """Return the exit codes of the nodes that ended since the last call; negative is a signal."""
 
+    def kill(self, node: str) -> None:
+        """Kill a node's process; one that has ended by then is left to `reap`."""
+
     def log_tail(self, node: str) -> str:
         """Return the last lines of a node's log, as readable text."""
 
@@ -113,6 +116,10 @@ class NodeProcesses:
         for node in ended:
             del self._running[node]
         return ended
+
+    def kill(self, node: str) -> None:
+        if node in self._running:
+            self._running[node].kill()
 
     def log_tail(self, node: str) -> str:
         with self.log_path(node).open("rb") as log:

@@ -18,6 +18,7 @@ from services.launcher.plan import RECORDING_NAME, Plan
 from services.launcher.processes import NodeProcesses, node_command
 from services.launcher.session import RigNode, SessionNode, SiteNode
 from services.launcher.supervisor import Supervisor
+from services.launcher.watchdog import ProcFiles, Watchdog
 from services.runtime.bus import ZmqBus
 from services.runtime.kept_stop import forget
 from services.runtime.log import configure_logging
@@ -71,7 +72,8 @@ def run_rig(plan: Plan, observe: Observer, show: Callable[[str], None]) -> Outco
             commands, STOP_ORDER, log_directory, clock.epoch_offset_ns, lambda node: show(f"stopping {node}")
         )
         stack.enter_context(own_log(log_directory / f"{plan.launcher}.log"))
-        rig = make_rig(plan, participant.context(bus), Supervisor(clock, plan.nodes, children))
+        supervisor = Supervisor(clock, plan.nodes, children, Watchdog(clock, ProcFiles()))
+        rig = make_rig(plan, participant.context(bus), supervisor)
         rig.observe = observe
         if plan.site != "slave":
             # a session that a person starts is a new one; a site may be started again in the midst of another's session

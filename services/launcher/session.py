@@ -142,6 +142,7 @@ class RigNode(Node):
         self._ticks.advance(now_ns)
         self.overruns = self._ticks.overruns
         self.steps += 1
+        self.supervisor.handle_hangs(self.report)
         for node in self.supervisor.handle_exits(self.report):
             self.health.pop(node, None)
         if not self.failure and self.phase != "ending":
@@ -177,6 +178,7 @@ class RigNode(Node):
         if health.state != "stopping":
             self.ended.discard(health.src)
         self.liveness.record(health.src)
+        self.supervisor.record_health(health, self.report)
         restarted = before is not None and health.uptime_s < before.uptime_s and health.src not in self.supervisor.nodes
         if restarted and health.src in self.nodes:
             text = f"{health.src} was restarted{self._hints(health.src)}"

@@ -2,8 +2,10 @@
 
 from collections.abc import Callable, Sequence
 
+from proto.messages import NodeHealth
 from services.launcher.processes import Children, StopObserver
 from services.launcher.restart_policy import ProcessExit, RestartTracker, describe_exit
+from services.launcher.watchdog import Finding, Watchdog
 from services.runtime.clock import Clock
 from services.runtime.main import EXIT_BAD_START
 
@@ -14,14 +16,20 @@ Report = Callable[..., None]
 class Supervisor:
     """The nodes that are children of this process; `failure`: why the rig cannot go on, empty while it can."""
 
-    def __init__(self, clock: Clock, nodes: Sequence[str], children: Children) -> None:
-        """Supervise `nodes`, in the order of their start; none where all of them run elsewhere."""
+    def __init__(
+        self, clock: Clock, nodes: Sequence[str], children: Children, watchdog: Watchdog | None = None
+    ) -> None:
+        """Supervise `nodes`, in the order of their start; none where all of them run elsewhere.
+
+        Parameters: watchdog, finds nodes that hang; without one only processes that end are started again.
+        """
         self.nodes = tuple(nodes)
         self.failure = ""
         # whether that was a node which cannot start as it is configured
         self.bad_start = False
         self._tracker = RestartTracker(clock, nodes)
         self._children = children
+        self._watchdog = watchdog
 
     def launch(self) -> None:
         for node in self.nodes:
@@ -30,9 +38,26 @@ class Supervisor:
     def handle_exits(self, report: Report) -> list[str]:
         """Collect the processes that ended, report what follows for each, and return their nodes."""
         ended = self._children.reap()
+        if self._watchdog is not None:
+            self._watchdog.forget(ended)
         for node, exit_code in ended.items():
             self._handle_exit(self._tracker.record_exit(node, exit_code), report)
         return list(ended)
+
+    def record_health(self, health: NodeHealth, report: Report) -> None:
+        """Record a report of a node, whose silence ends with it."""
+        if self._watchdog is not None:
+            is_stopping = health.state == "stopping"
+            _tell(self._watchdog.record_report(health.src, health.pid, is_stopping=is_stopping), report)
+
+    def handle_hangs(self, report: Report) -> None:
+        """Report nodes that are silent, and kill those that hang: they are started again like any that died."""
+        if self._watchdog is not None:
+            found = self._watchdog.check()
+            _tell(found, report)
+            for finding in found:
+                if finding.kind == "hung":
+                    self._children.kill(finding.node)
 
     def restart_due(self, report: Report) -> None:
         """Start the nodes whose restart is due; a device comes back in its safe state."""
@@ -55,6 +80,8 @@ class Supervisor:
     def _start(self, node: str) -> int:
         process_id = self._children.start(node)
         self._tracker.record_start(node)
+        if self._watchdog is not None:
+            self._watchdog.record_start(node, process_id)
         return process_id
 
     def _handle_exit(self, ended: ProcessExit, report: Report) -> None:
@@ -74,6 +101,13 @@ class Supervisor:
         if others:
             lines.append(f"other nodes that were started again: {', '.join(others)}")
         return lines
+
+
+def _tell(findings: Sequence[Finding], report: Report) -> None:
+    for finding in findings:
+        level = "info" if finding.kind == "back" else "error" if finding.kind == "hung" else "warning"
+        facts = {"about_node": finding.node} if finding.node else {}
+        report(level, finding.text, **facts, state=finding.kind, silence_s=finding.silence_s)
 
 
 def _exit_text(ended: ProcessExit) -> str:

@@ -330,4 +330,14 @@ def _check_endpoint(node: str, endpoint: str) -> None:
         return
     match = _TCP.fullmatch(endpoint)
     if match is None or not 1 <= int(match.group(2)) <= 65535:
-        raise ValueError(f"nodes.{node}: {endpoint} {_NO_ENDPOINT}")
+        raise ValueError(f"nodes.{node}: {endpoint} {_NO_ENDPOINT}{_bracket_hint(endpoint)}")
+
+
+def _bracket_hint(endpoint: str) -> str:
+    """Return what to do about an IPv6 address without brackets, whose colons cannot be told from that of the port."""
+    host, _, port = endpoint.removeprefix("tcp://").rpartition(":")
+    try:
+        ipaddress.IPv6Address(host.partition("%")[0])
+    except ValueError:
+        return ""
+    return f"; write an IPv6 address in brackets, in `machines` and in the environment too: tcp://[{host}]:{port}"

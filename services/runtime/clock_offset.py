@@ -16,6 +16,9 @@ is the one to believe (minimum filter).
 from collections import deque
 from typing import NamedTuple
 
+# beyond what two clocks drift apart between two exchanges, and far below what anybody sets a clock by
+STEP_NS = 10_000_000
+
 
 class Exchange(NamedTuple):
     """Four time stamps [ns]: sent here, received there, sent there, received here."""
@@ -55,9 +58,19 @@ class OffsetFilter:
         self._exchanges: deque[Exchange] = deque(maxlen=window)
 
     def record(self, exchange: Exchange) -> None:
-        """Record an exchange; one whose round trip is negative cannot be one of ours and is ignored."""
-        if exchange.round_trip_ns >= 0:
-            self._exchanges.append(exchange)
+        """Record an exchange; one whose round trip is negative cannot be one of ours and is ignored.
+
+        An offset that no delay explains is that of another clock: the other site was started anew after its wall clock
+        was set. What is known of the clock before is then forgotten.
+        """
+        if exchange.round_trip_ns < 0:
+            return
+        if self._exchanges:
+            last = self._exchanges[-1]
+            explained_ns = 0.5 * (exchange.round_trip_ns + last.round_trip_ns) + STEP_NS
+            if abs(exchange.offset_ns - last.offset_ns) > explained_ns:
+                self._exchanges.clear()
+        self._exchanges.append(exchange)
 
     def estimate(self) -> Offset | None:
         """Return the estimate, None before the first exchange."""

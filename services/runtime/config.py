@@ -121,8 +121,26 @@ def validate(model: type[M], data: Mapping[str, Any], origin: str, section: str 
         return model.model_validate_json(json.dumps(data, allow_nan=True, default=str))
     except (TypeError, ValueError) as error:
         if isinstance(error, ValidationError):
+            # What JSON cannot have is refused without the name of its key, and with the whole document.
+            if error.errors()[0]["type"] == "json_invalid" and (undecodable := _undecodable(data)):
+                raise ConfigError(f"{origin}: {undecodable}") from error
             raise ConfigError(_describe(error, origin, model, section)) from error
         raise ConfigError(f"{origin}: {error}") from error
+
+
+def _undecodable(value: Any, key: str = "") -> str:
+    """Return a sentence about the first text that is no Unicode, such as a path that the locale cannot express."""
+    if isinstance(value, str):
+        try:
+            value.encode()
+        except UnicodeEncodeError:
+            shown = os.fsencode(value).decode("ascii", "backslashreplace")
+            remedy = "run with PYTHONUTF8=1, or under a locale such as C.UTF-8"
+            return f"{key}: {shown} cannot be read as text under this locale: {remedy}"
+        return ""
+    parts = value.items() if isinstance(value, Mapping) else enumerate(value) if isinstance(value, list | tuple) else ()
+    found = (_undecodable(part, f"{key}.{name}" if key else str(name)) for name, part in parts)
+    return next(filter(None, found), "")
 
 
 def layered(path: Path, flags: Sequence[str] = ()) -> tuple[dict[str, Any], str]:

@@ -8,6 +8,8 @@ from typing import Any
 
 from services.runtime.clock import Clock
 
+# records of one library: so many at once, then so many a second
+_LIBRARY_BURST, _LIBRARY_PER_S = 20.0, 1.0
 _LEVELS = {"info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}
 
 
@@ -75,10 +77,38 @@ class _PersonFormatter(logging.Formatter):
         return line + ("\n" + self.formatException(record.exc_info) if record.exc_info else "")
 
 
+class _LibraryLimiter(logging.Filter):
+    """Passes a burst of each library's records and then one a second: what arrives must not fill a disk with its log.
+
+    The records of the nodes have limits of their own.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._left: dict[str, float] = {}
+        self._at_s: dict[str, float] = {}
+        self._held_back: dict[str, int] = {}
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        if hasattr(record, "node"):
+            return True
+        now_s, name = time.monotonic(), record.name
+        left = self._left.get(name, _LIBRARY_BURST) + _LIBRARY_PER_S * (now_s - self._at_s.get(name, now_s))
+        self._at_s[name] = now_s
+        passes = left >= 1.0
+        self._left[name] = min(left - passes, _LIBRARY_BURST)
+        if not passes:
+            self._held_back[name] = self._held_back.get(name, 0) + 1
+        elif held_back := self._held_back.pop(name, 0):
+            record.facts = {"held_back": held_back}
+        return passes
+
+
 def configure_logging(*, as_json: bool | None = None) -> None:
     """Send the logs of this process to standard error; JSON unless that is a terminal."""
     handler = logging.StreamHandler(sys.stderr)
     as_json = not sys.stderr.isatty() if as_json is None else as_json
+    handler.addFilter(_LibraryLimiter())
     handler.setFormatter(_JsonFormatter() if as_json else _PersonFormatter())
     root = logging.getLogger()
     root.handlers[:] = [handler]

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from proto.batch import SentCopy, pack_batch
+from proto.batch import MOST_COPIES, SentCopy, pack_batch
 from services.runtime.clock import NEVER_NS
 
 # age of the oldest copy at which a batch goes out in the next pause of the loop, and without one
@@ -29,7 +29,7 @@ class OutgoingBatch:
         still, gets them before anything that was sent later.
         """
         now_ns = self._monotonic_ns()
-        if now_ns >= self.latest_ns or self._bytes >= _MOST_BYTES:
+        if now_ns >= self.latest_ns or self._bytes >= _MOST_BYTES or len(self._copies) >= MOST_COPIES:
             self.flush()
         if not self._copies:
             self.due_ns, self.latest_ns = now_ns + DUE_NS, now_ns + LATEST_NS

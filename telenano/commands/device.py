@@ -211,6 +211,7 @@ def _opened_instrument(calibration: Path) -> tuple[Any, Any]:
             "input_v": sample.bridge_voltage_v,
             "exchanges": driver.exchanges,
             "late_answers": driver.late_answers,
+            "refused_answers": driver.refused_answers,
         }
 
     return driver, tick

@@ -58,15 +58,23 @@ def show(folder: DirOption = None, as_json: JsonOption = False) -> None:
         ring = _ring(folder)
         own = {name: ring.own(name).public.decode() for name in ring.names()}
         allowed = ring.allowed().keys
+        warnings = [text for name in own if (text := ring.misplaced(name))]
     if as_json:
         print_json(
-            {"folder": str(ring.folder), "own": own, "allowed": [key.model_dump(mode="json") for key in allowed]}
+            {
+                "folder": str(ring.folder),
+                "own": own,
+                "allowed": [key.model_dump(mode="json") for key in allowed],
+                **({"warnings": warnings} if warnings else {}),
+            }
         )
         return
     rows = [{"machine": name, "public key": key, "here": "own"} for name, key in own.items()]
     rows += [{"machine": key.name, "public key": key.public_key, "here": _roles_text(key)} for key in allowed]
     if rows:
         print_rows(rows)
+    for text in warnings:
+        typer.echo(f"warning: {text}", err=True)
     typer.echo(f"keys are in {ring.folder}" if rows else f"no key is in {ring.folder}: `telenano keys new NAME`")
 
 

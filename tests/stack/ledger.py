@@ -32,6 +32,7 @@ FAULTS = {
     "the recording is removed while it is written": "reported; the recording goes on in another file",
     "the disk of the recording is full": "the rig goes on; reported by `up` and `status`; summary of what was recorded",
     "a node that dies again and again": "the rig is stopped with a summary of the deaths",
+    "a node that spins": "killed and restarted as one that died; one that is stopped keeps its process",
     "the slave's site starts late": "the master waits, reports for what, and begins by itself",
     "the slave's address is not reached": "reported after 5 s with what to look for, and again every minute",
     "a key that is not listed": "receives nothing; counted, logged",

@@ -25,6 +25,7 @@ LISTENED_S = 1.0
 # what every message of the loop would show to whoever listens
 IN_THE_CLEAR = (b"teleop/forward", b"virtual_impedance", b"position_m", b"afm/state")
 LINK_PORT, CONTROLLER_PORT, AFM_PORT, HAND_PORT = 5704, 5711, 5712, 5701
+RECORDER_PORT, LAUNCHER_PORT = 5713, 5714
 
 # a stranger's client: arguments are host, port, its own keys, the server's key, and how long it waits at most [s];
 # it prints how many messages it received and how long that took [s]
@@ -452,6 +453,9 @@ def test_half_open_connections_are_limited_closed_and_counted(rig: TwoSites) -> 
     doors = (
         (rig.master, "delay_node@master", rig.slave, MASTER, LINK_PORT),
         (rig.slave, "controller@slave", rig.master, SLAVE, CONTROLLER_PORT),
+        (rig.slave, "afm_node@slave", rig.master, SLAVE, AFM_PORT),
+        (rig.slave, "recorder@slave", rig.master, SLAVE, RECORDER_PORT),
+        (rig.slave, "launcher@slave", rig.master, SLAVE, LAUNCHER_PORT),
     )
     start = {node: rejected(victim, node).get("handshake", 0) for victim, node, *_ in doors}
     opening = [attacker.python(HALF_OPEN, host, str(port), "500") for *_, attacker, host, port in doors]
@@ -468,7 +472,8 @@ def test_half_open_connections_are_limited_closed_and_counted(rig: TwoSites) -> 
             lambda v=victim, n=node, m=made: rejected(v, n).get("handshake", 0) - start[n] >= m,
             "half-open ones to be counted",
         )
-    record("500 half-open connections", f"{max(accepted)} were accepted, all closed after 5 s")
+    ports = f"at each of {len(doors)} ports, {max(accepted)} at most"
+    record("500 half-open connections", f"accepted {ports}, all closed after 5 s")
 
 
 class Flood(NamedTuple):

@@ -4,7 +4,7 @@ from array import array
 from collections import deque
 from typing import NamedTuple
 
-from services.runtime.datagram.replay_window import ReplayWindow
+from services.runtime.datagram.replay_window import WINDOW, ReplayWindow
 
 # after this a datagram that a newer one overtook is counted as lost; one that still arrives is late after all
 SETTLE_NS = 1_000_000_000
@@ -50,6 +50,8 @@ class ArrivalAccount:
         # the first that arrived with the present keys: those before it were sent when this end did not have them yet
         self._first = 0
         self._arrived_of_keys = 0
+        # of those that arrived, the ones whose numbers are not settled yet
+        self._unsettled = 0
         self._newest_at: deque[tuple[int, int]] = deque()
 
     @property
@@ -67,7 +69,7 @@ class ArrivalAccount:
         if self._arrived_of_keys:
             self._settle_up_to(self._window.newest + 1)
         self._base = self.sent
-        self._window, self._settled, self._arrived_of_keys = window, 0, 0
+        self._window, self._settled, self._arrived_of_keys, self._unsettled = window, 0, 0, 0
         self._newest_at.clear()
 
     def record(self, number: int, sent_ns: int, arrived_ns: int) -> None:
@@ -81,6 +83,7 @@ class ArrivalAccount:
             self._first = number
         elif number < self._settled:
             self.lost -= 1
+        self._unsettled += number >= self._settled
         self._keep(number, arrived_ns, arrived_ns - sent_ns, 0)
 
     def settle(self, now_ns: int) -> None:
@@ -96,11 +99,29 @@ class ArrivalAccount:
         return fates
 
     def _settle_up_to(self, end: int) -> None:
+        oldest = self._window.newest - WINDOW + 1
+        if self._settled < oldest:
+            self._pass_over(min(end, oldest))
         for number in range(self._settled, end):
-            if not self._window.has(number):
+            if self._window.has(number):
+                self._unsettled -= 1
+            else:
                 self.lost += 1
                 self._keep(number, 0, 0, 1)
         self._settled = max(self._settled, end)
+
+    def _pass_over(self, end: int) -> None:
+        """Settle numbers that have left the window, however many: what arrived of them is known by its count alone."""
+        newest = self._window.newest
+        within = sum(map(self._window.has, range(newest - WINDOW + 1, newest + 1)))
+        arrived = max(0, self._unsettled - within)
+        self.lost += end - self._settled - arrived
+        self._unsettled = within
+        if not arrived:
+            room = MOST_ROWS - len(self._fates.number)
+            for number in range(self._settled, min(end, self._settled + room)):
+                self._keep(number, 0, 0, 1)
+        self._settled = end
 
     def _keep(self, number: int, arrived_ns: int, raw_ns: int, lost: int) -> None:
         if len(self._fates.number) < MOST_ROWS:

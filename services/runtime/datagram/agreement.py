@@ -55,7 +55,7 @@ class Agreement:
         outgoing, incoming = self._pair.agree(public, is_master=self.is_master)
         self._used.add(public)
         self.peer_public = public
-        self.opener = Opener(incoming)
+        self.opener = Opener(incoming, now_ns)
         self.openers = {key: opener for key, opener in list(self.openers.items())[-1:]}
         self.openers[incoming.tag] = self.opener
         self._retire_ns = now_ns + _GRACE_NS

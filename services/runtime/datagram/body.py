@@ -16,6 +16,8 @@ NUMBERS = {topic: number for number, topic in enumerate(DATAGRAM_TOPICS)}
 _FRAMES = tuple(topic.encode() for topic in DATAGRAM_TOPICS)
 REPORT = struct.Struct("!QQQQQ")
 SAMPLE = struct.Struct("!BH")
+# Times [ns] and counts below this (the year 2116) leave room in 64 bits for the difference of any two of them.
+BOUND = 2**62
 # what a datagram has for samples
 MOST_SAMPLE_BYTES = MOST_BYTES - OVERHEAD_BYTES - REPORT.size
 
@@ -41,10 +43,18 @@ def packed(topic: str, payload: bytes) -> bytes:
 
 
 def parse(body: bytes) -> tuple[Report, Sequence[tuple[bytes, bytes]]]:
-    """Return report and samples (topic, payload) of a body; RejectedError (`malformed`) for what is none."""
+    """Return report and samples (topic, payload) of a body.
+
+    Raises RejectedError: `malformed` for what is no body, `time` and `count` for a report with a time or a count that
+    no sender can have. An authentic sender may be wrong as well, and its figures are summed up here.
+    """
     if len(body) < REPORT.size:
         raise RejectedError("malformed")
     report = Report(*REPORT.unpack_from(body))
+    if max(report.sent_ns, report.heard_sent_ns, report.heard_ns) >= BOUND:
+        raise RejectedError("time")
+    if not report.arrived <= report.expected < BOUND:
+        raise RejectedError("count")
     samples = []
     place = REPORT.size
     while place < len(body):

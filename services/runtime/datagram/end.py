@@ -263,7 +263,7 @@ class DatagramEnd:
                 opener = openers.get(datagram[:TAG_BYTES])
                 if opener is None:
                     raise RejectedError("unknown_key")
-                number, body = opener.open(datagram)
+                number, body = opener.open(datagram, now - self._clock.epoch_offset_ns)
                 report, samples = parse(body)
             except RejectedError as error:
                 self._refuse(error.cause, address)

@@ -19,7 +19,7 @@ from cryptography.hazmat.primitives.ciphers.aead import ChaCha20Poly1305
 from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.kdf.hkdf import HKDF
 
-from services.runtime.datagram.replay_window import ReplayWindow
+from services.runtime.datagram.replay_window import WINDOW, ReplayWindow
 
 HEADER = struct.Struct("!4sQ")
 # what a sealed datagram is longer than its body
@@ -28,6 +28,8 @@ OVERHEAD_BYTES = HEADER.size + 16
 MOST_BYTES = 1200
 TAG_BYTES = 4
 _NUMBER_LIMIT = 2**63
+# Twice what a controller with the shortest period that its settings allow sends, its reports included.
+_MOST_PER_S = 25_000
 _PURPOSE = b"telenano link datagrams, version 1"
 _KEY_BYTES = 32
 _NONCE_HEAD = bytes(4)
@@ -85,15 +87,17 @@ class Sealer:
 class Opener:
     """Opens the datagrams of one key, each once."""
 
-    def __init__(self, keys: DirectionKeys) -> None:
+    def __init__(self, keys: DirectionKeys, now_ns: int) -> None:
         self.tag = keys.tag
+        self._agreed_ns = now_ns
         self.window = ReplayWindow()
         self._decrypt = ChaCha20Poly1305(keys.key).decrypt
 
-    def open(self, datagram: bytes) -> tuple[int, bytes]:
-        """Return number and body; RejectedError (`replayed`, `forged`) for a datagram that is not to be used.
+    def open(self, datagram: bytes, now_ns: int) -> tuple[int, bytes]:
+        """Return number and body; RejectedError (`replayed`, `forged`, `ahead`) for a datagram that is not to be used.
 
         The window is asked before the cipher, which costs more, and changed after it, so that a forger cannot move it.
+        A number beyond the window that no sender can have reached since the keys were agreed is `ahead`.
         """
         header = datagram[: HEADER.size]
         _, number = HEADER.unpack(header)
@@ -103,5 +107,10 @@ class Opener:
             body = self._decrypt(_NONCE_HEAD + header[TAG_BYTES:], datagram[HEADER.size :], header)
         except InvalidTag:
             raise RejectedError("forged") from None
+        if number - self.window.newest > WINDOW and number > self._most(now_ns):
+            raise RejectedError("ahead")
         self.window.record(number)
         return number, body
+
+    def _most(self, now_ns: int) -> int:
+        return WINDOW + (now_ns - self._agreed_ns) * _MOST_PER_S // 1_000_000_000

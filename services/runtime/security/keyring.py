@@ -30,6 +30,7 @@ _SECRET_SUFFIX = ".key_secret"
 _OTHERS = 0o077
 # a certificate as ZeroMQ's tools write and read it (ZPL)
 _CERTIFICATE = "# ZeroMQ CURVE {kind} certificate of the machine {name}\nmetadata\ncurve\n"
+_NAMED = re.compile(rb"certificate of the machine ([^\s]+)")
 
 Role = Literal["data", "control", "observe"]
 ROLES: tuple[Role, ...] = ("data", "control", "observe")
@@ -146,6 +147,25 @@ class Keyring:
             public_path = path.with_suffix(_PUBLIC_SUFFIX)
             write_private(public_path, _CERTIFICATE.format(kind="public", name=name) + public)
         return self.own(name)
+
+    def misplaced(self, name: str) -> str:
+        """Return why the secret of a machine and the name of its file do not belong together; empty where they may."""
+        path = self.folder / f"{name}{_SECRET_SUFFIX}"
+        own = self.own(name).public
+        named = _NAMED.search(read_secret(path))
+        if named is not None and named[1] != name.encode():
+            made_for = named[1].decode(errors="replace")
+            return f"{path} holds the secret of {made_for}, and by its name it should be that of {name}"
+        holder = self.allowed().of_key(own.decode())
+        if holder is not None and holder.name != name:
+            return f"{path} holds a key that {self.allowed_path} lists as that of {holder.name}, and not of {name}"
+        try:
+            public, _ = keys_in(read_trusted(path.with_suffix(_PUBLIC_SUFFIX)))
+        except (OSError, ConfigError):
+            return ""
+        if public and public != own:
+            return f"{path} and {path.with_suffix(_PUBLIC_SUFFIX).name} beside it hold different keys"
+        return ""
 
     def allowed(self) -> AllowList:
         """Return the list of allowed keys, empty without a file; ConfigError also when other users can change it."""

@@ -30,6 +30,8 @@ def calibration(**changes: Any) -> InstrumentCalibration:
 class StageLine:
     """The network, with the device at its end; time passes in `sleep` and `pass_ms`."""
 
+    resolved = True
+
     def __init__(self, calibrated: InstrumentCalibration | None = None, registers: RegisterMap | None = None) -> None:
         self.now_ns = 10**9
         afm = SimulatedAfm(PARAMS)

@@ -76,6 +76,7 @@ class FakeBus:
 class FakeChildren:
     started: list[str] = field(default_factory=list)
     ended: dict[str, int] = field(default_factory=dict)
+    killed: list[str] = field(default_factory=list)
     stopped: int = 0
 
     def start(self, node: str) -> int:
@@ -85,6 +86,10 @@ class FakeChildren:
     def reap(self) -> dict[str, int]:
         ended, self.ended = self.ended, {}
         return ended
+
+    def kill(self, node: str) -> None:
+        self.killed.append(node)
+        self.ended[node] = -9
 
     def log_tail(self, node: str) -> str:
         return f"the log tail of {node}"

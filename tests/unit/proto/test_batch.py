@@ -1,12 +1,14 @@
 """Batches: what was sent comes back as it was, and no bytes do harm."""
 
+import tracemalloc
+
 import msgpack
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from proto import WireError
-from proto.batch import Batch, SentCopy, pack_batch, read_batch
+from proto.batch import MOST_COPIES, Batch, SentCopy, pack_batch, read_batch
 
 TIMES = st.integers(min_value=0, max_value=2**63 - 1)
 
@@ -47,3 +49,28 @@ def test_any_bytes_are_a_batch_or_refused(noise: bytes, place: int, value: int) 
             assert read_batch(payload).v == 1
         except WireError as error:
             assert error.reason in ("malformed", "newer_version")
+
+
+def test_a_key_given_twice_is_refused() -> None:
+    once = [("v", 1), ("sent", []), ("last", False)]
+    for pairs in ([*once, ("v", 1)], [("last", True), *once], [*once, ("sent", [[0, b"", b""]])]):
+        with pytest.raises(WireError, match="4 keys, a key twice or one that is not known") as refusal:
+            read_batch(msgpack.Packer().pack_map_pairs(pairs))
+        assert refusal.value.reason == "malformed"
+    # the same map, with its length written in another way that msgpack allows
+    packed = pack_batch([])
+    for head in (b"\xde\x00\x03", b"\xdf\x00\x00\x00\x03"):
+        assert read_batch(head + packed[1:]) == Batch(1, [], False)
+
+
+def test_a_frame_full_of_empty_copies_is_refused_before_they_are_made() -> None:
+    most = pack_batch([SentCopy(0, b"", b"")] * MOST_COPIES)
+    assert len(read_batch(most).sent) == MOST_COPIES
+    tracemalloc.start()
+    try:
+        with pytest.raises(WireError, match="length <= 4096"):
+            read_batch(pack_batch([]).replace(b"\x90", b"\xdd\x00\x28\x00\x00" + b"\x93\x00\xc4\x00\xc4\x00" * 100_000))
+        # what the bytes took that were given, and not what was announced in them
+        assert tracemalloc.get_traced_memory()[1] < 10_000_000
+    finally:
+        tracemalloc.stop()

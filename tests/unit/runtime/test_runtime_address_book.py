@@ -315,6 +315,17 @@ def test_a_wrong_address_of_the_environment_is_seen_at_the_start(monkeypatch: py
     assert text.startswith("site.yaml: nodes.afm_node@slave: tcp://fe80::2:5712 is neither ipc:///absolute/path nor")
 
 
+@pytest.mark.parametrize("address", ["fe80::2", "::1", "fd00:1::2", "2001:db8::7"])
+def test_an_ipv6_address_without_brackets_is_refused_with_the_remedy(address: str) -> None:
+    text = error_of({"afm_node@slave": "tcp://{slave}:5712"}, machines={"slave": address})
+    assert text.endswith(
+        f"; write an IPv6 address in brackets, in `machines` and in the environment too: tcp://[{address}]:5712"
+    )
+    assert AddressBook(machines={"slave": f"[{address}]"}, nodes={"afm_node@slave": "tcp://{slave}:5712"})
+    # of anything else it is not said
+    assert "brackets" not in error_of({"afm_node@slave": "tcp://a b:5712"})
+
+
 def test_what_a_node_binds_is_its_address_or_the_one_named_for_that(monkeypatch: pytest.MonkeyPatch) -> None:
     nodes = {"afm_node@slave": "tcp://{slave}:5712", "delay_node@slave": "tcp://{master}:5704"}
     hosts = {"master": "10.0.0.1", "slave": "[fe80::2]"}

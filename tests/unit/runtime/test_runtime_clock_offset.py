@@ -62,6 +62,31 @@ def test_impossible_exchange_is_left_out() -> None:
     assert offsets.estimate() is None
 
 
+@pytest.mark.parametrize("step_ns", [3_600 * 10**9, -3_600 * 10**9, 50_000_000])
+def test_another_clock_is_known_at_its_first_exchange_and_not_after_a_window(step_ns: int) -> None:
+    found = OffsetFilter(64)
+    for turn in range(100):
+        found.record(exchange(0, 2_000_000, 2_000_000, turn * 10**8))
+    # the other site was started anew after its wall clock was set; its network is slower than it was
+    found.record(exchange(step_ns, 9_000_000, 9_000_000, 10**10))
+    estimate = found.estimate()
+    assert estimate is not None
+    assert estimate.offset_s == pytest.approx(step_ns * 1e-9, abs=1e-9)
+    assert estimate.exchanges == 1
+
+
+def test_a_slow_network_is_no_other_clock() -> None:
+    found = OffsetFilter(64)
+    for turn, (there_ns, back_ns) in enumerate(
+        [(2_000_000, 2_000_000), (900_000_000, 1_000), (1_000, 900_000_000)] * 5
+    ):
+        found.record(exchange(0, there_ns, back_ns, turn * 10**8))
+    estimate = found.estimate()
+    assert estimate is not None
+    assert estimate.exchanges == 15
+    assert abs(estimate.offset_s) <= estimate.uncertainty_s
+
+
 def test_window_holds_at_least_one() -> None:
     with pytest.raises(ValueError, match="window is 0"):
         OffsetFilter(0)

@@ -269,3 +269,21 @@ def test_a_mapping_of_another_kind_takes_the_place_of_the_one_before() -> None:
     more = merge(below, {"operator": {"kind": "force_profile", "max_force_n": 5.0}})
     assert more["operator"] == {"kind": "force_profile", "points": [1], "max_force_n": 5.0}
     assert merge(below, {"operator": {"max_force_n": 5.0}})["operator"]["points"] == [1]
+
+
+def test_a_path_that_the_locale_cannot_express_is_named_with_the_remedy_and_without_the_document() -> None:
+    class Recorder(Strict):
+        directory: str
+
+    class Whole(Strict):
+        recorder: Recorder
+        note: str
+
+    # what os.fsdecode makes of "out/\xc3\xa9" under LC_ALL=POSIX with PYTHONUTF8=0
+    document = {"note": "x" * 500, "recorder": {"directory": "out/\udcc3\udca9"}}
+    with pytest.raises(ConfigError) as refusal:
+        validate(Whole, document, "s.yaml")
+    assert str(refusal.value) == (
+        "s.yaml: recorder.directory: out/\\xc3\\xa9 cannot be read as text under this locale: "
+        "run with PYTHONUTF8=1, or under a locale such as C.UTF-8"
+    )

@@ -163,3 +163,33 @@ def test_a_pipe_that_is_named_like_a_key_does_not_hang(folder: Path, tmp_path: P
     code, _, err = run("allow", "slave", str(tmp_path / "slave.key"), "--role", "data")
     assert code == 2
     assert err == f"telenano: {tmp_path / 'slave.key'}: is a folder, pipe, socket or device, must be a regular file\n"
+
+
+def test_a_secret_under_the_name_of_another_machine_is_named(folder: Path) -> None:
+    for name in ("master", "slave"):
+        Keyring(folder).create(name)
+    assert "warning" not in run("show")[2]
+    # as somebody does who carries the wrong file to a machine
+    (folder / "slave.key_secret").replace(folder / "master.key_secret")
+    code, out, err = run("show")
+    assert code == 0
+    assert "master" in out
+    text = f"{folder}/master.key_secret holds the secret of slave, and by its name it should be that of master"
+    assert err == f"warning: {text}\n"
+    assert document("show")["warnings"] == [text]
+
+
+def test_a_secret_that_is_listed_as_that_of_another_machine_is_named(folder: Path) -> None:
+    ring = Keyring(folder)
+    pair = ring.create("master")
+    ring.allow("slave", pair.public.decode(), ["data"])
+    assert "lists as that of slave, and not of master" in run("show")[2]
+
+
+def test_a_secret_beside_the_public_key_of_another_is_named(folder: Path) -> None:
+    ring = Keyring(folder)
+    ring.create("master")
+    public = (folder / "master.key").read_text()
+    ring.create("master", replace=True)
+    (folder / "master.key").write_text(public)
+    assert "master.key beside it hold different keys" in run("show")[2]

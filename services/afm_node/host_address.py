@@ -1,0 +1,76 @@
+"""The address of a device that is given by name, looked up where nobody waits for it.
+
+A name server that does not answer holds its caller for ten seconds and more, which is no matter at the opening of a
+device and one of life and death of a tip in the loop. So one thread of its own asks, and the loop looks whether there
+is an answer.
+"""
+
+import queue
+import socket
+import threading
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+LookUp = Callable[[str, int], list[Any]]
+
+
+class Address(NamedTuple):
+    """Where to connect to: family and address, as a socket wants them."""
+
+    family: int
+    address: Any
+
+
+class HostAddress:
+    """The address of one host and port."""
+
+    def __init__(self, host: str, port: int, look_up: LookUp | None = None) -> None:
+        """Begin to look up a name; an address in digits needs no looking up. `look_up`: getaddrinfo, but for a test."""
+        self._host, self._port = host, port
+        self._look_up: LookUp = look_up or _of_the_system
+        self._wanted: queue.SimpleQueue[None] = queue.SimpleQueue()
+        self._under_way = False
+        self._found: Address | OSError | None = None
+        try:
+            self._found = _first(socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_NUMERICHOST))
+            self._is_name = False
+        except OSError:
+            self._is_name = True
+            # A daemon, since a process that ends does not wait for a name server either.
+            threading.Thread(target=self._answer, name=f"address of {host}", daemon=True).start()
+            self.renew()
+
+    def renew(self) -> None:
+        """Look the name up once more, unless that is under way; the last address counts until there is a newer one."""
+        if self._is_name and not self._under_way:
+            self._under_way = True
+            self._wanted.put(None)
+
+    def poll(self) -> Address | None:
+        """Return the newest address, None while there is none yet; OSError where the name is not known."""
+        found = self._found
+        if isinstance(found, OSError):
+            if self._under_way:
+                return None
+            raise found
+        return found
+
+    def _answer(self) -> None:
+        while True:
+            self._wanted.get()
+            try:
+                self._found = _first(self._look_up(self._host, self._port))
+            except (OSError, UnicodeError) as error:
+                # An address that was right once is better than none.
+                if not isinstance(self._found, Address):
+                    self._found = error if isinstance(error, OSError) else OSError(f"is no name of a host: {error}")
+            self._under_way = False
+
+
+def _of_the_system(host: str, port: int) -> list[Any]:
+    return socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+
+
+def _first(found: list[Any]) -> Address:
+    family, _, _, _, address = found[0]
+    return Address(family, address)

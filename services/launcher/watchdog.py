@@ -1,0 +1,190 @@
+"""Which of the processes of this machine hang: decisions on a clock, and what the kernel says of a process.
+
+A node that hangs and one that was not let run are both silent. What tells them apart is the processor time that they
+take: a loop that never comes back to its messages takes all that it gets, a process that is stopped, or that waits for
+a processor, takes none. Only the first is ended; the others are only reported, and go on where they stood still.
+"""
+
+import os
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, NamedTuple, Protocol
+
+from proto.nodes import RECORDER, name_of
+from services.runtime.clock import Clock
+
+# node/health comes twice a second
+SILENCE_S = 2.0
+# A recorder writes a snapshot in one go, and that may be hundreds of megabytes.
+RECORDER_BUSY_S = 120.0
+# of the wall time, what a process has taken that hangs: below it something kept the processor from it
+BUSY_SHARE = 0.8
+# how often a silent process is looked at: the kernel counts in hundredths of a second
+LOOK_S = 0.25
+# in states of proc(5): stopped by a signal, or by a debugger
+_STOPPED = ("T", "t")
+# of /proc/PID/stat behind the name in parentheses
+_STATE, _USER_TICKS, _SYSTEM_TICKS = 0, 11, 12
+
+Kind = Literal["hung", "stopped", "starved", "unknown", "paused", "back"]
+
+
+class ProcessSample(NamedTuple):
+    """What the kernel says of a process: its state in one letter, and the processor time it has taken [s]."""
+
+    state: str
+    cpu_s: float
+
+
+class ProcessTimes(Protocol):
+    """What a watchdog asks about processes."""
+
+    def read(self, process_id: int) -> ProcessSample:
+        """Return the sample of a process; OSError or ValueError where there is none."""
+
+
+class ProcFiles:
+    """The samples of /proc, which Linux gives for the processes of the same user."""
+
+    def __init__(self, folder: Path = Path("/proc")) -> None:
+        self._folder = folder
+        self._tick_s = 1.0 / os.sysconf("SC_CLK_TCK")
+
+    def read(self, process_id: int) -> ProcessSample:
+        """Return the sample of a process; OSError or ValueError where there is none."""
+        text = (self._folder / str(process_id) / "stat").read_text()
+        # The name may hold anything, parentheses and spaces too.
+        fields = text.rpartition(")")[2].split()
+        if len(fields) <= _SYSTEM_TICKS:
+            raise ValueError(f"{self._folder}/{process_id}/stat has {len(fields)} fields behind the name")
+        ticks = int(fields[_USER_TICKS]) + int(fields[_SYSTEM_TICKS])
+        return ProcessSample(fields[_STATE], ticks * self._tick_s)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What a watchdog has found of a node; `text` is a sentence about it, `silence_s` since its last report.
+
+    `paused` is about the machine, or the launcher on it, and names no node.
+    """
+
+    node: str
+    kind: Kind
+    silence_s: float
+    text: str
+
+
+class _Watched:
+    """A process since its start, and since its last report."""
+
+    def __init__(self, process_id: int) -> None:
+        self.process_id = process_id
+        self.reported: Kind | None = None
+        # None before the first report: what comes before it may take any time
+        self.last_ns: int | None = None
+        self.looked_ns = 0
+        self.sample: ProcessSample | None = None
+        self.why_not = ""
+        # of the silence, what the launcher was awake for; and for how long the node has been taking a processor now
+        self.silence_s = self.busy_s = 0.0
+
+
+class Watchdog:
+    """Finds own nodes that have been silent for two seconds, and tells those that hang from those that wait."""
+
+    def __init__(self, clock: Clock, times: ProcessTimes) -> None:
+        self._clock, self._times = clock, times
+        self._watched: dict[str, _Watched] = {}
+        self._checked_ns = clock.monotonic_ns()
+
+    def record_start(self, node: str, process_id: int) -> None:
+        """Record the process of a node; it is watched from its first report on."""
+        self._watched[node] = _Watched(process_id)
+
+    def record_report(self, node: str, process_id: int, *, is_stopping: bool) -> list[Finding]:
+        """Record node/health; return the end of a silence that was reported.
+
+        What a process that is gone, or somebody else, says under the name of the node does not count.
+        """
+        watched = self._watched.get(node)
+        if watched is None or watched.process_id != process_id:
+            return []
+        now, last = self._clock.monotonic_ns(), watched.last_ns
+        # One that stops may take its time: it has said that it will say no more.
+        self._watched[node] = anew = _Watched(process_id)
+        anew.last_ns = None if is_stopping else now
+        anew.looked_ns = now
+        self._look(anew, now)
+        if watched.reported is None or last is None:
+            return []
+        silence_s = (now - last) * 1e-9
+        return [Finding(node, "back", silence_s, f"{node} reports again after {silence_s:.1f} s")]
+
+    def forget(self, nodes: Iterable[str]) -> None:
+        """Forget nodes whose processes have ended."""
+        for node in nodes:
+            self._watched.pop(node, None)
+
+    def check(self) -> list[Finding]:
+        """Return what was found since the last call: each silence once, and once more if it turns out to be a hang."""
+        now = self._clock.monotonic_ns()
+        elapsed_s = (now - self._checked_ns) * 1e-9
+        # Where the launcher, or the whole machine, stood still, nobody could be heard.
+        awake_s = min(elapsed_s, LOOK_S)
+        self._checked_ns = now
+        found = []
+        if elapsed_s >= SILENCE_S and self._watched:
+            subject = "the launcher, or the whole machine,"
+            text = f"{subject} stood still for {elapsed_s:.1f} s: no node is judged by its silence meanwhile"
+            found.append(Finding("", "paused", elapsed_s, text))
+        for node, watched in self._watched.items():
+            if watched.last_ns is not None:
+                watched.silence_s += awake_s
+                if now - watched.looked_ns >= LOOK_S * 1e9:
+                    self._look(watched, now)
+                is_recorder = name_of(node) == name_of(RECORDER)
+                kind = _judged(watched, RECORDER_BUSY_S if is_recorder else SILENCE_S)
+                if kind is not None and kind != watched.reported and (kind == "hung" or watched.reported is None):
+                    watched.reported = kind
+                    silence_s = (now - watched.last_ns) * 1e-9
+                    found.append(Finding(node, kind, silence_s, _sentence(node, kind, silence_s, watched)))
+        return found
+
+    def _look(self, watched: _Watched, now_ns: int) -> None:
+        """Take a sample, and add the time since the last one to what the process was busy for, or begin anew."""
+        before, elapsed_s = watched.sample, (now_ns - watched.looked_ns) * 1e-9
+        watched.looked_ns = now_ns
+        try:
+            watched.sample = sample = self._times.read(watched.process_id)
+        except (OSError, ValueError) as error:
+            watched.sample, watched.why_not, watched.busy_s = None, str(error), 0.0
+            return
+        if before is None or elapsed_s <= 0.0:
+            return
+        is_busy = sample.state not in _STOPPED and sample.cpu_s - before.cpu_s >= BUSY_SHARE * elapsed_s
+        watched.busy_s = watched.busy_s + min(elapsed_s, LOOK_S) if is_busy else 0.0
+
+
+def _judged(watched: _Watched, longest_busy_s: float) -> Kind | None:
+    if watched.silence_s < SILENCE_S:
+        return None
+    if watched.sample is None:
+        return "unknown"
+    if watched.sample.state in _STOPPED:
+        return "stopped"
+    if watched.busy_s == 0.0:
+        return "starved"
+    # A process that was not let run for a while is given as long to catch up as one that was.
+    return "hung" if watched.busy_s >= longest_busy_s else None
+
+
+def _sentence(node: str, kind: Kind, silence_s: float, watched: _Watched) -> str:
+    silent = f"{node} has not reported for {silence_s:.1f} s"
+    if kind == "hung":
+        return f"{silent} and has taken a processor for the last {watched.busy_s:.1f} s: it hangs and is killed"
+    if kind == "stopped":
+        return f"{silent}: it is stopped, by a signal or a debugger, and is left alone"
+    if kind == "starved":
+        return f"{silent} and took little or no processor time: it waits for something, and is left alone"
+    return f"{silent}; whether it hangs cannot be told here ({watched.why_not}), and it is left alone"

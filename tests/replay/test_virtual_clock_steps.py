@@ -1,0 +1,58 @@
+"""The wall clock of a machine is set by an hour in mid-session: no node notices, because none asks it."""
+
+import re
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from test_virtual_stalls import Session
+from virtual_rig import VirtualRig
+
+ROOT = Path(__file__).parents[2]
+HOUR_S = 3600.0
+WALL_CLOCK = re.compile(r"\btime\.time(_ns)?\(|\bdatetime\.(now|today|utcnow)\(|\btime\.(local|gm)time\(\)")
+# where a running process of the rig may ask the wall clock, and what it does with the answer
+MAY_ASK = {
+    "services/runtime/clock.py": "once, at the start of the first process, for the stamps of all",
+    "services/runtime/compiled.py": "the age of files in the cache of compiled code",
+    "services/runtime/compile_cache.py": "the age of files in the cache of compiled code",
+}
+
+
+@pytest.fixture
+def rigs() -> Iterator[list[VirtualRig]]:
+    made: list[VirtualRig] = []
+    yield made
+    for rig in made:
+        rig.close()
+
+
+@pytest.mark.parametrize("step_s", [HOUR_S, -HOUR_S])
+def test_a_step_of_the_wall_clock_changes_no_message_of_a_session(
+    step_s: float, rigs: list[VirtualRig], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sent = []
+    for steps in (False, True):
+        session = Session("virtual_impedance", 5.0)
+        rigs.append(session.rig)
+        with monkeypatch.context() as patch:
+            if steps:
+                then_s = time.time() + step_s
+                patch.setattr(time, "time", lambda then_s=then_s: then_s)
+                patch.setattr(time, "time_ns", lambda then_s=then_s: round(then_s * 1e9))
+            session.run(0.5)
+        tips = session.tips()
+        assert tips[-1].mode == "follow"
+        sent.append([tip.model_dump() for tip in tips])
+    assert sent[0] == sent[1]
+
+
+def test_no_node_acts_on_the_wall_clock() -> None:
+    found = {}
+    for path in sorted((ROOT / "services").rglob("*.py")):
+        lines = [line for line in path.read_text().splitlines() if WALL_CLOCK.search(line)]
+        if lines:
+            found[str(path.relative_to(ROOT))] = lines
+    assert set(found) == set(MAY_ASK), found
+    assert len(found["services/runtime/clock.py"]) == 1

@@ -1,0 +1,81 @@
+"""A live node that spins is killed and started again within seconds; one that is stopped keeps its process."""
+
+import os
+import signal
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from ledger import record
+from stack_rig import Rig
+
+from proto.nodes import START_ORDER
+
+pytestmark = pytest.mark.stack
+HANGS = Path(__file__).parents[1] / "fuzz" / "hang_on_signal"
+SPUN, STOPPED = "controller@slave", "afm_node@slave"
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Iterator[Rig]:
+    made = Rig(tmp_path)
+    made.environment["PYTHONPATH"] = str(HANGS)
+    try:
+        yield made
+    finally:
+        made.close()
+
+
+def processes(rig: Rig) -> dict[str, int | None]:
+    return {node: rig.process_of(node) for node in START_ORDER}
+
+
+def test_a_node_that_spins_is_started_again_and_one_that_is_stopped_is_left_alone(rig: Rig) -> None:
+    rig.start("--duration", "600")
+    rig.wait_until(rig.running, "a running session")
+    before = processes(rig)
+    stopped = before[STOPPED]
+    assert stopped is not None
+    os.kill(stopped, signal.SIGSTOP)
+    rig.wait_until(lambda: rig.log_has("launcher@master", f"{STOPPED} has not reported for"), "a reported stop")
+    os.kill(stopped, signal.SIGCONT)
+    rig.wait_until(lambda: rig.log_has("launcher@master", f"{STOPPED} reports again after"), "the end of the stop")
+    assert processes(rig) == before
+    spun = before[SPUN]
+    assert spun is not None
+    begun = time.monotonic()
+    os.kill(spun, signal.SIGUSR1)
+    rig.wait_until(lambda: rig.log_has("launcher@master", f"{SPUN} was started again"), "a restart")
+    took_s = time.monotonic() - begun
+    rig.wait_until(lambda: rig.process_of(SPUN) not in (None, spun), "the new process")
+    after = processes(rig)
+    assert {node: pid for node, pid in after.items() if node != SPUN} == {
+        node: pid for node, pid in before.items() if node != SPUN
+    }
+    assert rig.log_has("launcher@master", "it hangs and is killed")
+    assert rig.log_has("launcher@master", f"{SPUN} was killed by SIGKILL")
+    code, _, err = rig.stop()
+    # what the killed process had in hand is lost, and the recording says so
+    assert code in (0, 1, 3), err
+    assert "Traceback" not in err
+    record("a node that spins", f"killed and started again {took_s:.1f} s after it began to spin")
+
+
+@pytest.mark.endurance
+@pytest.mark.parametrize("duration_s", [3.0, 10.0])
+def test_every_node_that_is_stopped_keeps_its_process(rig: Rig, duration_s: float) -> None:
+    rig.start("--duration", "600")
+    rig.wait_until(rig.running, "a running session")
+    before = processes(rig)
+    for node, process_id in before.items():
+        assert process_id is not None
+        os.kill(process_id, signal.SIGSTOP)
+        time.sleep(duration_s)
+        os.kill(process_id, signal.SIGCONT)
+        text = f"{node} reports again after"
+        rig.wait_until(lambda text=text: rig.log_has("launcher@master", text), f"{node} after its stop")
+    time.sleep(3.0)
+    assert processes(rig) == before
+    assert not rig.log_has("launcher@master", "it hangs and is killed")
+    rig.stop()
