@@ -80,6 +80,22 @@ StyleOption = Annotated[
     str,
     typer.Option("--style", metavar="screen|paper", help="paper: one column of a journal, letters of 8 pt, no title."),
 ]
+# of what serves browsers
+HostOption = Annotated[str, typer.Option("--host", metavar="ADDRESS", help="Address to bind; others need TLS.")]
+CertificateOption = Annotated[
+    Path | None, typer.Option("--certificate", metavar="FILE", help="Certificate of this server (PEM).")
+]
+CertificateKeyOption = Annotated[
+    Path | None, typer.Option("--key", metavar="FILE", help="Key of the certificate (PEM).")
+]
+AllowOption = Annotated[
+    list[str] | None,
+    typer.Option("--allow", metavar="NETWORK", help="Addresses that may connect, beside this machine (repeatable)."),
+]
+HostNameOption = Annotated[
+    list[str] | None,
+    typer.Option("--name", metavar="HOST", help="Name or address by which others open it (repeatable)."),
+]
 ListenOption = Annotated[float, typer.Option("--duration", min=0.0, metavar="S", help="How long to listen [s].")]
 
 

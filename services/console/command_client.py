@@ -96,17 +96,19 @@ def send_control(
     site_file: Path,
     site: Site,
     on_answer: Callable[[SessionEvent], None],
+    is_wanted: Callable[[], bool] = lambda: True,
     *,
     issued_ns: int | None = None,
 ) -> dict[str, SessionEvent]:
     """Send a command to a running rig; which nodes have to answer follows from its target and the site file.
 
     Parameters: command; site_file; site, at which it is typed; on_answer, called with each answer when it comes;
-    issued_ns, when a person gave the command, on the monotonic clock of this machine [ns], now if None. One that has
-    waited for its turn since then does not move a device that an emergency stop has stopped meanwhile.
+    is_wanted, asked before each sending: once it is false, nothing more is sent; issued_ns, when a person gave the
+    command, on the monotonic clock of this machine [ns], now if None. One that has waited for its turn since then does
+    not move a device that an emergency stop has stopped meanwhile.
     Returns: the answers by node, refusals among them.
-    Raises: RigError when nodes do not answer, no rig is there, or an emergency stop has made the command void;
-    EndpointError when another console is at work.
+    Raises: RigError when nodes do not answer, no rig is there, the command is no longer wanted, or an emergency stop
+    has made it void; EndpointError when another console is at work.
     """
     issued_ns = time.monotonic_ns() if issued_ns is None else issued_ns
     book = load_site(site_file)
@@ -123,7 +125,7 @@ def send_control(
         wanted = [replace(command, expected=expected)]
         client = CommandClient(participant.clock, publisher.publish, wanted, issued_ns=issued_ns)
         alive: set[str] = set()
-        while not client.advance():
+        while not (given_up := not is_wanted()) and not client.advance():
             if _new_subscriptions(publisher):
                 client.make_due()
             zmq.select([subscriber.socket for subscriber in subscribers], [], [], _POLL_MS * 1e-3)
@@ -137,6 +139,8 @@ def send_control(
         publish_end(publisher, console)
     if client.void:
         raise RigError(client.failure)
+    if given_up:
+        raise RigError(f"{command.name} was given up before all had answered: a node may have carried it out")
     if not alive:
         raise RigError(f"{client.failure}; no node reports: {RIG_HINT}")
     if not client.answers and not expected:

@@ -2,6 +2,7 @@
 
 import hmac
 import ipaddress
+import re
 import secrets
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,6 +13,8 @@ from proto.errors import ConfigError
 LOOPBACK = "127.0.0.1"
 _TOKEN_BYTES = 24
 _LEAST_TOKEN = 16
+# as browsers write it: no path, and null for a page that has none
+_ORIGIN = re.compile(r"null|[a-z][a-z0-9+.-]*://[^/\s]*")
 
 
 class Role(StrEnum):
@@ -32,12 +35,20 @@ class Access:
     observer_token: str
     hosts: tuple[str, ...] = (LOOPBACK, "localhost", "[::1]")
     networks: tuple[str, ...] = ("127.0.0.0/8", "::1/128")
+    # further origins of web sockets; empty is that of a program, because a browser always names one
+    origins: tuple[str, ...] = ()
 
     @classmethod
     def made(
-        cls, *, operator: str = "", observer: str = "", names: Sequence[str] = (), allow: Sequence[str] = ()
+        cls,
+        *,
+        operator: str = "",
+        observer: str = "",
+        names: Sequence[str] = (),
+        allow: Sequence[str] = (),
+        origins: Sequence[str] = (),
     ) -> "Access":
-        """Return the access to a server with further `names` and networks, and with new tokens where none are given.
+        """Return the access to a server with further names, networks and origins; tokens not given are new ones.
 
         Raises: ConfigError for a token that could be guessed, and for an address that is none.
         """
@@ -52,11 +63,15 @@ class Access:
                 ipaddress.ip_network(network)
             except ValueError as error:
                 raise ConfigError(f"--allow {network}: is not an address or a network such as 10.0.0.0/24") from error
+        for origin in filter(None, origins):
+            if not _ORIGIN.fullmatch(origin):
+                raise ConfigError(f"--allow-origin {origin}: is not of the form https://HOST, nor null")
         return cls(
             operator or secrets.token_urlsafe(_TOKEN_BYTES),
             observer or secrets.token_urlsafe(_TOKEN_BYTES),
             tuple(dict.fromkeys(hosts)),
             networks,
+            tuple(origins),
         )
 
     def role_of(self, token: str) -> Role | None:
@@ -81,10 +96,9 @@ class Access:
         name = host if host.endswith("]") or ":" not in host else host.rpartition(":")[0]
         return name in self.hosts
 
-    @staticmethod
-    def admits_origin(origin: str, host: str) -> bool:
-        """Return whether the page that opens a web socket came from this very server."""
-        return origin in (f"http://{host}", f"https://{host}")
+    def admits_origin(self, origin: str, host: str) -> bool:
+        """Return whether the page that opens a web socket came from this very server, or from one that is named."""
+        return origin in (f"http://{host}", f"https://{host}", *self.origins)
 
 
 def is_loopback(host: str) -> bool:

@@ -4,15 +4,24 @@ from collections import deque
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+import msgpack
+
 from proto.ends import read_end
 from proto.nodes import site_of
-from services.viz_node.streams import BY_SOURCE, STREAMS, Batch, LinkLoss
+from services.viz_node.streams import BY_SOURCE, LATEST_NS, STREAMS, Batch, LinkLoss
 
 # at most a second of the loop at once: more would hold up the page, and is past anyway
 _MOST_SAMPLES = 1000
 _EVENTS_KEPT = 60
 _MOST_LINES = 4096
 _MOST_NODES = 64
+_MOST_STATES = 64
+# Of what is kept of one message [bytes]; a line of an image has a bound of its own, as have all lines that are kept.
+_MOST_BYTES, _MOST_LINE_BYTES, _MOST_IMAGE_BYTES = 1 << 16, 1 << 20, 1 << 26
+# What a page is sent wraps what is kept in so many maps, and a frame may be nested no deeper than msgpack goes.
+_WRAPPED = 8
+# What a message that nobody has validated can cause: fields that are absent, of another kind, too large or too deep.
+UNREADABLE = (KeyError, TypeError, IndexError, ValueError, AttributeError, ArithmeticError, RecursionError)
 HEALTH_KEYS = ("state", "uptime_s", "rate_hz", "overruns", "cpu_percent", "memory_bytes", "replay", "lateness_p99_s")
 _STATE_KEYS = {
     "haptic/state": ("mode", "estop", "limited", "session_s"),
@@ -48,6 +57,7 @@ class Feed:
         self._state: dict[str, dict[str, Any]] = {}
         self._events: deque[dict[str, Any]] = deque(maxlen=_EVENTS_KEPT)
         self._lines: dict[tuple[str, int], dict[str, Any]] = {}
+        self._line_bytes = 0
         self._changes: dict[str, Any] = {}
         # what the clock of the slave's machine is ahead, as the link measures it
         self._slave_ahead_ns = 0
@@ -55,12 +65,15 @@ class Feed:
 
     def record(self, seen: Seen) -> None:
         """Take a message."""
+        try:
+            if not 0 <= seen.t_ns < LATEST_NS:
+                raise ValueError(f"t_ns {seen.t_ns}: is no time")
+            self._record(seen)
+        except UNREADABLE:
+            self.unreadable += 1
+            return
         if not self.origin_ns:
             self.origin_ns = self._changes["origin_ns"] = seen.t_ns
-        try:
-            self._record(seen)
-        except (KeyError, TypeError, IndexError, ValueError, AttributeError):
-            self.unreadable += 1
 
     def take(self) -> dict[str, Any]:
         """Return what changed since the last call, empty when nothing did."""
@@ -106,6 +119,9 @@ class Feed:
 
     def _set_state(self, name: str, facts: dict[str, Any]) -> None:
         if self._state.get(name) != facts:
+            if name not in self._state and len(self._state) >= _MOST_STATES:
+                raise ValueError(f"{name}: is the state of one site too many")
+            _check({name: facts}, _MOST_BYTES)
             self._state[name] = facts
             self._changes.setdefault("state", {})[name] = facts
 
@@ -127,10 +143,12 @@ class Feed:
         }
         if read_end(seen.fields) is not None and seen.src in self._nodes:
             self._set_node(seen.src, {**self._nodes[seen.src], "state": "ended", "beat": seen.t_ns})
+        _check(event, _MOST_BYTES)
         self._events.append(event)
         self._changes.setdefault("events", []).append(event)
 
     def _set_node(self, src: str, facts: dict[str, Any]) -> None:
+        _check({src: facts}, _MOST_BYTES)
         self._nodes[src] = facts
         self._changes.setdefault("nodes", {})[src] = facts
 
@@ -138,12 +156,28 @@ class Feed:
         fields = seen.fields
         line = _facts(fields, ("line", "lines", "direction", "start_m", "end_m"))
         line["height"] = dict(fields["height_m"])
-        if line["line"] == 0:
+        size = _check(line, _MOST_LINE_BYTES)
+        number = int(line["line"])
+        if number == 0:
             # another image begins
             self._lines = {key: kept for key, kept in self._lines.items() if key[0] != line["direction"]}
-        if len(self._lines) < _MOST_LINES:
-            self._lines[str(line["direction"]), int(line["line"])] = line
+            self._line_bytes = sum(_check(kept, _MOST_LINE_BYTES) for kept in self._lines.values())
+        if len(self._lines) < _MOST_LINES and self._line_bytes + size <= _MOST_IMAGE_BYTES:
+            # a line that comes again counts again, so that the account is never below what is kept
+            self._lines[str(line["direction"]), number] = line
+            self._line_bytes += size
         self._changes.setdefault("lines", []).append(line)
+
+
+def _check(facts: Mapping[str, Any], most: int) -> int:
+    """Return the size of what a page is to be sent [bytes]; raises ValueError or OverflowError for what cannot be."""
+    nested: Any = facts
+    for _ in range(_WRAPPED):
+        nested = [nested]
+    size = len(msgpack.packb(nested))
+    if size > most:
+        raise ValueError(f"a message has {size} bytes for the page, {most} may be")
+    return size
 
 
 def _facts(fields: Mapping[str, Any], keys: tuple[str, ...]) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -29,6 +30,14 @@ HAND_DEADLINE_S = 0.25
 # Of a standstill of this process no more counts as silence of a page: what the page sent meanwhile is read after it.
 _LONGEST_LOOK_S = 3.0 * TICK_S
 _REQUESTS_PER_S = 200
+# Of one page, with the one that is being carried out.
+MOST_COMMANDS = 4
+# As of a session/control (ADR 0014); a page that means it sends it again.
+VALIDITY_S = 1.0
+# At once. Who holds the key down asks for thirty a second, and one may take seconds where a device does not answer.
+_MOST_STOPS = 4
+# Obeyed at any age, and whoever has left: it only ends a motion.
+_STOP = "stop"
 
 Answers = Mapping[str, tuple[str, str]]
 
@@ -36,8 +45,19 @@ Answers = Mapping[str, tuple[str, str]]
 class Commander(Protocol):
     """How the commands of a page reach the rig. The methods block, and are called in threads."""
 
-    def send(self, command: str, target: str, parameters: Mapping[str, Scalar]) -> Answers:
-        """Send a command; return by node `ack` or `refused` and a sentence. TelenanoError says why not."""
+    def send(
+        self,
+        command: str,
+        target: str,
+        parameters: Mapping[str, Scalar],
+        is_wanted: Callable[[], bool],
+        issued_ns: int,
+    ) -> Answers:
+        """Send a command; return by node `ack` or `refused` and a sentence. TelenanoError says why not.
+
+        It is not sent again once `is_wanted` is false, and an emergency stop after `issued_ns`, on the monotonic clock
+        [ns], makes it void.
+        """
 
     def estop(self) -> Answers:
         """Stop the devices at once; return by node the answer. TelenanoError says why not."""
@@ -51,6 +71,35 @@ class HandOutlet(Protocol):
 
     def close(self) -> None:
         """Let go of the endpoint."""
+
+
+class Wish:
+    """A command of a page from its arrival to its answer; an emergency stop or the end of its page makes it void."""
+
+    def __init__(self, session: "Session", command: str, arrived_s: float) -> None:
+        self.session = session
+        self.arrived_s = arrived_s
+        self.reason = ""
+        self._command = command
+        self._is_void = threading.Event()
+
+    def make_void(self, reason: str) -> None:
+        """Give up a command, whether it waits or is being sent; what only ends a motion stays wanted."""
+        if self._command != _STOP:
+            self.reason = f"{self._command} was given up: {reason}"
+            self._is_void.set()
+
+    def is_wanted(self) -> bool:
+        return not self._is_void.is_set()
+
+    def check(self, now_s: float) -> None:
+        """Raise RefusedError for a command that is void, or older than it is valid."""
+        if not self.is_wanted():
+            raise RefusedError(self.reason)
+        waited_s = now_s - self.arrived_s
+        if self._command != _STOP and waited_s > VALIDITY_S:
+            text = f"it waited for {waited_s:.1f} s behind other commands and was valid for {VALIDITY_S:.1f} s"
+            raise RefusedError(f"{self._command} expired: {text}")
 
 
 class Session:
@@ -108,6 +157,9 @@ class Hub:
         there is none.
         """
         self.sessions: set[Session] = set()
+        # what ended the hub, and what is called then
+        self.fault: BaseException | None = None
+        self.on_end: Callable[[], None] = lambda: None
         self._source = source
         self._commander = commander
         self._make_forms = forms
@@ -115,6 +167,11 @@ class Hub:
         self._open_hand = open_hand
         self._feed = Feed()
         self._turn = asyncio.Lock()
+        self._wishes: list[Wish] = []
+        self._stops = 0
+        self._next_stop: asyncio.Task[Answers] | None = None
+        self._alive_s: float | None = None
+        self._held_up_s = self._distrust_until_s = 0.0
         self._about: Mapping[str, Any] = {}
         self._hand: HandOutlet | None = None
         self._holder: Session | None = None
@@ -138,6 +195,16 @@ class Hub:
             if self._hand is not None:
                 self._hand.close()
 
+    def note_end(self, task: "asyncio.Task[None]") -> None:
+        """Note what ended `run`, and end the server with it: its pages would show the past."""
+        self.fault = None if task.cancelled() else task.exception()
+        if self.fault is not None:
+            self.on_end()
+
+    def close(self) -> None:
+        """Let go of the source."""
+        self._source.close()
+
     async def _prepare_forms(self) -> None:
         """Make the forms beside everything else, and tell the pages that have come meanwhile."""
         if self._make_forms is None:
@@ -148,6 +215,7 @@ class Hub:
 
     def tick(self) -> None:
         """Collect what has come and queue it for every page."""
+        self._note_alive(time.monotonic())
         restarted = self._source.take_restart()
         if restarted:
             self._feed = Feed()
@@ -178,7 +246,11 @@ class Hub:
         return session
 
     def leave(self, session: Session) -> None:
+        """Forget a page; what it asked for and nobody has carried out yet is given up."""
         self.sessions.discard(session)
+        for wish in self._wishes:
+            if wish.session is session:
+                wish.make_void("its page has left")
         if session is self._holder:
             self._release()
 
@@ -197,21 +269,24 @@ class Hub:
             }
         )
 
-    async def handle(self, session: Session, request: Request) -> None:
-        """Carry out a request and queue the answer; what a role may not do is refused."""
+    async def handle(self, session: Session, request: Request, arrived_s: float) -> None:
+        """Carry out a request that arrived at a time [s] and queue the answer; what a role may not do is refused."""
         if isinstance(request, HandRequest):
             self._push(session, request)
             return
         identifier = getattr(request, "id", "")
         try:
-            answers = await self._carried_out(session, request)
-            refused = any(kind == "refused" for kind, _ in answers.values())
+            answers = await self._carried_out(session, request, arrived_s)
+            is_ok = not any(kind == "refused" for kind, _ in answers.values())
             text = "; ".join(f"{node}: {text}" for node, (_, text) in sorted(answers.items()))
-            session.offer(_packed({"k": "answer", "id": identifier, "ok": not refused, "text": text}))
         except TelenanoError as error:
-            session.offer(_packed({"k": "answer", "id": identifier, "ok": False, "text": str(error)}))
+            is_ok, text = False, str(error)
+        except Exception as error:  # noqa: BLE001
+            # whatever went wrong: who asked for an emergency stop has to be told that there was none
+            is_ok, text = False, f"not carried out: {type(error).__name__}: {error}"
+        session.offer(_packed({"k": "answer", "id": identifier, "ok": is_ok, "text": text}))
 
-    async def _carried_out(self, session: Session, request: Request) -> Answers:
+    async def _carried_out(self, session: Session, request: Request, arrived_s: float) -> Answers:
         if not session.may_ask(time.monotonic()):
             raise RefusedError(f"this page asks more than {_REQUESTS_PER_S} times a second")
         if session.role is not Role.OPERATOR:
@@ -221,14 +296,78 @@ class Hub:
         if self._commander is None:
             raise RefusedError("a recording cannot be commanded")
         if isinstance(request, EstopRequest):
-            # beside whatever else is being sent: it waits for nobody
-            return await asyncio.to_thread(self._commander.estop)
+            return await self._stop(self._commander)
         if isinstance(request, CommandRequest):
-            async with self._turn:
-                return await asyncio.to_thread(
-                    self._commander.send, request.command, request.target, request.parameters
-                )
+            return await self._command(self._commander, session, request, arrived_s)
         raise RefusedError("a page says hello once")
+
+    async def _stop(self, commander: Commander) -> Answers:
+        """Stop the devices beside whatever else is being sent, and give up every command of every page."""
+        for wish in self._wishes:
+            wish.make_void("an emergency stop came after it")
+        if self._stops < _MOST_STOPS:
+            return await self._stop_now(commander)
+        if self._next_stop is None:
+            self._next_stop = asyncio.create_task(self._stop_next(commander))
+        # those that come meanwhile share it, because it has not begun
+        return await asyncio.shield(self._next_stop)
+
+    async def _stop_next(self, commander: Commander) -> Answers:
+        while self._stops >= _MOST_STOPS:
+            await asyncio.sleep(TICK_S)
+        self._next_stop = None
+        return await self._stop_now(commander)
+
+    async def _stop_now(self, commander: Commander) -> Answers:
+        self._stops += 1
+        try:
+            return await asyncio.to_thread(commander.estop)
+        finally:
+            self._stops -= 1
+
+    async def _command(
+        self, commander: Commander, session: Session, request: CommandRequest, arrived_s: float
+    ) -> Answers:
+        """Send a command in its turn, unless it is void or too old by then."""
+        self._check_arrival(session, request)
+        wish = Wish(session, request.command, arrived_s)
+        self._wishes.append(wish)
+        try:
+            async with self._turn:
+                wish.check(time.monotonic())
+                issued_ns = round(wish.arrived_s * 1e9)
+                return await asyncio.to_thread(
+                    commander.send, request.command, request.target, request.parameters, wish.is_wanted, issued_ns
+                )
+        finally:
+            self._wishes.remove(wish)
+
+    def _check_arrival(self, session: Session, request: CommandRequest) -> None:
+        """Raise RefusedError for a command that may not even wait for its turn."""
+        if session not in self.sessions:
+            raise RefusedError(f"{request.command} was given up: its page has left")
+        waiting = sum(wish.session is session for wish in self._wishes)
+        if waiting >= MOST_COMMANDS:
+            raise RefusedError(
+                f"{request.command} was not sent: {waiting} commands of this page wait already, as many as may be"
+            )
+        if request.command == _STOP:
+            return
+        if self._stops:
+            raise RefusedError(f"{request.command} was not sent: an emergency stop is being sent, wait for its answer")
+        now_s = time.monotonic()
+        self._note_alive(now_s)
+        if now_s < self._distrust_until_s:
+            raise RefusedError(
+                f"{request.command} cannot be shown to be fresh: the view was held up for {self._held_up_s:.1f} s, "
+                "during which it may have waited: send it again"
+            )
+
+    def _note_alive(self, now_s: float) -> None:
+        """Notice that this process stood still: what waited for it meanwhile seems to arrive only now."""
+        if self._alive_s is not None and now_s - self._alive_s > VALIDITY_S:
+            self._held_up_s, self._distrust_until_s = now_s - self._alive_s, now_s + VALIDITY_S
+        self._alive_s = now_s
 
     def _push(self, session: Session, request: HandRequest) -> None:
         """Pass on the force of the page that holds the hand; one at a time holds it."""

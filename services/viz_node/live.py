@@ -11,7 +11,7 @@ from proto.nodes import site_of
 from services.runtime.address_book import AddressBook
 from services.runtime.bus import Subscriber, split_frames
 from services.runtime.participant import OBSERVER, open_participant
-from services.viz_node.feed import Seen
+from services.viz_node.feed import UNREADABLE, Seen
 from services.viz_node.source import LOOP_TOPICS, TOPICS_SHOWN, NoTransport
 
 # of one node at once: ten seconds of the busiest topics come in several calls
@@ -74,5 +74,5 @@ class LiveSource(NoTransport):
             if site_of(src) != site_of(node) and src in self._subscribers:
                 return None
             return Seen(topic, src, int(t_ns), fields)
-        except (WireError, ValueError, KeyError, TypeError, AttributeError, msgpack.exceptions.UnpackException):
+        except (WireError, *UNREADABLE, msgpack.exceptions.UnpackException):
             return None

@@ -2,8 +2,7 @@
 
 import asyncio
 import contextlib
-import signal
-import sys
+import time
 from collections.abc import AsyncIterator, Awaitable, Callable, MutableMapping
 from pathlib import Path
 from typing import Any
@@ -16,14 +15,12 @@ from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from services.viz_node.access import Access, Role
+from services.viz_node.connections import SILENCE_S, Connections
 from services.viz_node.hub import Hub, Session
 from services.viz_node.requests import PROTOCOL, Hello, RequestError, read_request
 
 MOST_PAGES = 16
-# connections that have not shown a token yet
-_MOST_STRANGERS = 8
-# a browser on a machine that is busy may take seconds to come to it
-_HELLO_S = 10.0
+_HELLO_S = SILENCE_S
 # a token is tried once a connection, and a connection takes this long
 _WRONG_TOKEN_S = 0.5
 # close codes of RFC 6455
@@ -43,9 +40,28 @@ _HEADERS = (
     (b"cache-control", b"no-cache"),
 )
 
+_CLIENT = "telenano.client"
+
 Scope = MutableMapping[str, Any]
 Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
 Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
+
+
+class _Accounted:
+    """Accounts for the connection of each request, by the address that it comes from and not by what a header says."""
+
+    def __init__(self, app: Any, connections: Connections) -> None:
+        self._app = app
+        self._connections = connections
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        client = scope.get("client")
+        scope[_CLIENT] = tuple(client or ())
+        self._connections.begin(scope[_CLIENT])
+        try:
+            await self._app(scope, receive, send)
+        finally:
+            self._connections.end(scope[_CLIENT])
 
 
 class _Gate:
@@ -72,15 +88,32 @@ class _Gate:
         client = scope.get("client")
         address = client[0] if client else ""
         if not self._access.admits_address(address):
-            return f"connections from {address or 'an unknown address'} are not allowed: start the view with --allow"
+            return f"connections from {address or 'an unknown address'} are not allowed: start the server with --allow"
         headers = dict(scope["headers"])
         host = headers.get(b"host", b"").decode("latin-1")
         if not self._access.admits_host(host):
             return f"{host!r} is not a name of this server: use one of {', '.join(self._access.hosts)}"
         origin = headers.get(b"origin", b"").decode("latin-1")
         if scope["type"] == "websocket" and not self._access.admits_origin(origin, host):
-            return f"a page from {origin!r} may not connect: open the address that the view printed"
+            others = ", or name its origin with --allow-origin" if self._access.origins else ""
+            return f"a page from {origin!r} may not connect: open the address that was printed{others}"
         return ""
+
+
+def guarded(app: Any, access: Access, connections: Connections) -> Any:
+    """Return an application behind the gate, whose connections are accounted for.
+
+    A proxy on this machine may say in `X-Forwarded-For` from where a request comes, as web servers have it.
+    """
+    from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
+
+    gate: Any = _Gate(app, access)
+    return _Accounted(ProxyHeadersMiddleware(gate), connections)
+
+
+def client_of(scope: Scope) -> Any:
+    """Return what `Connections` knows the connection of a request by."""
+    return scope.get(_CLIENT)
 
 
 def _with_headers(message: MutableMapping[str, Any]) -> MutableMapping[str, Any]:
@@ -92,28 +125,26 @@ def _with_headers(message: MutableMapping[str, Any]) -> MutableMapping[str, Any]
 class _PageSocket:
     """The web socket of one page, from its first frame to its last."""
 
-    def __init__(self, hub: Hub, access: Access) -> None:
+    def __init__(self, hub: Hub, access: Access, connections: Connections) -> None:
         self._hub = hub
         self._access = access
-        self._strangers = 0
+        self._connections = connections
+        # a task is kept until it is over, also when its page has left
+        self._tasks: set[asyncio.Task[None]] = set()
 
     async def serve(self, socket: WebSocket) -> None:
         await socket.accept()
         with contextlib.suppress(WebSocketDisconnect, RuntimeError):
             role = await self._role(socket)
             if role is not None:
+                self._connections.admit(client_of(socket.scope))
                 await self._converse(socket, role)
 
     async def _role(self, socket: WebSocket) -> Role | None:
         """Return the role of a page that has shown its token; None when it was refused."""
-        if self._strangers >= _MOST_STRANGERS:
-            text = f"{self._strangers} connections have shown no token yet, which is as many as may wait: try again"
-            await _refuse(socket, _TRY_LATER, text)
-            return None
         if len(self._hub.sessions) >= MOST_PAGES:
             await _refuse(socket, _TRY_LATER, f"{len(self._hub.sessions)} pages are open, which is as many as may be")
             return None
-        self._strangers += 1
         try:
             request = read_request(await asyncio.wait_for(_receive(socket), _HELLO_S))
             if not isinstance(request, Hello):
@@ -133,36 +164,31 @@ class _PageSocket:
             await _refuse(socket, _POLICY, f"no token came within {_HELLO_S:g} s")
         except RequestError as error:
             await _refuse(socket, _UNSUPPORTED, str(error))
-        finally:
-            self._strangers -= 1
         return None
 
     async def _converse(self, socket: WebSocket, role: Role) -> None:
         session = self._hub.join(role)
         sender = asyncio.create_task(_send_all(socket, session))
-        tasks: set[asyncio.Task[None]] = set()
         try:
             while True:
-                request = read_request(await _receive(socket))
+                frame = await _receive(socket)
+                arrived_s = time.monotonic()
                 # an emergency stop does not wait for the command before it
-                task = asyncio.create_task(self._hub.handle(session, request))
-                tasks.add(task)
-                task.add_done_callback(tasks.discard)
+                task = asyncio.create_task(self._hub.handle(session, read_request(frame), arrived_s))
+                self._tasks.add(task)
+                task.add_done_callback(self._tasks.discard)
         except RequestError as error:
             await _refuse(socket, _UNSUPPORTED, str(error))
         finally:
             self._hub.leave(session)
-            sender.cancel()
-            with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
-                await sender
+            await end_quietly(sender)
 
 
-def _end_with(task: "asyncio.Task[None]") -> None:
-    """End the server with its source, such as a recording that can no longer be read: pages would show the past."""
-    error = None if task.cancelled() else task.exception()
-    if error is not None:
-        sys.stderr.write(f"telenano: the view has ended: {error}\n")
-        signal.raise_signal(signal.SIGTERM)
+async def end_quietly(sender: "asyncio.Task[None]") -> None:
+    """Cancel what sends to a socket that may be closed already."""
+    sender.cancel()
+    with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
+        await sender
 
 
 async def _receive(socket: WebSocket) -> bytes:
@@ -187,22 +213,25 @@ async def _refuse(socket: WebSocket, code: int, text: str) -> None:
     await socket.close(code, text.encode()[:120].decode(errors="ignore"))
 
 
-def make_app(hub: Hub, access: Access, page: Path | None) -> Any:
+def make_app(hub: Hub, access: Access, page: Path | None, connections: Connections | None = None) -> Any:
     """Return the application: the page of a folder, its web socket at /bus, and /health.
 
-    Parameters: page, None where none has been built: the server then says how to build it.
+    Parameters: page, None where none has been built: the server then says how to build it; connections, those of the
+    listener that it is served at.
     """
+    connections = connections or Connections()
 
     @contextlib.asynccontextmanager
     async def lifespan(app: Starlette) -> AsyncIterator[None]:
-        task = asyncio.create_task(hub.run())
-        task.add_done_callback(_end_with)
+        tasks = asyncio.create_task(hub.run()), asyncio.create_task(connections.sweep())
+        tasks[0].add_done_callback(hub.note_end)
         try:
             yield
         finally:
-            task.cancel()
-            # what ended it has been reported
-            await asyncio.gather(task, return_exceptions=True)
+            for task in tasks:
+                task.cancel()
+            # what ended them has been noted
+            await asyncio.gather(*tasks, return_exceptions=True)
 
     async def health(request: Any) -> PlainTextResponse:
         return PlainTextResponse("ok\n")
@@ -211,8 +240,8 @@ def make_app(hub: Hub, access: Access, page: Path | None) -> Any:
         return PlainTextResponse("telenano: the page has not been built: make page\n", 503)
 
     routes: list[BaseRoute] = [
-        WebSocketRoute("/bus", _PageSocket(hub, access).serve),
+        WebSocketRoute("/bus", _PageSocket(hub, access, connections).serve),
         Route("/health", health),
         Mount("/", StaticFiles(directory=page, html=True)) if page is not None else Route("/", missing),
     ]
-    return _Gate(Starlette(routes=routes, lifespan=lifespan), access)
+    return guarded(Starlette(routes=routes, lifespan=lifespan), access, connections)

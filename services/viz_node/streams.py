@@ -12,6 +12,8 @@ import numpy as np
 
 Fields = Mapping[str, Any]
 _NONE = math.nan
+# a time of any clock [ns], before and after it is put right, whose differences still have 64 bits
+LATEST_NS = 2**62
 
 
 class Column(NamedTuple):
@@ -165,8 +167,13 @@ class Batch:
         self._rows: list[list[float]] = []
 
     def add(self, t_ns: int, fields: Fields) -> None:
-        """Take a sample. Raises KeyError, TypeError, IndexError or ValueError for fields that are no such message."""
+        """Take a sample.
+
+        Raises KeyError, TypeError, IndexError, ValueError or OverflowError for fields that are no such message.
+        """
         row = [column.value(fields) for column in self.stream.columns]
+        if not -LATEST_NS < t_ns < LATEST_NS:
+            raise ValueError(f"t_ns {t_ns}: is no time")
         self._times_ns.append(int(t_ns))
         self._rows.append(row)
         if len(self._rows) >= 2 * self._most:
@@ -183,11 +190,14 @@ class Batch:
             return None
         t0_ns = self._times_ns[0]
         times = (np.array(self._times_ns, dtype=np.int64) - t0_ns) * 1e-9
-        columns = np.vstack([times[np.newaxis, :], np.array(self._rows).T])
+        with np.errstate(over="ignore"):
+            columns = np.vstack([times[np.newaxis, :], np.array(self._rows).T]).astype("<f4")
+        # what has no place in float 32 is none of the quantities that are shown
+        columns[np.isinf(columns)] = _NONE
         taken = {
             "n": len(self._rows),
             "t0": (t0_ns - origin_ns) * 1e-9,
-            "data": np.ascontiguousarray(columns, dtype="<f4").tobytes(),
+            "data": columns.tobytes(),
         }
         self._times_ns, self._rows = [], []
         return taken

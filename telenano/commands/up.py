@@ -3,6 +3,7 @@
 import contextlib
 import signal
 import sys
+from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,6 +14,7 @@ from proto.errors import ConfigError, ReportError
 from recording.multi_file import open_recordings
 from services.launcher.plan import Plan, UpRequest, make_plan
 from services.launcher.run import Outcome, default_folder, report_of, run_rig
+from services.launcher.session import RigNode
 from services.viz_node.figure_style import FigureOptions, figure_options
 from telenano.completion import node_names, scenario_names
 from telenano.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED
@@ -142,8 +144,8 @@ def up(
             typer.echo(f"telenano: {plan.warning}", err=True)
         view = _open_view(live=not headless and not as_json, quiet=as_json)
         served = not (no_view or as_json or headless or plan.site == "slave")
-        with view_beside_rig(plan.site_file, typer.echo) if served else contextlib.nullcontext(), view:
-            outcome = run_rig(plan, view.observe, view.show)
+        with view_beside_rig(plan.site_file, typer.echo) if served else contextlib.nullcontext(str) as look, view:
+            outcome = run_rig(plan, _watching(look, view.observe), view.show)
         _restore_default_signals()
         try:
             summary = report_of(outcome, plan, view.show, options)
@@ -166,6 +168,17 @@ def _sweep(given: list[str], scenario: str, out: Path | None, options: FigureOpt
 def _open_view(*, live: bool, quiet: bool) -> LiveView | LineView:
     out = console()
     return LiveView(out) if live and out.is_terminal else LineView(out, quiet=quiet)
+
+
+def _watching(look: Callable[[], str], observe: Callable[[RigNode], None]) -> Callable[[RigNode], None]:
+    """Return an observer of the rig that looks after its page as well, and reports when that has ended."""
+
+    def watch(rig: RigNode) -> None:
+        if ended := look():
+            rig.reports.append(ended)
+        observe(rig)
+
+    return watch
 
 
 def _restore_default_signals() -> None:

@@ -67,8 +67,10 @@ class View:
         command = [sys.executable, "-m", "telenano", "view", "--port", "0", *arguments]
         self._process = subprocess.Popen(command, env=environment, cwd=ROOT, stdout=subprocess.PIPE, text=True)
         assert self._process.stdout is not None
-        lines = [self._process.stdout.readline().split() for _ in range(2)]
-        self.operator, self.observer = (line[1] for line in lines)
+        # the addresses end with tokens, which are not written to a pipe
+        lines = [self._process.stdout.readline() for _ in range(2)]
+        file = Path(lines[1].rpartition(": ")[2].strip())
+        self.operator, self.observer = (line.split()[1] for line in file.read_text().splitlines())
 
     def kill(self) -> None:
         """End the server as a crash does: it says nothing to its pages."""

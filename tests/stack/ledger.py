@@ -54,6 +54,8 @@ FAULTS = {
     "an AFM stopped for longer than the emergency stop is sent": "in emergency stop when it goes on, before it obeys",
     "kill -9 of an AFM in emergency stop": "it comes back in emergency stop",
     "an emergency stop while the AFM is being started again": "it comes back in emergency stop",
+    "an arm that waits in the page's server when an emergency stop comes": "given up, also when the page has left; "
+    "both devices stay latched",
     "an emergency stop while a console is at work": "both devices stop",
     "an emergency stop from the page of the view": "both devices stop; an observer's is refused",
     "the AFM's process is killed in its container": "hand let go; restarted by the engine, waits to be armed",

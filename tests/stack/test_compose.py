@@ -190,13 +190,23 @@ def test_every_node_gets_healthy(rig: Composed) -> None:
         assert any(" Hz, up for " in check["Output"] for check in checks if check["ExitCode"] == 0)
 
 
+def test_the_engine_holds_every_container_to_its_limits(rig: Composed) -> None:
+    for service in (*NODES, VIEW):
+        limits = rig.inspect(service)["HostConfig"]
+        assert limits["Memory"] >= 512 * 2**20, service
+        assert 0 < limits["PidsLimit"] <= 256, service
+
+
 def test_the_page_is_on_loopback_and_shows_the_rig(rig: Composed) -> None:
     from websockets.sync.client import connect
 
     rig.wait_until(lambda: rig.healthy(VIEW), "health of the page")
-    operator = next(line for line in rig.logs(VIEW).splitlines() if "operator: " in line).split()[-1]
-    base, _, token = operator.partition("/#")
+    # as docs/deployment.md says
+    addresses = rig.compose("exec", "-T", VIEW, "sh", "-c", "cat /run/telenano/*.addresses").splitlines()
+    base, _, token = next(line for line in addresses if line.startswith("operator: ")).split()[1].partition("/#")
     assert base == f"http://127.0.0.1:{VIEW_PORT}"
+    assert f"view: {base}/" in rig.logs(VIEW)
+    assert token not in rig.logs(VIEW)
     with urllib.request.urlopen(base, timeout=PATIENCE_S) as answer:
         assert b"EMERGENCY STOP" in answer.read()
     found: set[str] = set()

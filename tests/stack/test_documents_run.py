@@ -253,7 +253,9 @@ def test_the_page_of_the_recording_of_the_readme_is_served(place: Path) -> None:
     command = [sys.executable, "-m", "telenano", *line_of(README, "view "), "--port", "0"]
     with started(command, environment_of(), place) as process:
         assert process.stdout is not None
-        address, _, token = process.stdout.readline().split()[-1].partition("#")
+        # the token is not written to a pipe: the second line names the file that has it
+        file = Path([process.stdout.readline() for _ in range(2)][-1].split()[-1])
+        address, _, token = file.read_text().split()[1].partition("#")
         bare = address.partition("//")[2].strip("/")
         with connect(f"ws://{bare}/bus", origin=f"http://{bare}") as page:  # type: ignore[arg-type]
             page.send(msgpack.packb({"k": "hello", "token": token, "protocol": PROTOCOL}))

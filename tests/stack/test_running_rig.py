@@ -6,8 +6,8 @@ import re
 import signal
 import subprocess
 import time
-from collections.abc import Iterator
-from contextlib import ExitStack, closing
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing, contextmanager
 from itertools import pairwise
 from typing import Any
 
@@ -33,6 +33,7 @@ from services.viz_node.requests import PROTOCOL
 from telenano.view_server import RigCommander
 
 CONSOLE = "console@master"
+OPERATOR, OBSERVER = "operator-token-0123", "observer-token-0123"
 HAND, TIP = "haptic_node@master", "afm_node@slave"
 GOOD = {
     "seq": 0,
@@ -260,37 +261,91 @@ def test_an_arm_that_waited_in_a_stopped_process_is_refused(rig: Any, monkeypatc
         assert armed.returncode == 0, armed.stdout + armed.stderr
 
 
-def test_the_emergency_stop_of_a_page_stops_the_devices(rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+@contextmanager
+def served_page() -> Iterator[Callable[[str], Any]]:
+    """Serve the page of the rig; yields what opens the web socket of one with a token, and says hello there."""
     pytest.importorskip("httpx2")
     from starlette.testclient import TestClient
 
     from services.viz_node.server import make_app
 
+    access = Access(OPERATOR, OBSERVER, hosts=("testserver",))
+    with ExitStack() as stack:
+        source = stack.enter_context(closing(LiveSource(load_site(DEFAULT_SITE_FILE), "local")))
+        commander = stack.enter_context(closing(RigCommander(DEFAULT_SITE_FILE)))
+        app = make_app(Hub(source, commander), access, None)
+        server = stack.enter_context(TestClient(app, client=("127.0.0.1", 5)))
+
+        @contextmanager
+        def page_of(token: str) -> Iterator[Any]:
+            with server.websocket_connect("/bus", headers={"origin": "http://testserver"}) as page:
+                page.send_bytes(msgpack.packb({"k": "hello", "token": token, "protocol": PROTOCOL}))
+                yield page
+
+        yield page_of
+
+
+def answer_to(page: Any, identifier: str) -> dict[str, Any]:
+    while True:
+        frame = msgpack.unpackb(page.receive_bytes())
+        if frame["k"] == "answer" and frame["id"] == identifier:
+            return dict(frame)
+
+
+@pytest.mark.parametrize("leaves", [False, True], ids=["the page stays", "the page leaves"])
+def test_an_arm_that_waited_in_the_page_s_server_is_given_up_with_the_emergency_stop(
+    rig: Any, monkeypatch: pytest.MonkeyPatch, leaves: bool
+) -> None:
+    monkeypatch.setenv("TELENANO_RUNTIME_DIR", str(rig.sockets))
+    rig.wait_until(lambda: newest(rig, "afm/state").mode != "estop", "an instrument that was armed before")
+    pid = rig.process_of("controller@slave")
+    with served_page() as page_of, ExitStack() as stack:
+        page = stack.enter_context(page_of(OPERATOR))
+        os.kill(pid, signal.SIGSTOP)
+        try:
+            setting = {"k": "command", "command": "set", "target": "controller", "parameters": {"law": "wave"}}
+            for i in range(3):
+                page.send_bytes(msgpack.packb({"id": f"set-{i}", **setting}))
+            arm = {"k": "command", "command": "arm", "target": "afm_node", "parameters": {}}
+            page.send_bytes(msgpack.packb({"id": "arm", **arm}))
+            time.sleep(0.5)
+            page.send_bytes(msgpack.packb({"id": "stop", "k": "estop"}))
+            assert answer_to(page, "stop")["ok"] is True
+            if leaves:
+                stack.close()
+            stopped_ns = time.time_ns()
+            # as long as the commands before it may take, one after the other
+            time.sleep(2.0)
+        finally:
+            os.kill(pid, signal.SIGCONT)
+        rig.wait_until(lambda: newest(rig, "afm/state").t_ns > stopped_ns + 5 * 10**9, "what came of it")
+        assert {state.mode for state in decoded(rig, "afm/state", stopped_ns)} == {"estop"}
+        assert {state.estop for state in decoded(rig, "haptic/state", stopped_ns)} == {True}
+    record("an arm that waits in the page's server when an emergency stop comes", "given up; both stayed latched")
+    for device in ("afm_node", "haptic_node"):
+        armed = rig.telenano("session", "arm", "--target", device)
+        assert armed.returncode == 0, armed.stdout + armed.stderr
+
+
+def test_the_emergency_stop_of_a_page_stops_the_devices(rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     # the test before has armed both; the recording comes behind
     rig.wait_until(lambda: newest(rig, "afm/state").mode != "estop", "an instrument that was armed before")
     rig.wait_until(lambda: not newest(rig, "haptic/state").estop, "a haptic device that was armed before")
     monkeypatch.setenv("TELENANO_RUNTIME_DIR", str(rig.sockets))
-    access = Access("operator-token-0123", "observer-token-0123", hosts=("testserver",))
-    with ExitStack() as stack:
-        source = stack.enter_context(closing(LiveSource(load_site(DEFAULT_SITE_FILE), "local")))
-        app = make_app(Hub(source, RigCommander(DEFAULT_SITE_FILE)), access, None)
-        server = stack.enter_context(TestClient(app, client=("127.0.0.1", 5)))
+    with served_page() as page_of:
 
         def ask(token: str, **request: Any) -> dict[str, Any]:
             """Ask as the page does, over a web socket of its own."""
-            with server.websocket_connect("/bus", headers={"origin": "http://testserver"}) as page:
-                page.send_bytes(msgpack.packb({"k": "hello", "token": token, "protocol": PROTOCOL}))
+            with page_of(token) as page:
                 page.send_bytes(msgpack.packb({"id": "a", **request}))
-                while (frame := msgpack.unpackb(page.receive_bytes()))["k"] != "answer":
-                    pass
-                return dict(frame)
+                return answer_to(page, "a")
 
-        assert ask(access.observer_token, k="estop")["ok"] is False
+        assert ask(OBSERVER, k="estop")["ok"] is False
         asked_ns = time.time_ns()
         rig.wait_until(lambda: newest(rig, "afm/state").t_ns > asked_ns + 10**8, "what an observer can do")
         assert newest(rig, "afm/state").mode != "estop", "an observer has stopped the rig"
         begin_ns = time.time_ns()
-        answer = ask(access.operator_token, k="estop")
+        answer = ask(OPERATOR, k="estop")
         assert (answer["ok"], TIP in answer["text"], HAND in answer["text"]) == (True, True, True), answer["text"]
         rig.wait_until(lambda: newest(rig, "afm/state").mode == "estop", "the AFM in emergency stop")
         rig.wait_until(lambda: newest(rig, "haptic/state").estop, "the hand in emergency stop")
@@ -299,7 +354,7 @@ def test_the_emergency_stop_of_a_page_stops_the_devices(rig: Any, monkeypatch: p
         record("an emergency stop from the page of the view", f"both stopped, {took}")
         # the AFM first: the hand must not move a reference that nothing follows
         for device in ("afm_node", "haptic_node"):
-            armed = ask(access.operator_token, k="command", command="arm", target=device, parameters={})
+            armed = ask(OPERATOR, k="command", command="arm", target=device, parameters={})
             assert armed["ok"], armed["text"]
         rig.wait_until(lambda: not newest(rig, "haptic/state").estop, "an armed haptic device")
         rig.wait_until(lambda: newest(rig, "afm/state").mode != "estop", "an armed instrument")

@@ -149,6 +149,7 @@ def test_a_recording_plays_and_its_surface_grows(chromium: Any, tmp_path: Path) 
         assert page.faults == []
         check_old_page(chromium, view)
         check_wrong_token(chromium, view)
+        check_token_leaves_the_address_bar(chromium, view)
     finally:
         view.close()
 
@@ -196,6 +197,21 @@ def check_wrong_token(chromium: Any, view: View) -> None:
     until(lambda: "the token is wrong: open the address that the view printed" in page.banners(), "what is wrong")
     assert page.value("telenano.store.streams.size") == 0
     window.close()
+
+
+def check_token_leaves_the_address_bar(chromium: Any, view: View) -> None:
+    """Load the page again after its token has left the address bar; another token of the same tab replaces it."""
+    page = open_page(chromium, view.operator)
+    base, _, token = view.operator.partition("#")
+    assert page.page.url == base
+    assert token not in str(page.value("JSON.stringify({...localStorage})"))
+    page.page.reload()
+    page.until("window.telenano?.store.role === 'operator'", "the role after a reload")
+    with page.page.expect_event("load"):
+        page.page.evaluate("token => { location.hash = token; }", view.observer.partition("#")[2])
+    page.until("window.telenano?.store.role === 'observer'", "the role of the other token")
+    assert page.page.url == base
+    page.page.context.close()
 
 
 def check_old_page(chromium: Any, view: View) -> None:

@@ -179,6 +179,32 @@ def test_the_page_is_reached_from_this_machine_only_and_is_checked(path: Path) -
     assert service["volumes"][0] == "run:/run/telenano"
 
 
+def bytes_of(text: str) -> float:
+    """Give the bytes of a limit as compose writes it, or of its default."""
+    found = re.fullmatch(r"(?:\$\{[A-Z_]+:-)?(\d+)([mg])\}?", text)
+    assert found is not None, text
+    return float(found[1]) * {"m": 2**20, "g": 2**30}[found[2]]
+
+
+# what each took in a session of Fig. 12 in containers [bytes], files that the kernel could drop included; and processes
+# and threads, with those of a health check: docs/deployment.md
+MEASURED = {"haptic_node": 79e6, "controller_master": 64e6, "delay_node": 61e6, "controller_slave": 64e6,
+            "afm_node": 64e6, "recorder": 90e6, "session": 102e6, "viz_node": 129e6}  # fmt: skip
+MOST_THREADS = 14
+
+
+@pytest.mark.parametrize("path", [WHOLE, MASTER, SLAVE], ids=lambda path: path.name)
+def test_every_service_has_limits_of_memory_and_processes_with_room_above_what_was_measured(path: Path) -> None:
+    services = effective(path)
+    for name, service in services.items():
+        assert bytes_of(service["mem_limit"]) >= 4 * MEASURED.get(name, 0.0), name
+        assert bytes_of(service["mem_limit"]) <= 8 * 2**30, name
+        assert 4 * MOST_THREADS <= service["pids_limit"] <= 4096, name
+    # those of one rig all fit into a machine at once, if each were at its limit
+    nodes_of = [services[name]["mem_limit"] for name in services if name not in NOT_NODES]
+    assert sum(map(bytes_of, nodes_of)) <= 8 * 2**30
+
+
 @pytest.mark.parametrize(("path", "machine"), [(MASTER, "master"), (SLAVE, "slave")])
 def test_published_ports_are_those_of_the_site_file(path: Path, machine: str) -> None:
     book = load_site(TWO_SITES_FILE)
@@ -193,7 +219,9 @@ def test_published_ports_are_those_of_the_site_file(path: Path, machine: str) ->
             port = endpoint.rpartition(":")[2]
             # the link's datagrams come to the port of that number
             datagrams = [f"{port}:{port}/udp"] if faces == ["delay_node@slave"] else []
-            assert service["ports"] == [f"{port}:{port}", *datagrams]
+            assert [text.partition("}:")[2] for text in service["ports"]] == [f"{port}:{port}", *datagrams]
+            # never on every address of the machine, which is what a port without one means
+            assert all(text.startswith("${PUBLISH_ADDRESS:?") for text in service["ports"])
             assert service["network_mode"] == "bridge"
         assert service["environment"]["TELENANO_MACHINE"] == machine
     assert published

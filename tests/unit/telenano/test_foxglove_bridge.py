@@ -1,6 +1,9 @@
 """What a viewer is handed: names, rates, schemas that its messages fit."""
 
+import contextlib
 import json
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
 import pytest
@@ -10,7 +13,9 @@ from proto import TOPICS, encode
 from proto.errors import EndpointError
 from proto.messages import Message
 from recording.messages import RecordedChannel, RecordedMessage
-from telenano.foxglove_bridge import LEFT_OUT, Bridge, FoxgloveServer
+from services.viz_node.access import Access
+from services.viz_node.serve import bind
+from telenano.foxglove_bridge import LEFT_OUT, Bridge, FoxgloveServer, address_of
 
 
 class Server:
@@ -82,45 +87,167 @@ def test_every_message_has_the_keys_and_kinds_of_its_schema(topic: str) -> None:
     assert "$ref" not in json.dumps(schema)
 
 
-def test_a_viewer_finds_the_channels_and_gets_the_messages() -> None:
-    pytest.importorskip("foxglove")
+TOKEN = "token-of-the-tests-1"
+SUBPROTOCOL = "foxglove.sdk.v1"
+
+
+@pytest.fixture
+def served() -> Iterator[FoxgloveServer]:
+    pytest.importorskip("uvicorn")
+    access = Access.made(observer=TOKEN, origins=["", "https://app.foxglove.dev"])
+    with bind(port=0) as bound, contextlib.closing(FoxgloveServer(bound, access)) as server:
+        yield server
+
+
+def viewer(
+    served: FoxgloveServer, token: str = TOKEN, subprotocols: Sequence[str] = (SUBPROTOCOL,), **given: Any
+) -> Any:
     client = pytest.importorskip("websockets.sync.client")
-    served = FoxgloveServer("127.0.0.1", 0)
-    try:
-        bridge = Bridge(served, 0.0)
+    address = f"ws://127.0.0.1:{served.port}/?token={token}"
+    return client.connect(address, subprotocols=list(subprotocols), compression=None, **given)
+
+
+def advertised(frames: Iterable[Any], name: str) -> dict[str, Any]:
+    """Return the channel of a name from what a viewer is told."""
+    return next(
+        channel
+        for text in frames
+        if json.loads(text)["op"] == "advertise"
+        for channel in json.loads(text)["channels"]
+        if channel["topic"] == name
+    )
+
+
+def first_data(found: Any, send: Callable[[int], None]) -> bytes:
+    """Send until something arrives: a server takes up a subscription in its own time, and sends nothing twice."""
+    frame: Any = ""
+    for number in range(1000):
+        send(number)
+        with contextlib.suppress(TimeoutError):
+            frame = found.recv(timeout=0.02)
+        if isinstance(frame, bytes):
+            return frame
+    raise AssertionError("nothing arrived")
+
+
+@pytest.mark.parametrize("is_early", [True, False], ids=["channel first", "viewer first"])
+def test_a_viewer_finds_the_channels_and_gets_the_messages(served: FoxgloveServer, is_early: bool) -> None:
+    bridge = Bridge(served, 0.0)
+    if is_early:
         bridge.take(recorded("haptic/state", haptic_state(0), 0))
-        with client.connect(f"ws://127.0.0.1:{served.port}", subprotocols=["foxglove.sdk.v1"]) as viewer:
-            channel = next(
-                channel
-                for text in viewer
-                if json.loads(text)["op"] == "advertise"
-                for channel in json.loads(text)["channels"]
-                if channel["topic"] == "haptic/state/haptic_node@master"
-            )
-            assert channel["schemaName"] == "telenano.HapticState"
-            wanted = {"op": "subscribe", "subscriptions": [{"id": 1, "channelId": channel["id"]}]}
-            viewer.send(json.dumps(wanted))
-            number = 0
-            frame: Any = ""
-            while not isinstance(frame, bytes):
-                # the server takes up a subscription in its own time, and what was sent before is not sent again
-                number += 1
-                bridge.take(recorded("haptic/state", haptic_state(number), number))
-                try:
-                    frame = viewer.recv(timeout=0.02)
-                except TimeoutError:
-                    assert number < 1000
-            # one byte of kind, the subscription, the time [ns], the message
-            assert json.loads(frame[13:])["seq"] >= 1
-    finally:
-        served.close()
+    with viewer(served) as found:
+        assert found.subprotocol == SUBPROTOCOL
+        assert json.loads(found.recv())["op"] == "serverInfo"
+        if not is_early:
+            bridge.take(recorded("haptic/state", haptic_state(0), 0))
+        channel = advertised(found, "haptic/state/haptic_node@master")
+        assert channel["schemaName"] == "telenano.HapticState"
+        found.send(json.dumps({"op": "subscribe", "subscriptions": [{"id": 7, "channelId": channel["id"]}]}))
+        frame = first_data(found, lambda i: bridge.take(recorded("haptic/state", haptic_state(i % 500), i + 1)))
+        # one byte of kind, the subscription, the time [ns], the message
+        assert (frame[0], int.from_bytes(frame[1:5], "little")) == (1, 7)
+        assert int.from_bytes(frame[5:13], "little") >= EPOCH_NS
+        assert json.loads(frame[13:])["src"] == "haptic_node@master"
+        found.send(json.dumps({"op": "unsubscribe", "subscriptionIds": [7]}))
+        end = time.monotonic() + 10.0
+        while served._wanted:
+            assert time.monotonic() < end
+            time.sleep(0.005)
 
 
-def test_a_port_that_is_taken_is_named() -> None:
-    pytest.importorskip("foxglove")
-    served = FoxgloveServer("127.0.0.1", 0)
+@pytest.mark.parametrize("token", ["", "wrong-token-of-tests"])
+def test_who_has_no_token_gets_nothing(served: FoxgloveServer, token: str) -> None:
+    from websockets.exceptions import InvalidStatus
+
+    with pytest.raises(InvalidStatus) as refused, viewer(served, token):
+        pass
+    assert refused.value.response.status_code == 403
+
+
+@pytest.mark.parametrize("origin", ["https://evil.example", "null", "http://127.0.0.1:1"])
+def test_a_page_of_any_other_site_gets_nothing_even_with_the_token(served: FoxgloveServer, origin: str) -> None:
+    from websockets.exceptions import InvalidStatus
+
+    with pytest.raises(InvalidStatus), viewer(served, origin=origin):
+        pass
+
+
+def test_pages_that_are_named_and_the_server_s_own_are_admitted(served: FoxgloveServer) -> None:
+    for origin in ("https://app.foxglove.dev", f"http://127.0.0.1:{served.port}", None):
+        with viewer(served, origin=origin) as found:
+            assert json.loads(found.recv())["op"] == "serverInfo"
+
+
+def test_a_viewer_of_another_protocol_is_refused(served: FoxgloveServer) -> None:
+    from websockets.exceptions import InvalidStatus
+
+    with pytest.raises(InvalidStatus), viewer(served, subprotocols=["other.v1"]):
+        pass
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "garbage",
+        "[]",
+        "3",
+        "{}",
+        '{"op": "advertise", "channels": []}',
+        '{"op": "subscribe"}',
+        '{"op": "subscribe", "subscriptions": [{"id": 1, "channelId": 999}]}',
+        '{"op": "subscribe", "subscriptions": [{"id": 1, "channelId": 1e999}]}',
+        '{"op": "subscribe", "subscriptions": [{"id": -1, "channelId": 1}]}',
+        "[" * 50_000,
+        b"\x01\x00\x00\x00\x00",
+    ],
+)
+def test_what_a_viewer_may_not_say_is_answered_and_disturbs_nobody(served: FoxgloveServer, text: str | bytes) -> None:
+    bridge = Bridge(served, 0.0)
+    bridge.take(recorded("haptic/state", haptic_state(0), 0))
+    with viewer(served) as other, viewer(served) as found:
+        found.send(text)
+        status = next(fields for fields in map(json.loads, found) if fields["op"] == "status")
+        assert status["level"] == 2
+        channel = advertised(other, "haptic/state/haptic_node@master")
+        other.send(json.dumps({"op": "subscribe", "subscriptions": [{"id": 1, "channelId": channel["id"]}]}))
+        assert first_data(other, lambda i: bridge.take(recorded("haptic/state", haptic_state(i % 500), i + 1)))
+
+
+def test_what_is_said_is_what_the_server_of_the_sdk_says(served: FoxgloveServer) -> None:
+    foxglove = pytest.importorskip("foxglove")
+    client = pytest.importorskip("websockets.sync.client")
+    theirs = foxglove.start_server(name="telenano", host="127.0.0.1", port=0)
+    schema = foxglove.Schema(name="telenano.X", encoding="jsonschema", data=b'{"type":"object"}')
+    channel = foxglove.Channel("a/b@master", message_encoding="json", schema=schema)
+    ours = served.open("a/b@master", "telenano.X", b'{"type":"object"}')
+    address = f"ws://127.0.0.1:{theirs.port}"
     try:
-        with pytest.raises(EndpointError, match=f"127.0.0.1:{served.port}"):
-            FoxgloveServer("127.0.0.1", served.port)
+        with viewer(served) as a, client.connect(address, subprotocols=[SUBPROTOCOL]) as b:
+            info = [json.loads(found.recv()) for found in (a, b)]
+            assert {key: type(value) for key, value in info[0].items()} == {
+                key: type(value) for key, value in info[1].items()
+            }
+            assert info[0]["capabilities"] == info[1]["capabilities"] == []
+            adverts = [advertised(found, "a/b@master") for found in (a, b)]
+            for found, advert in zip((a, b), adverts, strict=True):
+                wanted = {"id": 3, "channelId": advert.pop("id")}
+                found.send(json.dumps({"op": "subscribe", "subscriptions": [wanted]}))
+            assert adverts[0] == adverts[1]
+            frames = [
+                first_data(found, lambda i, outlet=outlet: outlet.log(b'{"x":1}', log_time=10**18))
+                for found, outlet in ((a, ours), (b, channel))
+            ]
+            assert frames[0] == frames[1]
     finally:
-        served.close()
+        theirs.stop()
+
+
+def test_a_port_that_is_taken_is_named(served: FoxgloveServer) -> None:
+    with pytest.raises(EndpointError, match=f"the bridge cannot bind 127.0.0.1:{served.port}"):
+        bind("127.0.0.1", served.port, "the bridge")
+
+
+def test_an_address_has_the_token_where_a_viewer_can_have_it() -> None:
+    access = Access.made(observer=TOKEN)
+    assert address_of(8765, access, host="127.0.0.1", tls=False) == f"ws://127.0.0.1:8765/?token={TOKEN}"
+    assert address_of(8765, access, host="::1", tls=True) == f"wss://[::1]:8765/?token={TOKEN}"

@@ -1,5 +1,6 @@
 """The view on a real bus of this machine: what it receives while a page is open, and the force that it publishes."""
 
+import math
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -12,9 +13,11 @@ import pytest
 from recorder_samples import sample
 
 from presets import DEFAULT_SITE_FILE
-from proto.errors import TelenanoError
+from proto.errors import RigError, TelenanoError
 from proto.messages import Array
 from proto.nodes import TIP
+from services.console.command_client import send_control
+from services.runtime.commands import Command
 from services.runtime.main import load_site
 from services.runtime.observer import Observer
 from services.runtime.participant import open_participant
@@ -75,7 +78,9 @@ def test_what_is_no_message_is_left_out(instrument: ZmqPublisher) -> None:
     event = fields("session/event")
 
     def send() -> None:
-        for payload in (b"", b"\xc1", b"\x80", b"\x93\x01\x02\x03"):
+        times = (math.inf, math.nan, -math.inf, "now", None)
+        wrong = [msgpack.packb({"src": TIP, "t_ns": t_ns, "seq": 0}) for t_ns in times]
+        for payload in (b"", b"\xc1", b"\x80", b"\x93\x01\x02\x03", *wrong):
             instrument.send("session/event", payload)
         instrument.publish("session/event", **event)
 
@@ -139,3 +144,14 @@ def test_the_force_of_the_page_is_on_its_topic_along_the_axis_of_the_hand() -> N
         with pytest.raises(TelenanoError, match="in use by process"):
             RigHand(DEFAULT_SITE_FILE)
         hand.close()
+
+
+def test_a_command_that_is_given_up_is_not_sent_again(instrument: ZmqPublisher) -> None:
+    wanted = [True] * 3
+
+    def is_wanted() -> bool:
+        return bool(wanted and wanted.pop())
+
+    with pytest.raises(RigError, match="arm was given up before all had answered"):
+        send_control(Command("arm", "afm_node"), DEFAULT_SITE_FILE, "master", lambda event: None, is_wanted)
+    assert wanted == []

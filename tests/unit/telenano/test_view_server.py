@@ -1,15 +1,36 @@
 """The page beside a rig: what keeps it away is one line, and nothing of it keeps the rig from running."""
 
+import contextlib
+import os
+import resource
+import socket
+import stat
+import subprocess
+import sys
+import tempfile
+import threading
+import time
 import urllib.request
+from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
+import msgpack
 import pytest
+import zmq
 
 from presets import DEFAULT_SITE_FILE
-from proto.errors import ConfigError, TelenanoError
+from proto.errors import ConfigError, RecordingError, RigError, TelenanoError
+from proto.nodes import DEVICES
+from services.console.emergency_stop import LocalRig
+from services.runtime.local_endpoint import estop_endpoint
 from services.viz_node import serve
+from services.viz_node.requests import PROTOCOL
 from services.viz_node.serve import Tls, bind, check_exposure
 from telenano import view_server
+from telenano.commands import view as view_command
+from telenano.view_server import RigCommander
 
 
 def test_without_its_packages_or_its_page_the_rig_runs_without_a_view(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -27,21 +48,217 @@ def test_without_its_packages_or_its_page_the_rig_runs_without_a_view(monkeypatc
     ]
 
 
-def test_the_address_is_answered_from_the_beginning_and_the_process_ends_with_the_rig(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+@pytest.fixture
+def runtime(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    # a socket's path is short by law, pytest's folders are not
+    with tempfile.TemporaryDirectory(prefix="tnv-") as folder:
+        monkeypatch.setenv("TELENANO_RUNTIME_DIR", folder)
+        yield Path(folder)
+
+
+def needs_page() -> None:
     pytest.importorskip("uvicorn")
     if view_server.page_folder() is None:
         pytest.skip("the page has not been built: make page")
-    monkeypatch.setenv("TELENANO_RUNTIME_DIR", str(tmp_path))
+
+
+def fetched(address: str) -> bytes:
+    with urllib.request.urlopen(address, timeout=60.0) as answer:
+        found: bytes = answer.read()
+    return found
+
+
+def test_the_address_is_answered_from_the_beginning_and_the_process_ends_with_the_rig(
+    monkeypatch: pytest.MonkeyPatch, runtime: Path
+) -> None:
+    needs_page()
     monkeypatch.setattr(serve, "DEFAULT_PORT", 0)
     shown: list[str] = []
-    with view_server.view_beside_rig(DEFAULT_SITE_FILE, shown.append):
-        address = shown[0].removeprefix("view: ").partition("#")[0]
-        with urllib.request.urlopen(address, timeout=60.0) as answer:
-            assert b"EMERGENCY STOP" in answer.read()
+    with view_server.view_beside_rig(DEFAULT_SITE_FILE, shown.append) as look:
+        address = shown[0].removeprefix("view: ")
+        assert b"EMERGENCY STOP" in fetched(address)
+        assert look() == ""
     with pytest.raises(OSError):
         urllib.request.urlopen(address, timeout=5.0)
+
+
+def test_a_page_whose_server_is_killed_is_started_again_at_its_address_and_it_is_said(
+    monkeypatch: pytest.MonkeyPatch, runtime: Path
+) -> None:
+    needs_page()
+    monkeypatch.setattr(serve, "DEFAULT_PORT", 0)
+    shown: list[str] = []
+    started: list[view_server.ViewProcess] = []
+    start = view_server.ViewProcess._start
+    monkeypatch.setattr(view_server.ViewProcess, "_start", lambda self: (started.append(self), start(self)))
+    with view_server.view_beside_rig(DEFAULT_SITE_FILE, shown.append) as look:
+        address = shown[0].removeprefix("view: ")
+        assert b"EMERGENCY STOP" in fetched(address)
+        assert started[0]._process is not None
+        started[0]._process.kill()
+        said = ""
+        while len(started) < 2:
+            said = look() or said
+            time.sleep(0.005)
+        assert said.startswith("the view was killed by SIGKILL after ")
+        assert said.endswith("it is started again in 0.1 s")
+        # whoever asks meanwhile waits for the answer of the new process
+        assert b"EMERGENCY STOP" in fetched(address)
+        assert look() == ""
+
+
+def test_what_the_process_of_the_page_said_last_is_reported(runtime: Path) -> None:
+    process = view_server.ViewProcess(["no_such_recording.mcap"], {}, os.open(os.devnull, os.O_RDONLY))
+    said = ""
+    while not said:
+        said = process.look()
+        time.sleep(0.01)
+    process.close()
+    assert "the view ended with exit code" in said
+    assert "no_such_recording.mcap" in said
+
+
+def test_tokens_are_shown_on_a_terminal_and_nowhere_else(monkeypatch: pytest.MonkeyPatch, runtime: Path) -> None:
+    addresses = {"operator": "http://127.0.0.1:8650/#secret-1", "observer": "http://127.0.0.1:8650/#secret-2"}
+    shown: list[str] = []
+    with view_server.announced(addresses, shown.append):
+        file = runtime / "view-8650.addresses"
+        assert shown == [
+            "view: http://127.0.0.1:8650/",
+            f"its addresses with their tokens, for its owner alone to read: {file}",
+        ]
+        assert stat.S_IMODE(file.stat().st_mode) == 0o600
+        assert file.read_text().splitlines() == [f"{name}: {address}" for name, address in addresses.items()]
+    assert list(runtime.iterdir()) == []
+    shown.clear()
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True, raising=False)
+    with view_server.announced(addresses, shown.append):
+        assert shown == [f"{name}: {address}" for name, address in addresses.items()]
+        assert list(runtime.iterdir()) == []
+
+
+class Counted:
+    """A hub that counts how often it was made, and whether it was closed."""
+
+    made = 0
+
+    def __init__(self) -> None:
+        type(self).made += 1
+
+    def close(self) -> None:
+        pass
+
+
+def test_a_view_that_something_unforeseen_ends_begins_anew_and_says_so(capsys: pytest.CaptureFixture[str]) -> None:
+    Counted.made = 0
+    served: list[object] = []
+
+    def serve_once(hub: object) -> None:
+        served.append(hub)
+        if len(served) == 1:
+            raise OverflowError("int too large")
+
+    view_command._serve_again(Counted, Counted(), serve_once, True)  # type: ignore[arg-type]
+    assert (Counted.made, len(set(map(id, served)))) == (2, 2)
+    said = capsys.readouterr().err
+    assert "the view has ended: OverflowError: int too large; it is started again in 0.1 s" in said
+
+
+def test_a_view_of_another_process_or_of_a_broken_recording_ends_with_a_sentence() -> None:
+    def broken(hub: object) -> None:
+        raise OverflowError("int too large")
+
+    with pytest.raises(RigError, match="the view has ended: OverflowError: int too large"):
+        view_command._serve_again(Counted, Counted(), broken, False)  # type: ignore[arg-type]
+
+    def unreadable(hub: object) -> None:
+        raise RecordingError("a.mcap: cannot be read")
+
+    with pytest.raises(RecordingError, match=r"the view has ended: a\.mcap: cannot be read"):
+        view_command._serve_again(Counted, Counted(), unreadable, True)  # type: ignore[arg-type]
+
+
+class Device:
+    """What a device of a rig is to an emergency stop: an inlet, and answers."""
+
+    def __init__(self, node: str, endpoint: str, stack: ExitStack) -> None:
+        context = stack.enter_context(zmq.Context[zmq.Socket[bytes]]())
+        self.stopped = threading.Event()
+        self._node = node
+        inlet, answers = context.socket(zmq.SUB), context.socket(zmq.PUB)
+        for opened in (inlet, answers):
+            opened.set(zmq.LINGER, 0)
+            stack.callback(opened.close)
+        inlet.bind(estop_endpoint(endpoint))
+        answers.bind(endpoint)
+        inlet.subscribe(b"session/control")
+        self._over = False
+        running = threading.Thread(target=self._run, args=(inlet, answers))
+        running.start()
+        stack.callback(running.join)
+        stack.callback(setattr, self, "_over", True)
+
+    def _run(self, inlet: "zmq.Socket[bytes]", answers: "zmq.Socket[bytes]") -> None:
+        while not self._over:
+            if not inlet.poll(20):
+                continue
+            control = msgpack.unpackb(inlet.recv_multipart()[-1])
+            self.stopped.set()
+            event = {"src": self._node, "id": control["id"], "kind": "ack", "text": "latched"}
+            answers.send_multipart([b"session/event", msgpack.packb(event)])
+
+
+def test_the_emergency_stop_of_an_open_page_works_while_strangers_hold_every_descriptor(runtime: Path) -> None:
+    needs_page()
+    client = pytest.importorskip("websockets.sync.client")
+    endpoints = LocalRig.read(DEFAULT_SITE_FILE).endpoints
+    with ExitStack() as stack:
+        devices = [Device(node, endpoints[node], stack) for node in DEVICES]
+        shell = 'ulimit -n 256; exec "$@"'
+        command = ["bash", "-c", shell, "-", sys.executable, "-m", "telenano", "view", "--port", "0"]
+        view = stack.enter_context(subprocess.Popen(command, stdout=subprocess.PIPE, text=True))
+        stack.callback(view.terminate)
+        assert view.stdout is not None
+        base, file = (view.stdout.readline().split()[-1] for _ in range(2))
+        address = next(line for line in Path(file).read_text().splitlines() if line.startswith("operator"))
+        host = base.removeprefix("http://").rstrip("/")
+        page = stack.enter_context(client.connect(f"ws://{host}/bus", origin=f"http://{host}"))
+        page.send(msgpack.packb({"k": "hello", "token": address.partition("#")[2], "protocol": PROTOCOL}))
+        # the page is open
+        assert msgpack.unpackb(page.recv(timeout=60.0))["k"] == "snapshot"
+        name, _, port = host.partition(":")
+        for _ in range(296):
+            stack.enter_context(socket.create_connection((name, int(port)), timeout=60.0))
+        page.send(msgpack.packb({"k": "estop", "id": "stop"}))
+        answer: dict[str, Any] = {}
+        while answer.get("k") != "answer":
+            answer = msgpack.unpackb(page.recv(timeout=60.0))
+        assert answer["ok"] is True, answer["text"]
+        assert all(device.stopped.is_set() for device in devices)
+        assert all(f"{node}: latched" in answer["text"] for node in DEVICES)
+
+
+def test_a_stop_needs_neither_a_descriptor_nor_its_site_file_when_it_comes(runtime: Path, tmp_path: Path) -> None:
+    file = tmp_path / "site.yaml"
+    file.write_text(DEFAULT_SITE_FILE.read_text())
+    endpoints = LocalRig.read(file).endpoints
+    before = resource.getrlimit(resource.RLIMIT_NOFILE)
+    with ExitStack() as stack:
+        devices = [Device(node, endpoints[node], stack) for node in DEVICES]
+        commander = RigCommander(file)
+        stack.callback(commander.close)
+        # what it imports is imported
+        commander.estop()
+        file.unlink()
+        resource.setrlimit(resource.RLIMIT_NOFILE, (256, before[1]))
+        stack.callback(resource.setrlimit, resource.RLIMIT_NOFILE, before)
+        with contextlib.suppress(OSError):
+            while True:
+                stack.callback(os.close, os.open(os.devnull, os.O_RDONLY))
+        for device in devices:
+            device.stopped.clear()
+        assert {kind for kind, _ in commander.estop().values()} == {"ack"}
+        assert all(device.stopped.is_set() for device in devices)
 
 
 def test_a_port_that_is_taken_is_named_and_the_usual_one_replaced() -> None:

@@ -26,6 +26,7 @@ def test_tokens_that_are_not_given_are_new_each_time() -> None:
     [
         ({"operator": "short"}, "5 characters"),
         ({"operator": OPERATOR, "observer": OPERATOR}, "are the same"),
+        ({"origins": ["https://app.foxglove.dev/"]}, "--allow-origin https://app"),
         ({"allow": ["10.0.0.0/33"]}, r"--allow 10\.0\.0\.0/33"),
     ],
 )
@@ -50,11 +51,19 @@ def test_only_allowed_addresses_and_names_are_admitted() -> None:
     "origin", ["", "null", "http://evil.example", "http://127.0.0.1:1", "http://127.0.0.1:8650.evil"]
 )
 def test_a_page_of_another_origin_is_not_admitted(origin: str) -> None:
-    assert not Access.admits_origin(origin, "127.0.0.1:8650")
+    assert not Access.made().admits_origin(origin, "127.0.0.1:8650")
 
 
 def test_the_own_page_is_admitted() -> None:
-    assert Access.admits_origin("http://127.0.0.1:8650", "127.0.0.1:8650")
+    assert Access.made().admits_origin("http://127.0.0.1:8650", "127.0.0.1:8650")
+
+
+def test_pages_of_other_origins_are_admitted_by_name_alone() -> None:
+    access = Access.made(origins=["", "https://app.foxglove.dev", "null"])
+    for origin in ("", "https://app.foxglove.dev", "null", "http://127.0.0.1:8765"):
+        assert access.admits_origin(origin, "127.0.0.1:8765")
+    for origin in ("https://app.foxglove.dev.evil", "http://app.foxglove.dev", "https://evil.example"):
+        assert not access.admits_origin(origin, "127.0.0.1:8765")
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,8 @@
 """What pages are told, from golden messages of the wire."""
 
 import json
+import math
+import random
 from pathlib import Path
 from typing import Any
 
@@ -136,3 +138,89 @@ def test_the_page_is_told_names_and_units_in_the_order_of_the_columns() -> None:
     for stream, about in zip(STREAMS, described(), strict=True):
         assert [column["name"] for column in about["columns"]] == [column.name for column in stream.columns]
         assert all(column["unit"] and column["about"] for column in about["columns"])
+
+
+_EXTREMES: tuple[Any, ...] = (
+    math.inf, -math.inf, math.nan, 1e300, -1e308, 1e308, 2**64 - 1, -(2**63), 2**62, 0, -1, "", "x" * 100_000,
+    b"\xff", None, True, [], {}, [math.inf] * 3, {"valid": True, "offset_s": 1e308, "uncertainty_s": 0.0},
+    msgpack.Timestamp(1), [[[[[[[[]]]]]]]],
+)  # fmt: skip
+
+
+def deep(levels: int = 500) -> Any:
+    """Return a list in a list, almost as deep as msgpack goes."""
+    found: Any = []
+    for _ in range(levels):
+        found = [found]
+    return found
+
+
+def mutated(fields: Any, draw: random.Random) -> Any:
+    """Return a message with one value, at any depth, that nobody would send in earnest."""
+    keys = list(fields) if isinstance(fields, dict) else list(range(len(fields))) if isinstance(fields, list) else []
+    if not keys or draw.random() < 0.3:
+        return draw.choice([*_EXTREMES, deep()])
+    key = draw.choice(keys)
+    if isinstance(fields, dict):
+        return {**fields, key: mutated(fields[key], draw)}
+    return [*fields[:key], mutated(fields[key], draw), *fields[key + 1 :]]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_no_value_of_a_frame_ends_what_makes_the_pages_frames(seed: int) -> None:
+    draw = random.Random(seed)
+    feed = Feed()
+    taken = []
+    for i in range(1500):
+        topic = draw.choice(TOPICS_SHOWN)
+        site = draw.choice(("master", "slave"))
+        fields = golden(topic, draw.choice(("minimal", "ordinary", "nil")))
+        changed = mutated(fields, draw)
+        time_ns = draw.choice([START_NS + i, START_NS + i, *(e for e in _EXTREMES if isinstance(e, int))])
+        src = draw.choice((f"node@{site}", f"node@{site}", "x" * 70_000, f"n@{i}"))
+        feed.record(Seen(topic, src, time_ns, changed))
+        if i % 10 == 0:
+            taken.append(msgpack.packb({"k": "tick", **feed.take()}))
+            msgpack.packb({"k": "snapshot", "streams": described(), **feed.snapshot()})
+    assert feed.unreadable > 100
+    # what is as it should be is shown as before
+    feed.record(seen("afm/state", "afm_node@slave", START_NS, mode="follow"))
+    assert feed.snapshot()["state"]["afm/state/slave"]["mode"] == "follow"
+    assert max(map(len, taken)) < 1 << 20
+
+
+@pytest.mark.parametrize("t_ns", [math.inf, math.nan, 1e300, 2**64 - 1, -(2**63), "now", None])
+def test_a_time_that_is_none_is_left_out(t_ns: Any) -> None:
+    feed = Feed()
+    feed.record(seen("haptic/state", "haptic_node@master", t_ns))
+    assert (feed.unreadable, feed.take()) == (1, {})
+
+
+@pytest.mark.parametrize(
+    ("topic", "src", "changes"),
+    [
+        ("link/status", "delay_node@master", {"clock": {"valid": True, "offset_s": 1e308, "uncertainty_s": 0.0}}),
+        ("link/status", "delay_node@master", {"clock": {"valid": True, "offset_s": 1e200, "uncertainty_s": 0.0}}),
+        ("afm/scanline", "afm_node@slave", {"line": math.inf}),
+        ("node/health", "afm_node@slave", {"rejected": {"a": 2**64 - 1, "b": 2**64 - 1}}),
+        ("node/health", "afm_node@slave", {"state": deep()}),
+        ("afm/state", "afm_node@slave", {"base_position_m": [1e300, math.inf, -math.inf]}),
+        ("session/event", "afm_node@slave", {"text": "x" * 100_000}),
+    ],
+)
+def test_a_value_beyond_every_range_ends_nothing(topic: str, src: str, changes: dict[str, Any]) -> None:
+    feed = Feed()
+    feed.record(seen(topic, src, **changes))
+    feed.record(seen("afm/state", "afm_node@slave"))
+    assert len(msgpack.packb(feed.take())) < 1 << 16
+    assert len(msgpack.packb(feed.snapshot())) < 1 << 16
+
+
+def test_lines_of_an_image_are_kept_as_far_as_they_have_room() -> None:
+    feed = Feed()
+    heights = {**golden("afm/scanline")["height_m"], "data": bytes(1_000_000)}
+    for line in range(100):
+        feed.record(seen("afm/scanline", "afm_node@slave", line=line, lines=100, height_m=heights))
+    assert len(feed.snapshot()["lines"]) == 67
+    feed.record(seen("afm/scanline", "afm_node@slave", line=0, height_m={**heights, "data": bytes(2_000_000)}))
+    assert feed.unreadable == 1

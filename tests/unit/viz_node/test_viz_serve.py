@@ -1,8 +1,12 @@
 """The server at a port of its own, against connections as they should not be: nobody else notices."""
 
+import os
+import resource
+import socket
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
+from pathlib import Path
 from typing import Any
 
 import msgpack
@@ -10,11 +14,14 @@ import pytest
 
 pytest.importorskip("uvicorn")
 pytest.importorskip("websockets")
-from websockets.exceptions import ConnectionClosed
+from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
+from proto.errors import EndpointError
+from services.viz_node import connections as limits
 from services.viz_node import server
 from services.viz_node.access import Access
+from services.viz_node.connections import MOST_CONNECTIONS, Connections
 from services.viz_node.feed import Seen
 from services.viz_node.hub import Hub
 from services.viz_node.requests import LARGEST_FRAME, PROTOCOL
@@ -45,10 +52,16 @@ class Source(NoTransport):
 
 
 @pytest.fixture
-def address() -> Iterator[str]:
+def connections() -> Connections:
+    return Connections()
+
+
+@pytest.fixture
+def address(connections: Connections) -> Iterator[str]:
     with bind(port=0) as bound:
-        found = make_server(server.make_app(Hub(Source()), ACCESS, None))
-        running = threading.Thread(target=found.run, kwargs={"sockets": [bound]})
+        listener = bound.again(connections)
+        found = make_server(server.make_app(Hub(Source()), ACCESS, None, connections))
+        running = threading.Thread(target=found.run, kwargs={"sockets": [listener]})
         running.start()
         yield f"127.0.0.1:{bound.getsockname()[1]}"
         found.should_exit = True
@@ -78,9 +91,7 @@ def is_told_on(page: ClientConnection) -> bool:
     return bool(taken(page, "tick")["events"])
 
 
-def test_huge_frames_and_fifty_silent_connections_disturb_no_page(
-    address: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_huge_frames_disturb_no_page(address: str) -> None:
     with ExitStack() as stack:
         page = opened(stack, address, ACCESS.operator_token)
         taken(page, "snapshot")
@@ -91,12 +102,115 @@ def test_huge_frames_and_fifty_silent_connections_disturb_no_page(
                 taken(huge, "nothing")
             assert closed.value.rcvd is not None
             assert closed.value.rcvd.code == 1009, "the code of a message that is too big"
-        silent = [opened(stack, address) for _ in range(50)]
-        refused = [taken(socket, "refused")["text"] for socket in silent[server._MOST_STRANGERS :]]
-        assert len(refused) == 50 - server._MOST_STRANGERS
-        assert set(refused) == {"8 connections have shown no token yet, which is as many as may wait: try again"}
         assert is_told_on(page)
-        # those that wait are sent away in their turn, and there is room again
-        for socket in silent[: server._MOST_STRANGERS]:
-            socket.close()
-        taken(opened(stack, address, ACCESS.observer_token), "snapshot")
+
+
+def silent(stack: ExitStack, address: str, head: bytes = b"") -> socket.socket:
+    """Open a connection that says no more than a part of a request."""
+    host, _, port = address.partition(":")
+    opened = stack.enter_context(socket.create_connection((host, int(port)), timeout=PATIENCE_S))
+    opened.sendall(head)
+    return opened
+
+
+def is_closed(found: socket.socket) -> bool:
+    found.settimeout(PATIENCE_S)
+    try:
+        return found.recv(1) == b""
+    except ConnectionError:
+        return True
+
+
+@pytest.mark.parametrize("head", [b"", b"GET / HTTP/1.1\r\nHost: 127"], ids=["nothing", "half a head"])
+def test_the_oldest_stranger_gives_way_and_an_open_page_does_not(address: str, head: bytes) -> None:
+    with ExitStack() as stack:
+        page = opened(stack, address, ACCESS.operator_token)
+        taken(page, "snapshot")
+        strangers = [silent(stack, address, head) for _ in range(3 * MOST_CONNECTIONS)]
+        assert is_told_on(page)
+        # whoever has a token gets in, again and again, while they hold on
+        for _ in range(5):
+            taken(opened(stack, address, ACCESS.operator_token), "snapshot")
+        # the connections that were dropped are the oldest
+        assert all(map(is_closed, strangers[:MOST_CONNECTIONS]))
+        assert is_told_on(page)
+
+
+def test_the_operator_gets_in_while_strangers_hold_sockets_that_never_say_hello_and_renew_them(address: str) -> None:
+    with ExitStack() as stack:
+        for _ in range(10):
+            for _ in range(8):
+                opened(stack, address)
+            with ExitStack() as short:
+                taken(opened(short, address, ACCESS.operator_token), "snapshot")
+
+
+def test_a_connection_that_says_nothing_is_closed_and_one_that_is_answered_is_not(
+    address: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(limits, "SILENCE_S", 0.2)
+    with ExitStack() as stack:
+        page = opened(stack, address, ACCESS.operator_token)
+        taken(page, "snapshot")
+        strangers = [silent(stack, address), silent(stack, address, b"GET / HT")]
+        answered = silent(stack, address, f"GET /health HTTP/1.1\r\nHost: {address}\r\n\r\nGET /".encode())
+        assert b"200 OK" in answered.recv(4096)
+        for stranger in strangers:
+            assert is_closed(stranger)
+        while answered.recv(4096):
+            pass
+        assert is_told_on(page)
+
+
+def test_a_page_behind_a_proxy_of_this_machine_is_none_that_says_nothing(
+    address: str, connections: Connections, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(limits, "SILENCE_S", 0.1)
+    forwarded = {"X-Forwarded-For": "127.0.0.7"}
+    url = f"ws://{address}/bus"
+    with connect(url, origin=f"http://{address}", additional_headers=forwarded) as page:  # type: ignore[arg-type]
+        page.send(msgpack.packb({"k": "hello", "token": ACCESS.operator_token, "protocol": PROTOCOL}))
+        taken(page, "snapshot")
+        page_of = next(iter(connections._open.values()))
+        assert (page_of.is_page, page_of.since_s) == (True, None)
+        with pytest.raises(InvalidStatus) as refused:
+            connect(url, origin=f"http://{address}", additional_headers={"X-Forwarded-For": "10.0.0.9"})  # type: ignore[arg-type]
+        assert refused.value.response.status_code == 403
+
+
+def test_there_are_no_more_connections_than_there_may_be(address: str, connections: Connections) -> None:
+    with ExitStack() as stack:
+        for _ in range(4 * MOST_CONNECTIONS):
+            silent(stack, address)
+        taken(opened(stack, address, ACCESS.operator_token), "snapshot")
+        assert len(connections._open) <= MOST_CONNECTIONS + limits._CLOSING
+
+
+def test_a_descriptor_reserve_is_there_when_all_others_are_taken() -> None:
+    reserve = limits.DescriptorReserve(slices=1, count=5)
+    before = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (128, before[1]))
+    taken: list[int] = []
+    try:
+        with pytest.raises(OSError, match="Too many open files"):
+            while True:
+                taken.append(os.open(os.devnull, os.O_RDONLY))
+        for _ in range(2):
+            with reserve.lent(), ExitStack() as stack:
+                for _ in range(5):
+                    stack.enter_context(Path(os.devnull).open())
+            with pytest.raises(OSError, match="Too many open files"):
+                os.open(os.devnull, os.O_RDONLY)
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, before)
+        for descriptor in taken:
+            os.close(descriptor)
+        reserve.close()
+
+
+def test_too_few_open_files_are_reported_before_the_page_is_served(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(limits, "_descriptors_free", lambda: 70)
+    with pytest.raises(EndpointError, match=r"needs 18 more open files .* raise `ulimit -n`"):
+        limits.most_connections(24)
+    monkeypatch.setattr(limits, "_descriptors_free", lambda: 100)
+    assert limits.most_connections(24) == 36

@@ -3,6 +3,7 @@ import { make, part } from "./dom";
 import { Form, type Values } from "./form";
 import type { Facts } from "./protocol";
 import { settings } from "./schema";
+import { Stops } from "./stops";
 import type { Store } from "./store";
 
 const SHOWN_MS = 7000;
@@ -12,6 +13,10 @@ const LINK_KEYS = ["delay_s", "jitter.scale_s", "loss.probability", "duplication
 
 /** Commands of the operator; each shows its acknowledgement or its refusal. */
 export class Controls {
+  readonly stops = new Stops(() => ({
+    afm_node: this.store.fact("afm/state/slave", "mode") === "estop",
+    haptic_node: this.store.fact("haptic/state/master", "estop") === true,
+  }));
   private readonly law = part("law");
   private readonly link = part("link");
   private lawForm: Form | undefined;
@@ -70,6 +75,7 @@ export class Controls {
   onEstop: () => void = () => {};
 
   async estop(): Promise<void> {
+    this.stops.note();
     this.onEstop();
     await this.ask("emergency stop", { k: "estop" });
   }
@@ -78,9 +84,9 @@ export class Controls {
     return this.ask(about, { k: "command", command, target, parameters });
   }
 
-  /** Arm the devices one after the other, as far as they permit. */
-  async arm(): Promise<void> {
-    for (const device of DEVICES) if (!(await this.command(`arm ${device}`, "arm", device))) return;
+  /** Arm the devices one after the other, as far as they permit, and no further than to the next emergency stop. */
+  async arm(mayGoOn = this.stops.begin()): Promise<void> {
+    for (const device of DEVICES) if (!mayGoOn() || !(await this.command(`arm ${device}`, "arm", device))) return;
   }
 
   private async ask(about: string, fields: Facts): Promise<boolean> {

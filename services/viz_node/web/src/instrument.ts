@@ -77,10 +77,11 @@ export class Instrument {
 
   /** End a program, wait until the tip is away, and let it follow the hand again. */
   private async followHand(): Promise<void> {
+    const mayGoOn = this.controls.stops.begin();
     if (this.runsProgram && !(await this.controls.command("abort", "set", TARGET, { program: "abort" }))) return;
     const isEnding = (): boolean => this.runsProgram || this.store.fact("afm/state/slave", "mode") === "retracting";
     for (let waited = 0; isEnding() && waited < LONGEST_END_MS; waited += LOOK_MS) await new Promise((go) => setTimeout(go, LOOK_MS));
-    await this.controls.arm();
+    await this.controls.arm(mayGoOn);
   }
 
   /** Move the tip over the sample as the pointer goes [nm]: one command at a time, and then to the newest place. */

@@ -8,6 +8,7 @@ import type { ServerFrame } from "./protocol";
 import { Scopes } from "./scopes";
 import { Status } from "./status";
 import { Store } from "./store";
+import { takeToken } from "./token";
 import { View } from "./scene";
 
 const STATUS_MS = 200;
@@ -15,7 +16,9 @@ const BANNERS_MS = 50;
 /** Frames kept for the benchmark: a minute at 60 a second. */
 const FRAMES_KEPT = 3600;
 
-const token = decodeURIComponent(location.hash.slice(1));
+const token = takeToken(location, history, () => sessionStorage);
+// another address of the same server, as after it was started anew, is another token
+addEventListener("hashchange", () => location.reload());
 const url = `${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/bus`;
 const store = new Store();
 const connection = new Connection(url, token);

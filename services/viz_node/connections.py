@@ -1,0 +1,185 @@
+"""The connections of the page's server: their number is bounded, and descriptors are kept for an emergency stop."""
+
+import asyncio
+import contextlib
+import os
+import socket
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from proto.errors import EndpointError
+
+# Connections beside the pages are strangers: the files of a page come over six at once, and a hello takes moments.
+MOST_CONNECTIONS = 64
+# A request's head, or the hello of a page, that has not come after this time does not come.
+SILENCE_S = 5.0
+_SWEEP_S = 0.5
+# Descriptors that an emergency stop needs: 22 were counted at its inlets, 16 at a console.
+_FOR_A_STOP = 40
+# Descriptors left for the bus: nodes that come later, a console, the hand of a page.
+_FOR_THE_BUS = 48
+# Dropped connections keep their descriptors until the loop has come round.
+_CLOSING = 16
+
+
+@dataclass
+class _Connection:
+    socket: socket.socket
+    # since when the head of a request is waited for [s]; None while one is being answered
+    since_s: float | None
+    is_page: bool = False
+    is_dropped: bool = False
+
+    def drop(self) -> None:
+        """End both directions; whoever reads or writes it closes it then."""
+        self.is_dropped = True
+        with contextlib.suppress(OSError):
+            self.socket.shutdown(socket.SHUT_RDWR)
+
+
+class Connections:
+    """Those that are open, from the oldest to the newest.
+
+    A connection is a stranger until it has shown a token. Where there are as many as may be, the oldest stranger gives
+    way to a new one, so whoever holds connections open keeps nobody out.
+    """
+
+    def __init__(self, most: int = MOST_CONNECTIONS, monotonic_s: Callable[[], float] = time.monotonic) -> None:
+        self.most = most
+        self._monotonic_s = monotonic_s
+        self._open: dict[Any, _Connection] = {}
+
+    def make_room(self) -> bool:
+        """Return whether a connection may be accepted now; drops the oldest stranger where there are too many."""
+        self._open = {client: found for client, found in self._open.items() if found.socket.fileno() >= 0}
+        kept = [found for found in self._open.values() if not found.is_dropped]
+        if len(kept) >= self.most:
+            stranger = next((found for found in kept if not found.is_page), None)
+            if stranger is None:
+                return False
+            stranger.drop()
+        return len(self._open) < self.most + _CLOSING
+
+    def add(self, accepted: socket.socket, client: Any) -> None:
+        """Take a connection that was accepted; `client` is its address and port."""
+        self._open[client] = _Connection(accepted, self._monotonic_s())
+
+    def begin(self, client: Any) -> None:
+        """Record that the head of a request has come."""
+        if found := self._open.get(client):
+            found.since_s = None
+
+    def end(self, client: Any) -> None:
+        """Record that a request has been answered: the next one of the same connection may follow."""
+        if found := self._open.get(client):
+            found.since_s = self._monotonic_s()
+
+    def admit(self, client: Any) -> None:
+        """Record that a connection has shown a token: it gives way to nobody."""
+        if found := self._open.get(client):
+            found.is_page = True
+
+    def drop_silent(self) -> None:
+        """Drop what has waited for the head of a request for too long."""
+        now_s = self._monotonic_s()
+        for found in self._open.values():
+            if found.since_s is not None and now_s - found.since_s > SILENCE_S and not found.is_dropped:
+                found.drop()
+
+    async def sweep(self) -> None:
+        """Drop the silent ones now and again, until cancelled."""
+        while True:
+            self.drop_silent()
+            await asyncio.sleep(_SWEEP_S)
+
+
+class Listener(socket.socket):
+    """A listening socket that accepts no more connections than there may be.
+
+    The bound is here and not in the web server, which counts a connection only when its handshake is over and the head
+    of its first request is there.
+    """
+
+    connections: Connections | None = None
+
+    def accept(self) -> tuple[socket.socket, Any]:
+        """Accept a connection. Raises BlockingIOError while there is no room, as if none were waiting."""
+        if self.connections is not None and not self.connections.make_room():
+            raise BlockingIOError
+        accepted, address = super().accept()
+        if self.connections is not None:
+            self.connections.add(accepted, address[:2])
+        return accepted, address
+
+    def again(self, connections: Connections) -> "Listener":
+        """Return another descriptor of the same socket, for a server that closes it."""
+        listener = Listener(fileno=os.dup(self.fileno()))
+        listener.connections = connections
+        return listener
+
+
+def most_connections(least: int) -> int:
+    """Return how many connections the descriptors of this process allow; EndpointError where they allow too few."""
+    free = _descriptors_free()
+    if free is None:
+        return MOST_CONNECTIONS
+    most = min(MOST_CONNECTIONS, free - _FOR_THE_BUS - _CLOSING)
+    if most < least:
+        needed = least - most
+        raise EndpointError(f"the view needs {needed} more open files than this process may have: raise `ulimit -n`")
+    return most
+
+
+def _descriptors_free() -> int | None:
+    if sys.platform == "win32":
+        return None
+    import resource
+
+    try:
+        taken = sum(1 for _ in Path("/dev/fd").iterdir())
+    except OSError:
+        return None
+    return resource.getrlimit(resource.RLIMIT_NOFILE)[0] - taken
+
+
+class DescriptorReserve:
+    """Descriptors that are held for no purpose but to be there when all others are taken."""
+
+    def __init__(self, slices: int = 2, count: int = _FOR_A_STOP) -> None:
+        """Take descriptors for `slices` borrowers at once, `count` for each, or as many as there are."""
+        self._count = count
+        self._lock = threading.Lock()
+        self._slices = [self._taken() for _ in range(slices)]
+
+    @contextlib.contextmanager
+    def lent(self) -> Iterator[None]:
+        """Free descriptors while the block runs, and take them back as far as they are still there."""
+        with self._lock:
+            held = self._slices.pop() if self._slices else None
+        for descriptor in held or ():
+            os.close(descriptor)
+        try:
+            yield
+        finally:
+            if held is not None:
+                with self._lock:
+                    self._slices.append(self._taken())
+
+    def close(self) -> None:
+        """Give all of them up."""
+        with self._lock:
+            for descriptor in (descriptor for held in self._slices for descriptor in held):
+                os.close(descriptor)
+            self._slices.clear()
+
+    def _taken(self) -> list[int]:
+        held: list[int] = []
+        with contextlib.suppress(OSError):
+            while len(held) < self._count:
+                held.append(os.open(os.devnull, os.O_RDONLY))
+        return held
