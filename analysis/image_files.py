@@ -17,13 +17,22 @@ if TYPE_CHECKING:
 
 
 class Image(NamedTuple):
-    """One channel: title, unit of its values, values of shape (rows, columns) with y rising, sides [m]."""
+    """One channel: title, unit of its values, values of shape (rows, columns) with y rising, sides [m].
+
+    partial, what there is of an image that was ended early, such as `37 of 256 lines`: every file has it in it.
+    """
 
     title: str
     unit: str
     values: npt.NDArray[np.float64]
     width_m: float
     depth_m: float
+    partial: str = ""
+
+    @property
+    def caption(self) -> str:
+        """Return the title, which says of a part of an image that it is one."""
+        return f"{self.title} (partial: {self.partial})" if self.partial else self.title
 
 
 def write_gsf(path: Path, image: Image) -> None:
@@ -31,8 +40,10 @@ def write_gsf(path: Path, image: Image) -> None:
     rows, columns = image.values.shape
     header = (
         f"XRes = {columns}\nYRes = {rows}\nXReal = {float(image.width_m)!r}\nYReal = {float(image.depth_m)!r}\n"
-        f"XYUnits = m\nZUnits = {image.unit}\nTitle = {image.title}\n"
+        f"XYUnits = m\nZUnits = {image.unit}\nTitle = {image.caption}\n"
     )
+    if image.partial:
+        header += f"Partial = {image.partial}\n"
     content = GSF_MAGIC + header.encode()
     content += b"\0" * (4 - len(content) % 4)
     path.write_bytes(content + np.ascontiguousarray(image.values[::-1], dtype="<f4").tobytes())
@@ -52,13 +63,17 @@ def write_gwy(path: Path, images: Mapping[str, Image]) -> None:
             si_unit_z=GwySIUnit(unitstr=image.unit),
         )
         container[f"/{number}/data"] = field
-        container[f"/{number}/data/title"] = image.title
+        container[f"/{number}/data/title"] = image.caption
+        if image.partial:
+            container[f"/{number}/meta"] = GwyContainer({"Partial": image.partial})
     container.tofile(str(path))
 
 
 def write_png(path: Path, images: Mapping[str, Image]) -> None:
     """Draw channels into a file."""
-    image_figure(images).savefig(path, dpi=120)
+    parts = {image.partial for image in images.values()} - {""}
+    metadata = {"Description": f"partial: {', '.join(sorted(parts))}"} if parts else {}
+    image_figure(images).savefig(path, dpi=120, metadata=metadata)
 
 
 def image_figure(images: Mapping[str, Image]) -> "Figure":
@@ -78,7 +93,7 @@ def image_figure(images: Mapping[str, Image]) -> "Figure":
         extent = (0.0, image.width_m * side, 0.0, image.depth_m * side)
         shown = axes.imshow(image.values * factor, origin="lower", extent=extent, cmap="afmhot", aspect="equal")
         figure.colorbar(shown, ax=axes, label=unit)
-        axes.set_title(image.title)
+        axes.set_title(image.caption.replace(" (", "\n("))
         axes.set_xlabel(f"x [{side_unit}]")
         axes.set_ylabel(f"y [{side_unit}]")
     return figure

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from proto.errors import ConfigError, RecordingError
 from recording.arrays import columns, replay_shifts
 from recording.reader import Recording
+from recording.whole_files import whole_file
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
@@ -67,7 +68,8 @@ def save_png(traces: Sequence[Trace], path: Path, title: str) -> None:
     panels[-1].set_xlabel("time of sending since the first message, s")
     panels[0].set_title(title, fontsize=9)
     try:
-        figure.savefig(path, dpi=120)
+        with whole_file(path) as file:
+            figure.savefig(file, dpi=120, format=path.suffix[1:] or "png")
     except (OSError, ValueError) as error:
         raise RecordingError(f"{path}: cannot be written: {error}") from error
 

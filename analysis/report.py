@@ -1,6 +1,5 @@
 """Figure and summary of a session, from its recording alone."""
 
-import contextlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -20,6 +19,7 @@ from proto.nodes import name_of
 from recording.arrays import columns, last_session, replay_shifts
 from recording.info import RecordingInfo
 from recording.multi_file import RecordingSource, open_recordings
+from recording.whole_files import whole_results
 from services.runtime.config import validate
 from services.runtime.scenario import Scenario
 from services.viz_node.fig12 import SessionSeries, fig12_files
@@ -122,22 +122,14 @@ def write_report(
 
 
 def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
-    """Write each file of a folder as a whole or not at all; OSError names the first that cannot be written."""
-    folder.mkdir(parents=True, exist_ok=True)
-    for name, data in files.items():
-        _replace(folder / name, data)
-
-
-def _replace(path: Path, data: bytes) -> None:
-    """Write a file as a whole or not at all; OSError names it."""
-    part = path.with_name(path.name + ".part")
-    try:
-        part.write_bytes(data)
-        part.replace(path)
-    except OSError as error:
-        with contextlib.suppress(OSError):
-            part.unlink()
-        raise OSError(error.errno, error.strerror, str(path)) from error
+    """Write all files of a folder or none of them; OSError names the first that cannot be written."""
+    with whole_results(folder) as part:
+        for name, data in files.items():
+            # what runs out of room does not say where
+            try:
+                (part / name).write_bytes(data)
+            except OSError as error:
+                raise OSError(error.errno, error.strerror, str(folder / name)) from error
 
 
 def read_session(recording: RecordingSource) -> Session:

@@ -25,6 +25,7 @@ from recording.records import RECORDS
 from recording.rewrite import CopyResult, CopyWriter
 from recording.sender_time import SenderClock, SenderOrder
 from recording.tables import plain, table
+from recording.whole_files import whole_file, whole_folder
 
 Format = Literal["parquet", "csv", "hdf5", "mcap-json", "mcap-protobuf"]
 Columns = dict[str, list[Any]]
@@ -39,6 +40,8 @@ def export_recording(source: Path, target: Path, kind: Format, selection: Select
     (`hdf5`), in the table `columns.csv` (`csv`), in the schema (`mcap-json`, `mcap-protobuf`). Attachments and metadata
     of the recording, so scenario, versions and seeds, go along: as files beside the tables (`csv`), else inside.
 
+    It has its name only when it is complete, and nothing is left of one that is not.
+
     Raises RecordingError when nothing is selected, the source is not a recording, or the target exists or cannot be
     written, ConfigError when a package that the format needs is not installed.
     """
@@ -47,9 +50,11 @@ def export_recording(source: Path, target: Path, kind: Format, selection: Select
         known = ", ".join(sorted({channel.channel_topic for channel in recording.channels})) or "none"
         raise RecordingError(f"{source}: has no channel that was asked for; its channels are {known}")
     try:
-        if target.exists():
-            raise RecordingError(f"{target}: already exists and is not overwritten")
         return _export(recording, target, kind, selection)
+    except FileExistsError as error:
+        # where a file stands in the place of its folder, that is what exists
+        reason = "already exists and is not overwritten" if target.exists() else f"cannot be created: {error.strerror}"
+        raise RecordingError(f"{target}: {reason}") from error
     except OSError as error:
         # HDF5 has a text of its own, of several lines
         reason = os.strerror(error.errno) if error.errno else str(error)
@@ -59,10 +64,22 @@ def export_recording(source: Path, target: Path, kind: Format, selection: Select
 def _export(recording: Recording, target: Path, kind: Format, selection: Selection) -> CopyResult:
     if kind in ("mcap-json", "mcap-protobuf"):
         return _export_mcap(recording, target, selection, _as_json if kind == "mcap-json" else _as_protobuf)
+    skipped = describe_damage(recording.structural_damage)
     if kind == "hdf5":
-        return _export_hdf5(recording, target, selection)
+        h5py = _package("h5py", "hdf5")
+        with whole_file(target, replace=False) as file:
+            total = _export_hdf5(h5py, recording, file, selection)
+        return CopyResult(path=str(target), messages=total, skipped=skipped)
     write = _write_csv if kind == "csv" else _parquet_writer(recording)
-    target.mkdir(parents=True)
+    with whole_folder(target) as folder:
+        total = _export_tables(recording, folder, kind, selection, write)
+    return CopyResult(path=str(target), messages=total, skipped=skipped)
+
+
+def _export_tables(
+    recording: Recording, target: Path, kind: Format, selection: Selection, write: Callable[[Path, str, Columns], None]
+) -> int:
+    """Write a file for each channel into a folder; return the number of messages."""
     total = 0
     described: list[tuple[str, ...]] = [("channel", "column", "unit", "description")]
     for name, columns in _tables(recording, selection):
@@ -72,7 +89,7 @@ def _export(recording: Recording, target: Path, kind: Format, selection: Selecti
     if kind == "csv":
         _write_rows(target / "columns.csv", described)
         _write_origin(target, recording)
-    return CopyResult(path=str(target), messages=total, skipped=describe_damage(recording.structural_damage))
+    return total
 
 
 def file_stem(channel_topic: str) -> str:
@@ -162,8 +179,8 @@ def _parquet_writer(recording: Recording) -> Callable[[Path, str, Columns], None
     return write
 
 
-def _export_hdf5(recording: Recording, target: Path, selection: Selection) -> CopyResult:
-    h5py = _package("h5py", "hdf5")
+def _export_hdf5(h5py: Any, recording: Recording, target: Path, selection: Selection) -> int:
+    """Write a group for each channel into a file; return the number of messages."""
     total = 0
     with h5py.File(target, "x") as file:
         for name, facts in recording.metadata.items():
@@ -177,7 +194,7 @@ def _export_hdf5(recording: Recording, target: Path, selection: Selection) -> Co
             for column, values in columns.items():
                 _write_dataset(h5py, group, column, values)
                 group[column].attrs.update(quantity(topic_of(name), column)._asdict())
-    return CopyResult(path=str(target), messages=total, skipped=describe_damage(recording.structural_damage))
+    return total
 
 
 def _write_dataset(h5py: Any, group: Any, name: str, values: list[Any]) -> None:

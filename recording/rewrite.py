@@ -1,6 +1,7 @@
 """New recordings from old ones: filtered, merged, split, recovered. Messages are copied byte by byte."""
 
 import contextlib
+import errno
 import heapq
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -14,6 +15,7 @@ from recording.channel_filter import ALL, Selection
 from recording.mcap_scan import describe_damage
 from recording.messages import RawChannel, RawMessage
 from recording.reader import Recording
+from recording.whole_files import whole_file, whole_results
 
 _CHUNK_BYTES = 1 << 20
 
@@ -27,16 +29,19 @@ class CopyResult(BaseModel):
 
 
 class CopyWriter:
-    """Writer of a finished MCAP file; a file that cannot be finished is removed."""
+    """Writer of a finished MCAP file, which has its name only when it is; one that cannot be finished is removed."""
 
     def __init__(self, path: Path, profile: str = "telenano") -> None:
         """Create the file; RecordingError when it exists or cannot be created."""
         self.path = path
         self.messages = 0
+        self._file = contextlib.ExitStack()
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            self._stream: IO[bytes] = path.open("xb")
+            part = self._file.enter_context(whole_file(path, replace=False))
+            self._stream: IO[bytes] = self._file.enter_context(part.open("wb"))
         except OSError as error:
+            self._file.__exit__(type(error), error, error.__traceback__)
             # where a file stands in the place of its folder, that is what exists
             if isinstance(error, FileExistsError) and path.exists():
                 raise RecordingError(f"{path}: already exists and is not overwritten") from error
@@ -53,21 +58,17 @@ class CopyWriter:
     def __enter__(self) -> "CopyWriter":
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: Any) -> None:
         """Finish the file, or remove it if something went wrong."""
         try:
-            if kind is None:
+            with self._file:
+                if error is not None:
+                    raise error
                 self._mcap.finish()
-            self._stream.close()
+        except FileExistsError as fault:
+            raise RecordingError(f"{self.path}: already exists and is not overwritten") from fault
         except OSError as fault:
             raise RecordingError(f"{self.path}: cannot be written: {fault.strerror}") from fault
-        finally:
-            if kind is not None:
-                with contextlib.suppress(OSError):
-                    self._stream.close()
-                self.path.unlink(missing_ok=True)
-        if isinstance(error, OSError):
-            raise RecordingError(f"{self.path}: cannot be written: {error.strerror}") from error
 
     def add(self, message: RawMessage) -> None:
         # by identity first: to hash a channel with its schema costs more than to write the message
@@ -164,6 +165,7 @@ def split_recording(
     """Split a recording into files NAME_000.mcap, NAME_001.mcap, ... each with all attachments.
 
     Parameters: interval_s, time in each file [s]; size_bytes, payload in each file [bytes]. One of them is needed.
+    If one cannot be written none is left.
     Raises ConfigError otherwise, RecordingError when the source is not a recording or a target exists.
     """
     if (interval_s is None) == (size_bytes is None):
@@ -182,13 +184,21 @@ def split_recording(
         filled += len(message.payload)
         return filled // (size_bytes or 1)
 
-    for number, messages in _runs(recording.raw(), file_of):
-        target = folder / f"{source.stem}_{number:03d}{source.suffix}"
-        with CopyWriter(target) as writer:
-            writer.copy_attachments_and_metadata([recording])
-            for message in messages:
-                writer.add(message)
-        copies.append(CopyResult(path=str(target), messages=writer.messages))
+    try:
+        with whole_results(folder, replace=False) as part:
+            for number, messages in _runs(recording.raw(), file_of):
+                target = folder / f"{source.stem}_{number:03d}{source.suffix}"
+                if target.exists():
+                    raise FileExistsError(errno.EEXIST, "", str(target))
+                with CopyWriter(part / target.name) as writer:
+                    writer.copy_attachments_and_metadata([recording])
+                    for message in messages:
+                        writer.add(message)
+                copies.append(CopyResult(path=str(target), messages=writer.messages))
+    except FileExistsError as error:
+        raise RecordingError(f"{error.filename}: already exists and is not overwritten") from error
+    except OSError as error:
+        raise RecordingError(f"{folder}: cannot be written: {error.strerror}") from error
     return copies
 
 

@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from recording.whole_files import whole_results
 from services.viz_node.figure_style import ON_SCREEN, FigureOptions, styled
 from studies.cells import Cell, CellResult, Hand, energies_of, scales_of, trajectory_of
 from studies.figures import hybrid_figure, impedance_figure, merits_figure
@@ -120,7 +121,6 @@ def spectra_of(
 
 def write_comparison(result: Comparison, out: Path, command: str, options: FigureOptions = ON_SCREEN) -> dict[str, Any]:
     """Write compare.html, .json, .parquet and the figures into a folder; gives the object of the JSON file."""
-    out.mkdir(parents=True, exist_ok=True)
     summary = summarise(result)
     with styled(options):
         figures = {
@@ -132,12 +132,14 @@ def write_comparison(result: Comparison, out: Path, command: str, options: Figur
             },
             **spectrum_figures(result.spectra),
         }
-        images = write_images(out, figures, command, options)
-    write_parquet(out / "compare.parquet", [cell.as_dict() for cell in (*result.good, *result.bad)])
-    write_parquet(out / "merits.parquet", [merit.as_dict() for merit in result.merits])
-    write_parquet(out / "spectra.parquet", [row for found in result.spectra for row in found.rows()])
-    (out / "compare.json").write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    _page(result, images, command).write(out / "compare.html")
+        with whole_results(out) as folder:
+            images = write_images(folder, figures, command, options)
+            write_parquet(folder / "compare.parquet", [cell.as_dict() for cell in (*result.good, *result.bad)])
+            write_parquet(folder / "merits.parquet", [merit.as_dict() for merit in result.merits])
+            write_parquet(folder / "spectra.parquet", [row for found in result.spectra for row in found.rows()])
+            document = json.dumps(summary, indent=2, allow_nan=False) + "\n"
+            (folder / "compare.json").write_text(document, encoding="utf-8")
+            _page(result, images, command).write(folder / "compare.html")
     return summary
 
 

@@ -30,6 +30,8 @@ Array = npt.NDArray[np.float64]
 _HARD = {"sample_modulus_pa": 1e12, "tip_modulus_pa": 1e12}
 # one for each impulse of the noise
 _SAMPLES_A_PERIOD = KICKS_PER_PERIOD
+# in one compiled call, some 50 ms: a signal waits for its end
+_CALL_SAMPLES = 200_000
 # times that the scatter of a spectrum is taken from its fit
 _REWEIGHTED = 4
 
@@ -115,6 +117,15 @@ def _thermal_motion(plant: DynamicPlant, state: DynamicState, normals: Array, ou
     return state
 
 
+def _shiver(plant: DynamicPlant, state: DynamicState, random: np.random.Generator, out: Array) -> DynamicState:
+    """Fill `out` with the deflection [m] that thermal noise gives at each sample; return the state after it."""
+    thermal_motion = compiled_form(_thermal_motion)
+    for first in range(0, len(out), _CALL_SAMPLES):
+        part = out[first : first + _CALL_SAMPLES]
+        state = thermal_motion(plant, state, random.standard_normal(len(part)), part)
+    return state
+
+
 def calibrate_stiffness(
     config: AfmConfig,
     seconds: float = 0.2,
@@ -144,10 +155,9 @@ def calibrate_stiffness(
     random = np.random.Generator(np.random.PCG64(seed))
     state = steady_state(plant, -1e-6, 0.0)
     settling = np.empty(length * 2)
-    thermal_motion = compiled_form(_thermal_motion)
-    state = thermal_motion(plant, state, random.standard_normal(len(settling)), settling)
+    state = _shiver(plant, state, random, settling)
     zeta = np.empty(means * length)
-    thermal_motion(plant, state, random.standard_normal(len(zeta)), zeta)
+    _shiver(plant, state, random, zeta)
     zeta -= zeta.mean()
     zeta += floor_m_per_root_hz * math.sqrt(0.5 * rate) * random.standard_normal(len(zeta))
     frequencies, density = _spectrum(zeta, rate, length)

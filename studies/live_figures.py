@@ -1,8 +1,6 @@
 """Fig. 10 and 12 of the paper, from a running rig: each is its scenario, and its recording is read."""
 
-import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -15,6 +13,7 @@ from proto.errors import RigError
 from recording.arrays import columns
 from recording.reader import Recording
 from services.afm_node.config import AfmConfig
+from services.launcher.child_session import run_session
 from services.runtime.scenario import load_scenario
 from studies.rig_output import reason_of
 
@@ -26,7 +25,6 @@ Array = npt.NDArray[np.float64]
 RECORDING_NAME = "session.mcap"
 # start and end of the processes, beyond the session [s]
 _OVERHEAD_S, _USUAL_OVERHEAD_S = 120.0, 8.0
-_LOOK_S = 0.5
 
 
 class TactilePath(NamedTuple):
@@ -59,26 +57,16 @@ def run_scenario(name: str, out: Path, progress: Callable[[int, int], object] = 
     command = [sys.executable, "-m", "telenano", "up", "--scenario", name, "--out", str(folder)]
     command += ["--overwrite", "--headless", "--json", "--no-view"]
     duration_s = load_scenario(SCENARIO_DIRECTORY / f"{name}.yaml").scenario.duration_s
-    begun_s, most_s, usual = time.monotonic(), duration_s + _OVERHEAD_S, round(duration_s + _USUAL_OVERHEAD_S)
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as rig:
-        while True:
-            try:
-                stdout, stderr = rig.communicate(timeout=_LOOK_S)
-                break
-            except subprocess.TimeoutExpired as error:
-                spent_s = time.monotonic() - begun_s
-                progress(min(round(spent_s), usual), usual)
-                if spent_s > most_s:
-                    rig.terminate()
-                    rig.communicate()
-                    raise RigError(f"{name}: the rig did not end within {most_s:.0f} s, see {folder}") from error
-            except KeyboardInterrupt:
-                # the terminal has interrupted the rig as well: its tip is retracted before anything else happens
-                rig.communicate()
-                raise
+    usual = round(duration_s + _USUAL_OVERHEAD_S)
+    try:
+        done = run_session(
+            command, duration_s + _OVERHEAD_S, lambda spent_s: progress(min(round(spent_s), usual), usual)
+        )
+    except TimeoutError as error:
+        raise RigError(f"{name}: {error}, see {folder}") from error
     # 3: the recording lacks something, and says what; the figure shows it
-    if rig.returncode not in (0, 3) or not (folder / RECORDING_NAME).exists():
-        raise RigError(f"{name}: the rig did not run: {reason_of(stdout, stderr)}")
+    if done.returncode not in (0, 3) or not (folder / RECORDING_NAME).exists():
+        raise RigError(f"{name}: the rig did not run: {reason_of(done.stdout, done.stderr)}")
     progress(usual, usual)
     return folder / RECORDING_NAME
 

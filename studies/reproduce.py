@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from proto.errors import RigError
+from recording.whole_files import whole_file
 from services.afm_node.cantilever import volts_per_m
 from services.afm_node.capillary import meniscus_force, meniscus_radius_m
 from services.afm_node.config import AfmConfig
@@ -168,7 +169,8 @@ def reproduce(figures: Sequence[str], out: Path, pixels: int, progress: Progress
                 page.paragraph(f"Not made: {error}")
     if failed:
         summary["failed"] = failed
-    page.write(out / "reproduce.html")
+    with whole_file(out / "reproduce.html") as file:
+        page.write(file)
     return summary
 
 

@@ -32,6 +32,8 @@ _PIEZO_M_PER_S = 1e-3
 _MOST_DWELL_S, _MOST_K = 10.0, 2000.0
 # the tip begins this far above the first point [m], and has this long to arrive and settle before the first line [s]
 _ABOVE_M = 5e-9
+# periods of the feedback in one compiled call, some 50 ms: a signal waits for its end
+_CALL_PERIODS = 40_000
 _SETTLE_S = 0.03
 
 
@@ -93,7 +95,10 @@ class ScanRequest:
 
 @dataclass(frozen=True)
 class ScanResult:
-    """An image: trace and retrace of shape (lines, pixels, CHANNELS), and what the tip sees at the same points [m]."""
+    """An image: trace and retrace of shape (lines, pixels, CHANNELS), and what the tip sees at the same points [m].
+
+    wanted_lines, of the whole image: there are fewer where it was ended early.
+    """
 
     trace: Array
     retrace: Array
@@ -101,6 +106,12 @@ class ScanResult:
     width_m: float
     depth_m: float
     simulated_s: float
+    wanted_lines: int
+
+    @property
+    def partial(self) -> str:
+        """Return in words how much there is of an image that was ended early; of a whole one nothing."""
+        return f"{len(self.trace)} of {self.wanted_lines} lines" if len(self.trace) < self.wanted_lines else ""
 
     @property
     def height_m(self) -> Array:
@@ -127,7 +138,8 @@ def scan(
     """Image the whole of a surface.
 
     Parameters: progress, called with the finished lines and their number; it ends the image by returning False, which
-    leaves the lines so far, as Ctrl-C does. Raises: ConfigError, if the request or the surface cannot be imaged.
+    leaves the lines so far, as Ctrl-C and SIGTERM do.
+    Raises: ConfigError, if the request or the surface cannot be imaged.
     """
     request.check()
     try:
@@ -164,7 +176,9 @@ def scan(
         if done == 0:
             raise
     depth = surface.depth_m * done / request.lines
-    return ScanResult(trace[:done], retrace[:done], truth[:done], surface.width_m, depth, run.simulated_s)
+    return ScanResult(
+        trace[:done], retrace[:done], truth[:done], surface.width_m, depth, run.simulated_s, request.lines
+    )
 
 
 class _Run(ABC):
@@ -178,10 +192,13 @@ class _Run(ABC):
 
     def __call__(self, seen: Surface, line: Line, out: Array) -> None:
         self.simulated_s += line.pixels * line.periods * self.period_s
-        self.scan_line(seen, line, out)
+        pixels = max(1, _CALL_PERIODS // line.periods)
+        for first in range(0, line.pixels, pixels):
+            self.scan_pixels(seen, line, first, out[first : first + pixels])
 
     @abstractmethod
-    def scan_line(self, seen: Surface, line: Line, out: Array) -> None: ...
+    def scan_pixels(self, seen: Surface, line: Line, first: int, out: Array) -> None:
+        """Scan as many pixels of a line as `out` has rows, from `first` on."""
 
 
 class _Tapping(_Run):
@@ -202,8 +219,8 @@ class _Tapping(_Run):
         self.proportional_m, self.error_m = 0.0, request.amplitude_m - setpoint
         self.random = np.random.Generator(np.random.PCG64(request.seed)) if request.temperature_k > 0.0 else None
 
-    def scan_line(self, seen: Surface, line: Line, out: Array) -> None:
-        count = line.pixels * line.periods * KICKS_PER_PERIOD
+    def scan_pixels(self, seen: Surface, line: Line, first: int, out: Array) -> None:
+        count = len(out) * line.periods * KICKS_PER_PERIOD
         normals = NO_NOISE if self.random is None else self.random.standard_normal(count)
         self.state, self.proportional_m, self.error_m = tapping_line(
             self.plant,
@@ -215,6 +232,7 @@ class _Tapping(_Run):
             *seen,
             self.drive_m,
             normals,
+            first,
             out,
         )
 
@@ -249,8 +267,8 @@ class _Contact(_Run):
         self.error_m = setpoint
         self.friction, self.held = config.to_friction_params(), FrictionState(0.0, 0.0)
 
-    def scan_line(self, seen: Surface, line: Line, out: Array) -> None:
+    def scan_pixels(self, seen: Surface, line: Line, first: int, out: Array) -> None:
         self.state, self.base_m, self.proportional_m, self.error_m, self.held = contact_line(
             self.plant, self.state, self.base_m, self.proportional_m, self.error_m, self.feedback, line, *seen,
-            self.period_s, self.friction, self.held, out,
+            self.period_s, self.friction, self.held, first, out,
         )  # fmt: skip

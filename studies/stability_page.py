@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from analysis.verdict import KINDS
+from recording.whole_files import whole_results
 from services.viz_node.figure_style import ON_SCREEN, VERDICTS, FigureOptions, styled
 from studies.cells import Cell, CellResult, energies_of, scales_of, trajectory_of
 from studies.page import Page, write_images, write_parquet
@@ -51,17 +52,18 @@ def write_stability(
     results: Sequence[LineResult], out: Path, command: str, options: FigureOptions = ON_SCREEN
 ) -> dict[str, Any]:
     """Write stability.png, .parquet, .json and .html into a folder and give the summary that the JSON file holds."""
-    out.mkdir(parents=True, exist_ok=True)
     summary = summarise(results)
     with styled(options):
         figures = {"stability": map_figure(results), "growth": growth_figure(results)}
         if (ports := two_port_figure(results)) is not None:
             figures["two_ports"] = ports
         figures["energy"] = energy_figure(results)
-        images = write_images(out, figures, command, options)
-    write_parquet(out / "stability.parquet", [row.as_dict() for result in results for row in result.cells])
-    (out / "stability.json").write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    _page(results, images, command).write(out / "stability.html")
+        with whole_results(out) as folder:
+            images = write_images(folder, figures, command, options)
+            write_parquet(folder / "stability.parquet", [row.as_dict() for result in results for row in result.cells])
+            text = json.dumps(summary, indent=2, allow_nan=False) + "\n"
+            (folder / "stability.json").write_text(text, encoding="utf-8")
+            _page(results, images, command).write(folder / "stability.html")
     return summary
 
 

@@ -4,17 +4,19 @@ The journal holds a line of JSON for each finished cell. Its key includes a dige
 model is computed anew while everything else is taken from the file.
 """
 
+import contextlib
 import json
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field
 from importlib import import_module
-from multiprocessing import get_context
+from multiprocessing import active_children, get_context
 from pathlib import Path
 from typing import Any
 
 from proto.errors import ConfigError
+from services.runtime.interrupts import kept_from_children
 from studies.cells import Cell, CellResult, run_cell
 
 JOURNAL_NAME = "journal.jsonl"
@@ -81,14 +83,16 @@ class Sweep:
         missing = [cell for cell, key in keys.items() if key not in self.journal.results]
         done = len(keys) - len(missing)
         self.progress(done, len(keys))
-        for results in self._computed(missing):
-            self.journal.record(results)
-            self.computed += len(results)
-            done += len(results)
-            self.progress(done, len(keys))
+        # closed here: an interruption must not wait for what workers are at
+        with contextlib.closing(self._computed(missing)) as found:
+            for results in found:
+                self.journal.record(results)
+                self.computed += len(results)
+                done += len(results)
+                self.progress(done, len(keys))
         return [self.journal.results[keys[cell]] for cell in cells]
 
-    def _computed(self, cells: list[Cell]) -> Iterator[list[CellResult]]:
+    def _computed(self, cells: list[Cell]) -> Generator[list[CellResult], None, None]:
         for cell in cells:
             # before anything is started: a cell that cannot be run is the caller's mistake
             cell.controller()
@@ -99,9 +103,27 @@ class Sweep:
         elif self.workers == 1 or len(batches) < 2:
             yield from map(run_batch, batches)
         else:
-            # spawned, not forked: the parent has threads of its own by now
-            with ProcessPoolExecutor(min(self.workers, len(batches)), get_context("spawn")) as pool:
-                yield from (future.result() for future in as_completed([pool.submit(run_batch, b) for b in batches]))
+            yield from _on_processes(min(self.workers, len(batches)), batches)
+
+
+def _on_processes(workers: int, batches: list[list[Cell]]) -> Iterator[list[CellResult]]:
+    """Run on processes of this machine, which end with what reads their results."""
+    # spawned, not forked: the parent has threads of its own by now
+    others = set(active_children())
+    pool = ProcessPoolExecutor(workers, get_context("spawn"))
+    try:
+        with kept_from_children():
+            futures = [pool.submit(run_batch, batch) for batch in batches]
+        for future in as_completed(futures):
+            yield future.result()
+    except BaseException:
+        # what they are at is of no use any more, and may take seconds
+        pool.shutdown(wait=False, cancel_futures=True)
+        for process in set(active_children()) - others:
+            process.terminate()
+        raise
+    finally:
+        pool.shutdown()
 
 
 def _on_cluster(address: str, batches: list[list[Cell]]) -> Iterator[list[CellResult]]:

@@ -14,7 +14,6 @@ the hand's force): there the bus may have another verdict than the recorded link
 TOLERANCE_SHARE of that run. Where nothing is known of the recorded link, such a cell is undecided.
 """
 
-import subprocess
 import sys
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -32,6 +31,7 @@ from recording.arrays import columns, last_programme
 from recording.reader import Recording
 from services.afm_node.config import AfmConfig
 from services.afm_node.sample_models import SAMPLES
+from services.launcher.child_session import run_session
 from studies.cells import WALL_DISTANCE_M, Cell, judged, rig_of, sample_config, scales_of, settle_ticks, trajectory_of
 from studies.link import direction_of
 from studies.lockstep import Trajectory, simulate
@@ -180,11 +180,9 @@ def run_on_bus(cell: Cell, bus: Bus) -> Trajectory:
     command += ["--overwrite", "--headless", "--json"]
     command += ["--site-file", str(bus.site_file)] if bus.site_file is not None else []
     try:
-        done = subprocess.run(
-            command, capture_output=True, text=True, timeout=document["duration_s"] + _OVERHEAD_S, check=False
-        )
-    except subprocess.TimeoutExpired as error:
-        raise StudyError(f"the rig did not end within {error.timeout:.0f} s, see {folder}") from error
+        done = run_session(command, document["duration_s"] + _OVERHEAD_S)
+    except TimeoutError as error:
+        raise StudyError(f"{error}, see {folder}") from error
     if done.returncode != 0:
         raise StudyError(f"the rig did not run: {reason_of(done.stdout, done.stderr)}")
     return read_course(recording)

@@ -2,8 +2,10 @@
 
 import contextlib
 import gc
+import json
 import os
 import sys
+from collections.abc import Sequence
 
 # below the nodes, whose loops go on while the stop is on its way
 _URGENT = 1
@@ -19,11 +21,35 @@ def main() -> None:
         request = read_arguments(arguments)
         if request is not None:
             raise SystemExit(run_estop(request))
+    # not before: a stop needs none of it
+    from services.runtime import interrupts
+
+    interrupts.install()
     try:
-        from telenano.root import app
-    except ModuleNotFoundError as error:
-        raise SystemExit(_without(error)) from error
-    app()
+        try:
+            from telenano.root import app
+        except ModuleNotFoundError as error:
+            raise SystemExit(_without(error)) from error
+        app()
+    except SystemExit:
+        raise
+    except BaseException:
+        # whatever a library makes of an interruption, it is one
+        if not interrupts.received():
+            raise
+        raise SystemExit(_interrupted(arguments, interrupts.exit_code())) from None
+    finally:
+        interrupts.restore()
+
+
+def _interrupted(arguments: Sequence[str], code: int) -> int:
+    """Print that a signal ended a command which was at nothing that has words of its own; return the exit code."""
+    with contextlib.suppress(OSError):
+        sys.stderr.write("telenano: interrupted\n")
+        if "--json" in arguments:
+            sys.stdout.write(json.dumps({"error": "interrupted"}) + "\n")
+        sys.stdout.flush()
+    return code
 
 
 def _without(error: ModuleNotFoundError) -> int:

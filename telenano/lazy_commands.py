@@ -1,13 +1,16 @@
 """The table of commands, each imported when it runs: `telenano --help` answers at once, without what they need."""
 
+import contextlib
 import importlib
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
 import typer
 from typer.core import TyperCommand, TyperGroup
+
+from services.runtime import interrupts
 
 # of the command line; typer has no other name for the base of all of them
 _UsageError: Any = typer.BadParameter.__base__
@@ -144,13 +147,22 @@ class LazyRoot(TyperGroup):
         as_json = "--json" in (sys.argv[1:] if args is None else args)
         try:
             code = super().main(args, prog_name, complete_var, False, windows_expand_args, **extra)
-        except (_UsageError, OSError, ModuleNotFoundError) as error:
-            if not standalone_mode:
+        except (_UsageError, OSError, ModuleNotFoundError, typer.Abort) as error:
+            if not standalone_mode or interrupts.received():
                 raise
             code = _report(error, as_json=as_json)
         if not standalone_mode:
             return code
         sys.exit(code if isinstance(code, int) else 0)
+
+    def make_context(self, *args: Any, **extra: Any) -> Any:
+        with _unknown_to_typer():
+            return super().make_context(*args, **extra)
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run a command."""
+        with _unknown_to_typer():
+            return super().invoke(ctx)
 
     def list_commands(self, ctx: Any) -> list[str]:
         return list(LAZY_COMMANDS)
@@ -173,6 +185,15 @@ class LazyRoot(TyperGroup):
         return super().resolve_command(ctx, args)
 
 
+@contextlib.contextmanager
+def _unknown_to_typer() -> Iterator[None]:
+    """Raise an interruption on as what typer does not catch: it would end the command without a word."""
+    try:
+        yield
+    except KeyboardInterrupt as error:
+        raise interrupts.Ended from error
+
+
 def _report(error: Any, *, as_json: bool) -> int:
     """Print what no command has reported; return the exit code."""
     from telenano.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED
@@ -184,6 +205,9 @@ def _report(error: Any, *, as_json: bool) -> int:
             raise error
         print_error(f"this needs the package {package}: pip install 'telenano[rig]'", as_json=as_json)
         return EXIT_BAD_CONFIGURATION
+    if isinstance(error, typer.Abort):
+        print_error("the input ended before the question was answered", as_json=as_json)
+        return EXIT_FAILED
     if isinstance(error, OSError):
         print_error(system_error_text(error), as_json=as_json)
         return EXIT_FAILED

@@ -7,6 +7,7 @@ from string import Template
 
 from presets.plugins import NAME
 from proto.errors import ConfigError
+from recording.whole_files import whole_folder
 
 _TRY_IT = {
     "law": "telenano law check $name\ntelenano up --scenario fig12 --set controller.law=$name",
@@ -37,14 +38,15 @@ def new_package(kind: str, name: str, folder: Path) -> list[Path]:
     }
     words["try_it"] = Template(_TRY_IT[kind]).substitute(words)
     targets = {
-        "pyproject.toml.txt": folder / "pyproject.toml",
-        "README.md.txt": folder / "README.md",
-        f"{kind}.py.txt": folder / f"telenano_{name}" / "__init__.py",
-        f"test_{kind}.py.txt": folder / "tests" / f"test_{name}.py",
+        "pyproject.toml.txt": Path("pyproject.toml"),
+        "README.md.txt": Path("README.md"),
+        f"{kind}.py.txt": Path(f"telenano_{name}") / "__init__.py",
+        f"test_{kind}.py.txt": Path("tests") / f"test_{name}.py",
     }
     templates = files("telenano") / "templates"
-    for template, path in targets.items():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        text = Template((templates / template).read_text(encoding="utf-8")).substitute(words)
-        path.write_text(text, encoding="utf-8")
-    return list(targets.values())
+    with whole_folder(folder) as made:
+        for template, path in targets.items():
+            (made / path).parent.mkdir(parents=True, exist_ok=True)
+            text = Template((templates / template).read_text(encoding="utf-8")).substitute(words)
+            (made / path).write_text(text, encoding="utf-8")
+    return [folder / path for path in targets.values()]

@@ -6,12 +6,15 @@ import json
 import os
 import sys
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any, NoReturn
 
 import typer
 from rich.console import Console
 
 from proto.errors import ConfigError, ReportError, TelenanoError
+from recording.whole_files import new_folder
+from services.runtime import interrupts
 from telenano.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED, EXIT_INCOMPLETE
 from telenano.tables import rows_table, summary_tables
 
@@ -21,22 +24,22 @@ _WRITE_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 @contextlib.contextmanager
 def report_errors(as_json: bool, interrupted: str = "interrupted") -> Iterator[None]:
-    """Report a TelenanoError, what the system refuses, or Ctrl-C as a sentence and an exit code.
+    """Report a TelenanoError, what the system refuses, Ctrl-C or SIGTERM as a sentence and an exit code.
 
-    Parameters: interrupted, the text for Ctrl-C.
+    Parameters: interrupted, the text for Ctrl-C and SIGTERM.
     """
     try:
         yield
     except TelenanoError as error:
         code = EXIT_BAD_CONFIGURATION if isinstance(error, ConfigError) else EXIT_FAILED
-        fail(str(error), code, as_json=as_json)
+        fail(str(error), interrupts.exit_code() if interrupts.received() else code, as_json=as_json)
     except BrokenPipeError:
         # the reader of the pipe, such as `head`, has closed it: nothing more can be printed
         _discard_output()
     except OSError as error:
         fail(system_error_text(error), as_json=as_json)
     except KeyboardInterrupt:
-        fail(interrupted, EXIT_FAILED, as_json=as_json)
+        fail(interrupted, interrupts.exit_code(), as_json=as_json)
 
 
 def fail(text: str, code: int = EXIT_FAILED, *, as_json: bool, **facts: Any) -> NoReturn:
@@ -78,6 +81,17 @@ def _discard_output() -> None:
     """Send what is still printed nowhere, or Python would fail to write it when it ends."""
     with contextlib.suppress(OSError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+@contextlib.contextmanager
+def results_folder(out: Path) -> Iterator[None]:
+    """Make a folder for results, and remove it if nothing came to be in it; ConfigError when it cannot be made."""
+    with contextlib.ExitStack() as folder:
+        try:
+            folder.enter_context(new_folder(out))
+        except OSError as error:
+            raise ConfigError(f"--out {out}: cannot be made: {error.strerror}") from error
+        yield
 
 
 def print_json(document: Any) -> None:

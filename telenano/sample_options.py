@@ -1,6 +1,7 @@
 """Options of the commands that put a sample under the tip."""
 
-from collections.abc import Sequence
+import contextlib
+from collections.abc import Iterator, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -8,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from proto.errors import ConfigError
+from recording.whole_files import whole_results
 from services.runtime.config import flag_overrides, validate
 
 if TYPE_CHECKING:
@@ -55,9 +57,15 @@ def require(*modules: str) -> None:
         raise ConfigError(f"{', '.join(missing)} is not installed: pip install 'telenano[instrument]'")
 
 
-def make_folder(out: Path) -> None:
-    """Make a folder for results; ConfigError when it cannot be made."""
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigError(f"--out {out}: cannot be made: {error.strerror}") from error
+@contextlib.contextmanager
+def results_in(out: Path) -> Iterator[Path]:
+    """Yield a temporary folder whose files go into `out` when the block ends, and nowhere if it fails.
+
+    Raises: ConfigError when it cannot be made.
+    """
+    with contextlib.ExitStack() as results:
+        try:
+            folder = results.enter_context(whole_results(out))
+        except OSError as error:
+            raise ConfigError(f"--out {out}: cannot be made: {error.strerror}") from error
+        yield folder

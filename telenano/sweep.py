@@ -1,13 +1,13 @@
 """`telenano up --sweep`: one session after the other, each with another value, in a folder of its own."""
 
 import itertools
-import subprocess
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 from proto.errors import ConfigError, RigError
+from services.launcher.child_session import run_session
 
 # the delay of the link has no single key in a scenario
 DELAY_OPTIONS = {"round_trip_ms": "--round-trip-ms", "delay_ms": "--delay-ms"}
@@ -71,7 +71,7 @@ def run_sweep(points: Sequence[Point], arguments: Sequence[str], out: Path, show
         show(f"{number}/{len(points)}: {point.name}")
         folder = out / point.name
         command = [sys.executable, "-m", "telenano", "up", *arguments, *point.options, "--out", str(folder), "--json"]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        done = run_session(command)
         if done.returncode != 0:
             raise RigError(f"the session {point.name} failed: {done.stderr.strip() or done.stdout.strip()}")
         folders.append(folder)

@@ -60,9 +60,9 @@ def regulated(
 
 
 @compiled
-def require_rows(line: Line, out: Array) -> None:
-    """Raise ValueError where `out` has no row of all channels for each pixel: compiled code would write beyond it."""
-    if out.shape[0] < line.pixels or out.shape[1] != CHANNELS:
+def require_rows(line: Line, first: int, out: Array) -> None:
+    """Raise ValueError where `out` is no rows of all channels for pixels of the line: compiled code would go beyond."""
+    if first < 0 or first + out.shape[0] > line.pixels or out.shape[1] != CHANNELS:
         raise ValueError("a line needs a row of all channels for each of its pixels")
 
 
@@ -79,27 +79,30 @@ def tapping_line(
     step_y_m: float,
     drive_m: float,
     normals: Array,
+    first: int,
     out: Array,
 ) -> tuple[DynamicState, float, float]:
-    """Scan a line in tapping mode, the feedback acting once in each period of the drive; fill `out` (pixels, CHANNELS).
+    """Scan pixels of a line in tapping mode, the feedback acting once in each period of the drive.
 
     Parameters: proportional_m, the part of the feedback in the base, and error_m, so far; height_m and its steps, the
     map as the tip sees it; drive_m, amplitude of the base's vibration; normals, for thermal noise, eight for each
-    period, or none. Returns: state, proportional part, error.
+    period, or none; out (pixels, CHANNELS), filled with as many pixels as it has rows, of the line from `first` on.
+    Returns: state, proportional part, error.
     """
     steps = plant.drive.shape[0]
     dt = steps * plant.step_s
-    require_rows(line, out)
+    require_rows(line, first, out)
     total = line.pixels * line.periods
-    n = 0
-    for i in range(line.pixels):
+    n, begun = first * line.periods, first * line.periods
+    for i in range(out.shape[0]):
         sums = np.zeros(CHANNELS)
         for _ in range(line.periods):
             share = (n + 1.0) / total
             x, y = line.x0_m + share * (line.x1_m - line.x0_m), line.y0_m + share * (line.y1_m - line.y0_m)
             surface = height_at(height_m, step_x_m, step_y_m, x, y)[0]
             base, proportional_m = regulated(feedback, state.base_m, proportional_m, error_m, dt)
-            noise = normals[n * KICKS_PER_PERIOD : (n + 1) * KICKS_PER_PERIOD] if normals.size > 0 else normals
+            kick = (n - begun) * KICKS_PER_PERIOD
+            noise = normals[kick : kick + KICKS_PER_PERIOD] if normals.size > 0 else normals
             before = state.base_m
             state, reading = advance(plant, state, base, surface, drive_m, steps, noise)
             amplitude = math.hypot(reading.in_phase_m, reading.quadrature_m)
@@ -131,19 +134,20 @@ def contact_line(
     dt: float,
     friction: FrictionParams,
     held: FrictionState,
+    first: int,
     out: Array,
 ) -> tuple[PlantState, float, float, float, FrictionState]:
-    """Scan a line in contact at a constant force, with the quasi-static cantilever; fill `out` (pixels, CHANNELS).
+    """Scan pixels of a line in contact at a constant force, with the quasi-static cantilever; fill `out` from `first`.
 
     A surface that rises by s is to the tip what a base is that comes nearer by s. LATERAL is the force along the line's
     axis x, of slope and friction. Parameters: as `tapping_line`; dt [s], period of the feedback; held, the tip that
     friction holds back. Returns: state, base, proportional part, error, held.
     """
-    require_rows(line, out)
+    require_rows(line, first, out)
     total = line.pixels * line.periods
-    n = 0
+    n = first * line.periods
     moved_x, moved_y = (line.x1_m - line.x0_m) / total, (line.y1_m - line.y0_m) / total
-    for i in range(line.pixels):
+    for i in range(out.shape[0]):
         height, error, force, lateral = 0.0, 0.0, 0.0, 0.0
         for _ in range(line.periods):
             share = (n + 1.0) / total

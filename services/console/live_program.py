@@ -14,6 +14,7 @@ from proto.instrument import AfmProgram
 from proto.messages import AfmScanline, AfmState, NodeHealth, Scalar
 from proto.nodes import TIP, Site
 from services.console.command_client import send_control
+from services.runtime import interrupts
 from services.runtime.commands import Command
 from services.runtime.main import load_site
 from services.runtime.observer import RIG_HINT, Observer, require_rig
@@ -24,6 +25,7 @@ _TOPICS = ("afm/scanline", "afm/program", "node/health")
 # the instrument reports twice a second, and ten times while a program runs
 _PATIENCE_S = 4.0
 _LISTEN_S = 0.1
+_OVER_S = 1.0
 
 
 class ProgramEndedError(RigError):
@@ -73,6 +75,12 @@ class LiveImage:
             self.depth_m = (line.start_m[1] - self.first_y_m) / line.line * line.lines
 
     @property
+    def partial(self) -> str:
+        """Return in words how much there is of an image that is not whole; of a whole one nothing."""
+        wanted = len(self.trace_m)
+        return f"{self.finished} of {wanted} lines" if self.finished < wanted else ""
+
+    @property
     def finished(self) -> int:
         """How many lines there are, from the first, both ways."""
         whole = np.asarray(np.isfinite(self.trace_m + self.retrace_m).all(axis=1))
@@ -105,7 +113,7 @@ def run_program(
 
     Parameters: site, at which this runs; parameters of the `set` that begins it; on_report, called with each report of
     the program, and several times a second without a new one: what it returns (pause, resume, abort or nothing) is
-    sent. Ctrl-C ends the program and retracts the tip; a second one leaves it to the rig.
+    sent. Ctrl-C and SIGTERM end the program and retract the tip; at a second one the end is not waited for.
     Returns: the last report. Raises: RigError when no rig is there, the program is refused, or the instrument falls
     silent.
     """
@@ -114,13 +122,35 @@ def run_program(
     require_rig(book, site_file)
     with closing(Observer(book, topics)) as observer:
         _await_instrument(observer)
-        _send(site_file, site, parameters)
         listener = _Listener(observer, collected)
+
+        def send(word: str) -> None:
+            _send(site_file, site, {"program": word})
+
         try:
-            return listener.listen(on_report, lambda word: _send(site_file, site, {"program": word}))
+            # an instrument that has begun is told to end
+            with interrupts.held():
+                _send(site_file, site, parameters)
+            return listener.listen(on_report, send)
         except KeyboardInterrupt:
-            _send(site_file, site, {"program": "abort"})
-            return listener.listen(lambda report: "", lambda word: None)
+            return _aborted(listener, send)
+
+
+def _aborted(listener: "_Listener", send: Callable[[str], None]) -> AfmProgram:
+    """End the program and return its last report; RigError when the instrument does not answer and goes on."""
+    try:
+        with interrupts.held():
+            try:
+                send("abort")
+            except RigError:
+                # what is over by itself cannot be aborted
+                if not listener.is_over():
+                    raise
+        return listener.listen(lambda report: "", lambda word: None)
+    except KeyboardInterrupt:
+        if listener.report is None:
+            raise
+        return listener.report
 
 
 class _Listener:
@@ -128,7 +158,7 @@ class _Listener:
 
     def __init__(self, observer: Observer, collected: LiveImage | LiveCurve) -> None:
         self._observer, self._collected = observer, collected
-        self._report: AfmProgram | None = None
+        self.report: AfmProgram | None = None
         self._heard_s = time.monotonic()
 
     def listen(self, on_report: Callable[[AfmProgram], str], send: Callable[[str], None]) -> AfmProgram:
@@ -136,7 +166,7 @@ class _Listener:
         while True:
             for observed in self._observer.listen(_LISTEN_S):
                 self._take(observed.received.message)
-            report = self._report
+            report = self.report
             if report is not None and report.state in ("finished", "ended"):
                 on_report(report)
                 return report
@@ -145,12 +175,18 @@ class _Listener:
             if report is not None and (word := on_report(report)):
                 send(word)
 
+    def is_over(self) -> bool:
+        """Return whether the program is over, as the instrument reports within a second."""
+        for observed in self._observer.listen(_OVER_S):
+            self._take(observed.received.message)
+        return self.report is not None and self.report.state in ("finished", "ended")
+
     def _take(self, message: object) -> None:
         if isinstance(message, AfmProgram):
             # what was over before this one began
-            if self._report is None and message.state in ("finished", "ended"):
+            if self.report is None and message.state in ("finished", "ended"):
                 return
-            self._report, self._heard_s = message, time.monotonic()
+            self.report, self._heard_s = message, time.monotonic()
             return
         collected = self._collected
         if isinstance(collected, LiveImage):
@@ -160,7 +196,7 @@ class _Listener:
             collected.add(message)
 
     def _runs(self) -> bool:
-        return self._report is not None and self._report.state == "running"
+        return self.report is not None and self.report.state == "running"
 
 
 def _await_instrument(observer: Observer) -> None:

@@ -174,6 +174,7 @@ def _compiler() -> Callable[[Callable[..., object]], object]:
     from numba.core.typing.typeof import typeof_impl
 
     from services.runtime.compile_cache import CheckedCache
+    from services.runtime.interruptible import InterruptibleDispatcher
 
     @typeof_impl.register(FunctionType)
     def _typeof_step(function: FunctionType, context: object) -> object:
@@ -192,6 +193,8 @@ def _compiler() -> Callable[[Callable[..., object]], object]:
     def compile_and_keep(function: Callable[..., object]) -> object:
         dispatcher = numba.njit(function)
         if not vars(config)["DISABLE_JIT"]:
+            # numba has no option for the class of what it makes
+            dispatcher.__class__ = InterruptibleDispatcher
             dispatcher._cache = CheckedCache(function)
         return dispatcher
 

@@ -14,7 +14,7 @@ from services.runtime.config import flag_overrides, validate
 from telenano.options import JsonOption, SiteFileOption
 from telenano.output import print_document, report_errors
 from telenano.program_view import LiveOption, follow_program, refuse_foreign
-from telenano.sample_options import make_folder, require
+from telenano.sample_options import require, results_in
 
 if TYPE_CHECKING:
     from proto.messages import Scalar
@@ -80,8 +80,6 @@ def curve(
                     dynamic=model is CurveModel.DYNAMIC, progress=lambda n, of: bar.update(task, completed=n),
                 )  # fmt: skip
         marks = curves.marks_of(found)
-        make_folder(out)
-        curves.write_hdf5(out / "curve.h5", found)
         other = None if measured is None else (measured, curves.marks_of(measured))
         fit: dict[str, Any] | None = None
         if measured is not None:
@@ -91,7 +89,9 @@ def curve(
             except ConfigError as error:
                 fit = {"refused": f"{error} with --reduced-modulus" if reduced_modulus is None else str(error)}
         pairs = [(found, marks), *([] if other is None else [other])]
-        curve_figure(pairs).savefig(out / "curve.png", dpi=130)
+        with results_in(out) as folder:
+            curves.write_hdf5(folder / "curve.h5", found)
+            curve_figure(pairs).savefig(folder / "curve.png", dpi=130)
     document = {"model": found.model, "stiffness_n_per_m": found.stiffness_n_per_m, **marks.as_dict()}
     if other is not None:
         document["measured"] = {"stiffness_n_per_m": other[0].stiffness_n_per_m, **other[1].as_dict()}

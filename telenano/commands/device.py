@@ -17,6 +17,7 @@ import typer
 import yaml
 
 from proto.errors import ConfigError, TelenanoError
+from recording.whole_files import whole_file
 from telenano.commands.device_calibrate import calibrate_stage
 from telenano.options import JsonOption, command_group
 from telenano.output import print_json, print_rows, report_errors
@@ -359,7 +360,6 @@ def simulate_handle(
         received: list[int] = []
         for number in (signal.SIGUSR1, signal.SIGUSR2):
             signal.signal(number, lambda found, frame: received.append(found))
-        signal.signal(signal.SIGTERM, signal.default_int_handler)
         typer.echo(f"an emulated handle is at {link}; Enter pulls its cable out and puts it in again, Ctrl-C ends it")
         if isinstance(handle, emulated_handle.EmulatedHandle):
             typer.echo("`gauge 0.005` puts its arm at 5 mm, `mass 0.2` lets 0.2 kg pull at it, for a calibration")
@@ -437,7 +437,6 @@ def simulate_t7(
         if calibration is not None:
             plant = config.to_params().plant
             _write(calibration, calibration_of(plant.volts_per_m, plant.stiffness_n_per_m, host, port, travel))
-        signal.signal(signal.SIGTERM, signal.default_int_handler)
         _run_ahead()
         # it shows the last bytes of every connection that ends as an error
         logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
@@ -468,7 +467,8 @@ def _boot() -> int:
 
 def _write(path: Path, document: dict[str, object]) -> None:
     try:
-        path.write_text(yaml.safe_dump(document, sort_keys=False))
+        with whole_file(path) as file:
+            file.write_text(yaml.safe_dump(document, sort_keys=False))
     except OSError as error:
         raise TelenanoError(f"{path}: cannot be written: {error.strerror}") from error
     typer.echo(f"wrote {path}")

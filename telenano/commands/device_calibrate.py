@@ -10,6 +10,7 @@ import typer
 import yaml
 
 from proto.errors import ConfigError, TelenanoError
+from recording.whole_files import whole_file
 from telenano.output import report_errors
 
 _PERIOD_S = 1e-3
@@ -79,7 +80,8 @@ def calibrate_stage(
         _measure_travel(document, outputs)
         _measure_deflection(document, step, press_m)
         try:
-            out.write_text(yaml.safe_dump(document, sort_keys=False))
+            with whole_file(out) as file:
+                file.write_text(yaml.safe_dump(document, sort_keys=False))
         except OSError as error:
             raise TelenanoError(f"{out}: cannot be written: {error.strerror}") from error
         typer.echo(f"wrote {out}")

@@ -17,7 +17,7 @@ from services.runtime.observer import RIG_HINT
 from telenano.commands.topic import open_observer
 from telenano.options import JsonOption, SiteFileOption
 from telenano.output import print_json, print_rows, report_errors
-from telenano.sample_options import make_folder
+from telenano.sample_options import results_in
 
 _TOPIC = "link/network"
 _SECTION = "delay_node.yaml"
@@ -56,14 +56,14 @@ def probe(
                 f"no {_TOPIC} of the direction {absent[0]} was received: does the link receive as datagrams there? "
                 f"`telenano link show` says; {RIG_HINT}"
             )
-        make_folder(out)
-        section = write_traces(traces, out)
-        (out / _SECTION).write_text(yaml.safe_dump(section, sort_keys=False), encoding="utf-8")
-        trace_figure(traces).savefig(out / "network.png", dpi=130)
-        network: dict[str, dict[str, Any]] = {direction: trace.summary() for direction, trace in traces.items()}
-        verdicts = _tried(chosen, section, out, network)
-        document = {"network": network, "laws": verdicts, "replay": section, "files": str(out)}
-        (out / "probe.json").write_text(_json_text(document), encoding="utf-8")
+        with results_in(out) as folder:
+            section = write_traces(traces, folder)
+            (folder / _SECTION).write_text(yaml.safe_dump(section, sort_keys=False), encoding="utf-8")
+            trace_figure(traces).savefig(folder / "network.png", dpi=130)
+            network: dict[str, dict[str, Any]] = {direction: trace.summary() for direction, trace in traces.items()}
+            verdicts = _tried(chosen, section, folder, network)
+            document = {"network": network, "laws": verdicts, "replay": section, "files": str(out)}
+            (folder / "probe.json").write_text(_json_text(document), encoding="utf-8")
     if as_json:
         print_json(document)
         return

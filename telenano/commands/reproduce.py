@@ -10,8 +10,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from telenano.exit_codes import EXIT_FAILED
 from telenano.options import JsonOption
-from telenano.output import print_json, report_errors
-from telenano.sample_options import make_folder
+from telenano.output import print_json, report_errors, results_folder
 
 
 class PaperFigure(StrEnum):
@@ -41,10 +40,10 @@ def reproduce(
         from studies.reproduce import FIGURES
         from studies.reproduce import reproduce as make
 
-        make_folder(out)
         chosen = FIGURES if what is PaperFigure.ALL else (what.value,)
         columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
-        with Progress(*columns, console=Console(stderr=True), disable=as_json, transient=True) as bar:
+        show = Progress(*columns, console=Console(stderr=True), disable=as_json, transient=True)
+        with results_folder(out), show as bar:
             tasks = {name: bar.add_task(name, total=None) for name in chosen}
             summary = make(chosen, out, pixels, lambda name, n, of: bar.update(tasks[name], completed=n, total=of))
     failed: Any = summary.get("failed", {})

@@ -13,8 +13,8 @@ from telenano.sample_options import (
     SampleOption,
     SampleSetOption,
     SampleSizeOption,
-    make_folder,
     require,
+    results_in,
     sample_config,
 )
 
@@ -42,14 +42,14 @@ def sample(
             seen = dilated(surface, tip_radius * 1e-9)
         except ValueError as error:
             raise ConfigError(f"--tip-radius: {error}") from error
-        make_folder(out)
         images = {
             "sample": Image("Sample", "m", surface.height_m, surface.width_m, surface.depth_m),
             "seen": Image(f"Seen by a tip of {tip_radius:g} nm", "m", seen.height_m, surface.width_m, surface.depth_m),
         }
-        write_gsf(out / "sample.gsf", images["sample"])
-        write_gwy(out / "sample.gwy", images)
-        write_png(out / "sample.png", images)
+        with results_in(out) as folder:
+            write_gsf(folder / "sample.gsf", images["sample"])
+            write_gwy(folder / "sample.gwy", images)
+            write_png(folder / "sample.png", images)
     heights = surface.height_m
     document = {
         "sample": config.name,

@@ -2,14 +2,15 @@
 
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
 from presets import DEFAULT_SITE_FILE
-from proto.errors import ConfigError
+from proto.errors import ConfigError, RigError
+from services.runtime import interrupts
 from services.runtime.config import flag_overrides, validate
 from telenano.exit_codes import EXIT_FAILED
 from telenano.options import JsonOption, SiteFileOption
@@ -20,8 +21,8 @@ from telenano.sample_options import (
     SampleOption,
     SampleSetOption,
     SampleSizeOption,
-    make_folder,
     require,
+    results_in,
     sample_config,
 )
 
@@ -31,7 +32,10 @@ if TYPE_CHECKING:
 
     from analysis.image_files import Image
     from proto.messages import Scalar
+    from services.console.live_program import LiveImage
     from studies.scan import ScanResult
+
+_FILES = ("scan.gwy", "scan.gsf", "scan.png")
 
 
 class ScanMode(StrEnum):
@@ -99,7 +103,7 @@ def scan(
     site_file: SiteFileOption = DEFAULT_SITE_FILE,
     as_json: JsonOption = False,
 ) -> None:
-    """Image a sample and write .gwy, .gsf and PNG; Ctrl-C ends the image and keeps the lines so far."""
+    """Image a sample and write .gwy, .gsf and PNG; Ctrl-C and SIGTERM end the image and keep the lines so far."""
     if live:
         with report_errors(as_json):
             require("gwyfile")
@@ -154,14 +158,14 @@ def scan(
         )
         request.check()
         surface = sample.build()
-        make_folder(out)
         columns = (TextColumn("lines"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-        with Progress(*columns, console=Console(stderr=True), disable=as_json, transient=True) as bar:
-            task = bar.add_task("lines", total=lines)
-            result = scans.scan(surface, request, config, lambda n, of: _show(bar, task, n))
-        images = _images(result, mode)
-        _write(out, images)
-    document = {
+        with results_in(out) as folder:
+            with Progress(*columns, console=Console(stderr=True), disable=as_json, transient=True) as bar:
+                task = bar.add_task("lines", total=lines)
+                result = scans.scan(surface, request, config, lambda n, of: _show(bar, task, n))
+            _say_if_interrupted(result.partial)
+            _write(folder, _images(result, mode))
+    document: dict[str, Any] = {
         "sample": sample.name,
         "mode": mode.value,
         "lines": len(result.trace),
@@ -169,47 +173,80 @@ def scan(
         "simulated_s": result.simulated_s,
         "rms_error_m": result.rms_error_m,
         "correlation": result.correlation,
-        "files": [str(out / name) for name in ("scan.gwy", "scan.gsf", "scan.png")],
+        "files": [str(out / name) for name in _FILES],
     }
+    if result.partial:
+        document["partial"] = result.partial
     print_document(document, str(out), as_json=as_json)
+    _exit_if_interrupted()
 
 
 def _scan_live(out: Path, site_file: Path, parameters: "dict[str, Scalar]", *, as_json: bool) -> None:
     """Have a running rig image its sample, and write what came, also of an image that ended early."""
+    from services.console.live_program import LiveImage
+
+    image = LiveImage()
+    failure: RigError | None = None
+    with results_in(out) as folder:
+        try:
+            report = follow_program(site_file, parameters, image, as_json=as_json)
+        except RigError as error:
+            # what came before the instrument fell silent is kept as well
+            failure = error
+        if count := image.finished:
+            _say_if_interrupted(image.partial)
+            _write(folder, _live_images(image, count))
+    if failure is not None:
+        raise RigError(f"{failure}; {out} has {count} lines") if count else failure
+    mode = parameters.get("scan.mode", "contact")
+    document = {"mode": mode, "state": report.state, "lines": count, "pixels": parameters["scan.pixels"],
+                "text": report.text, "files": [str(out / name) for name in _FILES] if count else []}  # fmt: skip
+    if image.partial:
+        document["partial"] = image.partial
+    print_document(document, str(out), as_json=as_json)
+    _exit_if_interrupted()
+    if report.state != "finished":
+        raise typer.Exit(EXIT_FAILED)
+
+
+def _live_images(image: "LiveImage", count: int) -> "dict[str, Image]":
+    """Return the channels of the finished lines of an image."""
     import numpy as np
 
     from analysis.image_files import Image
-    from services.console.live_program import LiveImage
 
-    make_folder(out)
-    image = LiveImage()
-    report = follow_program(site_file, parameters, image, as_json=as_json)
-    count = image.finished
-    if count:
-        # an AFM knows no absolute height
-        level = float(image.trace_m[:count].mean())
-        depth_m = image.depth_m * count / len(image.trace_m)
-        images = {
-            "height": Image("Height", "m", image.trace_m[:count] - level, image.width_m, depth_m),
-            "retrace": Image("Height retrace", "m", image.retrace_m[:count] - level, image.width_m, depth_m),
-        }
-        for name, title, unit, values in (
-            ("amplitude", "Amplitude", "m", image.amplitude_m[:count]),
-            ("phase", "Phase", "rad", image.phase_rad[:count]),
-            ("dissipated", "Dissipated energy in a period", "J", image.dissipated_j[:count]),
-            ("lateral", "Lateral force", "N", image.trace_n[:count]),
-            ("lateral_retrace", "Lateral force retrace", "N", image.retrace_n[:count]),
-        ):
-            if np.isfinite(values).all():
-                images[name] = Image(title, unit, values, image.width_m, depth_m)
-        _write(out, images)
-    files = [str(out / name) for name in ("scan.gwy", "scan.gsf", "scan.png")] if count else []
-    mode = parameters.get("scan.mode", "contact")
-    document = {"mode": mode, "state": report.state, "lines": count, "pixels": parameters["scan.pixels"],
-                "text": report.text, "files": files}  # fmt: skip
-    print_document(document, str(out), as_json=as_json)
-    if report.state != "finished":
-        raise typer.Exit(EXIT_FAILED)
+    def named(title: str, unit: str, values: "npt.NDArray[np.float64]") -> Image:
+        return Image(title, unit, values, image.width_m, depth_m, image.partial)
+
+    # an AFM knows no absolute height
+    level = float(image.trace_m[:count].mean())
+    depth_m = image.depth_m * count / len(image.trace_m)
+    images = {
+        "height": named("Height", "m", image.trace_m[:count] - level),
+        "retrace": named("Height retrace", "m", image.retrace_m[:count] - level),
+    }
+    for name, title, unit, values in (
+        ("amplitude", "Amplitude", "m", image.amplitude_m[:count]),
+        ("phase", "Phase", "rad", image.phase_rad[:count]),
+        ("dissipated", "Dissipated energy in a period", "J", image.dissipated_j[:count]),
+        ("lateral", "Lateral force", "N", image.trace_n[:count]),
+        ("lateral_retrace", "Lateral force retrace", "N", image.retrace_n[:count]),
+    ):
+        if np.isfinite(values).all():
+            images[name] = named(title, unit, values)
+    return images
+
+
+def _say_if_interrupted(partial: str) -> None:
+    """Print what there is of an image that a signal ended, before the seconds in which it is drawn."""
+    if interrupts.received():
+        typer.echo(f"telenano: interrupted: {partial or 'all lines'} are kept", err=True)
+
+
+def _exit_if_interrupted() -> None:
+    """Exit with the code of the signal that ended an image."""
+    if interrupts.received():
+        raise typer.Exit(interrupts.exit_code())
 
 
 def _show(bar: Progress, task: TaskID, lines: int) -> bool:
@@ -225,7 +262,7 @@ def _images(result: "ScanResult", mode: ScanMode) -> "dict[str, Image]":
     width, depth = result.width_m, result.depth_m
 
     def image(title: str, unit: str, values: "npt.NDArray[np.float64]") -> Image:
-        return Image(title, unit, values, width, depth)
+        return Image(title, unit, values, width, depth, result.partial)
 
     trace, back = result.trace, result.retrace
     height = result.height_m

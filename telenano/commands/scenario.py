@@ -9,6 +9,7 @@ import yaml
 
 from presets import find_scenario, scenarios
 from proto.errors import ConfigError
+from recording.whole_files import whole_file
 from services.runtime.config import read_yaml
 from telenano.completion import scenario_names
 from telenano.options import JsonOption, command_group
@@ -95,7 +96,8 @@ def new(
         validated(Scenario, document, str(path))
         head = f"# yaml-language-server: $schema={(SCHEMA_DIRECTORY / 'scenario.json').as_uri()}\n"
         text = yaml.safe_dump(document, sort_keys=False, allow_unicode=True, width=100)
-        path.write_text(head + text, encoding="utf-8")
+        with whole_file(path, replace=False) as file:
+            file.write_text(head + text, encoding="utf-8")
     if as_json:
         print_json({"file": str(path)})
     else:

@@ -47,7 +47,8 @@ from telenano.commands.study_options import (
 from telenano.commands.study_promises import promises
 from telenano.exit_codes import EXIT_FAILED
 from telenano.options import FormatOption, JsonOption, StyleOption, command_group
-from telenano.output import console, print_json, report_errors
+from telenano.output import console, print_json, report_errors, results_folder
+from telenano.sample_options import results_in
 
 if TYPE_CHECKING:
     from studies.stability import Axes, Body
@@ -55,6 +56,7 @@ if TYPE_CHECKING:
     from studies.validate import Agreement
 
 _INTERRUPTED = "interrupted: the journal keeps the finished cells, the same command continues"
+_BUS_INTERRUPTED = "interrupted: each session that ended has its folder, no other result was written"
 _LONGEST_MS = 10_000.0
 _STIFFEST_N_PER_M = 1e5
 _PIPE_COLUMNS = 160
@@ -137,7 +139,7 @@ def transparency(
     as_json: JsonOption = False,
 ) -> None:
     """Measure what the hand feels: tracking, stiffness, hybrid matrix over frequency, Z-width of each law."""
-    with report_errors(as_json, _INTERRUPTED):
+    with report_errors(as_json):
         from studies import option_values
         from studies.compare import (
             measure_all,
@@ -153,22 +155,22 @@ def transparency(
         frequencies = option_values.frequencies(frequency)
         rows = measure_all(axes, axes.delays_ms, for_delay=tuned)
         spectra = spectra_of(axes, axes.delays_ms, frequencies, for_delay=tuned)
-        _make_folder(out)
         options = figure_options(formats, style)
-        with styled(options):
-            images = write_images(out, spectrum_figures(spectra), _command(), options)
-        page = Page("Transparency under delay")
-        page.code(_command())
-        write_transparency(page, rows)
-        write_spectra(page, spectra, images)
-        page.write(out / "transparency.html")
         records = [
             {**asdict(row), "hand": hand.value, **z_width_of(found)} for row, found in zip(rows, spectra, strict=True)
         ]
-        write_parquet(out / "transparency.parquet", records)
-        write_parquet(out / "spectra.parquet", [line for found in spectra for line in found.rows()])
         summary = {"study": "transparency", "rows": records}
-        (out / "transparency.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+        with results_in(out) as folder:
+            with styled(options):
+                images = write_images(folder, spectrum_figures(spectra), _command(), options)
+            page = Page("Transparency under delay")
+            page.code(_command())
+            write_transparency(page, rows)
+            write_spectra(page, spectra, images)
+            page.write(folder / "transparency.html")
+            write_parquet(folder / "transparency.parquet", records)
+            write_parquet(folder / "spectra.parquet", [line for found in spectra for line in found.rows()])
+            (folder / "transparency.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
         head = ("law", "delay [ms]", "verdict", "tracking [%]", "rendered [N/m]", "perceived [ms]", "contrast [dB]",
                 "passive to [N/m]", "Z-width [dB]")  # fmt: skip
         _print_result(summary, head, [
@@ -277,7 +279,6 @@ def advise(
         records = [candidate.as_dict() for candidate in candidates]
         summary = {"study": "advise", "take": records[0]["law"] if records[0]["suited"] else None, "advice": words,
                    "candidates": records}  # fmt: skip
-        (out / "advise.json").write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
         head = ("law", "stable runs", "force in a hold", "peak force", "free [N s/m]", "least energy [mJ]", "price")
         rows = [
             (c.name, f"{r['stable_runs']}/{r['runs']}", r["force_share"], r["peak_share"], r["free_n_s_per_m"],
@@ -288,7 +289,10 @@ def advise(
         for sentence in words:
             page.paragraph(sentence)
         page.table(head, rows)
-        page.write(out / "advise.html")
+        with results_in(out) as folder:
+            document = json.dumps(summary, indent=2, allow_nan=False) + "\n"
+            (folder / "advise.json").write_text(document, encoding="utf-8")
+            page.write(folder / "advise.html")
         if not as_json:
             for sentence in words:
                 typer.echo(sentence)
@@ -324,7 +328,7 @@ def validate(
     as_json: JsonOption = False,
 ) -> None:
     """Run cells on real processes over the link and compare with lockstep; exit code 1 where they disagree."""
-    with report_errors(as_json, _INTERRUPTED):
+    with report_errors(as_json, _BUS_INTERRUPTED):
         from studies.sample import drawn_cells
         from studies.validate import SEEDS, TOLERANCE_SHARE, Bus, bus_edges, scenario_of, validate_cells
 
@@ -334,10 +338,9 @@ def validate(
         cells = drawn_cells(sample, sample_seed) if sample is not None else cells
         for cell in cells:
             scenario_of(cell)
-        _make_folder(out)
-        agreements = validate_cells(cells, Bus(site_file, out), lambda text: typer.echo(text, err=True))
+        with results_folder(out):
+            agreements = validate_cells(cells, Bus(site_file, out), lambda text: typer.echo(text, err=True))
         records = [asdict(agreement) for agreement in agreements]
-        write_parquet(out / "validate.parquet", records)
         edges = bus_edges(agreements, cells[0].controller().period_s)
         summary = {
             "study": "validate",
@@ -345,7 +348,6 @@ def validate(
             "bus_critical_delay_ms": [edge._asdict() for edge in edges],
             "cells": records,
         }
-        (out / "validate.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
         head = ("law", "environment", "stiffness [N/m]", "hand", "delay [ms]", "jitter [ms]", "loss", "lockstep", "bus",
                 "draws", "growth, lockstep [1/s]", "growth, bus [1/s]", "difference", "at most", "agree")  # fmt: skip
         rows = [
@@ -369,7 +371,10 @@ def validate(
                 "Where the growth rate on the bus passes zero, taken as linear between two cells, half a sample period"
                 " included: it compares with the continuous theory and with lockstep."
             )
-        page.write(out / "validate.html")
+        with results_in(out) as folder:
+            write_parquet(folder / "validate.parquet", records)
+            (folder / "validate.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+            page.write(folder / "validate.html")
         _print_result(summary, head, rows, out / "validate.html", as_json=as_json)
     if not summary["agree"]:
         raise typer.Exit(EXIT_FAILED)
@@ -456,24 +461,16 @@ def _sweep(out: Path, workers: int | None, scheduler: str | None, *, shown: bool
     """Open the journal of a folder, with a progress bar on stderr while the sweep runs."""
     from studies.sweep import JOURNAL_NAME, Journal, Sweep
 
-    _make_folder(out)
-    journal = Journal(out / JOURNAL_NAME)
     columns = (TextColumn("cells"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), disable=not shown, transient=True) as bar:
+    bar = Progress(*columns, console=Console(stderr=True), disable=not shown, transient=True)
+    with results_folder(out), bar:
         task = bar.add_task("cells", total=None)
         yield Sweep(
-            journal,
+            Journal(out / JOURNAL_NAME),
             workers or os.cpu_count() or 1,
             scheduler,
             lambda done, total: bar.update(task, completed=done, total=total),
         )
-
-
-def _make_folder(out: Path) -> None:
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigError(f"--out {out}: cannot be made: {error.strerror}") from error
 
 
 def _command() -> str:

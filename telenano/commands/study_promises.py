@@ -13,6 +13,7 @@ from telenano.commands.study_options import LawOption, OutOption, WorkersOption
 from telenano.exit_codes import EXIT_FAILED
 from telenano.options import JsonOption
 from telenano.output import console, print_json, report_errors
+from telenano.sample_options import results_in
 
 _COLUMNS = 160
 _HEAD = ("law", "hand", "round trip [ms]", "energy >= -1 uJ", "least energy [uJ]", "stable", "force (median)",
@@ -43,8 +44,6 @@ def promises(
         failed = broken(found)
         rows_found = [as_dict(row) for row in found]
         summary = {"study": "promises", "seeds": seeds, "burst": burst, "held": not failed, "rows": rows_found}
-        out.mkdir(parents=True, exist_ok=True)
-        (out / "promises.json").write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
         rows = [
             (r.law, r.hand, r.round_trip_ms, f"{r.passive}/{r.runs}", 1e6 * r.lowest_energy_j, f"{r.stable}/{r.runs}",
              r.share, r.least_share, None if r.apart_m is None else 1e3 * r.apart_m,
@@ -59,7 +58,10 @@ def promises(
             f"Jitter of half the delay, {lost}, springs of 5 to 200 N/m and the contact, drawn at random;"
             " force: at the tip, as a share of what the hand means to press with, in stable holds."
         )
-        page.write(out / "promises.html")
+        with results_in(out) as folder:
+            document = json.dumps(summary, indent=2, allow_nan=False) + "\n"
+            (folder / "promises.json").write_text(document, encoding="utf-8")
+            page.write(folder / "promises.html")
         if as_json:
             print_json(summary)
         else:

@@ -15,6 +15,7 @@ from recording.multi_file import open_recordings
 from services.launcher.plan import Plan, UpRequest, make_plan
 from services.launcher.run import Outcome, default_folder, report_of, run_rig
 from services.launcher.session import RigNode
+from services.runtime import interrupts
 from services.viz_node.figure_style import FigureOptions, figure_options
 from telenano.completion import node_names, scenario_names
 from telenano.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED
@@ -184,8 +185,7 @@ def _watching(look: Callable[[], str], observe: Callable[[RigNode], None]) -> Ca
 def _restore_default_signals() -> None:
     """Let Ctrl-C end what follows the session at once: no process has to be made safe any more."""
     signal.set_wakeup_fd(-1)
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    interrupts.handle()
 
 
 def _print_outcome(outcome: Outcome, summary: dict[str, Any] | None, plan: Plan, *, as_json: bool) -> None:

@@ -145,13 +145,13 @@ def lines(surface: Surface, x: list[float], pixels: int, channels: int) -> None:
     for tap in (True, False):
         try:
             if tap:
-                tapping_line(TAPPING, state, x[12], x[13], feedback, line, *surface, x[11], NO_NOISE, out)
+                tapping_line(TAPPING, state, x[12], x[13], feedback, line, *surface, x[11], NO_NOISE, 0, out)
             else:
                 start = initial_state(CONTACT, 0.0)
                 friction = AfmConfig().to_friction_params()
                 held = FrictionState(x[10], x[11])
                 contact_line(
-                    CONTACT, start, x[10], x[12], x[13], feedback, line, *surface, 5e-5, friction, held, out
+                    CONTACT, start, x[10], x[12], x[13], feedback, line, *surface, 5e-5, friction, held, 0, out
                 )  # fmt: skip
             counts["lines"] += 1
         except (ValueError, ZeroDivisionError):

@@ -104,7 +104,7 @@ def run_step(folder: Path, program: str = PROGRAM, **environment: str) -> str:
 
 
 def test_a_step_is_compiled_into_that_folder(tmp_path: Path) -> None:
-    assert run_step(tmp_path) == "function CPUDispatcher"
+    assert run_step(tmp_path) == "function InterruptibleDispatcher"
     folder = tmp_path / "telenano" / cache_directory().name
     assert list(folder.rglob("*.nbc")), "no compiled code in the cache"
     assert not list(ROOT.glob("services/runtime/__pycache__/*.nb?"))

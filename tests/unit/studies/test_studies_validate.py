@@ -180,11 +180,11 @@ def test_rig_that_does_not_run_says_why(tmp_path: Path, monkeypatch: pytest.Monk
 
     asked: list[list[str]] = []
 
-    def run(command: list[str], **options: Any) -> Done:
+    def run(command: list[str], most_s: float) -> Done:
         asked.append(command)
         return Done()
 
-    monkeypatch.setattr(study.subprocess, "run", run)
+    monkeypatch.setattr(study, "run_session", run)
     with pytest.raises(StudyError, match="afm_node@slave died"):
         run_on_bus(cell(), Bus(tmp_path / "site.yaml", tmp_path))
     assert asked[0][asked[0].index("--site-file") + 1] == str(tmp_path / "site.yaml")

@@ -125,7 +125,7 @@ def test_the_sessions_run_one_after_the_other_and_a_failure_is_named(
         failed = "smith" in " ".join(command)
         return subprocess.CompletedProcess(command, int(failed), "", "telenano: the rig failed" if failed else "")
 
-    monkeypatch.setattr(sweep.subprocess, "run", run)
+    monkeypatch.setattr(sweep, "run_session", run)
     shown: list[str] = []
     with pytest.raises(RigError, match="the session law=smith failed: telenano: the rig failed"):
         run_sweep(points_of(["controller.law=wave,smith,passivity"]), ["--no-view"], tmp_path, shown.append)

@@ -1,0 +1,74 @@
+"""A session of its own, for a command that runs several."""
+
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from services.launcher.child_session import run_session
+
+# ends in its own time at SIGTERM, as `telenano up` does, and would not survive an unexpected SIGINT
+_SESSION = """
+import signal, sys, time
+def end(number, frame):
+    time.sleep(0.3)
+    open("complete", "w").close()
+    sys.exit(0)
+signal.signal(signal.SIGTERM, end)
+print("runs", flush=True)
+open("runs", "w").close()
+time.sleep({seconds})
+"""
+_PARENT = """
+import os, signal, sys, threading, time
+from services.launcher.child_session import run_session
+from services.runtime import interrupts
+
+interrupts.install()
+
+
+def end():
+    while not os.path.exists("runs"):
+        time.sleep(0.01)
+    os.killpg(os.getpid(), signal.SIGINT) if {group} else os.kill(os.getpid(), signal.SIGTERM)
+
+
+threading.Thread(target=end, daemon=True).start()
+try:
+    run_session([sys.executable, "-c", {session!r}])
+except KeyboardInterrupt:
+    print("interrupted", interrupts.exit_code())
+"""
+
+
+def test_a_session_gives_its_code_and_what_it_printed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    spent: list[float] = []
+    done = run_session([sys.executable, "-c", _SESSION.format(seconds=0.7)], 60.0, spent.append)
+    assert (done.returncode, done.stdout) == (0, "runs\n")
+    assert spent
+
+
+def test_one_that_takes_too_long_is_ended_in_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(TimeoutError, match="did not end within 1 s"):
+        run_session([sys.executable, "-c", _SESSION.format(seconds=60)], 1.0)
+    assert (tmp_path / "complete").exists()
+
+
+@pytest.mark.parametrize(("group", "code"), [(False, 143), (True, 130)])
+def test_a_session_of_its_own_ends_in_order_when_its_command_is_interrupted(
+    group: bool, code: int, tmp_path: Path
+) -> None:
+    script = _PARENT.format(group=group, session=_SESSION.format(seconds=60))
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=False, cwd=tmp_path,
+        start_new_session=True,
+        # what a shell has in the background ignores SIGINT, and its children with it
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )  # fmt: skip
+    assert (done.returncode, done.stdout, done.stderr) == (0, f"interrupted {code}\n", "")
+    # before the command went on
+    assert (tmp_path / "complete").exists()

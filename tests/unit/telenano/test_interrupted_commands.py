@@ -1,0 +1,208 @@
+"""SIGINT and SIGTERM at random times: a command with a result leaves it whole, named as a part, or not at all.
+
+The table has every command that writes a result; six of them run in `make test`, all of them in `make endurance`.
+"""
+
+import json
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+from interruptions import Ended, environment, files_below, interrupted
+
+from services.afm_node.surface_files import read_surface
+from telenano.exit_codes import EXIT_INTERRUPTED, EXIT_TERMINATED
+
+REFERENCES = Path(__file__).resolve().parents[2] / "replay"
+CODES = {signal.SIGINT: EXIT_INTERRUPTED, signal.SIGTERM: EXIT_TERMINATED}
+
+
+class Recipe(NamedTuple):
+    """A command with its options; {out} is its result, and where there is none it prints one."""
+
+    arguments: str
+    in_make_test: bool = False
+
+
+RECIPES = {
+    "scan": Recipe("scan --pixels 32 --lines 32 --out {out}", True),
+    "curve": Recipe("curve --model dynamic --points 100 --out {out}"),
+    "sample": Recipe("sample --out {out}"),
+    "calibrate sensitivity": Recipe("calibrate sensitivity"),
+    "calibrate stiffness": Recipe("calibrate stiffness --duration 0.6", True),
+    "reproduce": Recipe("reproduce models --out {out}"),
+    "study stability": Recipe(
+        "study stability --law wave --environment spring --stiffness 10 --delay 0:80:20 --workers 2 --out {out}",
+        True,
+    ),
+    "study transparency": Recipe("study transparency --law position_force --delay 0 --out {out}"),
+    "study compare": Recipe(
+        "study compare --law wave --map-delay 0,40 --delay 40 --stiffness 10 --seeds 1 --workers 2 --out {out}"
+    ),
+    "study advise": Recipe("study advise --delay 40 --seeds 1 --workers 2 --out {out}"),
+    "study promises": Recipe("study promises --law passivity --seeds 1 --workers 2 --out {out}"),
+    "report": Recipe("report {recording} --out {out}", True),
+    "compare": Recipe("compare {recording} {other} --out {out}"),
+    "bag export": Recipe("bag export {recording} --to hdf5 --out {out}", True),
+    "bag filter": Recipe("bag filter {recording} --out {out}.mcap"),
+    "bag merge": Recipe("bag merge {recording} {other} --out {out}.mcap", True),
+    "bag split": Recipe("bag split {recording} --interval 1 --out {out}"),
+    "bag recover": Recipe("bag recover {recording} --out {out}.mcap"),
+    "bag plot": Recipe("bag plot {recording} afm/state.tip_force_n.2 --out {out}.png"),
+    "scenario new": Recipe("scenario new mine --out {out}.yaml"),
+    "new": Recipe("new law mine --out {out}"),
+}
+# the formats of an export are written by different libraries
+VARIANTS = (
+    *(f"bag export {{recording}} --to {kind} --out {{out}}" for kind in ("csv", "parquet", "mcap-json")),
+    "scan --mode contact --pixels 32 --lines 32 --out {out}",
+)
+# why a command with --out is not in the table
+ELSEWHERE = {
+    "up": "a session ends with its recording, figure and summary: tests/stack/test_fig12.py",
+    "record": "a recorder completes its file: tests/stack/test_running_rig.py",
+    "link probe": "listens to a running rig for a time, and then writes a few files at once by `results_in`",
+    "study validate": "runs a rig for each cell: tests/unit/launcher/test_child_session.py",
+    "bag recalibrate": "copies as `bag filter` does, and needs a recording of real devices",
+    "device calibrate handle": "asks a person at a real device, and writes one file at the end by `whole_file`",
+    "device calibrate stage": "asks a person at a real device, and writes one file at the end by `whole_file`",
+}
+_COMMANDS_WITH_RESULTS = """
+import studies
+from telenano.lazy_commands import LAZY_COMMANDS, load
+
+def walk(path, command):
+    for name, child in getattr(command, "commands", {}).items():
+        yield from walk((*path, name), child)
+    if any("--out" in parameter.opts for parameter in command.params):
+        yield " ".join(path)
+
+for name in LAZY_COMMANDS:
+    print(*walk((name,), load(name)), sep="\\n")
+"""
+
+
+def test_every_command_with_a_result_is_in_the_table() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", _COMMANDS_WITH_RESULTS], capture_output=True, text=True, env=environment(), check=True
+    )
+    known = {name for name in RECIPES if not name.startswith("calibrate")} | set(ELSEWHERE)
+    assert set(done.stdout.split("\n")) - {""} == known
+
+
+def words_of(template: str, out: Path) -> list[str]:
+    recording, other = REFERENCES / "wave.mcap", REFERENCES / "position_force.mcap"
+    return template.format(out=out, recording=recording, other=other).split()
+
+
+def check_end(ended: Ended, number: signal.Signals, template: str, folder: Path) -> None:
+    """Assert that a command which was interrupted said so, and left nothing or what says that it is a part."""
+    said = (template, number, ended)
+    assert "Traceback" not in ended.stderr + ended.stdout, said
+    if ended.code == 0:
+        return
+    # at the very end a signal has nothing to interrupt, and ends the process as any other
+    assert ended.code in (CODES[number], -number), said
+    if ended.code == -number:
+        return
+    assert "interrupted" in ended.stderr, said
+    left = files_below(folder)
+    assert not [name for name in left if name.endswith(".part")], said
+    if template.startswith("scan") and left:
+        assert left == ["out/scan.gsf", "out/scan.gwy", "out/scan.png"], said
+        image = (folder / "out" / "scan.gsf").read_bytes()
+        rows = read_surface(folder / "out" / "scan.gsf").height_m.shape[0]
+        wanted = int(template.split()[template.split().index("--lines") + 1])
+        assert (f"Partial = {rows} of {wanted} lines".encode() in image) == (rows < wanted), said
+        assert b"partial: " in (folder / "out" / "scan.png").read_bytes() or rows == wanted, said
+
+
+def whole_run(template: str, folder: Path) -> float:
+    """Run a command to its end and return how long it took [s]."""
+    begun_s = time.monotonic()
+    done = subprocess.run(
+        [sys.executable, "-m", "telenano", *words_of(template, folder / "out")], cwd=folder, env=environment(),
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    # 3: the reference recordings are short, and lack a little
+    assert done.returncode in (0, 3), (template, done.stdout, done.stderr)
+    return time.monotonic() - begun_s
+
+
+def try_signals(template: str, tmp_path: Path, seed: str, repeats: int, longest_s: float) -> None:
+    """Interrupt a command at random times, each time with the folder as the last one left it, and run it to its end."""
+    draw = random.Random(seed)
+    again = tmp_path / "again"
+    again.mkdir()
+    found: list[list[str]] = []
+    for number in (signal.SIGINT, signal.SIGTERM) * repeats:
+        ended = interrupted(
+            words_of(template, again / "out"), again, number, draw.uniform(0.0, longest_s), group=draw.random() < 0.5
+        )
+        check_end(ended, number, template, again)
+        if files_below(again) and not template.startswith("scan"):
+            # whole, as the name says, and some commands overwrite nothing
+            found.append(files_below(again))
+            shutil.rmtree(again)
+            again.mkdir()
+    whole_run(template, again)
+    assert found.count(files_below(again)) == len(found), found
+    assert not [name for name in files_below(again) if ".part" in name]
+
+
+@pytest.mark.parametrize("name", [name for name, recipe in RECIPES.items() if recipe.in_make_test])
+def test_a_command_interrupted_at_a_random_time_leaves_nothing_half_and_runs_again(name: str, tmp_path: Path) -> None:
+    try_signals(RECIPES[name].arguments, tmp_path, name, 1, 3.0)
+
+
+@pytest.mark.endurance
+@pytest.mark.timeout(1200)
+@pytest.mark.parametrize("template", [*(recipe.arguments for recipe in RECIPES.values()), *VARIANTS])
+def test_each_command_interrupted_at_many_random_times_runs_again(template: str, tmp_path: Path) -> None:
+    first = tmp_path / "first"
+    first.mkdir()
+    seconds = whole_run(template, first)
+    try_signals(template, tmp_path, template, 5, 1.1 * seconds)
+    assert files_below(first) == files_below(tmp_path / "again")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_image_that_is_ended_keeps_its_lines_and_says_so(number: signal.Signals, tmp_path: Path) -> None:
+    # so long that it never ends by itself; the first lines come a second or two after the imports
+    words = ["scan", "--sample", "flat", "--size", "10000", "--pixels", "64", "--lines", "4000", "--json",
+             "--out", "out"]  # fmt: skip
+    for delay_s in (4.0, 12.0, 36.0):
+        ended = interrupted(words, tmp_path, number, delay_s)
+        assert ended.code == CODES[number], ended
+        if files_below(tmp_path):
+            break
+    document = json.loads(ended.stdout)
+    assert document["partial"] == f"{document['lines']} of 4000 lines"
+    assert f"interrupted: {document['partial']} are kept" in ended.stderr
+    assert files_below(tmp_path) == ["out/scan.gsf", "out/scan.gwy", "out/scan.png"]
+    kept = read_surface(tmp_path / "out" / "scan.gwy", "Height (partial")
+    assert kept.height_m.shape == (document["lines"], 64)
+    assert kept.depth_m == pytest.approx(kept.width_m * document["lines"] / 4000, rel=1e-6)
+
+
+def test_what_a_killed_process_left_does_not_stand_in_the_way_and_goes(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    words = words_of(RECIPES["bag export"].arguments, out)
+    killed = 0
+    for delay_s in (0.6, 1.2, 2.4):
+        ended = interrupted(words, tmp_path, signal.SIGKILL, delay_s)
+        assert ended.code in (0, -signal.SIGKILL), ended
+        if ended.code == 0:
+            break
+        assert not out.exists()
+        killed += 1
+    assert killed
+    if not out.exists():
+        whole_run(RECIPES["bag export"].arguments, tmp_path)
+    assert files_below(tmp_path) == ["out"]
