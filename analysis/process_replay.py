@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
-import yaml
 import zmq
 from pydantic import BaseModel
 
@@ -31,7 +30,7 @@ from recording.tolerance import Tolerances, first_difference
 from services.runtime.address_book import AddressBook
 from services.runtime.bus import Received, Subscriber, ZmqBus
 from services.runtime.clock import TurnClock
-from services.runtime.config import flag_overrides, merge, validate
+from services.runtime.config import flag_overrides, merge, parse_yaml, validate
 from services.runtime.journal import COMMAND, DEADLINE, MESSAGE
 from services.runtime.log import StructuredLog
 from services.runtime.main import Wiring, node_kind
@@ -149,7 +148,7 @@ def rerun(
 
 def _packages(recording: Recording, key: str) -> list[str]:
     """Return what is not as recorded of the packages that a node used; ConfigError where one is not installed."""
-    document = yaml.safe_load(recording.attachments.get("scenario.yaml", b"{}"))
+    document = parse_yaml(recording.attachments.get("scenario.yaml", b"{}"), f"scenario.yaml in {recording.path}")
     section = name_of(key)
     return differences(recorded_plugins(recording, {section: document.get(section, {})}))
 
@@ -436,7 +435,7 @@ def _build(recording: Recording, key: str, clock: TurnClock, bus: ReplayBus, set
     if attached is None:
         raise RecordingError(f"{recording.path}: has no scenario.yaml attached, which a re-run takes its settings from")
     origin = f"scenario.yaml in {recording.path}"
-    document = merge(yaml.safe_load(attached), flag_overrides(settings))
+    document = merge(parse_yaml(attached, origin), flag_overrides(settings))
     loaded = LoadedScenario(validate(Scenario, document, origin), origin, document)
     kind = node_kind(name_of(key))
     config = loaded.section(kind.name, kind.config)

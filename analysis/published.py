@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from presets.regular_files import read_regular
 from proto.errors import ConfigError
 from services.viz_node.fig12 import SessionSeries
 
@@ -26,6 +27,8 @@ PANELS = {
     "hand_position": "x_m [cm] over time [s]",
     "tip_path": "F_s [nN] over h [nm]",
 }
+# a hundred thousand points
+_LARGEST_BYTES = 1 << 23
 _COLUMNS = ("panel", "x", "y", "x_error", "y_error")
 
 
@@ -59,8 +62,10 @@ def paper_points() -> Published:
 def read_published(path: Path) -> Published:
     """Read a file of points. Raises ConfigError naming file, line and what would be right."""
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
+        lines = read_regular(path, _LARGEST_BYTES).decode().splitlines()
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
         raise ConfigError(f"{path}: cannot be read: {error}") from error
     if not lines or not lines[0].startswith("#") or not lines[0].strip("# "):
         raise ConfigError(f"{path}: its first line must be a comment with the source: # authors, title, year, figure")

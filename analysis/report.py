@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import yaml
 
 from analysis.conditions import conditions, described, title
 from analysis.holds import Instrument, judge_holds, verdict_of
@@ -20,7 +19,7 @@ from recording.arrays import columns, last_session, replay_shifts
 from recording.info import RecordingInfo
 from recording.multi_file import RecordingSource, open_recordings
 from recording.whole_files import whole_results
-from services.runtime.config import validate
+from services.runtime.config import parse_yaml, validate
 from services.runtime.scenario import Scenario
 from services.viz_node.fig12 import SessionSeries, fig12_files
 from services.viz_node.figure_style import ON_SCREEN, FigureOptions
@@ -276,10 +275,11 @@ def _within(series: dict[str, Series], start_ns: int, end_ns: int) -> dict[str, 
 
 def _scenario(recording: RecordingSource) -> Scenario:
     try:
-        text = recording.attachments["scenario.yaml"].decode()
+        content = recording.attachments["scenario.yaml"]
     except KeyError as error:
         raise RecordingError(f"{recording.path}: has no scenario attached, so its scales are unknown") from error
-    return validate(Scenario, yaml.safe_load(text), f"{recording.path}: scenario.yaml")
+    origin = f"{recording.path}: scenario.yaml"
+    return validate(Scenario, parse_yaml(content, origin), origin)
 
 
 def _title(session: Session, summary: Mapping[str, Any]) -> str:

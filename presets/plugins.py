@@ -6,7 +6,9 @@ A package names them in its `pyproject.toml`, and is found as soon as pip has in
     my_law = "my_package.law:MY_LAW"
 
 One that cannot be used is no harm to what does not use it: it is missing from the table, and its problem is reported to
-whoever asks for it. What is recorded of one is its package, version and a digest of the package's files.
+whoever asks for it. That holds for a module that ends the program or never comes back when it is imported as well,
+which a process of its own tries first (`package_probe`). What is recorded of one is its package, version and a digest
+of the package's files.
 """
 
 import hashlib
@@ -16,12 +18,20 @@ from collections.abc import Callable, Collection, Iterable
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
+from traceback import walk_tb
 from typing import Any, Generic, NamedTuple, TypeVar
+
+from presets.package_probe import import_problem
 
 KINDS = ("laws", "devices", "operators", "samples", "scenarios")
 NAME = re.compile(r"[a-z][a-z0-9_]{0,31}")
 
 T = TypeVar("T")
+
+# in the process that tries a package, which imports no other
+_without_packages = False
+# what could not be used of what this process has loaded so far, by kind and name
+_problems: dict[tuple[str, str], str] = {}
 
 
 class Plugin(NamedTuple):
@@ -57,6 +67,8 @@ def installed(kind: str) -> dict[str, Plugin]:
     A name is that of a key in a scenario; one that two packages use belongs to neither.
     """
     rows: dict[str, Plugin] = {}
+    if _without_packages:
+        return rows
     for entry in sorted(entry_points(group=f"telenano.{kind}"), key=lambda entry: (entry.name, entry.value)):
         package, version = (entry.dist.name, entry.dist.version) if entry.dist else ("unknown", "unknown")
         row = Plugin(kind, entry.name, package, version, entry.value)
@@ -68,6 +80,12 @@ def installed(kind: str) -> dict[str, Plugin]:
             row = row._replace(problem=f"{known.package} and {row.package} both have one of this name: remove one")
         rows[entry.name] = row
     return rows
+
+
+def leave_out_packages() -> None:
+    """Go on in this process as if no package with entries was installed."""
+    global _without_packages
+    _without_packages = True
 
 
 def load(kind: str, check: Callable[[str, Any], T | None], taken: Collection[str] = ()) -> Loaded[T]:
@@ -83,14 +101,27 @@ def load(kind: str, check: Callable[[str, Any], T | None], taken: Collection[str
             problem = _tried(row, check, loaded.found)
         if problem:
             loaded.problems[name] = f"{name} of the package {row.package} {row.version} cannot be used: {problem}"
+            _problems[kind, name] = loaded.problems[name]
     return loaded
 
 
+def known_problems() -> list[str]:
+    """Return a sentence for each entry that this process has tried to load and cannot use."""
+    return [_problems[key] for key in sorted(_problems)]
+
+
 def _tried(row: Plugin, check: Callable[[str, Any], T | None], found: dict[str, T]) -> str:
+    module = row.target.partition(":")[0].strip()
+    if problem := import_problem(row.package, row.version, module, _files(_top_level(row.target))):
+        return problem
     try:
         value = check(row.name, EntryPoint(row.name, row.target, f"telenano.{row.kind}").load())
-    # whatever the code of somebody else raises
-    except Exception as error:  # noqa: BLE001
+    except KeyboardInterrupt:
+        raise
+    except SystemExit as error:
+        return f"its import ends the whole program (SystemExit: {error})"
+    # whatever the code of somebody else raises, of which not all is an `Exception`
+    except BaseException as error:  # noqa: BLE001
         return f"{type(error).__name__}: {error}"
     if value is not None:
         found[row.name] = value
@@ -105,6 +136,21 @@ def all_installed() -> list[Plugin]:
 def modules() -> tuple[str, ...]:
     """Return the packages that have entries, as the beginnings of module names."""
     return tuple(sorted({_top_level(row.target) + "." for row in all_installed()}))
+
+
+def fault_of_package(error: BaseException) -> str:
+    """Return in a sentence which package an error came from, empty where none had a part in it.
+
+    Of several it is the one whose code was called last.
+    """
+    owners = {_top_level(row.target): row for row in all_installed()}
+    found = ""
+    for frame, line in walk_tb(error.__traceback__):
+        row = owners.get(frame.f_globals.get("__name__", "").partition(".")[0])
+        if row is not None:
+            place = f"{frame.f_globals['__name__']}, line {line}, in {frame.f_code.co_name}"
+            found = f"the package {row.package} {row.version} failed ({place}): {type(error).__name__}: {error}"
+    return found
 
 
 def digest_of_all() -> str:

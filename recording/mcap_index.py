@@ -241,8 +241,12 @@ class _IndexCheck:
             self._entries = None
         else:
             self._entries = {}
+            last = 0
             for opcode, first, last in records_of(content):
                 self._add_content(opcode, content[first:last], first - RECORD_HEAD.size, self._entries)
+            if last != len(content):
+                rest = len(content) - last
+                self.faults.append(f"the chunk at byte {start} ends with {rest} bytes that are no records")
             self._actual.count(self._entries)
             times = [log_ns for found in self._entries.values() for log_ns, _ in found]
             if times and (min(times), max(times)) != (block.first_ns, block.last_ns):

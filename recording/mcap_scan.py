@@ -15,6 +15,8 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC
 
+from proto.errors import RecordingError
+
 Bytes = bytes | mmap.mmap
 
 MAGIC: bytes = MCAP0_MAGIC
@@ -24,8 +26,13 @@ _CHUNK_HEAD = struct.Struct("<QQQII")
 _LENGTH = struct.Struct("<Q")
 _CRC = struct.Struct("<I")
 _LONGEST_COMPRESSION_NAME = 8
-# a damaged size must not claim the whole memory; ours are at most 64 MiB and one message
-_LARGEST_CHUNK = 1 << 30
+# of what a chunk unpacks to, which is in memory as a whole; ours are at most 64 MiB and one message of 16 MiB
+_LARGEST_CHUNK = 80 << 20
+# of a chunk above the size that is written by default; a level picture, line by line, is a thousandth of itself
+_GREATEST_RATIO = 1000
+_ORDINARY_CHUNK = 1 << 20
+# schemas and channels that differ; a rig has some hundred, and each of them is an object of ours
+MOST_DEFINITIONS = 4096
 _CONTENT = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
 _FIRST_PRIVATE_OPCODE = 0x80
 _END_OF_TIME = 2**64
@@ -69,6 +76,7 @@ class Layout:
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     summary_channels: dict[int, Channel] = field(default_factory=dict)
     summary_schemas: dict[int, Schema] = field(default_factory=dict)
+    path: str = ""
     damage: list[Damage] = field(default_factory=list)
     finished: bool = False
 
@@ -82,12 +90,18 @@ class DamagedBlockError(Exception):
     """A chunk whose content cannot be read; the text is the reason."""
 
 
-def scan(data: Bytes) -> Layout:
-    """Scan the outer records of a file that starts with the magic bytes; never raises on its content.
+def too_many_definitions(path: str) -> RecordingError:
+    """Return the error of a file that introduces more channels than any rig has."""
+    return RecordingError(f"{path}: has more than {MOST_DEFINITIONS} channels and schemas, which no recording has")
+
+
+def scan(data: Bytes, path: str = "") -> Layout:
+    """Scan the outer records of a file that starts with the magic bytes.
 
     After bytes that are not a record it continues with the next intact chunk.
+    Raises: RecordingError naming the path, if the summary has more channels than any recording; nothing else.
     """
-    layout, size = Layout(), len(data)
+    layout, size = Layout(path=path), len(data)
     position = trusted = len(MAGIC)
     in_summary = False
     while position < size and not layout.finished:
@@ -115,9 +129,13 @@ def unpack(data: Bytes, block: Block) -> bytes:
 
     Raises DamagedBlockError saying what is wrong.
     """
+    if block.data_start == block.offset:
+        # a record outside of any chunk
+        return data[block.data_start : block.data_end]
+    _check_sizes(block)
     stored = data[block.data_start : block.data_end]
     try:
-        content = _decompress(stored, block) if block.whole else _decompress_beginning(stored, block.compression)
+        content = _decompress(stored, block)
     except (zstandard.ZstdError, RuntimeError, EOFError, MemoryError) as error:
         raise DamagedBlockError(f"the chunk cannot be decompressed: {error}") from error
     # a file without checksums has 0 there
@@ -126,14 +144,26 @@ def unpack(data: Bytes, block: Block) -> bytes:
     return content
 
 
+def _check_sizes(block: Block) -> None:
+    """Raise DamagedBlockError where a chunk states a size that would fill the memory, or that cannot be true."""
+    stored = block.data_end - block.data_start
+    if block.size_bytes > _LARGEST_CHUNK:
+        text = f"it unpacks to {block.size_bytes} bytes, at most {_LARGEST_CHUNK} are read"
+        raise DamagedBlockError(f"the chunk cannot be decompressed: {text}")
+    if block.whole and block.size_bytes > max(_GREATEST_RATIO * stored, _ORDINARY_CHUNK):
+        text = f"{stored} bytes unpack to {block.size_bytes}, at most {_GREATEST_RATIO} times as many are read"
+        raise DamagedBlockError(f"the chunk cannot be decompressed: {text}")
+
+
 def records_of(content: bytes) -> Iterator[tuple[int, int, int]]:
-    """Yield opcode, start and end of the body of each whole record in a chunk."""
+    """Yield opcode, start and end of the body of each record in a chunk, until bytes that are no whole record."""
     position, size = 0, len(content) - RECORD_HEAD.size
     while position <= size:
         opcode, length = RECORD_HEAD.unpack_from(content, position)
         start = position + RECORD_HEAD.size
         position = start + length
-        if position > len(content) or (opcode == Opcode.MESSAGE and length < MESSAGE_HEAD.size):
+        # 0 is the opcode of nothing, and a chunk of zeros has millions of them
+        if opcode == 0 or position > len(content) or (opcode == Opcode.MESSAGE and length < MESSAGE_HEAD.size):
             return
         yield opcode, start, position
 
@@ -157,7 +187,7 @@ def chunk_at(data: Bytes, position: int, end: int | None) -> Block | None:
         return None
     first_ns, last_ns, size, crc, name_length = _CHUNK_HEAD.unpack_from(data, body)
     data_start = body + _CHUNK_HEAD.size + name_length + _LENGTH.size
-    if name_length > _LONGEST_COMPRESSION_NAME or data_start > len(data) or size > _LARGEST_CHUNK:
+    if name_length > _LONGEST_COMPRESSION_NAME or data_start > len(data):
         return None
     name = data[body + _CHUNK_HEAD.size : data_start - _LENGTH.size].decode("ascii", "replace")
     stored_end = data_start + _LENGTH.unpack_from(data, data_start - _LENGTH.size)[0]
@@ -198,6 +228,8 @@ def _add_other(data: Bytes, position: int, end: int, opcode: int, layout: Layout
         elif opcode == Opcode.SCHEMA:
             schema = Schema.read(stream)
             layout.summary_schemas[schema.id] = schema
+        if len(layout.summary_channels) + len(layout.summary_schemas) > MOST_DEFINITIONS:
+            raise too_many_definitions(layout.path)
     except UNREADABLE as error:
         layout.damage.append(Damage(position, end - position, f"a damaged record: {type(error).__name__}"))
 
@@ -246,21 +278,27 @@ def _chunk_candidates(data: Bytes, start: int) -> Iterator[int]:
 
 
 def _decompress(stored: bytes, block: Block) -> bytes:
+    """Return what a chunk unpacks to: as much as it states, or of one that is cut off as much as there is."""
+    content = _unpacked(stored, block)
+    if block.whole and len(content) != block.size_bytes:
+        raise DamagedBlockError("the sizes in the chunk are inconsistent")
+    return content[: block.size_bytes]
+
+
+def _unpacked(stored: bytes, block: Block) -> bytes:
+    # one more than stated, so that more is noticed and not taken
+    most = block.size_bytes + 1
+    if block.compression == "":
+        return stored
     if block.compression == "zstd":
+        if not block.whole:
+            return zstandard.ZstdDecompressor().stream_reader(stored).read(most)
         if zstandard.frame_content_size(stored) not in (-1, block.size_bytes):
             raise DamagedBlockError("the sizes in the chunk are inconsistent")
-        return zstandard.ZstdDecompressor().decompress(stored, max_output_size=block.size_bytes)
-    return _decompress_beginning(stored, block.compression)
-
-
-def _decompress_beginning(stored: bytes, compression: str) -> bytes:
-    if compression == "":
-        return stored
-    if compression == "zstd":
-        return zstandard.ZstdDecompressor().decompressobj().decompress(stored)
-    if compression == "lz4":
+        return zstandard.ZstdDecompressor().decompress(stored, max_output_size=most)
+    if block.compression == "lz4":
         # by name, because the package carries no types
         lz4 = importlib.import_module("lz4.frame")
-        content: bytes = lz4.LZ4FrameDecompressor().decompress(stored, max_length=_LARGEST_CHUNK)
+        content: bytes = lz4.LZ4FrameDecompressor().decompress(stored, max_length=most)
         return content
-    raise DamagedBlockError(f"unknown compression {compression!r}; supported are zstd and lz4")
+    raise DamagedBlockError(f"unknown compression {block.compression!r}; supported are zstd and lz4")

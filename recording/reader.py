@@ -12,6 +12,7 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Schema
 
+from presets.regular_files import open_regular
 from proto.errors import RecordingError
 from proto.nodes import site_of
 from recording.info import END_NAME, Account, AttachmentInfo, PartInfo, RecordingInfo, notes_of
@@ -19,6 +20,7 @@ from recording.mcap_index import index_faults
 from recording.mcap_scan import (
     MAGIC,
     MESSAGE_HEAD,
+    MOST_DEFINITIONS,
     RECORD_HEAD,
     UNREADABLE,
     Block,
@@ -28,6 +30,7 @@ from recording.mcap_scan import (
     describe_damage,
     records_of,
     scan,
+    too_many_definitions,
     unpack,
 )
 from recording.messages import (
@@ -59,7 +62,7 @@ class Recording:
         self.path = Path(path)
         try:
             self.size_bytes = self.path.stat().st_size
-            with self.path.open("rb") as file:
+            with open_regular(self.path) as file:
                 start = file.read(len(MAGIC))
         except OSError as error:
             raise RecordingError(f"{self.path}: cannot be read: {error.strerror}") from error
@@ -69,7 +72,7 @@ class Recording:
             what = "ends before its first record" if MAGIC.startswith(start) else "is not an MCAP file"
             raise RecordingError(f"{self.path}: {what}")
         with self._open() as data:
-            self._layout = scan(data)
+            self._layout = scan(data, str(self.path))
         # the block that an overtaken message was read from last
         self._fetched: tuple[int, bytes] = (-1, b"")
 
@@ -200,7 +203,7 @@ class Recording:
 
     def _open(self) -> mmap.mmap:
         try:
-            with self.path.open("rb") as file:
+            with open_regular(self.path) as file:
                 return mmap.mmap(file.fileno(), self.size_bytes, access=mmap.ACCESS_READ)
         except (OSError, ValueError) as error:
             raise RecordingError(f"{self.path}: cannot be read any more: {error}") from error
@@ -379,6 +382,10 @@ class _ChannelTable(Generic[_ChannelT]):
         self.known: dict[int, _ChannelT] = {}
         self.selected: dict[int, _ChannelT] = {}
         self._schemas = dict(layout.summary_schemas)
+        self._path = layout.path
+        # by kind and number, the newest: a file that repeats them costs no more than their comparison
+        self._definitions: dict[tuple[int, bytes], bytes] = {}
+        self._read = 0
         self._convert = convert
         self._wanted = wanted
         for number, channel in (known or {}).items():
@@ -389,7 +396,17 @@ class _ChannelTable(Generic[_ChannelT]):
                 self._add(number, convert(found, self._schemas))
 
     def read(self, opcode: int, body: bytes) -> None:
-        """Read a schema or channel record; the messages of an unreadable channel are those of an unknown one."""
+        """Read a schema or channel record; the messages of an unreadable channel are those of an unknown one.
+
+        Raises: RecordingError, if the file introduces more of them than any recording.
+        """
+        key = (opcode, body[:2])
+        if self._definitions.get(key) == body:
+            return
+        self._definitions[key] = body
+        self._read += 1
+        if self._read > MOST_DEFINITIONS:
+            raise too_many_definitions(self._path)
         stream = ReadDataStream(BytesIO(body))
         try:
             if opcode == Opcode.SCHEMA:

@@ -4,22 +4,23 @@ A snap-in: the tip jumps to the sample. B contact: the force passes zero on the 
 on the way back. D break: the last jump of the force, where the meniscus gives way.
 """
 
-import logging
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 import numpy.typing as npt
 
+from presets.regular_files import open_regular
 from proto.errors import ConfigError, RigError
 from services.afm_node.cantilever import deflection_m, equilibrium, initial_state
 from services.afm_node.config import AfmConfig
 from services.afm_node.dynamic import NO_NOISE, advance, steady_state
 from services.afm_node.dynamic_sim import require_steps
+from services.afm_node.igor_waves import load_wave, require_whole
+from services.runtime.limited_child import read_in_child
 
 Array = npt.NDArray[np.float64]
 
@@ -254,8 +255,8 @@ def read_measured(path: Path) -> Curve:
     if path.suffix.lower() not in readers:
         raise ConfigError(f"{path}: is no curve that can be read; these are {', '.join(readers)}")
     try:
-        # what is not there is said in the words of the system, which not every reader has
-        path.open("rb").close()
+        # what is not there, or no file, is said in the words of the system, which not every reader has
+        open_regular(path).close()
         curve = readers[path.suffix.lower()](path)
     except ImportError as error:
         raise ConfigError(f"{path}: needs {error.name} to be read: pip install 'telenano[instrument]'") from error
@@ -271,61 +272,43 @@ def read_measured(path: Path) -> Curve:
 
 
 def _read_ibw(path: Path) -> Curve:
-    from igor2 import binarywave
-
-    wave = binarywave.load(str(path))["wave"]
-    labels = [label.decode("latin-1") for label in wave["labels"][1][1:]]
-    columns = dict(zip(labels, np.asarray(wave["wData"], dtype=np.float64).T, strict=True))
-    if wave["wave_header"]["dataUnits"][0] != b"m":
+    require_whole(path)
+    wave, (values,) = read_in_child(f"{load_wave.__module__}:{load_wave.__name__}", path)
+    if values.ndim != 2:
+        raise ValueError(f"it has the shape {values.shape}; a curve has rows and columns")
+    columns = dict(zip(wave["labels"][1], np.asarray(values, dtype=np.float64).T, strict=True))
+    if wave["unit"] != "m":
         raise ValueError("its values are no lengths in m")
-    notes = dict(line.partition(":")[::2] for line in wave["note"].decode("latin-1").split("\r"))
+    notes = dict(line.partition(":")[::2] for line in wave["note"].split("\r"))
+    for names in (("Defl",), ("ZSnsr", "Raw")):
+        if not any(name in columns for name in names):
+            raise ValueError(f"it has no column {' or '.join(names)}")
+    if missing := [name for name in ("SpringConstant", "Indexes") if name not in notes]:
+        raise ValueError(f"its note lacks {', '.join(missing)}")
     k = float(notes["SpringConstant"])
     height = columns["ZSnsr"] if "ZSnsr" in columns else columns["Raw"]
     deflection = columns["Defl"]
     turn = int(float(notes["Indexes"].split(",")[1])) + 1
     # towards the sample is where the deflection rises: Asylum's sensor does too
-    seconds = float(wave["wave_header"]["sfA"][0]) * turn
+    seconds = float(wave["steps"][0]) * turn
     return _measured(height, deflection, k, turn, abs(float(height[turn - 1] - height[0])) / seconds)
 
 
 def _read_hdf5(path: Path) -> Curve:
-    import h5py
-
-    with h5py.File(path, "r") as file:
-        group = file["0"]
-        k = float(group.attrs["spring constant"])
-        force, height = np.asarray(group["force"], float), np.asarray(group["height (measured)"], float)
-        turn = int(np.count_nonzero(np.asarray(group["segment"]) == 0))
-        speed = float(group.attrs.get("speed approach", 1.0))
-    return _measured(-height, force / k, k, turn, speed)
+    facts, (force, height, segment) = read_in_child("studies.curve_files:load_hdf5", path)
+    turn, k = int(np.count_nonzero(segment == 0)), facts["k"]
+    return _measured(-height, force / k, k, turn, facts["speed"])
 
 
 def _read_afmformats(path: Path) -> Curve:
     """Return the first curve of a file that afmformats reads; its height rises away from the sample."""
-    import afmformats
-    from afmformats.errors import AFMFileFormatError, MissingMetaDataError
-
-    # it reports with a traceback what it raises as well
-    logging.getLogger("afmformats").setLevel(logging.CRITICAL)
-    try:
-        curves = afmformats.load_data(path)
-        found = curves[0]
-        if "spring constant" not in found.metadata:
-            raise ValueError("its metadata lack the spring constant")
-        k = float(found.metadata["spring constant"])
-        height = found["height (measured)"] if "height (measured)" in found else found["height (piezo)"]
-        force, segment = np.asarray(found["force"], float), np.asarray(found["segment"])
-        speed = float(found.metadata.get("speed approach", 1.0))
-    except MissingMetaDataError as error:
-        raise ValueError(f"its metadata lack {', '.join(map(str, error.meta_keys))}") from error
-    # its errors are no `Exception`
-    except (AFMFileFormatError, NotImplementedError, AssertionError, BadZipFile) as error:
-        raise ValueError(str(error) or "afmformats cannot read it") from error
+    facts, (force, height, segment) = read_in_child("studies.curve_files:load_afmformats", path)
+    k, speed = facts["k"], facts["speed"]
     first, last = segment == segment[0], segment == segment[-1]
     if not 0.0 < k < math.inf or segment[0] == segment[-1]:
         raise ValueError("it needs a spring constant above 0 N/m, an approach and a retraction")
     kept = first | last
-    return _measured(-np.asarray(height, float)[kept], force[kept] / k, k, int(np.count_nonzero(first)), speed)
+    return _measured(-height[kept], force[kept] / k, k, int(np.count_nonzero(first)), speed)
 
 
 def _measured(base: Array, deflection: Array, k: float, turn: int, speed: float) -> Curve:

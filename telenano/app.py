@@ -7,12 +7,15 @@ import os
 import sys
 from collections.abc import Sequence
 
+from telenano import terminal
+
 # below the nodes, whose loops go on while the stop is on its way
 _URGENT = 1
 
 
 def main() -> None:
     """Run the command line; an emergency stop without what the other commands need."""
+    terminal.install()
     arguments = sys.argv[1:]
     if "estop" in arguments[:2]:
         _hurry()

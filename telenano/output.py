@@ -5,16 +5,18 @@ import errno
 import json
 import os
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
 import typer
-from rich.console import Console
+from rich.console import Console, ConsoleOptions, RenderableType
+from rich.segment import Segment
 
 from proto.errors import ConfigError, ReportError, TelenanoError
 from recording.whole_files import new_folder
 from services.runtime import interrupts
+from services.runtime.printable import printable
 from telenano.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED, EXIT_INCOMPLETE
 from telenano.tables import rows_table, summary_tables
 
@@ -101,8 +103,17 @@ def print_json(document: Any) -> None:
 
 def console(pipe_columns: int = _PIPE_COLUMNS) -> Console:
     """Return the console of standard output; a pipe has no width of its own, and a narrow table would lose names."""
-    found = Console()
-    return found if found.is_terminal else Console(width=pipe_columns)
+    found = PrintableConsole()
+    return found if found.is_terminal else PrintableConsole(width=pipe_columns)
+
+
+class PrintableConsole(Console):
+    """A console whose tables and texts hold nothing that a terminal obeys, besides what draws them."""
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
+        """Yield the parts of what is drawn; called for each cell of a table as well, before it is fitted."""
+        for part in super().render(renderable, options):
+            yield part if part.control else part._replace(text=printable(part.text))
 
 
 def print_document(document: dict[str, Any], title: str, *, as_json: bool) -> None:

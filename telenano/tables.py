@@ -8,6 +8,7 @@ from rich.table import Column, Table
 from rich.text import Text
 
 from proto.messages import SUPERSEDED
+from services.runtime.printable import printable
 
 # what is a loss where it is anything at all
 _ALARMING = ("missing", "lost", "damage", "skipped_bytes")
@@ -73,7 +74,9 @@ def _take_lists(tree: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, S
 def rows_table(rows: Sequence[Mapping[str, Any]], title: str | None = None) -> Table:
     """Draw rows that have the same keys."""
     # as text: the units in brackets would be taken for markup
-    table = Table(*(Column(Text(name)) for name in rows[0]), title=None if title is None else Text(title))
+    table = Table(
+        *(Column(Text(printable(name))) for name in rows[0]), title=None if title is None else Text(printable(title))
+    )
     for column, value in zip(table.columns, rows[0].values(), strict=True):
         column.justify = "left" if isinstance(value, str) else "right"
         column.overflow = "fold"
@@ -83,15 +86,17 @@ def rows_table(rows: Sequence[Mapping[str, Any]], title: str | None = None) -> T
 
 
 def _values_table(values: Mapping[str, Any], title: str) -> Table:
-    table = Table("quantity", "value", title=Text(title))
+    table = Table("quantity", "value", title=Text(printable(title)))
     for column in table.columns:
         column.overflow = "fold"
     for key, value in _leaves("", values):
         # sentences, each on a line of its own
-        text = Text("\n".join(value)) if value and key.rpartition(".")[2] in _SENTENCES else _value_text(value)
+        text = (
+            Text(printable("\n".join(value))) if value and key.rpartition(".")[2] in _SENTENCES else _value_text(value)
+        )
         if value and key.rpartition(".")[2] in _ALARMING:
             text.stylize("red")
-        table.add_row(Text(key), text)
+        table.add_row(Text(printable(key)), text)
     return table
 
 
@@ -117,5 +122,5 @@ def _value_text(value: Any) -> Text:
     if isinstance(value, bool):
         return Text("yes" if value else "no", "green" if value else "red")
     if isinstance(value, list | tuple):
-        return Text(", ".join(str(item) for item in value) or "-")
-    return Text(f"{value:.6g}" if isinstance(value, float) else str(value))
+        return Text(printable(", ".join(str(item) for item in value)) or "-")
+    return Text(f"{value:.6g}" if isinstance(value, float) else printable(str(value)))

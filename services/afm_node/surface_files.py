@@ -1,23 +1,31 @@
 """Height maps from files of other instruments and programs: .gsf, .gwy, .ibw, .npy.
 
 Rows in a file run from the top of the picture down, except in Igor's waves, which run from the bottom; here y rises
-with the row. The readers of .gwy and .ibw are those that their fields use (`gwyfile`, `igor2`), imported when such a
-file is read.
+with the row. No memory is taken for what a header says before it was compared with the length of the file; `igor2`,
+which reads .ibw, does so in a child process with limits.
 """
 
 import math
+import os
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from numpy.lib import format as npy
 
+from presets.regular_files import open_regular
 from proto.errors import ConfigError
+from services.afm_node.gwy_reader import read_gwy
+from services.afm_node.igor_waves import load_wave, require_whole
 from services.afm_node.surface import MOST_PIXELS, Surface, checked
+from services.runtime.limited_child import read_in_child
 
 GSF_MAGIC = b"Gwyddion Simple Field 1.0\n"
+_LONGEST_GSF_HEADER = 1 << 16
+_NPY_HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
 # metres in a unit of length, as files write it
 _METRES = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9, "pm": 1e-12, "Å": 1e-10}
 _HEIGHT_NAMES = ("height", "topograph", "zsensor", "z sensor", "z_sensor")
@@ -55,8 +63,11 @@ def read_surface(path: Path, channel: str | None = None, size_m: float | None = 
         raise ConfigError(f"{path}: needs {error.name} to be read: pip install 'telenano[instrument]'") from error
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except (ValueError, EOFError) as error:
+    except ValueError as error:
         raise ConfigError(f"{path}: {error}") from error
+    # damage may lead a reader anywhere
+    except Exception as error:
+        raise ConfigError(f"{path}: is no whole height map: {type(error).__name__}: {error}") from error
 
 
 def _metres(unit: str, what: str) -> float:
@@ -80,34 +91,52 @@ def _chosen(channels: list[_Channel], wanted: str | None) -> _Channel:
 
 
 def _read_npy(path: Path, size_m: float | None) -> list[_Channel]:
-    values: Any = np.load(path, allow_pickle=False)
     if size_m is None:
         raise ValueError("a .npy file has heights in metres and no size: give the side of the map (--size)")
-    if not isinstance(values, np.ndarray) or values.dtype.kind not in "fiu":
-        raise ValueError("holds no array of numbers")
-    if values.ndim == 2 and values.shape[0] != values.shape[1]:
-        raise ValueError(f"has the shape {values.shape}; with one side given, it must be square")
+    with open_regular(path) as file:
+        version = npy.read_magic(file)
+        if version not in _NPY_HEADERS:
+            raise ValueError(f"is a .npy file of version {version[0]}.{version[1]}, which is not read")
+        shape, _, kind = _NPY_HEADERS[version](file)
+        if kind.kind not in "fiu":
+            raise ValueError("holds no array of numbers")
+        stated, found = math.prod(shape) * kind.itemsize, os.fstat(file.fileno()).st_size - file.tell()
+        if min(shape, default=0) < 0 or stated != found:
+            raise ValueError(f"has {found} bytes of heights; the shape {shape} of {kind.itemsize} bytes is {stated}")
+        if len(shape) == 2 and shape[0] != shape[1]:
+            raise ValueError(f"has the shape {shape}; with one side given, it must be square")
+        _check_pixels(shape)
+        file.seek(0)
+        values = npy.read_array(file, allow_pickle=False)
     return [_Channel("heights", values, size_m, size_m, "m", "m")]
 
 
+def _check_pixels(shape: tuple[int, ...]) -> None:
+    if len(shape) != 2 or not all(2 <= side <= MOST_PIXELS for side in shape):
+        raise ValueError(f"has the shape {shape}; a height map has 2 to {MOST_PIXELS} rows and columns")
+
+
 def _read_gsf(path: Path, size_m: float | None) -> list[_Channel]:
-    content = path.read_bytes()
-    if not content.startswith(GSF_MAGIC):
-        raise ValueError(f"does not begin with {GSF_MAGIC.decode().strip()!r}: is no Gwyddion Simple Field")
-    end = content.find(b"\0")
-    if end < 0:
-        raise ValueError("its header has no end (a zero byte)")
-    header: dict[str, str] = {}
-    for line in content[len(GSF_MAGIC) : end].decode("utf-8", "replace").splitlines():
-        key, sign, value = line.partition("=")
-        if not sign:
-            raise ValueError(f"its header has the line {line!r}, which must be KEY = VALUE")
-        header[key.strip()] = value.strip()
-    columns, rows = (_whole(header, key) for key in ("XRes", "YRes"))
-    data = content[end + 4 - end % 4 :]
-    if len(data) != 4 * columns * rows:
-        raise ValueError(f"has {len(data)} bytes of heights; {columns} x {rows} of 4 bytes are {4 * columns * rows}")
-    values = np.frombuffer(data, "<f4").reshape(rows, columns)[::-1]
+    with open_regular(path) as file:
+        head = file.read(_LONGEST_GSF_HEADER)
+        if not head.startswith(GSF_MAGIC):
+            raise ValueError(f"does not begin with {GSF_MAGIC.decode().strip()!r}: is no Gwyddion Simple Field")
+        end = head.find(b"\0")
+        if end < 0:
+            raise ValueError(f"its header has no end (a zero byte) within {_LONGEST_GSF_HEADER} bytes")
+        header: dict[str, str] = {}
+        for line in head[len(GSF_MAGIC) : end].decode("utf-8", "replace").splitlines():
+            key, sign, value = line.partition("=")
+            if not sign:
+                raise ValueError(f"its header has the line {line!r}, which must be KEY = VALUE")
+            header[key.strip()] = value.strip()
+        columns, rows = (_whole(header, key) for key in ("XRes", "YRes"))
+        start = end + 4 - end % 4
+        found, stated = os.fstat(file.fileno()).st_size - start, 4 * columns * rows
+        if found != stated:
+            raise ValueError(f"has {found} bytes of heights; {columns} x {rows} of 4 bytes are {stated}")
+        file.seek(start)
+        values = np.frombuffer(file.read(stated), "<f4").reshape(rows, columns)[::-1]
     width, depth = (_real(header, key) for key in ("XReal", "YReal"))
     return [
         _Channel(
@@ -133,54 +162,25 @@ def _real(header: Mapping[str, str], key: str) -> float:
 
 
 def _read_gwy(path: Path, size_m: float | None) -> list[_Channel]:
-    import gwyfile
-    from gwyfile.objects import GwyDataField
-
-    content = path.read_bytes()
-    begin = content.find(b"\0") + 5
-    # the reader would look for the end of a truncated file for ever
-    length = int.from_bytes(content[begin - 4 : begin], "little")
-    if content[:4] != b"GWYP" or begin < 9 or len(content) - begin != length:
-        raise ValueError("is no whole Gwyddion file: it must begin with GWYP and have the length that it says")
-    try:
-        container = gwyfile.load(str(path))
-    except OSError:
-        raise
-    # the reader fails in whatever way the damage leads it to
-    except Exception as error:
-        raise ValueError(f"is no whole Gwyddion file: {error}") from error
-    channels = []
-    for key in sorted(key for key in container if re.fullmatch(r"/\d+/data", key)):
-        field = container[key]
-        if isinstance(field, GwyDataField):
-            name = str(container.get(f"{key}/title", key))
-            units = (str(getattr(field.get(k), "unitstr", "") or "") for k in ("si_unit_xy", "si_unit_z"))
-            channels.append(_Channel(name, np.asarray(field.data)[::-1], field.xreal, field.yreal, *units))
-    return channels
+    return [
+        _Channel(field.title, field.values[::-1], field.width, field.depth, field.unit_xy, field.unit_z)
+        for field in read_gwy(path, MOST_PIXELS)
+    ]
 
 
 def _read_ibw(path: Path, size_m: float | None) -> list[_Channel]:
-    from igor2 import binarywave
-
-    try:
-        wave = binarywave.load(str(path))["wave"]
-        values, header = wave["wData"], wave["wave_header"]
-        scale, unit_z = header["sfA"], _text(header["dataUnits"])
-        units = [_text(row) for row in header["dimUnits"][:2]]
-        labels = [_text(label) for label in wave["labels"][2][1:]]
-    except OSError:
-        raise
-    except Exception as error:
-        raise ValueError(f"is no whole Igor binary wave with a map: {error}") from error
+    require_whole(path)
+    wave, (values,) = read_in_child(f"{load_wave.__module__}:{load_wave.__name__}", path)
     if values.ndim not in (2, 3):
         raise ValueError(f"has the shape {values.shape}; a map has rows and columns")
-    if units[0] != units[1]:
-        raise ValueError(f"its sides have different units, {units[0]!r} and {units[1]!r}")
+    if wave["units"][0] != wave["units"][1]:
+        raise ValueError(f"its sides have different units, {wave['units'][0]!r} and {wave['units'][1]!r}")
     columns, rows = values.shape[:2]
-    layers = values.reshape(columns, rows, -1)
+    _check_pixels((rows, columns))
+    layers, labels, (dx, dy) = values.reshape(columns, rows, -1), wave["labels"][2], wave["steps"]
     # the unit of the wave is that of its first layers; those that are no heights say so by their names
     return [
-        _Channel(name, layers[:, :, i].T, columns * scale[0], rows * scale[1], units[0], _layer_unit(name, unit_z))
+        _Channel(name, layers[:, :, i].T, columns * dx, rows * dy, wave["units"][0], _layer_unit(name, wave["unit"]))
         for i, name in enumerate((*labels, *(f"layer {i}" for i in range(len(labels), layers.shape[2]))))
         if i < layers.shape[2]
     ]
@@ -189,11 +189,6 @@ def _read_ibw(path: Path, size_m: float | None) -> list[_Channel]:
 def _layer_unit(name: str, unit: str) -> str:
     other = {"phase": "deg", "potential": "V", "deflvolts": "V"}
     return next((found for part, found in other.items() if part in name.lower()), unit)
-
-
-def _text(parts: Any) -> str:
-    """Return a text of an Igor header, which is bytes or single characters of them."""
-    return (parts if isinstance(parts, bytes) else b"".join(parts)).decode("latin-1").strip("\0 ")
 
 
 _READERS: dict[str, Callable[[Path, float | None], list[_Channel]]] = {

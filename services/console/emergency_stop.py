@@ -71,11 +71,12 @@ class LocalRig:
     @classmethod
     def read(cls, site_file: Path) -> "LocalRig":
         """Read a site file; one that is wrong has no nodes here, and is read again where errors are reported."""
-        import yaml
+        from presets.regular_files import read_regular
+        from services.runtime.yaml_text import LARGEST_BYTES, yaml_value
 
         try:
-            return cls(yaml.safe_load(site_file.read_text(encoding="utf-8"))["nodes"])
-        except (OSError, ValueError, TypeError, KeyError, AttributeError, yaml.YAMLError):
+            return cls(yaml_value(read_regular(site_file, LARGEST_BYTES).decode())["nodes"])
+        except (OSError, ValueError, TypeError, KeyError, AttributeError):
             return cls({})
 
     def has_inlet(self, node: str) -> bool:

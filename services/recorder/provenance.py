@@ -9,10 +9,12 @@ from pathlib import Path
 import zmq
 
 from presets.plugins import all_installed
+from presets.regular_files import read_regular
 from proto import TOPICS
 from proto.errors import RecordingError
 from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
+from services.runtime.yaml_text import LARGEST_BYTES
 
 _ROOT = Path(__file__).resolve().parents[2]
 _PACKAGES = ("telenano", "mcap", "msgpack", "numpy", "pydantic", "pyzmq", "zstandard")
@@ -45,7 +47,7 @@ def write_provenance(
             continue
         files[f"{name}_file"] = _shown(path)
         try:
-            data = path.read_bytes()
+            data = read_regular(path, LARGEST_BYTES)
         except OSError as error:
             raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error
         writer.attach(f"{name}.yaml", "application/yaml", data, now_ns)

@@ -2,21 +2,20 @@
 
 import json
 import os
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_origin
 
-import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic.fields import FieldInfo
 
+from presets.regular_files import read_regular
 from proto.errors import ConfigError
+from services.runtime.yaml_text import LARGEST_BYTES, YamlError, yaml_value
 
 M = TypeVar("M", bound=BaseModel)
 
 ENVIRONMENT_PREFIX = "TELENANO__"
-_MERGE_TAG = "tag:yaml.org,2002:merge"
 # sections within sections: far more than there are, and few enough for whoever walks through them
 _DEEPEST = 16
 # faults of one document that are reported, so that a thousand wrong keys cost no more than that
@@ -32,7 +31,7 @@ class Settings(BaseModel):
 def read_yaml(path: Path) -> dict[str, Any]:
     """Return the mapping in a YAML file; ConfigError names the file, line and what is wrong."""
     try:
-        return parse_yaml(path.read_bytes(), str(path))
+        return parse_yaml(read_regular(path, LARGEST_BYTES), str(path))
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
 
@@ -40,11 +39,11 @@ def read_yaml(path: Path) -> dict[str, Any]:
 def parse_yaml(content: bytes, origin: str) -> dict[str, Any]:
     """Return the mapping in the content of a YAML file; ConfigError names its origin, line and what is wrong."""
     try:
-        data = _load(content.decode())
+        data = yaml_value(content.decode())
     except UnicodeDecodeError as error:
         raise ConfigError(f"{origin}: is not UTF-8 text (byte {error.start})") from error
-    except yaml.YAMLError as error:
-        raise ConfigError(f"{origin}: is not valid YAML: {' '.join(str(error).split())}") from error
+    except YamlError as error:
+        raise ConfigError(f"{origin}: is not valid YAML: {error}") from error
     if not isinstance(data, dict):
         raise ConfigError(f"{origin}: contains a {type(data).__name__}, must contain a mapping of keys")
     return data
@@ -154,67 +153,11 @@ def layered(path: Path, flags: Sequence[str] = ()) -> tuple[dict[str, Any], str]
     return merge(read_yaml(path), environment, given), " + ".join(layers)
 
 
-class _Loader(yaml.SafeLoader):
-    """YAML as people write it: 1e-9 is a number, on and off are words.
-
-    YAML 1.1 has 1e-9 (without a point) a text, and on, off, yes and no truth values.
-    """
-
-
-_Loader.yaml_implicit_resolvers = {
-    first: [(tag, pattern) for tag, pattern in resolvers if tag != "tag:yaml.org,2002:bool"]
-    for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
-}
-_Loader.add_implicit_resolver("tag:yaml.org,2002:bool", re.compile(r"(?i:true|false)$"), list("tTfF"))
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float", re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]+$"), list("-+.0123456789")
-)
-
-
-def _load(text: str) -> Any:
-    # a SafeLoader: it makes plain values only
-    loader = _Loader(text)
-    try:
-        node = loader.get_single_node()
-        if node is None:
-            return None
-        _check_keys(node, loader, (), set())
-        return loader.construct_document(node)
-    except RecursionError as error:
-        raise yaml.YAMLError("it is nested too deeply") from error
-    finally:
-        loader.dispose()
-
-
-def _check_keys(node: yaml.Node, loader: _Loader, path: tuple[str, ...], seen: set[int]) -> None:
-    """Raise YAMLError naming a key that a mapping has twice by its path, and the line."""
-    # an alias repeats a node, and may be part of itself
-    if id(node) in seen or isinstance(node, yaml.ScalarNode):
-        return
-    seen.add(id(node))
-    if isinstance(node, yaml.SequenceNode):
-        for place, item in enumerate(node.value):
-            _check_keys(item, loader, (*path, str(place)), seen)
-        return
-    names: set[str] = set()
-    for key, value in node.value:
-        if not isinstance(key, yaml.ScalarNode):
-            # no key of a plain mapping, which reading reports
-            continue
-        # as it is after reading: `true` and `True` are one key; only `<<` is not read by itself
-        name = key.value if key.tag == _MERGE_TAG else str(loader.construct_object(key))
-        if name in names:
-            line = key.start_mark.line + 1
-            raise yaml.YAMLError(f"{'.'.join((*path, name))} is given twice, the second time in line {line}")
-        names.add(name)
-        _check_keys(value, loader, (*path, name), seen)
-
-
 def _scalar(text: str, origin: str) -> Any:
     try:
-        return _load(text)
-    except yaml.YAMLError as error:
-        raise ConfigError(f"{origin}: the value is not valid YAML: {' '.join(str(error).split())}") from error
+        return yaml_value(text)
+    except YamlError as error:
+        raise ConfigError(f"{origin}: the value is not valid YAML: {error}") from error
 
 
 def _put(tree: dict[str, Any], path: Sequence[str], value: Any, origin: str) -> None:

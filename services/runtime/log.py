@@ -7,6 +7,7 @@ import time
 from typing import Any
 
 from services.runtime.clock import Clock
+from services.runtime.printable import printable
 
 # records of one library: so many at once, then so many a second
 _LIBRARY_BURST, _LIBRARY_PER_S = 20.0, 1.0
@@ -74,7 +75,8 @@ class _PersonFormatter(logging.Formatter):
         stamp = time.strftime("%H:%M:%S", time.localtime(record.created)) + f".{int(record.msecs):03d}"
         line = f"{stamp} {record.levelname.lower():7} {getattr(record, 'node', record.name)}: {record.getMessage()}"
         line += f"  [{facts}]" if facts else ""
-        return line + ("\n" + self.formatException(record.exc_info) if record.exc_info else "")
+        line += "\n" + self.formatException(record.exc_info) if record.exc_info else ""
+        return printable(line)
 
 
 class _LibraryLimiter(logging.Filter):

@@ -11,6 +11,7 @@ from typing import Any, Generic, NoReturn, TypeVar
 from pydantic import BaseModel
 
 from presets import DEFAULT_SITE_FILE, find_scenario, site_file_named
+from presets.plugins import fault_of_package
 from proto.errors import TelenanoError
 from proto.nodes import sites_of
 from services.runtime.address_book import AddressBook
@@ -32,6 +33,7 @@ from services.runtime.scenario import load_scenario
 C = TypeVar("C", bound=BaseModel)
 
 EXIT_BAD_START = 2
+EXIT_DIED = 1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,6 +118,14 @@ def run_node(kind: NodeKind[C], arguments: Sequence[str] | None = None) -> int:
     except TelenanoError as error:
         log.error(str(error))
         return EXIT_BAD_START
+    except (Exception, SystemExit) as error:
+        if not (text := fault_of_package(error)):
+            raise
+        log.error(text)
+        # not the code of a package that ends the program: to this project 2 is a fault of the configuration
+        if isinstance(error, SystemExit):
+            return EXIT_DIED
+        raise
     return 0
 
 
@@ -149,7 +159,7 @@ def _run(kind: NodeKind[C], given: NodeArguments, log: StructuredLog) -> None:
         with ordinary_scheduling():
             huge_pages = use_huge_pages() if loaded.scenario.realtime.huge_pages else 0
         log.info("ready", realtime=status.fifo, memory_locked=status.memory_locked, huge_pages=huge_pages)
-        run_loop(node, bus, signals, status, spin_s=wanted.spin_s)
+        run_loop(node, bus, signals, status, spin_s=wanted.spin_s, guarded=kind.realtime)
     if report_trace is not None:
         report_trace()
     log.info("stopped")

@@ -11,6 +11,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, ClassVar, Literal, Protocol, cast
 
+from presets.plugins import fault_of_package
 from proto import TOPICS, WireError, accept
 from proto.errors import RefusedError
 from proto.messages import MAX_TEXT, SUPERSEDED, InputHealth, NodeHealth, Scalar, SessionControl
@@ -204,8 +205,11 @@ class NodeLoop:
         *,
         spin_s: float = 0.0,
         starting_period_ns: int = HEALTH_PERIOD_NS,
+        note_alive: Callable[[], None] = lambda: None,
     ) -> None:
+        """Make a loop; `note_alive` is called with each report of health."""
         self.node = node
+        self._note_alive = note_alive
         self._starting_period_ns = starting_period_ns
         self._bus = bus
         self._clock = node.context.clock
@@ -241,13 +245,21 @@ class NodeLoop:
         try:
             while not context.stop_requested:
                 self.turn()
+        # code of a package may end the program
+        except (Exception, SystemExit) as error:
+            text = fault_of_package(error) or f"this node failed: {type(error).__name__}: {error}"
+            self.node.event("fault", "error", " ".join(text.split()))
+            raise
         finally:
             # to make safe may take its time, and is no turn
             self.node.clock = self._clock
-            self.node.make_safe()
-            self.node.state = "stopping"
-            self.publish_health(self._clock.monotonic_ns())
-            self.node.publish_end(self._bus)
+            try:
+                self.node.make_safe()
+            finally:
+                # the device of a package may fail in this as well
+                self.node.state = "stopping"
+                self.publish_health(self._clock.monotonic_ns())
+                self.node.publish_end(self._bus)
 
     @property
     def health_due_ns(self) -> int:
@@ -404,6 +416,7 @@ class NodeLoop:
         self._last_steps, self._last_cpu_s, self._last_health_ns = self.node.steps, cpu_s, now_ns
 
     def _send_health(self) -> None:
+        self._note_alive()
         self.node.publish("node/health", **self._health)
 
     def _note_awake(self) -> int:

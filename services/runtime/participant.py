@@ -13,6 +13,7 @@ from proto.nodes import DEVICES, FAR_END, site_of
 from services.runtime.address_book import AddressBook
 from services.runtime.bus import Bus, Subscriber, ZmqBus
 from services.runtime.clock import Clock, SystemClock
+from services.runtime.hang_guard import HangGuard
 from services.runtime.log import RateLimitedLog, StructuredLog
 from services.runtime.node import (
     STARTING_PERIOD_NS,
@@ -189,16 +190,21 @@ def run_loop(
     *,
     spin_s: float = 0.0,
     freeze: bool = True,
+    guarded: bool = False,
 ) -> None:
     """Run a node until it or a signal requests its stop.
 
     Parameters: spin_s, longest busy wait before a deadline [s]; freeze, false for a process that has work after the
-    loop, for which it needs the garbage collector.
+    loop, for which it needs the garbage collector; guarded, the process is ended where it computes without end.
     """
-    loop = NodeLoop(node, bus, realtime, spin_s=spin_s, starting_period_ns=STARTING_PERIOD_NS)
+    guard = HangGuard()
+    note_alive = guard.renew if guarded else lambda: None
+    starting_ns = STARTING_PERIOD_NS
+    loop = NodeLoop(node, bus, realtime, spin_s=spin_s, starting_period_ns=starting_ns, note_alive=note_alive)
     signals.interrupt(node)
     if freeze:
         # it looks at every object of the process, in which the others on its processor have their periods to keep
         with ordinary_scheduling():
             freeze_garbage()
-    loop.run()
+    with guard if guarded else contextlib.nullcontext():
+        loop.run()

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
+from presets.plugins import known_problems
 from proto.errors import ConfigError, ReportError
 from recording.multi_file import open_recordings
 from services.launcher.plan import Plan, UpRequest, make_plan
@@ -141,6 +142,8 @@ def up(
         if delay_ms is not None and round_trip_ms is None:
             text = f"--delay-ms {delay_ms:g} is one way: a round trip of {2 * delay_ms:g} ms"
             typer.echo(f"telenano: {text}, as --round-trip-ms {2 * delay_ms:g}", err=True)
+        for text in known_problems():
+            typer.echo(f"telenano: {text}; it is left out", err=True)
         if plan.warning:
             typer.echo(f"telenano: {plan.warning}", err=True)
         view = _open_view(live=not headless and not as_json, quiet=as_json)

@@ -18,6 +18,7 @@ from rich.table import Table
 from rich.text import Text
 
 from presets import DEFAULT_SITE_FILE
+from presets.plugins import all_installed, known_problems, scenario_files
 from proto.errors import ConfigError, EndpointError
 from telenano.doctor import checks
 from telenano.doctor.checks import Finding
@@ -52,7 +53,7 @@ def doctor(
 
 def examine(site_file: Path) -> list[Finding]:
     """Run every check that this machine allows."""
-    findings = [checks.check_python(sys.version_info[:3]), *packages()]
+    findings = [checks.check_python(sys.version_info[:3]), *packages(), *extensions()]
     findings += machine(container=checks.in_container())
     try:
         return [*findings, *rig(site_file)]
@@ -116,6 +117,25 @@ def packages() -> list[Finding]:
     except PackageNotFoundError:
         advice = "run `pip install -e .` in its folder"
         return [Finding("packages", "problem", "telenano is run without being installed", advice)]
+
+
+def extensions() -> list[Finding]:
+    """Load what installed packages add, where there are any, and report what cannot be used."""
+    rows = all_installed()
+    if not rows:
+        return []
+    # the models of a node load what packages add to them
+    from proto.nodes import SERVICES
+    from services.runtime.main import node_kind
+
+    for name in SERVICES:
+        node_kind(name)
+    scenario_files()
+    name, texts = "laws and devices", known_problems()
+    if not texts:
+        return [Finding(name, "ok", f"{len(rows)} of installed packages can be used")]
+    advice = "nothing that does not name them is affected; update or uninstall their packages"
+    return [Finding(name, "warning", "; ".join(texts), advice)]
 
 
 def _installed(name: str) -> str | None:

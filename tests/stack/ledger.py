@@ -31,6 +31,7 @@ FAULTS = {
     "the recorder is killed in a session": "figure and summary are made of all parts; what is missing is stated",
     "the recording is removed while it is written": "reported; the recording goes on in another file",
     "the disk of the recording is full": "the rig goes on; reported by `up` and `status`; summary of what was recorded",
+    "a law of a package never returns": "its process is ended after 1.5 s of processor time, hand let go; restarted",
     "a node that dies again and again": "the rig is stopped with a summary of the deaths",
     "a node that spins": "killed and restarted as one that died; one that is stopped keeps its process",
     "the slave's site starts late": "the master waits, reports for what, and begins by itself",

@@ -3,9 +3,9 @@
 import contextlib
 import os
 import secrets
-import stat
 from pathlib import Path
 
+from presets.regular_files import NotRegularError, open_regular
 from proto.errors import ConfigError
 from services.runtime.local_endpoint import RUNTIME_DIRECTORY_VARIABLE, runtime_directory
 
@@ -13,6 +13,8 @@ _ANY_ACCESS = 0o077
 _CHANGE = 0o022
 # who may own what this process trusts, besides its own user
 _ROOT = 0
+# the list of a thousand machines has a tenth of it
+_LARGEST_BYTES = 1 << 20
 
 
 def read_regular(path: Path) -> tuple[bytes, os.stat_result]:
@@ -20,14 +22,14 @@ def read_regular(path: Path) -> tuple[bytes, os.stat_result]:
 
     Raises: OSError.
     """
-    # a pipe without a writer would otherwise block here
-    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-    found = os.fstat(descriptor)
-    if not stat.S_ISREG(found.st_mode):
-        os.close(descriptor)
-        raise ConfigError(f"{path}: is a folder, pipe, socket or device, must be a regular file")
-    with os.fdopen(descriptor, "rb") as file:
-        return file.read(), found
+    try:
+        with open_regular(path) as file:
+            content, found = file.read(_LARGEST_BYTES + 1), os.fstat(file.fileno())
+    except (IsADirectoryError, NotRegularError) as error:
+        raise ConfigError(f"{path}: is a folder, pipe, socket or device, must be a regular file") from error
+    if len(content) > _LARGEST_BYTES:
+        raise ConfigError(f"{path}: has more than {_LARGEST_BYTES} bytes, which no key and no list of keys has")
+    return content, found
 
 
 def read_secret(path: Path) -> bytes:

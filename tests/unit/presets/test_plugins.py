@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from presets import find_scenario, known_scenarios, plugins
+from presets import find_scenario, known_scenarios, package_probe, plugins
 from proto.errors import ConfigError
 
 
@@ -22,6 +22,8 @@ def entries(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[Any]:
     rows: list[Any] = []
     monkeypatch.setattr(plugins, "entry_points", lambda group: [row for row in rows if row.group == group])
     monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr(plugins, "_problems", {})
     for cached in (plugins.installed, plugins._digest):
         cached.cache_clear()
     yield rows
@@ -88,3 +90,105 @@ def test_a_scenario_of_a_package_is_known_by_its_name(entries: list[Any], tmp_pa
     assert {"fig12", "soft"} <= set(known_scenarios())
     with pytest.raises(ConfigError, match=r"unknown scenario 'gone': known are .*fig12, .*soft, touch"):
         find_scenario("gone")
+
+
+# --- modules that do not come back from their import ---
+
+
+def problem_of(entries: list[Any], tmp_path: Path, name: str, source: str) -> str:
+    (tmp_path / f"{name}.py").write_text(source)
+    entries.append(entry("laws", name, f"{name}:LAW"))
+    plugins.installed.cache_clear()
+    loaded = plugins.load("laws", number)
+    assert name not in loaded.found
+    return loaded.problems[name]
+
+
+@pytest.mark.parametrize(
+    ("source", "said"),
+    [
+        ("raise SystemExit(0)", "its import ends the whole program (SystemExit: 0)"),
+        ("import sys; sys.exit(7)", "its import ends the whole program (SystemExit: 7)"),
+        ("class E(BaseException): pass\nraise E('no')", "E: no"),
+        ("import os; os._exit(0)", "its import ends the whole program, with exit code 0"),
+        ("import os, signal; os.kill(os.getpid(), signal.SIGKILL)", "its import ends the whole program, by SIGKILL"),
+    ],
+)
+def test_a_module_that_ends_the_program_is_named_and_left_out(
+    entries: list[Any], tmp_path: Path, source: str, said: str
+) -> None:
+    (tmp_path / "sound.py").write_text("LAW = 7\n")
+    entries.append(entry("laws", "sound", "sound:LAW"))
+    found = problem_of(entries, tmp_path, "ends", source)
+    assert found == f"ends of the package pack 1.2 cannot be used: {said}"
+    # the others are not affected
+    assert plugins.load("laws", number).found == {"sound": 7}
+    assert found in plugins.known_problems()
+
+
+def test_a_module_whose_import_hangs_is_named_and_left_out(
+    entries: list[Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(package_probe, "LIMIT_S", 2.0)
+    said = problem_of(entries, tmp_path, "hangs", "while True: pass")
+    assert "its import did not end within 2 s; it is tried again after 5 min" in said
+    # it is not waited for again, by this process or another
+    monkeypatch.setattr(package_probe, "_tried", lambda module: pytest.fail("it was tried again"))
+    assert plugins.load("laws", number).problems["hangs"] == said
+
+
+def tries(tmp_path: Path) -> int:
+    return len((tmp_path / "tries").read_text())
+
+
+def test_a_package_is_tried_once_until_one_of_its_files_changes(
+    entries: list[Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "pack_t").mkdir()
+    module = tmp_path / "pack_t" / "__init__.py"
+    counted = f"with open({str(tmp_path / 'tries')!r}, 'a') as file:\n    file.write('x')\n"
+    module.write_text(f"{counted}LAW = 1\n")
+    entries.append(entry("laws", "mine", "pack_t:LAW"))
+    for _ in range(3):
+        assert plugins.load("laws", number).found == {"mine": 1}
+    # by the process that tries it, and by this one
+    assert tries(tmp_path) == 2
+    (tmp_path / "pack_t" / "more.py").write_text("X = 1\n")
+    plugins.load("laws", number)
+    assert tries(tmp_path) == 3
+    # nothing can be kept: it is tried each time
+    monkeypatch.setenv("XDG_CACHE_HOME", "/proc/nowhere")
+    plugins.load("laws", number)
+    plugins.load("laws", number)
+    assert tries(tmp_path) == 5
+
+
+def test_what_held_an_import_up_may_be_over_later(
+    entries: list[Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    problem_of(entries, tmp_path, "ends", "import os; os._exit(0)")
+    later_s = package_probe.time.time() + package_probe.RETRY_S + 1.0
+    monkeypatch.setattr(package_probe.time, "time", lambda: later_s)
+    tried = []
+    monkeypatch.setattr(package_probe, "_tried", lambda module: tried.append(module) or "again")
+    assert plugins.load("laws", number).problems["ends"].endswith("again")
+    assert tried == ["ends"]
+
+
+def test_a_package_that_loads_the_projects_own_tables_is_tried_without_the_others(
+    entries: list[Any], tmp_path: Path
+) -> None:
+    (tmp_path / "first.py").write_text("import services.haptic_node.operator_models\nLAW = 3\n")
+    entries.append(entry("laws", "first", "first:LAW"))
+    assert plugins.load("laws", number).found == {"first": 3}
+
+
+def test_an_error_is_attributed_to_the_package_whose_code_was_called_last(entries: list[Any], tmp_path: Path) -> None:
+    (tmp_path / "pack_f.py").write_text("def step(x):\n    return 1 / x\nLAW = 1\n")
+    entries.append(entry("laws", "mine", "pack_f:LAW"))
+    step = __import__("pack_f").step
+    with pytest.raises(ZeroDivisionError) as caught:
+        step(0)
+    said = plugins.fault_of_package(caught.value)
+    assert said == "the package pack 1.2 failed (pack_f, line 2, in step): ZeroDivisionError: division by zero"
+    assert plugins.fault_of_package(ValueError("ours")) == ""

@@ -199,8 +199,8 @@ def test_a_date_is_refused_at_its_key(tmp_path: Path) -> None:
 
 
 def test_a_document_that_contains_itself_is_refused(tmp_path: Path) -> None:
-    document = read_yaml(written(tmp_path, "a: &a [*a]"))
-    assert error_of(Rig, document).startswith("rig.yaml: ")
+    with pytest.raises(ConfigError, match=r"rig.yaml: is not valid YAML: the value in line 2 is part of itself"):
+        read_yaml(written(tmp_path, "b: 1\na: &a [*a]"))
 
 
 @pytest.mark.parametrize("flag", ["spring", "=1", ""])

@@ -1,0 +1,55 @@
+"""The one way to open a file that a person names: a regular file of a bounded size.
+
+A pipe without a writer would keep its reader for ever, a device may have no end or do something when it is opened, and
+a file of many gigabytes would fill the memory before anything in it could be judged.
+"""
+
+import errno
+import os
+import stat
+from pathlib import Path
+from typing import BinaryIO
+
+
+class NotRegularError(OSError):
+    """What stands at a path is a pipe, socket or device; `strerror` says so in words."""
+
+
+def open_regular(path: Path) -> BinaryIO:
+    """Open a regular file for reading.
+
+    Raises: OSError; IsADirectoryError for a folder, NotRegularError for a pipe, socket or device.
+    """
+    # before it is opened, which a device may answer by an action
+    _require_regular(path, path.stat().st_mode)
+    # other systems have neither flag; what is put there between the two calls must not keep this process
+    flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+    file = os.fdopen(os.open(path, flags), "rb")
+    try:
+        _require_regular(path, os.fstat(file.fileno()).st_mode)
+    except OSError:
+        file.close()
+        raise
+    return file
+
+
+def read_regular(path: Path, most_bytes: int) -> bytes:
+    """Return the content of a regular file.
+
+    Raises: OSError, whose `strerror` names both sizes where the file has more than most_bytes.
+    """
+    with open_regular(path) as file:
+        # what the kernel makes up while it is read states no size
+        content = file.read(most_bytes + 1)
+        if len(content) > most_bytes:
+            stated = max(os.fstat(file.fileno()).st_size, len(content))
+            text = f"it has {stated} bytes, and at most {most_bytes} are read of such a file"
+            raise OSError(errno.EFBIG, text, str(path))
+    return content
+
+
+def _require_regular(path: Path, mode: int) -> None:
+    if stat.S_ISDIR(mode):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    if not stat.S_ISREG(mode):
+        raise NotRegularError(errno.EINVAL, "it is a pipe, socket or device, and must be a regular file", str(path))

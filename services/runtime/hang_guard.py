@@ -1,0 +1,34 @@
+"""A node that computes without end is ended by the kernel, so that those on its processor go on and it is restarted.
+
+Under SCHED_FIFO nothing of the same priority runs beside a step that never returns: the node of the device could not
+let the hand go, nor retract the tip. No handler of this process could help, which may be within compiled code: the
+action of the signal is the system's own, which ends the process, and the launcher starts it again.
+"""
+
+import contextlib
+import signal
+
+# of processor time, of all threads, since the last report of health, which is sent twice a second: a node that is
+# stopped, or starved by others, takes none
+LIMIT_S = 1.5
+
+
+class HangGuard(contextlib.AbstractContextManager["HangGuard"]):
+    """A limit of processor time that is set anew at each `renew`; other systems than Unix have none."""
+
+    def __enter__(self) -> "HangGuard":
+        if hasattr(signal, "SIGPROF"):
+            signal.signal(signal.SIGPROF, signal.SIG_DFL)
+        self.renew()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._set(0.0)
+
+    def renew(self) -> None:
+        """Begin the time anew."""
+        self._set(LIMIT_S)
+
+    def _set(self, limit_s: float) -> None:
+        if hasattr(signal, "setitimer"):
+            signal.setitimer(signal.ITIMER_PROF, limit_s)

@@ -1,0 +1,167 @@
+"""A file read by a library that cannot be trusted with it: in a child process with limits, which hands back arrays.
+
+What libraries of the field make of a damaged file is theirs alone: gigabytes for a flipped bit, a loop without an end,
+a segmentation fault. In a child it costs what the limits allow, and a sentence. The child is Python with the module of
+the reading function and nothing else: 0.2 to 0.4 s for each file, of which the libraries themselves are the most.
+
+The answer is a line of JSON and the bytes of the arrays after it, in a temporary file: nothing in it is executed.
+"""
+
+import importlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any, BinaryIO, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+# on other systems there are no such limits: the headers are checked there as well, and the wall time
+try:
+    import resource
+except ImportError:
+    resource = None  # type: ignore[assignment]
+
+LARGEST_FILE_BYTES = 1 << 30
+# of address space: Python and the libraries take 120 MB of it, and a reader some copies of what it reads
+_MEMORY_BYTES, _MEMORY_PER_BYTE = 512 << 20, 6
+# of processor time, and of time: the machine may be at work with something else
+_CPU_S, _CPU_S_PER_BYTE = 20.0, 2.5e-7
+_WALL_FACTOR = 4.0
+_LONGEST_TEXT = 500
+
+
+class Limits(NamedTuple):
+    """What a child may take: address space [bytes], processor time [s] and time [s]."""
+
+    memory_bytes: int
+    cpu_s: int
+    wall_s: float
+
+
+class Answer(NamedTuple):
+    """What was read: plain values by name, and arrays of numbers."""
+
+    facts: dict[str, Any]
+    arrays: list[npt.NDArray[Any]]
+
+
+def limits_for(size_bytes: int) -> Limits:
+    """Return what reading a file of that size may take."""
+    cpu_s = round(_CPU_S + _CPU_S_PER_BYTE * size_bytes)
+    return Limits(_MEMORY_BYTES + _MEMORY_PER_BYTE * size_bytes, cpu_s, _WALL_FACTOR * cpu_s)
+
+
+def read_in_child(function: str, path: Path, *arguments: str | None, limits: Limits | None = None) -> Answer:
+    """Call a function, given as `module:name`, with a path and texts in a child; return what it returns, an `Answer`.
+
+    Parameters: limits, those for the size of the file when None.
+    Raises: ImportError naming the package that is missing, OSError as the child had it, ValueError with whatever else
+    the function raised, or saying which limit it reached.
+    """
+    size = path.stat().st_size
+    if size > LARGEST_FILE_BYTES:
+        raise ValueError(f"it has {size} bytes; at most {LARGEST_FILE_BYTES} are read")
+    limits = limits or limits_for(size)
+    command = [sys.executable, "-P", "-m", __name__, function, json.dumps([limits, os.fspath(path), *arguments])]
+    # one thread: those of a linear algebra library reserve memory each
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "OPENBLAS_NUM_THREADS": "1"}
+    with tempfile.TemporaryFile() as out:
+        try:
+            done = subprocess.run(
+                command, stdin=subprocess.DEVNULL, stdout=out, stderr=subprocess.DEVNULL,
+                env=environment, timeout=limits.wall_s, check=False,
+            )  # fmt: skip
+        except subprocess.TimeoutExpired as error:
+            raise ValueError(f"it cannot be read within {limits.wall_s:g} s") from error
+        out.seek(0)
+        return _answer(out, done.returncode, limits)
+
+
+def _answer(out: BinaryIO, code: int, limits: Limits) -> Answer:
+    line = out.readline(1 << 16)
+    if not line.endswith(b"\n"):
+        if code in (-signal.SIGXCPU, -signal.SIGKILL):
+            raise ValueError(f"it cannot be read within {limits.cpu_s} s of processor time")
+        how = f"was ended by {signal.Signals(-code).name}" if code < 0 else f"ended with code {code}"
+        raise ValueError(f"it cannot be read: the program that reads it {how}")
+    head = json.loads(line)
+    match head.get("error"):
+        case None:
+            return Answer(head["facts"], [_array(out, *each) for each in head["arrays"]])
+        case ["ImportError", name]:
+            raise ImportError(name=name)
+        case ["OSError", number, text]:
+            raise OSError(number, text)
+        case ["MemoryError"]:
+            raise ValueError(f"it cannot be read with {limits.memory_bytes >> 20} MB of memory")
+        case [_, text]:
+            raise ValueError(text)
+    raise ValueError("it cannot be read")
+
+
+def _array(out: BinaryIO, kind: str, shape: list[int]) -> npt.NDArray[Any]:
+    found = np.dtype(kind)
+    count = int(np.prod(shape))
+    content = out.read(count * found.itemsize)
+    return np.frombuffer(content, found).reshape(shape).copy()
+
+
+def _limit(limits: Limits) -> None:
+    if resource is None:
+        return
+    bounds = {
+        resource.RLIMIT_AS: limits.memory_bytes,
+        resource.RLIMIT_CPU: limits.cpu_s,
+        resource.RLIMIT_FSIZE: limits.memory_bytes,
+        resource.RLIMIT_CORE: 0,
+    }
+    for kind, wanted in bounds.items():
+        _, hard = resource.getrlimit(kind)
+        bound = wanted if hard == resource.RLIM_INFINITY else min(wanted, hard)
+        resource.setrlimit(kind, (bound, bound))
+
+
+def _described(error: BaseException) -> list[Any]:
+    """Return what the parent needs to raise the same."""
+    if isinstance(error, MemoryError):
+        return ["MemoryError"]
+    if isinstance(error, ImportError):
+        return ["ImportError", error.name]
+    text = (" ".join(str(error).split()) or type(error).__name__)[:_LONGEST_TEXT]
+    if isinstance(error, OSError) and error.errno is not None and error.strerror:
+        return ["OSError", error.errno, error.strerror[:_LONGEST_TEXT]]
+    # the text of a KeyError is the key alone
+    return ["", f"{type(error).__name__}: {text}" if isinstance(error, LookupError) else text]
+
+
+def main() -> None:
+    """Read as the command line says, and write the answer to standard output."""
+    function, given = sys.argv[1:]
+    limits, *arguments = json.loads(given)
+    out = os.fdopen(os.dup(1), "wb")
+    # what a library prints is no part of the answer
+    os.dup2(2, 1)
+    _limit(Limits(*limits))
+    module, _, name = function.partition(":")
+    try:
+        facts, arrays = getattr(importlib.import_module(module), name)(*arguments)
+        kept = [np.ascontiguousarray(each) for each in arrays]
+        head = {"facts": facts, "arrays": [[each.dtype.str, each.shape] for each in kept]}
+    # some of these libraries have errors that are no `Exception`
+    except BaseException as error:  # noqa: BLE001
+        head, kept = {"error": _described(error)}, []
+    out.write(json.dumps(head).encode() + b"\n")
+    for each in kept:
+        out.write(each.tobytes())
+    out.flush()
+    # what is left to be done at exit may take as long as the file wants
+    os._exit(0)
+
+
+if __name__ == "__main__":
+    main()

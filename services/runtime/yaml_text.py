@@ -1,0 +1,133 @@
+"""YAML as people write it, within bounds: what a few lines of it stand for may not fill memory, nor take minutes.
+
+This module needs PyYAML alone, for the emergency stop, which has no time to load anything else.
+"""
+
+import re
+from typing import Any
+
+import yaml
+
+# a scenario with every key has 8 kB; the parser takes some seconds for this much
+LARGEST_BYTES = 1 << 18
+# values that a text stands for when each alias is written out, as whoever validates or prints it walks through them
+_MOST_VALUES = 100_000
+# a number; no quantity has more digits than this, and Python takes the square of their count to read one
+_LONGEST_NUMBER = 100
+_MERGE_TAG = "tag:yaml.org,2002:merge"
+_NUMBER_TAGS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
+
+
+class YamlError(ValueError):
+    """A text is no YAML, or beyond the bounds; the text says what is wrong, and where that is known."""
+
+
+class _Loader(yaml.SafeLoader):
+    """A safe loader, which makes plain values only: 1e-9 is a number, on and off are words.
+
+    YAML 1.1 has 1e-9 (without a point) a text, and on, off, yes and no truth values.
+    """
+
+
+_Loader.yaml_implicit_resolvers = {
+    first: [(tag, pattern) for tag, pattern in resolvers if tag != "tag:yaml.org,2002:bool"]
+    for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
+_Loader.add_implicit_resolver("tag:yaml.org,2002:bool", re.compile(r"(?i:true|false)$"), list("tTfF"))
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float", re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]+$"), list("-+.0123456789")
+)
+
+
+def yaml_value(text: str) -> Any:
+    """Return what a YAML text stands for.
+
+    Raises: YamlError.
+    """
+    if len(text) > LARGEST_BYTES:
+        raise YamlError(f"it has {len(text)} characters, and at most {LARGEST_BYTES} are read")
+    try:
+        loader = _Loader(text)
+    except yaml.YAMLError as error:
+        raise YamlError(_sentence(error)) from error
+    try:
+        node = loader.get_single_node()
+        if node is None:
+            return None
+        _check_size(node)
+        _check_keys(node, loader, (), set())
+        return loader.construct_document(node)
+    except RecursionError as error:
+        raise YamlError("it is nested too deeply") from error
+    except yaml.YAMLError as error:
+        raise YamlError(_sentence(error)) from error
+    except YamlError:
+        raise
+    # a value that is not what its own tag, or its look, says: the 45th of a month, `!!int x`
+    except Exception as error:
+        raise YamlError(f"a value in it cannot be read: {_sentence(error)}") from error
+    finally:
+        loader.dispose()
+
+
+def _sentence(error: Exception) -> str:
+    return " ".join(str(error).split()) or type(error).__name__
+
+
+def _line(node: yaml.Node) -> str:
+    return f"line {node.start_mark.line + 1}"
+
+
+def _check_size(root: yaml.Node) -> None:
+    """Raise YamlError where aliases make more values of a text than anybody wrote, or a number has no end of digits."""
+    counts: dict[int, int] = {}
+
+    def count(node: yaml.Node) -> int:
+        known = counts.get(id(node))
+        if known == 0:
+            raise YamlError(f"the value in {_line(node)} is part of itself")
+        if known is not None:
+            return known
+        counts[id(node)] = 0
+        total = 1
+        if isinstance(node, yaml.ScalarNode):
+            if node.tag in _NUMBER_TAGS and len(node.value) > _LONGEST_NUMBER:
+                raise YamlError(
+                    f"the number in {_line(node)} has {len(node.value)} characters, at most {_LONGEST_NUMBER} are read"
+                )
+        elif isinstance(node, yaml.SequenceNode):
+            total += sum(map(count, node.value))
+        else:
+            total += sum(count(key) + count(value) for key, value in node.value)
+        if total > _MOST_VALUES:
+            raise YamlError(
+                f"with its aliases (*NAME) written out it has more than {_MOST_VALUES} values, at most that are read"
+            )
+        counts[id(node)] = total
+        return total
+
+    count(root)
+
+
+def _check_keys(node: yaml.Node, loader: _Loader, path: tuple[str, ...], seen: set[int]) -> None:
+    """Raise YamlError naming a key that a mapping has twice by its path, and the line."""
+    # an alias repeats a node, and may be part of itself
+    if id(node) in seen or isinstance(node, yaml.ScalarNode):
+        return
+    seen.add(id(node))
+    if isinstance(node, yaml.SequenceNode):
+        for place, item in enumerate(node.value):
+            _check_keys(item, loader, (*path, str(place)), seen)
+        return
+    names: set[str] = set()
+    for key, value in node.value:
+        if not isinstance(key, yaml.ScalarNode):
+            # no key of a plain mapping, which reading reports
+            continue
+        # as it is after reading: `true` and `True` are one key; only `<<` is not read by itself
+        name = key.value if key.tag == _MERGE_TAG else str(loader.construct_object(key))
+        if name in names:
+            line = key.start_mark.line + 1
+            raise YamlError(f"{'.'.join((*path, name))} is given twice, the second time in line {line}")
+        names.add(name)
+        _check_keys(value, loader, (*path, name), seen)

@@ -1,0 +1,256 @@
+"""Files from strangers: one whole file of each format, damage done to it, and a process that reads them within bounds.
+
+Run with a format and paths it reads each, and prints what came of it as JSON: `read`, a sentence, or a traceback.
+"""
+
+import json
+import resource
+import struct
+import sys
+import traceback
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+# the process ends here rather than the machine; what may be taken is asserted and far less
+_HIGHEST_BYTES = 4 << 30
+HEIGHTS = np.random.default_rng(5).normal(0.0, 3e-9, (8, 8)).astype("<f4")
+
+
+# --- whole files, as small as they can be ---
+
+
+def wave(
+    values: Any, *, unit: str = "m", side_unit: str = "m", labels: tuple[tuple[int, str], ...] = (), note: str = ""
+) -> bytes:
+    """Return an Igor binary wave of version 5; labels as (dimension, label)."""
+    data = np.asarray(values, "<f4").tobytes(order="F")
+    texts = [b"".join(text.encode().ljust(32, b"\0") for at, text in labels if at == place) for place in range(4)]
+    texts = [b"\0" * 32 + text if text else b"" for text in texts]
+    sides = [*np.shape(values), 0, 0, 0][:4]
+    head = bytearray(384)
+    struct.pack_into(
+        "<hhiiii4i4i3i", head, 0, 5, 0, 320 + len(data), 0, len(note), 0, 0, 0, 0, 0, *map(len, texts), 0, 0, 0
+    )
+    struct.pack_into("<ih", head, 76, int(np.prod(np.shape(values))), 2)
+    struct.pack_into("<4i4d", head, 132, *sides, 1e-8, 1e-8, 1.0, 1.0)
+    struct.pack_into("<4s", head, 212, unit.encode())
+    for place in range(2):
+        struct.pack_into("<4s", head, 216 + 4 * place, side_unit.encode())
+    # the sum of the sixteen-bit words of both headers is zero
+    total = sum(struct.unpack("<192h", bytes(head)))
+    struct.pack_into("<H", head, 2, -total & 0xFFFF)
+    return bytes(head) + data + note.encode() + b"".join(texts)
+
+
+def map_wave() -> bytes:
+    return wave(HEIGHTS[:, :, None], labels=((2, "HeightTrace"),))
+
+
+def curve_wave() -> bytes:
+    base = np.concatenate([np.linspace(0, 1e-7, 20), np.linspace(1e-7, 0, 20)])
+    columns = np.stack([base, 0.1 * base, base], axis=1)
+    note = "SpringConstant:1.5\rIndexes:0,19,39"
+    return wave(columns, labels=((1, "Raw"), (1, "Defl"), (1, "ZSnsr")), note=note)
+
+
+def gwy_object(name: str, *parts: bytes) -> bytes:
+    data = b"".join(parts)
+    return name.encode() + b"\0" + struct.pack("<I", len(data)) + data
+
+
+def gwy_part(name: str, kind: str, value: bytes) -> bytes:
+    return name.encode() + b"\0" + kind.encode() + value
+
+
+def gwy(**changed: bytes | None) -> bytes:
+    """Return a Gwyddion file with a map; `changed` are other bytes for a part of the map, None for none."""
+    unit = gwy_object("GwySIUnit", gwy_part("unitstr", "s", b"m\0"))
+    heights = HEIGHTS.astype("<f8")
+    parts: dict[str, bytes | None] = {
+        "xres": gwy_part("xres", "i", struct.pack("<i", 8)),
+        "yres": gwy_part("yres", "i", struct.pack("<i", 8)),
+        "xreal": gwy_part("xreal", "d", struct.pack("<d", 1e-7)),
+        "yreal": gwy_part("yreal", "d", struct.pack("<d", 1e-7)),
+        "si_unit_xy": gwy_part("si_unit_xy", "o", unit),
+        "si_unit_z": gwy_part("si_unit_z", "o", unit),
+        "data": gwy_part("data", "D", struct.pack("<I", heights.size) + heights.tobytes()),
+    }
+    field = gwy_object("GwyDataField", *(part for part in (parts | changed).values() if part is not None))
+    title = gwy_part("/0/data/title", "s", b"Height\0")
+    return b"GWYP" + gwy_object("GwyContainer", title, gwy_part("/0/data", "o", field))
+
+
+def gsf() -> bytes:
+    head = b"Gwyddion Simple Field 1.0\nXRes = 8\nYRes = 8\nXReal = 1e-07\nYReal = 1e-07\nXYUnits = m\nZUnits = m\n"
+    return head + b"\0" * (4 - len(head) % 4) + HEIGHTS.tobytes()
+
+
+def npy_head(shape: tuple[int, ...], kind: str = "<f8") -> bytes:
+    text = repr({"descr": kind, "fortran_order": False, "shape": shape}).encode()
+    text += b" " * (-(len(text) + 11) % 64) + b"\n"
+    return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(text)) + text
+
+
+def npy() -> bytes:
+    return npy_head((8, 8), "<f4") + HEIGHTS.tobytes()
+
+
+def write_hdf5(path: Path) -> None:
+    from studies.force_curve import Curve, Half
+    from studies.force_curve import write_hdf5 as write
+
+    base = np.linspace(-1e-7, 0, 20)
+    there, back = (Half(way, 0.1 * way, 0.15 * way) for way in (base, base[::-1]))
+    write(path, Curve(there, back, 1.5, 0.0, 1e-7, "measured"))
+
+
+def write_table(path: Path) -> None:
+    import afmformats
+
+    write_hdf5(path.with_name("whole.h5"))
+    afmformats.load_data(path.with_name("whole.h5"))[0].export_data(path, fmt="tab")
+
+
+def write_archive(path: Path) -> None:
+    with zipfile.ZipFile(path, "w") as file:
+        file.writestr("header.properties", "force-scan-series.header.position-index=0\n")
+        file.writestr("segments/0/segment-header.properties", "force-segment-header.num-points=4\n")
+
+
+def mcap_record(opcode: int, body: bytes) -> bytes:
+    return struct.pack("<BQ", opcode, len(body)) + body
+
+
+def mcap_text(text: str) -> bytes:
+    return struct.pack("<I", len(text)) + text.encode()
+
+
+def mcap_channel(number: int, topic: str) -> bytes:
+    return mcap_record(4, struct.pack("<HH", number & 0xFFFF, 0) + mcap_text(topic) + mcap_text("json") + bytes(4))
+
+
+def mcap_chunk(compression: str, stored: bytes, size: int, crc: int = 0) -> bytes:
+    head = struct.pack("<QQQI", 1, 2, size, crc) + mcap_text(compression) + struct.pack("<Q", len(stored))
+    return mcap_record(6, head + stored)
+
+
+def mcap(*records: bytes, summary: bytes = b"") -> bytes:
+    magic = b"\x89MCAP0\r\n"
+    head, end = mcap_record(1, mcap_text("") + mcap_text("test")), mcap_record(15, bytes(4))
+    return magic + head + b"".join(records) + end + summary + mcap_record(2, bytes(20)) + magic
+
+
+def mcap_whole() -> bytes:
+    content = mcap_channel(1, "a") + mcap_record(5, struct.pack("<HIQQ", 1, 0, 1, 1) + b"{}")
+    return mcap(mcap_chunk("", content, len(content), zlib.crc32(content)))
+
+
+def yaml() -> bytes:
+    return b"name: mine\ndescription: a text\nduration_s: 1.0\ncontroller: {law: wave, scales: &a [1.0, 2.0]}\nx: *a\n"
+
+
+WRITE: dict[str, Callable[[Path], Any]] = {
+    "map.ibw": lambda path: path.write_bytes(map_wave()),
+    "map.gwy": lambda path: path.write_bytes(gwy()),
+    "map.gsf": lambda path: path.write_bytes(gsf()),
+    "map.npy": lambda path: path.write_bytes(npy()),
+    "curve.ibw": lambda path: path.write_bytes(curve_wave()),
+    "curve.h5": write_hdf5,
+    "curve.tab": write_table,
+    "curve.jpk-force": write_archive,
+    "session.mcap": lambda path: path.write_bytes(mcap_whole()),
+    "scenario.yaml": lambda path: path.write_bytes(yaml()),
+}
+
+
+# --- damage ---
+
+
+def damaged(whole: bytes, seed: int, count: int) -> Iterator[bytes]:
+    """Yield a file with bits flipped, a number at its end, or cut, lengthened, zeroed or doubled in parts."""
+    random = np.random.default_rng(seed)
+    for number in range(count):
+        content = bytearray(whole)
+        at = int(random.integers(len(content)))
+        match number % 6:
+            case 0:
+                for place in random.integers(len(content), size=int(random.integers(1, 6))):
+                    content[place] ^= 1 << int(random.integers(8))
+            case 1:
+                extreme = (0xFFFFFFFF, 0x7FFFFFFF, 0x80000000, 0)[int(random.integers(4))]
+                content[at : at + 4] = struct.pack("<I", extreme)
+            case 2:
+                del content[at:]
+            case 3:
+                content += random.bytes(at + 1)
+            case 4:
+                content[at : at + 40] = bytes(40)
+            case _:
+                content[at:at] = content[at : at + 64]
+        yield bytes(content)
+
+
+# --- the process that reads ---
+
+
+def _read_map(path: Path) -> None:
+    from services.afm_node.surface_files import read_surface
+
+    surface = read_surface(path, size_m=1e-7 if path.suffix == ".npy" else None)
+    assert np.isfinite(surface.height_m).all()
+
+
+def _read_curve(path: Path) -> None:
+    from studies.force_curve import read_measured
+
+    assert np.isfinite(read_measured(path).retract.force_n).all()
+
+
+def _read_mcap(path: Path) -> None:
+    from recording.reader import Recording
+    from recording.rewrite import filter_recording
+    from recording.verify import verify
+
+    copy = path.with_name(f"{path.stem}.copy")
+    try:
+        Recording(path).info()
+        verify([path])
+        filter_recording(path, copy)
+    finally:
+        copy.unlink(missing_ok=True)
+
+
+def _read_yaml(path: Path) -> None:
+    from services.runtime.config import read_yaml, validate
+    from services.runtime.scenario import Scenario
+
+    validate(Scenario, read_yaml(path), str(path))
+
+
+READ = {"map": _read_map, "curve": _read_curve, "session": _read_mcap, "scenario": _read_yaml}
+
+
+def _main(kind: str, paths: list[str]) -> None:
+    from proto.errors import TelenanoError
+
+    resource.setrlimit(resource.RLIMIT_AS, (_HIGHEST_BYTES, _HIGHEST_BYTES))
+    outcomes = []
+    for path in paths:
+        try:
+            READ[kind](Path(path))
+            outcomes.append("read")
+        except TelenanoError as error:
+            outcomes.append(str(error))
+        except BaseException:  # noqa: BLE001
+            outcomes.append(traceback.format_exc())
+    peaks = [resource.getrusage(who).ru_maxrss // 1024 for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    sys.stdout.write(json.dumps({"outcomes": outcomes, "peak_mb": peaks}))
+
+
+if __name__ == "__main__":
+    _main(sys.argv[1], sys.argv[2:])

@@ -1,0 +1,95 @@
+"""What others wrote reaches a terminal as text: it colours, erases and titles nothing."""
+
+import io
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import damaged_files as files
+import pytest
+from rich.console import Console
+
+from services.runtime.printable import printable
+from telenano import output, terminal
+from telenano.tables import rows_table
+
+ROOT = Path(__file__).parents[3]
+# sets the title of the window, clears the screen, overwrites the line, as 8-bit control, turns the direction
+HOSTILE = "\x1b]0;mine\x07\x1b[2J\rover\x9b31m\u202eright"
+SHOWN = r"\x1b]0;mine\x07\x1b[2J\rover\x9b31m\u202eright"
+
+
+def telenano(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "telenano", *arguments], cwd=ROOT, env={**os.environ, **environment},
+        stdin=subprocess.DEVNULL, capture_output=True, text=True, encoding="utf-8", timeout=120, check=False,
+    )  # fmt: skip
+
+
+def test_only_what_a_terminal_obeys_is_written_out() -> None:
+    assert printable(HOSTILE) == SHOWN
+    assert printable("tabs\tlines\n12 µm, 3 Å: größer 漢 \u00a0") == "tabs\tlines\n12 µm, 3 Å: größer 漢 \u00a0"
+    assert printable(printable(HOSTILE)) == SHOWN
+
+
+def test_a_stream_is_made_printable_and_rich_draws_through_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    behind = io.StringIO()
+    monkeypatch.setattr(sys, "stdout", behind)
+    monkeypatch.setattr(sys, "stderr", io.StringIO())
+    terminal.install()
+    terminal.install()
+    sys.stdout.writelines([HOSTILE, "\n"])
+    assert behind.getvalue() == SHOWN + "\n"
+    assert Console().file is behind
+
+
+def test_a_cell_of_a_table_is_text_and_the_table_is_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn = output.PrintableConsole(file=io.StringIO(), force_terminal=True, width=200, color_system="truecolor")
+    drawn.print(rows_table([{"name": HOSTILE, "kept": True}], title=HOSTILE))
+    shown = drawn.file.getvalue()
+    assert SHOWN in shown
+    assert "\x1b]0;" not in shown and "\x1b[2J" not in shown and "\x9b" not in shown
+    # the colours of the project's own
+    assert "\x1b[32m" in shown
+
+
+def package(folder: Path, source: str) -> Path:
+    """Make an installed package of one module with a law that is called `hostile`."""
+    facts = folder / "hostile-0.1.dist-info"
+    facts.mkdir(parents=True)
+    (facts / "METADATA").write_text("Metadata-Version: 2.1\nName: hostile\nVersion: 0.1\n")
+    (facts / "entry_points.txt").write_text("[telenano.laws]\nhostile = hostile_law:LAW\n")
+    (folder / "hostile_law.py").write_text(source)
+    return folder
+
+
+def test_texts_of_a_package_are_shown_as_text(tmp_path: Path) -> None:
+    folder = package(tmp_path / "site", f"raise ValueError({HOSTILE!r})\n")
+    done = telenano("law", "list", PYTHONPATH=str(folder), XDG_CACHE_HOME=str(tmp_path))
+    assert done.returncode == 0
+    assert done.stderr.startswith(
+        "telenano: hostile of the package hostile 0.1 cannot be used: ValueError: \\x1b]0;mine"
+    )
+    assert not set(done.stderr) & set("\x1b\x07\r\x9b\u202e")
+
+
+def test_titles_of_a_file_are_shown_as_text(tmp_path: Path) -> None:
+    path = tmp_path / "session.mcap"
+    channel = files.mcap_channel(1, "\x1b[2Ja\x07")
+    path.write_bytes(files.mcap(channel, files.mcap_record(5, bytes([1, 0]) + bytes(20)), summary=channel))
+    done = telenano("bag", "info", str(path))
+    assert done.returncode == 0
+    assert r"\x1b[2Ja\x07" in done.stdout
+    assert not set(done.stdout) & set("\x1b\x07\r\x9b\u202e")
+
+
+@pytest.mark.parametrize("source", ["raise SystemExit(0)\n", "import os\nos._exit(0)\n"])
+def test_a_package_that_exits_does_not_end_a_command_in_silence(tmp_path: Path, source: str) -> None:
+    """`up` printed nothing, ran nothing and returned 0."""
+    environment = {"PYTHONPATH": str(package(tmp_path / "site", source)), "XDG_CACHE_HOME": str(tmp_path)}
+    done = telenano("up", "--scenario", "fig12", "--set", "controller.law=hostile", **environment)
+    assert done.returncode == 2
+    assert "controller.law: hostile of the package hostile 0.1 cannot be used: its import ends the whole" in done.stderr
+    done = telenano("scenario", "validate", "fig12", **environment)
+    assert (done.returncode, done.stderr) == (0, "")
