@@ -16,7 +16,7 @@ COMPILE := $(BIN)/uv pip compile --quiet --generate-hashes --no-emit-index-url -
 # compose v2 where there is one
 COMPOSE ?= $(shell docker compose version >/dev/null 2>&1 && echo docker compose || echo docker-compose)
 
-.PHONY: firmware setup page demo test endurance lint bench reliability schemas site lock image-locks images clean
+.PHONY: firmware setup page demo test endurance mutation lint bench reliability schemas site lock image-locks images clean
 
 setup: $(VENV)/.complete
 
@@ -54,6 +54,10 @@ test: lint
 endurance: setup
 	$(BIN)/pytest -m endurance
 	$(BIN)/python benchmarks/soak.py
+
+# whether a test notices when one thing is changed in a module that guards, accounts or decides; MODULE=PATH tries one
+mutation: setup
+	nice -n 10 $(BIN)/python tests/mutation/mutate.py $(if $(WORKERS),--workers $(WORKERS)) $(MODULE)
 
 # the image of the handle from its sources, byte for byte with Debian's compiler; `git diff` shows whether it changed
 firmware:

@@ -12,9 +12,11 @@ from services.afm_node.disturbed import DisturbedAfm
 from services.afm_node.driver import AfmDriver, DeviceReport, Oscillation, VibratingCantilever
 from services.afm_node.feedback import remaining
 from services.afm_node.lateral import Place, moved
-from services.afm_node.program_config import changed_disturbances, requested
+from services.afm_node.program_config import InstrumentRequest, changed_disturbances, requested
 from services.afm_node.programs import ProgramRunner
 from services.afm_node.raster import FinishedLine, Measured
+from services.afm_node.reach import Reach
+from services.afm_node.sim import SimulatedAfm
 from services.afm_node.step import LONGEST_STEP_NS, AfmSample, command_wait_ns
 from services.runtime.bus import Received
 from services.runtime.clock import NEVER_NS
@@ -81,7 +83,9 @@ class AfmNode(Node):
         self._twist_n = config.friction.lateral_stiffness_n_per_m * config.friction.tip_height_m
         self._place = self._pointer = Place(0.0, 0.0)
         self._lateral = config.to_lateral_params()
-        self._programs = _programs(config, driver)
+        self._reach = _reach(config, driver)
+        self._programs = _programs(config, driver, self._reach)
+        self._sample = "" if self._reach is None else _sample_text(config, self._reach)
         self._begin = config.begin
         self._told_ns = 0
         self._reported = (self._guard.mode, self._guard.reason)
@@ -154,8 +158,9 @@ class AfmNode(Node):
                 return "armed already"
             if refusal != safety.ARM_NOT_REFUSED:
                 raise RefusedError(f"not armed: {safety.ARM_REFUSAL_NAMES[refusal]}")
+            self._report_reach()
             if self._begin is not None:
-                return self._programs.request(self._begin, self._guard.mode, device_lost=self._device_lost)
+                return self._request(self._begin)
             return "armed: the tip follows fresh commands"
         return super().on_control(control)
 
@@ -191,9 +196,19 @@ class AfmNode(Node):
             self._pointer = Place(x_m, y_m)
             sentences.append(f"the tip goes to x = {x_m:g} m, y = {y_m:g} m while it follows")
         if request.program is not None:
-            sentences.append(self._programs.request(request, self._guard.mode, device_lost=self._device_lost))
+            sentences.append(self._request(request))
             self._told_ns = 0
         return "; ".join(sentences)
+
+    def _request(self, request: InstrumentRequest) -> str:
+        return self._programs.request(request, self._guard.mode, self._place, device_lost=self._device_lost)
+
+    def _report_reach(self) -> None:
+        """Report how the sample lies, and that a hand cannot touch it where the base does not reach it."""
+        if self._sample:
+            self.event("mode", "info", self._sample)
+        if self._reach is not None and (fault := self._reach.hand_fault(self._pointer)):
+            self.event("fault", "warning", f"a hand cannot touch the sample here: {fault}")
 
     def make_safe(self) -> None:
         """Retract the tip, and say so if the device does not confirm it."""
@@ -399,11 +414,33 @@ class AfmNode(Node):
         )
 
 
-def _programs(config: AfmConfig, driver: AfmDriver) -> ProgramRunner:
+def _reach(config: AfmConfig, driver: AfmDriver) -> Reach | None:
+    """Return what the base reaches, None for an instrument whose surface is not known in advance."""
+    if not isinstance(driver, SimulatedAfm):
+        return None
+    return Reach(driver.surface, config.rest_distance_m, config.to_params().safety)
+
+
+def _sample_text(config: AfmConfig, reach: Reach) -> str:
+    """Return how a sample that was read from a file lies; empty for any other."""
+    surface, sample = reach.surface, config.sample
+    if sample is None or surface is None or not sample.levelled:
+        return ""
+    low, high = float(surface.height_m.min()), float(surface.height_m.max())
+    return (
+        f"sample {sample.name}: {sample.levelled} (afm_node.sample.level={sample.level}); the tip sees {low:.3g} to"
+        f" {high:.3g} m"
+    )
+
+
+def _programs(config: AfmConfig, driver: AfmDriver, reach: Reach | None) -> ProgramRunner:
     params = config.to_params()
     lateral = None if driver.stage is None else config.to_lateral_params()
-    sides = config.sample_sides_m()
+    known = None if reach is None else reach.surface
+    sides = config.sample_sides_m() if known is None else (known.width_m, known.depth_m)
     vibrates = isinstance(driver, VibratingCantilever)
     c = config.cantilever
     lag = remaining(PERIOD_S, c.resonance_hz, c.quality)
-    return ProgramRunner(params.safety, lateral, sides, c.stiffness_n_per_m, PERIOD_S, can_vibrate=vibrates, lag=lag)
+    return ProgramRunner(
+        params.safety, lateral, sides, c.stiffness_n_per_m, PERIOD_S, can_vibrate=vibrates, lag=lag, reach=reach
+    )

@@ -7,6 +7,7 @@ from services.afm_node import approach, raster, safety, tactile
 from services.afm_node.lateral import LateralParams, Place
 from services.afm_node.program_config import CurveSettings, InstrumentRequest, ScanSettings, TactileSettings
 from services.afm_node.raster import FinishedLine, Measured
+from services.afm_node.reach import Reach, approach_limit_s
 from services.afm_node.scan_speed import felt_speed_m_per_s
 
 ProgramState = Literal["running", "paused", "finished", "ended"]
@@ -42,7 +43,8 @@ class ProgramRunner:
 
     Parameters: limits of the guard and of the stage, None where there is none; size_m, sides of the sample [m];
     stiffness_n_per_m, of the cantilever; period_s, of the node; can_vibrate, the base can be driven; lag, what
-    is left of a change of the amplitude after a period.
+    is left of a change of the amplitude after a period; reach, of the base over a surface whose heights are known,
+    None for an instrument that has to find the surface.
     """
 
     def __init__(
@@ -55,6 +57,7 @@ class ProgramRunner:
         *,
         can_vibrate: bool = False,
         lag: float = 0.0,
+        reach: Reach | None = None,
     ) -> None:
         self.name = ""
         self.state: ProgramState = "finished"
@@ -62,24 +65,28 @@ class ProgramRunner:
         self._size_m, self._stiffness, self._period_s = size_m, stiffness_n_per_m, period_s
         self._can_vibrate, self._free_amplitude_m = can_vibrate, 0.0
         self._lag = lag
+        self._reach = reach
         self._raster: tuple[raster.RasterPlan, raster.RasterState] | None = None
         self._curve: tuple[approach.CurvePlan, approach.CurveState] | None = None
         self._tactile: tuple[tactile.TactilePlan, tactile.TactileState] | None = None
         self._aborted = ""
         self._was_limited, self._notice = False, ""
 
-    def request(self, request: InstrumentRequest, mode: int, *, device_lost: bool) -> str:
-        """Begin a program, or change the one that runs; return a sentence. RefusedError says why not."""
+    def request(self, request: InstrumentRequest, mode: int, place: Place, *, device_lost: bool) -> str:
+        """Begin a program, or change the one that runs; return a sentence. RefusedError says why not.
+
+        Parameters: place, where the tip is.
+        """
         if request.program in ("scan", "curve", "tactile"):
             if self.name:
                 raise RefusedError(f"program: a {self.name} is running; abort it first")
             if reason := "the instrument is lost" if device_lost else _NOT_READY.get(mode, ""):
                 raise RefusedError(f"program: {reason}")
             if request.program == "scan":
-                return self._begin_scan(request.scan)
+                return self._begin_scan(request.scan, place)
             if request.program == "tactile":
-                return self._begin_tactile(request.tactile)
-            return self._begin_curve(request.curve)
+                return self._begin_tactile(request.tactile, place)
+            return self._begin_curve(request.curve, place)
         if not self.name:
             raise RefusedError(f"program: there is none to {request.program}")
         if request.program == "abort":
@@ -94,7 +101,7 @@ class ProgramRunner:
         self._aborted = "it was aborted"
         return f"the {self._label} ends and the tip retracts"
 
-    def _begin_scan(self, settings: ScanSettings) -> str:
+    def _begin_scan(self, settings: ScanSettings, place: Place) -> str:
         if self._lateral is None:
             raise RefusedError("program: scan needs a lateral stage, which this instrument has none of")
         s = settings
@@ -106,18 +113,36 @@ class ProgramRunner:
         plan = raster.RasterPlan(
             Place(s.x_m, s.y_m), width_m, depth_m, s.pixels, s.lines, s.pixels * s.dwell_s, s.setpoint_n, s.gain_per_s,
             s.approach_m_per_s, s.settle_s, self._stiffness, self._limits.retract_position_m, s.setpoint_share * free_m,
-            s.proportional, self._period_s, self._lag,
+            s.proportional, self._period_s, self._lag, self._approach_limit_s(s.approach_m_per_s),
         )  # fmt: skip
         reach_m, speed = self._lateral
         fault = raster.line_fault(plan, reach_m, speed, self._limits.force_limit_n)
+        fault = fault or self._scan_fault(plan, free_m, place)
         if fault:
             raise RefusedError(f"scan: {fault}")
         self._start("scan")
         self._raster, self._free_amplitude_m = (plan, raster.begun(plan)), free_m
         seconds = 2.0 * plan.lines * plan.line_s
-        return f"an image of {s.pixels} x {s.lines} pixels begins, {seconds:.0f} s for its lines"
+        return (
+            f"an image of {s.pixels} x {s.lines} pixels begins, {seconds:.0f} s for its lines after an approach of at"
+            f" most {plan.approach_s:.3g} s"
+        )
 
-    def _begin_curve(self, settings: CurveSettings) -> str:
+    def _approach_limit_s(self, speed_m_per_s: float) -> float:
+        return approach_limit_s(self._limits, self._limits.retract_position_m, speed_m_per_s)
+
+    def _scan_fault(self, plan: raster.RasterPlan, free_m: float, place: Place) -> str:
+        """Return why the base cannot follow the surface of an image, or the tip not get there; empty for nothing."""
+        if self._reach is None:
+            return ""
+        image = self._reach.within(plan.centre, plan.width_m, plan.depth_m)
+        # a tip that taps holds its amplitude above the sample, one in contact bends towards it
+        press_m = -plan.amplitude_m if free_m > 0.0 else plan.setpoint_n / self._stiffness
+        way = self._reach.along(place, raster.begin_of(plan))
+        clear = self._reach.retracted_fault(image, free_m) or self._reach.retracted_fault(way, free_m)
+        return self._reach.depth_fault(image, press_m) or clear
+
+    def _begin_curve(self, settings: CurveSettings, place: Place) -> str:
         limits, s = self._limits, settings
         if not -s.start_m >= limits.base_min_m:
             raise RefusedError(f"curve.start_m = {s.start_m:g} m is beyond safety.base_min_m = {limits.base_min_m:g} m")
@@ -127,12 +152,17 @@ class ProgramRunner:
             raise RefusedError(
                 f"curve.speed_m_per_s is above safety.base_speed_m_per_s = {limits.base_speed_m_per_s:g}"
             )
+        if self._reach is not None:
+            here = self._reach.along(place, place)
+            begin = "The curve must begin with the base at {base:g} m or less (curve.start_m counts the other way)"
+            if fault := self._reach.depth_fault(here) or self._reach.clearance_fault(here, -s.start_m, begin):
+                raise RefusedError(f"curve: {fault}")
         plan = approach.CurvePlan(-s.start_m, s.load_n, s.speed_m_per_s, limits.base_max_m)
         self._start("curve")
         self._curve = (plan, approach.CurveState(approach.RISE, 0.0))
         return f"a force curve to {s.load_n:g} N begins"
 
-    def _begin_tactile(self, settings: TactileSettings) -> str:
+    def _begin_tactile(self, settings: TactileSettings, place: Place) -> str:
         if self._lateral is None:
             raise RefusedError("program: tactile needs a lateral stage, which this instrument has none of")
         s = settings
@@ -151,8 +181,9 @@ class ProgramRunner:
         plan = tactile.TactilePlan(
             start, end, s.drive == "pointer", speed, s.setpoint_n, s.hold == "force", s.gain_per_s, s.approach_m_per_s,
             self._stiffness, self._limits.retract_position_m, self._period_s,
+            self._approach_limit_s(s.approach_m_per_s),
         )  # fmt: skip
-        if fault := tactile.plan_fault(plan):
+        if fault := tactile.plan_fault(plan) or self._path_fault(plan, place):
             raise RefusedError(f"tactile: {fault}")
         self._start("tactile")
         self._tactile = (plan, tactile.TactileState(tactile.RISE, False))
@@ -163,8 +194,18 @@ class ProgramRunner:
             self._notice = clipped.removeprefix("; ")
         return f"the tip touches the sample and goes along {'a pointer' if plan.by_pointer else 'a line'}{clipped}"
 
+    def _path_fault(self, plan: tactile.TactilePlan, place: Place) -> str:
+        """Return why the base cannot bring the tip to a path, or hold the force along it; empty for nothing."""
+        if self._reach is None:
+            return ""
+        path = self._reach.along(plan.start, plan.start if plan.by_pointer else plan.end)
+        held = path if plan.holds_force else self._reach.along(plan.start, plan.start)
+        fault = self._reach.depth_fault(held, plan.setpoint_n / self._stiffness)
+        way = self._reach.along(place, plan.start)
+        return fault or self._reach.retracted_fault(path) or self._reach.retracted_fault(way)
+
     def take_notice(self) -> str:
-        """Return, once for each time that it happens, that a speed is limited to what can be felt."""
+        """Return, once for each time that it happens, that a speed is limited, or that a curve turned early."""
         if self._notice:
             notice, self._notice = self._notice, ""
             return notice
@@ -187,6 +228,7 @@ class ProgramRunner:
         Parameters: pointer, where a person wants the tip.
         """
         base_m, place, force_n = measured.base_m, measured.place, measured.force_n
+        self._aborted = self._aborted or self._overdue(base_m)
         if self._aborted:
             return Wanted(safety.ACTION_RETRACT, base_m, place), None
         line: FinishedLine | None = None
@@ -202,10 +244,29 @@ class ProgramRunner:
         else:
             assert self._curve is not None
             curve, way = self._curve
+            was_loaded = way.loaded
             way, reference_m = approach.curve_step(curve, way, base_m, force_n, dt)
+            if was_loaded and not way.loaded:
+                self._notice = (
+                    f"the curve turned at {way.turned_m:.3g} m, the furthest base (safety.base_max_m), where the force"
+                    f" was {force_n:.3g} N: its load of {curve.load_n:g} N was not reached"
+                )
             self._curve, target, done = (curve, way), place, way.phase == approach.DONE
         action = safety.ACTION_RETRACT if done else safety.ACTION_POSITION
         return Wanted(action, reference_m, target, 0.0 if done else self._free_amplitude_m), line
+
+    def _overdue(self, base_m: float) -> str:
+        """Return that an approach has found no surface in its time; empty while it may still find one."""
+        if self._raster is not None and raster.found_nothing(*self._raster):
+            limit_s = self._raster[0].approach_s
+        elif self._tactile is not None and tactile.found_nothing(*self._tactile):
+            limit_s = self._tactile[0].approach_s
+        else:
+            return ""
+        return (
+            f"the surface was not found within {limit_s:.3g} s, with the base at {base_m:.3g} m (safety.base_max_m is"
+            f" {self._limits.base_max_m:g} m): bring the sample nearer, or allow the base to go further"
+        )
 
     def follow_guard(self, mode: int, reason: int) -> None:
         """Take note of what the guard made of a step: it ends a program that is done, and one that it stops itself."""
@@ -219,7 +280,9 @@ class ProgramRunner:
         """Return how far the program is."""
         text, share, line, lines = self._progress()
         if self.state == "finished":
-            text, share = f"the {self._label} is finished: the tip retracts", 1.0
+            short = self._curve is not None and not self._curve[1].loaded
+            reached = " without reaching its load" if short else ""
+            text, share = f"the {self._label} is finished{reached}: the tip retracts", 1.0
         elif self.state == "ended":
             text = f"the {self._label} ended, {self._aborted}"
         return Report(self.name, self.state, text, 100.0 * share, line, lines)

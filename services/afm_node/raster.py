@@ -29,7 +29,8 @@ class RasterPlan(NamedTuple):
 
     stiffness_n_per_m turns the force into a deflection; clear_m is the base above every point [m], where the tip moves
     to the first one; amplitude_m, the set-point of the amplitude in tapping mode [m], 0 in contact mode; gain_per_s and
-    proportional, Ki and Kp of the feedback; period_s, its period; lag, what is left of a change of the amplitude then.
+    proportional, Ki and Kp of the feedback; period_s, its period; lag, what is left of a change of the amplitude then;
+    approach_s, the time after which an approach has found no surface [s].
     """
 
     centre: Place
@@ -48,6 +49,7 @@ class RasterPlan(NamedTuple):
     proportional: float = 0.0
     period_s: float = 0.0
     lag: float = 0.0
+    approach_s: float = math.inf
 
     @property
     def loop_lag(self) -> float | None:
@@ -116,7 +118,7 @@ def raster_step(
     Returns: state, base reference x_s [m], lateral target, and a line where one was finished.
     """
     phase, elapsed, base_m, place = state.phase, state.elapsed_s + dt, measured.base_m, measured.place
-    first = _point(plan, 0, 0.0)
+    first = begin_of(plan)
     if phase == RISE:
         return (_in(state, TRAVEL) if base_m <= plan.clear_m else state), plan.clear_m, place, None
     if phase == TRAVEL:
@@ -126,7 +128,7 @@ def raster_step(
             # the base goes on from where it is
             settling = _in(state, SETTLE)._replace(reference_m=base_m, proportional_m=plan.proportional * error_m)
             return settling, base_m, first, None
-        return state, base_m + plan.approach_m_per_s * dt, first, None
+        return state._replace(elapsed_s=elapsed), base_m + plan.approach_m_per_s * dt, first, None
     if phase == DONE:
         return state, base_m, place, None
     part_m = carried_out(state.proportional_m, state.reference_m - base_m)
@@ -139,6 +141,16 @@ def raster_step(
         return state, held, place, None
     state, target, finished = _advance(plan, state._replace(elapsed_s=elapsed), measured)
     return state, held, target, finished
+
+
+def begin_of(plan: RasterPlan) -> Place:
+    """Return the place of the first point."""
+    return _point(plan, 0, 0.0)
+
+
+def found_nothing(plan: RasterPlan, state: RasterState) -> bool:
+    """Return whether the approach has taken longer than the whole way of the base."""
+    return state.phase == APPROACH and state.elapsed_s > plan.approach_s
 
 
 def missing_m(plan: RasterPlan, measured: Measured) -> float:

@@ -3,17 +3,27 @@
 import importlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from proto.errors import ConfigError
-from services.afm_node.surface import MOST_PIXELS, Surface, checked, dots, flat, grating
+from services.afm_node.surface import MOST_PIXELS, Surface, centred, checked, dots, flat, grating, plane_levelled
 from services.afm_node.surface_files import read_surface
 from services.runtime.config import Settings
 
 SHAPES = ("flat", "dots", "grating")
+_LEVELS: dict[str, Callable[[Surface], Surface]] = {
+    "centre": centred,
+    "plane": plane_levelled,
+    "absolute": lambda surface: surface,
+}
+_LEVELLED = {
+    "centre": "its heights are shifted so that its middle is at 0",
+    "plane": "its mean plane is subtracted",
+    "absolute": "its heights are those of the file",
+}
 Length = Annotated[float, Field(ge=1e-9, le=1e-3)]
 
 
@@ -30,6 +40,11 @@ class SampleConfig(Settings):
     )
     pixels: int = Field(512, ge=2, le=MOST_PIXELS, description="Heights along a side of a computed sample, 2 to 4096.")
     channel: str | None = Field(None, description="Part of the name of one channel of a file; default: its height.")
+    level: Literal["centre", "plane", "absolute"] = Field(
+        "centre",
+        description="Level of a file's heights. centre: the height in the middle becomes 0, as after an approach there;"
+        " plane: the mean plane is subtracted; absolute: as in the file.",
+    )
     seed: int = Field(0, ge=0, description="Seed of the places of the dots.")
     dot_count: int = Field(12, ge=1, le=10_000, description="Number of dots, 1 to 10000.")
     dot_radius_m: Length = Field(5e-9, description="Radius of a dot at its foot [m].")
@@ -40,16 +55,23 @@ class SampleConfig(Settings):
     def _size_where_needed(self) -> Self:
         if self.is_file and self.size_m is not None and Path(self.name).suffix.lower() != ".npy":
             raise ValueError(f"size_m: {self.name} says its own size")
+        if not self.is_file and "level" in self.model_fields_set:
+            raise ValueError(f"level: is for files; {self.name} has heights of its own")
         return self
 
     @property
     def is_file(self) -> bool:
         return self.name not in SHAPES and ":" not in self.name
 
+    @property
+    def levelled(self) -> str:
+        """How the heights of a file are levelled, in words; empty for a sample that is no file."""
+        return _LEVELLED[self.level] if self.is_file else ""
+
     def build(self) -> Surface:
         """Return the surface. Raises ConfigError naming the sample and what is wrong with it."""
         if self.is_file:
-            return read_surface(Path(self.name), self.channel, self.size_m)
+            return _LEVELS[self.level](read_surface(Path(self.name), self.channel, self.size_m))
         size_m = 150e-9 if self.size_m is None else self.size_m
         try:
             if self.name == "flat":

@@ -54,6 +54,11 @@ class SimulatedAfm:
     def stage(self) -> LateralStage:
         return self
 
+    @property
+    def surface(self) -> Surface | None:
+        """The surface as the tip sees it, None for a plane at height 0."""
+        return self._surface
+
     def move_to(self, x_m: float, y_m: float) -> None:
         if not (math.isfinite(x_m) and math.isfinite(y_m)):
             raise ValueError(f"lateral position {x_m}, {y_m} m must be finite")

@@ -126,6 +126,24 @@ def grating(size_m: float, pixels: int, period_m: float, height_m: float) -> Sur
     return checked(np.tile(np.where(ridge, height_m, 0.0), (pixels, 1)), size_m, size_m)
 
 
+def centred(surface: Surface) -> Surface:
+    """Return a surface whose height in its middle, where an AFM first brings its tip, is 0."""
+    middle_m = height_at(*surface, 0.5 * surface.width_m, 0.5 * surface.depth_m)[0]
+    return surface._replace(height_m=surface.height_m - middle_m)
+
+
+def plane_levelled(surface: Surface) -> Surface:
+    """Return a surface without its mean plane (least squares): neither tilt nor offset is left."""
+    rows, columns = surface.height_m.shape
+    x, y = np.arange(columns) - 0.5 * (columns - 1), np.arange(rows) - 0.5 * (rows - 1)
+    # over a whole grid the three parts of the fit are independent; `fsum` gives the same bits on every processor
+    heights = surface.height_m
+    mean = math.fsum(heights.ravel().tolist()) / heights.size
+    tilt_x = math.fsum((heights * x[None, :]).ravel().tolist()) / (rows * math.fsum((x * x).tolist()))
+    tilt_y = math.fsum((heights * y[:, None]).ravel().tolist()) / (columns * math.fsum((y * y).tolist()))
+    return surface._replace(height_m=heights - mean - tilt_x * x[None, :] - tilt_y * y[:, None])
+
+
 def dilated(surface: Surface, radius_m: float) -> Surface:
     """Return what a sphere of radius_m [m] sees of a surface; beyond the map the surface is taken as level.
 

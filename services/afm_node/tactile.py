@@ -23,7 +23,7 @@ class TactilePlan(NamedTuple):
     """The line, or only its start where a pointer leads; how the tip is brought there, and what the base does.
 
     speed_m_per_s: after Eq. 14; holds_force: a feedback (`feedback`) of gain_per_s with the period period_s moves the
-    base; clear_m: base above every point [m].
+    base; clear_m: base above every point [m]; approach_s: the time after which an approach has found no surface [s].
     """
 
     start: Place
@@ -37,13 +37,15 @@ class TactilePlan(NamedTuple):
     stiffness_n_per_m: float
     clear_m: float
     period_s: float
+    approach_s: float = math.inf
 
 
 class TactileState(NamedTuple):
-    """Phase; whether the pointer was ahead of the speed limit at the last step."""
+    """Phase; whether the pointer was ahead of the speed limit at the last step; time of the approach so far [s]."""
 
     phase: int
     is_limited: bool
+    approached_s: float = 0.0
 
 
 def tactile_step(
@@ -57,7 +59,8 @@ def tactile_step(
     if state.phase == APPROACH:
         if force_n >= plan.setpoint_n:
             return TactileState(FEEL, False), base_m, plan.start
-        return state, base_m + plan.approach_m_per_s * dt, plan.start
+        approaching = state._replace(approached_s=state.approached_s + dt)
+        return approaching, base_m + plan.approach_m_per_s * dt, plan.start
     if state.phase == DONE:
         return state, base_m, place
     goal = pointer if plan.by_pointer else plan.end
@@ -68,6 +71,11 @@ def tactile_step(
         share = integral_share(plan.gain_per_s, 0.0, plan.period_s, None, dt)
         base_m += (plan.setpoint_n - force_n) / plan.stiffness_n_per_m * share
     return TactileState(FEEL, plan.by_pointer and limited != 0), base_m, target
+
+
+def found_nothing(plan: TactilePlan, state: TactileState) -> bool:
+    """Return whether the approach has taken longer than the whole way of the base."""
+    return state.phase == APPROACH and state.approached_s > plan.approach_s
 
 
 def plan_fault(plan: TactilePlan) -> str:

@@ -336,6 +336,9 @@ class SessionNode(RigNode):
     def on_event(self, event: SessionEvent) -> None:
         if self.recording is not None:
             self.recording.on_event(event)
+        # what a device warns of while it is armed is for the person who starts the session
+        if self.phase == "arming" and (event.kind, event.level) == ("fault", "warning"):
+            self.reports.append(f"{event.src}: {event.text}")
         if self._commands is not None:
             self._commands.on_event(event)
 

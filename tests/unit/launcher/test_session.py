@@ -327,3 +327,17 @@ def test_while_nodes_are_stopped_it_is_reported_what_takes_its_time() -> None:
     # one that reports again was started again
     rig.receive_health("afm_node@slave")
     assert not ending.has_ended("afm_node@slave")
+
+
+def test_what_a_device_warns_of_while_it_is_armed_is_shown_by_up() -> None:
+    rig = Rig()
+    rig.all_ready()
+    rig.session.phase = "arming"
+    text = "a hand cannot touch the sample here"
+    rig.receive_event("afm_node@slave", "fault", text, level="warning")
+    rig.receive_event("afm_node@slave", "mode", "its middle is at 0")
+    assert list(rig.session.reports) == [f"afm_node@slave: {text}"]
+    # later ones are events of the session, which the view lists by themselves
+    rig.session.phase = "running"
+    rig.receive_event("afm_node@slave", "fault", text, level="warning")
+    assert len(rig.session.reports) == 1

@@ -1,0 +1,182 @@
+"""The loop asks its node what may be acted on, does deferred work, and counts what was refused."""
+
+import logging
+from typing import Any
+
+import pytest
+from test_runtime_node import MS, FakeBus, Rig
+
+from proto.messages import SUPERSEDED, SessionControl, SessionEvent
+from proto.sequence import Arrival
+from services.afm_node.config import AfmConfig
+from services.afm_node.node import AfmNode
+from services.afm_node.sim import SimulatedAfm
+from services.runtime.bus import Received
+from services.runtime.clock import NEVER_NS, VirtualClock
+from services.runtime.log import StructuredLog
+from services.runtime.node import DeviceDelay, NodeContext, NodeLoop
+from services.runtime.realtime import RealtimeStatus
+
+PLAIN = RealtimeStatus(fifo=False, memory_locked=False)
+
+
+def test_what_a_node_does_not_admit_reaches_neither_its_state_nor_its_commands() -> None:
+    rig = Rig()
+    rig.node.admits = lambda received: received.message.src != "controller@slave"
+    for src in ("haptic_node@master", "controller@slave"):
+        rig.bus.arrives(5 * MS, "haptic/state", src=src)
+    rig.loop.turn()
+    assert [received.message.src for received in rig.node.messages] == ["haptic_node@master"]
+    rig.node.admits = lambda received: not isinstance(received.message, SessionControl)
+    rig.command(gain=2.0)
+    assert rig.node.carried_out == []
+    assert rig.events == []
+    # a gap is reported whether or not the message behind it may be acted on
+    rig.bus.arrives(6 * MS, "session/control", Arrival.AFTER_GAP)
+    rig.run_until(7 * MS)
+    assert ["were lost before number" in event.text for event in rig.events] == [True]
+
+
+def test_what_is_not_admitted_is_not_in_the_journal_either() -> None:
+    rig = Rig()
+    rig.node.journalled = True
+    rig.loop = NodeLoop(rig.node, rig.bus, PLAIN)
+    recorded: list[Received] = []
+    rig.loop._journal.record_message = lambda received, executed: recorded.append(received)
+    rig.node.admits = lambda received: received.message.src == "haptic_node@master"
+    for src in ("controller@slave", "haptic_node@master"):
+        rig.bus.arrives(5 * MS, "haptic/state", src=src)
+    rig.loop.turn()
+    assert [received.message.src for received in recorded] == ["haptic_node@master"]
+
+
+class Device:
+    """The instrument in its loop, on a bus in virtual time."""
+
+    def __init__(self, **section: Any) -> None:
+        self.clock = VirtualClock(start_ns=10**9, epoch_offset_ns=10**18)
+        self.bus = FakeBus(self.clock)
+        config = AfmConfig(**section)
+        context = NodeContext("afm_node@slave", self.clock, self.bus, StructuredLog("afm_node@slave"))
+        self.node = AfmNode(context, config, SimulatedAfm(config.to_params()))
+        self.loop = NodeLoop(self.node, self.bus, PLAIN)
+        self._seq = 0
+
+    def arrives(self, topic: str, **fields: Any) -> None:
+        """Let a message arrive, sent now, and take a turn."""
+        now_ns = self.clock.monotonic_ns()
+        fields = {"seq": self._seq, "t_ns": self.clock.now_ns(), **fields}
+        self._seq += 1
+        self.bus.arrives(now_ns, topic, **fields)
+        at, received = self.bus.coming.pop()
+        self.bus.coming.append((at, received._replace(received_ns=self.clock.now_ns())))
+        self.loop.turn()
+
+    def command(self, base_m: float) -> None:
+        self.clock.advance_ns(MS)
+        position = (0.0, 0.0, -base_m)
+        self.arrives(
+            "afm/command", src="controller@slave", base_position_m=position, mode="position",
+            hand_t_ns=self.clock.now_ns(),
+        )  # fmt: skip
+
+    def control(self, command: str) -> None:
+        fields = {"id": command, "command": command, "target": "afm_node", "parameters": {}}
+        self.arrives("session/control", src="launcher@master", **fields)
+
+    @property
+    def events(self) -> list[SessionEvent]:
+        return self.bus.of(SessionEvent)
+
+
+@pytest.mark.parametrize("allow_replay", [False, True])
+def test_the_instrument_in_its_loop_does_not_obey_a_recording_unless_that_is_allowed(allow_replay: bool) -> None:
+    device = Device(allow_replay=allow_replay)
+    for _ in range(3):
+        device.command(-50e-9)
+    device.control("arm")
+    assert device.node.state == "running"
+    for _ in range(5):
+        device.command(-90e-9)
+    before_m = device.node._guard.base_m
+    device.arrives("node/health", src="controller@slave", replay=True)
+    for _ in range(20):
+        device.command(-50e-9)
+    moved_m = device.node._guard.base_m - before_m
+    assert (moved_m > 30e-9) is allow_replay
+    texts = [event.text for event in device.events if "come from a recording" in event.text]
+    assert len(texts) == int(not allow_replay)
+    # an emergency stop is obeyed whoever sends it
+    device.arrives("node/health", src="launcher@master", replay=True)
+    device.control("estop")
+    assert device.node.state == "safe"
+
+
+def test_deferred_work_of_a_node_without_a_deadline_is_done_when_it_is_due() -> None:
+    rig = Rig()
+    done: list[int] = []
+    rig.node.on_deadline = lambda now_ns: done.extend(now_ns for _ in rig.node.quiet_work.take(now_ns))
+    rig.run_until(10 * MS)
+    assert rig.node.deadline_ns() == NEVER_NS
+    rig.node.quiet_work.note_tick(rig.clock.monotonic_ns())
+    begun_ns = rig.clock.monotonic_ns()
+    rig.node.quiet_work.add(begun_ns + 1, "report")
+    rig.run_until(begun_ns + 30 * MS)
+    # the pause is over, so it waits for the 20 ms that any work waits at most, and for no report of the loop
+    assert done == [begun_ns + 1 + 20 * MS]
+    assert rig.node.quiet_work.due_ns == NEVER_NS
+
+
+def test_deferred_work_of_a_node_with_a_deadline_does_not_wait_for_it() -> None:
+    rig = Rig(period_ns=500 * MS)
+    done: list[int] = []
+    on_deadline = rig.node.on_deadline
+
+    def deadline(now_ns: int) -> None:
+        if rig.node.quiet_work.take(now_ns):
+            done.append(now_ns)
+        else:
+            on_deadline(now_ns)
+
+    rig.node.on_deadline = deadline
+    # the first report
+    rig.loop.turn()
+    now_ns = rig.clock.monotonic_ns()
+    rig.node.quiet_work.add(now_ns, "report")
+    rig.loop.turn()
+    assert (done, rig.node.ticks) == ([now_ns], [])
+
+
+def test_messages_that_a_newer_one_replaced_are_no_refusal_to_be_logged(caplog: pytest.LogCaptureFixture) -> None:
+    rig = Rig()
+    caplog.set_level(logging.WARNING)
+    rig.bus.refused = {SUPERSEDED: 400}
+    rig.run_until(1100 * MS)
+    assert [record for record in caplog.records if "refused" in record.getMessage()] == []
+    # they are in the account of health all the same
+    assert rig.health[-1].rejected == {SUPERSEDED: 400}
+    rig.bus.refused = {SUPERSEDED: 900, "malformed": 2}
+    rig.run_until(2100 * MS)
+    logged = [record for record in caplog.records if "refused" in record.getMessage()]
+    assert len(logged) == 1
+    rig.bus.refused = {SUPERSEDED: 5000, "malformed": 2}
+    rig.run_until(3100 * MS)
+    assert len([record for record in caplog.records if "refused" in record.getMessage()]) == 1
+
+
+def test_the_age_of_a_device_is_the_mean_of_an_interval_and_absent_without_samples() -> None:
+    delay = DeviceDelay(3e-3, "stage 7")
+    assert delay.report() == {"device_latency_s": 3e-3, "calibration": "stage 7"}
+    for age_s in (0.25, 0.75):
+        delay.record(age_s)
+    assert delay.report()["device_age_s"] == 0.5
+    delay.record(0.125)
+    assert delay.report()["device_age_s"] == 0.125
+    assert "device_age_s" not in delay.report()
+
+
+def test_the_first_report_counts_all_steps_since_the_start() -> None:
+    rig = Rig(period_ns=MS)
+    rig.run_until(505 * MS)
+    # the first one is sent before the first step, the second half a second later
+    assert [report.rate_hz for report in rig.health] == [0.0, 1000.0]

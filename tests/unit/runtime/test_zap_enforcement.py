@@ -1,0 +1,146 @@
+"""Who is let in while nobody answers for the keys, and what a revocation closes: once, and with its endpoint."""
+
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import zmq
+from network_bench import AFM, CONTROLLER, PATIENCE_S, Machine, two_machine_book, until
+
+from services.runtime.security.accept_limiter import AcceptLimiter
+from services.runtime.security.socket_monitor import CLOSED_IN_HANDSHAKE, CONNECTED
+from services.runtime.security.zap_authenticator import BoundEndpoint, ZapAuthenticator
+
+
+@pytest.fixture
+def machines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Machine, Machine]]:
+    for name in ("TELENANO_HOST_MASTER", "TELENANO_HOST_SLAVE", "TELENANO_BIND_ADDRESS"):
+        monkeypatch.delenv(name, raising=False)
+    book = two_machine_book(tmp_path)
+    master, slave = Machine("master", book, tmp_path), Machine("slave", book, tmp_path)
+    for one, other in ((master, slave), (slave, master)):
+        one.knows(other)
+        one.open()
+    yield master, slave
+    for machine in (master, slave):
+        machine.close()
+
+
+def handshake(
+    authenticator: ZapAuthenticator,
+    context: "zmq.Context[zmq.Socket[bytes]]",
+    client: Machine,
+    server: Machine,
+    answer: Callable[[], Any],
+) -> str:
+    """Return how the first handshake of a client ends at a socket that an authenticator has prepared."""
+    publisher = context.socket(zmq.PUB)
+    authenticator.prepare(publisher, AFM)
+    subscriber = context.socket(zmq.SUB)
+    events = subscriber.get_monitor_socket(CONNECTED)
+    subscriber.set(zmq.CURVE_PUBLICKEY, client.ring.own(client.name).public)
+    subscriber.set(zmq.CURVE_SECRETKEY, client.ring.own(client.name).secret)
+    subscriber.set(zmq.CURVE_SERVERKEY, server.ring.own(server.name).public)
+    try:
+        port = publisher.bind_to_random_port("tcp://127.0.0.1")
+        subscriber.connect(f"tcp://127.0.0.1:{port}")
+        end_s = time.monotonic() + PATIENCE_S
+        while not events.poll(5):
+            assert time.monotonic() < end_s
+            # where nobody answers for the key, it is the server that closes the connection
+            if any(event.kind == CLOSED_IN_HANDSHAKE for event in authenticator._monitors[AFM].events()):
+                return "refused"
+            answer()
+        return "accepted"
+    finally:
+        subscriber.disable_monitor()
+        authenticator.abandon(AFM)
+        for socket in (events, subscriber, publisher):
+            socket.close(0)
+
+
+def test_no_client_is_accepted_in_a_process_where_nobody_answers_for_the_keys(
+    machines: tuple[Machine, Machine],
+) -> None:
+    master, slave = machines
+    authenticator = slave.network._authenticator
+    # the same socket, the same client with its listed key: what differs is whether the handler is there
+    assert handshake(authenticator, slave.context, master, slave, authenticator.process_events) == "accepted"
+    alone = zmq.Context[zmq.Socket[bytes]]()
+    try:
+        assert handshake(authenticator, alone, master, slave, lambda: None) == "refused"
+    finally:
+        alone.destroy(0)
+
+
+class PlainSocket:
+    """A socket that notes what is done to it."""
+
+    def __init__(self) -> None:
+        self.calls: list[str] = []
+
+    def unbind(self, endpoint: str) -> None:
+        self.calls.append(f"unbind {endpoint}")
+
+    def bind(self, endpoint: str) -> None:
+        self.calls.append(f"bind {endpoint}")
+
+
+def endpoint_of(machine: Machine, node: str, port: int) -> tuple[BoundEndpoint, PlainSocket]:
+    """Return an endpoint of a machine's authenticator on a socket that does nothing."""
+    socket = PlainSocket()
+    quiet = SimpleNamespace(events=list, has_pending=False, socket=None)
+    publisher = SimpleNamespace(socket=socket, node=node)
+    limiter = AcceptLimiter((), machine.clock.monotonic_ns())
+    bound = BoundEndpoint(publisher, quiet, f"tcp://127.0.0.1:{port}", limiter)
+    machine.network._authenticator.endpoints.append(bound)
+    return bound, socket
+
+
+def test_a_revocation_closes_its_endpoint_once_and_no_other(machines: tuple[Machine, Machine]) -> None:
+    master, slave = machines
+    authenticator = slave.network._authenticator
+    first, first_socket = endpoint_of(slave, AFM, 1)
+    other, other_socket = endpoint_of(slave, CONTROLLER, 2)
+    stranger = zmq.curve_keypair()[0].decode()
+    first.accepted.update({master.key, stranger})
+    other.accepted.add(master.key)
+    try:
+        authenticator.apply_permissions()
+        assert first_socket.calls == ["unbind tcp://127.0.0.1:1", "bind tcp://127.0.0.1:1"]
+        assert other_socket.calls == []
+        (event,) = authenticator.take_events()
+        assert (event.level, event.data) == ("warning", {"endpoint": first.endpoint, "connection": "revoked"})
+        assert (first.unbound, first.attempts) == (False, 0)
+        # whoever comes back is asked for the key again, so what was accepted before counts no longer
+        assert (first.accepted, other.accepted) == (set(), {master.key})
+        authenticator.apply_permissions()
+        assert len(first_socket.calls) == 2
+        assert authenticator.take_events() == []
+    finally:
+        authenticator.endpoints.clear()
+
+
+def test_a_machine_that_came_back_after_a_revocation_of_another_is_left_alone_by_the_next_change(
+    machines: tuple[Machine, Machine],
+) -> None:
+    master, slave = machines
+    slave.bind(AFM)
+    master.subscribe({AFM: ["afm/state"]})
+    until(lambda: master.texts("up"), master, slave)
+    bound = slave.network._authenticator.endpoints[0]
+    laptop = zmq.curve_keypair()[0].decode()
+    slave.ring.allow("laptop", laptop, ["observe"])
+    bound.accepted.add(laptop)
+    slave.ring.revoke("laptop")
+    until(lambda: slave.texts("revoked") and len(master.texts("up")) == 2, master, slave)
+    assert bound.accepted == {master.key}
+    # a change of the list that concerns nobody here
+    slave.ring.allow("another", zmq.curve_keypair()[0].decode(), ["observe"])
+    for _ in range(60):
+        master.turn()
+        slave.turn()
+    assert (len(slave.texts("revoked")), len(master.texts("down"))) == (1, 1)
