@@ -8,6 +8,7 @@ from analysis.plugins import recorded_plugins
 from proto.nodes import LINK
 from recording.arrays import columns
 from recording.multi_file import RecordingSource
+from recording.site_clock import Timeline
 from services.controller.config import ControllerConfig
 from services.delay_node.config import LinkSettings
 from services.runtime.config import validate
@@ -16,10 +17,13 @@ from services.runtime.scenario import Scenario
 _MASTER = "controller@master"
 
 
-def conditions(recording: RecordingSource, scenario: Scenario, start_ns: int, end_ns: int) -> dict[str, Any]:
+def conditions(
+    recording: RecordingSource, scenario: Scenario, start_ns: int, end_ns: int, timeline: Timeline | None = None
+) -> dict[str, Any]:
     """Return what a figure or a table has to state beside its numbers.
 
-    Parameters: scenario, as attached; start_ns, end_ns, of the session [ns].
+    Parameters: scenario, as attached; start_ns, end_ns, of the session by the master's clock [ns]; timeline, the clocks
+    of the recording, read from it if None.
     Returns: `law`, those in force one after the other; `parameters` of the law that the scenario names;
     `changed`, what was set while the session ran; `link_round_trip_ms`, median of the delays that the link added there
     and back; `round_trip_ms`, median age, in whole periods, of the sample that the newest answer descends from, as the
@@ -35,7 +39,7 @@ def conditions(recording: RecordingSource, scenario: Scenario, start_ns: int, en
     return {
         "law": laws or [controller.law],
         "parameters": controller.law_config().model_dump(mode="json"),
-        "changed": _changed(recording, start_ns, end_ns),
+        "changed": _changed(recording, timeline or Timeline(recording), start_ns, end_ns),
         "link_round_trip_ms": _link_round_trip_ms(recording, start_ns, end_ns),
         "round_trip_ms": round_trip_ms,
         "link_profile": link.profile,
@@ -92,13 +96,15 @@ def _link_round_trip_ms(recording: RecordingSource, start_ns: int, end_ns: int) 
     return round(1e3 * float(np.median(sum(found[mean_s][inside] for mean_s, _ in ways))), 3)
 
 
-def _changed(recording: RecordingSource, start_ns: int, end_ns: int) -> list[str]:
+def _changed(recording: RecordingSource, timeline: Timeline, start_ns: int, end_ns: int) -> list[str]:
     """Return what nodes acknowledged to have set while the session ran, each with its node."""
     events = recording.select(lambda channel: channel.topic == "session/event" and channel.via == "direct")
     texts = []
     for event in events:
         fields = event.fields()
         text = str(fields.get("text", ""))
-        if fields.get("kind") == "ack" and text.startswith("set ") and start_ns <= event.publish_ns <= end_ns:
+        if fields.get("kind") != "ack" or not text.startswith("set "):
+            continue
+        if timeline.stamp_ns(event.src, start_ns) <= event.publish_ns <= timeline.stamp_ns(event.src, end_ns):
             texts.append(f"{event.src}: {text}")
     return texts

@@ -1,12 +1,13 @@
 """The holds of a recorded session: where the hand's force stands still, and what the tip's force does meanwhile."""
 
+from collections.abc import Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from analysis.modes import LEAST_SAMPLES
-from analysis.verdict import Circumstances, Kind, judge
+from analysis.verdict import GUARD_ACTED, Circumstances, Kind, judge
 
 Series = npt.NDArray[np.float64]
 
@@ -17,10 +18,21 @@ SETTLING_SHARE = 0.2
 _HAND_STEADY_SHARE = 0.01
 # of the greatest force: below it the hand has let go
 _PRESSING_SHARE = 0.05
+HAND, TIP, ANSWERS = "haptic/state", "afm/state", "haptic/command"
+# samples come every millisecond; at this distance [s] the deadline of the loop has passed
+LONGEST_STEP_S = 0.05
+# of a hold: with more of it missing between its samples there is no telling what became of it
+_MISSING_SHARE = 0.1
+# of the instrument's reasons for withdrawing those that missing commands are
+_STARVED = ("command_deadline", "hold_expired")
+# a report of the instrument belongs to what it did at most so long before or after [s]
+_REPORTED_WITHIN_S = 0.2
+# an incident is the cause of what ends so long after it [s], or is reported so long after what it caused
+_CAUSED_WITHIN_S, _NOTICED_WITHIN_S = 3.0, 2.0
 # a session that swings and drifts swings: what a person meets first, and what does not end by itself
 _WORST_FIRST: tuple[Kind, ...] = (
-    *("diverged", "guarded", "limit_cycle", "contact_lost", "wrong_force", "drifting", "cannot_say", "released"),
-    "stable",
+    *("diverged", "guarded", "limit_cycle", "contact_lost", "wrong_force", "no_data", "drifting", "cannot_say"),
+    *("settling", "released", "stable"),
 )
 
 
@@ -38,10 +50,57 @@ class Hold(NamedTuple):
 
 
 class Instrument(NamedTuple):
-    """What the instrument says at the tip's times: whether it follows commands, and whether the tip touches."""
+    """What the instrument says at the tip's times: whether it follows commands, and whether the tip touches.
+
+    held: whether the base stands because commands are missing or ask for it, which it also counts as following.
+    """
 
     following: npt.NDArray[np.bool_]
     in_contact: npt.NDArray[np.bool_]
+    held: npt.NDArray[np.bool_] | None = None
+
+
+class Guard(NamedTuple):
+    """A report of the instrument that it withdraws: when [s], and why, as `services.afm_node.safety` names it."""
+
+    time_s: float
+    reason: str
+
+
+class Incident(NamedTuple):
+    """What a launcher or the link reported that may be the cause of a hold's end: when [s], and the sentence."""
+
+    time_s: float
+    text: str
+
+
+class Lack(NamedTuple):
+    """What a session lacks: a topic, and from when to when [s]."""
+
+    topic: str
+    start_s: float
+    end_s: float
+
+    def __str__(self) -> str:
+        what = "no answer reached the hand" if self.topic == ANSWERS else "nothing"
+        return f"{self.topic}: {what} from {self.start_s:.3f} s to {self.end_s:.3f} s of the session"
+
+
+class Programme(NamedTuple):
+    """What else is known of a session.
+
+    planned: holds of the operator's programme, start [s], end [s], force [N]; answered_s: when the hand took up answers
+    [s], None if that is not known; guards: what the instrument said of its guard; incidents: nodes that ended and
+    sites that fell silent.
+    """
+
+    planned: Sequence[tuple[float, float, float]] = ()
+    answered_s: Series | None = None
+    guards: Sequence[Guard] = ()
+    incidents: Sequence[Incident] = ()
+
+
+NO_PROGRAMME = Programme()
 
 
 def constant_stretches(time_s: Series, force_n: Series, tolerance_n: float) -> list[tuple[float, float]]:
@@ -57,41 +116,127 @@ def constant_stretches(time_s: Series, force_n: Series, tolerance_n: float) -> l
     return stretches
 
 
+def gaps_in(times_s: Series, start_s: float, end_s: float) -> list[tuple[float, float]]:
+    """Return the spans [s] between a start and an end that are without a sample for longer than LONGEST_STEP_S."""
+    inside = times_s[(times_s >= start_s) & (times_s <= end_s)]
+    edges = [start_s, *inside.tolist(), end_s]
+    return [(first, last) for first, last in pairwise(edges) if last - first > LONGEST_STEP_S]
+
+
+def lacks_of(
+    hand_time_s: Series, tip_time_s: Series, span_s: tuple[float, float], answered_s: Series | None = None
+) -> list[Lack]:
+    """Return what a hold lacks so much of that there is no telling what became of it; nothing if it has its samples.
+
+    Parameters: times of the samples of hand and tip, and of answers at the hand [s]; span_s, start and end of the hold.
+    A tenth of hand or tip has to be missing, in pieces of more than LONGEST_STEP_S; of the answers all: those that a
+    link delays or loses are a matter of the loop.
+    """
+    start_s, end_s = span_s
+    lacking = []
+    for topic, times in ((HAND, hand_time_s), (TIP, tip_time_s)):
+        spans = gaps_in(times, start_s, end_s)
+        if sum(last - first for first, last in spans) > _MISSING_SHARE * (end_s - start_s):
+            lacking += [Lack(topic, first, last) for first, last in spans]
+    knows_hand = not any(lack.topic == HAND for lack in lacking)
+    if knows_hand and answered_s is not None and not ((answered_s >= start_s) & (answered_s <= end_s)).any():
+        lacking.append(Lack(ANSWERS, start_s, end_s))
+    return lacking
+
+
 def judge_holds(
     hand_time_s: Series,
     hand_force_n: Series,
     tip_time_s: Series,
     scaled_force_n: Series,
     tip: Instrument | None = None,
+    programme: Programme = NO_PROGRAMME,
 ) -> list[Hold]:
     """Judge every hold of a session, each without its first fifth, as the studies judge theirs.
 
     Small is what is small beside the greatest force of the hand in the session, so that the holds share one measure; a
     trend has to be a factor of two to be believed, because messages on a real bus come when they come. Where the hand
-    presses, the tip has to press with the same force, and to touch.
+    presses, the tip has to press with the same force, and to touch. A hold without samples of hand or tip, or without
+    an answer at the hand, is `no_data`, also one of the programme that the recording does not show at all.
 
     Parameters: times [s], F_m [N] at the hand's times, alpha_f F_s [N] at the tip's times, and what the instrument says
-    then; one dimension each.
+    then; one dimension each; programme, what else is known.
     """
-    greatest = float(np.abs(hand_force_n).max(initial=0.0))
+    forces = [*np.abs(hand_force_n).tolist(), *(abs(force) for _, _, force in programme.planned)]
+    greatest = float(max(forces, default=0.0))
+    if greatest == 0.0:
+        return []
     holds = []
     for start, end in constant_stretches(hand_time_s, hand_force_n, _HAND_STEADY_SHARE * greatest):
-        judged = (tip_time_s >= start + SETTLING_SHARE * (end - start)) & (tip_time_s < end)
-        if greatest == 0.0 or judged.sum() < LEAST_SAMPLES:
-            continue
         force = float(np.interp(0.5 * (start + end), hand_time_s, hand_force_n))
-        presses = abs(force) > _PRESSING_SHARE * greatest
-        known = Circumstances(noisy=True, expected_n=force if presses else None)
-        if tip is not None:
-            lost = judged & ~tip.following
-            later = judged & (tip_time_s >= 0.5 * (start + end))
-            if lost.any():
-                judged = judged & (tip_time_s < tip_time_s[int(np.argmax(lost))])
-            touching = float(tip.in_contact[later].mean()) if presses and later.any() else None
-            known = known._replace(guarded=bool(lost.any()), touching=touching)
-        verdict = judge(tip_time_s[judged], scaled_force_n[judged], greatest, known)
-        holds.append(Hold(start, end, force, *verdict))
-    return holds
+        holds.append((start, end, force))
+    # what the recording does not have of the hand
+    for start, end, force in programme.planned:
+        shown_s = sum(max(0.0, min(end, last) - max(start, first)) for first, last, _ in holds)
+        if shown_s < 0.5 * (end - start) and lacks_of(hand_time_s, hand_time_s, (start, end)):
+            holds.append((start, end, force))
+    times = _Times(hand_time_s, tip_time_s, scaled_force_n)
+    return [_judge_hold(times, tip, hold, greatest, programme) for hold in sorted(holds)]
+
+
+class _Times(NamedTuple):
+    hand_s: Series
+    tip_s: Series
+    scaled_force_n: Series
+
+
+def _judge_hold(
+    series: _Times, tip: Instrument | None, hold: tuple[float, float, float], greatest_n: float, programme: Programme
+) -> Hold:
+    start, end, force = hold
+    presses = abs(force) > _PRESSING_SHARE * greatest_n
+    known = Circumstances(noisy=True, expected_n=force if presses else None)
+    judged = (series.tip_s >= start + SETTLING_SHARE * (end - start)) & (series.tip_s < end)
+    if tip is not None:
+        lost = judged & ~tip.following
+        later = judged & (series.tip_s >= 0.5 * (start + end))
+        last = judged & (series.tip_s >= end - 0.25 * (end - start))
+        if lost.any():
+            first = int(np.argmax(lost))
+            judged = judged & (series.tip_s < series.tip_s[first])
+            known = _guarded(known, series.tip_s, tip, first, programme)
+        touching = float(tip.in_contact[later].mean()) if presses and later.any() else None
+        at_end = float(tip.in_contact[last].mean()) if presses and last.any() else None
+        known = known._replace(touching=touching, touching_at_end=at_end)
+    lacking = lacks_of(series.hand_s, series.tip_s, (start, end), programme.answered_s)
+    if lacking and not known.guarded:
+        causes = _causes(programme, lacking[0].start_s, lacking[-1].end_s)
+        return Hold(start, end, force, "no_data", None, 0.0, 0.0, "; ".join([*map(str, lacking), *causes]))
+    verdict = judge(series.tip_s[judged], series.scaled_force_n[judged], greatest_n, known)
+    return Hold(start, end, force, *verdict)
+
+
+def _guarded(
+    known: Circumstances, tip_time_s: Series, tip: Instrument, lost: int, programme: Programme
+) -> Circumstances:
+    """Add when and why the instrument withdrew, from its first sample in a hold in which it had."""
+    while lost > 0 and not tip.following[lost - 1]:
+        lost -= 1
+    if lost == 0:
+        return known._replace(guarded=True, guard="the instrument followed no command before it either")
+    at_s = float(tip_time_s[lost])
+    near = [guard for guard in programme.guards if abs(guard.time_s - at_s) <= _REPORTED_WITHIN_S]
+    reason = min(near, key=lambda guard: abs(guard.time_s - at_s)).reason if near else ""
+    was_held = tip.held is not None and bool(tip.held[lost - 1])
+    if reason in _STARVED or (not reason and was_held):
+        words = f"the instrument withdrew at {at_s:.3f} s because no command came ({reason or 'hold_expired'}): "
+        words += "the network or a node was away, which says nothing of the law"
+        return known._replace(guarded=True, guard="; ".join([words, *_causes(programme, at_s, at_s)]), starved=True)
+    return known._replace(guarded=True, guard=f"{GUARD_ACTED} at {at_s:.3f} s" + (f" ({reason})" if reason else ""))
+
+
+def _causes(programme: Programme, start_s: float, end_s: float) -> list[str]:
+    """Return the incidents that a stretch without samples or commands may be due to."""
+    return [
+        f"at {incident.time_s:.3f} s: {incident.text}"
+        for incident in programme.incidents
+        if start_s - _CAUSED_WITHIN_S <= incident.time_s <= end_s + _NOTICED_WITHIN_S
+    ]
 
 
 def verdict_of(holds: list[Hold]) -> tuple[Kind, str]:

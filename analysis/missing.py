@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from analysis.holds import LONGEST_STEP_S
 from proto.ends import END_TOPIC, read_end
 from recording.arrays import replayed_sources
 from recording.info import RecordingInfo
@@ -14,8 +15,6 @@ from recording.multi_file import RecordingSource
 
 # a recorder that received the hand from the start has its first sample long before
 _LATE_START_S = 0.1
-# samples come every millisecond; at this distance the deadline of the loop has passed
-_LONGEST_STEP_S = 0.05
 
 Spans = tuple[tuple[float, float], ...]
 
@@ -51,7 +50,7 @@ def gaps(time_s: Iterable[npt.NDArray[np.float64]], end_s: float) -> Spans:
     spans: list[tuple[float, float]] = []
     for times in time_s:
         edges = np.concatenate(([0.0], times, [end_s]))
-        wide = np.flatnonzero(np.diff(edges) > _LONGEST_STEP_S)
+        wide = np.flatnonzero(np.diff(edges) > LONGEST_STEP_S)
         spans += [(float(edges[place]), float(edges[place + 1])) for place in wide]
     joined: list[tuple[float, float]] = []
     for first, last in sorted(spans):

@@ -9,8 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from proto.errors import ConfigError, RecordingError
-from recording.arrays import columns, replay_shifts
+from recording.arrays import columns
 from recording.reader import Recording
+from recording.site_clock import Timeline
 from recording.whole_files import whole_file
 
 Floats = npt.NDArray[np.float64]
@@ -23,7 +24,7 @@ _LABEL_COLUMNS = 12
 
 
 class Trace(NamedTuple):
-    """A field over time [s] from the earliest message of those drawn, by the publisher's time of sending."""
+    """A field over time [s] from the earliest message of those drawn, by the time of sending on the master's clock."""
 
     name: str
     time_s: Floats
@@ -34,7 +35,7 @@ def read_traces(path: Path, names: Sequence[str]) -> list[Trace]:
     """Read the fields named TOPIC.FIELD; ConfigError or RecordingError names what is wrong with one."""
     recording = Recording(path)
     # the recorder lags, by a time that changes: against its times a ramp is a staircase
-    shifts = replay_shifts(recording)
+    timeline = Timeline(recording)
     found_of: dict[str, tuple[Ints, Floats]] = {}
     for name in names:
         topic, _, field = name.partition(".")
@@ -43,7 +44,10 @@ def read_traces(path: Path, names: Sequence[str]) -> list[Trace]:
         found = columns(recording, topic, ("publish_ns", "src", field))
         if found[field].dtype == object:
             raise RecordingError(f"{path}: {topic}: {field} is text, which cannot be drawn")
-        sent_ns = found["publish_ns"] + np.array([shifts.get(src, 0) for src in found["src"]], dtype=np.int64)
+        sent_ns = found["publish_ns"].astype(np.int64)
+        for src in set(found["src"]):
+            own = found["src"] == src
+            sent_ns[own] = timeline.times_ns(src, sent_ns[own])
         # several publishers of a topic, and messages that overtook others on the link
         order = np.argsort(sent_ns, kind="stable")
         found_of[name] = (sent_ns[order], found[field][order].astype(np.float64))

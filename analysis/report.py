@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -10,14 +10,30 @@ import numpy as np
 import numpy.typing as npt
 
 from analysis.conditions import conditions, described, title
-from analysis.holds import Instrument, judge_holds, verdict_of
+from analysis.holds import (
+    ANSWERS,
+    HAND,
+    NO_PROGRAMME,
+    TIP,
+    Guard,
+    Hold,
+    Incident,
+    Instrument,
+    Programme,
+    gaps_in,
+    judge_holds,
+    lacks_of,
+    verdict_of,
+)
 from analysis.missing import Spans, account, cut_off, gaps
+from analysis.programme import planned_holds
 from proto import TOPICS
 from proto.errors import RecordingError, ReportError
-from proto.nodes import name_of
-from recording.arrays import columns, last_session, replay_shifts
+from proto.nodes import LAUNCHER, name_of
+from recording.arrays import columns, last_session
 from recording.info import RecordingInfo
 from recording.multi_file import RecordingSource, open_recordings
+from recording.site_clock import Timeline
 from recording.whole_files import whole_results
 from services.runtime.config import parse_yaml, validate
 from services.runtime.scenario import Scenario
@@ -28,6 +44,10 @@ Series = npt.NDArray[Any]
 
 HOLD_WINDOW_S = (2.2, 2.5)
 RELEASE_WINDOW_S = 1.0
+# by which a difference of two clocks shows in no figure
+_LOOP_PERIOD_S = 1e-3
+_WITHDRAWN = ("retracting", "retracted", "estop")
+_COMMAND_FIELDS = ("position_m.2", "force_n.2")
 _TIP_FIELDS = ("tip_force_n.2", "separation_m", "in_contact", "mode")
 
 
@@ -35,7 +55,9 @@ _TIP_FIELDS = ("tip_force_n.2", "separation_m", "in_contact", "mode")
 class Session:
     """The part of a recording in which the operator's programme ran, and the series that the report needs.
 
-    `missing` has a sentence for each end of it that the recording lacks.
+    `missing` has a sentence for each end of it that the recording lacks; `programme` is what is known of its holds
+    besides the series; `timeline` puts stamps on the master's clock, on which the series are; `otherwise` is the same
+    session with the measured offset of the slave's clock taken off, where that is neither shown to be right nor wrong.
     """
 
     start_ns: int
@@ -46,7 +68,10 @@ class Session:
     force_scale: float
     scenario: str
     conditions: dict[str, Any]
+    timeline: Timeline
     missing: tuple[str, ...] = ()
+    programme: Programme = NO_PROGRAMME
+    otherwise: "Session | None" = None
 
     @property
     def duration_s(self) -> float:
@@ -132,13 +157,26 @@ def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
 
 
 def read_session(recording: RecordingSource) -> Session:
-    """Read the last session that a recording holds; RecordingError when the operator's programme never ran."""
-    shifts = replay_shifts(recording)
+    """Read the last session that a recording holds; RecordingError when the operator's programme never ran.
+
+    The slave's stamps are put on the master's clock where the clocks are shown to differ (`recording.site_clock`).
+    Where they may, by more than a period of the loop, the session has both readings.
+    """
+    timeline = Timeline(recording)
+    session = _read_session(recording, timeline)
+    clock = timeline.clock
+    if clock is None or clock.applied or abs(clock.offset_s) < _LOOP_PERIOD_S:
+        return session
+    other = _read_session(recording, timeline.with_clock(clock._replace(applied=True)))
+    return replace(session, otherwise=other)
+
+
+def _read_session(recording: RecordingSource, timeline: Timeline) -> Session:
     hand = _series(
         recording,
         "haptic/state",
         ("seq", "session_s", "operator_force_n.2", "position_m.2", "answered_seq", "answered_t_ns", "answered_at_ns"),
-        shifts,
+        timeline,
     )
     running = last_session(hand["session_s"], hand["seq"], hand["t_ns"], _session_starts_ns(recording))
     if running.size < 2:
@@ -146,27 +184,60 @@ def read_session(recording: RecordingSource) -> Session:
     start_ns = int(hand["t_ns"][running[0]] - round(hand["session_s"][running[0]] * 1e9))
     end_ns = int(hand["t_ns"][running[-1]])
     document = _scenario(recording)
-    found = conditions(recording, document, start_ns, end_ns)
+    found = conditions(recording, document, start_ns, end_ns, timeline)
+    missing = cut_off(recording, hand["session_s"], running)
+    is_cut = any(sentence.startswith("the recording ends") for sentence in missing)
+    hand = {name: values[running] for name, values in hand.items()}
+    seconds = (end_ns - start_ns) * 1e-9
+    answered = hand["answered_t_ns"] > 0
+    new = answered & (np.diff(hand["answered_seq"], prepend=-1) != 0)
     return Session(
         start_ns=start_ns,
         end_ns=end_ns,
-        hand={name: values[running] for name, values in hand.items()},
-        command=_within(_series(recording, "haptic/command", ("position_m.2", "force_n.2"), shifts), start_ns, end_ns),
-        tip=_within(_series(recording, "afm/state", _TIP_FIELDS, shifts), start_ns, end_ns),
+        hand=hand,
+        command=_within(_series(recording, "haptic/command", _COMMAND_FIELDS, timeline), start_ns, end_ns),
+        tip=_within(_series(recording, "afm/state", _TIP_FIELDS, timeline), start_ns, end_ns),
         force_scale=found["parameters"]["force_scale"],
         scenario=document.name,
         conditions=found,
-        missing=tuple(cut_off(recording, hand["session_s"], running)),
+        timeline=timeline,
+        missing=tuple(missing),
+        programme=Programme(
+            # what was planned after the end of the recording was not cut short by the operator
+            planned_holds(document, max(seconds, document.duration_s) if is_cut else seconds),
+            (hand["t_ns"][new] - start_ns) * 1e-9,
+            *_reported(recording, timeline, start_ns),
+        ),
     )
+
+
+def _reported(recording: RecordingSource, timeline: Timeline, start_ns: int) -> tuple[list[Guard], list[Incident]]:
+    """Return what the instrument reported of its guard, and launchers of nodes and sites, in session time [s]."""
+    events = recording.select(lambda channel: channel.topic == "session/event" and channel.via == "direct")
+    guards, incidents = [], []
+    for event in events:
+        name, fields = name_of(event.src), event.fields()
+        data, kind = fields.get("data"), fields.get("kind")
+        at_ns = int(timeline.times_ns(event.src, np.array([event.publish_ns], dtype=np.int64))[0])
+        at_s = (at_ns - start_ns) * 1e-9
+        if name == "afm_node" and kind == "mode" and isinstance(data, dict) and data.get("mode") in _WITHDRAWN:
+            guards.append(Guard(at_s, str(data.get("reason", ""))))
+        elif name == name_of(LAUNCHER) and kind == "node" and fields.get("level") in ("warning", "error"):
+            incidents.append(Incident(at_s, str(fields.get("text", ""))))
+    return guards, incidents
 
 
 def summarise(session: Session, info: RecordingInfo, traffic: Traffic, missing: Sequence[str] = ()) -> dict[str, Any]:
     """Return the summary of a session; what the session does not show is null."""
     series = session.series()
     scaled = session.force_scale * series.tip_force_n
-    tip = Instrument(np.isin(session.tip["mode"], ("follow", "hold")), session.tip["in_contact"].astype(bool))
-    holds = judge_holds(series.hand_time_s, series.hand_force_n, series.tip_time_s, scaled, tip)
+    mode = session.tip["mode"]
+    tip = Instrument(
+        np.isin(mode, ("follow", "hold")), session.tip["in_contact"].astype(bool), np.isin(mode, ("hold",))
+    )
+    holds = judge_holds(series.hand_time_s, series.hand_force_n, series.tip_time_s, scaled, tip, session.programme)
     verdict, reason = verdict_of(holds)
+    missing = [*session.missing, *_lacking(session, series, holds), *missing]
     last_s = session.duration_s - RELEASE_WINDOW_S
     return {
         "scenario": session.scenario,
@@ -178,14 +249,47 @@ def summarise(session: Session, info: RecordingInfo, traffic: Traffic, missing: 
         "hold_ratio": _hold_ratio(series),
         "contact_x_cm": _mean(100.0 * series.reference_m[series.reference_time_s >= last_s]),
         "release_force_nn": _rounded(_mean(1e9 * series.tip_force_n[series.tip_time_s >= last_s])),
-        "greatest_pull_nn": float(1e9 * series.tip_force_n.min(initial=0.0)),
+        "greatest_pull_nn": float(1e9 * series.tip_force_n.min(initial=0.0)) if series.tip_force_n.size else None,
         "loop_age_ms": _loop_age_ms(session),
         "overruns": traffic.overruns,
         "rate_hz": traffic.rates_hz(session.duration_s),
         "completeness": traffic.completeness(session.duration_s),
         "seq_gaps": _gaps(info),
         "holds": [hold._asdict() for hold in holds],
-        "recording": account(info, session.start_ns, (*session.missing, *missing)),
+        "clocks": _clocks(session, info, traffic),
+        "recording": account(info, session.start_ns, missing),
+    }
+
+
+def _lacking(session: Session, series: SessionSeries, holds: Sequence[Hold]) -> list[str]:
+    """Return a sentence for each span that makes a hold one without data, as long as it is in the session."""
+    programme = session.programme
+    times = {HAND: series.hand_time_s, TIP: series.tip_time_s, ANSWERS: programme.answered_s}
+    # of a recording that ends early the holds after its end are lacking as well
+    end_s = max([session.duration_s, *(hold.end_s for hold in holds)])
+    found = []
+    for hold in holds:
+        lacks = lacks_of(series.hand_time_s, series.tip_time_s, (hold.start_s, hold.end_s), programme.answered_s)
+        for lack in lacks if hold.verdict == "no_data" else ():
+            own = times[lack.topic]
+            whole = gaps_in(series.hand_time_s if own is None else own, 0.0, end_s)
+            found += [str(lack._replace(start_s=a, end_s=b)) for a, b in whole if a < lack.end_s and b > lack.start_s]
+    return list(dict.fromkeys(found))
+
+
+def _clocks(session: Session, info: RecordingInfo, traffic: Traffic) -> dict[str, Any] | None:
+    """Return what the slave's clock was ahead, and the figures of the other reading where it cannot be excluded."""
+    clock = session.timeline.clock
+    if clock is None:
+        return None
+    other = None if session.otherwise is None else summarise(session.otherwise, info, traffic)
+    return {
+        "offset_s": round(clock.offset_s, 6),
+        "uncertainty_s": round(clock.uncertainty_s, 6),
+        "drift_ppm": round(1e6 * clock.drift, 1),
+        "applied": clock.applied,
+        "reason": clock.reason,
+        "otherwise": other and {key: other[key] for key in ("stable", "verdict", "reason", "hold_ratio")},
     }
 
 
@@ -193,9 +297,15 @@ def read_traffic(recording: RecordingSource, session: Session) -> Traffic:
     """Count the messages sent while the session ran, by the time of sending."""
     messages: dict[str, int] = {}
     overruns: dict[str, tuple[int, int]] = {}
-    shifts = replay_shifts(recording)
+    # the session by the clock of each source
+    spans: dict[str, tuple[int, int]] = {}
     for message in recording.messages():
-        if not session.start_ns <= message.publish_ns + shifts.get(message.src, 0) < session.end_ns:
+        span = spans.get(message.src)
+        if span is None:
+            ends = (session.start_ns, session.end_ns)
+            first_ns, last_ns = (session.timeline.stamp_ns(message.src, end_ns) for end_ns in ends)
+            span = spans[message.src] = (first_ns, last_ns)
+        if not span[0] <= message.publish_ns < span[1]:
             continue
         name = message.channel_topic
         messages[name] = messages.get(name, 0) + 1
@@ -210,7 +320,7 @@ def _hold_ratio(series: SessionSeries) -> float | None:
     """Average F_m/(alpha_f F_s) over the window, sample by sample; null when the tip is not pressed throughout."""
     first_s, last_s = HOLD_WINDOW_S
     window = (series.hand_time_s >= first_s) & (series.hand_time_s <= last_s)
-    if not window.any() or series.hand_time_s[-1] < last_s:
+    if not window.any() or series.hand_time_s[-1] < last_s or gaps_in(series.tip_time_s, first_s, last_s):
         return None
     force = series.force_scale * np.interp(series.hand_time_s[window], series.tip_time_s, series.tip_force_n)
     if not (force > 0.0).all():
@@ -249,12 +359,14 @@ def _rounded(force_nn: float | None) -> float | None:
 
 
 def _series(
-    recording: RecordingSource, channel_topic: str, fields: Sequence[str], shifts: Mapping[str, int]
+    recording: RecordingSource, channel_topic: str, fields: Sequence[str], timeline: Timeline
 ) -> dict[str, Series]:
-    """Return fields and `t_ns`, which for a replayed source is shifted to the time of its replay."""
+    """Return fields and `t_ns`, on the master's clock; no samples where the recording has none of tip or commands."""
+    src = next((channel.src for channel in recording.channels if channel.channel_topic == channel_topic), None)
+    if src is None and channel_topic != "haptic/state":
+        return {name: np.empty(0, np.int64 if name == "t_ns" else np.float64) for name in ("t_ns", *fields)}
     series = columns(recording, channel_topic, ("t_ns", *fields))
-    src = next(channel.src for channel in recording.channels if channel.channel_topic == channel_topic)
-    series["t_ns"] = series["t_ns"] + shifts.get(src, 0)
+    series["t_ns"] = timeline.times_ns(src or "", series["t_ns"].astype(np.int64))
     return series
 
 

@@ -2,15 +2,24 @@
 
 One function decides, for recordings, maps and the check of the bus against lockstep. In this order:
 
-- guarded, diverged: the instrument's guard ended the hold, diverged if the force was large or growing then;
+- no_data: the hold has no samples of the hand or of the tip, or no answer reached the hand (`analysis.holds`);
+- guarded, diverged: the instrument's guard ended the hold, diverged if the force was large or growing then, guarded
+  whatever it did if the guard acted because commands were missing: that is the network's fault and not the law's;
 - cannot_say: the hold is too short for its slowest motion, or noise hides whether it grows;
+- contact_lost: the hand presses, and the tip is off the surface and moves by less than a twentieth of the hand's force,
+  but for a jump into contact at the very end: what grows there is no motion of the loop;
 - diverged: a mode of the motion grows (`analysis.modes`), or the motion begins in the last eighth of the hold;
 - drifting: the force goes on in one direction without coming to rest;
 - limit_cycle: the motion neither grows nor dies out and is larger than a twentieth of the hand's force;
 - released: neither hand nor tip presses with a twentieth of the hand's force: there is no hold to judge;
 - contact_lost: the tip does not touch although the hand presses;
 - wrong_force: the tip's force differs from the hand's by more than a tenth;
+- settling: the tip came to rest with the right force, from one side, but too late for a later half at rest;
 - stable: none of these.
+
+A mode that is said to go on has to be seen: a swing of f Hz turns 2 f times a second by nearly all of its size. Where
+the force turns less than f times a second by a third of it, and hardly moves in the last quarter of the hold, the fit
+has taken a jump or an approach for a swing.
 
 A growth rate counts where it exceeds three of its standard errors and changes the motion by more than a tenth over the
 later part of the hold, and where the mode is more than a tenth of the motion that is left: friction makes that no sum
@@ -42,6 +51,8 @@ Kind = Literal[
     "contact_lost",
     "guarded",
     "cannot_say",
+    "settling",
+    "no_data",
 ]
 KINDS: tuple[Kind, ...] = (
     "stable",
@@ -53,6 +64,8 @@ KINDS: tuple[Kind, ...] = (
     "contact_lost",
     "guarded",
     "cannot_say",
+    "settling",
+    "no_data",
 )
 
 WINDOWS = 8
@@ -77,6 +90,17 @@ _LATE_ONSET = 4.0
 _DRIFT_CYCLES = 0.25
 # of the motion at the end of the hold: a growing mode that is smaller is a residue of the rest
 _RESIDUE_SHARE = 0.1
+# cycles that a hold has to have for a swing to be looked for in its turning points, and those that a fit of the band
+# about zero may have; the share of a swing by which the force has to turn, and that which is left in its last quarter
+_SEEN_CYCLES, _SLOW_CYCLES, _SEEN_SHARE, _SEEN_AT_END = 1.5, 8.0, 1.0 / 3.0, 0.25
+# of the least way from turn to turn that counts: an approach is longer
+_APPROACH_HEIGHTS = 4.0
+# where there is noise, turns are looked for in so many means
+_TURN_SAMPLES = 256
+# of the later half: a tip that touches for less was in the air
+_AIR_SHARE = 0.25
+# of the hold, at its end: what has come to rest by then has settled
+_SETTLED_SHARE = 0.25
 # of the hand's force: what a hand sets in motion and what grows is larger, and a rest of rounding is not
 _NOTHING_SHARE = 1e-6
 
@@ -99,20 +123,26 @@ class Circumstances(NamedTuple):
     """What else is known of a hold.
 
     guarded: the instrument's guard ended it; noisy: the link is random; touching: share of the later half in which the
-    tip was in contact, None where contact is not asked for; expected_n: what the tip should press with [N], if known.
+    tip was in contact, None where contact is not asked for; expected_n: what the tip should press with [N], if known;
+    touching_at_end: the same share of the last quarter; guard: what the guard did and why, in words; starved: it acted
+    because commands were missing.
     """
 
     guarded: bool = False
     noisy: bool = False
     touching: float | None = None
     expected_n: float | None = None
+    touching_at_end: float | None = None
+    guard: str = ""
+    starved: bool = False
 
 
 NOTHING_ELSE = Circumstances()
+GUARD_ACTED = "the instrument's guard acted"
 
 
 class _Motion(NamedTuple):
-    """The sizes of the motion in the windows [N], its modes, and the trend of the sizes."""
+    """The sizes of the motion in the windows [N], its modes, the trend of the sizes, and the read-out's noise [N]."""
 
     length_s: float
     sizes_n: Series
@@ -120,6 +150,7 @@ class _Motion(NamedTuple):
     growth_per_s: float | None
     change: float
     trend: float
+    noise_n: float
 
 
 def judge(time_s: Series, force_n: Series, hand_force_n: float, known: Circumstances = NOTHING_ELSE) -> Verdict:
@@ -138,7 +169,7 @@ def judge(time_s: Series, force_n: Series, hand_force_n: float, known: Circumsta
     if len(time_s) < LEAST_SAMPLES:
         size = float(np.ptp(force_n)) if len(force_n) else 0.0
         kind: Kind = "guarded" if known.guarded else "cannot_say"
-        words = "the instrument's guard acted" if known.guarded else f"{LEAST_SAMPLES} are needed to judge it"
+        words = known.guard or GUARD_ACTED if known.guarded else f"{LEAST_SAMPLES} are needed to judge it"
         return Verdict(kind, None, size, 0.0, f"the hold has {len(time_s)} samples: {words}")
     values, period_s = _even(time_s, force_n)
     noise = noise_floor(values)
@@ -176,9 +207,15 @@ def _decided(
     begins = late > small_n and late > _LATE_ONSET * float(motion.sizes_n[-_LATE_WINDOWS:-1].max())
     trend_up = motion.change > least and motion.trend >= _CLEAR_TREND and late > small_n
     if known.guarded:
-        if growing or begins or trend_up or float(np.ptp(values)) > 0.5 * hand_force_n:
-            return "diverged", rate, "the motion grew until the instrument's guard acted"
-        return "guarded", rate, "the instrument's guard acted"
+        guard = known.guard or GUARD_ACTED
+        if not known.starved and (growing or begins or trend_up or float(np.ptp(values)) > 0.5 * hand_force_n):
+            return "diverged", rate, f"the motion grew until {guard}"
+        return "guarded", rate, guard
+    before = float(motion.sizes_n[WINDOWS // 2 : -1].max())
+    presses = known.expected_n is None or abs(known.expected_n) >= small_n
+    if known.touching is not None and known.touching <= _AIR_SHARE and before <= small_n and presses:
+        # in the air there is no loop that could swing, and what begins at the end is the jump into contact
+        return _steady(values, hand_force_n, motion, rate, known)
     if growing:
         mode = max(growing, key=lambda mode: mode.end_n)
         return "diverged", rate, f"a motion of {_words(mode)} grows by {mode.growth_per_s:.3g}/s"
@@ -186,13 +223,18 @@ def _decided(
         return "diverged", rate, f"a motion of {late:.3g} N begins in the last eighth of the hold"
     if trend_up and not large:
         return "diverged", motion.growth_per_s, f"the motion grows by {motion.growth_per_s:.3g}/s"
-    lasting = [mode for mode in large if not _sure(mode, -1.0, span_s, least)]
+    unseen = [mode for mode in large if not _is_seen(values, mode, motion)]
+    lasting = [mode for mode in large if mode not in unseen and not _sure(mode, -1.0, span_s, least)]
     moving = float(motion.sizes_n[WINDOWS // 2 :].max()) > small_n
     falls = motion.change < -least and motion.trend <= -_CLEAR_TREND
-    dies_out = not lasting and (falls or bool(large and all(mode.explained for mode in large)))
+    dies_out = not lasting and (
+        falls
+        or bool(large and all(mode.explained and mode not in unseen for mode in large))
+        or (moving and late <= small_n and _dwindles(values, 0.5 * small_n, motion.noise_n))
+    )
     if (moving or lasting) and not dies_out:
         return _lasting(motion, lasting, small_n, rate, known)
-    return _steady(values, hand_force_n, motion, rate, known)
+    return _settled(values, hand_force_n, motion, rate, known)
 
 
 def _lasting(
@@ -218,11 +260,96 @@ def _lasting(
     return "limit_cycle", rate, words
 
 
-def _steady(
+def _settled(
     values: Series, hand_force_n: float, motion: _Motion, rate: float | None, known: Circumstances
 ) -> tuple[Kind, float | None, str]:
-    """Ask of a hold that stands still whether it is the right one."""
-    later = values[len(values) // 2 :]
+    """Ask of a hold whose motion dies out whether it stands still as it should: in its later half, or at its end."""
+    found = _steady(values, hand_force_n, motion, rate, known)
+    if found[0] not in ("contact_lost", "wrong_force"):
+        return found
+    at_end = known._replace(touching=known.touching_at_end if known.touching is not None else None)
+    last = values[-max(1, round(_SETTLED_SHARE * len(values))) :]
+    small = SMALL_SHARE * hand_force_n
+    if _steady(last, hand_force_n, motion, rate, at_end, all_of_it=True)[0] != "stable":
+        return found
+    off_n = abs(float(values[-max(1, len(values) // WINDOWS) :].mean()) - known.expected_n) if known.expected_n else 0.0
+    if off_n > SMALL_SHARE * abs(known.expected_n or 0.0):
+        return found
+    if float(motion.sizes_n[-1]) > small or not _dwindles(values, 0.5 * small, motion.noise_n):
+        return found
+    words = f"the tip came to rest with the hand's force late in the hold, from one side; before, {found[2]}"
+    return "settling", rate, words
+
+
+def _is_seen(values: Series, mode: Mode, motion: _Motion) -> bool:
+    """Return whether the force turns as often as a swing would, or moves at the end as far as it would.
+
+    Of a swing of n >= 1.5 cycles at least 2 n - 1 turns by a third of its size are seen wherever it begins, and in its
+    last quarter a motion of 0.3 of its size. What is too slow or too fast to tell is taken to be there.
+    """
+    cycles = mode.frequency_hz * motion.length_s
+    size_n = 2.0 * mode.end_n
+    if not _SEEN_CYCLES <= cycles <= _SLOW_CYCLES:
+        return True
+    travels = _travels(values, _SEEN_SHARE * size_n, motion.noise_n)
+    if travels is None or len(travels) - 1 >= cycles:
+        return True
+    last = values[-max(1, round(_SETTLED_SHARE * len(values))) :]
+    return _size(last, motion.noise_n) >= _SEEN_AT_END * size_n
+
+
+def _dwindles(values: Series, height_n: float, noise_n: float) -> bool:
+    """Return whether each way of the force from turn to turn is less than half the one before, from the longest on.
+
+    So an approach from one side does, with or without an overshoot; ways of less than height_n [N] do not count, and
+    one that is no longer than a few of them is a ripple and no approach.
+    """
+    travels = _travels(values, height_n, noise_n)
+    if not travels or max(travels) < _APPROACH_HEIGHTS * height_n:
+        return False
+    rest = travels[travels.index(max(travels)) :]
+    return all(after <= 0.5 * before for before, after in pairwise(rest))
+
+
+def _travels(values: Series, height_n: float, noise_n: float) -> list[float] | None:
+    """Return how far a force goes from each turn by at least a height to the next [N]; None where noise reaches it."""
+    block = max(1, len(values) // _TURN_SAMPLES) if noise_n > 0.0 else 1
+    if block > 1:
+        values = np.diff(np.cumsum(values)[block - 1 :: block], prepend=0.0) / block
+    if _reached_by_noise(noise_n / math.sqrt(block), len(values)) > height_n:
+        return None
+    turns, sense = [float(values[0])], 0
+    lowest = highest = float(values[0])
+    for value in values.tolist():
+        if sense >= 0:
+            highest = max(highest, value)
+            if value <= highest - height_n:
+                turns += [highest] if sense else []
+                turns[0] = turns[0] if sense else highest
+                sense, lowest = -1, value
+                continue
+        if sense <= 0:
+            lowest = min(lowest, value)
+            if value >= lowest + height_n:
+                turns += [lowest] if sense else []
+                turns[0] = turns[0] if sense else lowest
+                sense, highest = 1, value
+    if sense:
+        turns.append(highest if sense > 0 else lowest)
+    return [abs(after - before) for before, after in pairwise(turns)]
+
+
+def _steady(
+    values: Series,
+    hand_force_n: float,
+    motion: _Motion,
+    rate: float | None,
+    known: Circumstances,
+    *,
+    all_of_it: bool = False,
+) -> tuple[Kind, float | None, str]:
+    """Ask of a hold that stands still whether it is the right one: of its later half, or of all that is given."""
+    later = values if all_of_it else values[len(values) // 2 :]
     mean = float(np.cumsum(later)[-1]) / len(later)
     small = SMALL_SHARE * hand_force_n
     if known.expected_n is not None and max(abs(known.expected_n), abs(mean)) < small:
@@ -270,11 +397,12 @@ def _motion(values: Series, period_s: float, noise_n: float, floor_n: float) -> 
     times: Series = period_s * np.arange(len(values), dtype=np.float64)
     centres, sizes = window_sizes(times, values, noise_n)
     if float(np.ptp(values)) <= floor_n:
-        return _Motion(length_s, sizes, [], None, 0.0, 0.0)
+        return _Motion(length_s, sizes, [], None, 0.0, 0.0, noise_n)
     late = slice(WINDOWS - _LATE_WINDOWS, None)
     growth, trend = growth_rate(centres[late], sizes[late], floor_n)
     change = growth * float(centres[-1] - centres[WINDOWS - _LATE_WINDOWS]) if growth is not None else 0.0
-    return _Motion(length_s, sizes, modes_of(values, period_s, noise_n, floor_n), growth, change, trend)
+    modes = modes_of(values, period_s, noise_n, floor_n)
+    return _Motion(length_s, sizes, modes, growth, change, trend, noise_n)
 
 
 def window_sizes(time_s: Series, force_n: Series, noise_n: float = 0.0) -> tuple[Series, Series]:

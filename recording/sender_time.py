@@ -14,9 +14,9 @@ from proto import TOPICS
 from proto.ends import END_TOPIC, read_end
 from proto.errors import RecordingError
 from proto.messages import LinkFates
-from proto.nodes import site_of
 from recording.messages import ChannelFilter, RecordedChannel, RecordedMessage
 from recording.multi_file import RecordingSource
+from recording.site_clock import ClockShift, is_of_slave, read_site_clock
 
 FATES_TOPIC = "link/fates"
 _NS = 1_000_000_000
@@ -29,8 +29,6 @@ _FATE_PATIENCE_NS = _NS
 _MOST_FATES = 100_000
 # below this rate [Hz] a topic may have several sources with the same numbers, and the exact time matters less
 _FAST_HZ = 100.0
-# reports of the link that are read for the offset of the other site's clock
-_CLOCK_REPORTS_NS = 5 * _NS
 
 
 class Sent(NamedTuple):
@@ -45,25 +43,29 @@ class SenderClock:
     """Time of sending of messages received at their publisher, on the recorder's clock [ns].
 
     Processes of one machine share a clock, and their stamps are taken as they are. The other site of two machines is
-    shifted by the offset that the link has measured. A source whose stamps are those of another time, because it was
-    itself a replay, is shifted by the lag of its first message.
+    put on the master's clock, offset and drift, where the clocks differ (`recording.site_clock`). A source whose stamps
+    are those of another time, because it was itself a replay, is shifted by the lag of its first message.
     """
 
     def __init__(self, recording: RecordingSource) -> None:
-        self._slave_ahead_ns = _clock_offset_ns(recording)
-        self._shifts: dict[str, int] = {}
+        self._of_slave = ClockShift(read_site_clock(recording))
+        # by source; None for one that the clock of the slave's site applies to
+        self._shifts: dict[str, int | None] = {}
 
     def time_ns(self, message: RecordedMessage) -> int:
         """Return when a message was sent."""
-        shift = self._shifts.get(message.src)
-        if shift is None:
-            shift = self._shifts[message.src] = self._shift_ns(message)
-        return message.publish_ns + shift
+        if message.src not in self._shifts:
+            self._shifts[message.src] = self._shift_ns(message)
+        shift = self._shifts[message.src]
+        return message.publish_ns + (self._of_slave(message.publish_ns) if shift is None else shift)
 
-    def _shift_ns(self, message: RecordedMessage) -> int:
-        shift = -self._slave_ahead_ns if message.src and site_of(message.src) == "slave" else 0
-        lag = message.log_ns - message.publish_ns - shift
-        return shift if -_LEAST_HORIZON_NS <= lag <= _LONGEST_LAG_NS else message.log_ns - message.publish_ns
+    def _shift_ns(self, message: RecordedMessage) -> int | None:
+        is_shifted = self._of_slave.is_needed and is_of_slave(message.src)
+        lag_ns = message.log_ns - message.publish_ns
+        shown_ns = lag_ns - (self._of_slave(message.publish_ns) if is_shifted else 0)
+        if not -_LEAST_HORIZON_NS <= shown_ns <= _LONGEST_LAG_NS:
+            return lag_ns
+        return None if is_shifted else 0
 
 
 class SenderOrder:
@@ -236,21 +238,3 @@ def _is_end(message: RecordedMessage) -> bool:
         return read_end(message.fields()) is not None
     except RecordingError:
         return False
-
-
-def _clock_offset_ns(recording: RecordingSource) -> int:
-    """Return what the slave's clock is ahead of the master's [ns], measured by the link; 0 within its uncertainty."""
-    start_ns = recording.span_ns[0]
-    reports = recording.select(lambda channel: channel.topic == "link/status", start_ns, start_ns + _CLOCK_REPORTS_NS)
-    best: tuple[float, float] | None = None
-    for message in reports:
-        try:
-            clock = message.fields().get("clock")
-        except RecordingError:
-            continue
-        if not isinstance(clock, dict) or clock.get("valid") is not True:
-            continue
-        offset_s, uncertainty_s = clock.get("offset_s"), clock.get("uncertainty_s")
-        if isinstance(offset_s, float) and isinstance(uncertainty_s, float):
-            best = min(best or (uncertainty_s, offset_s), (uncertainty_s, offset_s))
-    return 0 if best is None or abs(best[1]) <= best[0] else round(best[1] * _NS)

@@ -115,7 +115,11 @@ def _temporary(path: Path, named: Path, *, replace: bool) -> Iterator[Path]:
             error.filename = f"{named}{error.filename.removeprefix(beginning)}"
         raise
     finally:
-        _remove(part)
+        try:
+            _remove(part)
+        except KeyboardInterrupt:
+            _remove(part)
+            raise
 
 
 def _name_once(part: Path, path: Path) -> None:

@@ -315,6 +315,9 @@ def judged(cell: Cell, course: Trajectory) -> CellResult:
         first = int(np.searchsorted(course.time_s, start_s))
     hold = slice(min(first, ended), ended)
     later = slice((hold.start + hold.stop) // 2, hold.stop)
+    last = slice(hold.stop - (hold.stop - hold.start) // 4, hold.stop)
+    # the instrument stands still while no command comes, and withdraws when that lasts
+    starved = 0 < ended < len(lost) and course.instrument_mode[ended - 1] == MODE_HOLD
     force = scales.force_scale * course.tip_force_n
     found = judge(
         course.time_s[hold],
@@ -325,6 +328,9 @@ def judged(cell: Cell, course: Trajectory) -> CellResult:
             noisy=cell.has_random_link or bool(cell.disturbances),
             touching=float(course.in_contact[later].mean()) if later.stop > later.start else None,
             expected_n=float(course.hand_force_n[later].mean()) if later.stop > later.start else None,
+            touching_at_end=float(course.in_contact[last].mean()) if last.stop > last.start else None,
+            guard=f"the instrument withdrew at {course.time_s[ended]:.3f} s because no command came" if starved else "",
+            starved=bool(starved),
         ),
     )
     pressed = force[hold] > 0.0

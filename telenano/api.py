@@ -28,10 +28,10 @@ import numpy.typing as npt
 
 from proto.errors import ConfigError, RecordingError
 from proto.messages import Message
-from recording.arrays import replay_shifts
 from recording.export import topic_of
 from recording.multi_file import open_recordings
 from recording.quantities import quantity
+from recording.site_clock import Timeline
 from recording.tables import flat, row, uniform
 
 if TYPE_CHECKING:
@@ -116,8 +116,8 @@ class RecordedSession:
         return read_session(self._source)
 
     @cached_property
-    def _shifts(self) -> dict[str, int]:
-        return replay_shifts(self._source)
+    def _timeline(self) -> Timeline:
+        return Timeline(self._source)
 
     def table(self, channel: str, src: str | None = None) -> Table:
         """Return the messages of a channel, from one of its publishers where there are several.
@@ -131,9 +131,10 @@ class RecordedSession:
             raise RecordingError(f"{channel}: has several publishers, give one of {', '.join(sources)}")
         if src is not None and src not in sources:
             raise RecordingError(f"{channel}: {src} published nothing on it; {', '.join(sources)} did")
-        shift_ns = self._shifts.get(src or sources[0], 0)
-        messages = (message for message in self._source.messages([channel]) if src in (None, message.src))
-        rows = [(message.publish_ns + shift_ns, row(message)) for message in messages]
+        messages = [message for message in self._source.messages([channel]) if src in (None, message.src)]
+        stamps = np.array([message.publish_ns for message in messages], dtype=np.int64)
+        times = self._timeline.times_ns(src or sources[0], stamps).tolist()
+        rows = [(time_ns, row(message)) for time_ns, message in zip(times, messages, strict=True)]
         return _table(topic_of(channel), rows, self.start_ns)
 
     def df(self, channel: str, src: str | None = None) -> Any:

@@ -127,8 +127,32 @@ def print_document(document: dict[str, Any], title: str, *, as_json: bool) -> No
 def print_summary(summary: dict[str, Any], title: str, *, as_json: bool) -> None:
     """Print the summary of a session; exit with EXIT_INCOMPLETE and a sentence when its recording is not whole."""
     print_document(summary, title, as_json=as_json)
+    if text := clock_warning(summary):
+        typer.echo(f"telenano: warning: {text}", err=True)
     if missing := summary["recording"]["missing"]:
         fail_incomplete(missing)
+
+
+def clock_warning(summary: Mapping[str, Any]) -> str:
+    """Return in words that the sites of a session have different clocks, or may have; empty if there is nothing to say.
+
+    Parameters: summary, of `analysis.report`.
+    """
+    clocks = summary.get("clocks")
+    if clocks is None:
+        return ""
+    if clocks["applied"]:
+        advice = "start a time service on each machine, `telenano doctor` says how"
+        return (
+            f"the clocks of the sites are not synchronised: {clocks['reason']}; it is taken off the figures; {advice}"
+        )
+    other = clocks["otherwise"]
+    if other is None or other["verdict"] == summary["verdict"]:
+        return ""
+    return (
+        f"the clocks of the sites may not be synchronised: {clocks['reason']}; as they are the session is "
+        f"{summary['verdict']}, with that difference taken off {other['verdict']}"
+    )
 
 
 def fail_incomplete(missing: Sequence[str]) -> NoReturn:

@@ -193,9 +193,7 @@ class ViewProcess:
     def look(self) -> str:
         """Start the process again where it is due; return in words that it has ended, empty as long as it has not."""
         if self._process is None:
-            if self._tracker.due():
-                self._start()
-            return ""
+            return self._start_again() if self._tracker.due() else ""
         code = self._process.poll()
         if code is None:
             return ""
@@ -208,6 +206,15 @@ class ViewProcess:
         if self._process is not None:
             _stop(self._process)
         self._errors.close()
+
+    def _start_again(self) -> str:
+        try:
+            self._start()
+        except OSError as error:
+            # the rig goes on without its page for now
+            end = self._tracker.record_exit(VIEW, 1)
+            return f"the view cannot be started: {error}; {end.verdict}"
+        return ""
 
     def _start(self) -> None:
         self._errors.seek(0)

@@ -426,12 +426,14 @@ class SessionNode(RigNode):
 
     def _end(self) -> None:
         """Command the end of the operator's programme, where one is running and can still be commanded."""
+        was_arming = self.phase == "arming"
         self.phase = "ending"
-        steps: list[Command] = []
+        withdraw = [WITHDRAW_TIP] if self.attached and TIP in self._needed else []
+        # the tip may have been armed when something else failed
+        steps: list[Command] = withdraw if was_arming else []
         if self.ran and not self.failure:
             end = [END] if set(END.expected) <= set(self._needed) else []
             split = list(self.recording.end_steps()) if self.recording is not None else []
-            withdraw = [WITHDRAW_TIP] if self.attached and TIP in self._needed else []
             # the file of the session is whole before anything else is commanded, but no tip waits for a recorder
             steps = [*end, *split, *withdraw]
             if self.attached and self._wait.behind_s():

@@ -16,7 +16,7 @@ import zmq
 
 from proto.errors import ConfigError, RefusedError
 from proto.messages import Scalar, SessionControl
-from proto.nodes import LINK, is_console, name_of
+from proto.nodes import LAUNCHER, LINK, is_console, name_of
 from recording.channel_filter import Selection
 from recording.messages import RecordedChannel, RecordedMessage
 from recording.multi_file import RecordingSource
@@ -70,6 +70,11 @@ class ReplayPlan:
         """
         self._selection = selection
         self._remap = dict(remap or {})
+        # the launcher of the slave's site reports on processes, and a rig on one machine has no place for it
+        launchers = {channel.src for channel in recording.channels if name_of(channel.src) == name_of(LAUNCHER)}
+        self.without_place = sorted(
+            node for node in launchers if not selection.nodes and self._remap.get(node, node) not in book.nodes
+        )
         selected = [channel for channel in recording.channels if self.plays(channel)]
         # consoles whose name stays free
         commanded = {channel.src for channel in recording.channels if channel.topic == "session/control"}
@@ -78,7 +83,12 @@ class ReplayPlan:
         absent = [node for node in self.nodes if node not in book.nodes]
         if absent:
             known = ", ".join(sorted(book.nodes))
-            raise ConfigError(f"{recording.path}: {', '.join(absent)} is not in the site file, which has {known}")
+            others = " ".join(f"--nodes {node}" for node in self.nodes if node in book.nodes)
+            others = f", or play the others alone: `{others}`" if others else ""
+            raise ConfigError(
+                f"{recording.path}: {', '.join(absent)} is not in the site file, which has {known}; name one that has "
+                f"it with --site-file, or move it to another with `--remap {absent[0]}=NAME@SITE`{others}"
+            )
         self.topics = {channel: self._topic(channel) for channel in selected}
 
     def plays(self, channel: RecordedChannel) -> bool:
@@ -87,7 +97,12 @@ class ReplayPlan:
         Health is not, because the player publishes its own, nor a journal, because nobody takes those turns now.
         """
         node = node_of(channel)
-        if not node or name_of(node) in _EXCLUDED_NODES or channel.topic in _EXCLUDED_TOPICS:
+        if (
+            not node
+            or node in self.without_place
+            or name_of(node) in _EXCLUDED_NODES
+            or channel.topic in _EXCLUDED_TOPICS
+        ):
             return False
         return self._plays_node(node) and self.chooses(channel.channel_topic)
 

@@ -120,5 +120,7 @@ def remote_control(plan: ReplayPlan, book: AddressBook) -> Iterator[str]:
         yield "there is no remote control: the site file has no console; the keys work"
     elif set(consoles) <= set(plan.nodes):
         yield f"there is no remote control: {', '.join(consoles)} is played; the keys work"
+    for node in plan.without_place:
+        yield f"{node} is not played: it is not in the site file, and only reports on the processes of its site"
     for node in plan.left_out:
         yield f"the commands of {node} are not played, so that it can control the replay; `--nodes {node}` plays them"

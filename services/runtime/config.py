@@ -181,7 +181,7 @@ def _describe(error: ValidationError, origin: str, model: type[BaseModel], secti
         elif fault["type"] == "missing":
             text = "is missing"
         elif not isinstance(fault["input"], dict | list):
-            text = f"{text}{_allowed(fault, model)}, got {fault['input']!r}"
+            text = f"{text}{_allowed(fault, model)}, got {fault['input']!r:.200}"
         lines.append(f"{origin}: {key + ': ' if key else ''}{text}")
     if len(faults) > _MOST_FAULTS:
         lines.append(f"{origin}: and {len(faults) - _MOST_FAULTS} more")

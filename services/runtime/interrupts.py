@@ -100,6 +100,8 @@ def handle() -> None:
 
 def restore() -> None:
     """Let both signals end the process at once: it has nothing left to do."""
+    if hasattr(signal, "setitimer"):
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
     for number in (signal.SIGINT, signal.SIGTERM):
         if signal.getsignal(number) is _receive:
             signal.signal(number, signal.SIG_DFL)

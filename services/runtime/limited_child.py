@@ -4,7 +4,7 @@ What libraries of the field make of a damaged file is theirs alone: gigabytes fo
 a segmentation fault. In a child it costs what the limits allow, and a sentence. The child is Python with the module of
 the reading function and nothing else: 0.2 to 0.4 s for each file, of which the libraries themselves are the most.
 
-The answer is a line of JSON and the bytes of the arrays after it, in a temporary file: nothing in it is executed.
+The answer is a line of JSON and the bytes of the arrays after it, in a file without a name: nothing in it is executed.
 """
 
 import importlib
@@ -15,7 +15,7 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, BinaryIO, NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -70,7 +70,7 @@ def read_in_child(function: str, path: Path, *arguments: str | None, limits: Lim
     command = [sys.executable, "-P", "-m", __name__, function, json.dumps([limits, os.fspath(path), *arguments])]
     # one thread: those of a linear algebra library reserve memory each
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "OPENBLAS_NUM_THREADS": "1"}
-    with tempfile.TemporaryFile() as out:
+    with _answer_file() as out:
         try:
             done = subprocess.run(
                 command, stdin=subprocess.DEVNULL, stdout=out, stderr=subprocess.DEVNULL,
@@ -80,6 +80,13 @@ def read_in_child(function: str, path: Path, *arguments: str | None, limits: Lim
             raise ValueError(f"it cannot be read within {limits.wall_s:g} s") from error
         out.seek(0)
         return _answer(out, done.returncode, limits)
+
+
+def _answer_file() -> BinaryIO:
+    """Open a file without a name, in memory where the system can: a container may have no folder to write to."""
+    if hasattr(os, "memfd_create"):
+        return os.fdopen(os.memfd_create("answer"), "w+b")
+    return cast(BinaryIO, tempfile.TemporaryFile())
 
 
 def _answer(out: BinaryIO, code: int, limits: Limits) -> Answer:

@@ -100,9 +100,7 @@ def _check_size(root: yaml.Node) -> None:
         else:
             total += sum(count(key) + count(value) for key, value in node.value)
         if total > _MOST_VALUES:
-            raise YamlError(
-                f"with its aliases (*NAME) written out it has more than {_MOST_VALUES} values, at most that are read"
-            )
+            raise YamlError(f"it has more than {_MOST_VALUES} values, each alias (*NAME) written out; no more are read")
         counts[id(node)] = total
         return total
 

@@ -163,7 +163,8 @@ def _mark_jumps(axes: Axes, separation_m: Series, force_n: Series) -> None:
 
 def _legend_above(axes: Axes) -> None:
     """Put the legend over the panel, where it hides no data."""
-    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, fontsize=8, frameon=False, borderaxespad=0.2)
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, fontsize=8, frameon=False, borderaxespad=0.2)
 
 
 def _shade_gaps(axes: Axes, series: SessionSeries) -> None:
@@ -180,4 +181,4 @@ def _broken(series: SessionSeries, time_s: Series, values: Series) -> tuple[Seri
 
 
 def _span(series: SessionSeries) -> tuple[float, float]:
-    return 0.0, float(max(series.hand_time_s[-1], series.tip_time_s[-1]))
+    return 0.0, float(max(times[-1] for times in (series.hand_time_s, series.tip_time_s) if times.size))

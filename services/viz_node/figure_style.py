@@ -40,12 +40,14 @@ VERDICTS = {
     "stable": "#99e6ff",
     "limit_cycle": "#e68000",
     "diverged": "#66004d",
-    "drifting": "#99ffcc",
-    "released": "#809999",
-    "wrong_force": "#9980ff",
-    "contact_lost": "#4d00e6",
-    "guarded": "#4d1a00",
-    "cannot_say": "#80664d",
+    "drifting": "#cc3366",
+    "released": "#4d9999",
+    "wrong_force": "#0080ff",
+    "contact_lost": "#0000e6",
+    "guarded": "#001a00",
+    "cannot_say": "#4d4d00",
+    "settling": "#ffff00",
+    "no_data": "#ffffe6",
 }
 # curves of one panel: each has a line of its own as well, for print in grey
 LINES: tuple[tuple[str, Any], ...] = (

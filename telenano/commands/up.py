@@ -19,6 +19,7 @@ from services.launcher.session import RigNode
 from services.runtime import interrupts
 from services.viz_node.figure_style import FigureOptions, figure_options
 from telenano.completion import node_names, scenario_names
+from telenano.doctor.checks import check_synchronised, kernel_clock
 from telenano.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED
 from telenano.live_view import LineView, LiveView
 from telenano.options import FormatOption, JsonOption, RigFileOption, Site, StyleOption
@@ -144,6 +145,8 @@ def up(
             typer.echo(f"telenano: {text}, as --round-trip-ms {2 * delay_ms:g}", err=True)
         for text in known_problems():
             typer.echo(f"telenano: {text}; it is left out", err=True)
+        if text := _clock_text(plan):
+            typer.echo(f"telenano: warning: {text}", err=True)
         if plan.warning:
             typer.echo(f"telenano: {plan.warning}", err=True)
         view = _open_view(live=not headless and not as_json, quiet=as_json)
@@ -156,6 +159,14 @@ def up(
         except ReportError as error:
             fail_with_summary(error, str(plan.out), as_json=as_json)
     _print_outcome(outcome, summary, plan, as_json=as_json)
+
+
+def _clock_text(plan: Plan) -> str:
+    """Return in words that this machine's clock is not synchronised, where the rig spans two; else nothing."""
+    if not plan.book.spans_machines:
+        return ""
+    found = check_synchronised(kernel_clock())
+    return "" if found.level == "ok" else f"the clock of this machine is {found.found}; {found.advice}"
 
 
 def _sweep(given: list[str], scenario: str, out: Path | None, options: FigureOptions, *, as_json: bool) -> None:

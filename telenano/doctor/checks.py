@@ -263,7 +263,10 @@ def check_synchronised(clock: KernelClock | None) -> Finding:
         return Finding("clock", "ok", f"synchronised, within {clock.largest_error_s * 1e3:.3g} ms")
     advice = "start a time service on each machine (in a container: on its host): `sudo systemctl enable --now chrony`"
     advice += " or `sudo timedatectl set-ntp true`"
-    found = "not synchronised, which matters to a rig on two machines: ages of messages are wrong by the difference"
+    found = (
+        "not synchronised, which matters to a rig on two machines: ages of messages are wrong by the difference, and "
+    )
+    found += "a report has to rely on the difference that the link measures"
     return Finding("clock", "warning", found, advice)
 
 

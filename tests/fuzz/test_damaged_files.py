@@ -109,10 +109,10 @@ SCENARIOS: list[tuple[str, Content, str]] = [
     # YAML: above 25 s, a traceback, a traceback
     ("scenario.yaml", b"a: &a [1,1,1,1,1,1,1,1,1]\n" + b"".join(
         b"%c: &%c [%s]\n" % (97 + n, 97 + n, b",".join([b"*%c" % (96 + n)] * 9)) for n in range(1, 9)),
-     "with its aliases (*NAME) written out it has more than 100000 values"),
+     "it has more than 100000 values, each alias (*NAME) written out"),
     ("scenario.yaml", b"a: &a {x: 1, y: 1}\n" + b"".join(
         b"%c: &%c {<<: [*%c, *%c, *%c, *%c]}\n" % (97 + n, 97 + n, *([96 + n] * 4)) for n in range(1, 20)),
-     "with its aliases (*NAME) written out it has more than 100000 values"),
+     "it has more than 100000 values, each alias (*NAME) written out"),
     ("scenario.yaml", b"a: " + b"9" * 5000, "the number in line 1 has 5000 characters, at most 100 are read"),
     ("scenario.yaml", b"a: 1" + b":1" * 5000, "the number in line 1 has 10001 characters"),
     ("scenario.yaml", b"a: 2026-02-45\n", "a value in it cannot be read: day is out of range"),

@@ -27,7 +27,10 @@ MODULES: dict[str, tuple[str, ...]] = {
         "tests/unit/runtime/test_loop_admission.py",
         "tests/unit/runtime/test_runtime_node.py",
     ),
-    "services/runtime/commands.py": ("tests/unit/runtime/test_runtime_commands.py",),
+    "services/runtime/commands.py": (
+        "tests/unit/runtime/test_command_edges.py",
+        "tests/unit/runtime/test_runtime_commands.py",
+    ),
     "services/runtime/security/zap_authenticator.py": (
         "tests/unit/runtime/test_zap_enforcement.py",
         "tests/unit/runtime/test_runtime_transport.py",
@@ -55,5 +58,17 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "HandAge.age_s: taken_ns = hand_t_ns + (self._newest_lag_ns if is_newest else self.lag_ns(hand_t_ns))"
         " [self._newest_lag_ns if is_newest else self.lag_ns(hand_t_ns) => self.lag_ns(hand_t_ns)]": "the lag of the"
         " newest sample is kept only to save looking it up",
+    },
+    "services/runtime/commands.py": {
+        "CommandHandler.__init__: self._held_up_s = 0.0 [self._held_up_s = 0.0 => pass]": "read only after it was set",
+        "CommandHandler.__init__: self._distrust_until_ns = 0 [0 => 1]": "no command comes a nanosecond after 1970",
+    },
+    "services/runtime/security/zap_authenticator.py": {
+        "ZapAuthenticator.prepare: socket.set(zmq.ZAP_ENFORCE_DOMAIN, 1) [1 => 2]": "libzmq takes any number but 0",
+    },
+    "recording/verify.py": {
+        "_Check.__init__: self._last_ns = 0 [0 => 1]": "no message was received a nanosecond after 1970",
+        "_Check.run: first, last, log_ns = self._open_gaps.get((channel.channel_topic, channel.src), (0, 0, 0))"
+        " [0 => 1] (3)": "this time belongs to a gap that begins at number 0, and a newest number of -1 does not exist",
     },
 }

@@ -14,7 +14,7 @@ from proto.errors import RecordingError
 from recording.reader import Recording
 
 CYCLES = int(os.environ.get("TELENANO_CYCLES", "200"))
-LONGEST_S = 6.0
+LONGEST_S = 10.0
 PATIENCE_S = 60.0
 WAYS = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL, None)
 
@@ -51,7 +51,7 @@ def end(rig: Rig, way: signal.Signals | None, after_s: float) -> None:
 def test_a_rig_that_is_started_and_ended_again_and_again_leaves_nothing(tmp_path: Path) -> None:
     draw = random.Random(13)
     before = set(Path("/dev/shm").iterdir())
-    readable = 0
+    readable = by_itself = 0
     for number in range(CYCLES):
         rig = Rig(tmp_path / str(number))
         rig.folder.mkdir()
@@ -59,6 +59,7 @@ def test_a_rig_that_is_started_and_ended_again_and_again_leaves_nothing(tmp_path
         try:
             rig.start("--duration", "1.5")
             end(rig, way, after_s)
+            by_itself += way is None
             sockets = {path.name for path in rig.sockets.iterdir()} if rig.sockets.exists() else set()
             # what a process that was killed has had to leave, and the next one takes over
             assert sockets <= ({"launcher@master", "launcher@master.lock"} if way is signal.SIGKILL else set()), way
@@ -73,6 +74,7 @@ def test_a_rig_that_is_started_and_ended_again_and_again_leaves_nothing(tmp_path
         finally:
             rig.close()
         shutil.rmtree(rig.folder)
-    assert readable > CYCLES // 4
+    # those that were ended by themselves at least
+    assert readable >= by_itself
     ours = {name for name in set(Path("/dev/shm").iterdir()) - before if "telenano" in name.name}
     assert not ours

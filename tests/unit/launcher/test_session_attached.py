@@ -87,6 +87,17 @@ def test_the_end_of_an_attached_session_is_no_emergency_stop() -> None:
     assert "estop" not in {command for command, _ in commands(rig)}
 
 
+def test_a_session_that_fails_while_it_arms_leaves_no_tip_armed() -> None:
+    rig = Attached(duration_s=2.0)
+    rig.refusing = {"haptic_node@master"}
+    rig.all_ready()
+    rig.with_recorder()
+    rig.tick_alive(150)
+    assert rig.finished
+    assert rig.session.failure.startswith("haptic_node@master refused arm")
+    assert commands(rig)[-1] == ("stop", "afm_node")
+
+
 def test_a_recorder_that_is_behind_completes_the_file_before_it_begins_the_next() -> None:
     rig = Attached(duration_s=2.0)
     rig.all_ready()

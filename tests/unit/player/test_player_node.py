@@ -10,6 +10,7 @@ import yaml
 import zmq
 from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state, sample, session_control, teleop_forward
 
+from presets import DEFAULT_SITE_FILE
 from proto import decode, encode
 from proto.errors import ConfigError, RecordingError, RefusedError
 from proto.messages import HapticState, Message, NodeHealth, SessionControl, SessionEvent
@@ -25,6 +26,7 @@ from services.runtime.address_book import AddressBook
 from services.runtime.bus import ZmqBus
 from services.runtime.clock import VirtualClock
 from services.runtime.log import StructuredLog
+from services.runtime.main import load_site
 from services.runtime.node import NodeContext
 from services.runtime.publisher import ZmqPublisher
 
@@ -362,6 +364,25 @@ def test_a_node_that_is_not_in_the_site_file_is_named(make_file: MakeFile, tmp_p
     small = AddressBook(nodes={HAND: f"ipc://{tmp_path}/hand"})
     with pytest.raises(ConfigError, match=r"delay_node@slave is not in the site file"):
         ReplayPlan(Recording(make_file()), small, Selection())
+
+
+def test_a_recording_of_two_sites_is_played_on_one_machine_without_the_launcher_of_the_other(tmp_path: Path) -> None:
+    rows = {"haptic/state": HAND, "session/event": "launcher@slave"}
+    writer = RecordingWriter.create(NODE, RecorderConfig(directory=tmp_path))
+    for topic, src in rows.items():
+        channel = writer.channel(topic, src, src.partition("@")[2])
+        writer.write(channel, EPOCH_NS, EPOCH_NS, 0, encode(sample(topic, 0, src=src)))
+    writer.finish()
+    book = load_site(DEFAULT_SITE_FILE)
+    plan = ReplayPlan(Recording(writer.path), book, Selection())
+    assert plan.nodes == [HAND]
+    assert [channel.topic for channel in plan.topics] == ["haptic/state"]
+    assert next(iter(remote_control(plan, book))).startswith("launcher@slave is not played: it is not in the site file")
+    # one that is asked for by name is refused, and the refusal says what to type
+    with pytest.raises(
+        ConfigError, match=r"launcher@slave is not in the site file.*--site-file.*--remap launcher@slave="
+    ):
+        ReplayPlan(Recording(writer.path), book, Selection.of(nodes=["launcher"]))
 
 
 def test_forwarded_copies_belong_to_the_link(make_file: MakeFile, book: AddressBook) -> None:

@@ -7,7 +7,7 @@ import pytest
 from proto import TOPICS, encode
 from proto.contract import examples
 from proto.errors import RecordingError
-from recording.merge_sites import clock_ahead_ns, merge_sites
+from recording.merge_sites import merge_sites, slave_clock
 from recording.reader import Recording
 from recording.writer import FileSettings, RecordingWriter
 
@@ -51,7 +51,7 @@ def test_each_message_is_there_once_on_the_masters_clock(tmp_path: Path) -> None
     assert states == [(topic, seq) for seq in range(10) for topic in ("haptic/state", "afm/state")]
     # what the slave sent is what it was, by its own clock
     assert {m.publish_ns - m.log_ns for m in found if m.topic == "afm/state"} == {AHEAD}
-    assert Recording(target).metadata["merged"] == {"slave_clock_ahead_ns": str(AHEAD)}
+    assert Recording(target).metadata["merged"]["slave_clock_ahead_ns"] == str(AHEAD)
 
 
 def test_a_channel_that_both_have_is_taken_from_the_recorder_near_it(tmp_path: Path) -> None:
@@ -81,7 +81,7 @@ def test_what_cannot_be_joined_is_refused_by_name(tmp_path: Path) -> None:
     master = write(tmp_path, "recorder@master", [("haptic/state", "haptic_node@master", 0, BEGAN)], ())
     slave = write(tmp_path, "recorder@slave", [("afm/state", "afm_node@slave", 0, BEGAN)], ())
     with pytest.raises(RecordingError, match=r"master\.mcap: has no link/status or link/network"):
-        clock_ahead_ns(Recording(master))
+        slave_clock(Recording(master))
     with pytest.raises(RecordingError, match=r"slave\.mcap of slave, .*master\.mcap of master"):
         merge_sites([slave, master], tmp_path / "x.mcap")
     assert not (tmp_path / "x.mcap").exists()

@@ -232,6 +232,35 @@ def test_a_message_from_before_the_end_that_comes_after_it_is_no_new_beginning(m
     assert gaps(verify([file.close()])) == []
 
 
+def test_a_message_that_was_recorded_twice_is_no_new_beginning(make: Callable[..., File]) -> None:
+    file = make()
+    file.write(0)
+    file.write(1)
+    file.write(1, t_ns=file.now_ns)
+    file.write(2)
+    assert gaps(verify([file.close()])) == []
+
+
+def test_a_gap_before_a_new_beginning_is_not_missing_at_the_end_of_it(make: Callable[..., File]) -> None:
+    file = make()
+    file.write(0)
+    file.gap(1, 3)
+    file.write(0)
+    assert [finding.text for finding in gaps(verify([file.close()]))] == [f"{HAND} was restarted before seq 0"]
+
+
+def test_what_was_noted_in_a_recording_while_it_was_written_is_an_error_of_it(make: Callable[..., File]) -> None:
+    file = make()
+    file.write(0)
+    file.writer.finish({"note": "the quota of 65536 bytes is used up; 60 messages were removed"})
+    verdict = verify([file.writer.path])
+    assert not verdict.sound
+    assert [(note.check, note.level, note.text) for note in verdict.findings] == [
+        ("end", "error", "the quota of 65536 bytes is used up"),
+        ("end", "error", "60 messages were removed"),
+    ]
+
+
 def test_two_files_of_one_recording_are_joined_without_a_word(make: Callable[..., File]) -> None:
     first = written(make, [0, 1, 2])
     second = written(make, [3, 4], begin_ns=EPOCH_NS + SECOND_NS)
@@ -304,6 +333,18 @@ def test_a_payload_that_is_no_message_is_an_error_and_five_of_a_kind_are_enough(
     assert len(found) == 6
     assert all(finding.level == "error" and "haptic/state" in finding.text for finding in found[:5])
     assert found[5].text == "more of this kind: only the first 5 are reported"
+
+
+def test_messages_of_several_channels_are_out_of_order_by_the_latest_time_before_them(
+    make: Callable[..., File],
+) -> None:
+    file = make()
+    for at_ms, src in ((9, HAND), (3, AFM), (6, LINK)):
+        topic = {HAND: "haptic/state", AFM: "afm/state", LINK: "link/status"}[src]
+        file.now_ns = EPOCH_NS + at_ms * MILLISECOND_NS
+        file.write(0, topic, src)
+    texts = [finding.text for finding in verify([file.close()]).findings if finding.check == "order"]
+    assert texts == ["seq 0 is out of order by 0.006000 s", "seq 0 is out of order by 0.003000 s"]
 
 
 def test_a_damaged_file_and_one_without_its_index_are_errors(make: Callable[..., File]) -> None:

@@ -14,7 +14,7 @@ from services.afm_node.sim import SimulatedAfm
 from services.runtime.bus import Received
 from services.runtime.clock import NEVER_NS, VirtualClock
 from services.runtime.log import StructuredLog
-from services.runtime.node import DeviceDelay, NodeContext, NodeLoop
+from services.runtime.node import HELD_UP_NS, STARTING_PERIOD_NS, DeviceDelay, NodeContext, NodeLoop
 from services.runtime.realtime import RealtimeStatus
 
 PLAIN = RealtimeStatus(fifo=False, memory_locked=False)
@@ -180,3 +180,43 @@ def test_the_first_report_counts_all_steps_since_the_start() -> None:
     rig.run_until(505 * MS)
     # the first one is sent before the first step, the second half a second later
     assert [report.rate_hz for report in rig.health] == [0.0, 1000.0]
+
+
+def test_a_step_before_the_first_report_is_in_its_rate() -> None:
+    rig = Rig()
+
+    def step(received: Received) -> None:
+        rig.node.steps += 1
+        rig.clock.advance_ns(MS)
+
+    rig.node.on_message = step
+    rig.bus.arrives(5 * MS, "haptic/state")
+    rig.loop.turn()
+    assert [report.rate_hz for report in rig.health] == [pytest.approx(1000.0, rel=1e-9, abs=0.0)]
+
+
+def test_a_node_was_held_up_when_it_did_nothing_for_longer_than_a_command_is_valid() -> None:
+    rig = Rig()
+    rig.loop.turn()
+    noted: list[int] = []
+    rig.loop._commands.note_held_up = lambda now_ns, duration_ns: noted.append(duration_ns)
+    for pause_ns in (HELD_UP_NS, HELD_UP_NS + 1):
+        rig.clock.advance_ns(pause_ns)
+        rig.bus.wait = lambda deadline_ns: None
+        rig.loop.turn()
+    assert noted == [HELD_UP_NS + 1]
+
+
+def test_a_node_that_starts_reports_ten_times_a_second() -> None:
+    rig = Rig(period_ns=MS)
+    rig.loop = NodeLoop(rig.node, rig.bus, PLAIN, starting_period_ns=STARTING_PERIOD_NS)
+    rig.run_until(1004 * MS)
+    assert len(rig.health) == 10
+
+
+def test_a_node_that_names_no_pause_has_none() -> None:
+    rig = Rig()
+    now_ns = rig.clock.monotonic_ns()
+    rig.node.quiet_work.note_tick(now_ns)
+    rig.node.quiet_work.add(now_ns, "report")
+    assert rig.node.quiet_work.due_ns == now_ns + 20 * MS

@@ -19,6 +19,7 @@ from services.runtime.config import (
     read_yaml,
     validate,
 )
+from services.runtime.scenario import Scenario
 
 
 class Strict(BaseModel):
@@ -287,3 +288,9 @@ def test_a_path_that_the_locale_cannot_express_is_named_with_the_remedy_and_with
         "s.yaml: recorder.directory: out/\\xc3\\xa9 cannot be read as text under this locale: "
         "run with PYTHONUTF8=1, or under a locale such as C.UTF-8"
     )
+
+
+def test_a_long_value_is_quoted_in_part(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="duration_s: Input should be a valid number, got 'xxx") as error:
+        validate(Scenario, {"name": "a", "description": "b", "duration_s": "x" * 100_000}, "a.yaml")
+    assert len(str(error.value)) < 400

@@ -140,6 +140,7 @@ def test_whatever_came_before_an_emergency_stop_leaves_both_devices_latched(
 
 
 @pytest.mark.endurance
+@pytest.mark.timeout(3600)
 @settings(max_examples=1000, deadline=None, suppress_health_check=QUIET)
 @ORDERS
 def test_a_thousand_orders_leave_both_devices_latched(before: Order, after: Order, around: Surroundings) -> None:

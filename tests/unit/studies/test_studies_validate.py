@@ -73,6 +73,16 @@ def test_other_verdict_is_no_agreement_and_another_way_of_failing_is_one() -> No
     assert found.difference_share is None
 
 
+@pytest.mark.parametrize("law_fails", [False, True])
+def test_a_hold_without_data_agrees_with_nothing(law_fails: bool) -> None:
+    course = trajectory_of(cell(round_trip_ms=60.0 if law_fails else 40.0))
+    found = compare(cell(), [course], course, lacking="afm/state: nothing from 3.000 s to 5.000 s of the session")
+    assert (found.lockstep == "stable") is not law_fails
+    assert found.bus == "no_data"
+    assert found.reason.startswith("afm/state: nothing from 3.000 s")
+    assert not found.agree
+
+
 def test_bus_that_starts_within_a_tick_is_compared_in_time() -> None:
     course = trajectory_of(cell())
     late = dataclasses.replace(course, time_s=course.time_s + 4e-4)

@@ -6,6 +6,7 @@ import socket
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -217,6 +218,23 @@ def test_synchronised_clock() -> None:
     judged(checks.check_synchronised(None), "ok", "does not report")
     judged(checks.check_synchronised(KernelClock(True, 0.0123)), "ok", "12.3 ms")
     judged(checks.check_synchronised(KernelClock(False, 16.0)), "warning", "not synchronised", "chrony")
+
+
+@pytest.mark.parametrize(
+    ("spans_machines", "synchronised", "warned"), [(True, False, True), (True, True, False), (False, False, False)]
+)
+def test_up_warns_of_a_clock_that_is_not_synchronised_where_there_are_two(
+    monkeypatch: pytest.MonkeyPatch, spans_machines: bool, synchronised: bool, warned: bool
+) -> None:
+    import telenano.commands.up as command
+
+    monkeypatch.setattr(command, "kernel_clock", lambda: KernelClock(synchronised, 0.01))
+    plan: Any = SimpleNamespace(book=SimpleNamespace(spans_machines=spans_machines))
+    text = command._clock_text(plan)
+    assert (text != "") is warned
+    if warned:
+        assert text.startswith("the clock of this machine is not synchronised")
+        assert "chrony" in text
 
 
 @pytest.mark.parametrize(

@@ -48,6 +48,28 @@ def test_without_its_packages_or_its_page_the_rig_runs_without_a_view(monkeypatc
     ]
 
 
+def test_a_page_that_cannot_be_started_again_is_tried_later_and_the_rig_goes_on(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    process = view_server.ViewProcess(["no_such_recording.mcap"], {}, os.open(os.devnull, os.O_RDONLY))
+    assert process._process is not None
+    process._process.kill()
+    process._process.wait()
+    assert "was killed by SIGKILL" in process.look()
+
+    def refuse(self: view_server.ViewProcess) -> None:
+        raise OSError(24, "Too many open files")
+
+    monkeypatch.setattr(view_server.ViewProcess, "_start", refuse)
+    said = ""
+    while not said:
+        said = process.look()
+        time.sleep(0.01)
+    assert "the view cannot be started" in said
+    assert "it is started again in 0.2 s" in said
+    process.close()
+
+
 @pytest.fixture
 def runtime(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     # a socket's path is short by law, pytest's folders are not

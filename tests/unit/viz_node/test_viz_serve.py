@@ -148,10 +148,10 @@ def test_the_operator_gets_in_while_strangers_hold_sockets_that_never_say_hello_
 def test_a_connection_that_says_nothing_is_closed_and_one_that_is_answered_is_not(
     address: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(limits, "SILENCE_S", 0.2)
     with ExitStack() as stack:
         page = opened(stack, address, ACCESS.operator_token)
         taken(page, "snapshot")
+        monkeypatch.setattr(limits, "SILENCE_S", 1.0)
         strangers = [silent(stack, address), silent(stack, address, b"GET / HT")]
         answered = silent(stack, address, f"GET /health HTTP/1.1\r\nHost: {address}\r\n\r\nGET /".encode())
         assert b"200 OK" in answered.recv(4096)
@@ -163,9 +163,8 @@ def test_a_connection_that_says_nothing_is_closed_and_one_that_is_answered_is_no
 
 
 def test_a_page_behind_a_proxy_of_this_machine_is_none_that_says_nothing(
-    address: str, connections: Connections, monkeypatch: pytest.MonkeyPatch
+    address: str, connections: Connections
 ) -> None:
-    monkeypatch.setattr(limits, "SILENCE_S", 0.1)
     forwarded = {"X-Forwarded-For": "127.0.0.7"}
     url = f"ws://{address}/bus"
     with connect(url, origin=f"http://{address}", additional_headers=forwarded) as page:  # type: ignore[arg-type]

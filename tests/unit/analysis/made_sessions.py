@@ -1,0 +1,174 @@
+"""Recordings of sessions that are made up: Fig. 12 as a law would hold it, with clocks, ways and losses of choice."""
+
+import functools
+import math
+import random
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from proto import TOPICS, encode
+from proto.contract import examples
+from proto.ends import end_data
+from recording.writer import FileSettings, RecordingWriter
+from services.runtime.clock_offset import Exchange, OffsetFilter
+
+SCENARIO = Path(__file__).resolve().parents[3] / "presets/scenarios/fig12.yaml"
+HAND, TIP, LINK, CONTROLLER = "haptic_node@master", "afm_node@slave", "delay_node@master", "controller@master"
+BEGAN_NS = 1_750_000_000_000_000_000
+MS, NS = 1_000_000, 1_000_000_000
+STEP_S = 5e-3
+SESSION_S = 8.0
+FORCE_SCALE = 1e8
+# what the hand does, from the scenario
+HAND_TIMES_S, HAND_FORCES_N = (0.8, 1.2, 2.6, 2.9, 4.5, 4.6), (0.0, 1.0, 1.0, 2.0, 2.0, 0.0)
+
+
+@functools.cache
+def example(topic: str) -> Any:
+    """Return an ordinary message of a topic."""
+    return examples(TOPICS[topic])["ordinary"]
+
+
+def hand_force_n(time_s: float) -> float:
+    """Return F_m [N] at a time of the session [s]."""
+    return float(np.interp(time_s, HAND_TIMES_S, HAND_FORCES_N))
+
+
+@dataclass
+class Made:
+    """What is made: the slave's clock and the ways between the sites; what the tip does; what is left out.
+
+    ahead_s, drift: the slave's clock is ahead by ahead_s when the session begins, and gains drift; there_s, back_s: the
+    ways [s], with jitter_s; tip_n: alpha_f F_s at a session time [N], the hand's force of one way ago if None; mode,
+    in_contact: of the instrument at a session time; without: topic and session time of what the recorder did not get;
+    answers: until when the hand gets answers [s]; events: session time and data of what the instrument reports;
+    incidents: session time and text of what the slave's launcher does; end_s: when the recording ends, None if the
+    programme is ended; set_s: when the tip has acknowledged a setting; queue_s: by which the way there grows in a
+    second [s]; told_s: added to the offset that the link reports [s].
+    """
+
+    ahead_s: float = 0.0
+    drift: float = 0.0
+    there_s: float = 0.02
+    back_s: float = 0.02
+    tip_n: Callable[[float], float] | None = None
+    mode: Callable[[float], str] = lambda time_s: "follow"
+    in_contact: Callable[[float], bool] | None = None
+    without: Callable[[str, float], bool] = lambda topic, time_s: False
+    answers: float = SESSION_S
+    events: tuple[tuple[float, dict[str, Any]], ...] = ()
+    end_s: float | None = None
+    jitter_s: float = 2e-4
+    incidents: tuple[tuple[float, str], ...] = ()
+    set_s: float | None = None
+    queue_s: float = 0.0
+    told_s: float = 0.0
+
+    def slave_ns(self, time_s: float) -> int:
+        """Return what the slave's clock shows at a session time [ns]."""
+        return BEGAN_NS + round((time_s + self.ahead_s + self.drift * time_s) * NS)
+
+    def write(self, folder: Path, site: str = "master") -> Path:
+        """Write the recording of a site's recorder, which receives what the slave sends after the way back."""
+        dice = random.Random(5)
+        name = "session.mcap" if site == "master" else f"{site}.mcap"
+        writer = RecordingWriter.create(f"recorder@{site}", FileSettings(directory=folder, file_name=name))
+        writer.attach("scenario.yaml", "application/yaml", SCENARIO.read_bytes(), BEGAN_NS)
+        writer.add_metadata("recording", {"node": f"recorder@{site}"})
+        rows: list[tuple[int, int, str, str, int, int, bytes]] = []
+        counts: dict[tuple[str, str], int] = {}
+
+        def add(topic: str, src: str, time_s: float, **fields: Any) -> None:
+            of_slave = src.endswith("@slave")
+            t_ns = self.slave_ns(time_s) if of_slave else BEGAN_NS + round(time_s * NS)
+            seq = counts.get((topic, src), 0)
+            counts[topic, src] = seq + 1
+            if self.without(topic, time_s) or (self.end_s is not None and time_s > self.end_s):
+                return
+            model = TOPICS[topic].model
+            made = example(topic).model_copy(update={"seq": seq, "t_ns": t_ns, "src": src, **fields})
+            if "v" not in fields:
+                made = made.model_copy(update={"v": model.version})
+            if site == "master":
+                log_ns = BEGAN_NS + round((time_s + (self.back_s if of_slave else 0.0)) * NS)
+            else:
+                log_ns = self.slave_ns(time_s + (0.0 if of_slave else self.there_s))
+            rows.append((log_ns + 50_000, len(rows), topic, src, t_ns, seq, encode(made)))
+
+        steps = round((SESSION_S + 0.3) / STEP_S)
+        trip_s = self.there_s + self.back_s
+        for step in range(-round(0.3 / STEP_S), steps):
+            time_s = step * STEP_S
+            session_s = time_s if 0.0 <= time_s <= SESSION_S else -1.0
+            answered_s = min(time_s, self.answers) - trip_s
+            is_answered = self.answers > 0.0
+            add(
+                "haptic/state",
+                HAND,
+                time_s,
+                session_s=session_s,
+                operator_force_n=(0.0, 0.0, -hand_force_n(time_s)),
+                position_m=(0.0, 0.0, -1e-3 * time_s),
+                answered_seq=round(answered_s / STEP_S) + 1000 if is_answered else 0,
+                answered_t_ns=BEGAN_NS + round(answered_s * NS) if is_answered else 0,
+                answered_at_ns=BEGAN_NS + round((answered_s + trip_s) * NS) if is_answered else 0,
+            )
+            add("haptic/command", CONTROLLER, time_s, position_m=(0.0, 0.0, -1e-3 * time_s))
+            pressed_n = hand_force_n(time_s - self.there_s)
+            tip_n = pressed_n if self.tip_n is None else self.tip_n(time_s)
+            touches = pressed_n > 0.0 if self.in_contact is None else self.in_contact(time_s)
+            mode = self.mode(time_s)
+            add(
+                "afm/state",
+                TIP,
+                time_s,
+                tip_force_n=(0.0, 0.0, tip_n / FORCE_SCALE),
+                in_contact=touches,
+                mode=mode,
+                hand_t_ns=BEGAN_NS + round((time_s - self.there_s) * NS),
+                hand_seq=max(0, step + 1000),
+            )
+        self._clock(add, dice)
+        for time_s, data in self.events:
+            text = f"the AFM is in mode {data['mode']}: {data['reason']}"
+            add("session/event", TIP, time_s, kind="mode", level="warning", id="", text=text, data=data)
+        if self.set_s is not None:
+            text = "set afm_node.safety.force_limit_n to 3e-08"
+            add("session/event", TIP, self.set_s, kind="ack", level="info", id="a", text=text, data={})
+        for time_s, text in self.incidents:
+            add("session/event", "launcher@slave", time_s, kind="node", level="warning", id="", text=text, data={})
+        if self.end_s is None:
+            numbers = {"haptic/state": counts.get(("haptic/state", HAND), 0)}
+            data = end_data(numbers)
+            add("session/event", HAND, SESSION_S + 0.3, kind="node", level="info", id="", text="ended", data=data)
+        channels: dict[tuple[str, str], int] = {}
+        for log_ns, _, topic, src, t_ns, seq, payload in sorted(rows):
+            if (topic, src) not in channels:
+                channels[topic, src] = writer.channel(topic, src, src.partition("@")[2])
+            channel = channels[topic, src]
+            writer.write(channel, log_ns, t_ns, seq, payload)
+        writer.finish()
+        return writer.path
+
+    def _clock(self, add: Callable[..., None], dice: random.Random) -> None:
+        """Add what the link measures of the other clock, ten times a second, by the link's own filter."""
+        found = OffsetFilter(64)
+        for tenth in range(-3, round(10 * (SESSION_S + 0.3))):
+            asked_s = 0.1 * tenth - 0.08 - self.there_s - self.back_s
+            there, back = (way + dice.expovariate(1.0 / self.jitter_s) for way in (self.there_s, self.back_s))
+            there += self.queue_s * (asked_s + 1.0)
+            stamps = (self.slave_ns(asked_s + there), self.slave_ns(asked_s + there + 1e-4))
+            back_ns = BEGAN_NS + round((asked_s + there + 1e-4 + back) * NS)
+            asked_ns = BEGAN_NS + round(asked_s * NS)
+            found.record(Exchange(asked_ns, *stamps, back_ns))
+            answered_s = asked_s + there + 1e-4
+            add("clock/pong", TIP, answered_s, ping_t_ns=asked_ns, received_ns=stamps[0])
+            estimate = found.estimate()
+            assert estimate is not None and math.isfinite(estimate.offset_s)
+            told = {**estimate._asdict(), "offset_s": estimate.offset_s + self.told_s, "valid": True}
+            clock = example("link/status").clock.model_copy(update=told)
+            add("link/status", LINK, 0.1 * tenth, clock=clock)

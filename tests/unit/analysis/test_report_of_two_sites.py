@@ -1,0 +1,273 @@
+"""Reports of sessions whose sites have clocks of their own, whose data are missing, or whose network was away."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from made_sessions import BEGAN_NS, NS, Made, hand_force_n
+
+import telenano
+from analysis.plot import read_traces
+from analysis.report import write_report
+from recording.merge_sites import merge_sites
+from recording.reader import Recording
+from recording.sender_time import SenderClock
+from recording.site_clock import read_site_clock
+from telenano.output import clock_warning
+
+# what differs with the clocks: names, times to the rounding of stamps, and what is said of the clocks
+FIGURES = ("verdict", "stable", "reason", "hold_ratio", "contact_x_cm", "release_force_nn", "greatest_pull_nn")
+CLOCKS = {
+    "37 s ahead": {"ahead_s": 37.0},
+    "0.3 s behind": {"ahead_s": -0.3},
+    "500 ppm fast": {"drift": 5e-4},
+    "37 s ahead and 500 ppm slow": {"ahead_s": 37.0, "drift": -5e-4},
+}
+
+
+def report(folder: Path, **made: Any) -> dict[str, Any]:
+    """Give the summary of a session that is made up, as its file would have it."""
+    folder.mkdir(exist_ok=True)
+    found: dict[str, Any] = json.loads(json.dumps(telenano.open(Made(**made).write(folder)).summary))
+    return found
+
+
+def verdicts(summary: dict[str, Any]) -> list[str]:
+    return [hold["verdict"] for hold in summary["holds"]]
+
+
+def same(summary: dict[str, Any], expected: dict[str, Any]) -> None:
+    """The figures are those of a session with one clock; stamps are of whole ns and offsets known to 0.2 ms."""
+    for key in FIGURES:
+        found = summary[key]
+        assert found == (
+            pytest.approx(expected[key], rel=2e-3, abs=1e-9) if isinstance(found, float) else expected[key]
+        )
+    assert verdicts(summary) == verdicts(expected)
+    assert summary["completeness"] == pytest.approx(expected["completeness"], rel=0.0, abs=2e-3)
+    assert summary["rate_hz"] == pytest.approx(expected["rate_hz"], rel=0.0, abs=0.3)
+    assert summary["recording"]["complete"] is expected["recording"]["complete"] is True
+
+
+@pytest.fixture(scope="module")
+def with_one_clock(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    summary = report(tmp_path_factory.mktemp("one"))
+    assert summary["verdict"] == "stable"
+    assert summary["hold_ratio"] == pytest.approx(1.0, rel=1e-6)
+    assert summary["clocks"]["applied"] is False
+    assert summary["clocks"]["otherwise"] is None
+    assert clock_warning(summary) == ""
+    return summary
+
+
+@pytest.mark.parametrize("clock", CLOCKS)
+def test_a_session_with_another_clock_at_the_slave_has_the_figures_of_one_without(
+    tmp_path: Path, with_one_clock: dict[str, Any], clock: str
+) -> None:
+    summary = report(tmp_path, **CLOCKS[clock])
+    same(summary, with_one_clock)
+    found, given = summary["clocks"], CLOCKS[clock]
+    assert found["applied"] is True
+    middle_s = given.get("ahead_s", 0.0) + 4.0 * given.get("drift", 0.0)
+    assert found["offset_s"] == pytest.approx(middle_s, abs=3e-4)
+    assert found["drift_ppm"] == pytest.approx(1e6 * given.get("drift", 0.0), abs=30.0)
+    assert clock_warning(summary).startswith("the clocks of the sites are not synchronised: ")
+
+
+@pytest.mark.parametrize("way_s", [2e-4, 0.1])
+def test_a_drift_is_seen_within_the_bound_that_the_round_trip_sets(tmp_path: Path, way_s: float) -> None:
+    made = Made(drift=5e-4, there_s=way_s, back_s=way_s, jitter_s=1e-4)
+    clock = read_site_clock(Recording(made.write(tmp_path)))
+    assert clock is not None and clock.applied
+    times_s = np.arange(0.0, 8.0, 0.5)
+    stamps = np.array([made.slave_ns(time_s) for time_s in times_s.tolist()], dtype=np.int64)
+    truth_ns = stamps - BEGAN_NS - np.rint(times_s * NS).astype(np.int64)
+    # the ways differ by their least jitter
+    assert np.abs(clock.ahead_ns(stamps) - truth_ns).max() < 1e-4 * NS
+
+
+def test_ways_that_differ_are_not_taken_for_clocks_and_both_readings_are_given(
+    tmp_path: Path, with_one_clock: dict[str, Any]
+) -> None:
+    summary = report(tmp_path, there_s=0.01, back_s=0.07)
+    same(summary, with_one_clock)
+    clocks = summary["clocks"]
+    assert clocks["applied"] is False
+    assert clocks["offset_s"] == pytest.approx(-0.03, abs=1e-3)
+    assert clocks["otherwise"]["verdict"] == "stable"
+    assert clocks["otherwise"]["hold_ratio"] == pytest.approx(1.0, rel=1e-3)
+
+
+def test_two_readings_with_two_verdicts_are_said_in_words(with_one_clock: dict[str, Any]) -> None:
+    other = {"stable": False, "verdict": "wrong_force", "reason": "", "hold_ratio": None}
+    clocks = {**with_one_clock["clocks"], "otherwise": other}
+    assert clock_warning({**with_one_clock, "clocks": clocks}).endswith(
+        "as they are the session is stable, with that difference taken off wrong_force"
+    )
+
+
+def test_a_queue_that_fills_on_one_way_is_no_drift(tmp_path: Path) -> None:
+    made = Made()
+    # the questions take longer and longer, and the answers do not
+    made.queue_s = 5e-4
+    clock = read_site_clock(Recording(made.write(tmp_path)))
+    assert clock is not None
+    assert (clock.drift, clock.applied) == (0.0, False)
+
+
+def test_an_offset_by_which_an_answer_comes_before_its_question_is_refused(tmp_path: Path) -> None:
+    # what the link says of the clocks contradicts every stamp of the recording
+    clock = read_site_clock(Recording(Made(told_s=1.0).write(tmp_path)))
+    assert clock is not None
+    assert clock.applied is False
+    assert "too early" in clock.reason
+
+
+def test_replay_plot_and_tables_have_the_clock_of_the_report(tmp_path: Path) -> None:
+    made = Made(ahead_s=-0.3, drift=5e-4)
+    path = made.write(tmp_path)
+    recording = Recording(path)
+    sender = SenderClock(recording)
+    for message in recording.messages(["afm/state"]):
+        sent_s = (sender.time_ns(message) - BEGAN_NS) / NS
+        assert sent_s == pytest.approx(_truth_s(made, message.publish_ns), abs=3e-4)
+    hand, tip = read_traces(path, ["haptic/state.session_s", "afm/state.tip_force_n.2"])
+    assert [hand.time_s[0], tip.time_s[0]] == pytest.approx([0.0, 0.0], abs=1e-3)
+    assert tip.time_s[-1] == pytest.approx(hand.time_s[-1], abs=1e-3)
+    table = telenano.open(path).table("afm/state")
+    assert table["time_s"][0] == pytest.approx(-0.3, abs=1e-3)
+
+
+def _truth_s(made: Made, stamp_ns: int) -> float:
+    return ((stamp_ns - BEGAN_NS) / NS - made.ahead_s) / (1.0 + made.drift)
+
+
+@pytest.mark.parametrize("clock", CLOCKS)
+def test_recordings_of_both_sites_together_are_reported_as_one(
+    tmp_path: Path, with_one_clock: dict[str, Any], clock: str
+) -> None:
+    made = Made(**CLOCKS[clock])
+    paths = [made.write(tmp_path, site) for site in ("master", "slave")]
+    both = tmp_path / "both.mcap"
+    merge_sites(paths, both)
+    summary = write_report(both, tmp_path / "report")
+    same(summary, with_one_clock)
+    lags = [message.log_ns - message.publish_ns for message in Recording(both).messages(["afm/state"])]
+    ahead_ns = [made.slave_ns(0.0) - BEGAN_NS, made.slave_ns(8.0) - BEGAN_NS - 8 * NS]
+    # the recorder beside the tip had its samples at once
+    assert all(abs(lag + ahead) < 5e6 for lag, ahead in zip((lags[100], lags[-60]), ahead_ns, strict=True))
+
+
+def after_2_s(topic: str, time_s: float) -> bool:
+    return topic == "afm/state" and time_s > 2.0
+
+
+def test_a_hold_without_samples_of_the_tip_is_one_without_data(tmp_path: Path) -> None:
+    summary = report(tmp_path, without=after_2_s)
+    assert summary["stable"] is False
+    assert summary["verdict"] == "no_data"
+    assert verdicts(summary) == ["stable", "no_data", "no_data", "no_data"]
+    assert summary["hold_ratio"] is None
+    assert summary["recording"]["complete"] is False
+    (missing,) = summary["recording"]["missing"]
+    assert missing == "afm/state: nothing from 2.000 s to 8.000 s of the session"
+
+
+def test_a_session_without_any_sample_of_the_tip_has_a_summary_and_a_figure(tmp_path: Path) -> None:
+    for lost in (("afm/state",), ("afm/state", "haptic/command"), ("afm/state", "haptic/command", "link/status")):
+        summary = write_report(
+            Made(without=lambda topic, time_s, lost=lost: topic in lost).write(tmp_path), tmp_path / "report"
+        )
+        assert json.loads((tmp_path / "report" / "summary.json").read_text()) == summary
+        assert set(verdicts(summary)) == {"no_data"}
+        assert summary["greatest_pull_nn"] is None
+        assert (tmp_path / "report" / "fig12.png").stat().st_size > 10_000
+        (tmp_path / "session.mcap").unlink()
+
+
+def test_a_hold_that_the_recording_does_not_show_at_the_hand_is_one_without_data(tmp_path: Path) -> None:
+    summary = report(tmp_path, without=lambda topic, time_s: topic == "haptic/state" and 2.7 < time_s < 4.55)
+    assert verdicts(summary) == ["stable", "stable", "no_data", "stable"]
+    assert summary["holds"][2]["reason"] == "haptic/state: nothing from 2.900 s to 4.500 s of the session"
+    assert "haptic/state: nothing from 2.700 s to 4.550 s of the session" in summary["recording"]["missing"]
+
+
+def test_a_pause_of_a_twentieth_of_a_hold_is_none(tmp_path: Path) -> None:
+    summary = report(tmp_path, without=lambda topic, time_s: topic == "afm/state" and 3.5 < time_s < 3.57)
+    assert verdicts(summary) == ["stable"] * 4
+
+
+@pytest.mark.parametrize(("until_s", "left"), [(0.0, 0), (2.0, 2)])
+def test_a_session_in_which_no_answer_reached_the_hand_is_not_stable(tmp_path: Path, until_s: float, left: int) -> None:
+    summary = report(tmp_path, answers=until_s)
+    assert verdicts(summary) == ["stable"] * left + ["no_data"] * (4 - left)
+    assert summary["verdict"] == "no_data"
+    text = f"haptic/command: no answer reached the hand from {until_s:.3f} s to 8.000 s of the session"
+    assert summary["recording"]["missing"] == [text]
+
+
+def test_what_a_recording_that_ends_early_does_not_show_has_no_data(tmp_path: Path) -> None:
+    summary = report(tmp_path, end_s=3.0)
+    assert verdicts(summary) == ["stable", "stable", "no_data", "no_data"]
+    assert summary["stable"] is False
+
+
+def withdrawn(reason: str, held: bool) -> dict[str, Any]:
+    """The instrument presses, and withdraws at 3.5 s of the session; held: it has stood still for half a second."""
+
+    def mode(time_s: float) -> str:
+        before = "hold" if held and time_s >= 3.0 else "follow"
+        return before if time_s < 3.5 else "retracting" if time_s < 3.6 else "retracted"
+
+    return {
+        "mode": mode,
+        # it comes late into contact, so that there is a jump in the hold
+        "tip_n": lambda time_s: 0.0 if 2.6 < time_s < 3.3 or time_s > 3.55 else hand_force_n(time_s - 0.02),
+        "in_contact": lambda time_s: hand_force_n(time_s - 0.02) > 0.0 and not 2.6 < time_s < 3.3 and time_s < 3.55,
+        "events": ((3.5, {"mode": "retracting", "reason": reason, "base_position_m": 0.0}),) if reason else (),
+    }
+
+
+@pytest.mark.parametrize("reason", ["hold_expired", ""])
+def test_a_network_that_was_away_is_named_and_the_law_is_not_blamed(tmp_path: Path, reason: str) -> None:
+    summary = report(tmp_path, **withdrawn(reason, held=True))
+    assert verdicts(summary) == ["stable", "stable", "guarded", "guarded"]
+    assert "withdrew at 3.500 s because no command came (hold_expired)" in summary["reason"]
+    assert "network" in summary["reason"]
+
+
+def test_the_kill_of_a_node_is_named_in_the_holds_that_it_touched_and_in_no_other(tmp_path: Path) -> None:
+    killed = (3.1, "afm_node@slave ended by SIGKILL: it is started again")
+    summary = report(
+        tmp_path,
+        ahead_s=37.0,
+        without=lambda topic, time_s: topic == "afm/state" and 3.0 < time_s < 3.9,
+        incidents=(killed,),
+    )
+    assert verdicts(summary) == ["stable", "stable", "no_data", "stable"]
+    assert summary["reason"] == f"afm/state: nothing from 3.000 s to 3.900 s of the session; at 3.100 s: {killed[1]}"
+    starved = report(tmp_path / "starved", **withdrawn("hold_expired", held=True), incidents=(killed,))
+    assert starved["reason"].endswith(f"at 3.100 s: {killed[1]}")
+
+
+def test_what_was_set_at_the_slave_is_in_the_session_by_its_own_clock(tmp_path: Path) -> None:
+    for folder, ahead_s in (("one", 0.0), ("other", 37.0)):
+        summary = report(tmp_path / folder, ahead_s=ahead_s, set_s=3.0)
+        assert summary["changed"] == ["afm_node@slave: set afm_node.safety.force_limit_n to 3e-08"]
+
+
+def test_another_guard_is_named_with_its_time(tmp_path: Path) -> None:
+    summary = report(tmp_path, **withdrawn("force_limit", held=False))
+    assert summary["holds"][3]["verdict"] == "guarded"
+    assert "at 3.500 s (force_limit)" in summary["holds"][3]["reason"]
+    assert all("network" not in hold["reason"] for hold in summary["holds"])
+
+
+@pytest.mark.parametrize("way_s", [5e-5, 0.02])
+def test_the_clock_of_one_machine_is_left_alone(tmp_path: Path, way_s: float) -> None:
+    clock = read_site_clock(Recording(Made(there_s=way_s, back_s=way_s).write(tmp_path)))
+    assert clock is not None
+    assert clock.applied is False
+    assert abs(clock.offset_s) < 1e-4
