@@ -28,9 +28,9 @@ _CRC = struct.Struct("<I")
 _LONGEST_COMPRESSION_NAME = 8
 # of what a chunk unpacks to, which is in memory as a whole; ours are at most 64 MiB and one message of 16 MiB
 _LARGEST_CHUNK = 80 << 20
-# of a chunk above the size that is written by default; a level picture, line by line, is a thousandth of itself
+# of a chunk above the size that is written by default and one message, which may be of zeros and pack to nearly nothing
 _GREATEST_RATIO = 1000
-_ORDINARY_CHUNK = 1 << 20
+_ORDINARY_CHUNK = 17 << 20
 # schemas and channels that differ; a rig has some hundred, and each of them is an object of ours
 MOST_DEFINITIONS = 4096
 _CONTENT = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)

@@ -37,6 +37,8 @@ _CAUSALITY_NS = 2 * _NS
 _BLOCK_NS = _NS
 # one straight line a minute: temperature and time services change the rate of a clock slowly
 _SEGMENT_S = 60.0
+# at least so many blocks to a line
+_SEGMENT_BLOCKS = 8
 # a growth that is so many times the scatter about its line, and so large [ns], is no chance; over so many blocks
 _SURE_GROWTH, _LEAST_GROWTH_NS, _LEAST_BLOCKS = 10.0, 500_000, 5
 # of the drift: by so much the other way may differ from it
@@ -272,7 +274,7 @@ def _course(questions: _Questions, best: _Report, origin_ns: int) -> tuple[Float
     is_sure = abs(growths[0]) > max(_SURE_GROWTH * scatter, _LEAST_GROWTH_NS) and abs(drift) <= _MOST_DRIFT
     if not is_sure or abs(growths[0] + growths[1]) > _UNLIKE * abs(growths[0]):
         return flat
-    parts = max(1, int((ends[1] - ends[0]) * 1e-9 // _SEGMENT_S))
+    parts = max(1, min(int((ends[1] - ends[0]) * 1e-9 // _SEGMENT_S), len(times) // _SEGMENT_BLOCKS))
     knots = np.unique(np.quantile(times, np.linspace(0.0, 1.0, parts + 1)))
     course = _through(times, there, knots)
     # the exchange that the best report rests on, which may have been made seconds before

@@ -2,7 +2,7 @@
 
 What libraries of the field make of a damaged file is theirs alone: gigabytes for a flipped bit, a loop without an end,
 a segmentation fault. In a child it costs what the limits allow, and a sentence. The child is Python with the module of
-the reading function and nothing else: 0.2 to 0.4 s for each file, of which the libraries themselves are the most.
+the reading function and nothing else: 0.2 s for a small file, of which the libraries themselves are the most.
 
 The answer is a line of JSON and the bytes of the arrays after it, in a file without a name: nothing in it is executed.
 """

@@ -19,7 +19,6 @@ from services.launcher.session import RigNode
 from services.runtime import interrupts
 from services.viz_node.figure_style import FigureOptions, figure_options
 from telenano.completion import node_names, scenario_names
-from telenano.doctor.checks import check_synchronised, kernel_clock
 from telenano.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED
 from telenano.live_view import LineView, LiveView
 from telenano.options import FormatOption, JsonOption, RigFileOption, Site, StyleOption
@@ -165,7 +164,10 @@ def _clock_text(plan: Plan) -> str:
     """Return in words that this machine's clock is not synchronised, where the rig spans two; else nothing."""
     if not plan.book.spans_machines:
         return ""
-    found = check_synchronised(kernel_clock())
+    # it needs POSIX, and the other commands work without
+    from telenano.doctor import checks
+
+    found = checks.check_synchronised(checks.kernel_clock())
     return "" if found.level == "ok" else f"the clock of this machine is {found.found}; {found.advice}"
 
 

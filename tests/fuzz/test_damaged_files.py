@@ -168,6 +168,17 @@ def test_a_chunk_that_states_another_size_is_damaged(tmp_path: Path, compression
     assert Recording(path).info().damage == ()
 
 
+def test_a_chunk_that_packs_to_nearly_nothing_is_not_unpacked(tmp_path: Path) -> None:
+    from recording.reader import Recording
+
+    size = 20 << 20
+    stored = pytest.importorskip("zstandard").ZstdCompressor().compress(bytes(size))
+    path = tmp_path / "session.mcap"
+    path.write_bytes(files.mcap(files.mcap_chunk("zstd", stored, size)))
+    (damage,) = Recording(path).info().damage
+    assert f"{len(stored)} bytes unpack to {size}, at most 1000 times as many are read" in damage
+
+
 def test_a_chunk_of_zeros_is_not_called_sound(tmp_path: Path) -> None:
     from recording.verify import verify
 

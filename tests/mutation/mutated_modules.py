@@ -66,6 +66,13 @@ EQUIVALENT: dict[str, dict[str, str]] = {
     "services/runtime/security/zap_authenticator.py": {
         "ZapAuthenticator.prepare: socket.set(zmq.ZAP_ENFORCE_DOMAIN, 1) [1 => 2]": "libzmq takes any number but 0",
     },
+    "services/delay_node/engine.py": {
+        "DirectionEngine.restore_state: pipeline = self._pipeline = Pipeline(self._direction, settings, files, 0)"
+        " [0 => 1]": "every time in the pipeline is restored a few lines later",
+    },
+    "services/recorder/listener.py": {
+        "Listener: _last_batch_ns: int = 0 [0 => 1]": "read only after the first batch, which sets it",
+    },
     "recording/verify.py": {
         "_Check.__init__: self._last_ns = 0 [0 => 1]": "no message was received a nanosecond after 1970",
         "_Check.run: first, last, log_ns = self._open_gaps.get((channel.channel_topic, channel.src), (0, 0, 0))"

@@ -43,7 +43,7 @@ PLACES = {
     "operator": ("faulty_hand", "force = params.force_n * min(t / params.rise_s, 1.0)",
                  "haptic_node.operator={kind: faulty_hand}"),
     "sample": ("faulty_gel", "depth = base_m - params.rest_distance_m", "afm_node.environment=faulty_gel"),
-    "device": ("faulty_handle", "force_n = self._config.force_n if session_time_s >= 0.0 else 0.0",
+    "device": ("faulty_handle", "velocity = (self._position_m - before) / dt_s",
                "haptic_node.driver=faulty_handle"),
 }  # fmt: skip
 
@@ -85,7 +85,7 @@ def test_code_of_a_package_that_fails_leaves_hand_and_tip_safe(rig: Rig, kind: s
         "XDG_CACHE_HOME": str(rig.folder / "cache"),
     }
     rig.start("--duration", "8", "--set", setting)
-    code, summary, err = rig.finish()
+    code, _, err = rig.finish()
     assert (rig.folder / "mark").exists(), rig.logs()
     assert code in (0, 1, 3), err + rig.logs()
     failed = {"law": "controller@master", "sample": "afm_node@slave"}.get(kind, "haptic_node@master")
@@ -100,7 +100,6 @@ def test_code_of_a_package_that_fails_leaves_hand_and_tip_safe(rig: Rig, kind: s
     assert kind == "sample" or hand[-1] == "off", hand
     # it was withdrawn, and waits to be armed
     assert "follow" in tip and tip[-1] == "retracted", tip
-    assert summary["restarts"][failed] == 1
     if (kind, fault) == ("law", "never returns"):
         record(
             "a law of a package never returns", f"hand off {let_go_s(recording):.1f} s after the last coupled sample"

@@ -28,6 +28,7 @@ def sample(topic: str, seq: int, **changes: Any) -> Message:
 
 def haptic_state(seq: int, **changes: Any) -> Message:
     fields = {
+        # a test that publishes for long stays within the ranges of the wire
         "position_m": (0.0, 0.0, -1e-3 * (seq % 10_000)),
         "operator_force_n": (0.1, 0.2, -0.5 - seq % 10_000),
         "limited": seq % 2 == 1,

@@ -194,3 +194,53 @@ def test_a_full_queue_drops_and_names_itself_as_the_cause() -> None:
     fates = sorted(link.take_fates())
     assert [fate.dropped for fate in fates].count("queue") == link.stats().dropped["queue"] == 3
     assert all(fate.release_ns is None for fate in fates if fate.dropped)
+
+
+def test_a_plain_bridge_counts_what_it_passes_on_at_once() -> None:
+    link = engine()
+    link.submit(START, TOPIC, b"abc", 0)
+    stats = link.stats()
+    assert (stats.messages_out, stats.bytes_out, stats.delay_count, stats.delay_max_s) == (1, 3, 1, 0.0)
+    assert fates_of(parse_settings({}), "forward", TOPIC, [], 9) == []
+
+
+def test_a_message_that_finds_the_line_free_is_on_it_at_once_and_one_that_has_left_makes_room() -> None:
+    link = engine(rate={"rate_bytes_per_s": 1e5}, queue={"limit_messages": 1})
+    link.submit(START, TOPIC, bytes(100), 0)
+    assert (link.stats().queued, link.stats().in_flight) == (0, 1)
+    link.submit(START, TOPIC, bytes(100), 1)
+    assert link.stats().queued == 1
+    link.submit(START + 5 * MS, TOPIC, bytes(100), 2)
+    finish(link)
+    assert [fate.dropped for fate in link.take_fates()] == ["", "", ""]
+
+
+@pytest.mark.parametrize("order", ["any", "topic"])
+def test_what_overtakes_is_marked_and_in_order_nothing_does(order: str) -> None:
+    jitter = {"scale_s": 0.01, "distribution": "uniform"}
+    fates = stream(300, delay_s=0.02, jitter=jitter, order=order)
+    latest_ns, overtaking = 0, 0
+    for fate in fates:
+        release_ns = fate.release_ns or 0
+        assert fate.reordered == (release_ns < latest_ns)
+        overtaking += release_ns < latest_ns
+        latest_ns = max(latest_ns, release_ns)
+    assert (overtaking > 30) is (order == "any")
+    assert (overtaking == 0) is (order == "topic")
+
+
+def test_flipped_bits_are_in_the_payload_that_is_sent_on() -> None:
+    link = engine(corruption={"probability": 1.0})
+    released = [release for seq in range(3) for release in link.submit(START + seq, TOPIC, b"\x00\x00", seq)]
+    released += finish(link)
+    assert len(released) == 3
+    assert all(release.payload != b"\x00\x00" and release.fate.corrupted for release in released)
+
+
+def test_settings_of_a_pattern_may_go_while_messages_wait_under_them() -> None:
+    line = {"rate": {"rate_bytes_per_s": 1e5}}
+    link = LinkEngine(parse_settings({"forward": {"topics": {"own/*": line}}}), START)
+    for seq in range(3):
+        link.forward.submit(START, "own/a", bytes(100), seq)
+    link.reconfigure(parse_settings({"forward": {}}), START + MS // 2)
+    assert [release.fate.release_ns for release in finish(link.forward)] == [START + n * MS for n in (1, 2, 3)]

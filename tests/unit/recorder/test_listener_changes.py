@@ -76,3 +76,16 @@ def test_frames_that_are_no_batch_are_kept_as_what_is_no_message_and_change_noth
     found = [message.topic for message in Recording(rig.path).select()]
     assert found.count(REJECTED_TOPIC) == 2
     assert found.count("haptic/state") == 1
+
+
+def test_a_stamp_that_is_an_hour_old_is_the_time_of_a_process_that_stood_still(rig: Rig) -> None:
+    master = rig.node(HAND)
+    rig.begin(master)
+    rig.advance(1.0)
+    master.send("haptic/state", haptic_state(0))
+    sent_ms = (rig.clock.now_ns() - rig.begin_ns) / MILLISECOND_NS
+    master.flush()
+    # the recorder takes what has come 21 ms after this
+    rig.advance(3_600_000.0 - 21.0)
+    rig.take()
+    assert [time_ms for _, _, time_ms in rig.recorded()] == [sent_ms]

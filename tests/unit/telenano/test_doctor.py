@@ -228,7 +228,7 @@ def test_up_warns_of_a_clock_that_is_not_synchronised_where_there_are_two(
 ) -> None:
     import telenano.commands.up as command
 
-    monkeypatch.setattr(command, "kernel_clock", lambda: KernelClock(synchronised, 0.01))
+    monkeypatch.setattr(checks, "kernel_clock", lambda: KernelClock(synchronised, 0.01))
     plan: Any = SimpleNamespace(book=SimpleNamespace(spans_machines=spans_machines))
     text = command._clock_text(plan)
     assert (text != "") is warned
