@@ -11,8 +11,8 @@ from recording.multi_file import RecordingSource
 from recording.site_clock import Timeline
 from services.controller.config import ControllerConfig
 from services.delay_node.config import LinkSettings
-from services.runtime.config import validate
-from services.runtime.scenario import Scenario
+from services.runtime.settings.config import validate
+from services.runtime.settings.scenario import Scenario
 
 _MASTER = "controller@master"
 

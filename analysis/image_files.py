@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from services.afm_node.surface_files import GSF_MAGIC
+from services.afm_node.physics.sample.surface_files import GSF_MAGIC
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

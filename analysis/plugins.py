@@ -6,7 +6,7 @@ from typing import Any
 from presets.plugins import installed
 from proto.errors import ConfigError
 from recording.multi_file import RecordingSource
-from services.runtime.scenario import named_in
+from services.runtime.settings.scenario import named_in
 
 
 def recorded_plugins(recording: RecordingSource, document: Mapping[str, Any]) -> dict[str, dict[str, str]]:

@@ -27,18 +27,18 @@ from recording.messages import RecordedChannel, RecordedMessage
 from recording.reader import Recording
 from recording.records import REJECTED_TOPIC, RejectedRecord
 from recording.tolerance import Tolerances, first_difference
-from services.runtime.address_book import AddressBook
-from services.runtime.bus import Received, Subscriber, ZmqBus
-from services.runtime.clock import TurnClock
-from services.runtime.config import flag_overrides, merge, parse_yaml, validate
-from services.runtime.journal import COMMAND, DEADLINE, MESSAGE
-from services.runtime.log import StructuredLog
-from services.runtime.main import Wiring, node_kind
-from services.runtime.node import Node
-from services.runtime.node_state import names, restore
-from services.runtime.publisher import Publisher, ZmqPublisher
-from services.runtime.reader import Reader
-from services.runtime.scenario import LoadedScenario, Scenario
+from services.runtime.bus.address_book import AddressBook
+from services.runtime.bus.bus import Received, Subscriber, ZmqBus
+from services.runtime.bus.publisher import Publisher, ZmqPublisher
+from services.runtime.bus.reader import Reader
+from services.runtime.loop.clock import TurnClock
+from services.runtime.loop.journal import COMMAND, DEADLINE, MESSAGE
+from services.runtime.loop.log import StructuredLog
+from services.runtime.loop.main import Wiring, node_kind
+from services.runtime.loop.node import Node
+from services.runtime.loop.node_state import names, restore
+from services.runtime.settings.config import flag_overrides, merge, parse_yaml, validate
+from services.runtime.settings.scenario import LoadedScenario, Scenario
 
 JOURNAL = "node/journal"
 # the loop around the node publishes on these too, with the same numbering: they are not compared

@@ -4,8 +4,8 @@ from itertools import pairwise
 
 from analysis.holds import SHORTEST_HOLD_S
 from services.haptic_node.config import ForceProfileConfig, HapticConfig
-from services.runtime.config import validate
-from services.runtime.scenario import Scenario
+from services.runtime.settings.config import validate
+from services.runtime.settings.scenario import Scenario
 
 
 def planned_holds(scenario: Scenario, end_s: float) -> list[tuple[float, float, float]]:

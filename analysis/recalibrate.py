@@ -8,9 +8,9 @@ from proto.errors import ConfigError, RecordingError
 from proto.messages import AfmState, HapticState, Message, NodeHealth
 from recording.reader import Recording
 from recording.rewrite import CopyResult, CopyWriter
-from services.afm_node.converter_calibration import InstrumentCalibration
-from services.haptic_node.calibration import HandleCalibration
-from services.runtime.frames import to_site_frame
+from services.afm_node.devices.converter_calibration import InstrumentCalibration
+from services.haptic_node.devices.calibration import HandleCalibration
+from services.numerics.frames import to_site_frame
 
 
 class Recalibrated(CopyResult):

@@ -14,9 +14,9 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from services.afm_node.config import AfmConfig
-from services.afm_node.dynamic import NO_NOISE, advance, free_amplitude_m, steady_state
-from services.afm_node.force_grid import grid_force
-from services.runtime.compiled import always_compiled
+from services.afm_node.physics.contact.force_grid import grid_force
+from services.afm_node.physics.dynamic import NO_NOISE, advance, free_amplitude_m, steady_state
+from services.numerics.compiled import always_compiled
 
 PERIODS = 150
 MEASURED = 20

@@ -25,8 +25,8 @@ from proto.messages import (
     TeleopBackward,
     TeleopForward,
 )
-from services.runtime.log import StructuredLog
-from services.runtime.realtime import RealtimeConfig, ahead_of_others, apply_realtime, freeze_garbage
+from services.runtime.loop.log import StructuredLog
+from services.runtime.loop.realtime import RealtimeConfig, ahead_of_others, apply_realtime, freeze_garbage
 
 PERIOD_NS = 1_000_000
 SPIN_NS = 100_000

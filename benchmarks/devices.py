@@ -25,14 +25,14 @@ from typing import Any
 
 from services.afm_node.__main__ import modbus_driver
 from services.afm_node.config import AfmConfig, ModbusConfig
-from services.afm_node.modbus_frames import Conversation, Operation
-from services.haptic_node.calibration import read_calibration
+from services.afm_node.devices.modbus_frames import Conversation, Operation
 from services.haptic_node.config import LimitsConfig
+from services.haptic_node.devices.calibration import read_calibration
+from services.haptic_node.devices.serial_driver import SerialHandle
 from services.haptic_node.driver import DriveCommand
 from services.haptic_node.safety import MODE_OFF
-from services.haptic_node.serial_driver import SerialHandle
-from services.runtime.log import StructuredLog, configure_logging
-from services.runtime.realtime import RealtimeConfig, apply_realtime, freeze_garbage, use_huge_pages
+from services.runtime.loop.log import StructuredLog, configure_logging
+from services.runtime.loop.realtime import RealtimeConfig, apply_realtime, freeze_garbage, use_huge_pages
 
 PERIOD_S = 1e-3
 START_S = 60.0

@@ -32,7 +32,7 @@ from proto.messages import AfmState, NodeHealth
 from recording.reader import Recording
 from services.afm_node.__main__ import dynamic_afm
 from services.afm_node.config import AfmConfig
-from services.afm_node.sim import SimulatedAfm
+from services.afm_node.physics.sim import SimulatedAfm
 
 LATE_STEP_S = 2e-3
 # as fine as an empty loop can tell, which is itself late by some tens of microseconds

@@ -25,8 +25,8 @@ import zmq
 from presets import DEFAULT_SITE_FILE
 from proto.errors import TelenanoError
 from services.console.command_client import send_control
-from services.runtime.commands import Command
-from services.runtime.main import load_site
+from services.runtime.loop.commands import Command
+from services.runtime.loop.main import load_site
 
 AFM = "afm_node@slave"
 # how msgpack writes the mode of an afm/state

@@ -28,13 +28,13 @@ from services.controller.config import ControllerConfig
 from services.controller.node import MasterController
 from services.delay_node.config import parse_settings
 from services.delay_node.node import DelayNode
-from services.runtime.bus import Received, Subscriber, ZmqBus
-from services.runtime.clock import SystemClock
-from services.runtime.journal import InputJournal
-from services.runtime.log import StructuredLog
-from services.runtime.node import NodeContext, NodeLoop
-from services.runtime.publisher import ZmqPublisher
-from services.runtime.realtime import RealtimeStatus
+from services.runtime.bus.bus import Received, Subscriber, ZmqBus
+from services.runtime.bus.publisher import ZmqPublisher
+from services.runtime.loop.clock import SystemClock
+from services.runtime.loop.journal import InputJournal
+from services.runtime.loop.log import StructuredLog
+from services.runtime.loop.node import NodeContext, NodeLoop
+from services.runtime.loop.realtime import RealtimeStatus
 
 TURNS = 1000
 REPEATS = 50

@@ -24,11 +24,11 @@ import numpy as np
 import yaml
 import zmq
 
-from services.runtime.bus import Subscriber
-from services.runtime.clock import EPOCH_OFFSET_VARIABLE, SystemClock
-from services.runtime.log import StructuredLog
-from services.runtime.publisher import ZmqPublisher
-from services.runtime.realtime import RealtimeConfig, apply_realtime, freeze_garbage, shallow_idle
+from services.runtime.bus.bus import Subscriber
+from services.runtime.bus.publisher import ZmqPublisher
+from services.runtime.loop.clock import EPOCH_OFFSET_VARIABLE, SystemClock
+from services.runtime.loop.log import StructuredLog
+from services.runtime.loop.realtime import RealtimeConfig, apply_realtime, freeze_garbage, shallow_idle
 
 BURST = 3
 PERIOD_NS = 1_000_000

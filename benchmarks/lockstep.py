@@ -15,15 +15,15 @@ from typing import Any
 
 import numpy as np
 
-from services.afm_node.step import AfmInputs
-from services.haptic_node.step import HapticInputs
-from services.haptic_node.step import step as haptic_step
-from services.runtime.compiled import always_compiled
+from services.afm_node.physics.step import AfmInputs
+from services.haptic_node.physics.step import HapticInputs
+from services.haptic_node.physics.step import step as haptic_step
+from services.numerics.compiled import always_compiled
 from studies import option_values
-from studies.cells import DEFAULT_STIFFNESS, ENVIRONMENTS, Cell, rig_of
-from studies.dispatch import instrument_step
-from studies.link import schedule_of, symmetric_link
-from studies.lockstep import Rig, Trajectory, simulate
+from studies.loops.cells import DEFAULT_STIFFNESS, ENVIRONMENTS, Cell, rig_of
+from studies.loops.dispatch import instrument_step
+from studies.loops.link import schedule_of, symmetric_link
+from studies.loops.lockstep import Rig, Trajectory, simulate
 
 AIM = 2000.0
 _SETTLE_TICKS = 300

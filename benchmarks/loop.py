@@ -30,8 +30,8 @@ from chains import measure_sockets, measure_zeromq
 from proto import decode
 from proto.messages import HapticState
 from recording.reader import Recording
-from services.runtime.hop_trace import PARTS
-from services.runtime.realtime import shallow_idle
+from services.runtime.loop.hop_trace import PARTS
+from services.runtime.loop.realtime import shallow_idle
 
 FLOORS = {
     "plain": ("sockets, plain", lambda ticks: measure_sockets(ticks, placed=False)),

@@ -22,13 +22,13 @@ import numpy as np
 import zmq
 from link import ANSWER, SIGNAL
 
-from services.runtime.address_book import AddressBook, LinkTransport
-from services.runtime.clock import SystemClock
-from services.runtime.log import StructuredLog
-from services.runtime.participant import Participant
-from services.runtime.realtime import RealtimeConfig, apply_realtime, freeze_garbage, shallow_idle
+from services.runtime.bus.address_book import AddressBook, LinkTransport
+from services.runtime.bus.transport import Transport, open_context
+from services.runtime.loop.clock import SystemClock
+from services.runtime.loop.log import StructuredLog
+from services.runtime.loop.participant import Participant
+from services.runtime.loop.realtime import RealtimeConfig, apply_realtime, freeze_garbage, shallow_idle
 from services.runtime.security.keyring import KEYS_DIRECTORY_VARIABLE, Keyring
-from services.runtime.transport import Transport, open_context
 
 PERIOD_NS = 1_000_000
 # the two ends of the link between machines

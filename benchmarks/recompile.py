@@ -19,10 +19,10 @@ STUDY = (
 )
 # what is done, the file, a text in it and what takes its place
 LAW = "services/controller/laws/virtual_impedance.py"
-MODEL = "services/afm_node/lennard_jones.py"
+MODEL = "services/afm_node/physics/contact/lennard_jones.py"
 EDITS = (
     ("nothing", LAW, "", ""),
-    ("a comment in the figures of studies", "studies/figures.py", '"""\n\nfrom', '"""\n\n# a comment\nfrom'),
+    ("a comment in the figures of studies", "studies/pages/figures.py", '"""\n\nfrom', '"""\n\n# a comment\nfrom'),
     ("lines above the law of the study", LAW, '"""\n\nfrom', '"""\n\n# lines\n\nfrom'),
     ("another law", "services/controller/laws/wave.py", "+= 0.5 *", "+= 0.25 * 2.0 *"),
     ("the law of the study", LAW, "- scaled_force\n", "- 1.0 * scaled_force\n"),

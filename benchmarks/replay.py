@@ -36,8 +36,8 @@ from services.player.run import ReplayRequest, run_replay
 from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake, Listener
 from services.recorder.open_recording import open_recording
-from services.runtime.bus import Subscriber
-from services.runtime.clock import SystemClock
+from services.runtime.bus.bus import Subscriber
+from services.runtime.loop.clock import SystemClock
 
 PERIOD_NS = 1_000_000
 EPOCH_NS = 1_750_000_000_000_000_000

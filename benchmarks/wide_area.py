@@ -69,7 +69,7 @@ def cable(delay_s: float, loss: float, seed: int) -> Iterator[tuple[tuple[str, s
 
 def send(way: str, seconds: float, folder: Path) -> None:
     """Be the sending end."""
-    from services.runtime.realtime import shallow_idle
+    from services.runtime.loop.realtime import shallow_idle
 
     with shallow_idle():
         if way == "link":
@@ -101,7 +101,7 @@ def _send_plain(way: str) -> None:
 
 def receive(way: str, seconds: float, folder: Path) -> list[float]:
     """Be the receiving end; gives the age of the newest sample at each millisecond [ms]."""
-    from services.runtime.realtime import shallow_idle
+    from services.runtime.loop.realtime import shallow_idle
 
     with shallow_idle():
         return _run_link(seconds, folder, sending=False) if way == "link" else _receive_plain(way, seconds)
@@ -143,12 +143,12 @@ def _run_link(seconds: float, folder: Path, *, sending: bool) -> list[float]:
     """Run an end of the link itself, its keys agreed over CURVE as in a rig; gives the ages at the receiving one."""
     from link import ANSWER, SIGNAL
 
-    from services.runtime.address_book import AddressBook
-    from services.runtime.clock import SystemClock
-    from services.runtime.log import StructuredLog
-    from services.runtime.participant import Participant
+    from services.runtime.bus.address_book import AddressBook
+    from services.runtime.bus.transport import Transport, open_context
+    from services.runtime.loop.clock import SystemClock
+    from services.runtime.loop.log import StructuredLog
+    from services.runtime.loop.participant import Participant
     from services.runtime.security.keyring import Keyring
-    from services.runtime.transport import Transport, open_context
 
     nodes = {"delay_node@slave": f"tcp://{THERE}:{PORT}", "controller@slave": f"tcp://{HERE}:{PORT + 7}"}
     book = AddressBook.model_validate({"machines": {"master": THERE, "slave": HERE}, "nodes": nodes})

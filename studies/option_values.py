@@ -5,10 +5,10 @@ from collections.abc import Sequence
 
 from proto.errors import ConfigError
 from services.controller.config import LAWS
-from services.runtime.config import flag_overrides, flatten
-from studies.cells import DEFAULT_STIFFNESS
-from studies.merits import Sample
-from studies.stability import Jitter
+from services.runtime.settings.config import flag_overrides, flatten
+from studies.loops.cells import DEFAULT_STIFFNESS
+from studies.loops.merits import Sample
+from studies.loops.stability import Jitter
 
 _MOST_VALUES = 10_000
 # one-sided walls at the tip, in words

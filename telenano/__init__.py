@@ -4,7 +4,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from studies.simulation import SimulatedSession as SimulatedSession
+    from studies.loops.simulation import SimulatedSession as SimulatedSession
     from telenano.api import LiveRig as LiveRig
     from telenano.api import RecordedSession as RecordedSession
     from telenano.api import Table as Table
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from telenano.api import open as open
     from telenano.api import simulate as simulate
 
-_MODULES = {"SimulatedSession": "studies.simulation"}
+_MODULES = {"SimulatedSession": "studies.loops.simulation"}
 
 __all__ = ["LiveRig", "RecordedSession", "SimulatedSession", "Table", "check_law", "live", "open", "simulate"]
 

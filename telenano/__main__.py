@@ -1,6 +1,6 @@
 """Run the `telenano` command without its script."""
 
-from telenano.app import main
+from telenano.cli.app import main
 
 if __name__ == "__main__":
     main()

@@ -35,7 +35,7 @@ from recording.site_clock import Timeline
 from recording.tables import flat, row, uniform
 
 if TYPE_CHECKING:
-    from studies.simulation import SimulatedSession
+    from studies.loops.simulation import SimulatedSession
 
 Column = npt.NDArray[Any]
 _LOOP = "haptic/state"
@@ -193,7 +193,7 @@ def simulate(
     Raises: ConfigError naming the key at fault, or what is not installed.
     """
     try:
-        from studies.simulation import simulate_scenario
+        from studies.loops.simulation import simulate_scenario
     except ImportError as error:
         text = f"a simulation needs the package {error.name}: pip install 'telenano[studies]'"
         raise ConfigError(text) from error
@@ -228,8 +228,8 @@ def live(site_file: str | os.PathLike[str] | None = None) -> Iterator[LiveRig]:
     rig of the site file runs.
     """
     from presets import DEFAULT_SITE_FILE
-    from services.runtime.main import load_site
-    from services.runtime.observer import Observer, require_rig
+    from services.runtime.bus.observer import Observer, require_rig
+    from services.runtime.loop.main import load_site
 
     path = Path(site_file) if site_file is not None else DEFAULT_SITE_FILE
     book = load_site(path)

@@ -17,13 +17,13 @@ from proto.nodes import VIEW
 from services.console.command_client import send_control
 from services.console.emergency_stop import Answer, LocalRig, emergency_stop
 from services.launcher.restart_policy import RestartPolicy, RestartTracker, describe_exit
-from services.runtime.clock import SystemClock
-from services.runtime.commands import Command, CommandName
-from services.runtime.ends import publish_end
-from services.runtime.frames import to_site_frame
-from services.runtime.local_endpoint import runtime_directory
-from services.runtime.main import load_site
-from services.runtime.participant import open_participant
+from services.numerics.frames import to_site_frame
+from services.runtime.bus.ends import publish_end
+from services.runtime.bus.local_endpoint import runtime_directory
+from services.runtime.loop.clock import SystemClock
+from services.runtime.loop.commands import Command, CommandName
+from services.runtime.loop.main import load_site
+from services.runtime.loop.participant import open_participant
 from services.runtime.security.private_files import check_runtime_directory, write_private
 from services.viz_node.access import Access
 from services.viz_node.connections import DescriptorReserve
@@ -119,7 +119,7 @@ class RigHand:
 def forms() -> dict[str, Any]:
     """Return the JSON schemas of what `set` changes, by node, and the profiles of the link."""
     # the models of the laws take a second to import, which only a page needs
-    from services.afm_node.program_config import InstrumentRequest
+    from services.afm_node.programs.settings import InstrumentRequest
     from services.controller.config import LAWS, ControllerConfig
     from services.delay_node.config import LinkSettings
     from services.delay_node.profiles import PROFILES

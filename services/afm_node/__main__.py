@@ -6,15 +6,15 @@ from pathlib import Path
 
 from proto.errors import ConfigError
 from services.afm_node.config import DRIVERS, AfmConfig, ModbusConfig
-from services.afm_node.disturbed import DisturbedAfm
 from services.afm_node.driver import AfmDriver
 from services.afm_node.node import INPUTS, AfmNode
+from services.afm_node.physics.disturbed import DisturbedAfm
+from services.afm_node.physics.sample_models import SAMPLES, SimulatedSample
+from services.afm_node.physics.sim import SimulatedSpring
 from services.afm_node.safety import SafetyParams
-from services.afm_node.sample_models import SAMPLES, SimulatedSample
-from services.afm_node.sim import SimulatedSpring
-from services.runtime.main import NodeKind, ordinary, run_node
-from services.runtime.node import NodeContext
-from services.runtime.realtime import ordinary_scheduling
+from services.runtime.loop.main import NodeKind, ordinary, run_node
+from services.runtime.loop.node import NodeContext
+from services.runtime.loop.realtime import ordinary_scheduling
 
 
 def build(context: NodeContext, config: AfmConfig) -> AfmNode:
@@ -45,7 +45,7 @@ def _driver(config: AfmConfig) -> AfmDriver:
 def dynamic_afm(config: AfmConfig) -> AfmDriver:
     """Return the instrument with the dynamic cantilever; ConfigError, if there is no compiler or no such model."""
     try:
-        from services.afm_node.dynamic_sim import DynamicAfm, resting_steps
+        from services.afm_node.physics.dynamic_sim import DynamicAfm, resting_steps
     except ImportError as error:
         raise ConfigError('afm_node.model: dynamic needs numba: pip install "telenano[studies]"') from error
     surface, friction = config.to_surface(), config.to_friction_params()
@@ -61,11 +61,11 @@ def dynamic_afm(config: AfmConfig) -> AfmDriver:
 def modbus_driver(section: ModbusConfig, limits: SafetyParams) -> AfmDriver:
     """Return the driver of a real instrument; ConfigError names what is wrong with its files."""
     try:
-        from services.afm_node.modbus_driver import ModbusAfm
+        from services.afm_node.devices.modbus_driver import ModbusAfm
     except ImportError as error:
         raise ConfigError('afm_node.driver: modbus needs pymodbus: pip install "telenano[afm]"') from error
-    from services.afm_node.converter_calibration import read_calibration
-    from services.afm_node.register_map import read_map
+    from services.afm_node.devices.converter_calibration import read_calibration
+    from services.afm_node.devices.register_map import read_map
 
     calibration = read_calibration(Path(section.calibration))
     own = {"host": section.host, "port": section.port}

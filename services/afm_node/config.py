@@ -11,25 +11,31 @@ from pydantic import Field, create_model, field_validator, model_validator
 from presets.plugins import refuse
 from proto.errors import ConfigError
 from proto.topics import deadline_of
-from services.afm_node.cantilever import Plant, build_plant, volts_per_m
-from services.afm_node.capillary import meniscus_radius_m
-from services.afm_node.disturbances import DisturbanceConfig
-from services.afm_node.friction import FrictionParams, adhesion_n
-from services.afm_node.lateral import LateralParams
-from services.afm_node.maugis_dugdale import reduced_modulus_pa
-from services.afm_node.program_config import InstrumentRequest
+from services.afm_node.physics.cantilever import Plant, build_plant, volts_per_m
+from services.afm_node.physics.contact.capillary import meniscus_radius_m
+from services.afm_node.physics.contact.friction import FrictionParams, adhesion_n
+from services.afm_node.physics.contact.maugis_dugdale import reduced_modulus_pa
+from services.afm_node.physics.contact.tip_sample import (
+    AS_PRINTED,
+    CONSISTENT,
+    TipSampleProperties,
+    build_tip_sample,
+    hamaker_of,
+)
+from services.afm_node.physics.disturbances import DisturbanceConfig
+from services.afm_node.physics.sample.made_samples import SampleConfig
+from services.afm_node.physics.sample.surface import Surface, dilated
+from services.afm_node.physics.sample_models import SAMPLES, SampleParams
+from services.afm_node.physics.spring import SpringParams, spring_params
+from services.afm_node.physics.step import AfmParams
+from services.afm_node.programs.lateral import LateralParams
+from services.afm_node.programs.settings import InstrumentRequest
 from services.afm_node.safety import SafetyParams
-from services.afm_node.sample import SampleConfig
-from services.afm_node.sample_models import SAMPLES, SampleParams
-from services.afm_node.spring import SpringParams, spring_params
-from services.afm_node.step import AfmParams
-from services.afm_node.surface import Surface, dilated
-from services.afm_node.tip_sample import AS_PRINTED, CONSISTENT, TipSampleProperties, build_tip_sample, hamaker_of
-from services.runtime.config import Settings
-from services.runtime.device_drivers import drivers_of
+from services.runtime.settings.config import Settings
+from services.runtime.settings.device_drivers import drivers_of
 
 if TYPE_CHECKING:
-    from services.afm_node.dynamic import DynamicPlant
+    from services.afm_node.physics.dynamic import DynamicPlant
 
 # The contact table reaches this multiple of the force limit, so that a tick that overshoots is still on it.
 _TABLE_REACH = 2.0
@@ -362,7 +368,7 @@ class AfmConfig(_PackageSections):
         Raises: ValueError naming value and unit, where the values admit no model.
         """
         # a node that asks for no dynamics does not import them
-        from services.afm_node.dynamic import Damping, build_dynamic
+        from services.afm_node.physics.dynamic import Damping, build_dynamic
 
         c, t = self.cantilever, self.tip_sample
         damping = Damping(t.liquid_viscosity_pa_s, t.liquid_thickness_m, t.sample_viscosity_pa_s, t.sample_thickness_m)

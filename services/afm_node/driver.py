@@ -6,7 +6,7 @@ A driver moves and measures, no more: what may be sent to it is decided before, 
 from typing import Literal, NamedTuple, Protocol, runtime_checkable
 
 from proto.errors import ConfigError
-from services.afm_node.step import AfmSample
+from services.afm_node.physics.step import AfmSample
 
 
 class DeviceError(ConfigError, OSError):

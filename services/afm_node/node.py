@@ -8,22 +8,22 @@ from proto.instrument import MOST_TEXT
 from proto.messages import AfmCommand, Array, ClockPing, LinkDelay, SessionControl
 from services.afm_node import safety
 from services.afm_node.config import AfmConfig
-from services.afm_node.disturbed import DisturbedAfm
 from services.afm_node.driver import AfmDriver, DeviceReport, Oscillation, VibratingCantilever
-from services.afm_node.feedback import remaining
-from services.afm_node.lateral import Place, moved
-from services.afm_node.program_config import InstrumentRequest, changed_disturbances, requested
-from services.afm_node.programs import ProgramRunner
-from services.afm_node.raster import FinishedLine, Measured
-from services.afm_node.reach import Reach
-from services.afm_node.sim import SimulatedAfm
-from services.afm_node.step import LONGEST_STEP_NS, AfmSample, command_wait_ns
-from services.runtime.bus import Received
-from services.runtime.clock import NEVER_NS
-from services.runtime.frames import to_paper_axis
-from services.runtime.freshness import LOOP_DEADLINE_NS, HandAge
-from services.runtime.node import DeviceDelay, Node, NodeContext
-from services.runtime.replay_guard import ReplayGuard
+from services.afm_node.physics.disturbed import DisturbedAfm
+from services.afm_node.physics.sim import SimulatedAfm
+from services.afm_node.physics.step import LONGEST_STEP_NS, AfmSample, command_wait_ns
+from services.afm_node.programs.feedback import remaining
+from services.afm_node.programs.lateral import Place, moved
+from services.afm_node.programs.raster import FinishedLine, Measured
+from services.afm_node.programs.reach import Reach
+from services.afm_node.programs.runner import ProgramRunner
+from services.afm_node.programs.settings import InstrumentRequest, changed_disturbances, requested
+from services.numerics.frames import to_paper_axis
+from services.runtime.bus.bus import Received
+from services.runtime.loop.clock import NEVER_NS
+from services.runtime.loop.freshness import LOOP_DEADLINE_NS, HandAge
+from services.runtime.loop.node import DeviceDelay, Node, NodeContext
+from services.runtime.loop.replay_guard import ReplayGuard
 
 INPUTS = ("afm/command", "clock/ping", "link/delay", "session/control", "node/health")
 PERIOD_S = 1e-3

@@ -20,7 +20,7 @@ can still be read when the operator comes back.
 import math
 from typing import NamedTuple
 
-from services.runtime.compiled import compiled
+from services.numerics.compiled import compiled
 
 MODE_RETRACTED = 0
 MODE_FOLLOW = 1

@@ -12,13 +12,13 @@ import zmq
 from proto.errors import ConfigError, EndpointError, RigError
 from proto.messages import Scalar, SessionEvent
 from proto.nodes import LINK, Site, is_console, is_estop, is_meant, is_pattern, name_of, site_of
-from services.runtime.address_book import AddressBook
-from services.runtime.commands import Command, CommandClient
-from services.runtime.ends import publish_end
-from services.runtime.main import load_site
-from services.runtime.observer import RIG_HINT, require_rig
-from services.runtime.participant import Participant, open_participant
-from services.runtime.publisher import ZmqPublisher
+from services.runtime.bus.address_book import AddressBook
+from services.runtime.bus.ends import publish_end
+from services.runtime.bus.observer import RIG_HINT, require_rig
+from services.runtime.bus.publisher import ZmqPublisher
+from services.runtime.loop.commands import Command, CommandClient
+from services.runtime.loop.main import load_site
+from services.runtime.loop.participant import Participant, open_participant
 from services.runtime.security.keyring import MACHINE_VARIABLE, Keyring, this_machine
 
 _BIND_PATIENCE_NS = 2_000_000_000

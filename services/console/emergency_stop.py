@@ -18,9 +18,9 @@ import zmq
 
 from proto.errors import RigError
 from proto.nodes import DEVICES, LAUNCHERS, LINK, NODES, RECORDER, is_meant, name_of, site_of
-from services.runtime.clock import SystemClock
-from services.runtime.kept_stop import keep
-from services.runtime.local_endpoint import estop_endpoint, kept_stop_path, local_endpoint
+from services.runtime.bus.local_endpoint import estop_endpoint, kept_stop_path, local_endpoint
+from services.runtime.loop.clock import SystemClock
+from services.runtime.loop.kept_stop import keep
 
 _DEADLINE_S = 5.0
 _RESEND_S = 0.05
@@ -72,7 +72,7 @@ class LocalRig:
     def read(cls, site_file: Path) -> "LocalRig":
         """Read a site file; one that is wrong has no nodes here, and is read again where errors are reported."""
         from presets.regular_files import read_regular
-        from services.runtime.yaml_text import LARGEST_BYTES, yaml_value
+        from services.runtime.untrusted.yaml_text import LARGEST_BYTES, yaml_value
 
         try:
             return cls(yaml_value(read_regular(site_file, LARGEST_BYTES).decode())["nodes"])

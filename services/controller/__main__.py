@@ -4,8 +4,8 @@ import sys
 
 from services.controller.config import ControllerConfig
 from services.controller.node import MASTER_INPUTS, SLAVE_INPUTS, half_of_site
-from services.runtime.main import NodeKind, Wiring, run_node
-from services.runtime.node import AccountedBus, Node
+from services.runtime.loop.main import NodeKind, Wiring, run_node
+from services.runtime.loop.node import AccountedBus, Node
 
 
 def build(wiring: Wiring, config: ControllerConfig) -> tuple[Node, AccountedBus]:

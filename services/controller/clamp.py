@@ -14,8 +14,8 @@ from pydantic import Field
 
 from services.controller.law import PortSignal, SlaveReference, TipMeasurement
 from services.controller.ranges import DampingNSPerM, ForceOrNoneN
-from services.runtime.compiled import compiled
-from services.runtime.config import Settings
+from services.numerics.compiled import compiled
+from services.runtime.settings.config import Settings
 
 # the margin of a clamp that is off [N]
 NO_LIMIT_N = 1e9

@@ -18,7 +18,7 @@ from services.controller.laws.smith import SMITH, SmithConfig
 from services.controller.laws.tactile import TACTILE, TactileConfig
 from services.controller.laws.virtual_impedance import VIRTUAL_IMPEDANCE, VirtualImpedanceConfig
 from services.controller.laws.wave import WAVE, WaveConfig
-from services.runtime.config import Settings, merge, nested, validate
+from services.runtime.settings.config import Settings, merge, nested, validate
 
 OWN_LAWS: dict[str, Law] = {
     law.name: law for law in (VIRTUAL_IMPEDANCE, POSITION_FORCE, WAVE, PASSIVITY, MODEL_MEDIATED, SMITH)

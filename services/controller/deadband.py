@@ -19,8 +19,8 @@ from pydantic import Field
 
 from services.controller.law import PortSignal
 from services.controller.ranges import ForceOrNoneN, PositionOrNoneM, VelocityOrNoneMPerS, WaveOrNoneSqrtW
-from services.runtime.compiled import compiled
-from services.runtime.config import Settings
+from services.numerics.compiled import compiled
+from services.runtime.settings.config import Settings
 
 
 class DeadbandParams(NamedTuple):

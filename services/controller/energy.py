@@ -14,7 +14,7 @@ and sample do; one that goes below has made energy.
 from typing import NamedTuple
 
 from services.controller.law import EnergyAccount
-from services.runtime.compiled import compiled
+from services.numerics.compiled import compiled
 
 # rounding of sums of millions of terms, and no more
 TOLERANCE_J = 1e-9

@@ -22,9 +22,9 @@ from services.controller.law import (
     PortSignal,
 )
 from services.controller.warm_up import warm_up
-from services.runtime.bus import Received
-from services.runtime.frames import to_paper_axis, to_site_frame
-from services.runtime.node import Node, NodeContext
+from services.numerics.frames import to_paper_axis, to_site_frame
+from services.runtime.bus.bus import Received
+from services.runtime.loop.node import Node, NodeContext
 
 STATUS_PERIOD_S = 0.01
 ROUND_TRIP_UNKNOWN = (0.0, False)

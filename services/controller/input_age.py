@@ -4,9 +4,9 @@ from typing import cast
 
 from proto.messages import TeleopBackward, TeleopForward
 from proto.topics import deadline_of
-from services.runtime.bus import Received
-from services.runtime.freshness import LOOP_DEADLINE_NS, HandAge, StallDetector, age_s
-from services.runtime.node import NodeContext
+from services.runtime.bus.bus import Received
+from services.runtime.loop.freshness import LOOP_DEADLINE_NS, HandAge, StallDetector, age_s
+from services.runtime.loop.node import NodeContext
 
 # oldest sample that a law may still take for the present
 INSTRUMENT_DEADLINE_S = deadline_of("afm/state")

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 from pydantic import BaseModel
 
-from services.runtime.compiled import compiled
+from services.numerics.compiled import compiled
 
 
 class HandSample(NamedTuple):

@@ -12,7 +12,7 @@ from proto.errors import ConfigError
 from services.controller.config import LAWS, PACKAGE_LAWS, ControllerConfig
 from services.controller.law import NO_SIGNAL, HandSample, Law, TipMeasurement
 from services.controller.law_corners import failures
-from services.runtime.compiled import compiled_form, is_step
+from services.numerics.compiled import compiled_form, is_step
 
 _HAND = HandSample(5e-3, 0.01, 0.7, True)
 _TIP = TipMeasurement(1.1e-8, 7e-9, 1e-10, True, True, True)

@@ -29,9 +29,9 @@ from services.controller.law import (
     longest_pause_periods,
     paced,
 )
-from services.runtime.bus import Received
-from services.runtime.frames import to_paper_axis, to_site_frame
-from services.runtime.node import NodeContext
+from services.numerics.frames import to_paper_axis, to_site_frame
+from services.runtime.bus.bus import Received
+from services.runtime.loop.node import NodeContext
 
 MASTER_INPUTS = ("haptic/state", "teleop/backward", "law/status", "link/delay", "session/control")
 SLAVE_INPUTS = ("teleop/forward", "afm/state", "afm/program", "link/delay", "session/control")

@@ -5,8 +5,8 @@ import sys
 from proto.errors import ConfigError
 from services.delay_node.config import LinkSettings, changes_text
 from services.delay_node.node import DelayNode
-from services.runtime.main import NodeKind, Wiring, run_node
-from services.runtime.node import AccountedBus, Node
+from services.runtime.loop.main import NodeKind, Wiring, run_node
+from services.runtime.loop.node import AccountedBus, Node
 
 
 def build(wiring: Wiring, settings: LinkSettings) -> tuple[Node, AccountedBus]:

@@ -15,7 +15,7 @@ from pydantic_core import InitErrorDetails, PydanticCustomError
 from proto.codec import MAX_MESSAGE_BYTES
 from proto.messages import MAX_KEYS
 from services.delay_node.profiles import PROFILES, known_profiles
-from services.runtime.config import Settings, flatten, merge, nested, validate
+from services.runtime.settings.config import Settings, flatten, merge, nested, validate
 
 Setting = float | int | str | bool
 # a dotted key, and what is wrong with its value

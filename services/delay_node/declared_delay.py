@@ -4,8 +4,8 @@ from typing import NamedTuple
 
 from proto import WireError, decode_header
 from services.delay_node.fate import Release
-from services.runtime.clock_offset import Offset
-from services.runtime.freshness import DELAY_STEP_NS
+from services.runtime.loop.clock_offset import Offset
+from services.runtime.loop.freshness import DELAY_STEP_NS
 
 # the messages that descend from a sample of the hand, and whose age is therefore judged at the other side
 DECLARED = {"forward": "teleop/forward", "backward": "teleop/backward"}

@@ -14,7 +14,7 @@ from services.delay_node.config import DirectionSettings, LinkSettings, parse_se
 from services.delay_node.fate import Direction, DirectionStats, Fate, Figures, Release
 from services.delay_node.models.queueing import ServedQueue, Waiting
 from services.delay_node.pipeline import Files, InFlight, Pipeline, TopicPipeline, read_files
-from services.runtime.node_state import FindInput
+from services.runtime.loop.node_state import FindInput
 
 # a day: no setting asks for more than an hour, but a heavy tail may draw anything
 _LONGEST_DELAY_NS = 86_400_000_000_000

@@ -14,12 +14,12 @@ from services.delay_node.config import LinkSettings, Setting, changed, flattened
 from services.delay_node.declared_delay import ONE_MACHINE, DeclaredDelay, between_sites
 from services.delay_node.engine import DirectionEngine, LinkEngine
 from services.delay_node.fate import Direction, Fate, Release
-from services.runtime.bus import Received
-from services.runtime.clock_offset import Exchange, Offset, OffsetFilter
-from services.runtime.deadlines import PeriodicDeadline
-from services.runtime.ends import publish_end
-from services.runtime.freshness import StallDetector
-from services.runtime.node import AccountedBus, Node, NodeContext
+from services.runtime.bus.bus import Received
+from services.runtime.bus.ends import publish_end
+from services.runtime.loop.clock_offset import Exchange, Offset, OffsetFilter
+from services.runtime.loop.deadlines import PeriodicDeadline
+from services.runtime.loop.freshness import StallDetector
+from services.runtime.loop.node import AccountedBus, Node, NodeContext
 
 STATUS_PERIOD_NS = 100_000_000
 # exchanges of time stamps in view, one a report: the clocks of two sites drift by microseconds in this time

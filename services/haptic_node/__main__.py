@@ -4,11 +4,11 @@ import sys
 from pathlib import Path
 
 from services.haptic_node.config import DRIVERS, HapticConfig
-from services.haptic_node.disturbances import DisturbedHaptic
 from services.haptic_node.driver import HapticDevice
 from services.haptic_node.node import INPUTS, HapticNode
-from services.runtime.main import NodeKind, ordinary, run_node
-from services.runtime.node import NodeContext
+from services.haptic_node.physics.disturbances import DisturbedHaptic
+from services.runtime.loop.main import NodeKind, ordinary, run_node
+from services.runtime.loop.node import NodeContext
 
 
 def build(context: NodeContext, config: HapticConfig) -> HapticNode:
@@ -23,8 +23,8 @@ def _device(config: HapticConfig) -> HapticDevice:
         return device
     if config.serial is None or config.driver == "simulated":
         return DisturbedHaptic(config.to_plant_params(), config.device.start_position_m, config.disturbances)
-    from services.haptic_node.calibration import read_calibration
-    from services.haptic_node.serial_driver import SerialHandle
+    from services.haptic_node.devices.calibration import read_calibration
+    from services.haptic_node.devices.serial_driver import SerialHandle
 
     calibration = read_calibration(Path(config.serial.calibration))
     return SerialHandle(config.serial.port, config.serial.baud, calibration, config.limits)

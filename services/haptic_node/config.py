@@ -10,14 +10,14 @@ from pydantic import Field, create_model, field_validator, model_validator
 
 from presets.plugins import refuse
 from proto.topics import deadline_of
-from services.haptic_node import step
-from services.haptic_node.disturbances import HandDisturbanceConfig
-from services.haptic_node.motor import SUBSTEP_S, MotorParams, closed_loop_coefficients
-from services.haptic_node.operator import FORCE_PROFILE, IMPEDANCE, OperatorParams
-from services.haptic_node.operator_models import OPERATOR_MODELS, unusable_config
+from services.haptic_node.physics import step
+from services.haptic_node.physics.disturbances import HandDisturbanceConfig
+from services.haptic_node.physics.motor import SUBSTEP_S, MotorParams, closed_loop_coefficients
+from services.haptic_node.physics.operator import FORCE_PROFILE, IMPEDANCE, OperatorParams
+from services.haptic_node.physics.operator_models import OPERATOR_MODELS, unusable_config
 from services.haptic_node.safety import SafetyParams
-from services.runtime.config import Settings
-from services.runtime.device_drivers import drivers_of
+from services.runtime.settings.config import Settings
+from services.runtime.settings.device_drivers import drivers_of
 
 # E1: the printed gain gives a bandwidth of 1.318 Hz, the printed bandwidth of 30 Hz needs the other gain.
 SERVO_GAINS_V_PER_M: dict[str, float] = {"paper_bandwidth": 1.917e5, "paper_gain": 1.0e4}

@@ -7,7 +7,6 @@ from proto.errors import RefusedError
 from proto.messages import HapticCommand, LinkDelay, OperatorForce, SessionControl
 from services.haptic_node import safety
 from services.haptic_node.config import HapticConfig, InteractiveConfig
-from services.haptic_node.disturbances import DisturbedHaptic, changed_disturbances
 from services.haptic_node.driver import (
     DeviceReading,
     DeviceReport,
@@ -16,12 +15,13 @@ from services.haptic_node.driver import (
     PushedDevice,
     Status,
 )
-from services.runtime.bus import Received
-from services.runtime.deadlines import PeriodicDeadline
-from services.runtime.frames import to_paper_axis, to_site_frame
-from services.runtime.freshness import LOOP_DEADLINE_NS, HandAge, age_s
-from services.runtime.node import DeviceDelay, Node, NodeContext
-from services.runtime.replay_guard import ReplayGuard
+from services.haptic_node.physics.disturbances import DisturbedHaptic, changed_disturbances
+from services.numerics.frames import to_paper_axis, to_site_frame
+from services.runtime.bus.bus import Received
+from services.runtime.loop.deadlines import PeriodicDeadline
+from services.runtime.loop.freshness import LOOP_DEADLINE_NS, HandAge, age_s
+from services.runtime.loop.node import DeviceDelay, Node, NodeContext
+from services.runtime.loop.replay_guard import ReplayGuard
 
 INPUTS = ("haptic/command", "operator/force", "link/delay", "session/control", "node/health")
 PERIOD_S = 1e-3

@@ -11,7 +11,7 @@ control comes back by itself as soon as commands are fresh, and no distance is t
 import math
 from typing import NamedTuple
 
-from services.runtime.compiled import compiled
+from services.numerics.compiled import compiled
 
 MODE_OFF = 0
 MODE_POSITION = 1

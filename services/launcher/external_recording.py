@@ -5,8 +5,8 @@ from pathlib import Path
 from proto.errors import RecordingError
 from proto.messages import NodeHealth, SessionControl, SessionEvent
 from recording.reader import Recording
-from services.runtime.clock import Clock
-from services.runtime.commands import Command
+from services.runtime.loop.clock import Clock
+from services.runtime.loop.commands import Command
 
 # time for the recorder's first report once everything else is ready: it reports twice a second
 _RECORDER_WAIT_NS = 3_000_000_000

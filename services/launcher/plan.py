@@ -11,10 +11,10 @@ from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE, find_scenario
 from proto.errors import ConfigError, RigError
 from proto.nodes import LAUNCHER, LINK, OPTIONAL_NODES, RECORDER, SERVICES, START_ORDER, Site, name_of, site_of
 from services.delay_node.config import LinkSettings, changes_text
-from services.runtime.address_book import AddressBook
-from services.runtime.config import environment_overrides, flag_overrides, layered, merge, validate
-from services.runtime.main import load_site, node_kind
-from services.runtime.scenario import LoadedScenario, Scenario
+from services.runtime.bus.address_book import AddressBook
+from services.runtime.loop.main import load_site, node_kind
+from services.runtime.settings.config import environment_overrides, flag_overrides, layered, merge, validate
+from services.runtime.settings.scenario import LoadedScenario, Scenario
 
 RECORDING_NAME = "session.mcap"
 ALLOW_REPLAY = ("afm_node.allow_replay=true", "haptic_node.allow_replay=true")

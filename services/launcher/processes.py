@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Protocol
 
 from proto.nodes import name_of
-from services.runtime.clock import EPOCH_OFFSET_VARIABLE
-from services.runtime.config import ENVIRONMENT_PREFIX
-from services.runtime.publisher import LINGER_S
-from services.runtime.realtime import die_with_parent
+from services.runtime.bus.publisher import LINGER_S
+from services.runtime.loop.clock import EPOCH_OFFSET_VARIABLE
+from services.runtime.loop.realtime import die_with_parent
+from services.runtime.settings.config import ENVIRONMENT_PREFIX
 
 # a node is safe within milliseconds and then publishes how much it has sent
 GRACE_S = 8.0

@@ -7,9 +7,9 @@ from proto import TOPICS
 from proto.errors import ConfigError
 from proto.messages import Message
 from proto.nodes import name_of
-from services.runtime.address_book import AddressBook
-from services.runtime.config import flag_overrides
-from services.runtime.participant import open_participant
+from services.runtime.bus.address_book import AddressBook
+from services.runtime.loop.participant import open_participant
+from services.runtime.settings.config import flag_overrides
 
 # until whoever is connected to the endpoint has noticed that it is there
 _CONNECT_S = 0.5

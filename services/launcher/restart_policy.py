@@ -5,8 +5,8 @@ from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from services.runtime.clock import Clock
-from services.runtime.main import EXIT_BAD_START
+from services.runtime.loop.clock import Clock
+from services.runtime.loop.main import EXIT_BAD_START
 
 _EXITS_KEPT = 8
 

@@ -19,12 +19,12 @@ from services.launcher.processes import NodeProcesses, node_command
 from services.launcher.session import RigNode, SessionNode, SiteNode
 from services.launcher.supervisor import Supervisor
 from services.launcher.watchdog import ProcFiles, Watchdog
-from services.runtime.bus import ZmqBus
-from services.runtime.kept_stop import forget
-from services.runtime.log import configure_logging
-from services.runtime.node import NodeContext
-from services.runtime.participant import StopSignals, open_participant, run_loop
-from services.runtime.realtime import shallow_idle
+from services.runtime.bus.bus import ZmqBus
+from services.runtime.loop.kept_stop import forget
+from services.runtime.loop.log import configure_logging
+from services.runtime.loop.node import NodeContext
+from services.runtime.loop.participant import StopSignals, open_participant, run_loop
+from services.runtime.loop.realtime import shallow_idle
 from services.viz_node.figure_style import ON_SCREEN, FigureOptions
 
 Observer = Callable[[RigNode], None]

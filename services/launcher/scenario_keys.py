@@ -5,10 +5,10 @@ from typing import Any, NamedTuple
 
 from proto.errors import ConfigError
 from proto.nodes import SERVICES
-from services.runtime.address_book import AddressBook
-from services.runtime.config import merge
-from services.runtime.main import node_kind
-from services.runtime.scenario import LoadedScenario, Scenario
+from services.runtime.bus.address_book import AddressBook
+from services.runtime.loop.main import node_kind
+from services.runtime.settings.config import merge
+from services.runtime.settings.scenario import LoadedScenario, Scenario
 
 _LONGEST_DEFAULT = 40
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"

@@ -15,10 +15,10 @@ from services.launcher.processes import StopObserver
 from services.launcher.readiness import READY_DEADLINE_S, ReadinessGate, unmet
 from services.launcher.recorder_wait import LastMessages, RecorderWait
 from services.launcher.supervisor import Supervisor
-from services.runtime.bus import Received
-from services.runtime.commands import Command, CommandClient
-from services.runtime.deadlines import PeriodicDeadline
-from services.runtime.node import Node, NodeContext
+from services.runtime.bus.bus import Received
+from services.runtime.loop.commands import Command, CommandClient
+from services.runtime.loop.deadlines import PeriodicDeadline
+from services.runtime.loop.node import Node, NodeContext
 
 Phase = Literal["starting", "arming", "running", "ending", "over"]
 

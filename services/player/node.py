@@ -21,10 +21,10 @@ from recording.channel_filter import Selection
 from recording.messages import RecordedChannel, RecordedMessage
 from recording.multi_file import RecordingSource
 from services.player.playback import Playback, PlaybackClock, is_state
-from services.runtime.address_book import AddressBook
-from services.runtime.clock import Clock
-from services.runtime.node import HEALTH_PERIOD_NS, Node, NodeContext, resident_bytes
-from services.runtime.publisher import ZmqPublisher
+from services.runtime.bus.address_book import AddressBook
+from services.runtime.bus.publisher import ZmqPublisher
+from services.runtime.loop.clock import Clock
+from services.runtime.loop.node import HEALTH_PERIOD_NS, Node, NodeContext, resident_bytes
 
 # the recorder, the observer `telenano record` and the player itself are not part of the rig that is played, and an
 # emergency stop has no endpoint that could be taken

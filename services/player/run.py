@@ -15,10 +15,10 @@ from recording.messages import RecordedChannel
 from recording.multi_file import RecordingSource, open_recordings
 from services.player.node import PlayerNode, PlaySettings, ReplayPlan, ReplayPublisher
 from services.player.playback import Playback, Span
-from services.runtime.address_book import AddressBook
-from services.runtime.main import load_site
-from services.runtime.participant import StopSignals, open_participant, run_loop
-from services.runtime.realtime import shallow_idle
+from services.runtime.bus.address_book import AddressBook
+from services.runtime.loop.main import load_site
+from services.runtime.loop.participant import StopSignals, open_participant, run_loop
+from services.runtime.loop.realtime import shallow_idle
 
 # of the beginning, in which one message of each channel is tried; the first of most comes within a second
 _TRIED_NS = 5_000_000_000

@@ -9,9 +9,9 @@ from services.recorder.listener import Listener
 from services.recorder.live import accept_batches, connect
 from services.recorder.node import RecorderBus, RecorderNode
 from services.recorder.open_recording import open_recording
-from services.runtime.main import NodeKind, Wiring, run_node
-from services.runtime.node import AccountedBus, Node
-from services.runtime.participant import SITES
+from services.runtime.loop.main import NodeKind, Wiring, run_node
+from services.runtime.loop.node import AccountedBus, Node
+from services.runtime.loop.participant import SITES
 
 
 def build(wiring: Wiring, config: RecorderConfig) -> tuple[Node, AccountedBus]:

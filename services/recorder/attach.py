@@ -10,9 +10,9 @@ from services.recorder.config import RecorderConfig
 from services.recorder.live import accept_batches, connect
 from services.recorder.node import RecorderBus, RecorderNode
 from services.recorder.open_recording import open_recording
-from services.runtime.main import load_site
-from services.runtime.participant import OBSERVER, StopSignals, open_participant, run_loop
-from services.runtime.publisher import NullPublisher
+from services.runtime.bus.publisher import NullPublisher
+from services.runtime.loop.main import load_site
+from services.runtime.loop.participant import OBSERVER, StopSignals, open_participant, run_loop
 
 
 class Recorded(BaseModel):

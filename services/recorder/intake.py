@@ -20,7 +20,7 @@ from recording.writer import FileEnd, RecordingWriter, channel_topic
 from services.recorder.listener import Listener, Stream
 from services.recorder.rotation import FileRotation, QuotaError
 from services.recorder.snapshot_buffer import Entry, SnapshotBuffer, Trigger, event_trigger
-from services.runtime.bus import Received, split_frames
+from services.runtime.bus.bus import Received, split_frames
 
 _SOURCE = re.compile(SOURCE_PATTERN)
 _MAX_SOURCE_LENGTH = 64

@@ -10,8 +10,8 @@ from proto.batch import BATCH_FRAME, read_batch
 from proto.codec import WireError
 from proto.sequence import SequenceTracker
 from proto.topics import Topic
-from services.runtime.bus import Subscriber
-from services.runtime.outgoing_batch import LATEST_NS
+from services.runtime.bus.bus import Subscriber
+from services.runtime.bus.outgoing_batch import LATEST_NS
 
 # a node sends its health twice a second, and with it a batch
 _SILENT_NS = 1_200_000_000

@@ -14,9 +14,9 @@ from recording.writer import channel_topic
 from services.recorder.config import RecorderConfig
 from services.recorder.listener import Listener
 from services.recorder.node import HELD_S
-from services.runtime.address_book import AddressBook
-from services.runtime.bus import split_frames
-from services.runtime.participant import OBSERVER, SITES, Participant, open_participant
+from services.runtime.bus.address_book import AddressBook
+from services.runtime.bus.bus import split_frames
+from services.runtime.loop.participant import OBSERVER, SITES, Participant, open_participant
 
 _WAIT_MS = 100
 

@@ -14,13 +14,13 @@ from services.recorder.config import RecorderConfig
 from services.recorder.disk_watch import DiskWatch
 from services.recorder.intake import Intake
 from services.recorder.listener import HOLD_NS, Frames, Listener
-from services.runtime.bus import Received, ZmqBus
-from services.runtime.clock import NEVER_NS, Clock
-from services.runtime.deadlines import PeriodicDeadline
-from services.runtime.node import Node, NodeContext
-from services.runtime.outgoing_batch import LATEST_NS
-from services.runtime.publisher import Publisher
-from services.runtime.reader import NetworkEvents
+from services.runtime.bus.bus import Received, ZmqBus
+from services.runtime.bus.outgoing_batch import LATEST_NS
+from services.runtime.bus.publisher import Publisher
+from services.runtime.bus.reader import NetworkEvents
+from services.runtime.loop.clock import NEVER_NS, Clock
+from services.runtime.loop.deadlines import PeriodicDeadline
+from services.runtime.loop.node import Node, NodeContext
 
 # how long the end may take to fetch what still waits in the sockets, seconds of it on a machine that was too busy;
 # within the grace that a supervisor gives

@@ -14,7 +14,7 @@ from proto import TOPICS
 from proto.errors import RecordingError
 from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
-from services.runtime.yaml_text import LARGEST_BYTES
+from services.runtime.untrusted.yaml_text import LARGEST_BYTES
 
 _ROOT = Path(__file__).resolve().parents[2]
 _PACKAGES = ("telenano", "mcap", "msgpack", "numpy", "pydantic", "pyzmq", "zstandard")

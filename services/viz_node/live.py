@@ -8,9 +8,9 @@ import msgpack
 
 from proto import WireError
 from proto.nodes import site_of
-from services.runtime.address_book import AddressBook
-from services.runtime.bus import Subscriber, split_frames
-from services.runtime.participant import OBSERVER, open_participant
+from services.runtime.bus.address_book import AddressBook
+from services.runtime.bus.bus import Subscriber, split_frames
+from services.runtime.loop.participant import OBSERVER, open_participant
 from services.viz_node.feed import UNREADABLE, Seen
 from services.viz_node.source import LOOP_TOPICS, TOPICS_SHOWN, NoTransport
 

@@ -11,7 +11,7 @@ from proto.nodes import FAR_END, LINK
 from telenano.doctor.checks import Finding
 
 if TYPE_CHECKING:
-    from services.runtime.address_book import AddressBook
+    from services.runtime.bus.address_book import AddressBook
 
 _NAME = "datagrams"
 # of linux/in.h and linux/in6.h: the largest packet on the way to a connected address, as far as the kernel knows
@@ -106,7 +106,7 @@ def _family(host: str) -> socket.AddressFamily:
 
 def _host_and_port(endpoint: str | None) -> tuple[str, int]:
     """Return host and port of a tcp endpoint, nothing for one of ipc or for none; a name stays one."""
-    from services.runtime.address_book import split_tcp
+    from services.runtime.bus.address_book import split_tcp
 
     if endpoint is None or not endpoint.startswith("tcp://"):
         return "", 0

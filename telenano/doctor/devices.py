@@ -35,7 +35,7 @@ def check_instrument(calibration: Path, patience_s: float = _PATIENCE_S) -> Find
 
     It is connected to and asked nothing: a rig may be driving it.
     """
-    from services.afm_node.converter_calibration import read_calibration
+    from services.afm_node.devices.converter_calibration import read_calibration
 
     network = read_calibration(calibration).network
     where = f"{network.host}:{network.port}"
@@ -56,7 +56,7 @@ def check_instrument(calibration: Path, patience_s: float = _PATIENCE_S) -> Find
 
 
 def _held(ports: Sequence[Path], processes: Path) -> Iterator[Finding]:
-    from services.haptic_node.port import holder_of
+    from services.haptic_node.devices.port import holder_of
 
     for port in ports:
         holder = holder_of(str(port), processes)

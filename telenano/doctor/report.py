@@ -20,15 +20,15 @@ from rich.text import Text
 from presets import DEFAULT_SITE_FILE
 from presets.plugins import all_installed, known_problems, scenario_files
 from proto.errors import ConfigError, EndpointError
+from telenano.cli.options import JsonOption, SiteFileOption
+from telenano.cli.output import console, fail, print_json, report_errors
 from telenano.doctor import checks
 from telenano.doctor.checks import Finding
 from telenano.doctor.datagrams import check_datagrams
 from telenano.doctor.devices import check_instrument, check_serial_ports
-from telenano.options import JsonOption, SiteFileOption
-from telenano.output import console, fail, print_json, report_errors
 
 if TYPE_CHECKING:
-    from services.runtime.address_book import AddressBook
+    from services.runtime.bus.address_book import AddressBook
 
 _SYSTEM = Path("/sys/devices/system")
 _STYLES = {"ok": "green", "warning": "yellow", "problem": "red"}
@@ -126,7 +126,7 @@ def extensions() -> list[Finding]:
         return []
     # the models of a node load what packages add to them
     from proto.nodes import SERVICES
-    from services.runtime.main import node_kind
+    from services.runtime.loop.main import node_kind
 
     for name in SERVICES:
         node_kind(name)
@@ -149,8 +149,8 @@ def rig(site_file: Path) -> list[Finding]:
     """Check what a rig of this site file uses; ImportError if a package that every process needs is missing."""
     import zmq
 
-    from services.runtime.local_endpoint import runtime_directory
-    from services.runtime.main import load_site
+    from services.runtime.bus.local_endpoint import runtime_directory
+    from services.runtime.loop.main import load_site
 
     findings = [
         checks.check_zmq(zmq.zmq_version(), curve=bool(zmq.has("curve"))),
@@ -198,7 +198,7 @@ def endpoints_of(book: "AddressBook", machine: str) -> dict[str, str]:
 def _cache() -> Path | None:
     if importlib.util.find_spec("numba") is None:
         return None
-    from services.runtime.compiled import cache_directory
+    from services.numerics.compiled import cache_directory
 
     named = os.environ.get("NUMBA_CACHE_DIR")
     return Path(named) if named else cache_directory()

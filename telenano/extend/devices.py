@@ -2,13 +2,13 @@
 
 from services.afm_node.driver import AfmDriver
 from services.afm_node.driver import DeviceReport as AfmReport
+from services.afm_node.physics.step import AfmSample
 from services.afm_node.safety import SafetyParams as AfmLimits
-from services.afm_node.step import AfmSample
 from services.haptic_node.driver import Capabilities, DeviceError, DeviceReading, DriveCommand, HapticDevice
 from services.haptic_node.driver import DeviceReport as HapticReport
 from services.haptic_node.safety import MODE_FORCE, MODE_OFF, MODE_POSITION
-from services.runtime.config import Settings
-from services.runtime.device_drivers import DeviceDriver
+from services.runtime.settings.config import Settings
+from services.runtime.settings.device_drivers import DeviceDriver
 
 __all__ = [
     "MODE_FORCE",

@@ -25,7 +25,7 @@ from services.controller.laws.shared.virtual_mass import (
     resumed,
     tip_reference,
 )
-from services.runtime.compiled import compiled
+from services.numerics.compiled import compiled
 
 __all__ = [
     "NO_SIGNAL",

@@ -15,19 +15,19 @@ from proto.errors import RefusedError
 from proto.messages import AfmState, SessionControl, SessionEvent
 from services.afm_node.config import AfmConfig
 from services.afm_node.node import AfmNode
-from services.afm_node.sim import SimulatedAfm
+from services.afm_node.physics.sim import SimulatedAfm
 from services.controller.config import ControllerConfig
 from services.controller.node import MasterController, SlaveController
 from services.delay_node.config import LinkSettings, flattened
 from services.delay_node.node import DelayNode
 from services.haptic_node.config import HapticConfig
 from services.haptic_node.node import HapticNode
-from services.haptic_node.sim import SimulatedHaptic
-from services.runtime.clock import VirtualClock
-from services.runtime.commands import CommandHandler
-from services.runtime.config import flatten
-from services.runtime.log import StructuredLog
-from services.runtime.node import Node, NodeContext
+from services.haptic_node.physics.sim import SimulatedHaptic
+from services.runtime.loop.clock import VirtualClock
+from services.runtime.loop.commands import CommandHandler
+from services.runtime.loop.log import StructuredLog
+from services.runtime.loop.node import Node, NodeContext
+from services.runtime.settings.config import flatten
 
 COMMANDS = get_args(SessionControl.model_fields["command"].annotation)
 _SPEC = command_table.SPEC.read_text(encoding="utf-8")

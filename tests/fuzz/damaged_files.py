@@ -101,8 +101,8 @@ def npy() -> bytes:
 
 
 def write_hdf5(path: Path) -> None:
-    from studies.force_curve import Curve, Half
-    from studies.force_curve import write_hdf5 as write
+    from studies.instrument.force_curve import Curve, Half
+    from studies.instrument.force_curve import write_hdf5 as write
 
     base = np.linspace(-1e-7, 0, 20)
     there, back = (Half(way, 0.1 * way, 0.15 * way) for way in (base, base[::-1]))
@@ -199,14 +199,14 @@ def damaged(whole: bytes, seed: int, count: int) -> Iterator[bytes]:
 
 
 def _read_map(path: Path) -> None:
-    from services.afm_node.surface_files import read_surface
+    from services.afm_node.physics.sample.surface_files import read_surface
 
     surface = read_surface(path, size_m=1e-7 if path.suffix == ".npy" else None)
     assert np.isfinite(surface.height_m).all()
 
 
 def _read_curve(path: Path) -> None:
-    from studies.force_curve import read_measured
+    from studies.instrument.force_curve import read_measured
 
     assert np.isfinite(read_measured(path).retract.force_n).all()
 
@@ -226,8 +226,8 @@ def _read_mcap(path: Path) -> None:
 
 
 def _read_yaml(path: Path) -> None:
-    from services.runtime.config import read_yaml, validate
-    from services.runtime.scenario import Scenario
+    from services.runtime.settings.config import read_yaml, validate
+    from services.runtime.settings.scenario import Scenario
 
     validate(Scenario, read_yaml(path), str(path))
 

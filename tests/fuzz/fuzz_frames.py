@@ -16,7 +16,7 @@ from proto.messages import Array
 from proto.nodes import LINK, NODES, name_of
 from services.controller.config import LAWS, ControllerConfig
 from services.delay_node.config import LinkSettings, flattened
-from services.runtime.config import flatten
+from services.runtime.settings.config import flatten
 
 # what a command may set at whom
 KEYS: dict[str, tuple[str, ...]] = {

@@ -14,14 +14,14 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from proto.errors import ConfigError
-from services.afm_node.cantilever import initial_state
 from services.afm_node.config import AfmConfig
-from services.afm_node.dynamic import NO_NOISE, steady_state
-from services.afm_node.friction import FrictionState
-from services.afm_node.imaging import CHANNELS, Feedback, Line, contact_line, tapping_line
-from services.afm_node.surface import Surface, checked, height_at
-from services.runtime.compiled import always_compiled
-from studies.scan import ScanRequest, scan
+from services.afm_node.physics.cantilever import initial_state
+from services.afm_node.physics.contact.friction import FrictionState
+from services.afm_node.physics.dynamic import NO_NOISE, steady_state
+from services.afm_node.physics.sample.surface import Surface, checked, height_at
+from services.afm_node.programs.imaging import CHANNELS, Feedback, Line, contact_line, tapping_line
+from services.numerics.compiled import always_compiled
+from studies.instrument.scan import ScanRequest, scan
 
 EXAMPLES = int(sys.argv[1])
 ANYTHING = st.one_of(

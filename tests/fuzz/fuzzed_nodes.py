@@ -27,14 +27,14 @@ from recording.reader import Recording
 from recording.writer import RecordingWriter
 from services.afm_node.config import AfmConfig
 from services.afm_node.node import AfmNode
-from services.afm_node.sim import SimulatedAfm
+from services.afm_node.physics.sim import SimulatedAfm
 from services.controller.config import LAWS, ControllerConfig
 from services.controller.node import half_of_site
 from services.delay_node.config import LinkSettings
 from services.delay_node.node import DelayNode
 from services.haptic_node.config import HapticConfig
 from services.haptic_node.node import HapticNode
-from services.haptic_node.sim import SimulatedHaptic
+from services.haptic_node.physics.sim import SimulatedHaptic
 from services.launcher.processes import StopObserver
 from services.launcher.session import SessionNode
 from services.launcher.supervisor import Supervisor
@@ -43,12 +43,12 @@ from services.player.playback import Playback, Span
 from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake, Listener
 from services.recorder.node import RecorderNode
-from services.runtime.address_book import AddressBook
-from services.runtime.bus import ConnectionEvent, Received, Subscriber, ZmqBus
-from services.runtime.clock import VirtualClock
-from services.runtime.log import StructuredLog
-from services.runtime.node import Node, NodeContext, NodeLoop
-from services.runtime.realtime import RealtimeStatus
+from services.runtime.bus.address_book import AddressBook
+from services.runtime.bus.bus import ConnectionEvent, Received, Subscriber, ZmqBus
+from services.runtime.loop.clock import VirtualClock
+from services.runtime.loop.log import StructuredLog
+from services.runtime.loop.node import Node, NodeContext, NodeLoop
+from services.runtime.loop.realtime import RealtimeStatus
 
 EPOCH_NS = 1_750_000_000_000_000_000
 # between two frames: ten a millisecond, as fast as a flood

@@ -6,7 +6,7 @@ MODULES: dict[str, tuple[str, ...]] = {
         "tests/unit/afm_node/test_safety_codes.py",
         "tests/unit/afm_node/test_afm_safety.py",
     ),
-    "services/afm_node/feedback.py": (
+    "services/afm_node/programs/feedback.py": (
         "tests/unit/afm_node/test_integral_share.py",
         "tests/unit/afm_node/test_feedback.py",
     ),
@@ -15,19 +15,19 @@ MODULES: dict[str, tuple[str, ...]] = {
         "tests/unit/haptic_node/test_haptic_safety.py",
         "tests/unit/afm_node/test_safety_codes.py",
     ),
-    "services/runtime/freshness.py": (
+    "services/runtime/loop/freshness.py": (
         "tests/unit/runtime/test_hand_age_histories.py",
         "tests/unit/runtime/test_runtime_freshness.py",
     ),
-    "services/runtime/quiet_work.py": (
+    "services/runtime/loop/quiet_work.py": (
         "tests/unit/runtime/test_quiet_work_edges.py",
         "tests/unit/runtime/test_quiet_work.py",
     ),
-    "services/runtime/node.py": (
+    "services/runtime/loop/node.py": (
         "tests/unit/runtime/test_loop_admission.py",
         "tests/unit/runtime/test_runtime_node.py",
     ),
-    "services/runtime/commands.py": (
+    "services/runtime/loop/commands.py": (
         "tests/unit/runtime/test_command_edges.py",
         "tests/unit/runtime/test_runtime_commands.py",
     ),
@@ -52,14 +52,14 @@ MODULES: dict[str, tuple[str, ...]] = {
 
 # by module, the name of a mutant as a run prints it, and why no test can tell it from the original
 EQUIVALENT: dict[str, dict[str, str]] = {
-    "services/runtime/freshness.py": {
+    "services/runtime/loop/freshness.py": {
         "DelayHistory.forget_before: if place > 0: [place > 0 => place >= 0]": "deletes the first 0 entries",
         "HandAge.__init__: self._judged_ns = 0 [0 => 1]": "no sample of a hand is a nanosecond after 1970",
         "HandAge.age_s: taken_ns = hand_t_ns + (self._newest_lag_ns if is_newest else self.lag_ns(hand_t_ns))"
         " [self._newest_lag_ns if is_newest else self.lag_ns(hand_t_ns) => self.lag_ns(hand_t_ns)]": "the lag of the"
         " newest sample is kept only to save looking it up",
     },
-    "services/runtime/commands.py": {
+    "services/runtime/loop/commands.py": {
         "CommandHandler.__init__: self._held_up_s = 0.0 [self._held_up_s = 0.0 => pass]": "read only after it was set",
         "CommandHandler.__init__: self._distrust_until_ns = 0 [0 => 1]": "no command comes a nanosecond after 1970",
     },

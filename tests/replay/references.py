@@ -23,7 +23,7 @@ from proto import Message, encode
 from recording.reader import Recording
 from recording.tolerance import Tolerances
 from services.controller.config import LAWS
-from services.runtime.compiled import compiled_form, is_step
+from services.numerics.compiled import compiled_form, is_step
 
 FOLDER = Path(__file__).resolve().parent
 REFERENCES = sorted(FOLDER.glob("*.mcap"))

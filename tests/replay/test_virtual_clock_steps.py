@@ -14,9 +14,9 @@ HOUR_S = 3600.0
 WALL_CLOCK = re.compile(r"\btime\.time(_ns)?\(|\bdatetime\.(now|today|utcnow)\(|\btime\.(local|gm)time\(\)")
 # where a running process of the rig may ask the wall clock, and what it does with the answer
 MAY_ASK = {
-    "services/runtime/clock.py": "once, at the start of the first process, for the stamps of all",
-    "services/runtime/compiled.py": "the age of files in the cache of compiled code",
-    "services/runtime/compile_cache.py": "the age of files in the cache of compiled code",
+    "services/runtime/loop/clock.py": "once, at the start of the first process, for the stamps of all",
+    "services/numerics/compiled.py": "the age of files in the cache of compiled code",
+    "services/numerics/compile_cache.py": "the age of files in the cache of compiled code",
 }
 
 
@@ -55,4 +55,4 @@ def test_no_node_acts_on_the_wall_clock() -> None:
         if lines:
             found[str(path.relative_to(ROOT))] = lines
     assert set(found) == set(MAY_ASK), found
-    assert len(found["services/runtime/clock.py"]) == 1
+    assert len(found["services/runtime/loop/clock.py"]) == 1

@@ -43,11 +43,11 @@ from services.controller import node as controller_node
 from services.controller.config import LAWS, ControllerConfig
 from services.controller.law import LONGEST_BRIDGED_PERIODS
 from services.haptic_node import node as haptic_node
-from studies import lockstep
-from studies.cells import Cell, rig_of
-from studies.link import schedule_of, symmetric_link
-from studies.lockstep import Trajectory, simulate
-from studies.validate import read_course, scenario_of
+from studies.loops import lockstep
+from studies.loops.cells import Cell, rig_of
+from studies.loops.link import schedule_of, symmetric_link
+from studies.loops.lockstep import Trajectory, simulate
+from studies.loops.validate import read_course, scenario_of
 
 PERIOD_S = ControllerConfig().period_s
 PERIOD_NS = round(PERIOD_S * 1e9)
@@ -255,10 +255,10 @@ def test_a_changed_wait_of_the_instrument_is_seen(tmp_path: Path, monkeypatch: p
         (lockstep, "services.controller.law", "longest_pause_periods"),
         (controller_node, "services.controller.law", "longest_pause_periods"),
         (controller_half, "services.controller.law", "LONGEST_BRIDGED_PERIODS"),
-        (lockstep, "services.afm_node.step", "LONGEST_STEP_NS"),
-        (afm_node, "services.afm_node.step", "LONGEST_STEP_NS"),
-        (lockstep, "services.afm_node.step", "command_wait_ns"),
-        (afm_node, "services.afm_node.step", "command_wait_ns"),
+        (lockstep, "services.afm_node.physics.step", "LONGEST_STEP_NS"),
+        (afm_node, "services.afm_node.physics.step", "LONGEST_STEP_NS"),
+        (lockstep, "services.afm_node.physics.step", "command_wait_ns"),
+        (afm_node, "services.afm_node.physics.step", "command_wait_ns"),
     ],
 )
 def test_shared_constants_are_imported(user: Any, module: str, name: str) -> None:

@@ -31,15 +31,15 @@ from services.delay_node.config import LinkSettings
 from services.delay_node.node import DelayNode
 from services.haptic_node.config import HapticConfig
 from services.haptic_node.node import HapticNode
-from services.haptic_node.sim import SimulatedHaptic
-from services.runtime.bus import ConnectionEvent, Received, Subscriber
-from services.runtime.clock import VirtualClock
-from services.runtime.config import flag_overrides, merge
-from services.runtime.freshness import DELAY_STEP_NS
-from services.runtime.log import StructuredLog
-from services.runtime.node import Node, NodeContext, NodeLoop
-from services.runtime.realtime import RealtimeStatus
-from services.runtime.scenario import LoadedScenario, Scenario
+from services.haptic_node.physics.sim import SimulatedHaptic
+from services.runtime.bus.bus import ConnectionEvent, Received, Subscriber
+from services.runtime.loop.clock import VirtualClock
+from services.runtime.loop.freshness import DELAY_STEP_NS
+from services.runtime.loop.log import StructuredLog
+from services.runtime.loop.node import Node, NodeContext, NodeLoop
+from services.runtime.loop.realtime import RealtimeStatus
+from services.runtime.settings.config import flag_overrides, merge
+from services.runtime.settings.scenario import LoadedScenario, Scenario
 
 EPOCH_OFFSET_NS = 1_750_000_000_000_000_000
 LAUNCHER = "launcher@master"

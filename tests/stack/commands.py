@@ -1,7 +1,7 @@
 """The telenano command without the second that a new interpreter needs for its imports: forked from one that has them.
 
 A rig leaves little of two processors, and a test gives dozens of commands beside it. Each runs in a process of its own,
-with its own environment, files and, where asked for, network namespace; `telenano.app.main` is what it runs.
+with its own environment, files and, where asked for, network namespace; `telenano.cli.app.main` is what it runs.
 """
 
 import ctypes
@@ -88,7 +88,7 @@ def serve() -> None:
 
 def become(request: dict[str, Any]) -> None:
     """Be the command: it never returns."""
-    from telenano.app import main
+    from telenano.cli.app import main
 
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     if request["namespace"]:
@@ -114,7 +114,7 @@ def become(request: dict[str, Any]) -> None:
 
 if __name__ == "__main__":
     # what most commands import when they run; no models, which a study has to compile first of all
-    from telenano.lazy_commands import load
+    from telenano.cli.lazy_commands import load
 
     for command in ("keys", "link", "session", "status", "topic"):
         load(command)

@@ -21,9 +21,9 @@ from stack_rig import ROOT, Rig
 from analysis.modes import modes_of
 from recording.arrays import columns
 from recording.reader import Recording
-from services.afm_node.modbus_frames import Conversation
+from services.afm_node.devices.modbus_frames import Conversation
 from services.controller.config import ControllerConfig
-from studies.theory import critical_link_delay_s, loop_model
+from studies.loops.theory import critical_link_delay_s, loop_model
 
 pytestmark = pytest.mark.endurance
 

@@ -20,7 +20,7 @@ from stack_rig import CONSTANT_PUSH, Rig
 from presets import DEFAULT_SITE_FILE
 from proto.errors import RigError
 from services.console.command_client import send_control
-from services.runtime.commands import Command
+from services.runtime.loop.commands import Command
 
 HAND, TIP, SLAVE_HALF = "haptic_node@master", "afm_node@slave", "controller@slave"
 # in which an arm that was not void would have been obeyed

@@ -11,7 +11,7 @@ from ledger import record
 from stack_rig import ROOT, Rig
 
 from recording.multi_file import open_recordings
-from telenano.new_package import new_package
+from telenano.cli.new_package import new_package
 
 pytestmark = [pytest.mark.stack, pytest.mark.endurance]
 

@@ -12,8 +12,8 @@ from analysis.process_replay import rerun
 from proto.messages import AfmState
 from recording.reader import Recording
 from services.afm_node.config import AfmConfig
-from services.afm_node.surface import Surface
-from services.afm_node.surface_files import read_surface
+from services.afm_node.physics.sample.surface import Surface
+from services.afm_node.physics.sample.surface_files import read_surface
 
 pytestmark = [pytest.mark.stack, pytest.mark.endurance]
 SCAN = ("scan", "--live", "--json", "--pixels", "32", "--lines", "6", "--size", "60")

@@ -12,7 +12,7 @@ import pytest
 from stack_rig import ROOT, Rig
 
 from recording.reader import Recording
-from telenano.new_package import new_package
+from telenano.cli.new_package import new_package
 
 pytestmark = [pytest.mark.stack, pytest.mark.endurance]
 

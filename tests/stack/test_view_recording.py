@@ -16,9 +16,9 @@ from proto import encode
 from proto.messages import AfmScanline, Array
 from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
-from services.runtime.main import load_site
-from services.runtime.participant import open_participant
-from services.runtime.publisher import ZmqPublisher
+from services.runtime.bus.publisher import ZmqPublisher
+from services.runtime.loop.main import load_site
+from services.runtime.loop.participant import open_participant
 from services.viz_node.requests import PROTOCOL
 
 pytestmark = [pytest.mark.browser, needs_browser]

@@ -33,7 +33,7 @@ from two_sites import MASTER, SLAVE, Cable, TwoSites
 import studies.option_values
 from analysis.network_trace import QUANTILES
 from recording.reader import Recording
-from services.runtime.config import flatten
+from services.runtime.settings.config import flatten
 
 # both recorders would have the topics of the loop cross the network a second time, over TCP
 EXCLUDED = {"master": ["law/*", "link/fates", "teleop/*", "afm/command"], "slave": ["law/*", "teleop/*"]}
@@ -231,8 +231,8 @@ def fig12(
 
 def draws(law: str, delay_ms: float, loss: float) -> list[str]:
     """Give the verdicts of lockstep on the same programme over the same network, one for each draw of the losses."""
-    from studies.simulation import simulate_scenario
-    from studies.validate import SEEDS
+    from studies.loops.simulation import simulate_scenario
+    from studies.loops.validate import SEEDS
 
     verdicts = []
     for seed in range(SEEDS if loss else 1):

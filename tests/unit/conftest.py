@@ -13,10 +13,10 @@ from proto.ranges import limited
 from proto.sequence import Arrival
 from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
-from services.runtime.bus import Received
-from services.runtime.clock import VirtualClock
-from services.runtime.log import StructuredLog
-from services.runtime.node import NodeContext
+from services.runtime.bus.bus import Received
+from services.runtime.loop.clock import VirtualClock
+from services.runtime.loop.log import StructuredLog
+from services.runtime.loop.node import NodeContext
 
 
 class Bench:

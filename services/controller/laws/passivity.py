@@ -85,7 +85,7 @@ from services.controller.ranges import (
     StiffnessNPerM,
     TimeS,
 )
-from services.runtime.compiled import compiled
+from services.numerics.compiled import compiled
 
 
 class PassivityParams(NamedTuple):

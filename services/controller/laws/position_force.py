@@ -28,7 +28,7 @@ from services.controller.laws.shared.virtual_mass import (
     resumed,
     tip_reference,
 )
-from services.runtime.compiled import compiled
+from services.numerics.compiled import compiled
 
 
 class PositionForceParams(NamedTuple):

@@ -36,7 +36,7 @@ from services.controller.laws.shared.pass_through import slave_receive, slave_se
 from services.controller.laws.shared.virtual_mass import is_retracted, periods_in
 from services.controller.laws.virtual_impedance import ImpedanceConfig, VirtualImpedanceParams
 from services.controller.ranges import LengthM, StiffnessNPerM, StiffnessOrNoneNPerM, StiffnessRateNPerMS, TimeS
-from services.runtime.compiled import compiled
+from services.numerics.compiled import compiled
 
 # references kept, one a period: older ones are taken for the oldest, so longer delays are bridged in part
 HISTORY = 1024

@@ -23,7 +23,7 @@ from services.controller.law import HandSample, Law, MasterReference, PortSignal
 from services.controller.laws.shared.impedance_scaling import impedance_scaled
 from services.controller.laws.shared.virtual_mass import FARTHEST_M, ScaledConfig, bounded
 from services.controller.ranges import DampingOrNoneNSPerM, MassKg, PositionScale, StiffnessNPerM
-from services.runtime.compiled import compiled
+from services.numerics.compiled import compiled
 
 # newtons: what the wire can carry
 _MOST_N = 1e6

@@ -22,7 +22,7 @@ from services.controller.laws.shared.virtual_mass import (
     is_retracted,
 )
 from services.controller.ranges import DampingOrNoneNSPerM, Gain, MassKg, StiffnessOrNoneNPerM
-from services.runtime.compiled import compiled
+from services.numerics.compiled import compiled
 
 
 class VirtualImpedanceParams(NamedTuple):

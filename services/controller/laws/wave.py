@@ -74,7 +74,7 @@ from services.controller.laws.shared.virtual_mass import (
     tip_reference,
 )
 from services.controller.ranges import DampingNSPerM, TimeOrNoneS, TimeS
-from services.runtime.compiled import compiled
+from services.numerics.compiled import compiled
 
 
 class WaveParams(NamedTuple):

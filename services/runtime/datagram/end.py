@@ -18,10 +18,8 @@ from typing import Any, Literal, NamedTuple, Protocol, cast
 
 from proto.messages import InputHealth, Message
 from proto.network_messages import LinkKey
-from services.runtime.address_book import LinkTransport
-from services.runtime.bus import ConnectionEvent, Received, Subscriber
-from services.runtime.clock import NEVER_NS, Clock
-from services.runtime.clock_offset import Exchange, OffsetFilter
+from services.runtime.bus.address_book import LinkTransport
+from services.runtime.bus.bus import ConnectionEvent, Received, Subscriber
 from services.runtime.datagram import flood_filter
 from services.runtime.datagram.account import ArrivalAccount
 from services.runtime.datagram.agreement import Agreement
@@ -30,6 +28,8 @@ from services.runtime.datagram.pacing import NETWORK_BYTES, RESERVE_BYTES, Repea
 from services.runtime.datagram.play_out import PlayOut
 from services.runtime.datagram.report import network_report
 from services.runtime.datagram.sealing import MOST_BYTES, OVERHEAD_BYTES, TAG_BYTES, Opener, RejectedError
+from services.runtime.loop.clock import NEVER_NS, Clock
+from services.runtime.loop.clock_offset import Exchange, OffsetFilter
 
 # datagrams taken before the node looks at its deadline again, so that a flood cannot hold a loop
 _BATCH = 64

@@ -6,7 +6,7 @@ import numpy as np
 
 from proto.messages import Array, LinkClock
 from proto.ranges import limited
-from services.runtime.clock_offset import Offset
+from services.runtime.loop.clock_offset import Offset
 
 if TYPE_CHECKING:
     from services.runtime.datagram.end import DatagramEnd

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from proto.nodes import FAR_END, LINK
-from services.runtime.address_book import AddressBook, split_tcp
-from services.runtime.bus import Subscriber
+from services.runtime.bus.address_book import AddressBook, split_tcp
+from services.runtime.bus.bus import Subscriber
+from services.runtime.bus.publisher import ZmqPublisher
 from services.runtime.datagram.end import DatagramEnd, Outlets, Place
-from services.runtime.publisher import ZmqPublisher
 
 if TYPE_CHECKING:
-    from services.runtime.participant import Participant
+    from services.runtime.loop.participant import Participant
 
 NEAR_END = f"{LINK}@slave"
 

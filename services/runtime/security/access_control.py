@@ -1,7 +1,7 @@
 """Access control: the key of this machine, the list of allowed keys as last read, and what each machine may do."""
 
 from proto.errors import ConfigError
-from services.runtime.address_book import AddressBook
+from services.runtime.bus.address_book import AddressBook
 from services.runtime.security.keyring import ROLES, AllowList, Keyring, Role
 
 

@@ -18,9 +18,9 @@ from pydantic import AfterValidator, Field, model_validator
 from zmq.utils import z85
 
 from proto.errors import ConfigError
-from services.runtime.address_book import MACHINE_PATTERN
-from services.runtime.config import Settings, parse_yaml, validate
+from services.runtime.bus.address_book import MACHINE_PATTERN
 from services.runtime.security.private_files import check_folder_of_files, read_secret, read_trusted, write_private
+from services.runtime.settings.config import Settings, parse_yaml, validate
 
 KEYS_DIRECTORY_VARIABLE = "TELENANO_KEYS_DIR"
 MACHINE_VARIABLE = "TELENANO_MACHINE"

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from presets.regular_files import NotRegularError, open_regular
 from proto.errors import ConfigError
-from services.runtime.local_endpoint import RUNTIME_DIRECTORY_VARIABLE, runtime_directory
+from services.runtime.bus.local_endpoint import RUNTIME_DIRECTORY_VARIABLE, runtime_directory
 
 _ANY_ACCESS = 0o077
 _CHANGE = 0o022

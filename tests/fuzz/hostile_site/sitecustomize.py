@@ -13,9 +13,9 @@ if "services.controller" in sys.orig_argv:
     from fuzz_frames import Frames, stream
 
     from proto import TOPICS
+    from services.runtime.bus.publisher import ZmqPublisher
     from services.runtime.datagram.body import DATAGRAMS_OF
     from services.runtime.datagram.end import DatagramEnd
-    from services.runtime.publisher import ZmqPublisher
 
     # A frame for so many messages: the link's bytes are counted, and what is genuine should still get through.
     ONE_IN = 8

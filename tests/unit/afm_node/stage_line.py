@@ -8,14 +8,14 @@ from pymodbus.framer import FramerSocket
 from pymodbus.pdu import DecodePDU, ModbusPDU
 
 from services.afm_node.config import AfmConfig
-from services.afm_node.converter_calibration import InstrumentCalibration
-from services.afm_node.modbus_driver import ModbusAfm
+from services.afm_node.devices.converter_calibration import InstrumentCalibration
+from services.afm_node.devices.modbus_driver import ModbusAfm
+from services.afm_node.devices.register_map import RegisterMap, read_map
+from services.afm_node.devices.t7_model import T7Model, calibration_of
+from services.afm_node.devices.t7_server import respond, served_requests
 from services.afm_node.node import AfmNode
-from services.afm_node.register_map import RegisterMap, read_map
-from services.afm_node.sim import SimulatedAfm
-from services.afm_node.t7_model import T7Model, calibration_of
-from services.afm_node.t7_server import respond, served_requests
-from services.runtime.config import merge, parse_yaml, validate
+from services.afm_node.physics.sim import SimulatedAfm
+from services.runtime.settings.config import merge, parse_yaml, validate
 
 MS = 1_000_000
 PARAMS = AfmConfig().to_params()

@@ -7,7 +7,7 @@ from pydantic import ValidationError
 
 from services.afm_node import config
 from services.afm_node.config import AfmConfig, CantileverConfig, SafetyConfig, TipSampleConfig
-from services.afm_node.sim import SimulatedAfm, SimulatedSpring
+from services.afm_node.physics.sim import SimulatedAfm, SimulatedSpring
 
 
 def walk(model):

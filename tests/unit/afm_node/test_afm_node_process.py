@@ -7,7 +7,7 @@ import pytest
 from proto.errors import RefusedError
 from services.afm_node.config import AfmConfig
 from services.afm_node.node import AfmNode
-from services.afm_node.sim import SimulatedAfm
+from services.afm_node.physics.sim import SimulatedAfm
 
 
 class Instrument:

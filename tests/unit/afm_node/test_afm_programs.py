@@ -9,13 +9,13 @@ from pydantic import ValidationError
 
 from proto.errors import ConfigError, RefusedError
 from services.afm_node.config import AfmConfig
-from services.afm_node.disturbed import DisturbedAfm
 from services.afm_node.node import AfmNode
-from services.afm_node.sim import SimulatedAfm, SimulatedSpring
-from services.afm_node.surface import height_at
-from services.runtime.config import validate
-from services.runtime.journal import StateSnapshot
-from services.runtime.node_state import restore
+from services.afm_node.physics.disturbed import DisturbedAfm
+from services.afm_node.physics.sample.surface import height_at
+from services.afm_node.physics.sim import SimulatedAfm, SimulatedSpring
+from services.runtime.loop.journal import StateSnapshot
+from services.runtime.loop.node_state import restore
+from services.runtime.settings.config import validate
 
 SOFT = {
     "cantilever": {"stiffness_n_per_m": 1.0},
@@ -294,7 +294,7 @@ def unproportional(packed: Any) -> Any:
         return packed
     if isinstance(packed, dict):
         return {name: unproportional(value) for name, value in packed.items()}
-    newer = {"services.afm_node.raster:RasterPlan": 3, "services.afm_node.raster:RasterState": 2}
+    newer = {"services.afm_node.programs.raster:RasterPlan": 3, "services.afm_node.programs.raster:RasterState": 2}
     if len(packed) == 3 and packed[0] == "tuple" and packed[1] in newer:
         return [*packed[:2], [unproportional(part) for part in packed[2][: -newer[packed[1]]]]]
     return [unproportional(part) for part in packed]

@@ -12,12 +12,12 @@ from test_afm_programs import QUICK, Imager
 from analysis.image_files import Image, write_gsf
 from proto.errors import RefusedError
 from services.afm_node.config import AfmConfig
-from services.afm_node.lateral import Place
 from services.afm_node.node import AfmNode
-from services.afm_node.reach import Reach, Span, approach_limit_s
-from services.afm_node.sample import SampleConfig
-from services.afm_node.sim import SimulatedAfm
-from services.afm_node.surface import Surface, checked, plane_levelled
+from services.afm_node.physics.sample.made_samples import SampleConfig
+from services.afm_node.physics.sample.surface import Surface, checked, plane_levelled
+from services.afm_node.physics.sim import SimulatedAfm
+from services.afm_node.programs.lateral import Place
+from services.afm_node.programs.reach import Reach, Span, approach_limit_s
 
 DATA = Path(__file__).parents[4] / "shared" / "data" / "spot_1-1000nm.ibw"
 LIMITS = AfmConfig().to_params().safety

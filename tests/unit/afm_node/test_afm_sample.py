@@ -7,8 +7,8 @@ import pytest
 
 from analysis.image_files import Image, write_gsf, write_gwy
 from proto.errors import ConfigError
-from services.afm_node.sample import SampleConfig
-from services.afm_node.surface_files import read_surface
+from services.afm_node.physics.sample.made_samples import SampleConfig
+from services.afm_node.physics.sample.surface_files import read_surface
 
 DATA = Path(__file__).parents[4] / "shared" / "data" / "spot_1-1000nm.ibw"
 HEIGHTS = np.random.default_rng(5).normal(0.0, 3e-9, (7, 11)).astype(np.float32).astype(float)

@@ -5,9 +5,9 @@ import math
 import pytest
 
 from services.afm_node.config import AfmConfig, SpringConfig
-from services.afm_node.sim import SimulatedSpring
-from services.afm_node.spring import initial_state, spring_force, spring_params, step
-from services.afm_node.step import AfmInputs
+from services.afm_node.physics.sim import SimulatedSpring
+from services.afm_node.physics.spring import initial_state, spring_force, spring_params, step
+from services.afm_node.physics.step import AfmInputs
 
 CONFIG = AfmConfig(environment="spring", spring=SpringConfig(stiffness_n_per_m=38.0, rest_position_m=1e-9))
 PARAMS = CONFIG.to_spring_params()

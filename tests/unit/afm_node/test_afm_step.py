@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from services.afm_node import safety
-from services.afm_node.cantilever import initial_state
 from services.afm_node.config import AfmConfig
+from services.afm_node.physics.cantilever import initial_state
+from services.afm_node.physics.sim import SimulatedAfm
+from services.afm_node.physics.step import AfmInputs, AfmSample, initial_afm_state, measure, step
 from services.afm_node.safety import SafetyInputs, initial_safety_state, safety_step
-from services.afm_node.sim import SimulatedAfm
-from services.afm_node.step import AfmInputs, AfmSample, initial_afm_state, measure, step
 
 DT = 1e-3
 

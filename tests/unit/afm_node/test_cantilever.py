@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from services.afm_node.cantilever import (
+from services.afm_node.physics.cantilever import (
     PlantState,
     base_for,
     build_plant,
@@ -12,8 +12,14 @@ from services.afm_node.cantilever import (
     initial_state,
     volts_per_m,
 )
-from services.afm_node.maugis_dugdale import reduced_modulus_pa
-from services.afm_node.tip_sample import AS_PRINTED, CONSISTENT, TipSampleProperties, branch_force, build_tip_sample
+from services.afm_node.physics.contact.maugis_dugdale import reduced_modulus_pa
+from services.afm_node.physics.contact.tip_sample import (
+    AS_PRINTED,
+    CONSISTENT,
+    TipSampleProperties,
+    branch_force,
+    build_tip_sample,
+)
 
 REST_M = 10e-9
 

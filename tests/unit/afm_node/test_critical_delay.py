@@ -7,10 +7,10 @@ from typing import NamedTuple
 import pytest
 from stage_line import StageLine, calibration
 
-from services.afm_node.t7_model import T7Model
+from services.afm_node.devices.t7_model import T7Model
 from services.controller.config import ControllerConfig
 from services.controller.law import NO_SIGNAL, HandSample, TipMeasurement
-from studies.theory import critical_link_delay_s, loop_model
+from studies.loops.theory import critical_link_delay_s, loop_model
 
 PERIOD_S = 1e-3
 SPRING_N_PER_M = 38.0
@@ -89,7 +89,7 @@ def test_critical_round_trip_is_that_of_theory_less_the_declared_latency(cycle_s
     model = loop_model(config.law, config.law_config(), SPRING_N_PER_M)
     assert model is not None
     bears_s = critical_link_delay_s(model, PERIOD_S)
-    from services.afm_node.register_map import read_map
+    from services.afm_node.devices.register_map import read_map
 
     registers = read_map("t7").model_copy(update={"device_cycle_s": cycle_s})
     latency_s = StageLine(registers=registers).driver.latency_s

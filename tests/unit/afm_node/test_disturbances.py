@@ -11,7 +11,8 @@ import pytest
 
 from proto.errors import RefusedError
 from services.afm_node.config import AfmConfig
-from services.afm_node.disturbances import (
+from services.afm_node.node import AfmNode
+from services.afm_node.physics.disturbances import (
     BOLTZMANN_J_PER_K,
     DisturbanceConfig,
     begun,
@@ -20,12 +21,11 @@ from services.afm_node.disturbances import (
     read_out,
     sines_of,
 )
-from services.afm_node.disturbed import DisturbedAfm
-from services.afm_node.node import AfmNode
-from services.afm_node.sim import SimulatedAfm
-from services.runtime.journal import StateSnapshot
-from services.runtime.node_state import restore
-from services.runtime.normal_numbers import NormalNumbers
+from services.afm_node.physics.disturbed import DisturbedAfm
+from services.afm_node.physics.sim import SimulatedAfm
+from services.numerics.normal_numbers import NormalNumbers
+from services.runtime.loop.journal import StateSnapshot
+from services.runtime.loop.node_state import restore
 
 DT = 1e-3
 VOLTS_PER_M = 6.25e6
@@ -201,7 +201,7 @@ def test_they_are_switched_on_while_the_node_runs_and_a_restored_node_goes_on_al
 
 VIBRATION = """
 import hashlib
-from services.afm_node.disturbances import DisturbanceConfig, begun, displaced, sines_of
+from services.afm_node.physics.disturbances import DisturbanceConfig, begun, displaced, sines_of
 config = DisturbanceConfig.model_validate({"vibration": {"enabled": True}})
 sines, state, digest = sines_of(config), begun(), hashlib.sha256()
 for _ in range(2000):

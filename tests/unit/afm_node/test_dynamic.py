@@ -5,9 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from services.afm_node.cantilever import equilibrium, initial_state
 from services.afm_node.config import AfmConfig
-from services.afm_node.dynamic import (
+from services.afm_node.physics.cantilever import equilibrium, initial_state
+from services.afm_node.physics.contact.force_grid import build_force_grid, grid_force
+from services.afm_node.physics.contact.tip_sample import branch_force
+from services.afm_node.physics.dynamic import (
     BOLTZMANN_J_PER_K,
     KICKS_PER_PERIOD,
     NO_NOISE,
@@ -19,8 +21,6 @@ from services.afm_node.dynamic import (
     free_amplitude_m,
     steady_state,
 )
-from services.afm_node.force_grid import build_force_grid, grid_force
-from services.afm_node.tip_sample import branch_force
 
 CONFIG = AfmConfig()
 PLANT = CONFIG.to_params().plant

@@ -9,16 +9,16 @@ from pydantic import ValidationError
 from proto.errors import ConfigError, RefusedError
 from services.afm_node.__main__ import dynamic_afm
 from services.afm_node.config import AfmConfig
-from services.afm_node.disturbances import BOLTZMANN_J_PER_K, DisturbanceConfig
 from services.afm_node.driver import VibratingCantilever
-from services.afm_node.dynamic import drive_work_j, free_amplitude_m
-from services.afm_node.dynamic_sim import DynamicAfm
 from services.afm_node.node import AfmNode
+from services.afm_node.physics.disturbances import BOLTZMANN_J_PER_K, DisturbanceConfig
+from services.afm_node.physics.dynamic import drive_work_j, free_amplitude_m
+from services.afm_node.physics.dynamic_sim import DynamicAfm
+from services.afm_node.physics.sample.surface import height_at
+from services.afm_node.physics.sim import SimulatedAfm
 from services.afm_node.safety import MODE_RETRACTED
-from services.afm_node.sim import SimulatedAfm
-from services.afm_node.surface import height_at
-from services.runtime.journal import StateSnapshot
-from services.runtime.node_state import restore
+from services.runtime.loop.journal import StateSnapshot
+from services.runtime.loop.node_state import restore
 
 SOFT = {
     "model": "dynamic",

@@ -8,15 +8,15 @@ import pytest
 
 from services.afm_node.__main__ import dynamic_afm
 from services.afm_node.config import AfmConfig
-from services.afm_node.disturbances import DisturbanceConfig, begun, charged
-from services.afm_node.disturbed import DisturbedAfm
-from services.afm_node.electrostatic import (
+from services.afm_node.physics.contact.electrostatic import (
     VACUUM_PERMITTIVITY_F_PER_M,
     electrostatic_force_n,
     electrostatic_strength_n_m2,
 )
-from services.afm_node.lennard_jones import contact_distance_m, lennard_jones_force
-from services.runtime.normal_numbers import NormalNumbers
+from services.afm_node.physics.contact.lennard_jones import contact_distance_m, lennard_jones_force
+from services.afm_node.physics.disturbances import DisturbanceConfig, begun, charged
+from services.afm_node.physics.disturbed import DisturbedAfm
+from services.numerics.normal_numbers import NormalNumbers
 
 R = 10e-9
 

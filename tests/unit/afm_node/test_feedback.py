@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.afm_node.feedback import (
+from services.afm_node.programs.feedback import (
     CONTACT_MARGIN,
     TAPPING_MARGIN,
     carried_out,
@@ -18,7 +18,7 @@ from services.afm_node.feedback import (
     most_integral_share,
     remaining,
 )
-from services.afm_node.imaging import Feedback, regulated
+from services.afm_node.programs.imaging import Feedback, regulated
 
 NAMES = ("--gain", "--proportional")
 # no lag at all, that of Table 2 in a millisecond, a high Q, and one of simulated time: a period of the drive

@@ -8,9 +8,9 @@ import pytest
 from test_afm_programs import SOFT, Imager, parameters
 
 from services.afm_node.config import AfmConfig
-from services.afm_node.friction import FrictionParams, FrictionState, adhesion_n, friction_step
-from services.afm_node.sim import SimulatedAfm
-from services.afm_node.surface import checked
+from services.afm_node.physics.contact.friction import FrictionParams, FrictionState, adhesion_n, friction_step
+from services.afm_node.physics.sample.surface import checked
+from services.afm_node.physics.sim import SimulatedAfm
 
 MU, LATERAL_N_PER_M = 0.3, 100.0
 PARAMS = FrictionParams(MU, 12.5e-9, LATERAL_N_PER_M, 10e-6)

@@ -10,14 +10,14 @@ from pymodbus.pdu import ExceptionResponse, ModbusPDU
 from stage_line import MS, PARAMS, Rig, StageLine, calibration
 
 from proto.errors import ConfigError
-from services.afm_node import t7_model
 from services.afm_node.config import AfmConfig
+from services.afm_node.devices import t7_model
+from services.afm_node.devices.modbus_driver import ModbusAfm
+from services.afm_node.devices.modbus_frames import Conversation, FeedbackRequest, FramingError, Operation
+from services.afm_node.devices.register_map import Register, RegisterMap, read_map
 from services.afm_node.driver import DeviceError
-from services.afm_node.modbus_driver import ModbusAfm
-from services.afm_node.modbus_frames import Conversation, FeedbackRequest, FramingError, Operation
-from services.afm_node.register_map import Register, RegisterMap, read_map
-from services.afm_node.sim import SimulatedAfm
-from services.runtime.clock import VirtualClock
+from services.afm_node.physics.sim import SimulatedAfm
+from services.runtime.loop.clock import VirtualClock
 
 RETRACTED_M = PARAMS.safety.retract_position_m
 DAC_STEP_M = 5.0 / 4095.0 * t7_model.M_PER_V

@@ -13,10 +13,10 @@ import yaml
 from stage_line import PARAMS, StageLine, calibration
 from typer.testing import CliRunner
 
-from services.afm_node.stage_calibration import Mover, fit_travel, press
-from services.afm_node.t7_model import M_PER_V, T7Model
-from services.runtime.line_fit import CalibrationError
-from telenano.commands.device import app
+from services.afm_node.devices.stage_calibration import Mover, fit_travel, press
+from services.afm_node.devices.t7_model import M_PER_V, T7Model
+from services.numerics.line_fit import CalibrationError
+from telenano.cli.commands.device import app
 
 V_PER_M = 6.25e6
 ZERO_V = 0.0123
@@ -61,7 +61,7 @@ def test_sensitivity_and_zero_are_found_within_their_standard_errors() -> None:
 
 
 def test_compiled_instrument_gives_its_sensitivity_less_what_its_sample_yields() -> None:
-    from services.afm_node.sim import SimulatedAfm
+    from services.afm_node.physics.sim import SimulatedAfm
 
     afm = SimulatedAfm(PARAMS)
     afm.open()

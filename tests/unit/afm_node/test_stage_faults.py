@@ -9,10 +9,10 @@ from pymodbus.pdu import ExceptionResponse
 from stage_line import MS, PARAMS, Rig, StageLine
 
 from proto.errors import ConfigError
-from services.afm_node import modbus_driver, t7_model
 from services.afm_node.config import AfmConfig
+from services.afm_node.devices import modbus_driver, t7_model
+from services.afm_node.devices.t7_server import respond
 from services.afm_node.node import AfmNode
-from services.afm_node.t7_server import respond
 
 DAC_STEP_V = 5.0 / 4095.0
 # a place before the sample, and the voltage there

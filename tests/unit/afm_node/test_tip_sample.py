@@ -3,10 +3,16 @@ import math
 import numpy as np
 import pytest
 
-from services.afm_node.contact_table import table_force
-from services.afm_node.lennard_jones import lennard_jones_force, minimum_distance_m
-from services.afm_node.maugis_dugdale import reduced_modulus_pa
-from services.afm_node.tip_sample import AS_PRINTED, CONSISTENT, TipSampleProperties, branch_force, build_tip_sample
+from services.afm_node.physics.contact.contact_table import table_force
+from services.afm_node.physics.contact.lennard_jones import lennard_jones_force, minimum_distance_m
+from services.afm_node.physics.contact.maugis_dugdale import reduced_modulus_pa
+from services.afm_node.physics.contact.tip_sample import (
+    AS_PRINTED,
+    CONSISTENT,
+    TipSampleProperties,
+    branch_force,
+    build_tip_sample,
+)
 
 LARGEST_N = 400e-9
 TABLE_2 = TipSampleProperties(

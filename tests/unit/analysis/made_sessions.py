@@ -14,7 +14,7 @@ from proto import TOPICS, encode
 from proto.contract import examples
 from proto.ends import end_data
 from recording.writer import FileSettings, RecordingWriter
-from services.runtime.clock_offset import Exchange, OffsetFilter
+from services.runtime.loop.clock_offset import Exchange, OffsetFilter
 
 SCENARIO = Path(__file__).resolve().parents[3] / "presets/scenarios/fig12.yaml"
 HAND, TIP, LINK, CONTROLLER = "haptic_node@master", "afm_node@slave", "delay_node@master", "controller@master"

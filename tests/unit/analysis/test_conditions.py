@@ -10,7 +10,7 @@ from analysis.report import read_session
 from proto import encode
 from recording.reader import Recording
 from recording.writer import FileSettings, RecordingWriter
-from services.runtime.scenario import Scenario
+from services.runtime.settings.scenario import Scenario
 
 REPLAY = Path(__file__).resolve().parents[2] / "replay"
 SCENARIO = Scenario(

@@ -11,13 +11,13 @@ from typer.testing import CliRunner
 from proto import encode
 from recording.reader import Recording
 from recording.writer import RecordingWriter
-from services.afm_node.t7_model import calibration_of as stage_file
+from services.afm_node.devices.t7_model import calibration_of as stage_file
 from services.haptic_node.config import HapticConfig
-from services.haptic_node.emulated_handle import DEVICE_ID, POSITION_ZERO
-from services.haptic_node.emulated_handle import calibration_of as handle_file
+from services.haptic_node.devices.emulated_handle import DEVICE_ID, POSITION_ZERO
+from services.haptic_node.devices.emulated_handle import calibration_of as handle_file
 from services.recorder.config import RecorderConfig
-from services.runtime.config import merge
-from telenano.commands.bag import app
+from services.runtime.settings.config import merge
+from telenano.cli.commands.bag import app
 
 HAND_ID = f"{DEVICE_ID:016x} 2026-01-01T00:00:00+00:00"
 STAGE_ID = "t7 470012345 2026-01-01T00:00:00+00:00"

@@ -15,7 +15,7 @@ from recording.merge_sites import merge_sites
 from recording.reader import Recording
 from recording.sender_time import SenderClock
 from recording.site_clock import _course, _Questions, _Report, _windows, read_site_clock
-from telenano.output import clock_warning
+from telenano.cli.output import clock_warning
 
 # what differs with the clocks: names, times to the rounding of stamps, and what is said of the clocks
 FIGURES = ("verdict", "stable", "reason", "hold_ratio", "contact_x_cm", "release_force_nn", "greatest_pull_nn")

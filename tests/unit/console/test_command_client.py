@@ -7,11 +7,11 @@ import pytest
 from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE
 from proto.errors import ConfigError
 from services.console.command_client import addressed, console_of, parse_parameters, send_control
-from services.runtime.address_book import AddressBook
-from services.runtime.commands import Command
-from services.runtime.config import validate
-from services.runtime.main import load_site
+from services.runtime.bus.address_book import AddressBook
+from services.runtime.loop.commands import Command
+from services.runtime.loop.main import load_site
 from services.runtime.security.keyring import Keyring
+from services.runtime.settings.config import validate
 
 
 @pytest.mark.parametrize(

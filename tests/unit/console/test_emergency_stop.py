@@ -22,12 +22,12 @@ from proto.messages import SessionControl
 from proto.nodes import DEVICES
 from proto.topics import TOPICS
 from services.console.emergency_stop import LocalRig, Reach, _answer, _Inlet, _Sender
-from services.runtime.address_book import AddressBook
-from services.runtime.clock import SystemClock
-from services.runtime.commands import CommandHandler
-from services.runtime.estop_inlet import EstopInlet
-from services.runtime.publisher import ZmqPublisher
-from telenano.estop_command import EstopRequest, read_arguments, run_estop
+from services.runtime.bus.address_book import AddressBook
+from services.runtime.bus.estop_inlet import EstopInlet
+from services.runtime.bus.publisher import ZmqPublisher
+from services.runtime.loop.clock import SystemClock
+from services.runtime.loop.commands import CommandHandler
+from telenano.cli.estop_command import EstopRequest, read_arguments, run_estop
 
 HAND, TIP, LINK, RECORDER = "haptic_node@master", "afm_node@slave", "delay_node@master", "recorder@master"
 
@@ -331,7 +331,7 @@ def test_the_command_line_is_read_without_typer(line: str, request_: EstopReques
 
 def test_a_stop_imports_no_models(run: Callable[..., Device], site_file: Path) -> None:
     run(TIP)
-    code = "import atexit, sys, telenano.app as root; "
+    code = "import atexit, sys, telenano.cli.app as root; "
     code += f"sys.argv = ['telenano', 'estop', '--site-file', {str(site_file)!r}, '--target', 'afm_node']; "
     code += "slow = {'pydantic', 'numpy', 'typer', 'click', 'rich', 'proto.messages', 'asyncio'}; "
     code += "atexit.register(lambda: print(slow & set(sys.modules))); root.main()"

@@ -9,7 +9,7 @@ from proto.errors import ConfigError
 from proto.instrument import AfmProgram
 from proto.messages import AfmScanline, Array
 from services.console.live_program import LiveImage
-from telenano.program_view import bar_of, refuse_foreign
+from telenano.cli.program_view import bar_of, refuse_foreign
 
 
 def line(

@@ -15,7 +15,7 @@ from proto.errors import ConfigError
 from services.controller.config import LAWS, ControllerConfig
 from services.controller.energy import Port
 from services.controller.laws.shared.virtual_mass import FARTHEST_M, bounded
-from services.runtime.config import flatten, validate
+from services.runtime.settings.config import flatten, validate
 
 ROOT = Path(__file__).parents[3]
 CASES = 8

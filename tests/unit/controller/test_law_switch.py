@@ -8,7 +8,7 @@ import pytest
 from proto.sequence import Arrival
 from services.controller.config import LAWS, ControllerConfig
 from services.controller.node import MasterController, SlaveController
-from services.runtime.bus import Received
+from services.runtime.bus.bus import Received
 
 PERIOD_NS = 1_000_000
 ZERO = (0.0, 0.0, 0.0)

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.afm_node.cantilever import base_for
 from services.afm_node.config import AfmConfig
+from services.afm_node.physics.cantilever import base_for
 from services.controller.laws.model_mediated import ModelMediatedConfig
 from services.controller.laws.shared.surface import (
     Surface,

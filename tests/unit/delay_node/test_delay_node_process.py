@@ -12,10 +12,10 @@ from proto.errors import RefusedError
 from proto.messages import Message
 from services.afm_node.config import AfmConfig
 from services.afm_node.node import AfmNode
-from services.afm_node.sim import SimulatedAfm
+from services.afm_node.physics.sim import SimulatedAfm
 from services.delay_node.config import LinkSettings, parse_settings
 from services.delay_node.node import DelayNode
-from services.runtime.freshness import HandAge
+from services.runtime.loop.freshness import HandAge
 
 HALF = {
     "law": "virtual_impedance",

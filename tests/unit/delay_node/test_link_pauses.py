@@ -7,8 +7,8 @@ import pytest
 
 from services.delay_node.config import parse_settings
 from services.delay_node.node import DelayNode
-from services.runtime.journal import StateSnapshot
-from services.runtime.node_state import restore
+from services.runtime.loop.journal import StateSnapshot
+from services.runtime.loop.node_state import restore
 
 MS = 1_000_000
 ZERO = (0.0, 0.0, 0.0)

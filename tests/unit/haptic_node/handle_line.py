@@ -5,13 +5,13 @@ from typing import Any
 
 import yaml
 
-from services.haptic_node.calibration import HandleCalibration
 from services.haptic_node.config import HapticConfig
+from services.haptic_node.devices.calibration import HandleCalibration
+from services.haptic_node.devices.emulated_handle import EmulatedHandle, calibration_of
+from services.haptic_node.devices.serial_driver import SerialHandle
 from services.haptic_node.driver import DeviceError
-from services.haptic_node.emulated_handle import EmulatedHandle, calibration_of
 from services.haptic_node.node import HapticNode
-from services.haptic_node.serial_driver import SerialHandle
-from services.runtime.config import parse_yaml, validate
+from services.runtime.settings.config import parse_yaml, validate
 
 PATH = "/dev/serial/by-id/telenano"
 MS = 1_000_000

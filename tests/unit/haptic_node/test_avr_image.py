@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import pytest
 
-from services.haptic_node import wire
-from services.haptic_node.avr_board import CYCLES_A_TICK, DEVICE_ID, FREQUENCY_HZ, AvrBoard
-from services.haptic_node.firmware import FirmwareError
+from services.haptic_node.devices import wire
+from services.haptic_node.devices.avr_board import CYCLES_A_TICK, DEVICE_ID, FREQUENCY_HZ, AvrBoard
+from services.haptic_node.devices.firmware import FirmwareError
 from services.haptic_node.safety import MODE_FORCE, MODE_OFF, MODE_POSITION
 
 WATCHDOG_MS = 20

@@ -7,17 +7,17 @@ import pytest
 
 from proto.errors import RefusedError
 from services.haptic_node.config import HapticConfig
-from services.haptic_node.disturbances import (
+from services.haptic_node.driver import DeviceReading
+from services.haptic_node.node import HapticNode
+from services.haptic_node.physics.disturbances import (
     DisturbedHaptic,
     HandDisturbanceConfig,
     HandDisturbanceState,
     changed_disturbances,
     disturbed,
 )
-from services.haptic_node.driver import DeviceReading
-from services.haptic_node.node import HapticNode
-from services.haptic_node.sim import SimulatedHaptic
-from services.runtime.normal_numbers import NormalNumbers
+from services.haptic_node.physics.sim import SimulatedHaptic
+from services.numerics.normal_numbers import NormalNumbers
 
 DT = 1e-3
 CONFIG = HapticConfig()

@@ -5,10 +5,10 @@ import shutil
 import pytest
 from handle_line import Line
 
+from services.haptic_node.devices.emulated_handle import FORCE_ZERO, M_PER_COUNT, N_PER_COUNT, POSITION_ZERO
+from services.haptic_node.devices.handle_calibration import sample_raw
 from services.haptic_node.driver import DeviceError
-from services.haptic_node.emulated_handle import FORCE_ZERO, M_PER_COUNT, N_PER_COUNT, POSITION_ZERO
-from services.haptic_node.handle_calibration import sample_raw
-from services.runtime.line_fit import CalibrationError, fit_line
+from services.numerics.line_fit import CalibrationError, fit_line
 
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler: apt install gcc libc6-dev")
 

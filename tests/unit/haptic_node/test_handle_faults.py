@@ -13,8 +13,8 @@ if shutil.which("cc") is None:
 from handle_line import MS, PATH, Line, Rig
 
 from proto.errors import ConfigError
-from services.haptic_node import serial_driver, wire
 from services.haptic_node.config import HapticConfig
+from services.haptic_node.devices import serial_driver, wire
 from services.haptic_node.node import HapticNode
 from services.haptic_node.safety import MODE_OFF, MODE_POSITION
 

@@ -10,7 +10,6 @@ import yaml
 from pydantic import ValidationError
 
 import services.haptic_node
-from services.haptic_node import motor
 from services.haptic_node.config import (
     SERVO_GAINS_V_PER_M,
     DeviceConfig,
@@ -19,8 +18,9 @@ from services.haptic_node.config import (
     LimitsConfig,
 )
 from services.haptic_node.driver import DriveCommand
-from services.haptic_node.operator import FORCE_PROFILE, IMPEDANCE
-from services.haptic_node.sim import SimulatedHaptic
+from services.haptic_node.physics import motor
+from services.haptic_node.physics.operator import FORCE_PROFILE, IMPEDANCE
+from services.haptic_node.physics.sim import SimulatedHaptic
 
 README = Path(services.haptic_node.__file__).with_name("README.md")
 

@@ -8,7 +8,7 @@ from proto.errors import RefusedError
 from services.haptic_node.config import HapticConfig
 from services.haptic_node.driver import DeviceError
 from services.haptic_node.node import HapticNode
-from services.haptic_node.sim import SimulatedHaptic
+from services.haptic_node.physics.sim import SimulatedHaptic
 
 ZERO = (0.0, 0.0, 0.0)
 

@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.haptic_node import safety, sim, step
+from services.haptic_node import safety
 from services.haptic_node.config import HapticConfig
 from services.haptic_node.driver import DeviceError, DriveCommand, HapticDevice
+from services.haptic_node.physics import sim, step
+from services.haptic_node.physics.sim import SimulatedHaptic
+from services.haptic_node.physics.step import HapticInputs
 from services.haptic_node.safety import MODE_FORCE, MODE_OFF, MODE_POSITION
-from services.haptic_node.sim import SimulatedHaptic
-from services.haptic_node.step import HapticInputs
 
 DT = 1e-3
 CONFIGS = {

@@ -6,9 +6,9 @@ import pytest
 
 from services.haptic_node.config import HapticConfig, InteractiveConfig
 from services.haptic_node.node import HapticNode
-from services.haptic_node.sim import SimulatedHaptic
-from services.runtime.config import validate
-from services.runtime.node_state import StateSnapshot, restore
+from services.haptic_node.physics.sim import SimulatedHaptic
+from services.runtime.loop.node_state import StateSnapshot, restore
+from services.runtime.settings.config import validate
 
 
 class Hand:

@@ -11,12 +11,12 @@ if shutil.which("cc") is None:
 from handle_line import PATH, Line, Rig, calibration
 
 from proto.errors import ConfigError, RefusedError
-from services.haptic_node import wire
 from services.haptic_node.config import HapticConfig
+from services.haptic_node.devices import wire
 from services.haptic_node.driver import DeviceError, DriveCommand
+from services.haptic_node.physics.sim import SimulatedHaptic
 from services.haptic_node.safety import MODE_FORCE, MODE_OFF, MODE_POSITION
-from services.haptic_node.sim import SimulatedHaptic
-from telenano.commands.device import handled
+from telenano.cli.commands.device import handled
 
 OFF = DriveCommand(MODE_OFF, 0.0, 0.0)
 

@@ -15,8 +15,8 @@ from pathlib import Path
 import pytest
 
 from services.haptic_node.config import HapticConfig, LimitsConfig
+from services.haptic_node.devices.port import SerialPort, holder_of
 from services.haptic_node.driver import DeviceError
-from services.haptic_node.port import SerialPort, holder_of
 
 # of Linux: the exclusive mark of a terminal
 TIOCGEXCL = 0x80045440
@@ -119,9 +119,9 @@ def test_holder_of_a_port_is_named(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler: apt install gcc libc6-dev")
 def test_handle_on_a_port_is_found_pulled_out_and_found_again(tmp_path: Path) -> None:
-    from services.haptic_node.emulated_handle import EmulatedHandle
-    from services.haptic_node.handle_on_pty import HandleOnPty
-    from services.haptic_node.serial_driver import SerialHandle
+    from services.haptic_node.devices.emulated_handle import EmulatedHandle
+    from services.haptic_node.devices.handle_on_pty import HandleOnPty
+    from services.haptic_node.devices.serial_driver import SerialHandle
 
     link = tmp_path / "by-id/handle"
     port = HandleOnPty(EmulatedHandle(HapticConfig(), session=7), link)

@@ -12,10 +12,10 @@ from services.launcher.external_recording import ExternalRecording
 from services.launcher.processes import StopObserver
 from services.launcher.session import RigNode, SessionNode
 from services.launcher.supervisor import Supervisor
-from services.runtime.bus import Received
-from services.runtime.clock import VirtualClock
-from services.runtime.log import StructuredLog
-from services.runtime.node import NodeContext
+from services.runtime.bus.bus import Received
+from services.runtime.loop.clock import VirtualClock
+from services.runtime.loop.log import StructuredLog
+from services.runtime.loop.node import NodeContext
 
 NODES = ["recorder@master", "afm_node@slave", "haptic_node@master"]
 TICK_NS = 50_000_000

@@ -9,8 +9,8 @@ from proto.errors import ConfigError
 from proto.nodes import LAUNCHER, OPTIONAL_NODES, RECORDER, START_ORDER, STOP_ORDER
 from services.launcher.disk_space import disk_warning
 from services.launcher.plan import ALLOW_REPLAY, UpRequest, anchored, make_plan
-from services.runtime.config import read_yaml
-from services.runtime.main import load_site
+from services.runtime.loop.main import load_site
+from services.runtime.settings.config import read_yaml
 
 
 def request(out: Path, **changes: Any) -> UpRequest:

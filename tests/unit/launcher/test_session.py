@@ -8,8 +8,8 @@ from proto.messages import NodeHealth, SessionEvent
 from proto.sequence import Arrival
 from services.launcher.readiness import READY_DEADLINE_S, oldest_input_s, silent_inputs, unmet
 from services.launcher.session import _Ending
-from services.runtime.bus import Received
-from telenano.live_view import nodes_table, rig_picture
+from services.runtime.bus.bus import Received
+from telenano.cli.live_view import nodes_table, rig_picture
 
 
 def test_a_whole_session() -> None:

@@ -9,7 +9,7 @@ from proto.messages import ClockPing
 from services.launcher.readiness import READY_DEADLINE_S
 from services.launcher.session import SiteNode
 from services.launcher.supervisor import Supervisor
-from telenano.live_view import LineView, rig_picture
+from telenano.cli.live_view import LineView, rig_picture
 
 MASTER = ("recorder@master", "delay_node@master", "controller@master", "haptic_node@master")
 SLAVE = ("afm_node@slave", "controller@slave")

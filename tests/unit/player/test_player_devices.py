@@ -6,11 +6,11 @@ import pytest
 
 from services.afm_node.config import AfmConfig
 from services.afm_node.node import AfmNode
-from services.afm_node.sim import SimulatedAfm
+from services.afm_node.physics.sim import SimulatedAfm
 from services.haptic_node.config import HapticConfig
 from services.haptic_node.node import HapticNode
-from services.haptic_node.sim import SimulatedHaptic
-from services.runtime.node import Node
+from services.haptic_node.physics.sim import SimulatedHaptic
+from services.runtime.loop.node import Node
 
 COMMANDS = {
     "afm_node@slave": ("afm/command", "controller@slave"),

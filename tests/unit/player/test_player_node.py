@@ -22,13 +22,13 @@ from services.player.node import PlayerNode, PlaySettings, ReplayPlan, ReplayPub
 from services.player.playback import Playback, Span
 from services.player.run import ReplayRequest, absent_topics, refused_messages, remote_control, run_replay
 from services.recorder.config import RecorderConfig
-from services.runtime.address_book import AddressBook
-from services.runtime.bus import ZmqBus
-from services.runtime.clock import VirtualClock
-from services.runtime.log import StructuredLog
-from services.runtime.main import load_site
-from services.runtime.node import NodeContext
-from services.runtime.publisher import ZmqPublisher
+from services.runtime.bus.address_book import AddressBook
+from services.runtime.bus.bus import ZmqBus
+from services.runtime.bus.publisher import ZmqPublisher
+from services.runtime.loop.clock import VirtualClock
+from services.runtime.loop.log import StructuredLog
+from services.runtime.loop.main import load_site
+from services.runtime.loop.node import NodeContext
 
 HAND, FAR = "haptic_node@master", "delay_node@slave"
 MakeFile = Callable[..., Path]

@@ -178,7 +178,7 @@ def test_what_held_an_import_up_may_be_over_later(
 def test_a_package_that_loads_the_projects_own_tables_is_tried_without_the_others(
     entries: list[Any], tmp_path: Path
 ) -> None:
-    (tmp_path / "first.py").write_text("import services.haptic_node.operator_models\nLAW = 3\n")
+    (tmp_path / "first.py").write_text("import services.haptic_node.physics.operator_models\nLAW = 3\n")
     entries.append(entry("laws", "first", "first:LAW"))
     assert plugins.load("laws", number).found == {"first": 3}
 

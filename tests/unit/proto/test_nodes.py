@@ -34,8 +34,8 @@ from proto.nodes import (
     site_of,
     sites_of,
 )
-from services.runtime.main import NodeKind, load_site, node_kind
-from services.runtime.scenario import Scenario
+from services.runtime.loop.main import NodeKind, load_site, node_kind
+from services.runtime.settings.scenario import Scenario
 
 ROOT = Path(__file__).resolve().parents[3]
 COMPOSE = [ROOT / "deploy" / name for name in ("docker-compose.yml", "compose.master.yml", "compose.slave.yml")]

@@ -18,12 +18,12 @@ from services.recorder.intake import Intake
 from services.recorder.listener import Listener
 from services.recorder.live import accept_batches
 from services.recorder.node import HELD_S, RecorderBus
-from services.runtime.bus import Subscriber, ZmqBus
-from services.runtime.clock import VirtualClock
-from services.runtime.main import load_site
-from services.runtime.outgoing_batch import DUE_NS, LATEST_NS, OutgoingBatch
-from services.runtime.participant import OBSERVER, open_participant
-from services.runtime.publisher import NullPublisher, ZmqPublisher
+from services.runtime.bus.bus import Subscriber, ZmqBus
+from services.runtime.bus.outgoing_batch import DUE_NS, LATEST_NS, OutgoingBatch
+from services.runtime.bus.publisher import NullPublisher, ZmqPublisher
+from services.runtime.loop.clock import VirtualClock
+from services.runtime.loop.main import load_site
+from services.runtime.loop.participant import OBSERVER, open_participant
 
 HAND, AFM = "haptic_node@master", "afm_node@slave"
 TOPICS_OF = {HAND: ["haptic/state", "node/health", "session/control"], AFM: ["afm/state", "node/health"]}

@@ -5,7 +5,7 @@ import pytest
 from proto import TOPICS
 from proto.errors import ConfigError
 from services.recorder.config import RecorderConfig
-from services.runtime.config import validate
+from services.runtime.settings.config import validate
 
 
 def test_a_yaml_section_becomes_a_configuration() -> None:

@@ -18,8 +18,8 @@ from recording.records import GAP_TOPIC, REJECTED_TOPIC, GapRecord, RejectedReco
 from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake, Listener
-from services.runtime.bus import Subscriber
-from services.runtime.clock import VirtualClock
+from services.runtime.bus.bus import Subscriber
+from services.runtime.loop.clock import VirtualClock
 from services.runtime.security.peer_connections import MessagePermissions
 
 MakeListener = Callable[[str], Listener]

@@ -11,9 +11,9 @@ from proto import encode
 from proto.errors import ConfigError
 from recording.messages import RecordedMessage
 from services.recorder.live import LiveRecording
-from services.runtime.address_book import AddressBook
-from services.runtime.clock import SystemClock
-from services.runtime.publisher import ZmqPublisher
+from services.runtime.bus.address_book import AddressBook
+from services.runtime.bus.publisher import ZmqPublisher
+from services.runtime.loop.clock import SystemClock
 
 HAND, FAR = "haptic_node@master", "delay_node@slave"
 

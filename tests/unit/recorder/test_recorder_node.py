@@ -23,15 +23,15 @@ from services.recorder.__main__ import begin, listeners
 from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake
 from services.recorder.node import RecorderBus, RecorderNode
-from services.runtime.address_book import AddressBook
-from services.runtime.bus import ConnectionEvent, Received
-from services.runtime.clock import SystemClock, VirtualClock
-from services.runtime.log import StructuredLog
-from services.runtime.main import Wiring
-from services.runtime.node import NodeContext, NodeLoop
-from services.runtime.publisher import ZmqPublisher
-from services.runtime.realtime import RealtimeStatus
-from services.runtime.transport import Transport
+from services.runtime.bus.address_book import AddressBook
+from services.runtime.bus.bus import ConnectionEvent, Received
+from services.runtime.bus.publisher import ZmqPublisher
+from services.runtime.bus.transport import Transport
+from services.runtime.loop.clock import SystemClock, VirtualClock
+from services.runtime.loop.log import StructuredLog
+from services.runtime.loop.main import Wiring
+from services.runtime.loop.node import NodeContext, NodeLoop
+from services.runtime.loop.realtime import RealtimeStatus
 
 PATIENCE_S = 30.0
 

@@ -20,12 +20,12 @@ from services.recorder.intake import Intake, Listener
 from services.recorder.node import RecorderNode
 from services.recorder.open_recording import open_recording
 from services.recorder.snapshot_buffer import Entry, SnapshotBuffer
-from services.runtime.bus import Subscriber, ZmqBus
-from services.runtime.clock import VirtualClock
-from services.runtime.config import validate
-from services.runtime.log import StructuredLog
-from services.runtime.node import NodeContext
-from services.runtime.publisher import NullPublisher
+from services.runtime.bus.bus import Subscriber, ZmqBus
+from services.runtime.bus.publisher import NullPublisher
+from services.runtime.loop.clock import VirtualClock
+from services.runtime.loop.log import StructuredLog
+from services.runtime.loop.node import NodeContext
+from services.runtime.settings.config import validate
 
 SECOND_NS = 1_000_000_000
 

@@ -12,8 +12,8 @@ from recording.reader import Recording
 from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake, Listener
-from services.runtime.bus import Subscriber
-from services.runtime.clock import VirtualClock
+from services.runtime.bus.bus import Subscriber
+from services.runtime.loop.clock import VirtualClock
 
 MESSAGES = 8000
 

@@ -9,9 +9,9 @@ from typer.main import get_command
 from services.player.node import SETTERS
 from services.recorder.config import RecorderConfig
 from services.recorder.node import ACTIONS
-from telenano.commands.bag import app
-from telenano.commands.record import record
-from telenano.commands.replay import replay
+from telenano.cli.commands.bag import app
+from telenano.cli.commands.record import record
+from telenano.cli.commands.replay import replay
 
 ROOT = Path(__file__).resolve().parents[3]
 GUIDE = (ROOT / "docs" / "recording.md").read_text(encoding="utf-8")

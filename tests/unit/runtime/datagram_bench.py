@@ -11,10 +11,10 @@ from network_bench import payload
 
 from proto import compose
 from proto.messages import Message
-from services.runtime.address_book import LinkTransport
-from services.runtime.bus import Received, Subscriber
-from services.runtime.clock import VirtualClock
+from services.runtime.bus.address_book import LinkTransport
+from services.runtime.bus.bus import Received, Subscriber
 from services.runtime.datagram.end import DatagramEnd, Outlets, Place
+from services.runtime.loop.clock import VirtualClock
 
 STEP_NS = 10_000_000
 SOURCES = {"teleop/forward": "controller@master", "teleop/backward": "controller@slave"}

@@ -13,12 +13,12 @@ from typing import Any
 
 from proto import TOPICS, Message, encode
 from proto.contract import examples
-from services.runtime.address_book import AddressBook
-from services.runtime.bus import ConnectionEvent, Received, Subscriber
-from services.runtime.clock import VirtualClock
-from services.runtime.publisher import ZmqPublisher
+from services.runtime.bus.address_book import AddressBook
+from services.runtime.bus.bus import ConnectionEvent, Received, Subscriber
+from services.runtime.bus.publisher import ZmqPublisher
+from services.runtime.bus.transport import Transport, open_context
+from services.runtime.loop.clock import VirtualClock
 from services.runtime.security.keyring import Keyring, Role
-from services.runtime.transport import Transport, open_context
 
 PATIENCE_S = 30.0
 TURN_NS = 20_000_000

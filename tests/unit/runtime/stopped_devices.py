@@ -12,17 +12,17 @@ from proto.sequence import Arrival
 from services.afm_node import safety
 from services.afm_node.config import AfmConfig
 from services.afm_node.node import AfmNode
-from services.afm_node.sim import SimulatedAfm
+from services.afm_node.physics.sim import SimulatedAfm
 from services.haptic_node.config import HapticConfig
 from services.haptic_node.node import HapticNode
-from services.haptic_node.sim import SimulatedHaptic
-from services.runtime.bus import Received
-from services.runtime.clock import VirtualClock
-from services.runtime.commands import Command, CommandClient
-from services.runtime.kept_stop import keep
-from services.runtime.log import StructuredLog
-from services.runtime.node import Node, NodeContext, NodeLoop
-from services.runtime.realtime import RealtimeStatus
+from services.haptic_node.physics.sim import SimulatedHaptic
+from services.runtime.bus.bus import Received
+from services.runtime.loop.clock import VirtualClock
+from services.runtime.loop.commands import Command, CommandClient
+from services.runtime.loop.kept_stop import keep
+from services.runtime.loop.log import StructuredLog
+from services.runtime.loop.node import Node, NodeContext, NodeLoop
+from services.runtime.loop.realtime import RealtimeStatus
 
 TIP, HAND = "afm_node@slave", "haptic_node@master"
 DEVICES = (TIP, HAND)

@@ -6,8 +6,8 @@ from types import ModuleType
 
 import pytest
 
-from services.runtime.code_digest import code_digest
-from services.runtime.compiled import chosen_step
+from services.numerics.code_digest import code_digest
+from services.numerics.compiled import chosen_step
 
 FORCES = '''
 from typing import NamedTuple
@@ -63,7 +63,7 @@ def modules(name: str = "", old: str = "", new: str = "") -> dict[str, str]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(sys.modules, "forces", forces)
         # "services." makes a module ours, whose attributes are looked into
-        patch.setattr("services.runtime.code_digest._OWN_PACKAGES", ("forces",))
+        patch.setattr("services.numerics.code_digest._OWN_PACKAGES", ("forces",))
         exec(sources["forces"], vars(forces))
         steps = {forces.Spring: forces.spring, forces.Wall: forces.wall}
         loop.force_of = chosen_step(lambda kind: steps[kind])  # type: ignore[attr-defined]
@@ -119,9 +119,9 @@ def test_it_changes_with_what_is_compiled_into_it(name: str, old: str, new: str,
 def test_the_code_of_a_package_counts_whole(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     (tmp_path / "my_law.py").write_text("def step(x):\n    return x\n")
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setattr("services.runtime.code_digest.modules", lambda: ("my_law.",))
+    monkeypatch.setattr("services.numerics.code_digest.modules", lambda: ("my_law.",))
     digests = iter(("sha256:1", "sha256:2", "sha256:2"))
-    monkeypatch.setattr("services.runtime.code_digest.digest_of", lambda module: next(digests))
+    monkeypatch.setattr("services.numerics.code_digest.digest_of", lambda module: next(digests))
     import my_law  # type: ignore[import-not-found]
 
     assert code_digest(my_law.step) != code_digest(my_law.step)

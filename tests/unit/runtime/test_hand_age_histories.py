@@ -3,8 +3,8 @@
 import pytest
 
 from proto.messages import LinkDelay
-from services.runtime.clock import NEVER_NS
-from services.runtime.freshness import _MOST_CHANGES, LOOP_DEADLINE_NS, DelayHistory, HandAge, StallDetector
+from services.runtime.loop.clock import NEVER_NS
+from services.runtime.loop.freshness import _MOST_CHANGES, LOOP_DEADLINE_NS, DelayHistory, HandAge, StallDetector
 
 MS = 1_000_000
 START_NS = 1_750_000_000 * 10**9

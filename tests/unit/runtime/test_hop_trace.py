@@ -6,12 +6,12 @@ import logging
 import pytest
 import zmq
 
-from services.runtime import hop_trace
-from services.runtime.bus import Subscriber, ZmqBus
-from services.runtime.clock import SystemClock
-from services.runtime.hop_trace import PARTS, HopTrace
-from services.runtime.log import StructuredLog
-from services.runtime.publisher import ZmqPublisher
+from services.runtime.bus.bus import Subscriber, ZmqBus
+from services.runtime.bus.publisher import ZmqPublisher
+from services.runtime.loop import hop_trace
+from services.runtime.loop.clock import SystemClock
+from services.runtime.loop.hop_trace import PARTS, HopTrace
+from services.runtime.loop.log import StructuredLog
 
 
 def test_a_hop_is_divided_into_its_parts() -> None:

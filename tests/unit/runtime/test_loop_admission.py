@@ -10,12 +10,12 @@ from proto.messages import SUPERSEDED, SessionControl, SessionEvent
 from proto.sequence import Arrival
 from services.afm_node.config import AfmConfig
 from services.afm_node.node import AfmNode
-from services.afm_node.sim import SimulatedAfm
-from services.runtime.bus import Received
-from services.runtime.clock import NEVER_NS, VirtualClock
-from services.runtime.log import StructuredLog
-from services.runtime.node import HELD_UP_NS, STARTING_PERIOD_NS, DeviceDelay, NodeContext, NodeLoop
-from services.runtime.realtime import RealtimeStatus
+from services.afm_node.physics.sim import SimulatedAfm
+from services.runtime.bus.bus import Received
+from services.runtime.loop.clock import NEVER_NS, VirtualClock
+from services.runtime.loop.log import StructuredLog
+from services.runtime.loop.node import HELD_UP_NS, STARTING_PERIOD_NS, DeviceDelay, NodeContext, NodeLoop
+from services.runtime.loop.realtime import RealtimeStatus
 
 PLAIN = RealtimeStatus(fifo=False, memory_locked=False)
 

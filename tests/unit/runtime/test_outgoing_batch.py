@@ -1,8 +1,8 @@
 """Copies for a recorder: when they go out, in which order, and that nothing of them is left behind."""
 
 from proto.batch import Batch, SentCopy, read_batch
-from services.runtime.clock import VirtualClock
-from services.runtime.outgoing_batch import DUE_NS, LATEST_NS, OutgoingBatch
+from services.runtime.bus.outgoing_batch import DUE_NS, LATEST_NS, OutgoingBatch
+from services.runtime.loop.clock import VirtualClock
 
 NEVER_NS = 2**62
 

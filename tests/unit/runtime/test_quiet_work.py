@@ -1,5 +1,5 @@
-from services.runtime.clock import NEVER_NS
-from services.runtime.quiet_work import QuietWork
+from services.runtime.loop.clock import NEVER_NS
+from services.runtime.loop.quiet_work import QuietWork
 
 MS = 1_000_000
 PAUSE_NS = 200_000

@@ -9,9 +9,9 @@ import pytest
 from proto import TOPICS
 from proto.errors import ConfigError, EndpointError
 from proto.nodes import site_of
-from services.runtime.address_book import AddressBook, NodeEntry, may_carry
-from services.runtime.config import read_yaml, validate
-from services.runtime.local_endpoint import runtime_directory
+from services.runtime.bus.address_book import AddressBook, NodeEntry, may_carry
+from services.runtime.bus.local_endpoint import runtime_directory
+from services.runtime.settings.config import read_yaml, validate
 
 TWO_SITES = Path(__file__).resolve().parents[3] / "presets" / "sites" / "two_sites.yaml"
 NODES = (

@@ -23,9 +23,9 @@ from proto.errors import EndpointError
 from proto.messages import AfmState, HapticState, SessionControl
 from proto.nodes import NODES, name_of
 from proto.sequence import Arrival
-from services.runtime.bus import QUEUE_S, RECEIVE_HIGH_WATER_MARK, Received, Subscriber, ZmqBus, split_frames
-from services.runtime.clock import SystemClock, VirtualClock
-from services.runtime.publisher import SEND_HIGH_WATER_MARK, NullPublisher, ZmqPublisher
+from services.runtime.bus.bus import QUEUE_S, RECEIVE_HIGH_WATER_MARK, Received, Subscriber, ZmqBus, split_frames
+from services.runtime.bus.publisher import SEND_HIGH_WATER_MARK, NullPublisher, ZmqPublisher
+from services.runtime.loop.clock import SystemClock, VirtualClock
 
 Context = zmq.Context[zmq.Socket[bytes]]
 MOST_TRACKERS = 1024
@@ -509,8 +509,8 @@ def test_an_ipc_endpoint_in_use_names_its_holder(context: Context, endpoint: str
 
 HOLDER = """
 import sys, zmq
-from services.runtime.publisher import ZmqPublisher
-from services.runtime.clock import SystemClock
+from services.runtime.bus.publisher import ZmqPublisher
+from services.runtime.loop.clock import SystemClock
 holder = ZmqPublisher(zmq.Context(), SystemClock(), "afm_node@slave", sys.argv[1])
 print("holding", flush=True)
 sys.stdin.read()
@@ -708,8 +708,8 @@ def test_ten_seconds_of_the_busiest_publisher_wait_for_its_readers() -> None:
 
 READER = """
 import sys, time, zmq
-from services.runtime.bus import Subscriber
-from services.runtime.clock import SystemClock
+from services.runtime.bus.bus import Subscriber
+from services.runtime.loop.clock import SystemClock
 reader = Subscriber(zmq.Context(), SystemClock(), {sys.argv[1]: ["clock/ping"]}, newest_only=True, queue_s=0.2)
 while True:
     reader.socket.poll(100)

@@ -4,7 +4,7 @@ import random
 
 import pytest
 
-from services.runtime.clock_offset import Exchange, OffsetFilter
+from services.runtime.loop.clock_offset import Exchange, OffsetFilter
 
 
 def exchange(offset_ns: int, there_ns: int, back_ns: int, sent_ns: int = 10**18, spent_ns: int = 5_000) -> Exchange:

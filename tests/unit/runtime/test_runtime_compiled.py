@@ -7,14 +7,14 @@ from pathlib import Path
 
 import pytest
 
-from services.runtime.compiled import CACHE_DAYS, cache_directory, clean_cache, source_digest
+from services.numerics.compiled import CACHE_DAYS, cache_directory, clean_cache, source_digest
 
 ROOT = Path(__file__).parents[3]
 USERS_CACHE = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
 
 MODULE = """
 from typing import NamedTuple
-from services.runtime.compiled import compiled
+from services.numerics.compiled import compiled
 
 class State(NamedTuple):
     position_m: float
@@ -33,7 +33,7 @@ def calls_unmarked(x):
 """
 PROGRAM = """
 import model
-from services.runtime.compiled import compiled_form
+from services.numerics.compiled import compiled_form
 step = compiled_form(model.step)
 assert step(model.State(1.0, 0), 0.25) == model.step(model.State(1.0, 0), 0.25) == (1.5, 1)
 print(type(model.step).__name__, type(step).__name__)
@@ -114,8 +114,8 @@ def test_a_step_is_compiled_into_that_folder(tmp_path: Path) -> None:
 SPOIL = """
 import logging, pathlib, model
 from numba.core import config
-from services.runtime import compile_cache
-from services.runtime.compiled import cache_directory, compiled, compiled_form
+from services.numerics import compile_cache
+from services.numerics.compiled import cache_directory, compiled, compiled_form
 
 def run():
     said.clear()
@@ -164,11 +164,11 @@ def test_damaged_compiled_code_is_compiled_again_and_what_cannot_be_kept_is_used
 # edits its own sources, and imports them as a process that starts then would
 EDIT = """
 import importlib, pathlib, sys
-from services.runtime.compiled import cache_directory, compiled_form
+from services.numerics.compiled import cache_directory, compiled_form
 
 FORCE = '''
 from typing import NamedTuple
-from services.runtime.compiled import compiled
+from services.numerics.compiled import compiled
 
 class Spring(NamedTuple):
     k: float
@@ -187,7 +187,7 @@ def wall(params, x):
 '''
 LOOP = '''
 import force
-from services.runtime.compiled import chosen_step, compiled
+from services.numerics.compiled import chosen_step, compiled
 
 STEPS = {force.Spring: force.spring, force.Wall: force.wall}
 step = chosen_step(lambda kind: STEPS[kind])
@@ -260,7 +260,11 @@ print(hashlib.sha256(done["scaled_tip_force_n"].tobytes() + done["time_s"].tobyt
 
 @pytest.mark.parametrize(
     "before",
-    ["import studies", "from services.controller.law_rules import known_law", "import services.afm_node.cantilever"],
+    [
+        "import studies",
+        "from services.controller.law_rules import known_law",
+        "import services.afm_node.physics.cantilever",
+    ],
 )
 def test_a_simulation_does_not_depend_on_what_was_imported_before(tmp_path: Path, before: str) -> None:
     found = {run_step(tmp_path, f"{first}\n{LOCKSTEP}", XDG_CACHE_HOME=USERS_CACHE) for first in ("", before)}
@@ -275,7 +279,7 @@ def test_a_simulation_without_the_compiler_gives_the_same_bits(tmp_path: Path) -
 def test_what_is_not_marked_is_named_by_the_compiler(tmp_path: Path) -> None:
     program = """
 import model
-from services.runtime.compiled import compiled_form
+from services.numerics.compiled import compiled_form
 try:
     compiled_form(model.calls_unmarked)(1.0)
 except Exception as error:

@@ -10,7 +10,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field
 
 from proto.errors import ConfigError, TelenanoError
-from services.runtime.config import (
+from services.runtime.settings.config import (
     environment_overrides,
     flag_overrides,
     layered,
@@ -19,7 +19,7 @@ from services.runtime.config import (
     read_yaml,
     validate,
 )
-from services.runtime.scenario import Scenario
+from services.runtime.settings.scenario import Scenario
 
 
 class Strict(BaseModel):

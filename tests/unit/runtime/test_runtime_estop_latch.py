@@ -11,10 +11,10 @@ from stopped_devices import HAND, MS, TIP, World
 
 from proto import encode
 from proto.messages import SessionControl
-from services.runtime.clock import process_start_ns
-from services.runtime.commands import stop_of
-from services.runtime.estop_latch import EstopLatch, begins_motion
-from services.runtime.kept_stop import forget, keep, kept
+from services.runtime.loop.clock import process_start_ns
+from services.runtime.loop.commands import stop_of
+from services.runtime.loop.estop_latch import EstopLatch, begins_motion
+from services.runtime.loop.kept_stop import forget, keep, kept
 
 SECOND = 1_000_000_000
 

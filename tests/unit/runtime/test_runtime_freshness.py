@@ -5,7 +5,7 @@ import pytest
 from proto import TOPICS
 from proto.messages import LinkDelay
 from proto.topics import LOOP_DEADLINE_S, deadline_of
-from services.runtime.freshness import LOOP_DEADLINE_NS, HandAge, StallDetector, age_s
+from services.runtime.loop.freshness import LOOP_DEADLINE_NS, HandAge, StallDetector, age_s
 
 MS = 1_000_000
 START_NS = 1_750_000_000 * 10**9

@@ -7,11 +7,11 @@ import pytest
 from datagram_bench import Pair, Side, pair
 from fuzz_datagrams import CAUSES, Datagrams
 
-from services.runtime.clock_offset import OffsetFilter
 from services.runtime.datagram.account import MOST_ROWS, SETTLE_NS, ArrivalAccount
 from services.runtime.datagram.body import BOUND, DATAGRAMS_OF, REPORT
 from services.runtime.datagram.end import DatagramEnd
 from services.runtime.datagram.replay_window import WINDOW, ReplayWindow
+from services.runtime.loop.clock_offset import OffsetFilter
 
 # TELENANO_FUZZ_DATAGRAMS in the environment replaces it, for a longer search
 COUNT = int(os.environ.get("TELENANO_FUZZ_DATAGRAMS", 1500))

@@ -13,9 +13,17 @@ import pytest
 from pydantic import BaseModel, ConfigDict, Field
 
 from proto.errors import ConfigError
-from services.runtime.bus import Received
-from services.runtime.main import EXIT_BAD_START, NodeKind, load_site, node_kind, ordinary, parse_arguments, run_node
-from services.runtime.node import Node, NodeContext
+from services.runtime.bus.bus import Received
+from services.runtime.loop.main import (
+    EXIT_BAD_START,
+    NodeKind,
+    load_site,
+    node_kind,
+    ordinary,
+    parse_arguments,
+    run_node,
+)
+from services.runtime.loop.node import Node, NodeContext
 from services.runtime.security.keyring import Keyring
 
 SCENARIO = """

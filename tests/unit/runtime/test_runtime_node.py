@@ -20,12 +20,12 @@ from proto.journal_messages import NodeJournal
 from proto.messages import MAX_TEXT, InputHealth, NodeHealth, SessionControl, SessionEvent
 from proto.ranges import limited
 from proto.sequence import Arrival
-from services.runtime import journal
-from services.runtime.bus import ConnectionEvent, Received
-from services.runtime.clock import VirtualClock
-from services.runtime.deadlines import PeriodicDeadline
-from services.runtime.log import StructuredLog
-from services.runtime.node import (
+from services.runtime.bus.bus import ConnectionEvent, Received
+from services.runtime.loop import journal
+from services.runtime.loop.clock import VirtualClock
+from services.runtime.loop.deadlines import PeriodicDeadline
+from services.runtime.loop.log import StructuredLog
+from services.runtime.loop.node import (
     HEALTH_PERIOD_NS,
     Node,
     NodeContext,
@@ -33,7 +33,7 @@ from services.runtime.node import (
     install_stop_signals,
     resident_bytes,
 )
-from services.runtime.realtime import RealtimeStatus
+from services.runtime.loop.realtime import RealtimeStatus
 
 MS = 1_000_000
 GRANTED = RealtimeStatus(fifo=True, memory_locked=False)

@@ -11,11 +11,11 @@ import pytest
 from proto.errors import RecordingError
 from proto.messages import HapticCommand
 from services.controller.law import HandSample
-from services.runtime.clock import VirtualClock
-from services.runtime.deadlines import PeriodicDeadline
-from services.runtime.log import StructuredLog
-from services.runtime.node import Node, NodeContext
-from services.runtime.node_state import FindInput, StateSnapshot, restore
+from services.runtime.loop.clock import VirtualClock
+from services.runtime.loop.deadlines import PeriodicDeadline
+from services.runtime.loop.log import StructuredLog
+from services.runtime.loop.node import Node, NodeContext
+from services.runtime.loop.node_state import FindInput, StateSnapshot, restore
 
 COMMAND = HapticCommand(
     seq=3, t_ns=4, src="a@b", v=1, mode="off", position_m=(0.0, -0.0, 1e-300), velocity_m_per_s=(0.0, 0.0, 0.0),
@@ -123,8 +123,8 @@ def test_what_has_no_form_gives_no_state_and_disturbs_nothing(value: object) -> 
         b"",
         b"\xc1",
         msgpack.packb({"sample": ["tuple", "os:system", ["true"]]}),
-        msgpack.packb({"sample": ["tuple", "services.runtime.main:run_node", []]}),
-        msgpack.packb({"sample": ["tuple", "services.runtime.clock:SystemClock", []]}),
+        msgpack.packb({"sample": ["tuple", "services.runtime.loop.main:run_node", []]}),
+        msgpack.packb({"sample": ["tuple", "services.runtime.loop.clock:SystemClock", []]}),
         msgpack.packb({"sample": ["tuple", "services.controller.law:HandSample", [1.0]]}),
         msgpack.packb({"missing": ["parts", {}]}),
         msgpack.packb({"sample": ["unknown", []]}),

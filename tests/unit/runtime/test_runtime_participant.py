@@ -11,12 +11,12 @@ import pytest
 import zmq
 
 from proto.errors import ConfigError, EndpointError
-from services.runtime.address_book import AddressBook
-from services.runtime.bus import Received
-from services.runtime.clock import VirtualClock
-from services.runtime.node import Node, NodeContext
-from services.runtime.participant import OBSERVER, Participant, StopSignals, open_participant, run_loop
-from services.runtime.publisher import NullPublisher
+from services.runtime.bus.address_book import AddressBook
+from services.runtime.bus.bus import Received
+from services.runtime.bus.publisher import NullPublisher
+from services.runtime.loop.clock import VirtualClock
+from services.runtime.loop.node import Node, NodeContext
+from services.runtime.loop.participant import OBSERVER, Participant, StopSignals, open_participant, run_loop
 
 HAND, LINK = "haptic_node@master", "delay_node@master"
 

@@ -15,9 +15,9 @@ import pytest
 from pydantic import ValidationError
 
 from proto.errors import ConfigError
-from services.runtime import realtime
-from services.runtime.log import StructuredLog
-from services.runtime.realtime import (
+from services.runtime.loop import realtime
+from services.runtime.loop.log import StructuredLog
+from services.runtime.loop.realtime import (
     RealtimeConfig,
     apply_realtime,
     die_with_parent,
@@ -289,7 +289,7 @@ def test_every_key_is_described() -> None:
 
 _IN_A_PROCESS_OF_ITS_OWN = """
 import ctypes, mmap, sys
-from services.runtime.realtime import use_huge_pages
+from services.runtime.loop.realtime import use_huge_pages
 size = 8 << 20
 full, sparse = (mmap.mmap(-1, 2 * size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS) for _ in range(2))
 full.write(bytes(range(256)) * (2 * size // 256))

@@ -6,7 +6,7 @@ import pytest
 
 from proto.messages import SessionEvent
 from proto.sequence import Arrival, SequenceTracker
-from services.runtime.replay_guard import ReplayGuard
+from services.runtime.loop.replay_guard import ReplayGuard
 
 SECOND_NS = 1_000_000_000
 HEALTH = {

@@ -9,7 +9,7 @@ import zmq
 from zmq.utils import z85
 
 from proto.errors import ConfigError
-from services.runtime.address_book import AddressBook
+from services.runtime.bus.address_book import AddressBook
 from services.runtime.security.access_control import AccessControl, check_keys
 from services.runtime.security.keyring import AllowedKey, KeyPair, Keyring, key_text, keys_directory, this_machine
 

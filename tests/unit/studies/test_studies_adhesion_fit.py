@@ -8,9 +8,9 @@ import pytest
 
 from proto.errors import ConfigError
 from services.afm_node.config import AfmConfig
-from studies.adhesion_fit import fit_adhesion
-from studies.curve_models import compare_models
-from studies.force_curve import Curve, force_curve, read_measured
+from studies.instrument.adhesion_fit import fit_adhesion
+from studies.instrument.curve_models import compare_models
+from studies.instrument.force_curve import Curve, force_curve, read_measured
 
 DATA = Path(__file__).parents[4] / "shared" / "data" / "SiN_FD_plot.ibw"
 SOFT = AfmConfig.model_validate({"cantilever": {"stiffness_n_per_m": 8.0}})

@@ -7,14 +7,14 @@ import pytest
 
 from services.controller.config import LAWS
 from services.haptic_node.config import ARMS
-from studies import lockstep
-from studies.advice import CANDIDATES, Question, advise, cells_of, in_words
-from studies.cells import Cell, CellResult, Hand, run_cell, trajectory_of
-from studies.merits import Network, Sample, Trial
-from studies.stability import Jitter
-from studies.sweep import Journal, Sweep
-from studies.theory import critical_delay_s, loop_model
-from studies.tuning import tuned
+from studies.loops import lockstep
+from studies.loops.advice import CANDIDATES, Question, advise, cells_of, in_words
+from studies.loops.cells import Cell, CellResult, Hand, run_cell, trajectory_of
+from studies.loops.merits import Network, Sample, Trial
+from studies.loops.stability import Jitter
+from studies.loops.sweep import Journal, Sweep
+from studies.loops.theory import critical_delay_s, loop_model
+from studies.loops.tuning import tuned
 
 
 def cell(hand: Any = "ordinary", **changes: Any) -> Cell:

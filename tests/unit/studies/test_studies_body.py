@@ -9,11 +9,11 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from services.afm_node.config import SafetyConfig
+from services.afm_node.physics import body as model
+from services.afm_node.physics.body import BodyParams, body_params
 from services.afm_node.safety import SafetyParams
-from studies import body as model
-from studies import lockstep
-from studies.body import BodyParams, body_params
-from studies.cells import Cell, run_cell
+from studies.loops import lockstep
+from studies.loops.cells import Cell, run_cell
 
 DT = 1e-3
 pushed: Any = model.pushed

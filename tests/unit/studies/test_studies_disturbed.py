@@ -8,12 +8,12 @@ import pytest
 from proto.errors import ConfigError
 from services.afm_node import safety
 from services.afm_node.config import AfmConfig
-from services.afm_node.disturbances import DisturbanceConfig
-from services.afm_node.disturbed import DisturbedAfm
-from services.afm_node.step import AfmInputs
+from services.afm_node.physics.disturbances import DisturbanceConfig
+from services.afm_node.physics.disturbed import DisturbedAfm
+from services.afm_node.physics.step import AfmInputs
 from studies import option_values
-from studies.cells import Cell, course_of, run_cell
-from studies.disturbed import disturbed_params, initial_state, step
+from studies.loops.cells import Cell, course_of, run_cell
+from studies.loops.disturbed import disturbed_params, initial_state, step
 
 AFM = AfmConfig.model_validate({"cantilever": {"stiffness_n_per_m": 2.0}}).to_params()
 ALL = {

@@ -10,8 +10,8 @@ import pytest
 
 from proto.errors import ConfigError, RigError
 from services.afm_node.config import AfmConfig
-from studies.curve_models import compare_models
-from studies.force_curve import curve_of_samples, force_curve, marks_of, read_measured, write_hdf5
+from studies.instrument.curve_models import compare_models
+from studies.instrument.force_curve import curve_of_samples, force_curve, marks_of, read_measured, write_hdf5
 
 DATA = Path(__file__).parents[4] / "shared" / "data" / "SiN_FD_plot.ibw"
 

@@ -4,7 +4,7 @@ import pytest
 
 from proto.errors import ConfigError
 from services.afm_node.config import AfmConfig
-from studies.instrument_calibration import calibrate_sensitivity, calibrate_stiffness
+from studies.instrument.instrument_calibration import calibrate_sensitivity, calibrate_stiffness
 
 # Q of 20: a resonance that is wide needs a short record
 QUICK = AfmConfig.model_validate({"cantilever": {"quality": 20.0}})

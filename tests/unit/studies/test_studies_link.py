@@ -5,8 +5,8 @@ import pytest
 
 from proto.errors import ConfigError
 from services.delay_node.config import parse_settings
-from studies import link
-from studies.link import schedule_of, symmetric_link
+from studies.loops import link
+from studies.loops.link import schedule_of, symmetric_link
 
 PERIOD_S = 1e-3
 

@@ -5,15 +5,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services.afm_node import step as afm
 from services.afm_node.config import AfmConfig
+from services.afm_node.physics import step as afm
 from services.afm_node.safety import MODE_FOLLOW
 from services.controller.config import LAWS
 from services.controller.law import NO_SIGNAL, HandSample
 from services.controller.laws.virtual_impedance import MasterState, VirtualImpedanceConfig, master_receive
-from studies import lockstep
-from studies.cells import Cell, course_of, rig_of, trajectory_of
-from studies.link import schedule_of, symmetric_link
+from studies.loops import lockstep
+from studies.loops.cells import Cell, course_of, rig_of, trajectory_of
+from studies.loops.link import schedule_of, symmetric_link
 
 PERIOD_S = 1e-3
 FIG12 = ((0.8, 0.0), (1.2, 1.0), (2.6, 1.0), (2.9, 2.0), (4.5, 2.0), (4.6, 0.0))

@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from studies import lockstep
-from studies.cells import Cell, CellResult, Hand, run_cell
-from studies.promises import (
+from studies.loops import lockstep
+from studies.loops.cells import Cell, CellResult, Hand, run_cell
+from studies.loops.promises import (
     BURST_LOSSES,
     HANDS,
     LOSSES,
@@ -21,7 +21,7 @@ from studies.promises import (
     drawn_cells,
     outcomes,
 )
-from studies.sweep import Journal, Sweep
+from studies.loops.sweep import Journal, Sweep
 
 SEEDS = range(25)
 LINKS = ((60.0, 15.0, 0.5), (200.0, 50.0, 0.2), (500.0, 125.0, 0.2))

@@ -4,8 +4,8 @@ import re
 from pathlib import Path
 
 from services.controller.config import LAWS
-from studies.theory import critical_delay_s, loop_model
-from studies.tuning import tuned
+from studies.loops.theory import critical_delay_s, loop_model
+from studies.loops.tuning import tuned
 
 README = (Path(__file__).resolve().parents[3] / "README.md").read_text(encoding="utf-8")
 NAMES = {

@@ -14,8 +14,8 @@ from recording.writer import RecordingWriter
 from services.delay_node.engine import fates_of
 from services.delay_node.fate import Fate
 from services.recorder.config import RecorderConfig
-from studies.link import BACKWARD_TOPIC, FORWARD_TOPIC, MESSAGE_BYTES, schedule_of, symmetric_link
-from studies.recorded_link import recorded_schedule
+from studies.loops.link import BACKWARD_TOPIC, FORWARD_TOPIC, MESSAGE_BYTES, schedule_of, symmetric_link
+from studies.loops.recorded_link import recorded_schedule
 
 MS = 1_000_000
 EPOCH_NS = 10**18

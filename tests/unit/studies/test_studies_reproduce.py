@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from proto.errors import RigError
-from studies import reproduce as module
-from studies.curve_models import ModelRow
-from studies.live_figures import TactilePath
-from studies.reproduce import FIGURES, equations, reproduce
+from studies.instrument.curve_models import ModelRow
+from studies.pages import reproduce as module
+from studies.pages.live_figures import TactilePath
+from studies.pages.reproduce import FIGURES, equations, reproduce
 
 
 def test_every_equation_is_within_the_digits_of_its_expected_value():

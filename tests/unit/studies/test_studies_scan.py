@@ -7,11 +7,11 @@ import pytest
 
 from proto.errors import ConfigError
 from services.afm_node.config import AfmConfig
-from services.afm_node.imaging import ERROR, FORCE, HEIGHT, LATERAL
-from services.afm_node.sample import SampleConfig
-from services.afm_node.surface import checked, grating
-from studies.force_curve import force_curve
-from studies.scan import ScanRequest, scan
+from services.afm_node.physics.sample.made_samples import SampleConfig
+from services.afm_node.physics.sample.surface import checked, grating
+from services.afm_node.programs.imaging import ERROR, FORCE, HEIGHT, LATERAL
+from studies.instrument.force_curve import force_curve
+from studies.instrument.scan import ScanRequest, scan
 
 DATA = Path(__file__).parents[4] / "shared" / "data" / "spot_1-1000nm.ibw"
 DOTS = SampleConfig(name="dots", pixels=256)
@@ -69,7 +69,7 @@ def test_tapping_holds_its_amplitude_over_a_dot():
 
 def swing(gain_per_s: float, monkeypatch: pytest.MonkeyPatch) -> float:
     """Give the error of the amplitude a millisecond after an edge of 1 nm, without a proportional gain."""
-    monkeypatch.setattr("studies.scan.gain_fault", lambda *_: "")
+    monkeypatch.setattr("studies.instrument.scan.gain_fault", lambda *_: "")
     request = ScanRequest(pixels=200, lines=1, dwell_s=2e-4, gain_per_s=gain_per_s, proportional=0.0)
     found = scan(grating(400e-9, 128, 400e-9, 1e-9), request, CONFIG)
     return float(np.abs(found.trace[0, -12:, ERROR]).max())

@@ -13,10 +13,9 @@ import pytest
 from proto.errors import ConfigError
 from services.afm_node.safety import MODE_HOLD, MODE_RETRACTING
 from services.viz_node.figure_style import VERDICTS
-from studies import sweep as sweep_module
-from studies.cells import Cell, CellResult, Hand, judged, run_cell, trajectory_of
-from studies.page import Page
-from studies.stability import (
+from studies.loops import sweep as sweep_module
+from studies.loops.cells import Cell, CellResult, Hand, judged, run_cell, trajectory_of
+from studies.loops.stability import (
     Axes,
     Edge,
     Jitter,
@@ -28,8 +27,9 @@ from studies.stability import (
     run_stability,
     theory_of,
 )
-from studies.stability_page import broken_assumption, summarise, write_stability
-from studies.sweep import Journal, Sweep
+from studies.loops.sweep import Journal, Sweep
+from studies.pages.page import Page
+from studies.pages.stability_page import broken_assumption, summarise, write_stability
 
 
 def axes(**changes: Any) -> Axes:
@@ -130,7 +130,7 @@ def test_key_of_a_cell_names_all_of_it() -> None:
 def test_key_follows_the_sources(monkeypatch: pytest.MonkeyPatch) -> None:
     cell = Cell(law="wave", environment="spring", round_trip_ms=1.0, stiffness_n_per_m=10.0)
     before = cell.key
-    monkeypatch.setattr("studies.cells._sources", lambda: "edited")
+    monkeypatch.setattr("studies.loops.cells._sources", lambda: "edited")
     assert cell.key != before
 
 

@@ -10,8 +10,8 @@ from services.controller.laws.position_force import PositionForceConfig
 from services.controller.laws.virtual_impedance import VirtualImpedanceConfig
 from services.controller.laws.wave import WaveConfig
 from services.haptic_node.config import DeviceConfig
-from services.haptic_node.motor import closed_loop_coefficients
-from studies.theory import (
+from services.haptic_node.physics.motor import closed_loop_coefficients
+from studies.loops.theory import (
     Arm,
     Device,
     LoopModel,

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from services.haptic_node.config import DeviceConfig
-from services.haptic_node.motor import closed_loop_coefficients
-from studies.cells import Cell
-from studies.transparency import FREQUENCY_HZ, Spectrum, drift_m, hand_programme, measure, spectrum
+from services.haptic_node.physics.motor import closed_loop_coefficients
+from studies.loops.cells import Cell
+from studies.loops.transparency import FREQUENCY_HZ, Spectrum, drift_m, hand_programme, measure, spectrum
 
 
 def cell(delay_ms: float, **more: Any) -> Cell:

@@ -12,14 +12,14 @@ from services.afm_node.config import AfmConfig
 from services.controller.config import ControllerConfig
 from services.delay_node.config import parse_settings
 from services.haptic_node.config import HapticConfig
-from services.runtime.config import validate
-from services.runtime.scenario import Scenario
-from studies import validate as study
-from studies.cells import Cell, trajectory_of
-from studies.link import symmetric_link
-from studies.lockstep import Trajectory
-from studies.sample import drawn_cells
-from studies.validate import Agreement, Bus, StudyError, bus_edges, compare, draws_of, run_on_bus, scenario_of
+from services.runtime.settings.config import validate
+from services.runtime.settings.scenario import Scenario
+from studies.loops import validate as study
+from studies.loops.cells import Cell, trajectory_of
+from studies.loops.link import symmetric_link
+from studies.loops.lockstep import Trajectory
+from studies.loops.sample import drawn_cells
+from studies.loops.validate import Agreement, Bus, StudyError, bus_edges, compare, draws_of, run_on_bus, scenario_of
 
 
 def cell(**changes: Any) -> Cell:

@@ -13,8 +13,8 @@ from recorder_samples import sample
 
 import telenano
 from proto.errors import ConfigError, RecordingError, RigError
-from services.runtime.clock import SystemClock
-from services.runtime.publisher import ZmqPublisher
+from services.runtime.bus.publisher import ZmqPublisher
+from services.runtime.loop.clock import SystemClock
 
 WAVE = Path(__file__).resolve().parents[2] / "replay" / "wave.mcap"
 

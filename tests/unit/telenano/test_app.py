@@ -14,11 +14,11 @@ from typer.testing import CliRunner
 
 from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE, site_file_named
 from proto.errors import RigError
-from services.runtime.main import node_kind, parse_arguments, run_node
-from telenano.lazy_commands import GROUPS as HEADINGS
-from telenano.lazy_commands import LAZY_COMMANDS, load
-from telenano.root import app
-from telenano.tables import rows_table
+from services.runtime.loop.main import node_kind, parse_arguments, run_node
+from telenano.cli.lazy_commands import GROUPS as HEADINGS
+from telenano.cli.lazy_commands import LAZY_COMMANDS, load
+from telenano.cli.root import app
+from telenano.cli.tables import rows_table
 
 DOCUMENTATION = Path(__file__).parents[3] / "docs" / "cli.md"
 RUNNER = CliRunner()
@@ -156,12 +156,12 @@ def test_an_unknown_key_in_a_file_is_named_with_the_file(tmp_path: Path) -> None
 
 
 def test_what_overrides_a_profile_is_one_line_on_the_terminal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import telenano.commands.up
+    import telenano.cli.commands.up
 
     def end(*_: object) -> None:
         raise RigError("the rig would begin here")
 
-    monkeypatch.setattr(telenano.commands.up, "run_rig", end)
+    monkeypatch.setattr(telenano.cli.commands.up, "run_rig", end)
     satellite = ("up", "--scenario", "fig12", "--out", str(tmp_path), "--set", "delay_node.profile=satellite")
     assert run(*satellite)[2] == "telenano: the rig would begin here\n"
     for more in ((), ("--json",)):
@@ -242,7 +242,7 @@ def test_a_topic_that_stays_silent_is_said_to(tmp_path: Path, monkeypatch: pytes
     (tmp_path / "run").mkdir(mode=0o700)
     # as a rig leaves it that was killed with all its nodes
     (tmp_path / "run" / "afm_node@slave").touch()
-    monkeypatch.setattr("telenano.commands.topic._SILENCE_S", 0.01)
+    monkeypatch.setattr("telenano.cli.commands.topic._SILENCE_S", 0.01)
     code, _, err = run("topic", "echo", "afm/state", "--duration", "0.2")
     assert code == 1
     assert "telenano: nothing was received on afm/state within 0.01 s: is `telenano up` running" in err
@@ -309,7 +309,7 @@ def test_an_unknown_node_lists_the_known() -> None:
 
 def test_a_node_gets_the_arguments_that_follow_its_name(capsys: pytest.CaptureFixture[str]) -> None:
     result = subprocess.run(
-        [sys.executable, "-c", "from telenano.app import main; main()", "node", "recorder", "--help"],
+        [sys.executable, "-c", "from telenano.cli.app import main; main()", "node", "recorder", "--help"],
         capture_output=True,
         text=True,
         check=True,
@@ -324,7 +324,7 @@ def test_a_node_gets_the_arguments_that_follow_its_name(capsys: pytest.CaptureFi
 
 
 def test_help_does_not_import_what_it_does_not_need() -> None:
-    code = "import atexit, sys, telenano.app as root; sys.argv = ['telenano', '--help']; "
+    code = "import atexit, sys, telenano.cli.app as root; sys.argv = ['telenano', '--help']; "
     code += "unneeded = {'zmq', 'numpy', 'numba', 'matplotlib', 'pydantic', 'rich.table'}; "
     code += "atexit.register(lambda: print(unneeded & set(sys.modules))); root.main()"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -14,11 +14,11 @@ from typer.testing import CliRunner
 from analysis.plot import Trace, draw
 from proto.errors import ConfigError, ReportError
 from recording.reader import Recording
-from telenano.commands.bag import app
-from telenano.commands.record import record
-from telenano.commands.replay import parse_remap, replay
-from telenano.output import EXIT_INCOMPLETE, fail_with_summary, print_summary
-from telenano.tables import summary_tables
+from telenano.cli.commands.bag import app
+from telenano.cli.commands.record import record
+from telenano.cli.commands.replay import parse_remap, replay
+from telenano.cli.output import EXIT_INCOMPLETE, fail_with_summary, print_summary
+from telenano.cli.tables import summary_tables
 
 MakeFile = Callable[..., Path]
 commands = typer.Typer()

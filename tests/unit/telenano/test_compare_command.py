@@ -12,9 +12,9 @@ from typer.testing import CliRunner
 
 from analysis.compare import names_of, recordings_of
 from proto.errors import ConfigError, RigError
-from telenano import sweep
-from telenano.root import app
-from telenano.sweep import points_of, run_sweep, without_sweep
+from telenano.cli import sweep
+from telenano.cli.root import app
+from telenano.cli.sweep import points_of, run_sweep, without_sweep
 
 REFERENCES = Path(__file__).resolve().parents[2] / "replay"
 RUNNER = CliRunner()

@@ -7,8 +7,8 @@ import pytest
 from typer.testing import CliRunner
 
 from proto.errors import ConfigError
-from studies import adhesion_fit
-from telenano.root import app
+from studies.instrument import adhesion_fit
+from telenano.cli.root import app
 
 RUNNER = CliRunner()
 

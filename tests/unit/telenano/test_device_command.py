@@ -10,17 +10,17 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
-from services.afm_node.t7_model import calibration_of
+from services.afm_node.devices.t7_model import calibration_of
 from services.haptic_node.config import HapticConfig
-from telenano.commands.device import app
+from telenano.cli.commands.device import app
 
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler: apt install gcc libc6-dev")
 
 
 @needs_compiler
 def test_probe_tells_who_a_handle_is(tmp_path: Path) -> None:
-    from services.haptic_node.emulated_handle import EmulatedHandle
-    from services.haptic_node.handle_on_pty import HandleOnPty
+    from services.haptic_node.devices.emulated_handle import EmulatedHandle
+    from services.haptic_node.devices.handle_on_pty import HandleOnPty
 
     port = HandleOnPty(EmulatedHandle(HapticConfig(), session=7), tmp_path / "handle")
     running = threading.Event()

@@ -8,7 +8,7 @@ import pytest
 
 from services.afm_node.config import AfmConfig
 from services.haptic_node.config import HapticConfig
-from services.runtime.scenario import load_scenario
+from services.runtime.settings.scenario import load_scenario
 
 ROOT = Path(__file__).parents[3]
 TEXT = (ROOT / "docs" / "devices.md").read_text(encoding="utf-8")

@@ -13,12 +13,12 @@ import pytest
 from typer.testing import CliRunner
 
 from presets import DEFAULT_SITE_FILE
-from services.runtime.address_book import AddressBook, NodeEntry
+from services.runtime.bus.address_book import AddressBook, NodeEntry
 from services.runtime.security.keyring import Keyring
+from telenano.cli.root import app
 from telenano.doctor import checks
 from telenano.doctor import report as doctor
 from telenano.doctor.checks import Endpoint, Finding, KernelClock
-from telenano.root import app
 
 REQUIRES = [
     "msgpack>=1.1",
@@ -226,7 +226,7 @@ def test_synchronised_clock() -> None:
 def test_up_warns_of_a_clock_that_is_not_synchronised_where_there_are_two(
     monkeypatch: pytest.MonkeyPatch, spans_machines: bool, synchronised: bool, warned: bool
 ) -> None:
-    import telenano.commands.up as command
+    import telenano.cli.commands.up as command
 
     monkeypatch.setattr(checks, "kernel_clock", lambda: KernelClock(synchronised, 0.01))
     plan: Any = SimpleNamespace(book=SimpleNamespace(spans_machines=spans_machines))

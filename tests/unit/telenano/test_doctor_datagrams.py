@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from services.runtime.address_book import AddressBook
+from services.runtime.bus.address_book import AddressBook
 from telenano.doctor.datagrams import Route, check_datagrams, judged_route
 
 

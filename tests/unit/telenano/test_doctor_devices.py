@@ -7,7 +7,7 @@ import pytest
 import yaml
 
 from proto.errors import ConfigError
-from services.afm_node.t7_model import calibration_of
+from services.afm_node.devices.t7_model import calibration_of
 from telenano.doctor.devices import check_instrument, check_serial_ports
 
 

@@ -12,8 +12,8 @@ from services.console.command_client import parse_parameters
 from services.delay_node.config import LinkSettings, profile_changes
 from services.delay_node.profiles import PROFILES
 from services.launcher.plan import Plan, UpRequest, make_plan
-from services.runtime.observer import known_name
-from telenano.lazy_commands import load
+from services.runtime.bus.observer import known_name
+from telenano.cli.lazy_commands import load
 
 ROOT = Path(__file__).parents[3]
 PAGES = sorted(path for path in (*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("*/README.md")))

@@ -13,9 +13,9 @@ import pytest
 from rich.console import Console
 from typer.testing import CliRunner
 
-from telenano import live_view, output
-from telenano.live_view import LineView, LiveView
-from telenano.root import app
+from telenano.cli import live_view, output
+from telenano.cli.live_view import LineView, LiveView
+from telenano.cli.root import app
 
 MakeFile = Callable[..., Path]
 RUNNER = CliRunner()
@@ -178,7 +178,7 @@ def test_a_group_by_itself_shows_its_help(group: tuple[str, ...]) -> None:
 
 
 def test_a_node_is_told_what_is_missing_in_one_sentence(capsys: pytest.CaptureFixture[str]) -> None:
-    from services.runtime.main import parse_arguments
+    from services.runtime.loop.main import parse_arguments
 
     for arguments, said in (
         ([], "the following arguments are required: --scenario"),

@@ -16,8 +16,8 @@ from typing import NamedTuple
 import pytest
 from interruptions import Ended, environment, files_below, interrupted
 
-from services.afm_node.surface_files import read_surface
-from telenano.exit_codes import EXIT_INTERRUPTED, EXIT_TERMINATED
+from services.afm_node.physics.sample.surface_files import read_surface
+from telenano.cli.exit_codes import EXIT_INTERRUPTED, EXIT_TERMINATED
 
 REFERENCES = Path(__file__).resolve().parents[2] / "replay"
 CODES = {signal.SIGINT: EXIT_INTERRUPTED, signal.SIGTERM: EXIT_TERMINATED}
@@ -75,7 +75,7 @@ ELSEWHERE = {
 }
 _COMMANDS_WITH_RESULTS = """
 import studies
-from telenano.lazy_commands import LAZY_COMMANDS, load
+from telenano.cli.lazy_commands import LAZY_COMMANDS, load
 
 def walk(path, command):
     for name, child in getattr(command, "commands", {}).items():

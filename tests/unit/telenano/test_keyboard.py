@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from telenano.keyboard import RawKeyboard, split_keys
+from telenano.cli.keyboard import RawKeyboard, split_keys
 
 COLUMNS = 30
 

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from zmq.utils import z85
 
 from services.runtime.security.keyring import Keyring
-from telenano.commands.keys import app
+from telenano.cli.commands.keys import app
 
 RUNNER = CliRunner()
 # the same at each collection: they stand in the names of tests, which two workers must agree on

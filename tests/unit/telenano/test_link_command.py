@@ -1,6 +1,6 @@
 """`telenano link show` between two machines."""
 
-from telenano.commands.link import network_rows
+from telenano.cli.commands.link import network_rows
 
 
 def test_what_the_network_did_is_shown_for_both_directions() -> None:

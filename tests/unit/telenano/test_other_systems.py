@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from proto.errors import ConfigError
-from services.runtime import realtime
-from services.runtime.log import StructuredLog
-from services.runtime.realtime import RealtimeConfig, RealtimeStatus, apply_realtime
+from services.runtime.loop import realtime
+from services.runtime.loop.log import StructuredLog
+from services.runtime.loop.realtime import RealtimeConfig, RealtimeStatus, apply_realtime
 
 ROOT = Path(__file__).parents[3]
 
@@ -30,7 +30,7 @@ for name in ("getuid", "geteuid", "getgid", "sched_getaffinity", "sched_setsched
     delattr(os, name)
 for name in ("study", "bag", "report", "compare", "law", "scenario", "param", "graph", "curve", "scan", "sample",
              "reproduce", "new", "up", "topic", "record"):
-    importlib.import_module(f"telenano.commands.{name}")
+    importlib.import_module(f"telenano.cli.commands.{name}")
 import json, pathlib, telenano
 session = telenano.open(sys.argv[1])
 tip = session.table("afm/state")
@@ -79,7 +79,7 @@ def test_a_node_on_another_system_runs_without_real_time(monkeypatch: pytest.Mon
 )
 def test_a_bare_installation_says_what_to_add(hidden: str, arguments: list[str], text: str) -> None:
     code = f"import sys; sys.modules[{hidden!r}] = None; sys.argv = ['telenano', *{arguments!r}]; "
-    code += "from telenano.app import main; main()"
+    code += "from telenano.cli.app import main; main()"
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=60)
     assert (done.returncode, done.stdout) == (2, "")

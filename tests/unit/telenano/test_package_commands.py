@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from proto.errors import ConfigError
-from telenano.new_package import KINDS, new_package
+from telenano.cli.new_package import KINDS, new_package
 
 ROOT = Path(__file__).parents[3]
 NAMES = {"law": "filtered", "operator": "trembling", "sample": "layered", "device": "stub_handle"}
@@ -29,7 +29,7 @@ from services.controller.law import HandSample
 from services.controller.law_rules import broken_rules
 from services.haptic_node.__main__ import _device
 from services.haptic_node.config import HapticConfig
-from services.runtime.node_state import _packed, _unpacked
+from services.runtime.loop.node_state import _packed, _unpacked
 
 found = {"laws": [name for name in LAWS if name not in OWN_LAWS], "broken": broken_rules("filtered")}
 config = ControllerConfig.model_validate({"law": "filtered", "filtered": {"filter_s": 0.0}})

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from telenano.lazy_commands import LAZY_COMMANDS
-from telenano.rig_graph import edges, mermaid
+from telenano.cli.lazy_commands import LAZY_COMMANDS
+from telenano.cli.rig_graph import edges, mermaid
 
 ROOT = Path(__file__).parents[3]
 DOCS = ROOT / "docs"

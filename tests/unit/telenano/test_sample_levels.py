@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from analysis.image_files import Image, write_gsf
-from telenano.root import app
+from telenano.cli.root import app
 
 
 @pytest.mark.parametrize(

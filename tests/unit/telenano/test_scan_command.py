@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from telenano.root import app
+from telenano.cli.root import app
 
 RUNNER = CliRunner()
 

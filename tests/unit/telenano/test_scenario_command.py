@@ -16,10 +16,10 @@ from proto.errors import ConfigError
 from proto.nodes import SERVICES
 from services.launcher.plan import UpRequest, make_plan
 from services.launcher.scenario_keys import all_keys, markdown, scenario_schema, site_schema, value_at
-from services.runtime.config import read_yaml
-from telenano import completion
-from telenano.rig_graph import dot, edges, mermaid
-from telenano.root import app
+from services.runtime.settings.config import read_yaml
+from telenano.cli import completion
+from telenano.cli.rig_graph import dot, edges, mermaid
+from telenano.cli.root import app
 
 RUNNER = CliRunner()
 
@@ -198,7 +198,7 @@ def test_help_shows_metavars_and_no_types_of_python(command: str, usage: str) ->
 @pytest.mark.endurance
 def test_the_shell_completes_commands_options_and_values() -> None:
     root = Path(__file__).parents[3]
-    code = "import sys; sys.argv = ['telenano']; from telenano.app import main; main()"
+    code = "import sys; sys.argv = ['telenano']; from telenano.cli.app import main; main()"
     for words, expected in (
         ("telenano sce", "scenario"),
         ("telenano up --sweep a --rou", "--round-trip-ms"),

@@ -22,15 +22,15 @@ from services.launcher.rig_status import (
     problems_of,
     stalled_inputs,
 )
-from services.runtime.address_book import AddressBook
-from services.runtime.bus import ConnectionEvent, Received
-from services.runtime.clock import SystemClock
-from services.runtime.main import load_site
-from services.runtime.observer import ObservedMessage, Observer
-from services.runtime.publisher import ZmqPublisher
-from telenano.commands import status
-from telenano.root import app
-from telenano.tables import health_cells
+from services.runtime.bus.address_book import AddressBook
+from services.runtime.bus.bus import ConnectionEvent, Received
+from services.runtime.bus.observer import ObservedMessage, Observer
+from services.runtime.bus.publisher import ZmqPublisher
+from services.runtime.loop.clock import SystemClock
+from services.runtime.loop.main import load_site
+from telenano.cli.commands import status
+from telenano.cli.root import app
+from telenano.cli.tables import health_cells
 
 RIG = [
     "haptic_node@master",

@@ -10,12 +10,13 @@ from typer.testing import CliRunner
 
 from proto.errors import ConfigError
 from services.controller.config import LAWS
-from studies import advice, option_values
-from studies.advice import Candidate, Question, cells_of
-from studies.cells import CellResult
-from studies.stability import Jitter
-from studies.sweep import Sweep
-from telenano.commands.study import app
+from studies import option_values
+from studies.loops import advice
+from studies.loops.advice import Candidate, Question, cells_of
+from studies.loops.cells import CellResult
+from studies.loops.stability import Jitter
+from studies.loops.sweep import Sweep
+from telenano.cli.commands.study import app
 
 RUN = CliRunner()
 STABILITY = ["stability", "--law", "virtual_impedance", "--environment", "spring"]
@@ -162,7 +163,7 @@ def test_compare_puts_laws_on_one_page(tmp_path: Path) -> None:
 
 
 def test_help_is_there_at_once() -> None:
-    code = "import sys; import telenano.commands.study; "
+    code = "import sys; import telenano.cli.commands.study; "
     code += "bad = {'numba', 'matplotlib', 'control', 'pyarrow', 'dask'}; "
     code += "print(sorted(bad & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -17,11 +17,11 @@ from proto.errors import RigError, TelenanoError
 from proto.messages import Array
 from proto.nodes import TIP
 from services.console.command_client import send_control
-from services.runtime.commands import Command
-from services.runtime.main import load_site
-from services.runtime.observer import Observer
-from services.runtime.participant import open_participant
-from services.runtime.publisher import ZmqPublisher
+from services.runtime.bus.observer import Observer
+from services.runtime.bus.publisher import ZmqPublisher
+from services.runtime.loop.commands import Command
+from services.runtime.loop.main import load_site
+from services.runtime.loop.participant import open_participant
 from services.viz_node.access import Role
 from services.viz_node.feed import Seen
 from services.viz_node.hub import Hub, Session

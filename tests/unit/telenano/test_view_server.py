@@ -24,12 +24,12 @@ from presets import DEFAULT_SITE_FILE
 from proto.errors import ConfigError, RecordingError, RigError, TelenanoError
 from proto.nodes import DEVICES
 from services.console.emergency_stop import LocalRig
-from services.runtime.local_endpoint import estop_endpoint
+from services.runtime.bus.local_endpoint import estop_endpoint
 from services.viz_node import serve
 from services.viz_node.requests import PROTOCOL
 from services.viz_node.serve import Tls, bind, check_exposure
 from telenano import view_server
-from telenano.commands import view as view_command
+from telenano.cli.commands import view as view_command
 from telenano.view_server import RigCommander
 
 

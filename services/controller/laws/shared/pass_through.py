@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 from services.controller.law import PortSignal, SlaveReference, TipMeasurement
-from services.runtime.compiled import compiled
+from services.numerics.compiled import compiled
 
 
 class SlaveState(NamedTuple):

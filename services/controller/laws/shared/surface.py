@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from services.runtime.compiled import compiled
+from services.numerics.compiled import compiled
 
 NANO = 1e-9
 # kappa in nN/nm^1.5 for one N/m^1.5

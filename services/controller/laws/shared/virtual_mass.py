@@ -18,7 +18,7 @@ from proto.topics import deadline_of
 from services.controller.discretisation import exact_discretisation
 from services.controller.law import HandSample, PortSignal
 from services.controller.ranges import DampingNSPerM, ForceScale, MassKg, PositionScale, StiffnessOrNoneNPerM, TimeS
-from services.runtime.compiled import compiled
+from services.numerics.compiled import compiled
 
 # no hand and no tip comes there; a reference that would go further, in a loop that is unstable, stays finite
 FARTHEST_M, FASTEST_M_PER_S = 1e6, 1e9

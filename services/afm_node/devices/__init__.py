@@ -1,0 +1,1 @@
+"""Real instruments over Modbus, and their emulators."""

@@ -1,0 +1,1 @@
+"""The simulated instrument: stage, cantilever, read-out, and what disturbs them."""

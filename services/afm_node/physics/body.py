@@ -1,0 +1,117 @@
+"""An environment with mass and damping: a body on a spring and a damper, touched one-sidedly through the cantilever.
+
+    m y'' + b y' + K y = F,    F = k max(x_s - L - y, 0)
+
+y is how far the body has been pushed from its place L [m], k the cantilever. It has the interface of `step` and the
+same guard. Time is discrete as in the arm of `services.haptic_node.physics.operator`: every quantity is that of the
+middle of the step, and the force the mean that the spring of the contact has over its way, (V(z1) - V(z0)) / (z1 - z0).
+Force times motion of the base is then exactly the energy that goes into springs, mass and damper: the body is passive
+at every period. For the instrument's period to show its motion, it has to be slower than FASTEST_HZ in contact.
+"""
+
+import math
+from typing import NamedTuple
+
+from services.afm_node.physics.step import AfmInputs, AfmOutputs, guarded
+from services.afm_node.safety import SafetyParams, SafetyState, initial_safety_state
+from services.numerics.compiled import compiled
+
+FASTEST_HZ = 150.0
+# of the fixed point for the step that makes or breaks contact: each pass takes a quarter of the error at most
+_PASSES = 30
+
+
+class BodyParams(NamedTuple):
+    """Limits; K [N/m], b [N s/m], m [kg] of the body; k of the cantilever [N/m]; L [m]."""
+
+    safety: SafetyParams
+    stiffness_n_per_m: float
+    damping_n_s_per_m: float
+    mass_kg: float
+    cantilever_n_per_m: float
+    rest_distance_m: float
+
+
+class BodyState(NamedTuple):
+    """Safety chain; base x_s [m], y [m], y' [m/s]; the force last measured [N]."""
+
+    safety: SafetyState
+    base_m: float
+    pushed_m: float
+    velocity_m_per_s: float
+    force_n: float
+
+
+def body_params(
+    safety: SafetyParams,
+    stiffness_n_per_m: float,
+    damping_n_s_per_m: float,
+    mass_kg: float,
+    cantilever_n_per_m: float,
+    rest_distance_m: float,
+) -> BodyParams:
+    """Return the constants of the environment. Raises ValueError naming value and unit."""
+    stiffness = stiffness_n_per_m + cantilever_n_per_m
+    least_kg = stiffness / (2.0 * math.pi * FASTEST_HZ) ** 2
+    if not mass_kg >= least_kg:
+        raise ValueError(
+            f"mass of the body {mass_kg:g} kg: on {stiffness:g} N/m it must be at least {least_kg:.3g} kg, or the body"
+            f" swings faster than {FASTEST_HZ:g} Hz"
+        )
+    if not damping_n_s_per_m >= 0.0:
+        raise ValueError(f"damping of the body {damping_n_s_per_m} N s/m must be >= 0 N s/m")
+    return BodyParams(safety, stiffness_n_per_m, damping_n_s_per_m, mass_kg, cantilever_n_per_m, rest_distance_m)
+
+
+def initial_state(params: BodyParams) -> BodyState:
+    """Return the state at the start: retracted, the body in its place."""
+    safety = initial_safety_state(params.safety)
+    force = params.cantilever_n_per_m * max(safety.base_m - params.rest_distance_m, 0.0)
+    return BodyState(safety, safety.base_m, 0.0, 0.0, force)
+
+
+@compiled
+def pushed(
+    params: BodyParams, base_m: tuple[float, float], y_m: float, v_m_per_s: float, dt: float
+) -> tuple[float, float]:
+    """Return y [m] and y' [m/s] after dt [s] in which the base went from base_m[0] to base_m[1] [m]."""
+    k, stiffness, damping = params.cantilever_n_per_m, params.stiffness_n_per_m, params.damping_n_s_per_m
+    before = base_m[0] - params.rest_distance_m - y_m
+    middle = 0.5 * (base_m[0] + base_m[1]) - params.rest_distance_m - y_m
+    inertia = 2.0 * params.mass_kg / dt
+    alone = inertia + damping + 0.5 * stiffness * dt
+    driven = inertia * v_m_per_s - stiffness * y_m
+    # either in contact throughout, or never
+    mean = (driven + k * middle) / (alone + 0.5 * k * dt) if before > 0.0 else driven / alone
+    after = base_m[1] - params.rest_distance_m - y_m - dt * mean
+    if (after > 0.0) != (before > 0.0):
+        for _ in range(_PASSES):
+            rise = after - before
+            stored = 0.5 * k * (max(after, 0.0) ** 2 - max(before, 0.0) ** 2)
+            force = stored / rise if rise != 0.0 else 0.0
+            mean = (driven + force) / alone
+            after = base_m[1] - params.rest_distance_m - y_m - dt * mean
+    return y_m + dt * mean, 2.0 * mean - v_m_per_s
+
+
+@compiled
+def step(params: BodyParams, state: BodyState, inputs: AfmInputs, dt: float) -> tuple[BodyState, AfmOutputs]:
+    """Advance guard, cantilever and body by dt [s]. Raises ValueError if dt is not positive and finite."""
+    safety, allowed = guarded(params.safety, state.safety, inputs, state.force_n, dt)
+    y_m, velocity = pushed(params, (state.base_m, allowed.base_m), state.pushed_m, state.velocity_m_per_s, dt)
+    gap_m = params.rest_distance_m + y_m - allowed.base_m
+    force = params.cantilever_n_per_m * max(-gap_m, 0.0)
+    outputs = AfmOutputs(
+        allowed.base_m,
+        max(gap_m, 0.0),
+        max(-gap_m, 0.0),
+        force,
+        0.0,
+        force > 0.0,
+        False,
+        allowed.mode,
+        allowed.limited,
+        allowed.reason,
+        allowed.arm_refusal,
+    )
+    return BodyState(safety, allowed.base_m, y_m, velocity, force), outputs

@@ -1,0 +1,1 @@
+"""The force between tip and sample, and tables of it."""

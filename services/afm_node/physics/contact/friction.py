@@ -1,0 +1,89 @@
+"""Lateral force on a tip in contact: the slope of the surface, and friction of Amontons with adhesion.
+
+On a slope theta, with the load L of the cantilever downwards and the adhesion A along the normal, a tip that is pulled
+up or down the slope needs the horizontal force
+
+    T = (L sin theta +- mu (L cos theta + A)) / (cos theta -+ mu sin theta)
+
+(D. F. Ogletree, R. W. Carpick, M. Salmeron, Rev. Sci. Instrum. 67 (1996) 3298, Eq. 7: upper signs uphill). Of it L tan
+theta belongs to the slope alone. The rest is friction: it takes up the motion of the stage elastically, with the
+lateral stiffness of the cantilever, and gives way at that limit, so a reversal is a slanted line of the friction loop.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from services.afm_node.physics.contact.tip_sample import TipSample, branch_force
+from services.numerics.compiled import compiled
+
+# cos theta - mu sin theta is taken no smaller: a tip on a steeper slope would jam
+_LEAST_SHARE = 0.05
+_PROBES = 4000
+
+
+class FrictionParams(NamedTuple):
+    """Coefficient mu; adhesion A [N], >= 0; lateral stiffness at the tip [N/m]; height of the tip [m]."""
+
+    coefficient: float
+    adhesion_n: float
+    stiffness_n_per_m: float
+    tip_height_m: float
+
+
+class FrictionState(NamedTuple):
+    """How far the stage is ahead of the tip, which friction holds back [m]."""
+
+    ahead_x_m: float
+    ahead_y_m: float
+
+
+@compiled
+def friction_limit_n(params: FrictionParams, load_n: float, slope: float) -> float:
+    """Return the friction [N] at which a tip gives way that is pulled up a slope (negative: down).
+
+    T - L tan theta of the module: mu (L / cos theta + A) / (cos theta - mu sin theta), 0 where the contact pulls more
+    than it adheres.
+    """
+    cosine = 1.0 / math.sqrt(1.0 + slope * slope)
+    share = max(cosine - params.coefficient * slope * cosine, _LEAST_SHARE)
+    return params.coefficient * max(load_n / cosine + params.adhesion_n, 0.0) / share
+
+
+@compiled
+def friction_step(
+    params: FrictionParams,
+    state: FrictionState,
+    moved_x_m: float,
+    moved_y_m: float,
+    load_n: float,
+    slope_x: float,
+    slope_y: float,
+    in_contact: bool,
+) -> tuple[FrictionState, float, float]:
+    """Return the state after the stage has moved by so much [m], and the force on the tip by the sample in x and y [N].
+
+    Parameters: load_n, of the cantilever, positive where it presses; slopes dz/dx, dz/dy of the surface that the tip
+    sees.
+    """
+    if not in_contact:
+        return FrictionState(0.0, 0.0), 0.0, 0.0
+    x, y = state.ahead_x_m + moved_x_m, state.ahead_y_m + moved_y_m
+    k = params.stiffness_n_per_m
+    ahead = math.hypot(x, y)
+    if ahead > 0.0:
+        limit = friction_limit_n(params, load_n, (slope_x * x + slope_y * y) / ahead)
+        if k * ahead > limit:
+            share = limit / (k * ahead)
+            x, y = share * x, share * y
+    # the normal leans back from the slope
+    return FrictionState(x, y), 0.0 - k * x - load_n * slope_x, 0.0 - k * y - load_n * slope_y
+
+
+def adhesion_n(tip: TipSample) -> float:
+    """Return the strongest pull of the contact [N], with the meniscus where there is one: A of the friction."""
+    table = tip.table
+    depths = np.linspace(table.cohesive_end_m, table.start_m + 2e-9, _PROBES)
+    forces = [branch_force(tip, tip.contact_distance_m - float(depth), True, tip.has_meniscus)[0] for depth in depths]
+    return max(0.0, -min(forces))

@@ -1,0 +1,1 @@
+"""Samples as height maps: made ones, and those of files."""

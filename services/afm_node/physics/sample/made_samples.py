@@ -1,0 +1,109 @@
+"""Which sample lies under the tip: a shape that is computed, a file, or a function of one's own."""
+
+import importlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from proto.errors import ConfigError
+from services.afm_node.physics.sample.surface import (
+    MOST_PIXELS,
+    Surface,
+    centred,
+    checked,
+    dots,
+    flat,
+    grating,
+    plane_levelled,
+)
+from services.afm_node.physics.sample.surface_files import read_surface
+from services.runtime.settings.config import Settings
+
+SHAPES = ("flat", "dots", "grating")
+_LEVELS: dict[str, Callable[[Surface], Surface]] = {
+    "centre": centred,
+    "plane": plane_levelled,
+    "absolute": lambda surface: surface,
+}
+_LEVELLED = {
+    "centre": "its heights are shifted so that its middle is at 0",
+    "plane": "its mean plane is subtracted",
+    "absolute": "its heights are those of the file",
+}
+Length = Annotated[float, Field(ge=1e-9, le=1e-3)]
+
+
+class SampleConfig(Settings):
+    """The surface under the tip. Every default is Fig. 8 of the paper, or ours where it gives none."""
+
+    name: str = Field(
+        "dots",
+        min_length=1,
+        description="flat, dots, grating, a file (.gsf, .gwy, .ibw, .npy), or module:function of x and y [m].",
+    )
+    size_m: Length | None = Field(
+        None, description="Side of the square [m], 1e-9 to 1e-3; default 150e-9. A file but .npy says its own."
+    )
+    pixels: int = Field(512, ge=2, le=MOST_PIXELS, description="Heights along a side of a computed sample, 2 to 4096.")
+    channel: str | None = Field(None, description="Part of the name of one channel of a file; default: its height.")
+    level: Literal["centre", "plane", "absolute"] = Field(
+        "centre",
+        description="Level of a file's heights. centre: the height in the middle becomes 0, as after an approach there;"
+        " plane: the mean plane is subtracted; absolute: as in the file.",
+    )
+    seed: int = Field(0, ge=0, description="Seed of the places of the dots.")
+    dot_count: int = Field(12, ge=1, le=10_000, description="Number of dots, 1 to 10000.")
+    dot_radius_m: Length = Field(5e-9, description="Radius of a dot at its foot [m].")
+    height_m: float = Field(10e-9, ge=0.0, le=1e-4, description="Height of a dot or of a ridge [m], up to 1e-4.")
+    period_m: Length = Field(50e-9, description="Period of the grating [m].")
+
+    @model_validator(mode="after")
+    def _size_where_needed(self) -> Self:
+        if self.is_file and self.size_m is not None and Path(self.name).suffix.lower() != ".npy":
+            raise ValueError(f"size_m: {self.name} says its own size")
+        if not self.is_file and "level" in self.model_fields_set:
+            raise ValueError(f"level: is for files; {self.name} has heights of its own")
+        return self
+
+    @property
+    def is_file(self) -> bool:
+        return self.name not in SHAPES and ":" not in self.name
+
+    @property
+    def levelled(self) -> str:
+        """How the heights of a file are levelled, in words; empty for a sample that is no file."""
+        return _LEVELLED[self.level] if self.is_file else ""
+
+    def build(self) -> Surface:
+        """Return the surface. Raises ConfigError naming the sample and what is wrong with it."""
+        if self.is_file:
+            return _LEVELS[self.level](read_surface(Path(self.name), self.channel, self.size_m))
+        size_m = 150e-9 if self.size_m is None else self.size_m
+        try:
+            if self.name == "flat":
+                return flat(size_m, self.pixels)
+            if self.name == "dots":
+                return dots(size_m, self.pixels, self.dot_count, self.dot_radius_m, self.height_m, self.seed)
+            if self.name == "grating":
+                return grating(size_m, self.pixels, self.period_m, self.height_m)
+            return checked(self._computed(size_m), size_m, size_m)
+        except ValueError as error:
+            raise ConfigError(f"sample {self.name}: {error}") from error
+
+    def _computed(self, size_m: float) -> Any:
+        """Return the heights of a function of one's own, called once with all x (a row) and all y (a column)."""
+        module, _, name = self.name.partition(":")
+        try:
+            function: Callable[..., Any] = getattr(importlib.import_module(module), name)
+        except (ImportError, AttributeError, ValueError) as error:
+            raise ValueError(f"has no such function: {error}; write module:function, on Python's path") from error
+        middles = (np.arange(self.pixels) + 0.5) * (size_m / self.pixels)
+        try:
+            heights = np.asarray(function(middles[None, :], middles[:, None]), dtype=np.float64)
+            return np.broadcast_to(heights, (self.pixels, self.pixels))
+        # whatever the function of somebody else raises
+        except Exception as error:
+            raise ValueError(f"failed for arrays of x and y in m: {type(error).__name__}: {error}") from error

@@ -1,0 +1,175 @@
+"""Height maps of samples, and what a round tip sees of them.
+
+A map is a grid of heights over a rectangle that begins at x = y = 0; a height belongs to the middle of its pixel.
+Between them it is bilinear, beyond the outer pixels constant. A tip that ends in a sphere of radius R does not follow
+the surface s but the surface dilated by it,
+
+    d(x, y) = max over u, v of s(x + u, y + v) + sqrt(R^2 - u^2 - v^2) - R,
+
+which is how far the lowest point of the sphere is kept up by whichever part of it touches (J. S. Villarrubia, J. Res.
+NIST 102 (1997) 425). Forces are then those of the sphere over a flat at that height.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from services.numerics.compiled import compiled
+
+Heights = npt.NDArray[np.float64]
+
+# attempts to place one more dot beside those that are there
+_PLACEMENTS = 50
+MOST_PIXELS = 4096
+# comparisons of a dilation: some tens of seconds
+_MOST_COMPARISONS = 2e10
+
+
+class Surface(NamedTuple):
+    """Heights [m], shape (rows, columns): y rises with the row, x with the column; width and depth of a pixel [m]."""
+
+    height_m: Heights
+    step_x_m: float
+    step_y_m: float
+
+    @property
+    def width_m(self) -> float:
+        return self.step_x_m * int(self.height_m.shape[1])
+
+    @property
+    def depth_m(self) -> float:
+        return self.step_y_m * int(self.height_m.shape[0])
+
+
+@compiled
+def height_at(
+    height_m: Heights, step_x_m: float, step_y_m: float, x_m: float, y_m: float
+) -> tuple[float, float, float]:
+    """Return height [m] and slopes dz/dx, dz/dy at a point [m] of the map; outside it goes on level.
+
+    Raises: ValueError, if the point is not finite: compiled code would look it up anywhere in memory.
+    """
+    if not (math.isfinite(x_m) and math.isfinite(y_m)):
+        raise ValueError("the point of the map in m must be finite")
+    rows, columns = height_m.shape
+    x = min(max(x_m / step_x_m - 0.5, 0.0), columns - 1.0)
+    y = min(max(y_m / step_y_m - 0.5, 0.0), rows - 1.0)
+    i, j = min(int(x), max(columns - 2, 0)), min(int(y), max(rows - 2, 0))
+    u, v = x - i, y - j
+    right, above = min(i + 1, columns - 1), min(j + 1, rows - 1)
+    a, b = height_m[j, i], height_m[j, right]
+    c, d = height_m[above, i], height_m[above, right]
+    height = (a * (1.0 - u) + b * u) * (1.0 - v) + (c * (1.0 - u) + d * u) * v
+    slope_x = ((b - a) * (1.0 - v) + (d - c) * v) / step_x_m
+    slope_y = ((c - a) * (1.0 - u) + (d - b) * u) / step_y_m
+    return height, slope_x, slope_y
+
+
+def checked(height_m: npt.NDArray[np.generic], width_m: float, depth_m: float) -> Surface:
+    """Return a map over width_m by depth_m [m].
+
+    Raises: ValueError saying what of the map cannot be scanned: its shape, its size, a height that is no number.
+    """
+    heights = np.ascontiguousarray(height_m, dtype=np.float64)
+    if heights.ndim != 2 or min(heights.shape) < 2 or max(heights.shape) > MOST_PIXELS:
+        raise ValueError(f"has the shape {heights.shape}; a height map has 2 to {MOST_PIXELS} rows and columns")
+    for name, size in (("width", width_m), ("depth", depth_m)):
+        if not (math.isfinite(size) and 1e-9 <= size <= 1e-3):
+            raise ValueError(f"has a {name} of {size:g} m; it must lie between 1e-9 and 1e-3 m")
+    bad = int(np.count_nonzero(~np.isfinite(heights)))
+    if bad:
+        raise ValueError(f"has {bad} heights that are no finite number (of {heights.size}); interpolate them first")
+    span = float(heights.max() - heights.min())
+    if span > 1e-4:
+        raise ValueError(f"has heights over {span:g} m, more than 1e-4 m: is its unit of height right?")
+    return Surface(heights, float(width_m) / heights.shape[1], float(depth_m) / heights.shape[0])
+
+
+def flat(size_m: float, pixels: int) -> Surface:
+    """Return a level square of size_m [m]."""
+    return checked(np.zeros((pixels, pixels)), size_m, size_m)
+
+
+def dots(size_m: float, pixels: int, count: int, radius_m: float, height_m: float, seed: int) -> Surface:
+    """Return a level square with `count` dots at random places, none touching another (Fig. 8: InAs).
+
+    A dot is half an ellipsoid, height_m [m] tall on a circle of radius_m [m]. The seed alone decides the places.
+    Raises: ValueError, if so many dots find no room.
+    """
+    random = np.random.Generator(np.random.PCG64(seed))
+    places: list[tuple[float, float]] = []
+    room = size_m - 4.0 * radius_m
+    for _ in range(_PLACEMENTS * count):
+        if len(places) == count:
+            break
+        x, y = (2.0 * radius_m + room * value for value in random.random(2).tolist())
+        if all((x - p) ** 2 + (y - q) ** 2 > (2.5 * radius_m) ** 2 for p, q in places):
+            places.append((x, y))
+    if len(places) < count or room <= 0.0:
+        raise ValueError(
+            f"{count} dots of radius {radius_m:g} m find no room on {size_m:g} m: take fewer or smaller ones"
+        )
+    middles = (np.arange(pixels) + 0.5) * (size_m / pixels)
+    heights = np.zeros((pixels, pixels))
+    for x, y in places:
+        squared = ((middles[None, :] - x) ** 2 + (middles[:, None] - y) ** 2) / radius_m**2
+        np.maximum(heights, height_m * np.sqrt(np.maximum(1.0 - squared, 0.0)), out=heights)
+    return checked(heights, size_m, size_m)
+
+
+def grating(size_m: float, pixels: int, period_m: float, height_m: float) -> Surface:
+    """Return ridges of height_m [m] along y, half a period_m [m] wide; x = 0 is the middle of a groove."""
+    middles = (np.arange(pixels) + 0.5) * (size_m / pixels)
+    ridge = np.abs(np.mod(middles / period_m + 0.5, 1.0) - 0.5) > 0.25
+    return checked(np.tile(np.where(ridge, height_m, 0.0), (pixels, 1)), size_m, size_m)
+
+
+def centred(surface: Surface) -> Surface:
+    """Return a surface whose height in its middle, where an AFM first brings its tip, is 0."""
+    middle_m = height_at(*surface, 0.5 * surface.width_m, 0.5 * surface.depth_m)[0]
+    return surface._replace(height_m=surface.height_m - middle_m)
+
+
+def plane_levelled(surface: Surface) -> Surface:
+    """Return a surface without its mean plane (least squares): neither tilt nor offset is left."""
+    rows, columns = surface.height_m.shape
+    x, y = np.arange(columns) - 0.5 * (columns - 1), np.arange(rows) - 0.5 * (rows - 1)
+    # over a whole grid the three parts of the fit are independent; `fsum` gives the same bits on every processor
+    heights = surface.height_m
+    mean = math.fsum(heights.ravel().tolist()) / heights.size
+    tilt_x = math.fsum((heights * x[None, :]).ravel().tolist()) / (rows * math.fsum((x * x).tolist()))
+    tilt_y = math.fsum((heights * y[:, None]).ravel().tolist()) / (columns * math.fsum((y * y).tolist()))
+    return surface._replace(height_m=heights - mean - tilt_x * x[None, :] - tilt_y * y[:, None])
+
+
+def dilated(surface: Surface, radius_m: float) -> Surface:
+    """Return what a sphere of radius_m [m] sees of a surface; beyond the map the surface is taken as level.
+
+    Raises: ValueError, if the radius is not finite, negative, or spans so many pixels that this would take minutes.
+    """
+    if not (math.isfinite(radius_m) and radius_m >= 0.0):
+        raise ValueError(f"tip radius = {radius_m} m must be finite and >= 0 m")
+    heights = surface.height_m
+    rows, columns = heights.shape
+    span = float(heights.max() - heights.min())
+    # a neighbour further away would have to be higher than the highest to reach the sphere
+    reach = radius_m if span >= radius_m else math.sqrt(max(2.0 * radius_m * span - span * span, 0.0))
+    n, m = (min(int(reach / step), size) for step, size in ((surface.step_x_m, columns), (surface.step_y_m, rows)))
+    if n == 0 and m == 0:
+        return surface
+    if 3.2 * n * m * heights.size > _MOST_COMPARISONS:
+        raise ValueError(
+            f"a tip of radius {radius_m:g} m spans {2 * n} x {2 * m} pixels of a map of {columns} x {rows}: take a"
+            " coarser map or a smaller tip"
+        )
+    padded = np.pad(heights, ((m, m), (n, n)), mode="edge")
+    result = heights.copy()
+    for dy in range(-m, m + 1):
+        for dx in range(-n, n + 1):
+            squared = radius_m**2 - (dx * surface.step_x_m) ** 2 - (dy * surface.step_y_m) ** 2
+            if squared >= 0.0:
+                rise = math.sqrt(squared) - radius_m
+                np.maximum(result, padded[m + dy : m + dy + rows, n + dx : n + dx + columns] + rise, out=result)
+    return Surface(result, surface.step_x_m, surface.step_y_m)

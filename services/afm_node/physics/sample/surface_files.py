@@ -1,0 +1,199 @@
+"""Height maps from files of other instruments and programs: .gsf, .gwy, .ibw, .npy.
+
+Rows in a file run from the top of the picture down, except in Igor's waves, which run from the bottom; here y rises
+with the row. No memory is taken for what a header says before it was compared with the length of the file; `igor2`,
+which reads .ibw, does so in a child process with limits.
+"""
+
+import math
+import os
+import re
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numpy.lib import format as npy
+
+from presets.regular_files import open_regular
+from proto.errors import ConfigError
+from services.afm_node.physics.sample.gwy_reader import read_gwy
+from services.afm_node.physics.sample.igor_waves import load_wave, require_whole
+from services.afm_node.physics.sample.surface import MOST_PIXELS, Surface, checked
+from services.runtime.untrusted.limited_child import read_in_child
+
+GSF_MAGIC = b"Gwyddion Simple Field 1.0\n"
+_LONGEST_GSF_HEADER = 1 << 16
+_NPY_HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
+# metres in a unit of length, as files write it
+_METRES = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9, "pm": 1e-12, "Å": 1e-10}
+_HEIGHT_NAMES = ("height", "topograph", "zsensor", "z sensor", "z_sensor")
+
+
+class _Channel(NamedTuple):
+    """One map of a file: name, values with y rising, width and depth, and the units of both as the file has them."""
+
+    name: str
+    values: npt.NDArray[np.generic]
+    width: float
+    depth: float
+    unit_xy: str
+    unit_z: str
+
+
+def read_surface(path: Path, channel: str | None = None, size_m: float | None = None) -> Surface:
+    """Return the height map in a file.
+
+    Parameters: channel, part of the name of one of several; without it the first that is a height. size_m [m], the side
+    of a square map in a .npy file, which does not say it itself; its heights are metres.
+    Raises: ConfigError naming the file and what is wrong with it.
+    """
+    read = _READERS.get(path.suffix.lower())
+    if read is None:
+        raise ConfigError(f"{path}: is no height map that can be read; these are {', '.join(sorted(_READERS))}")
+    if size_m is not None and path.suffix.lower() != ".npy":
+        raise ConfigError(f"{path}: says its own size; a size is given for .npy files only")
+    try:
+        found = _chosen(read(path, size_m), channel)
+        scale = _metres(found.unit_z, f"the heights of channel {found.name}")
+        side = _metres(found.unit_xy, f"the sides of channel {found.name}")
+        return checked(found.values.astype(np.float64) * scale, found.width * side, found.depth * side)
+    except ImportError as error:
+        raise ConfigError(f"{path}: needs {error.name} to be read: pip install 'telenano[instrument]'") from error
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except ValueError as error:
+        raise ConfigError(f"{path}: {error}") from error
+    # damage may lead a reader anywhere
+    except Exception as error:
+        raise ConfigError(f"{path}: is no whole height map: {type(error).__name__}: {error}") from error
+
+
+def _metres(unit: str, what: str) -> float:
+    if unit not in _METRES:
+        said = f"{unit!r}" if unit else "none"
+        raise ValueError(f"the unit of {what} is {said}; it must be a length: {', '.join(_METRES)}")
+    return _METRES[unit]
+
+
+def _chosen(channels: list[_Channel], wanted: str | None) -> _Channel:
+    names = ", ".join(c.name for c in channels)
+    if not channels:
+        raise ValueError("has no channel with a map")
+    if wanted is not None:
+        found = [c for c in channels if wanted.lower() in c.name.lower()]
+        if not found:
+            raise ValueError(f"has no channel {wanted!r}; it has: {names}")
+        return found[0]
+    heights = [c for c in channels if c.unit_z in _METRES] or channels
+    return next((c for c in heights if any(name in c.name.lower() for name in _HEIGHT_NAMES)), heights[0])
+
+
+def _read_npy(path: Path, size_m: float | None) -> list[_Channel]:
+    if size_m is None:
+        raise ValueError("a .npy file has heights in metres and no size: give the side of the map (--size)")
+    with open_regular(path) as file:
+        version = npy.read_magic(file)
+        if version not in _NPY_HEADERS:
+            raise ValueError(f"is a .npy file of version {version[0]}.{version[1]}, which is not read")
+        shape, _, kind = _NPY_HEADERS[version](file)
+        if kind.kind not in "fiu":
+            raise ValueError("holds no array of numbers")
+        stated, found = math.prod(shape) * kind.itemsize, os.fstat(file.fileno()).st_size - file.tell()
+        if min(shape, default=0) < 0 or stated != found:
+            raise ValueError(f"has {found} bytes of heights; the shape {shape} of {kind.itemsize} bytes is {stated}")
+        if len(shape) == 2 and shape[0] != shape[1]:
+            raise ValueError(f"has the shape {shape}; with one side given, it must be square")
+        _check_pixels(shape)
+        file.seek(0)
+        values = npy.read_array(file, allow_pickle=False)
+    return [_Channel("heights", values, size_m, size_m, "m", "m")]
+
+
+def _check_pixels(shape: tuple[int, ...]) -> None:
+    if len(shape) != 2 or not all(2 <= side <= MOST_PIXELS for side in shape):
+        raise ValueError(f"has the shape {shape}; a height map has 2 to {MOST_PIXELS} rows and columns")
+
+
+def _read_gsf(path: Path, size_m: float | None) -> list[_Channel]:
+    with open_regular(path) as file:
+        head = file.read(_LONGEST_GSF_HEADER)
+        if not head.startswith(GSF_MAGIC):
+            raise ValueError(f"does not begin with {GSF_MAGIC.decode().strip()!r}: is no Gwyddion Simple Field")
+        end = head.find(b"\0")
+        if end < 0:
+            raise ValueError(f"its header has no end (a zero byte) within {_LONGEST_GSF_HEADER} bytes")
+        header: dict[str, str] = {}
+        for line in head[len(GSF_MAGIC) : end].decode("utf-8", "replace").splitlines():
+            key, sign, value = line.partition("=")
+            if not sign:
+                raise ValueError(f"its header has the line {line!r}, which must be KEY = VALUE")
+            header[key.strip()] = value.strip()
+        columns, rows = (_whole(header, key) for key in ("XRes", "YRes"))
+        start = end + 4 - end % 4
+        found, stated = os.fstat(file.fileno()).st_size - start, 4 * columns * rows
+        if found != stated:
+            raise ValueError(f"has {found} bytes of heights; {columns} x {rows} of 4 bytes are {stated}")
+        file.seek(start)
+        values = np.frombuffer(file.read(stated), "<f4").reshape(rows, columns)[::-1]
+    width, depth = (_real(header, key) for key in ("XReal", "YReal"))
+    return [
+        _Channel(
+            header.get("Title", "heights"), values, width, depth, header.get("XYUnits", ""), header.get("ZUnits", "")
+        )
+    ]
+
+
+def _whole(header: Mapping[str, str], key: str) -> int:
+    if not re.fullmatch(r"\d{1,6}", header.get(key, "")) or not 2 <= int(header[key]) <= MOST_PIXELS:
+        raise ValueError(f"{key} is {header.get(key, 'missing')}; it must be a whole number from 2 to {MOST_PIXELS}")
+    return int(header[key])
+
+
+def _real(header: Mapping[str, str], key: str) -> float:
+    try:
+        value = float(header[key])
+    except (KeyError, ValueError):
+        raise ValueError(f"{key} is {header.get(key, 'missing')}; it must be the length of that side") from None
+    if not (math.isfinite(value) and value > 0.0):
+        raise ValueError(f"{key} is {value}; it must be positive and finite")
+    return value
+
+
+def _read_gwy(path: Path, size_m: float | None) -> list[_Channel]:
+    return [
+        _Channel(field.title, field.values[::-1], field.width, field.depth, field.unit_xy, field.unit_z)
+        for field in read_gwy(path, MOST_PIXELS)
+    ]
+
+
+def _read_ibw(path: Path, size_m: float | None) -> list[_Channel]:
+    require_whole(path)
+    wave, (values,) = read_in_child(f"{load_wave.__module__}:{load_wave.__name__}", path)
+    if values.ndim not in (2, 3):
+        raise ValueError(f"has the shape {values.shape}; a map has rows and columns")
+    if wave["units"][0] != wave["units"][1]:
+        raise ValueError(f"its sides have different units, {wave['units'][0]!r} and {wave['units'][1]!r}")
+    columns, rows = values.shape[:2]
+    _check_pixels((rows, columns))
+    layers, labels, (dx, dy) = values.reshape(columns, rows, -1), wave["labels"][2], wave["steps"]
+    # the unit of the wave is that of its first layers; those that are no heights say so by their names
+    return [
+        _Channel(name, layers[:, :, i].T, columns * dx, rows * dy, wave["units"][0], _layer_unit(name, wave["unit"]))
+        for i, name in enumerate((*labels, *(f"layer {i}" for i in range(len(labels), layers.shape[2]))))
+        if i < layers.shape[2]
+    ]
+
+
+def _layer_unit(name: str, unit: str) -> str:
+    other = {"phase": "deg", "potential": "V", "deflvolts": "V"}
+    return next((found for part, found in other.items() if part in name.lower()), unit)
+
+
+_READERS: dict[str, Callable[[Path, float | None], list[_Channel]]] = {
+    ".npy": _read_npy,
+    ".gsf": _read_gsf,
+    ".gwy": _read_gwy,
+    ".ibw": _read_ibw,
+}

@@ -1,0 +1,1 @@
+"""Programs that move the tip behind the guard: image, force curve, tactile path."""

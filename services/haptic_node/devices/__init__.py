@@ -1,0 +1,1 @@
+"""Real handles on a serial line, their calibration, and their emulators."""

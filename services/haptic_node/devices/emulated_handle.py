@@ -1,0 +1,149 @@
+"""An emulated handle: the firmware's core joined to the compiled motor and the simulated hand, in its own time.
+
+The plant is that of the simulated driver, its servo left out: the firmware closes that loop, in counts, once a
+millisecond. The drive is a voltage, a millivolt a count.
+"""
+
+from datetime import UTC, datetime
+
+from services.haptic_node.config import HapticConfig
+from services.haptic_node.devices import wire
+from services.haptic_node.devices.firmware import BoardIdentity, BoardSample, FirmwareCore
+from services.haptic_node.driver import DriveCommand
+from services.haptic_node.physics.motor import MotorParams, MotorState
+from services.haptic_node.physics.step import initial_plant, plant_step
+from services.haptic_node.safety import MODE_OFF, MODE_POSITION
+
+TICK_US = 1000
+_TICK_S = TICK_US * 1e-6
+MODEL = "telenano posix"
+DEVICE_ID = 0x0102030405060708
+M_PER_COUNT = 1e-8
+N_PER_COUNT = 1e-4
+V_PER_COUNT = 1e-3
+# counts at x = 0 and without a hand: not 0, so that a calibration which leaves them out shows
+POSITION_ZERO = 20480
+FORCE_ZERO = 8388
+# the servo of the plant as a voltage source: in a tick the arm moves 40 um at most, which changes it by 40 uV
+_SOURCE_V_PER_M = 1.0
+_SUPPLY_10MV = 4800
+_FLAGS = wire.HAS_POSITION_MODE | wire.HAS_FORCE_SENSOR | wire.SENSES_CURRENT | wire.IS_EMULATED
+_FORCE_MAX = 2**31 - 1
+
+
+def drive_n_per_count(motor: MotorParams) -> float:
+    """Return the force at the arm of a drive count at rest [N]: K_t V / (R Kp), with K_t = 1/Km."""
+    per_volt = 1.0 / (motor.armature_resistance_ohm * motor.speed_gain_rad_per_s_v * motor.screw_m_per_rad)
+    return V_PER_COUNT * per_volt
+
+
+class EmulatedHandle:
+    """A handle in virtual time: `advance` takes the device from one millisecond to the next.
+
+    Parameters: config, whose device and operator are emulated; session, number of this boot; device_id.
+    """
+
+    def __init__(self, config: HapticConfig, session: int, device_id: int = DEVICE_ID) -> None:
+        plant = config.to_plant_params()
+        self._drive_n = drive_n_per_count(plant.motor)
+        self._params = plant._replace(motor=plant.motor._replace(servo_gain_v_per_m=_SOURCE_V_PER_M))
+        self._plant = initial_plant(plant, config.device.start_position_m)
+        self._config = config
+        self._drive = 0
+        self._session_ticks: int | None = None
+        self._gauge_m: float | None = None
+        self._load_n = 0.0
+        self.device_id = device_id
+        self.time_us = 0
+        self.estop_pressed = False
+        self.core = self._boot(session)
+
+    def reset(self, session: int) -> None:
+        """Boot the firmware again, as after a loss of its supply; the arm stays where it is."""
+        self._drive = 0
+        self._session_ticks = None
+        self.core = self._boot(session)
+
+    def place(self, position_m: float) -> None:
+        """Put the arm against a gauge [m], towards the sample > 0, where it stays until it is driven."""
+        self._gauge_m = position_m
+
+    def load(self, force_n: float) -> None:
+        """Hang a weight at the sensor [N], towards the sample > 0, until the arm is driven: friction holds it."""
+        self._load_n = force_n
+
+    def receive(self, received: bytes) -> None:
+        self.core.receive(received)
+
+    def sent(self) -> bytes:
+        return self.core.sent()
+
+    def advance(self) -> None:
+        """Go on by a millisecond: plant, sample, firmware."""
+        self.time_us += TICK_US
+        self._session_ticks = ((self._session_ticks or 0) + 1) if self.core.session_runs else None
+        session_s = -1.0 if self._session_ticks is None else self._session_ticks * _TICK_S
+        if self.core.mode != MODE_OFF:
+            self._gauge_m, self._load_n = None, 0.0
+        elif self._gauge_m is not None:
+            self._plant = self._plant._replace(motor=MotorState(self._gauge_m, 0.0))
+        before_m = self._plant.motor.position_m
+        command = DriveCommand(MODE_OFF, 0.0, 0.0)
+        if self.core.mode != MODE_OFF:
+            volts = self._drive * V_PER_COUNT
+            command = DriveCommand(MODE_POSITION, before_m + volts / _SOURCE_V_PER_M, 0.0)
+        self._plant, reading = plant_step(self._params, self._plant, command, session_s, _TICK_S)
+        flags = wire.ESTOP_PRESSED if self.estop_pressed else 0
+        flags |= wire.FORCE_SATURATED if reading.operator_force_limited else 0
+        flags |= wire.CURRENT_LIMITED if reading.torque_limited else 0
+        if reading.end_stop:
+            towards = reading.position_m > 0.5 * (self._params.motor.position_min_m + self._params.motor.position_max_m)
+            flags |= wire.AT_MAX if towards else wire.AT_MIN
+        self._drive = self.core.tick(
+            BoardSample(
+                self.time_us,
+                POSITION_ZERO + round(reading.position_m / M_PER_COUNT),
+                FORCE_ZERO + round((reading.operator_force_n + self._load_n) / N_PER_COUNT),
+                max(-_FORCE_MAX, min(round(reading.motor_force_n / self._drive_n), _FORCE_MAX)),
+                _SUPPLY_10MV,
+                flags,
+            )
+        )
+
+    @property
+    def position_m(self) -> float:
+        """Where the arm really is [m]."""
+        return self._plant.motor.position_m
+
+    @property
+    def drive_v(self) -> float:
+        """Voltage of the drive until the next tick [V]."""
+        return self._drive * V_PER_COUNT
+
+    def _boot(self, session: int) -> FirmwareCore:
+        identity = BoardIdentity(self.device_id, session, _FLAGS, 0, M_PER_COUNT, N_PER_COUNT, self._drive_n, MODEL)
+        return FirmwareCore(identity)
+
+
+def calibration_of(config: HapticConfig, device_id: int = DEVICE_ID) -> dict[str, object]:
+    """Return the content of a calibration file that fits an emulated handle exactly."""
+    motor = config.device.to_params()
+    force_n = drive_n_per_count(motor)
+    return {
+        "schema": 1,
+        "device_id": f"{device_id:016x}",
+        "calibrated": datetime(2026, 1, 1, tzinfo=UTC),
+        "position": {"zero_raw": POSITION_ZERO, "m_per_count": M_PER_COUNT},
+        "force": {
+            "zero_raw": FORCE_ZERO,
+            "n_per_count": N_PER_COUNT,
+            "saturation_n": config.operator.max_force_n,
+        },
+        "drive": {
+            "n_per_count": force_n,
+            "friction_n": motor.friction_torque_n_m / motor.screw_m_per_rad,
+        },
+        "servo": {"stiffness_n_per_m": motor.servo_gain_v_per_m / V_PER_COUNT * force_n},
+        "watchdog_s": 0.02,
+        "max_force_n": motor.voltage_limit_v / V_PER_COUNT * force_n,
+    }

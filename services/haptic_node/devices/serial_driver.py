@@ -1,0 +1,436 @@
+"""A real handle behind the driver protocol: handle protocol 1 over a serial port, without waiting in a tick.
+
+A tick writes one COMMAND and takes what has come; the answer to it is there at the next tick or the one after. The
+newest sample is given with its age. After a loss everything comes from the device again: identity, limits, position.
+"""
+
+import math
+import time
+from collections.abc import Callable
+from enum import Enum
+
+from services.haptic_node.config import LimitsConfig
+from services.haptic_node.devices import wire
+from services.haptic_node.devices.calibration import HandleCalibration
+from services.haptic_node.devices.port import OpenPort, Port, SerialPort
+from services.haptic_node.devices.sample_clock import RecentMinimum, SampleClock
+from services.haptic_node.driver import (
+    Capabilities,
+    DeviceError,
+    DeviceReading,
+    DeviceReport,
+    DriveCommand,
+    Status,
+)
+from services.haptic_node.safety import MODE_FORCE, MODE_NAMES, MODE_OFF, MODE_POSITION
+
+_MS = 1_000_000
+ASK_EVERY_NS = 100 * _MS
+# a board that resets when its port is opened may spend two seconds in its boot loader
+HANDSHAKE_NS = 3000 * _MS
+STALE_NS = 5 * _MS
+LOST_NS = 50 * _MS
+RETRY_NS = 500 * _MS
+_NOTICE_NS = 1000 * _MS
+_MOST_DROPPED = 50
+_PERIOD_S = 1e-3
+_SLOW_S = 2 * _PERIOD_S
+_BITS_A_BYTE = 10
+_COMMAND_BYTES = 20
+_STATE_BYTES = 40
+_SENT_KEPT = 256
+
+
+class _Phase(Enum):
+    CLOSED = 0
+    ASKING = 1
+    CONFIGURING = 2
+    READY = 3
+
+
+class SerialHandle:
+    """A `HapticDevice` on a serial port.
+
+    Parameters: path and baud of the port; calibration, of this very device; limits, which the device enforces as well;
+    open_port and now_ns (monotonic), which a test replaces; sleep, for `open` alone.
+    """
+
+    def __init__(
+        self,
+        path: str,
+        baud: int,
+        calibration: HandleCalibration | None,
+        limits: LimitsConfig,
+        *,
+        open_port: OpenPort = SerialPort,
+        now_ns: Callable[[], int] = time.monotonic_ns,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        self.path = path
+        self.hello: wire.Hello | None = None
+        # number of the last session that was ready: it is another after each boot of the device
+        self._session: int | None = None
+        self.state: wire.State | None = None
+        # of frames: sent and not taken by the port, missing by seq
+        self.dropped = 0
+        self.missed = 0
+        self.reader = wire.FrameReader()
+        self._modes: tuple[int, ...] = (MODE_OFF,)
+        self._baud = baud
+        self._calibration = calibration
+        self._limits = None if calibration is None else calibration.device_limits(limits)
+        self._open_port, self._now_ns, self._sleep = open_port, now_ns, sleep
+        self._port: Port | None = None
+        self._phase = _Phase.CLOSED
+        self._clock = SampleClock()
+        self._round_trips = RecentMinimum()
+        # of the least one a half is the way of a sample to the host, which one-way stamps cannot tell
+        self._round_trip_ns = 0
+        self._sent_at_ns = [0] * _SENT_KEPT
+        self._seq = 0
+        self._nonce = 0
+        self._phase_began_ns = self._sent_ns = self._received_ns = self._sampled_ns = 0
+        self._retry_ns = 0
+        self._awaited_seq = -1
+        self._dropped_in_a_row = 0
+        self._session_runs = False
+        self._slow_since_ns = self._noticed_ns = 0
+        self._errors_noticed = 0
+        self._text = ""
+        self._report = DeviceReport("lost", 0.0, False, "the handle is not open")
+        # where the arm is has never been measured; it is not used before a sample is there
+        self._reading = DeviceReading(0.0, 0.0, 0.0, False, 0.0, 0.0, False, False, False)
+
+    @property
+    def capabilities(self) -> Capabilities:
+        """Return what the device said of itself; DeviceError before it was open."""
+        if self.hello is None or self._calibration is None or self._limits is None:
+            raise DeviceError(f"{self.path}: what the handle can do is known once it is open")
+        flags, calibration = self.hello.flags, self._calibration
+        ends = sorted(map(calibration.position_m, (self._limits.travel_min, self._limits.travel_max)))
+        measured = flags & wire.HAS_FORCE_SENSOR
+        return Capabilities(
+            max_force_n=min(calibration.max_force_n, calibration.force.saturation_n),
+            max_stiffness_n_per_m=calibration.servo.stiffness_n_per_m,
+            max_damping_n_s_per_m=calibration.servo.damping_n_s_per_m,
+            workspace_min_m=ends[0],
+            workspace_max_m=ends[1],
+            modes=modes_of(self.hello),
+            identity=identity_text(self.hello),
+            force_source="sensor" if measured else "estimate" if flags & wire.FORCE_IS_ESTIMATED else "none",
+            latency_s=self._latency_s(calibration),
+            calibration=calibration.identity,
+        )
+
+    def _latency_s(self, calibration: HandleCalibration) -> float:
+        """Return the latency of the calibration, or else that of the protocol [s].
+
+        A command waits for the device's next millisecond, and the sample for the next command, which asks for it: one
+        period together, whatever the phase of the two clocks. The device's servo holds its drive for a period, half of
+        one in the mean, where a simulated one is continuous. The answer is there at the tick after, or after as many as
+        the bytes take.
+        """
+        if calibration.latency_s is not None:
+            return calibration.latency_s
+        on_line_s = (_COMMAND_BYTES + _STATE_BYTES) * _BITS_A_BYTE / self._baud
+        return _PERIOD_S * (1.5 + math.ceil(on_line_s / _PERIOD_S))
+
+    @property
+    def report(self) -> DeviceReport:
+        return self._report
+
+    def open(self) -> None:
+        """Connect and wait for the first sample, 3 s at most. Raises DeviceError with what was found and expected."""
+        self._connect(self._now_ns())
+        while self._phase is not _Phase.READY:
+            self._sleep(_PERIOD_S)
+            self._poll(self._now_ns())
+            if self._phase is _Phase.CLOSED:
+                raise DeviceError(self._text)
+        self._judge(self._now_ns())
+
+    def identify(self) -> wire.Hello:
+        """Connect and return who the device is, without configuring it. Raises DeviceError if nobody answers."""
+        self._connect(self._now_ns())
+        while self.hello is None:
+            self._sleep(_PERIOD_S)
+            self._poll(self._now_ns())
+            if self._phase is _Phase.CLOSED:
+                raise DeviceError(self._text)
+        return self.hello
+
+    def close(self) -> None:
+        """Switch the drive off until the next session and let the port go; harmless when already closed."""
+        self.make_safe()
+        self._disconnect(self._now_ns())
+
+    def make_safe(self) -> None:
+        """Send STOP; the device's own watchdog stands behind it."""
+        if self._port is not None and self.hello is not None:
+            try:
+                self._port.write(wire.encode_stop(self._next_seq(), self.hello.session))
+            except DeviceError:
+                # a cable that is out: the watchdog has switched the drive off
+                return
+
+    def write(self, command: DriveCommand) -> None:
+        """Send the command of this period, if there is a device to send it to."""
+        if self._phase is not _Phase.READY:
+            return
+        if command.mode not in self._modes:
+            raise DeviceError(f"the handle at {self.path} has no mode {MODE_NAMES.get(command.mode, command.mode)}")
+        self._send_command(command)
+
+    def read(self, session_time_s: float, dt_s: float) -> DeviceReading:
+        """Take what has come and return the newest sample; a handle that is lost repeats it, and `report` says so."""
+        self._session_runs = session_time_s >= 0.0
+        now_ns = self._now_ns()
+        self._poll(now_ns)
+        self._judge(now_ns)
+        return self._reading
+
+    def capture_state(self) -> object:
+        """Raise TypeError: the state of a live device has no form in a journal."""
+        raise TypeError("the state of a real handle cannot be captured")
+
+    def _connect(self, now_ns: int) -> None:
+        self._port = self._open_port(self.path, self._baud)
+        self.reader.reset()
+        self.hello = None
+        self._clock, self._round_trips = SampleClock(), RecentMinimum()
+        self._dropped_in_a_row = 0
+        self._nonce = (self._nonce * 75 + 74 + now_ns) & 0xFFFF
+        self._enter(_Phase.ASKING, now_ns)
+
+    def _disconnect(self, now_ns: int) -> None:
+        if self._port is not None:
+            self._port.close()
+        self._port = None
+        self._phase = _Phase.CLOSED
+        self._retry_ns = now_ns + RETRY_NS
+
+    def _lose(self, now_ns: int, text: str) -> None:
+        self._text = text
+        self._disconnect(now_ns)
+
+    def _enter(self, phase: _Phase, now_ns: int) -> None:
+        self._phase, self._phase_began_ns = phase, now_ns
+        self._sent_ns = now_ns - ASK_EVERY_NS
+
+    def _poll(self, now_ns: int) -> None:
+        """Take what has come, and do what the phase asks for; nothing is raised."""
+        try:
+            if self._port is None:
+                if now_ns >= self._retry_ns:
+                    self._retry_ns = now_ns + RETRY_NS
+                    self._connect(now_ns)
+                return
+            received = self._port.read()
+            for answer in self.reader.answers(received):
+                self._on_answer(answer, now_ns)
+                if self._port is None:
+                    return
+            if self._phase is _Phase.READY:
+                if now_ns - self._received_ns > LOST_NS:
+                    self._lose(now_ns, f"{self.path}: the handle has been silent for {LOST_NS // _MS} ms")
+            else:
+                self._go_on_with_handshake(now_ns)
+        except DeviceError as error:
+            self._lose(now_ns, str(error))
+
+    def _go_on_with_handshake(self, now_ns: int) -> None:
+        if now_ns - self._phase_began_ns > HANDSHAKE_NS:
+            what = "nothing answers" if self.hello is None else "the handle does not take its limits"
+            bad = sum(self.reader.errors.values())
+            self._lose(
+                now_ns,
+                f"{self.path}: {what} in handle protocol {wire.MAJOR} at {self._baud} baud for 3 s ({bad} bad frames): "
+                "check device, firmware and baud rate",
+            )
+        elif now_ns - self._sent_ns >= ASK_EVERY_NS:
+            self._sent_ns = now_ns
+            if self.hello is None:
+                self._send(wire.encode_ask(self._next_seq(), self._nonce))
+            elif self._limits is not None:
+                self._send(wire.encode_config(self._next_seq(), self.hello.session, self._limits))
+
+    def _on_answer(self, answer: wire.Answer, now_ns: int) -> None:
+        if isinstance(answer, wire.Hello):
+            self._on_hello(answer, now_ns)
+        elif isinstance(answer, wire.State):
+            self._on_state(answer, now_ns)
+        elif isinstance(answer, wire.Configured):
+            self._on_configured(answer)
+        elif answer.severity >= wire.SEVERITY_FATAL:
+            self._lose(now_ns, f"{self.path}: the handle reports fault {answer.code}: {answer.text}")
+        else:
+            self._text = f"{self.path}: the handle reports fault {answer.code}: {answer.text}"
+
+    def _on_hello(self, hello: wire.Hello, now_ns: int) -> None:
+        if self._phase is not _Phase.ASKING or hello.nonce != self._nonce:
+            return
+        fault = refusal(hello, self._calibration)
+        if fault:
+            self._lose(now_ns, f"{self.path}: {fault}")
+            return
+        self.hello, self._modes = hello, modes_of(hello)
+        self._enter(_Phase.CONFIGURING, now_ns)
+
+    def _on_configured(self, answer: wire.Configured) -> None:
+        """Send the command off that every session begins with; the sample that answers it makes the device ready."""
+        if self._phase is not _Phase.CONFIGURING or self.hello is None or answer.session != self.hello.session:
+            return
+        if answer.limits == self._limits:
+            self._send_command(DriveCommand(MODE_OFF, 0.0, 0.0))
+            self._awaited_seq = (self._seq - 1) & 0xFFFF
+
+    def _on_state(self, state: wire.State, now_ns: int) -> None:
+        if self.hello is None:
+            return
+        if state.session != self.hello.session:
+            # reported with this loss, and not once more when it is ready
+            self._session = state.session
+            self._lose(now_ns, f"{self.path}: {reset_text(self.hello.session, state.session)}")
+            return
+        self._received_ns = now_ns
+        if self._phase is _Phase.CONFIGURING:
+            if not (state.flags & wire.IS_CONFIGURED and state.command_seq == self._awaited_seq):
+                return
+            self._phase = _Phase.READY
+            self._text = f"{self.path}: {identity_text(self.hello)} is ready"
+            # a board that was silent while it booted has said hello before anything else of its new session came
+            if self._session not in (None, self.hello.session):
+                self._text += f"; {reset_text(self._session, self.hello.session)}"
+            self._session = self.hello.session
+            if self._calibration is not None:
+                self._text += f", calibration {self._calibration.identity}"
+        elif self.state is not None:
+            self.missed += (state.seq - self.state.seq - 1) & 0xFFFF
+        if self.state is None or state.command_seq != self.state.command_seq:
+            round_trip_ns = now_ns - self._sent_at_ns[state.command_seq % _SENT_KEPT]
+            self._round_trip_ns = self._round_trips.least(round_trip_ns, now_ns)
+        self.state = state
+        self._sampled_ns = self._clock.host_ns(state.time_us, now_ns)
+        if self._calibration is not None:
+            self._reading = reading_of(state, self._calibration)
+
+    def _judge(self, now_ns: int) -> None:
+        """Renew the report."""
+        age_s = (now_ns - self._sampled_ns + self._round_trip_ns // 2) * 1e-9 if self.state is not None else 0.0
+        flags = self.state.flags if self.state is not None else 0
+        status: Status = "ok"
+        if self._phase is not _Phase.READY:
+            status = "lost"
+        elif flags & wire.WATCHDOG_TRIPPED:
+            status = "lost"
+            self._text = f"{self.path}: the handle got no command for its watchdog's time and is off until it gets one"
+        elif now_ns - self._received_ns > STALE_NS:
+            status = "stale"
+        self._notice(now_ns, age_s, status)
+        counts = counts_of(self.state) if self.state is not None else {}
+        self._report = DeviceReport(status, age_s, bool(flags & wire.ESTOP_PRESSED), self._text, counts)
+
+    def _notice(self, now_ns: int, age_s: float, status: Status) -> None:
+        """Say once what goes on for long: samples that are old, frames that are bad (once a second at most)."""
+        if age_s <= _SLOW_S or status == "lost":
+            self._slow_since_ns = 0
+        elif self._slow_since_ns == 0:
+            self._slow_since_ns = now_ns
+        elif self._slow_since_ns > 0 and now_ns - self._slow_since_ns > _NOTICE_NS:
+            # until the samples are fresh again it was said
+            self._slow_since_ns = -1
+            self._text = (
+                f"{self.path}: the samples of the handle have been {age_s * 1e3:.1f} ms old for a second: "
+                "`telenano doctor` looks at the latency timer of the adapter; a hub or a busy machine does this too"
+            )
+        errors = sum(self.reader.errors.values())
+        if errors > self._errors_noticed and now_ns - self._noticed_ns > _NOTICE_NS and status != "lost":
+            self._errors_noticed, self._noticed_ns = errors, now_ns
+            counted = ", ".join(f"{count} {kind}" for kind, count in self.reader.errors.items() if count)
+            self._text = f"{self.path}: bad frames were dropped: {counted}"
+
+    def _send_command(self, command: DriveCommand) -> None:
+        if self.hello is None or self._calibration is None:
+            return
+        flags = wire.SESSION_RUNS if self._session_runs else 0
+        position = self._calibration.position_raw(command.position_reference_m) if command.mode == MODE_POSITION else 0
+        force = self._calibration.drive_raw(command.force_reference_n) if command.mode == MODE_FORCE else 0
+        self._sent_at_ns[self._seq % _SENT_KEPT] = self._now_ns()
+        frame = wire.encode_command(self._next_seq(), self.hello.session, flags, command.mode, position, force)
+        try:
+            self._send(frame)
+        except DeviceError as error:
+            self._lose(self._now_ns(), str(error))
+
+    def _send(self, frame: bytes) -> None:
+        if self._port is None:
+            return
+        if self._port.write(frame):
+            self._dropped_in_a_row = 0
+            return
+        self.dropped += 1
+        self._dropped_in_a_row += 1
+        if self._dropped_in_a_row >= _MOST_DROPPED:
+            raise DeviceError(f"{self.path}: the handle takes no bytes: {_MOST_DROPPED} commands in a row were dropped")
+
+    def _next_seq(self) -> int:
+        seq, self._seq = self._seq, (self._seq + 1) & 0xFFFF
+        return seq
+
+
+def modes_of(hello: wire.Hello) -> tuple[int, ...]:
+    """Return the modes that a device has; every one has off."""
+    bits = ((MODE_POSITION, wire.HAS_POSITION_MODE), (MODE_FORCE, wire.HAS_FORCE_MODE))
+    return (MODE_OFF, *(mode for mode, bit in bits if hello.flags & bit))
+
+
+def identity_text(hello: wire.Hello) -> str:
+    """Return who a device is, for a person."""
+    emulated = ", emulated" if hello.flags & wire.IS_EMULATED else ""
+    return f"{hello.model} {hello.device_id:016x}, firmware {hello.firmware >> 8}.{hello.firmware & 0xFF}{emulated}"
+
+
+def reset_text(before: int | None, session: int) -> str:
+    """Return the report of a device that was started anew, by the numbers of its sessions."""
+    return f"the handle was reset: session {session}, not {before}"
+
+
+def refusal(hello: wire.Hello, calibration: HandleCalibration | None) -> str:
+    """Return why a device must not be driven with a calibration; empty if it may."""
+    if hello.major != wire.MAJOR:
+        return f"the handle speaks protocol {hello.major}.{hello.minor}, {wire.MAJOR} is needed: flash its firmware"
+    if calibration is None:
+        return ""
+    found = f"{hello.device_id:016x}"
+    if found != calibration.device_id:
+        return f"the handle is {found}, and the calibration is that of {calibration.device_id}"
+    if hello.max_rate_hz < round(1.0 / _PERIOD_S):
+        return f"the handle takes {hello.max_rate_hz} commands a second, {round(1.0 / _PERIOD_S)} are needed"
+    return ""
+
+
+def counts_of(state: wire.State) -> dict[str, int]:
+    """Return a sample as it was sent, by the keys of haptic/state."""
+    return {
+        "position_raw": state.position,
+        "velocity_raw": state.velocity_per_s,
+        "operator_force_raw": state.force,
+        "drive_raw": state.drive,
+    }
+
+
+def reading_of(state: wire.State, calibration: HandleCalibration) -> DeviceReading:
+    """Return a sample in SI units; a protocol without the voltage of the motor gives 0 for it."""
+    force_n = calibration.operator_force_n(state.force)
+    saturated = bool(state.flags & wire.FORCE_SATURATED) or abs(force_n) >= calibration.force.saturation_n
+    return DeviceReading(
+        calibration.position_m(state.position),
+        calibration.velocity_m_per_s(state.velocity_per_s),
+        force_n,
+        saturated,
+        calibration.drive_force_n(state.drive),
+        0.0,
+        bool(state.flags & (wire.AT_MIN | wire.AT_MAX)),
+        bool(state.flags & wire.VOLTAGE_LIMITED),
+        bool(state.flags & wire.CURRENT_LIMITED),
+    )

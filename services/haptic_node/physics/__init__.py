@@ -1,0 +1,1 @@
+"""The simulated haptic device: motor, arm, and the operator who holds it."""

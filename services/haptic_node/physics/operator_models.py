@@ -1,0 +1,73 @@
+"""The models of the simulated hand: those of `operator`, and those of installed packages (`telenano.operators`)."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal, Self, cast, get_args
+
+from pydantic import BaseModel, model_validator
+
+from presets.plugins import load
+from services.haptic_node.physics import operator
+from services.haptic_node.physics.operator import OperatorParams, OperatorState
+from services.numerics.compiled import chosen_step
+
+Step = Callable[..., Any]
+
+
+@dataclass(frozen=True)
+class OperatorModel:
+    """A model of the hand on the device.
+
+    config: settings with `kind: Literal[name]`, `max_force_n` [N] and `to_params()`, which gives a `params`;
+    params: a NamedTuple of the model's own, with `max_force_n`; `start(params, position_m) -> state`, a hand at rest;
+    `step(params, state, OperatorInputs, dt) -> (state, OperatorOutputs)`, pure and compiled, over dt [s] > 0.
+    """
+
+    name: str
+    config: type[BaseModel]
+    params: type
+    start: Step
+    step: Step
+
+
+def _checked(name: str, value: Any) -> OperatorModel:
+    if not isinstance(value, OperatorModel):
+        raise TypeError(f"is a {type(value).__name__}, must be an OperatorModel")
+    kind = value.config.model_fields.get("kind")
+    if value.name != name or kind is None or get_args(kind.annotation) != (name,):
+        raise ValueError(f"name and config.kind must be {name!r}")
+    for owner, fields in (("config", value.config.model_fields), ("params", getattr(value.params, "_fields", ()))):
+        if "max_force_n" not in fields:
+            raise ValueError(f"{owner} has no max_force_n")
+    return value
+
+
+def unusable_config(name: str, problem: str) -> type[BaseModel]:
+    """Return settings of a kind that nothing satisfies: whoever chooses it is told the problem."""
+
+    class Unusable(BaseModel):
+        kind: Literal[name]  # type: ignore[valid-type]
+
+        @model_validator(mode="after")
+        def _say_why(self) -> Self:
+            raise ValueError(problem)
+
+    return Unusable
+
+
+OPERATOR_MODELS = load("operators", _checked, ("force_profile", "impedance", "interactive"))
+_MODEL_OF = {model.params: model for model in OPERATOR_MODELS.found.values()}
+
+
+def _step_of(kind: type) -> Step:
+    return operator.step if kind is OperatorParams else _MODEL_OF[kind].step
+
+
+operator_step = chosen_step(_step_of)
+
+
+def operator_at_rest(params: Any, position_m: float) -> Any:
+    """Return the hand at rest at position_m [m]."""
+    if type(params) is OperatorParams:
+        return OperatorState(position_m, 0.0)
+    return cast(Any, _MODEL_OF[type(params)].start(params, position_m))

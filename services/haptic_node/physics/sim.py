@@ -1,0 +1,91 @@
+"""The simulated haptic device: motor and hand behind the driver protocol. No socket, no clock: time is passed in."""
+
+import numpy as np
+
+from services.haptic_node.driver import Capabilities, DeviceError, DeviceReading, DriveCommand
+from services.haptic_node.physics.step import PlantParams, PlantState, initial_plant, plant_step
+from services.haptic_node.safety import MODE_NAMES, MODE_OFF, MODE_POSITION
+
+SAMPLE_TIME_S = 1e-3
+_OFF = DriveCommand(MODE_OFF, 0.0, 0.0)
+
+
+def capabilities(params: PlantParams) -> Capabilities:
+    """Return what the simulated device declares, from its own constants.
+
+    The largest force is what the hand's sensor measures, or what the motor can hold beyond its friction if that is
+    less. The physical damping at the arm is the motor's own, K_t K_e / (R Kp^2) with K_t = K_e = 1/Km.
+    """
+    motor = params.motor
+    held = (motor.torque_limit_n_m - motor.friction_torque_n_m) / motor.screw_m_per_rad
+    reflected = motor.speed_gain_rad_per_s_v * motor.screw_m_per_rad
+    damping = 1.0 / (motor.armature_resistance_ohm * reflected * reflected)
+    return Capabilities(
+        max_force_n=min(params.operator.max_force_n, held),
+        max_stiffness_n_per_m=2.0 * damping / SAMPLE_TIME_S,
+        max_damping_n_s_per_m=damping,
+        workspace_min_m=motor.position_min_m,
+        workspace_max_m=motor.position_max_m,
+        modes=(MODE_OFF, MODE_POSITION),
+    )
+
+
+class SimulatedHaptic:
+    """A HapticDevice whose motor and hand are the compiled models."""
+
+    def __init__(self, params: PlantParams, start_position_m: float) -> None:
+        self._params = params
+        self._capabilities = capabilities(params)
+        self._state: PlantState = initial_plant(params, start_position_m)
+        self._command = _OFF
+        self._opened = False
+
+    @property
+    def capabilities(self) -> Capabilities:
+        return self._capabilities
+
+    @property
+    def report(self) -> None:
+        return None
+
+    def open(self) -> None:
+        """Start in the safe state, where the arm was left."""
+        self._command = _OFF
+        # Compile (or load) the models now and drop the result: the first reading of a loop is not to wait for it.
+        plant_step(self._params, self._state, self._command, -SAMPLE_TIME_S, SAMPLE_TIME_S)
+        self._opened = True
+
+    def close(self) -> None:
+        """Switch the drive off and refuse further use."""
+        self.make_safe()
+        self._opened = False
+
+    def write(self, command: DriveCommand) -> None:
+        self._require_open()
+        if command.mode not in self._capabilities.modes:
+            raise DeviceError(
+                f"mode {command.mode} ({MODE_NAMES.get(command.mode, 'unknown')}) is not one of this device's:"
+                f" {', '.join(f'{code} ({MODE_NAMES[code]})' for code in self._capabilities.modes)}"
+            )
+        self._command = command
+
+    def read(self, session_time_s: float, dt_s: float) -> DeviceReading:
+        """Advance by dt_s under the last command and sample. Raises DeviceError if closed, ValueError if dt_s <= 0."""
+        self._require_open()
+        if not dt_s > 0.0:
+            raise ValueError(f"dt_s of a reading must be a positive time in s, not {dt_s!r}")
+        self._state, reading = plant_step(self._params, self._state, self._command, session_time_s, dt_s)
+        return reading
+
+    def push(self, force_n: float) -> None:
+        """Hold a force of the hand from now on [N], towards the sample, in the place of the profile."""
+        values = np.array([force_n])
+        self._params = self._params._replace(operator=self._params.operator._replace(values=values))
+
+    def make_safe(self) -> None:
+        """Drive voltage zero from now on: the shorted motor brakes and the screw, not back-drivable, stands."""
+        self._command = _OFF
+
+    def _require_open(self) -> None:
+        if not self._opened:
+            raise DeviceError("the simulated haptic device is not open: call open() first")

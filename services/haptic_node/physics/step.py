@@ -1,0 +1,121 @@
+"""The haptic site in one step: guard, then device, then hand.
+
+`plant_step` is what the simulated driver runs behind the node's own guard; `step` is the whole chain for lockstep
+studies. Both are the same functions, so a study and a rig cannot differ.
+"""
+
+from typing import Any, NamedTuple
+
+from services.haptic_node import safety
+from services.haptic_node.driver import DeviceReading, DriveCommand
+from services.haptic_node.physics import motor, operator
+from services.haptic_node.physics.operator_models import operator_at_rest, operator_step
+from services.numerics.compiled import compiled
+
+
+class PlantParams(NamedTuple):
+    """Constants of the simulated device and of the hand on it."""
+
+    motor: motor.MotorParams
+    # those of one of the models of `operator_models`
+    operator: Any
+
+
+class PlantState(NamedTuple):
+    """States of the simulated device and of the hand on it."""
+
+    motor: motor.MotorState
+    operator: Any
+
+
+class HapticParams(NamedTuple):
+    """Constants of the whole chain."""
+
+    safety: safety.SafetyParams
+    plant: PlantParams
+
+
+class HapticStepState(NamedTuple):
+    """State of the whole chain."""
+
+    safety: safety.SafetyState
+    plant: PlantState
+
+
+class HapticInputs(NamedTuple):
+    """The newest command with its age, and the session's clock and requests.
+
+    command_mode: 0 off, 1 position, 2 force. position_reference_m: along x, towards the sample. command_age_s: infinite
+    if there never was a command. session_time_s: since the start of the session, negative if it has not started.
+    """
+
+    command_mode: int
+    position_reference_m: float
+    force_reference_n: float
+    command_age_s: float
+    session_time_s: float
+    estop: bool
+    arm_requested: bool
+
+
+class HapticOutputs(NamedTuple):
+    """What the guard applied and why, and what the device then measured and really sent."""
+
+    applied: safety.SafetyOutputs
+    reading: DeviceReading
+
+
+def initial_plant(params: PlantParams, position_m: float) -> PlantState:
+    """Return the device and the hand at rest at position_m [m]."""
+    return PlantState(motor.MotorState(position_m, 0.0), operator_at_rest(params.operator, position_m))
+
+
+def initial_state(params: PlantParams, position_m: float) -> HapticStepState:
+    """Return the chain at rest at position_m [m], off, not latched."""
+    return HapticStepState(safety.SafetyState(False, safety.MODE_OFF, position_m), initial_plant(params, position_m))
+
+
+@compiled
+def plant_step(
+    params: PlantParams, state: PlantState, command: DriveCommand, session_time_s: float, dt: float
+) -> tuple[PlantState, DeviceReading]:
+    """Advance device and hand by dt [s], > 0, under a guarded command."""
+    inputs = motor.MotorInputs(command.mode, command.position_reference_m)
+    motion, drive = motor.step(params.motor, state.motor, inputs, dt)
+    ends = operator.OperatorInputs(session_time_s, state.motor.position_m, motion.position_m)
+    hand, felt = operator_step(params.operator, state.operator, ends, dt)
+    reading = DeviceReading(
+        motion.position_m,
+        motion.velocity_m_per_s,
+        felt.force_n,
+        felt.limited,
+        drive.force_n,
+        drive.voltage_v,
+        drive.end_stop,
+        drive.voltage_limited,
+        drive.torque_limited,
+    )
+    return PlantState(motion, hand), reading
+
+
+@compiled
+def step(
+    params: HapticParams, state: HapticStepState, inputs: HapticInputs, dt: float
+) -> tuple[HapticStepState, HapticOutputs]:
+    """Advance the haptic site by dt [s]. Raises ValueError if dt is not a positive time."""
+    if not dt > 0.0:
+        raise ValueError("dt of the haptic step must be a positive time in s")
+    guard_inputs = safety.SafetyInputs(
+        inputs.command_mode,
+        inputs.position_reference_m,
+        inputs.force_reference_n,
+        inputs.command_age_s,
+        inputs.estop,
+        inputs.arm_requested,
+        state.plant.motor.position_m,
+        False,
+    )
+    guard, applied = safety.step(params.safety, state.safety, guard_inputs, dt)
+    command = DriveCommand(applied.mode, applied.position_reference_m, applied.force_reference_n)
+    plant, reading = plant_step(params.plant, state.plant, command, inputs.session_time_s, dt)
+    return HapticStepState(guard, plant), HapticOutputs(applied, reading)

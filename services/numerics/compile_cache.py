@@ -1,0 +1,118 @@
+"""The cache of compiled steps on disk: what is damaged or outdated is compiled again, and never run.
+
+A file for each function and signature, whatever the edits: what is compiled after one takes the place of what was.
+"""
+
+import hashlib
+import logging
+import os
+import pickle
+import re
+import sys
+import time
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from numba.core import config, types
+from numba.core.caching import FunctionCache, IndexDataCacheFile
+
+from services.numerics.code_digest import code_digest
+
+# of each file: numba's own has no means to notice that a file was cut off or changed
+_DIGEST_BYTES = hashlib.sha256().digest_size
+# what is read is marked as used, once in a while
+_USED_S = 86_400.0
+
+
+class _DamagedError(Exception):
+    """A file of the cache does not have the content that was written to it."""
+
+
+class _Key(NamedTuple):
+    """Which file a compiled function is in, and the digest of what it was compiled from."""
+
+    name: str
+    digest: str
+
+
+class CheckedCacheFile(IndexDataCacheFile):
+    """The files of one function; numba's, but for their names, their checksums, and that there is no index."""
+
+    @property
+    def _folder(self) -> Path:
+        """The folder of all functions; each package has one in it."""
+        return Path(self._cache_path).parent
+
+    def load(self, key: _Key) -> Any:
+        """Return what was compiled, None where it is absent, outdated or damaged."""
+        path = Path(self._data_path(key.name))
+        try:
+            if time.time() - path.stat().st_mtime > _USED_S:
+                os.utime(path)
+            digest, version, compiled = _checked(path.read_bytes())
+        except _DamagedError:
+            _warn(f"the compiled code in {self._folder} was damaged, and is compiled again")
+            return None
+        except OSError:
+            return None
+        # unpickled here and not above: what is outdated may name classes that are no more
+        return pickle.loads(compiled) if (digest, version) == (key.digest, self._version) else None
+
+    def save(self, key: _Key, data: Any) -> None:
+        """Keep what was compiled; where that is not possible it is compiled again the next time."""
+        content = pickle.dumps((key.digest, self._version, self._dump(data)))
+        try:
+            with self._open_for_write(self._data_path(key.name)) as file:
+                file.write(hashlib.sha256(content).digest() + content)
+        except OSError as error:
+            _warn(f"compiled code cannot be kept in {self._folder}: {error.strerror}")
+
+
+class CheckedCache(FunctionCache):
+    """The cache of one function."""
+
+    def __init__(self, function: Any) -> None:
+        super().__init__(function)
+        self._cache_file = CheckedCacheFile(self._cache_path, function.__qualname__, "")
+
+    def _index_key(self, signature: Any, codegen: Any) -> _Key:
+        classes = list(dict.fromkeys(_classes(signature)))
+        function = self._py_func
+        names = [f"{kind.__module__}.{kind.__qualname__}" for kind in (function, *classes)]
+        # code that checks its indices (NUMBA_BOUNDSCHECK) is other code
+        described = repr(
+            (sys.implementation.cache_tag, names, signature, codegen.magic_tuple(), vars(config)["BOUNDSCHECK"])
+        )
+        # not the line of the function, which numba's names have: lines above it come and go
+        readable = re.sub(r"[^\w.]", "", names[0].rpartition("services.")[2])
+        name = f"{readable}.{hashlib.sha256(described.encode()).hexdigest()[:24]}.nbc"
+        return _Key(name, code_digest(function, classes))
+
+
+def _classes(part: Any) -> Iterator[type]:
+    """Yield the classes of the tuples in a signature: numba's types know them, and not what became of their fields."""
+    if isinstance(part, tuple | list):
+        for inner in part:
+            yield from _classes(inner)
+    elif isinstance(part, types.Type):
+        if isinstance(part, types.BaseNamedTuple):
+            # numba declares it for the classes below this one
+            named: Any = part
+            yield named.instance_class
+        for name in ("types", "dtype", "type"):
+            yield from _classes(getattr(part, name, None))
+
+
+def _checked(content: bytes) -> Any:
+    digest, content = content[:_DIGEST_BYTES], content[_DIGEST_BYTES:]
+    if hashlib.sha256(content).digest() != digest:
+        raise _DamagedError
+    return pickle.loads(content)
+
+
+@cache
+def _warn(text: str) -> None:
+    """Log a warning once in a process: what happened to the code of one function happens to that of others."""
+    logging.getLogger("studies").warning(text)

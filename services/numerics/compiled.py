@@ -1,0 +1,201 @@
+"""Compilation of pure steps.
+
+`@compiled` marks a pure step and leaves it the plain Python function that it is. Python calls it as such: a node makes
+a few calls a millisecond, and boxing their tuples for compiled code would cost more than the arithmetic. Compiled code
+that calls a marked step finds its compiled form, which is made at the first need; `compiled_form` gives that form to a
+study, whose one call makes millions of others. Both forms give the same bits, and a process may use both, whatever it
+imported first.
+
+Compiled forms are `numba.njit` with a cache on disk. Numba notices a change of the file that a function is in, but not
+of the functions that it calls from other files, so a plain cache would go on running an old model after an edit. This
+one keeps a digest of all that went into a compiled form (`code_digest`): after an edit the functions that depend on it
+are compiled again, and the others load in milliseconds
+([ADR 0049](../../docs/decisions/0049-compiled-code-by-what-went-into-it.md)).
+"""
+
+import contextlib
+import hashlib
+import importlib.util
+import os
+import shutil
+import time
+from collections.abc import Callable
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from types import FunctionType
+from typing import Any, TypeVar, cast
+
+from presets.plugins import digest_of_all
+
+F = TypeVar("F", bound=Callable[..., object])
+
+_ROOT = Path(__file__).resolve().parents[2]
+_PACKAGES = ("services/haptic_node", "services/afm_node", "services/controller", "studies")
+_SHELLS = ("node.py", "__main__.py")
+# raised with every change of what `compile_cache` writes, or of the options of the compiler
+_CACHE_FORMAT = "3"
+# what other checkouts and signatures that are no more have left behind
+CACHE_DAYS = 14
+# in the folder of the cache: when it was last cleaned
+_CLEANED = "cleaned"
+# the attribute of a step that is chosen while compiling, by the class of its parameters: the function that chooses
+CHOICE = "_telenano_choice"
+
+# The attribute that marks a step. It holds the compiled form, None before it was needed.
+STEP = "_telenano_step"
+# The choices whose compiled form the compiler does not know yet: it is imported when it is needed.
+_unregistered: list[Callable[..., Any]] = []
+
+
+def source_digest(root: Path = _ROOT) -> str:
+    """Return the digest (16 hex digits) of every Python file that may hold compiled steps or constants they use."""
+    digest = hashlib.sha256(version("numba").encode())
+    for package in _PACKAGES:
+        for path in sorted((root / package).rglob("*.py")):
+            if path.name not in _SHELLS:
+                digest.update(str(path.relative_to(root)).encode())
+                digest.update(path.read_bytes())
+    # installed packages have steps as well
+    digest.update(digest_of_all().encode())
+    return digest.hexdigest()[:16]
+
+
+def cache_directory() -> Path:
+    """Return the folder of compiled code: a folder in it for each of sources, a file a function and signature."""
+    base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    return base / "telenano" / f"numba-{_CACHE_FORMAT}-{version('numba')}"
+
+
+def clean_cache(folder: Path, now_s: float) -> list[Path]:
+    """Delete compiled code that no process has used for CACHE_DAYS; return what went.
+
+    Beside the folder are those of other versions, which may be in use. Looks once a day.
+    """
+    old: list[Path] = []
+    marker = folder / _CLEANED
+    with contextlib.suppress(OSError):
+        if marker.exists() and now_s - marker.stat().st_mtime < 86_400.0:
+            return old
+        marker.touch()
+        os.utime(marker, (now_s, now_s))
+    for other in folder.parent.glob("numba-*"):
+        with contextlib.suppress(OSError):
+            if other != folder and _unused(other, now_s):
+                shutil.rmtree(other)
+                old.append(other)
+    for path in folder.glob("*/*"):
+        with contextlib.suppress(OSError):
+            if _unused(path, now_s):
+                path.unlink()
+                old.append(path)
+    return old
+
+
+def _unused(path: Path, now_s: float) -> bool:
+    return now_s - path.stat().st_mtime > CACHE_DAYS * 86_400.0
+
+
+def compiled(function: F) -> F:
+    """Mark a pure step: plain Python where Python calls it, compiled where compiled code calls it."""
+    setattr(function, STEP, None)
+    return function
+
+
+def is_step(function: Callable[..., Any]) -> bool:
+    """Return whether a function is marked as a step that can be compiled."""
+    return hasattr(function, STEP)
+
+
+def compiled_form(function: F) -> F:
+    """Return the compiled form of a marked step, for a caller whose one call makes many others.
+
+    Without numba, or with NUMBA_DISABLE_JIT=1, that is the plain function, which is slower and gives the same bits.
+    """
+    if importlib.util.find_spec("numba") is None:
+        return function
+    return _form_of(function)
+
+
+def always_compiled(function: F) -> F:
+    """Compile a pure function for Python as well: a step that is thousands of others in one call.
+
+    The module that has it needs numba, so a node imports it only where its scenario asks for it. It may call only
+    marked steps and functions like itself. NUMBA_DISABLE_JIT=1 keeps it plain Python.
+    """
+    return _form_of(compiled(function))
+
+
+def chosen_step(choose: Callable[[type], Callable[..., Any]]) -> Callable[..., Any]:
+    """Return a function of (params, *inputs) that calls the step which `choose` gives for the type of params.
+
+    Compiled code makes the choice while it is compiled; steps handed over as arguments would be compiled anew by every
+    process.
+    """
+
+    def plain(params: Any, *inputs: Any) -> Any:
+        return choose(type(params))(params, *inputs)
+
+    setattr(plain, CHOICE, choose)
+    _unregistered.append(plain)
+    return plain
+
+
+def _form_of(function: F) -> F:
+    compile_and_keep = _compiler()
+    _register_choices()
+    form = getattr(function, STEP)
+    if form is None:
+        form = compile_and_keep(function)
+        setattr(function, STEP, form)
+    return cast(F, form)
+
+
+def _register_choices() -> None:
+    """Tell the compiler of the choices that were made since it was told last."""
+    from numba.extending import overload
+
+    while _unregistered:
+        plain = _unregistered.pop()
+        choose = getattr(plain, CHOICE)
+
+        def typed(params: Any, *inputs: Any, choose: Any = choose) -> Callable[..., Any]:
+            step = choose(params.instance_class)
+            return lambda params, *inputs: step(params, *inputs)
+
+        overload(plain, strict=False)(typed)
+
+
+@cache
+def _compiler() -> Callable[[Callable[..., object]], object]:
+    # here and not above: a process that compiles nothing need not have numba, nor wait for its import
+    import numba
+    from numba.core import config, types
+    from numba.core.typing.typeof import typeof_impl
+
+    from services.numerics.compile_cache import CheckedCache
+    from services.numerics.interruptible import InterruptibleDispatcher
+
+    @typeof_impl.register(FunctionType)
+    def _typeof_step(function: FunctionType, context: object) -> object:
+        # A function that compiled code names: one that is not marked has no compiled form, and numba says so.
+        return types.Dispatcher(cast(Any, _form_of(function))) if is_step(function) else None
+
+    if "NUMBA_CACHE_DIR" not in os.environ:
+        folder = cache_directory()
+        vars(config)["CACHE_DIR"] = str(folder)
+        # where it cannot be made, numba says so when it wants to write
+        with contextlib.suppress(OSError):
+            folder.mkdir(parents=True, exist_ok=True)
+            os.utime(folder)
+            clean_cache(folder, time.time())
+
+    def compile_and_keep(function: Callable[..., object]) -> object:
+        dispatcher = numba.njit(function)
+        if not vars(config)["DISABLE_JIT"]:
+            # numba has no option for the class of what it makes
+            dispatcher.__class__ = InterruptibleDispatcher
+            dispatcher._cache = CheckedCache(function)
+        return dispatcher
+
+    return compile_and_keep

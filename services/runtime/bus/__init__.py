@@ -1,0 +1,1 @@
+"""Messages between processes: sockets, endpoints, publishers, and subscribers."""

@@ -1,0 +1,343 @@
+"""The site file: the endpoint of each node, and which nodes publish a topic for a reader at a given site."""
+
+import contextlib
+import ipaddress
+import os
+import re
+import socket
+from collections.abc import Sequence
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from proto.errors import EndpointError
+from proto.messages import SOURCE_PATTERN
+from proto.nodes import LINK, name_of, site_of
+from proto.topics import TOPICS, Topic
+from services.runtime.bus.local_endpoint import estop_endpoint, is_in_runtime_directory, kept_stop_path, local_endpoint
+from services.runtime.settings.config import Settings
+
+# the machine that the link runs on, with its endpoints for both sites
+LINK_MACHINE = "master"
+BIND_ADDRESS_VARIABLE = "TELENANO_BIND_ADDRESS"
+HOST_VARIABLE_PREFIX = "TELENANO_HOST_"
+MACHINE_PATTERN = r"^[a-z][a-z0-9_]{0,31}$"
+_TCP = re.compile(r"tcp://(\[[0-9a-fA-F:.]+\]|[A-Za-z0-9_.-]+):([0-9]{1,5})")
+_PLACEHOLDER = re.compile(r"\{([^{}]*)\}")
+_NO_ENDPOINT = "is neither ipc:///absolute/path nor tcp://host:port (1-65535)"
+# sun_path holds 108 bytes on Linux, with its closing zero
+_LONGEST_IPC_PATH = 107
+
+NodeKey = Annotated[str, Field(pattern=SOURCE_PATTERN)]
+MachineName = Annotated[str, Field(pattern=MACHINE_PATTERN)]
+
+
+class NodeEntry(Settings):
+    """The endpoints of a node: `local` for readers on its machine, `network` for those on other machines."""
+
+    local: str | None = Field(default=None, description="ipc:///absolute/path for readers on the same machine")
+    network: str | None = Field(default=None, description="tcp://host:port for readers on other machines")
+    machine: MachineName | None = Field(
+        default=None,
+        description="Machine that the node runs on; the node's site, and master for the link, if not given",
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.local is None and self.network is None:
+            raise ValueError("local, network or both are needed")
+        if self.local is not None and not self.local.startswith("ipc://"):
+            raise ValueError(f"local: {self.local} is not of the form ipc:///absolute/path")
+        if self.network is not None and not self.network.startswith("tcp://"):
+            raise ValueError(f"network: {self.network} is not of the form tcp://host:port")
+        return self
+
+
+class LinkTransport(Settings):
+    """How what a reader wants the newest of crosses between two machines."""
+
+    transport: Literal["auto", "datagram", "stream"] = Field(
+        default="auto",
+        description="datagram: over UDP; stream: over the TCP connections, as everything else; auto: over UDP, and "
+        "over TCP while no datagram arrives",
+    )
+    port: int | None = Field(
+        default=None, ge=1, le=65535, description="UDP port at the master; that of delay_node@slave, if not given"
+    )
+    repeats: int | None = Field(
+        default=None, ge=0, le=4, description="Older samples that each datagram repeats; by the loss seen, if not given"
+    )
+    play_out: bool = Field(
+        default=False,
+        description="Hold what arrives to a delay that hardly varies, for laws that want one; every sample is older",
+    )
+    budget_kbit_per_s: float = Field(
+        default=6000.0, ge=100.0, le=1e6, description="Most that each end sends in datagrams, network headers included"
+    )
+
+
+def _as_entry(value: object) -> object:
+    """Return an entry in full, also where it is given as its only endpoint."""
+    if isinstance(value, str):
+        if not value.startswith(("ipc://", "tcp://")):
+            raise ValueError(_NO_ENDPOINT)
+        return {"network" if value.startswith("tcp://") else "local": value}
+    return value
+
+
+class AddressBook(Settings):
+    """The address book of a rig.
+
+    `{runtime}` in an ipc endpoint stands for the private folder of `runtime_directory`, `{NAME}` in a tcp endpoint
+    for the address of a machine. A reader at one site reaches a publisher at the other only through the link, which
+    republishes on a socket of its own at each site.
+    """
+
+    machines: dict[MachineName, str] = Field(
+        default={}, description="Address of each machine; TELENANO_HOST_NAME in the environment replaces that of NAME"
+    )
+    bind: dict[MachineName, str] = Field(
+        default={},
+        description="Address that a machine binds in place of its own, such as 0.0.0.0 behind a router; "
+        "TELENANO_BIND_ADDRESS in the environment replaces it",
+    )
+    nodes: dict[NodeKey, Annotated[NodeEntry, BeforeValidator(_as_entry)]] = Field(
+        description="Endpoint that each node binds: ipc://path or tcp://host:port, or both as local and network"
+    )
+    link: LinkTransport = Field(default=LinkTransport(), description="How the link crosses between two machines")
+    insecure: bool = Field(default=False, description="Plain tcp:// without keys: whoever reaches a port can read it")
+
+    @model_validator(mode="after")
+    def _check_endpoints(self) -> Self:
+        unused = sorted(set(self.bind) - {self.machine_of(node) for node in self.nodes})
+        if unused:
+            raise ValueError(f"bind.{unused[0]}: no node runs on this machine")
+        seen: dict[str, str] = {}
+        for node in self.nodes:
+            for endpoint in (self.local_endpoint(node), self.network_endpoint(node)):
+                if endpoint is None:
+                    continue
+                _check_endpoint(node, endpoint)
+                if endpoint in seen:
+                    raise ValueError(f"nodes.{node}: {endpoint} is already the endpoint of {seen[endpoint]}")
+                seen[endpoint] = node
+        return self
+
+    @property
+    def spans_machines(self) -> bool:
+        """Whether some node is reached over a network."""
+        return any(self.network_endpoint(node) for node in self.nodes)
+
+    @property
+    def uses_runtime_directory(self) -> bool:
+        """Whether some node has its socket in the private folder."""
+        return any(is_in_runtime_directory(entry.local or "") for entry in self.nodes.values())
+
+    @property
+    def requires_keys(self) -> bool:
+        """Whether machines authenticate to one another: over a network, unless the file has `insecure: true`."""
+        return self.spans_machines and not self.insecure
+
+    def machine_of(self, node: str) -> str:
+        """Return the machine that a node runs on; both endpoints of the link are on one."""
+        named = self._entry(node).machine
+        if named is not None:
+            return named
+        return LINK_MACHINE if name_of(node) == LINK else site_of(node)
+
+    def local_endpoint(self, node: str) -> str | None:
+        """Return the ipc endpoint of a node, None if it has none."""
+        local = self._entry(node).local
+        return None if local is None else local_endpoint(local)
+
+    def estop_endpoint(self, node: str) -> str | None:
+        """Return where a node takes emergency stops; None without an ipc endpoint, or with one that is too long."""
+        local = self.local_endpoint(node)
+        endpoint = "" if local is None else estop_endpoint(local)
+        return endpoint if 0 < len(os.fsencode(endpoint.removeprefix("ipc://"))) <= _LONGEST_IPC_PATH else None
+
+    def kept_stop(self, node: str) -> Path | None:
+        """Return the file that keeps an emergency stop for a node; None where it takes none at an inlet."""
+        local = self.local_endpoint(node)
+        return None if local is None or self.estop_endpoint(node) is None else kept_stop_path(local)
+
+    def network_endpoint(self, node: str) -> str | None:
+        """Return the tcp endpoint at which other machines reach a node, None if it has none."""
+        network = self._entry(node).network
+        if network is None:
+            return None
+        named = {name: os.environ.get(HOST_VARIABLE_PREFIX + name.upper()) for name in self.machines}
+        hosts = {name: named[name] or host for name, host in self.machines.items()}
+        for name in _PLACEHOLDER.findall(network):
+            if name not in hosts:
+                known = ", ".join(hosts) or "none"
+                raise ValueError(f"nodes.{node}: {network}: {{{name}}} is not in `machines`, which has {known}")
+        return _PLACEHOLDER.sub(lambda found: hosts[found.group(1)], network)
+
+    def bind_endpoint(self, node: str) -> str | None:
+        """Return the tcp endpoint that a node itself binds; EndpointError when a host name cannot be resolved here."""
+        endpoint = self.network_endpoint(node)
+        match = _TCP.fullmatch(endpoint or "")
+        if endpoint is None or match is None:
+            return endpoint
+        named = os.environ.get(BIND_ADDRESS_VARIABLE) or self.bind.get(self.machine_of(node))
+        return f"tcp://{named or _numeric(node, match.group(1))}:{match.group(2)}"
+
+    def endpoint(self, node: str, reader: str | None = None) -> str:
+        """Return the endpoint at which a reader reaches `node`; KeyError names the nodes that the book has.
+
+        Parameters: reader, machine that the reader runs on; None for that of the node.
+        """
+        local, network = self.local_endpoint(node), self.network_endpoint(node)
+        if local is not None and (network is None or reader in (None, self.machine_of(node))):
+            return local
+        return network or ""
+
+    def connect_endpoint(self, node: str, reader: str) -> str:
+        """Return the endpoint at which a reader reaches `node`, with a host name resolved where that is possible now.
+
+        libzmq would resolve it before each attempt, in the thread that moves all messages of a process, and that may
+        take many seconds while a network is down.
+        """
+        endpoint = self.endpoint(node, reader)
+        match = _TCP.fullmatch(endpoint)
+        if match is None:
+            return endpoint
+        with contextlib.suppress(EndpointError):
+            return f"tcp://{_numeric(node, match.group(1))}:{match.group(2)}"
+        return endpoint
+
+    def addresses(self) -> set[str]:
+        """Return the numeric addresses of the machines that nodes are reached at, where their names can be resolved."""
+        hosts = {match.group(1) for node in self.nodes if (match := _TCP.fullmatch(self.network_endpoint(node) or ""))}
+        found = set()
+        for host in hosts:
+            with contextlib.suppress(EndpointError):
+                found.add(_numeric(host, host).strip("[]"))
+        return found
+
+    def reaches(self, reader: str | None, node: str) -> bool:
+        """Return whether a reader on a machine can connect to a node at all: ipc does not leave a machine."""
+        near = reader in (None, self.machine_of(node)) or not self.spans_machines
+        return near or self.network_endpoint(node) is not None
+
+    def sources(self, reader: str, topics: Sequence[str]) -> dict[str, list[str]]:
+        """Return which nodes a reader connects to and which topics it subscribes to at each.
+
+        Parameters: reader, node@site; topics, names from the topic table.
+        Returns: publisher -> topics, only where the publisher is in the book.
+        """
+        plan: dict[str, list[str]] = {}
+        for name in topics:
+            for publisher in self._reachable_publishers(reader, TOPICS[name]):
+                if publisher != reader:
+                    plan.setdefault(publisher, []).append(name)
+        return plan
+
+    def observed(self, reader: str | None = None, sites: Sequence[str] = ("master", "slave")) -> dict[str, list[str]]:
+        """Return what an observer connects to: each node at `sites` that its machine reaches, with all its topics."""
+        reached = [node for node in self.nodes if site_of(node) in sites and self.reaches(reader, node)]
+        return {node: self.published_by(node) for node in reached}
+
+    def bridged_from(self, site: str) -> dict[str, list[str]]:
+        """Return what the link connects to at a site: each node there, the topics that cross to the other site."""
+        away = "slave" if site == "master" else "master"
+        link = f"{LINK}@{site}"
+        reader = self.machine_of(link) if link in self.nodes else None
+        plan = {
+            node: [name for name, topic in TOPICS.items() if _publishes(topic, node) and _crosses(topic, to_site=away)]
+            for node in self.nodes
+            if site_of(node) == site and name_of(node) != LINK and self.reaches(reader, node)
+        }
+        return {node: topics for node, topics in plan.items() if topics}
+
+    def published_by(self, node: str) -> list[str]:
+        """Return the topics published at a node's endpoint, the bridged ones included."""
+        own = [name for name, topic in TOPICS.items() if _publishes(topic, node)]
+        if name_of(node) == LINK:
+            own += [name for name, topic in TOPICS.items() if _crosses(topic, to_site=site_of(node))]
+        return list(dict.fromkeys(own))
+
+    def _entry(self, node: str) -> NodeEntry:
+        if node not in self.nodes:
+            raise KeyError(f"{node} is not in the site file, which has {', '.join(sorted(self.nodes))}")
+        return self.nodes[node]
+
+    def _reachable_publishers(self, reader: str, topic: Topic) -> list[str]:
+        here = site_of(reader)
+        machine = self.machine_of(reader) if reader in self.nodes else here
+        found = [
+            node
+            for node in self.nodes
+            if _publishes(topic, node) and site_of(node) == here and self.reaches(machine, node)
+        ]
+        far = any(_publishes(topic, node) and site_of(node) != here for node in self.nodes)
+        link = f"{LINK}@{here}"
+        if far and link in self.nodes and _crosses(topic, to_site=here) and link not in found:
+            found.append(link)
+        return found
+
+
+def split_tcp(endpoint: str) -> tuple[str, int]:
+    """Return host and port of `tcp://host:port`, an IPv6 address without its brackets; ValueError for anything else."""
+    match = _TCP.fullmatch(endpoint)
+    if match is None:
+        raise ValueError(f"{endpoint} is not of the form tcp://host:port")
+    return match.group(1).strip("[]"), int(match.group(2))
+
+
+def may_carry(node: str, src: str) -> bool:
+    """Return whether the socket of `node` may send a message of `src`: its own, or what the link bridges there."""
+    name, _, site = node.partition("@")
+    if name != LINK:
+        return src == node
+    return name_of(src) == LINK or site_of(src) != site
+
+
+def _publishes(topic: Topic, node: str) -> bool:
+    name = name_of(node)
+    return any(fnmatchcase(node, pattern) or name == pattern for pattern in topic.publishers)
+
+
+def _crosses(topic: Topic, to_site: str) -> bool:
+    return topic.bridged in (("forward", "both") if to_site == "slave" else ("backward", "both"))
+
+
+def _numeric(node: str, host: str) -> str:
+    """Return the address of a host; libzmq binds no names."""
+    try:
+        ipaddress.ip_address(host.strip("[]"))
+    except ValueError:
+        try:
+            return str(socket.getaddrinfo(host, None, socket.AF_INET)[0][4][0])
+        except OSError as error:
+            raise EndpointError(
+                f"{node} cannot bind {host}: the name cannot be resolved ({error.strerror}): give an address, or "
+                f"{BIND_ADDRESS_VARIABLE}=0.0.0.0 to bind every interface"
+            ) from error
+    return host
+
+
+def _check_endpoint(node: str, endpoint: str) -> None:
+    if endpoint.startswith("ipc://"):
+        path = endpoint.removeprefix("ipc://")
+        if not path.startswith("/"):
+            raise ValueError(f"nodes.{node}: {endpoint} needs an absolute path, such as ipc://{{runtime}}/{node}")
+        if len(os.fsencode(path)) > _LONGEST_IPC_PATH:
+            raise ValueError(f"nodes.{node}: {path} is longer than the {_LONGEST_IPC_PATH} bytes of a socket path")
+        return
+    match = _TCP.fullmatch(endpoint)
+    if match is None or not 1 <= int(match.group(2)) <= 65535:
+        raise ValueError(f"nodes.{node}: {endpoint} {_NO_ENDPOINT}{_bracket_hint(endpoint)}")
+
+
+def _bracket_hint(endpoint: str) -> str:
+    """Return what to do about an IPv6 address without brackets, whose colons cannot be told from that of the port."""
+    host, _, port = endpoint.removeprefix("tcp://").rpartition(":")
+    try:
+        ipaddress.IPv6Address(host.partition("%")[0])
+    except ValueError:
+        return ""
+    return f"; write an IPv6 address in brackets, in `machines` and in the environment too: tcp://[{host}]:{port}"

@@ -1,0 +1,388 @@
+"""The bus of one node: a PUB socket that it binds, SUB connections to those it listens to, and the account of both."""
+
+import select
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from heapq import nlargest
+from itertools import islice
+from typing import Any, NamedTuple, Protocol, cast
+
+import zmq
+
+from proto import TOPICS, WireError, accept, decode_header
+from proto.codec import MAX_MESSAGE_BYTES
+from proto.messages import MAX_ROWS, SUPERSEDED, InputHealth, Message
+from proto.ranges import limited
+from proto.sequence import Arrival, SequenceTracker
+from services.runtime.bus.newest import Header, Taken, without_superseded
+from services.runtime.bus.outgoing_batch import OutgoingBatch
+from services.runtime.bus.publisher import FIRST_THREAD, SEND_HIGH_WATER_MARK, Publisher
+from services.runtime.bus.reader import NetworkEvents, Reader
+from services.runtime.loop.clock import NEVER_NS, Clock
+
+# Ten seconds of messages wait for a reader at the publisher, and as much again in a reader that runs and is behind.
+# Beyond that the newest are lost, which the reader counts.
+QUEUE_S = 10
+RECEIVE_HIGH_WATER_MARK = SEND_HIGH_WATER_MARK
+# a reader of the newest has no use for more than it takes at once; what is older than ten seconds is dropped for it
+# by the publisher, together with the connection, so that it begins with the newest when it goes on
+_NEWEST_HIGH_WATER_MARK = 256
+_PING_MS = 1000
+# a frame above this is not even taken into memory: libzmq drops the connection that sent it
+_LARGEST_FRAME = 16 * MAX_MESSAGE_BYTES
+_RECONNECT_MS = 50
+# messages taken before a node looks at its deadline again, so that a flood cannot hold a loop
+_BATCH = 256
+# messages after which a reader expects more of them
+_FEW = 3
+# as plain numbers: the enumerations of the binding cost half as much again as the question itself
+_EVENTS, _READABLE, _DONTWAIT = int(zmq.EVENTS), int(zmq.POLLIN), int(zmq.DONTWAIT)
+# sources that one node keeps account of; a peer that makes up names must not fill the memory
+_MOST_TRACKERS = 1024
+# of those, the ones that a connection tells of twice a second: each is worked on by the sender and by every reader, and
+# a thousand would cost a loop of 1 kHz tens of ticks
+MOST_REPORTED = 64
+
+
+class Received(NamedTuple):
+    """A message as a node gets it."""
+
+    topic: str
+    message: Message
+    payload: bytes
+    received_ns: int
+    arrival: Arrival
+
+
+class Bus(Protocol):
+    """What a node may ask of the bus."""
+
+    def publish(self, topic: str, **fields: Any) -> Message:
+        """Send a message; the header is filled in."""
+
+    def receive(self) -> Iterable[Received]:
+        """Return what has arrived, without waiting."""
+
+    def wait(self, deadline_ns: int) -> None:
+        """Wait until something has arrived or the monotonic clock has reached `deadline_ns`."""
+
+
+class ConnectionEvent(NamedTuple):
+    """What happened to a connection of a node; it becomes a session/event."""
+
+    level: str
+    text: str
+    data: dict[str, bool | float | str]
+
+
+class Subscriber:
+    """SUB connections of a node: decodes, counts what is refused or lost, and drops what was overtaken."""
+
+    # it gives what has arrived, and nothing else
+    due_ns = NEVER_NS
+
+    def __init__(
+        self,
+        context: "zmq.Context[zmq.Socket[bytes]]",
+        clock: Clock,
+        connections: Mapping[str, Sequence[str]],
+        *,
+        connect: bool = True,
+        permit: Callable[[str, str], None] | None = None,
+        newest_only: bool = False,
+        queue_s: float = QUEUE_S,
+    ) -> None:
+        """Connect to endpoints (keys) for topics (values).
+
+        Parameters: connect, false when somebody else connects the socket later; permit, called with topic and source
+        of each message, raises WireError for what the peers of this socket may not publish; newest_only, of what waits
+        together on a `latest` topic return the newest of each source; queue_s, the most that waits after a stall [s].
+        """
+        self._clock = clock
+        self.permit = permit
+        self.trackers: dict[tuple[str, str], SequenceTracker] = {}
+        self.rejected: dict[str, int] = {}
+        self.last_error = ""
+        # everything has been taken; until it has, ZeroMQ's descriptor may be silent although messages wait
+        self.drained = True
+        # somebody else calls the socket as well, which may take the signal of its descriptor
+        self.shared = not connect
+        self.socket = context.socket(zmq.SUB)
+        self.socket.set(zmq.AFFINITY, FIRST_THREAD)
+        self.socket.set(zmq.RCVHWM, _NEWEST_HIGH_WATER_MARK if newest_only else RECEIVE_HIGH_WATER_MARK)
+        if newest_only:
+            # the peer cuts a connection on which nothing came for the time that a ping of this side names
+            self.socket.set(zmq.HEARTBEAT_IVL, min(_PING_MS, round(250 * queue_s)))
+            self.socket.set(zmq.HEARTBEAT_TTL, round(1000 * queue_s))
+            self.socket.set(zmq.HEARTBEAT_TIMEOUT, round(1000 * queue_s))
+        self.socket.set(zmq.LINGER, 0)
+        self.socket.set(zmq.MAXMSGSIZE, _LARGEST_FRAME)
+        self.socket.set(zmq.RECONNECT_IVL, _RECONNECT_MS)
+        self.topics = sorted({topic for topics in connections.values() for topic in topics})
+        self._names = {topic.encode(): topic for topic in self.topics if topic in TOPICS}
+        latest = {frame: topic for frame, topic in self._names.items() if TOPICS[topic].delivery == "latest"}
+        self._conflated = latest if newest_only else {}
+        self._aside: dict[str, Callable[[Message], None]] = {}
+        for topic in self.topics:
+            self.socket.subscribe(topic.encode())
+        for endpoint in connections if connect else ():
+            self.socket.connect(endpoint)
+        self.descriptor: int = self.socket.fileno()
+
+    def receive_raw(self, *, signalled: bool = False) -> list[tuple[list[bytes], int]]:
+        """Return the frames of what has arrived, a bounded number, and the time [ns] at which each was taken.
+
+        Parameters: signalled, the descriptor has become readable, so that as a rule something has.
+        """
+        receive, pending, now_ns = self.socket.recv, self.pending, self._clock.now_ns
+        waiting: list[tuple[list[bytes], int]] = []
+        self.drained = False
+        for taken in range(_BATCH):
+            # asked first, because learning it from an exception costs as much as taking a message; not where many come
+            if taken < _FEW and not (signalled and taken == 0) and not pending():
+                self.drained = True
+                break
+            try:
+                # as an object that knows whether more follow: to ask the socket costs more than to take a frame
+                frame = receive(_DONTWAIT, False)
+            except zmq.Again:
+                self.drained = True
+                break
+            frames = [frame.bytes]
+            while frame.more:
+                frame = receive(0, False)
+                frames.append(frame.bytes)
+            waiting.append((frames, now_ns()))
+        return waiting
+
+    def receive(self, *, signalled: bool = False) -> list[Received]:
+        """Return the messages that have arrived: valid, not overtaken on `latest` topics, repeated only if commands."""
+        return self.take(self.receive_raw(signalled=signalled))
+
+    def take(self, waiting: Sequence[Taken]) -> list[Received]:
+        """Decode, validate and track what waited together, each message with the time of reception [ns]."""
+        if self._conflated and len(waiting) > 1:
+            # commands, and what tells how a delay changed, before what they apply to
+            left = without_superseded(waiting, self._conflated, self._header)
+            waiting = sorted(left, key=lambda taken: taken[0][0] in self._conflated)
+        taken = [self.decode_and_track(frames, received_ns) for frames, received_ns in waiting]
+        return [received for received in taken if received is not None]
+
+    def _header(self, frames: Sequence[bytes]) -> Header | None:
+        if len(frames) != 2:
+            return None
+        topic = self._conflated[frames[0]]
+        try:
+            (seq, t_ns, src), _ = decode_header(topic, frames[1])
+            if self.permit is not None:
+                self.permit(topic, src)
+        except WireError:
+            return None
+        tracker = self.trackers.get((topic, src))
+        return None if tracker is None else (tracker, seq, t_ns)
+
+    def decode_and_track(self, frames: Sequence[bytes], received_ns: int) -> Received | None:
+        """Decode, validate and count one message; None when it is rejected, repeated or superseded."""
+        try:
+            topic, payload = self._names.get(frames[0], ""), frames[-1]
+            if not topic or len(frames) != 2:
+                topic, payload = split_frames(frames)
+            message = accept(topic, payload)
+            src = message.src
+            if self.permit is not None:
+                self.permit(topic, src)
+            tracker = self.trackers.get((topic, src)) or self.tracker(topic, src)
+        except WireError as error:
+            self.rejected[error.reason] = self.rejected.get(error.reason, 0) + 1
+            self.last_error = str(error)
+            return None
+        arrival = tracker.accept(message.seq, message.t_ns)
+        if topic in self._aside:
+            self._aside[topic](message)
+            return None
+        overtaken = arrival is Arrival.LATE and TOPICS[topic].delivery == "latest"
+        # a repeated command is known by its id; its number depends on the clock of who sent commands before
+        if overtaken or (arrival is Arrival.DUPLICATE and topic != "session/control"):
+            return None
+        return Received(topic, message, payload, received_ns, arrival)
+
+    def set_aside(self, topic: str, handle: Callable[[Message], None]) -> None:
+        """Subscribe to a topic whose messages are for `handle` and not for the reader."""
+        self._aside[topic] = handle
+        self.socket.subscribe(topic.encode())
+
+    def pending(self) -> bool:
+        """Return whether a message has arrived."""
+        # not Socket.poll, which makes a poller first
+        return bool(cast(int, self.socket.get(_EVENTS)) & _READABLE)
+
+    def input_health(self) -> tuple[InputHealth, ...]:
+        """Return the account of the sources that sent most; a topic on which nothing was received has an empty one."""
+        now = self._clock.now_ns()
+        received = {topic for topic, _ in self.trackers}
+        silent = [_health_of(topic, "", SequenceTracker(), now) for topic in self.topics if topic not in received]
+        sources = self.trackers.items()
+        chosen = sources if len(sources) <= MOST_REPORTED else nlargest(MOST_REPORTED, sources, key=_messages_received)
+        return (*(_health_of(topic, src, t, now) for (topic, src), t in sorted(chosen)), *silent)
+
+    def close(self) -> None:
+        """Close the socket."""
+        self.socket.close()
+
+    def tracker(self, topic: str, src: str) -> SequenceTracker:
+        """Return the account of a topic from a source; WireError (`source`) when there are too many sources."""
+        tracker = self.trackers.get((topic, src))
+        if tracker is None:
+            if len(self.trackers) >= _MOST_TRACKERS:
+                raise WireError(
+                    "source", f"{topic}: {src} is one source more than the {_MOST_TRACKERS} kept account of"
+                )
+            tracker = self.trackers[topic, src] = SequenceTracker()
+        return tracker
+
+
+class ZmqBus:
+    """A publisher and its subscribers as one bus, with a wait that a signal or a message ends."""
+
+    def __init__(
+        self,
+        publisher: Publisher,
+        subscribers: Sequence[Reader],
+        clock: Clock,
+        wake_descriptor: int,
+        network: NetworkEvents | None = None,
+        batches: Sequence[OutgoingBatch] = (),
+    ) -> None:
+        self.subscribers = list(subscribers)
+        self._batches = batches
+        # at most one holds messages back until their time: the end of the link's datagrams
+        self._timed = next((reader for reader in subscribers if not isinstance(reader, Subscriber)), None)
+        self._clock = clock
+        self._network = network if network is not None and network.descriptors else None
+        self._descriptors = [*(subscriber.descriptor for subscriber in subscribers), wake_descriptor]
+        # a rig on one machine has no network to look after
+        self._network_descriptors = frozenset(self._network.descriptors if self._network is not None else ())
+        self._descriptors += self._network_descriptors
+        self._events_pending = self._network is not None
+        self.publish = publisher.publish
+        self.sequence_numbers = publisher.sequence_numbers
+        self._accounts: list[Reader | NetworkEvents] = [*self.subscribers]
+        if self._network is not None:
+            self._accounts.append(self._network)
+        self._counted = [0] * len(self._accounts)
+        self._last_error = ""
+        # what the last wait found readable; none where every socket has to be asked
+        self._readable: Sequence[int] = ()
+
+    def receive(self) -> Iterable[Received]:
+        """Return what has arrived on every connection, without waiting."""
+        readable, self._readable = self._readable, ()
+        if not readable:
+            return [received for subscriber in self.subscribers for received in subscriber.receive()]
+        found: list[Received] = []
+        for subscriber in self.subscribers:
+            if subscriber.descriptor in readable:
+                found += subscriber.receive(signalled=True)
+            elif subscriber.shared:
+                found += subscriber.receive()
+        return found
+
+    def wait(self, deadline_ns: int) -> None:
+        """Wait until something has arrived or the monotonic clock has reached `deadline_ns`; it may end for nothing.
+
+        ZeroMQ's descriptor is edge-triggered, by changes of connections too: it may be waited for once everything
+        that it signalled has been taken.
+        """
+        self._readable = ()
+        now_ns = self._clock.monotonic_ns()
+        for batch in self._batches:
+            if batch.latest_ns <= now_ns:
+                batch.flush()
+            elif batch.latest_ns < deadline_ns:
+                deadline_ns = batch.latest_ns
+        for subscriber in self.subscribers:
+            if not subscriber.drained:
+                return
+        due_ns = self._timed.due_ns if self._timed is not None else deadline_ns
+        remaining = min(deadline_ns, due_ns) - self._clock.monotonic_ns()
+        if remaining > 0 and not self._events_pending:
+            ready, _, _ = select.select(self._descriptors, (), (), remaining * 1e-9)
+            self._readable = ready
+            if self._network_descriptors:
+                self._events_pending = not self._network_descriptors.isdisjoint(ready)
+
+    def has_arrived(self) -> bool:
+        """Return whether something may have arrived since the last wait, for `receive`."""
+        self._readable, _, _ = select.select(self._descriptors, (), (), 0)
+        return bool(self._readable)
+
+    def is_batch_due(self, now_ns: int) -> bool:
+        """Return whether copies for a recorder are to be sent in the next pause."""
+        for batch in self._batches:  # noqa: SIM110 - a generator takes three times as long
+            if batch.due_ns <= now_ns:
+                return True
+        return False
+
+    def send_batches(self) -> None:
+        """Send the copies for a recorder that there are."""
+        for batch in self._batches:
+            batch.flush()
+
+    def process_events(self, *, now: bool = False) -> Sequence[ConnectionEvent]:
+        """Process events of network connections, if there may be any or `now`; return what happened to them."""
+        if self._network is None or not (self._events_pending or now):
+            return ()
+        notices = self._network.process_events()
+        self._events_pending = self._network.has_pending
+        return notices
+
+    def input_health(self) -> tuple[InputHealth, ...]:
+        """Return the account of every input, or of as many as a message takes."""
+        accounts = (health for subscriber in self.subscribers for health in subscriber.input_health())
+        return tuple(islice(accounts, MAX_ROWS))
+
+    def rejections(self) -> tuple[dict[str, int], str]:
+        """Return what was not taken so far by reason, and the text of a refusal since it was last asked.
+
+        Beside what is refused that is what was superseded: no fault, for a newer message was waiting as well.
+        """
+        total: dict[str, int] = {}
+        for place, account in enumerate(self._accounts):
+            for reason, count in account.rejected.items():
+                total[reason] = total.get(reason, 0) + count
+            counted = sum(account.rejected.values())
+            if counted != self._counted[place]:
+                self._counted[place], self._last_error = counted, account.last_error
+        superseded = sum(tracker.superseded for reader in self.subscribers for tracker in reader.trackers.values())
+        if superseded:
+            total[SUPERSEDED] = superseded
+        return total, self._last_error
+
+
+def split_frames(frames: Sequence[bytes]) -> tuple[str, bytes]:
+    """Return topic and payload of a two-frame message; WireError (`frames`, `topic`) for any other."""
+    if len(frames) != 2:
+        raise WireError("frames", f"a message has 2 frames (topic, msgpack map), this one has {len(frames)}")
+    try:
+        return frames[0].decode(), frames[1]
+    except UnicodeDecodeError as error:
+        raise WireError("topic", f"the topic frame {frames[0][:40]!r} is not UTF-8") from error
+
+
+def _messages_received(source: tuple[tuple[str, str], SequenceTracker]) -> int:
+    return source[1].received
+
+
+def _health_of(topic: str, src: str, tracker: SequenceTracker, now_ns: int) -> InputHealth:
+    received = tracker.received > 0
+    account = {
+        "topic": topic,
+        "src": src,
+        "received": tracker.received,
+        "lost": tracker.lost,
+        "gaps": tracker.gaps,
+        "repeated": tracker.late + tracker.duplicates,
+        "restarts": tracker.restarts,
+        "age_valid": received,
+        "age_s": (now_ns - tracker.last_t_ns) * 1e-9 if received else 0.0,
+    }
+    return limited(InputHealth, account)

@@ -1,0 +1,68 @@
+"""The lock of an ipc endpoint: libzmq itself would silently take the socket away from a running process."""
+
+import contextlib
+import os
+from pathlib import Path
+from typing import IO
+
+from proto.errors import EndpointError
+from services.runtime.settings.optional_modules import optional_module
+
+# Windows has none, and no ipc endpoint either; recordings and studies need neither
+fcntl = optional_module("fcntl")
+
+
+class EndpointLock:
+    """Holds an ipc endpoint for this process until it is released; any other endpoint needs no lock."""
+
+    def __init__(self, endpoint: str) -> None:
+        """Lock the file beside the socket; EndpointError names the process that holds it."""
+        self._socket = Path(endpoint.removeprefix("ipc://")) if endpoint.startswith("ipc://") else None
+        self._path = Path(f"{self._socket}.lock")
+        self._file = None if self._socket is None else self._acquire(endpoint)
+
+    def release(self) -> None:
+        """Remove socket and lock file, and let the endpoint go."""
+        if self._file is None or self._socket is None:
+            return
+        # while it is locked: nobody else has bound the endpoint
+        for path in (self._socket, self._path):
+            with contextlib.suppress(OSError):
+                path.unlink()
+        self._file.close()
+        self._file = None
+
+    def _acquire(self, endpoint: str) -> IO[str]:
+        if fcntl is None:
+            raise EndpointError(f"{endpoint}: this system has no ipc endpoints; give tcp ones in the site file")
+        while True:
+            lock = self._open(endpoint)
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError as error:
+                holder = lock.read().strip() or "unknown"
+                lock.close()
+                raise EndpointError(
+                    f"{endpoint} is in use by process {holder}: stop it, or use another site file"
+                ) from error
+            if self._is_current(lock):
+                lock.truncate(0)
+                lock.write(str(os.getpid()))
+                lock.flush()
+                return lock
+            # whoever held it removed it between our opening and our locking it: it locks nothing any more
+            lock.close()
+
+    def _open(self, endpoint: str) -> IO[str]:
+        try:
+            self._path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+            flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
+            return os.fdopen(os.open(self._path, flags, 0o644), "r+")
+        except OSError as error:
+            raise EndpointError(f"{endpoint}: {self._path} cannot be opened: {error.strerror}") from error
+
+    def _is_current(self, lock: IO[str]) -> bool:
+        try:
+            return os.path.samestat(os.fstat(lock.fileno()), self._path.stat())
+        except FileNotFoundError:
+            return False

@@ -1,0 +1,211 @@
+"""`telenano topic`: the messages of a running rig, received from every socket of it."""
+
+import contextlib
+import math
+import time
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zmq
+
+from proto import TOPICS
+from proto.errors import ConfigError, RigError
+from proto.nodes import is_visitor, site_of
+from proto.sequence import SequenceTracker
+from services.runtime.bus.address_book import AddressBook
+from services.runtime.bus.bus import ConnectionEvent, Received
+from services.runtime.bus.local_endpoint import local_endpoint
+from services.runtime.loop.participant import OBSERVER, open_participant
+
+# what to check when nothing is received
+RIG_HINT = "is `telenano up` running with this site file?"
+
+_WAIT_MS = 100
+
+
+@dataclass(frozen=True)
+class ObservedMessage:
+    """A message as an observer receives it; a copy that left the link at a site is named topic@site."""
+
+    name: str
+    received: Received
+
+
+def known_name(name: str) -> tuple[str, str | None]:
+    """Split topic or topic@site; ConfigError lists the topics that there are."""
+    topic, _, site = name.partition("@")
+    if topic not in TOPICS:
+        raise ConfigError(f"unknown topic {name!r}: known are {', '.join(TOPICS)}, with @site for what left the link")
+    if site and TOPICS[topic].bridged is None:
+        raise ConfigError(f"{name}: {topic} does not cross the link, so there is no copy at {site}")
+    return topic, site or None
+
+
+class Observer:
+    """One connection to every socket of the rig, so that original and copy are accounted for apart."""
+
+    def __init__(self, book: AddressBook, wanted: Collection[str] = TOPICS) -> None:
+        """Connect for some topics, or for all, as the machine that this process runs on.
+
+        Raises ConfigError when this machine lacks a key that the rig demands.
+        """
+        self.notices: list[ConnectionEvent] = []
+        self._open = contextlib.ExitStack()
+        participant = self._open.enter_context(open_participant(OBSERVER, book, publisher=False))
+        self._network = participant.network
+        self.subscribers = participant.observe(lambda topic, site: topic in wanted)
+        self._poller = zmq.Poller()
+        for subscriber in self.subscribers.values():
+            self._poller.register(subscriber.socket, zmq.POLLIN)
+
+    def listen(self, duration_s: float | None) -> Iterator[ObservedMessage]:
+        """Return the messages received within a time [s], None for no end."""
+        deadline = math.inf if duration_s is None else time.monotonic() + duration_s
+        while time.monotonic() < deadline:
+            self._poller.poll(_WAIT_MS)
+            self.notices += self._network.process_events()
+            for node, subscriber in self.subscribers.items():
+                for received in subscriber.receive():
+                    yield ObservedMessage(self.name(node, received.topic, received.message.src), received)
+
+    def tracker(self, name: str, src: str) -> SequenceTracker:
+        """Return the account of a topic, or of its copy at a site, from a source."""
+        topic = name.partition("@")[0]
+        for node, subscriber in self.subscribers.items():
+            if (topic, src) in subscriber.trackers and self.name(node, topic, src) == name:
+                return subscriber.trackers[topic, src]
+        return SequenceTracker()
+
+    @staticmethod
+    def name(node: str, topic: str, src: str) -> str:
+        """Return the name of what a node sent: at a site, the messages of the other are copies by the link."""
+        return topic if site_of(src) == site_of(node) else f"{topic}@{site_of(node)}"
+
+    def close(self) -> None:
+        self._open.close()
+
+    @property
+    def silent(self) -> bool:
+        """Return whether nothing has been received yet."""
+        return not any(subscriber.trackers for subscriber in self.subscribers.values())
+
+
+def nobody_runs(book: AddressBook) -> bool:
+    """Return whether a rig cannot be running: all of its sockets would be on this machine, and none of them is.
+
+    Those of consoles, players and pages say nothing of a rig: one that was killed leaves its socket behind.
+    """
+    endpoints = [entry.local for node, entry in book.nodes.items() if not is_visitor(node)]
+    if any(entry.network is not None for entry in book.nodes.values()):
+        return False
+    paths = [Path(local_endpoint(text).removeprefix("ipc://")) for text in endpoints if text is not None]
+    return not any(path.exists() for path in paths)
+
+
+def require_rig(book: AddressBook, site_file: Path) -> None:
+    """Raise RigError at once where no rig can be running, in the place of waiting for messages in vain."""
+    if nobody_runs(book):
+        raise RigError(f"{site_file}: no rig of this site file runs on this machine: {RIG_HINT}")
+
+
+def list_topics(observer: Observer, duration_s: float) -> list[dict[str, Any]]:
+    """Listen for a time [s] and return a row for each topic and source received, and for each topic without any."""
+    counts: dict[tuple[str, str], int] = {}
+    for observed in observer.listen(duration_s):
+        key = (observed.name, observed.received.message.src)
+        counts[key] = counts.get(key, 0) + 1
+    rows = [_topic_row(name, src, count) for (name, src), count in counts.items()]
+    silent = [name for name in TOPICS if not any(row["topic"] == name for row in rows)]
+    rows += [_topic_row(name, ", ".join(TOPICS[name].publishers), 0) for name in silent]
+    return sorted(rows, key=lambda row: (list(TOPICS).index(row["topic"].partition("@")[0]), row["topic"], row["src"]))
+
+
+def _topic_row(name: str, src: str, count: int) -> dict[str, Any]:
+    row = TOPICS[name.partition("@")[0]]
+    return {"topic": name, "src": src, "rate_hz": row.rate_hz, "delivery": row.delivery, "heard": count}
+
+
+def messages_of(observer: Observer, name: str, duration_s: float | None, count: int | None) -> Iterator[Received]:
+    """Return the messages of a topic (topic@site: of its copy) until a number or a time [s] is over."""
+    given = 0
+    for observed in observer.listen(duration_s):
+        if observed.name == name:
+            yield observed.received
+            given += 1
+            if count is not None and given >= count:
+                return
+
+
+@dataclass
+class _Samples:
+    arrivals_ns: list[int] = field(default_factory=list)
+    ages_ns: list[int] = field(default_factory=list)
+    sizes: list[int] = field(default_factory=list)
+
+
+def _sampled(
+    observer: Observer, name: str, duration_s: float | None, count: int | None, least: int
+) -> dict[str, _Samples]:
+    samples: dict[str, _Samples] = {}
+    try:
+        for received in messages_of(observer, name, duration_s, count):
+            of_source = samples.setdefault(received.message.src, _Samples())
+            of_source.arrivals_ns.append(received.received_ns)
+            of_source.ages_ns.append(received.received_ns - received.message.t_ns)
+            of_source.sizes.append(len(received.payload))
+    except KeyboardInterrupt:
+        # Ctrl-C is how a person ends a measurement without a set length
+        pass
+    if max((len(s.arrivals_ns) for s in samples.values()), default=0) < least:
+        raise RigError(f"fewer than {least} messages were received on {name}: is the rig running with this site file?")
+    return samples
+
+
+def measure_rate(observer: Observer, name: str, duration_s: float | None, count: int | None) -> list[dict[str, Any]]:
+    """Return for each source of a topic: rate, standard deviation of the interval, gaps; RigError when it is silent."""
+    samples = _sampled(observer, name, duration_s, count, least=2)
+    rows = []
+    for src, of_source in sorted(samples.items()):
+        intervals_s = np.diff(of_source.arrivals_ns) * 1e-9
+        tracker = observer.tracker(name, src)
+        rows.append(
+            {
+                "src": src,
+                "messages": len(of_source.arrivals_ns),
+                "rate_hz": float(1.0 / intervals_s.mean()) if intervals_s.size and intervals_s.mean() > 0.0 else None,
+                "interval_std_ms": float(intervals_s.std() * 1e3) if intervals_s.size else None,
+                "gaps": tracker.gaps,
+                "lost": tracker.lost,
+            }
+        )
+    return rows
+
+
+def measure_delay(observer: Observer, name: str, duration_s: float | None, count: int | None) -> list[dict[str, Any]]:
+    """Return for each source of a topic the age of its messages on arrival [ms]; RigError when it is silent."""
+    samples = _sampled(observer, name, duration_s, count, least=1)
+    rows = []
+    for src, of_source in sorted(samples.items()):
+        p50, p99 = np.percentile(np.array(of_source.ages_ns) * 1e-6, [50.0, 99.0])
+        row = {"p50_ms": float(p50), "p99_ms": float(p99), "max_ms": max(of_source.ages_ns) * 1e-6}
+        rows.append({"src": src, "messages": len(of_source.ages_ns), **row})
+    return rows
+
+
+def measure_bandwidth(
+    observer: Observer, name: str, duration_s: float | None, count: int | None
+) -> list[dict[str, Any]]:
+    """Return for each source of a topic the bytes of its messages, and a second; RigError when it is silent."""
+    samples = _sampled(observer, name, duration_s, count, least=2)
+    rows = []
+    for src, of_source in sorted(samples.items()):
+        span_s = (of_source.arrivals_ns[-1] - of_source.arrivals_ns[0]) * 1e-9
+        # the first message is where the time begins
+        rate = sum(of_source.sizes[1:]) / span_s if span_s > 0.0 else None
+        sizes = of_source.sizes
+        row = {"mean_bytes": sum(sizes) / len(sizes), "least_bytes": min(sizes), "most_bytes": max(sizes)}
+        rows.append({"src": src, "messages": len(sizes), **row, "bytes_per_s": rate})
+    return rows

@@ -1,0 +1,158 @@
+"""How a node sends: a PUB socket that it binds, with messages that are numbered, stamped and checked."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import zmq
+
+from proto import TOPICS, compose
+from proto.batch import BATCH_FRAME
+from proto.errors import EndpointError
+from proto.messages import Message
+from services.runtime.bus.endpoint_lock import EndpointLock
+from services.runtime.bus.outgoing_batch import OutgoingBatch
+from services.runtime.loop.clock import Clock
+
+# messages that wait at a publisher for a reader whose whole process stands still: ten seconds of the busiest publisher,
+# a half of the controller with 2100 a second
+SEND_HIGH_WATER_MARK = 22_000
+# a subscriber sends nothing but names of topics
+_LARGEST_SUBSCRIPTION = 4096
+# as a plain number: the enumeration of the binding costs half as much again as the question itself
+_SNDMORE = int(zmq.SNDMORE)
+# of a context's threads, the one that moves the messages of a node; what strangers can reach is left to another one
+FIRST_THREAD = 1
+# of topics whose messages have one version whatever keys they have
+_VERSIONS = {name: row.model.version for name, row in TOPICS.items() if not row.model.additions}
+_FRAMES = {topic: topic.encode() for topic in TOPICS}
+# how long a node that ends goes on sending what a reader that is behind has not yet taken, its recorder above all;
+# within the grace that a supervisor gives
+LINGER_S = 20.0
+
+
+class Publisher(Protocol):
+    """What a bus sends with."""
+
+    def publish(self, topic: str, **fields: Any) -> Message:
+        """Send a message on a topic; the header is filled in."""
+
+    def sequence_numbers(self) -> dict[str, int]:
+        """Return the seq of the next message on each topic."""
+
+
+class _NumberingPublisher(ABC):
+    def __init__(self, clock: Clock, node: str) -> None:
+        self.node = node
+        # called with a sentence when a quantity was beyond its range
+        self.on_limited: Callable[[str], None] = lambda text: None
+        self._clock = clock
+        self._sequence: dict[str, int] = {}
+
+    def publish(self, topic: str, **fields: Any) -> Message:
+        """Send a message on a topic; the header is filled in, and what is beyond its range is sent as the nearer end.
+
+        Raises pydantic.ValidationError when the fields do not make a valid message, WireError when it is too large.
+        """
+        seq = self._sequence.get(topic, 0)
+        version = _VERSIONS.get(topic) or TOPICS[topic].model.version_of(fields)
+        header = {"seq": seq, "t_ns": self._clock.now_ns(), "src": self.node, "v": version}
+        message, payload = compose(topic, {**header, **fields}, self.on_limited)
+        self.send(topic, payload)
+        self._sequence[topic] = seq + 1
+        return message
+
+    def sequence_numbers(self) -> dict[str, int]:
+        """Return the seq of the next message on each topic."""
+        return dict(self._sequence)
+
+    @abstractmethod
+    def send(self, topic: str, payload: bytes) -> None: ...
+
+
+class NullPublisher(_NumberingPublisher):
+    """The publisher of who has no endpoint: numbers and checks as any other, and sends nothing."""
+
+    def send(self, topic: str, payload: bytes) -> None:
+        """Drop a message."""
+
+
+class ZmqPublisher(_NumberingPublisher):
+    """The PUB socket of a node: numbers, stamps, checks and sends its messages."""
+
+    def __init__(
+        self,
+        context: "zmq.Context[zmq.Socket[bytes]]",
+        clock: Clock,
+        node: str,
+        endpoint: str,
+        *,
+        kind: int = zmq.PUB,
+        prepare: Callable[["zmq.Socket[bytes]"], None] = lambda socket: None,
+    ) -> None:
+        """Bind an endpoint, with a socket that `prepare` was called with; EndpointError if that fails."""
+        super().__init__(clock, node)
+        self._lock = EndpointLock(endpoint)
+        self.socket = context.socket(kind)
+        self.socket.set(zmq.AFFINITY, FIRST_THREAD)
+        self.socket.set(zmq.SNDHWM, SEND_HIGH_WATER_MARK)
+        self.socket.set(zmq.LINGER, round(LINGER_S * 1e3))
+        self.socket.set(zmq.MAXMSGSIZE, _LARGEST_SUBSCRIPTION)
+        # of the base class: the method of the class looks first at what only other kinds of sockets know
+        self._send = super(zmq.Socket, self.socket).send
+        # called with topic and bytes of each message first: the other way on which some cross to another machine
+        self.carry: Callable[[str, bytes], None] | None = None
+        # of a node of the loop, copies for a recorder on this machine
+        self._batch: OutgoingBatch | None = None
+        prepare(self.socket)
+        try:
+            bind(self.socket, endpoint, node)
+        except EndpointError:
+            self._lock.release()
+            raise
+
+    def send(self, topic: str, payload: bytes) -> None:
+        """Send bytes as they are: what the link forwards keeps the header of its publisher."""
+        if self.carry is not None:
+            self.carry(topic, payload)
+        # a player may send under another name
+        frame = _FRAMES.get(topic) or topic.encode()
+        if self._batch is not None:
+            self._batch.add(frame, payload)
+        self._send(frame, _SNDMORE)
+        self._send(payload)
+
+    def keep_batch(self) -> OutgoingBatch:
+        """Keep copies of what is sent from now on; whoever waits for this node's messages flushes the batch."""
+        self._batch = OutgoingBatch(self._clock.monotonic_ns, self._send_batch)
+        return self._batch
+
+    def also_bind(self, endpoint: str) -> None:
+        """Bind a further endpoint; if that fails, everything is closed and EndpointError gives the reason."""
+        try:
+            bind(self.socket, endpoint, self.node)
+        except EndpointError:
+            self._lock.release()
+            raise
+
+    def close(self) -> None:
+        """Close the socket and let the endpoint go."""
+        if self._batch is not None:
+            self._batch.flush(last=True)
+        self.socket.close()
+        self._lock.release()
+
+    def _send_batch(self, payload: bytes) -> None:
+        self._send(BATCH_FRAME, _SNDMORE)
+        self._send(payload)
+
+
+def bind(socket: "zmq.Socket[bytes]", endpoint: str, node: str) -> None:
+    """Bind a socket; EndpointError names node, endpoint and what to do."""
+    try:
+        socket.bind(endpoint)
+    except zmq.ZMQError as error:
+        socket.close()
+        hint = "another process has it: stop that one or give another endpoint in the site file"
+        reason = hint if error.errno == zmq.EADDRINUSE else error.strerror
+        raise EndpointError(f"{node} cannot bind {endpoint}: {reason}") from error

@@ -1,0 +1,239 @@
+"""The sockets of one process: plain ipc within its machine, CURVE between machines, and the state of every connection.
+
+No Python here runs in a thread of its own: the node's loop calls `process_events` when a descriptor is readable or
+twice a second, and each call does a bounded amount of work, so that a flood of connections cannot delay a loop. (A
+thread could: the interpreter makes a loop wait up to 5 ms for one that is busy.) What libzmq does for strangers it does
+in a thread that comes behind the loop, and the kernel limits how much that is.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Protocol
+
+import zmq
+
+from proto.errors import ConfigError, EndpointError
+from services.runtime.bus.address_book import AddressBook
+from services.runtime.bus.bus import ConnectionEvent, Subscriber
+from services.runtime.bus.estop_inlet import EstopInlet
+from services.runtime.bus.publisher import ZmqPublisher
+from services.runtime.loop.clock import Clock
+from services.runtime.loop.realtime import lower_thread
+from services.runtime.security.access_control import AccessControl
+from services.runtime.security.keyring import Keyring
+from services.runtime.security.peer_connections import PeerConnections
+from services.runtime.security.private_files import check_runtime_directory
+from services.runtime.security.socket_monitor import RejectionCounter
+from services.runtime.security.zap_authenticator import ZapAuthenticator
+
+# a loop gives up a connection on which nothing is received for a second: a pulled cable gives no event, and what was
+# sent meanwhile must not arrive later
+_LOOP_SILENCE_MS = 1000
+# an observer may be late by seconds on a busy machine, and answers heartbeats as late
+_READER_SILENCE_MS = 5000
+_HEARTBEATS = 4
+# four round trips of a satellite link
+_HANDSHAKE_MS = 5000
+# connections that the system accepts ahead of this process, and that a limit on them comes too late for
+_BACKLOG = 16
+# left to the system, the next attempt to connect may come minutes after the cable is back
+_CONNECT_MS = 2000
+_RECONNECT_MS, _RECONNECT_MOST_MS = 100, 1000
+# of the context: accepts connections, fails handshakes, and sends to those that succeeded
+_SECOND_THREAD, _SECOND_THREAD_NAME = 2, "ZMQbg/IO/1"
+# below the half second after which a loop calls at the latest, so that each such call checks
+_CHECK_NS = 400_000_000
+
+
+def open_context(*, serves_network: bool) -> "zmq.Context[zmq.Socket[bytes]]":
+    """Return a ZeroMQ context, with a thread of its own for endpoints that other machines can reach."""
+    return zmq.Context(io_threads=2 if serves_network else 1)
+
+
+class NetworkHandler(Protocol):
+    """What a transport looks after: connections of one kind, and what they need from time to time."""
+
+    @property
+    def sockets(self) -> Sequence["zmq.Socket[bytes]"]:
+        """What becomes readable when there are events to process."""
+
+    def process_events(self) -> bool:
+        """Process pending events, a bounded number; True when more are left."""
+
+    def take_events(self) -> list[ConnectionEvent]:
+        """Return what happened since the last call."""
+
+    def apply_permissions(self) -> None:
+        """Act on a list of allowed keys that has changed."""
+
+    def close(self) -> None:
+        """Close what it has opened."""
+
+
+class Transport:
+    """Opens the sockets of a process, authenticates connections from other machines, and keeps those to them up."""
+
+    def __init__(
+        self,
+        context: "zmq.Context[zmq.Socket[bytes]]",
+        clock: Clock,
+        book: AddressBook,
+        machine: str,
+        keyring: Keyring | None = None,
+    ) -> None:
+        """Read the keys of a machine if the rig requires any.
+
+        Raises ConfigError when the machine has no key, or one that other users can read, and when other users can reach
+        the folder of sockets.
+        """
+        if book.uses_runtime_directory:
+            check_runtime_directory()
+        self.machine = machine
+        self.access_control = AccessControl(machine, keyring or Keyring(), requires_keys=book.requires_keys)
+        self.has_pending = False
+        self._context = context
+        self._clock = clock
+        self._book = book
+        self._rejections = RejectionCounter()
+        self._authenticator = ZapAuthenticator(context, self.access_control, self._rejections, clock, book.addresses)
+        self._peers: list[PeerConnections] = []
+        self._handlers: list[NetworkHandler] = [self._authenticator]
+        self._next_check_ns = clock.monotonic_ns() + _CHECK_NS
+        self._lowered = True
+
+    @property
+    def descriptors(self) -> Sequence[int]:
+        """What becomes readable when there are events to process."""
+        return [socket.fileno() for handler in self._handlers for socket in handler.sockets]
+
+    @property
+    def rejected(self) -> dict[str, int]:
+        """How often a connection was rejected or its handshake failed, by reason."""
+        return self._rejections.counts
+
+    @property
+    def last_error(self) -> str:
+        """The newest rejection in words."""
+        return self._rejections.last_error
+
+    def publisher(self, key: str, kind: int = zmq.PUB) -> ZmqPublisher:
+        """Bind the endpoints of a node; EndpointError gives the reason if that fails."""
+        try:
+            local, network = self._book.local_endpoint(key), self._book.bind_endpoint(key)
+        except KeyError as error:
+            raise EndpointError(str(error.args[0])) from error
+        if self._book.uses_runtime_directory:
+            check_runtime_directory(make=True)
+        if network is None:
+            return ZmqPublisher(self._context, self._clock, key, local or "", kind=kind)
+
+        def prepare(socket: "zmq.Socket[bytes]") -> None:
+            _set_network_options(socket, _READER_SILENCE_MS, network)
+            if self._context.get(zmq.IO_THREADS) > 1:
+                socket.set(zmq.AFFINITY, _SECOND_THREAD)
+                self._lowered = False
+            self._authenticator.prepare(socket, key)
+
+        try:
+            if local is None:
+                publisher = ZmqPublisher(self._context, self._clock, key, network, kind=kind, prepare=prepare)
+            else:
+                # what a socket has bound keeps the options of that moment, so ipc stays plain
+                publisher = ZmqPublisher(self._context, self._clock, key, local, kind=kind)
+                prepare(publisher.socket)
+                publisher.also_bind(network)
+        except EndpointError:
+            self._authenticator.abandon(key)
+            raise
+        self._authenticator.add(publisher)
+        return publisher
+
+    def subscribers(
+        self, sources: Mapping[str, Sequence[str]], *, apart: bool = False, newest_only: bool = False
+    ) -> list[Subscriber]:
+        """Connect to nodes (keys) for topics (values): one socket for this machine, one for each other machine.
+
+        Parameters: apart, one socket for each node, in order, so that the endpoint a message came from is known;
+        newest_only, for a reader that acts on the newest message of each `latest` topic.
+        """
+        if apart:
+            return [self._reader({node: topics}, _READER_SILENCE_MS) for node, topics in sources.items()]
+        groups: dict[str, dict[str, Sequence[str]]] = {"": {}}
+        for node, topics in sources.items():
+            near = self._book.endpoint(node, self.machine).startswith("ipc://")
+            groups.setdefault("" if near else self._book.machine_of(node), {})[node] = topics
+        return [self._reader(plan, _LOOP_SILENCE_MS, newest_only=newest_only) for plan in groups.values()]
+
+    def reader_of(self, machine: str, readers: Sequence[Subscriber]) -> Subscriber | None:
+        """Return which of `readers` receives from another machine, None where none does."""
+        return next(
+            (peers.subscriber for peers in self._peers if peers.machine == machine and peers.subscriber in readers),
+            None,
+        )
+
+    def look_after(self, handler: NetworkHandler) -> None:
+        """Have a further kind of connection take part in what is done from time to time."""
+        self._handlers.append(handler)
+
+    def estop_inlet(self, key: str) -> EstopInlet | None:
+        """Bind where a node takes emergency stops; None where it has no ipc endpoint."""
+        endpoint = self._book.estop_endpoint(key)
+        return None if endpoint is None else EstopInlet(self._context, self._clock, key, endpoint)
+
+    def process_events(self) -> list[ConnectionEvent]:
+        """Process authentication requests and connection events, and reload the list of keys if it has changed."""
+        # every handler, and none left out because another one has more to do
+        self.has_pending = any([handler.process_events() for handler in self._handlers])
+        events = self._check()
+        for handler in self._handlers:
+            events += handler.take_events()
+        return events
+
+    def close(self) -> None:
+        """Close the sockets that are not closed with the publishers and subscribers."""
+        for handler in self._handlers:
+            handler.close()
+
+    def _reader(self, plan: Mapping[str, Sequence[str]], silence_ms: int, *, newest_only: bool = False) -> Subscriber:
+        endpoints = {node: self._book.connect_endpoint(node, self.machine) for node in plan}
+        by_endpoint = {endpoints[node]: topics for node, topics in plan.items()}
+        if not any(endpoint.startswith("tcp://") for endpoint in by_endpoint):
+            return Subscriber(self._context, self._clock, by_endpoint, newest_only=newest_only)
+        subscriber = Subscriber(self._context, self._clock, by_endpoint, connect=False, newest_only=newest_only)
+        _set_network_options(subscriber.socket, silence_ms, *by_endpoint)
+        machine = self._book.machine_of(next(iter(plan)))
+        peers = PeerConnections(machine, endpoints, subscriber, self._clock, self.access_control, self._rejections)
+        self._peers.append(peers)
+        self._handlers.append(peers)
+        return subscriber
+
+    def _check(self) -> list[ConnectionEvent]:
+        now = self._clock.monotonic_ns()
+        if now < self._next_check_ns:
+            return []
+        self._next_check_ns = now + _CHECK_NS
+        if not self._lowered:
+            # not before: the thread gives itself its name
+            self._lowered = True
+            lower_thread(_SECOND_THREAD_NAME)
+        events = []
+        try:
+            if self.access_control.reload():
+                for handler in self._handlers:
+                    handler.apply_permissions()
+        except ConfigError as error:
+            events.append(ConnectionEvent("error", f"the list of keys was not reloaded: {error}", {}))
+        for peers in self._peers:
+            peers.maintain(now)
+        return events
+
+
+def _set_network_options(socket: "zmq.Socket[bytes]", silence_ms: int, *endpoints: str) -> None:
+    if any("[" in endpoint for endpoint in endpoints):
+        socket.set(zmq.IPV6, 1)
+    socket.set(zmq.HEARTBEAT_IVL, silence_ms // _HEARTBEATS)
+    socket.set(zmq.HEARTBEAT_TIMEOUT, silence_ms)
+    socket.set(zmq.HANDSHAKE_IVL, _HANDSHAKE_MS)
+    socket.set(zmq.BACKLOG, _BACKLOG)
+    socket.set(zmq.CONNECT_TIMEOUT, _CONNECT_MS)
+    socket.set(zmq.RECONNECT_IVL, _RECONNECT_MS)
+    socket.set(zmq.RECONNECT_IVL_MAX, _RECONNECT_MOST_MS)

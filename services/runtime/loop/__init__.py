@@ -1,0 +1,1 @@
+"""The loop of a node: clock, deadlines, commands, journal, and how a process begins and ends."""

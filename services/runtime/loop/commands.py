@@ -1,0 +1,412 @@
+"""Commands on the bus: `CommandClient` sends them and collects the answers, `CommandHandler` takes them in a node.
+
+A command is a `session/control`, its answers are `session/event`s of the same id. The client sends it again with the
+same id until all have answered; a node carries an id out once and answers each time that it receives it.
+
+A command expires: it is refused when it cannot be shown to be younger than its validity (ADR 0014). Its age follows
+from `t_ns` where the clock of the sender can agree with that of the node. Where it cannot, or the node itself was held
+up, only a command is fresh that quotes a recent time of the node's own clock. The refusal says that time, and a client
+that is still there sends the command once more with it. What only stops something is obeyed at any age.
+
+An emergency stop ends every earlier wish to move (ADR 0059): after one, a node begins a motion only for a command that
+quotes the newest stop. The refusal names it, beside the time, so that both are one quotation. The client quotes it
+where that stop came before the wish, and else gives up.
+"""
+
+import math
+import os
+from collections import OrderedDict, deque
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+from proto import encode
+from proto.errors import TelenanoError
+from proto.messages import Scalar, SessionControl, SessionEvent
+from proto.nodes import is_estop, is_meant, is_pattern, site_of
+from services.runtime.loop.clock import Clock
+from services.runtime.loop.estop_latch import EstopLatch, begins_motion
+
+CommandName = Literal["start", "stop", "arm", "estop", "set", "mark"]
+
+RESEND_NS = 200_000_000
+DEADLINE_NS = 5_000_000_000
+_RETRY_PERIOD_NS = 300_000_000
+_RELEASE_PERIOD_NS = 1_000_000_000
+# every node that is alive has reported by then, twice
+_DISCOVERY_NS = 1_200_000_000
+# quiet after the last answer to a pattern: whoever knows the command has answered
+_QUIET_NS = 500_000_000
+_REMEMBERED_ANSWERS = 256
+
+DEFAULT_VALIDITY_S = 1.0
+_LONGEST_VALIDITY_S = 60.0
+# it takes a device to its safe side, or ends a motion
+_OBEYED_AT_ANY_AGE = ("estop", "stop")
+# from further ahead than two clocks that agree ever are: the age cannot be told
+_CLOCKS_AGREE_S = 0.1
+# after a node was held up for as long as a command is valid, what it finds in its queues may have waited as long
+HELD_UP_NS = round(DEFAULT_VALIDITY_S * 1e9)
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command and the nodes (node@site) that have to answer it; none for a pattern, where those that know it answer.
+
+    What is not `required` may fail, and the next command follows all the same.
+    """
+
+    name: CommandName
+    target: str
+    expected: tuple[str, ...] = ()
+    parameters: Mapping[str, Scalar] = field(default_factory=dict)
+    required: bool = True
+    deadline_ns: int = DEADLINE_NS
+
+    @property
+    def begins_motion(self) -> bool:
+        return begins_motion(self.name, self.parameters)
+
+    def concerns(self, node: str) -> bool:
+        return node in self.expected or is_meant(node, self.target)
+
+
+class CommandClient:
+    """Sends commands one after the other, each until it is answered, refused for good, or out of time.
+
+    Which nodes a pattern concerns is not known beforehand: answers are awaited until every node that is alive has
+    reported, and then until no more come.
+
+    `failure` says why a required command failed, `tolerated_failures` holds by target the reasons of the others.
+    `answers` are those of the last command by node, refusals among them; `ids` has the id of each answered command.
+    `void`: the failure is that an emergency stop has made the commands void. `latched` is a node in emergency stop from
+    before, which a person has to release: until then, the command is tried anew.
+    """
+
+    def __init__(
+        self,
+        clock: Clock,
+        publish: Callable[..., Any],
+        commands: Iterable[Command],
+        *,
+        retry_ns: int = 0,
+        issued_ns: int | None = None,
+        releases_stops: bool = True,
+    ) -> None:
+        """Prepare to send `commands`.
+
+        Parameters: retry_ns, for how long a refused one that is required is tried anew [ns]; issued_ns, when they were
+        wished for on the monotonic clock [ns], now if None: an emergency stop since then makes them void;
+        releases_stops, false where no person stands behind them who knows of the stops before: a node in emergency
+        stop is then waited for.
+        """
+        self.failure = ""
+        self.void = False
+        self.latched = ""
+        self.tolerated_failures: dict[str, str] = {}
+        self.ids: dict[str, str] = {}
+        self.answers: dict[str, SessionEvent] = {}
+        self._clock = clock
+        self._publish = publish
+        self._commands = deque(commands)
+        self._motions = [command for command in self._commands if command.begins_motion]
+        self._retry_ns = retry_ns
+        # random, and no time in it: ids of two senders differ whatever their clocks say
+        self._sender = os.urandom(8).hex()
+        self._issued = 0
+        self._command: Command | None = None
+        self._id = ""
+        self._begun_ns = self._issued_ns = self._next_ns = self._last_answer_ns = self._deadline_ns = 0
+        self._wished_ns = clock.monotonic_ns() if issued_ns is None else issued_ns
+        self._releases_stops = releases_stops
+        # refusals that the current command quotes by node, and their least round trip
+        self._quoted: dict[str, SessionEvent] = {}
+        self._round_trip_s = math.inf
+
+    def advance(self) -> bool:
+        """Send what is due; return whether every command is over, or a required one has failed."""
+        while not self.failure:
+            command = self._command
+            if command is None:
+                if not self._commands:
+                    return True
+                self._begun_ns = self._clock.monotonic_ns()
+                command = self._commands.popleft()
+                self._quoted, self._round_trip_s = {}, math.inf
+                self._issue(command)
+            if not self._advance(command):
+                return False
+        return True
+
+    def on_event(self, event: SessionEvent) -> bool:
+        """Record an event; return whether it is a node's first answer to the current command."""
+        if event.kind == "ack" and event.data.get("command") == "estop" and self._would_move(event.src):
+            self._give_up(f"{event.src} was stopped by an emergency stop")
+            return False
+        if event.id != self._id or event.kind not in ("ack", "refused") or event.src in self.answers:
+            return False
+        if event.kind == "refused" and (event.data.get("expired") is True or "latch" in event.data):
+            self._record_quotation(event)
+            return False
+        self.answers[event.src] = event
+        self._last_answer_ns = self._clock.monotonic_ns()
+        return True
+
+    def make_due(self) -> None:
+        """Send the current command again at once: a new reader has connected."""
+        self._next_ns = self._clock.monotonic_ns()
+
+    @property
+    def refusals(self) -> list[SessionEvent]:
+        return [event for event in self.answers.values() if event.kind == "refused"]
+
+    def _issue(self, command: Command) -> None:
+        self._command, self._id, self.answers = command, f"{self._sender}-{self._issued}", {}
+        self.latched = ""
+        self._issued += 1
+        self._issued_ns = self._next_ns = self._last_answer_ns = self._clock.monotonic_ns()
+        self._deadline_ns = self._issued_ns + command.deadline_ns
+
+    def _would_move(self, node: str) -> bool:
+        """Return whether a node is one that these commands let move, and they are not over."""
+        is_over = self._command is None and not self._commands
+        return not is_over and any(command.concerns(node) for command in self._motions)
+
+    def _give_up(self, reason: str) -> None:
+        """End all commands: they are older than an emergency stop."""
+        self.failure, self.void = self.failure or reason, True
+
+    def _record_quotation(self, event: SessionEvent) -> None:
+        """Quote a refusal from now on: the time of the node, and its newest emergency stop unless that voids this."""
+        if reason := self._void_by(event):
+            self._give_up(reason)
+            return
+        if event.data.get("latched") is True and not self._releases_stops:
+            self.answers[event.src], self.latched = event, event.src
+            return
+        now_ns = self._clock.monotonic_ns()
+        if not self._quoted and self._command is not None:
+            # the node is alive, and may need as long again to answer
+            self._deadline_ns = now_ns + self._command.deadline_ns
+        if event.src not in self._quoted and event.data.get("expired") is not True:
+            self._next_ns = now_ns
+        self._quoted[event.src] = event
+        sent_t_ns = event.data.get("sent_t_ns")
+        if isinstance(sent_t_ns, int):
+            self._round_trip_s = min(self._round_trip_s, (self._clock.now_ns() - sent_t_ns) * 1e-9)
+
+    def _void_by(self, event: SessionEvent) -> str:
+        """Return why the stops of which a refusal tells make the commands void, as a sentence; empty if they do not.
+
+        A stop is taken for older than the wish only where it was at the node for longer than the wish has existed when
+        the refusal arrives, which needs no common clock. The way back counts against the wish.
+        """
+        data, name = event.data, "" if self._command is None else self._command.name
+        known = self._quoted.get(event.src)
+        waited_s = (self._clock.monotonic_ns() - self._wished_ns) * 1e-9
+        age_s = data.get("estop_age_s")
+        if isinstance(age_s, int | float) and age_s <= waited_s:
+            return f"{name} is void: an emergency stop came to {event.src} after it; give it again to release the stop"
+        if known is not None and known.data.get("latch", "") != data.get("latch", ""):
+            return f"{name} is void: {event.src} was started again meanwhile; give it again"
+        return ""
+
+    def _quotations(self) -> dict[str, Any]:
+        """Return what a session/control quotes of the refusals so far; nothing until there is one."""
+        if not self._quoted:
+            return {}
+        round_trip_s = self._round_trip_s if math.isfinite(self._round_trip_s) else 0.0
+        latches = {node: event.data["latch"] for node, event in self._quoted.items() if "latch" in event.data}
+        return {
+            "validity_s": DEFAULT_VALIDITY_S + max(0.0, round_trip_s),
+            "node_t_ns": {node: event.t_ns for node, event in self._quoted.items()},
+            **({"node_latch": latches} if latches else {}),
+        }
+
+    def _advance(self, command: Command) -> bool:
+        """Return whether the current command is over."""
+        now = self._clock.monotonic_ns()
+        if self._answered(command, now) or now >= self._deadline_ns:
+            return self._conclude(command, now)
+        if now >= self._next_ns:
+            self._next_ns = now + RESEND_NS
+            self._publish(
+                "session/control",
+                id=self._id,
+                command=command.name,
+                target=command.target,
+                parameters=dict(command.parameters),
+                **self._quotations(),
+            )
+        return False
+
+    def _answered(self, command: Command, now_ns: int) -> bool:
+        if command.expected:
+            return set(command.expected) <= set(self.answers)
+        settled = now_ns - self._issued_ns >= _DISCOVERY_NS and now_ns - self._last_answer_ns >= _QUIET_NS
+        return settled and bool(self.answers)
+
+    def _conclude(self, command: Command, now_ns: int) -> bool:
+        """Take the outcome of a command; return whether it is over, and not to be tried anew."""
+        failure = self._reason(command)
+        if not failure:
+            self.ids[command.name] = self._id
+        elif not command.required:
+            self.tolerated_failures[command.target] = failure
+        elif self.refusals and (self.latched or now_ns - self._begun_ns < self._retry_ns):
+            # the first fresh command of a device may still be on the way, and a person takes as long as it takes
+            if now_ns - self._issued_ns >= (_RELEASE_PERIOD_NS if self.latched else _RETRY_PERIOD_NS):
+                if self.latched:
+                    self._begun_ns = now_ns
+                self._issue(command)
+            return False
+        else:
+            self.failure = failure
+        self._command = None
+        return True
+
+    def _reason(self, command: Command) -> str:
+        """Return why a command failed, as a sentence; empty when it did not."""
+        quoted = {node: event for node, event in self._quoted.items() if node not in self.answers}
+        missing = sorted(set(command.expected) - {*self.answers, *quoted})
+        refusals = [*self.refusals, *quoted.values()]
+        reasons = [f"{event.src} refused {command.name}: {event.text}" for event in refusals]
+        if missing:
+            reasons.append(f"{', '.join(missing)} did not answer {command.name} in time")
+        elif not self.answers and not quoted:
+            reasons.append(f"no node answered {command.name}")
+        return "; ".join(reasons)
+
+
+class _Answer(NamedTuple):
+    kind: Literal["ack", "refused"]
+    level: str
+    text: str
+    begins_motion: bool
+
+
+class CommandHandler:
+    """Takes session/control for a node: once per id, with the answer repeated to a command that is sent again.
+
+    An emergency stop is executed each time that it comes, and ends every command before it that begins a motion: one
+    that was not executed yet is refused, and one that was is not said to be in force any more.
+    """
+
+    def __init__(
+        self,
+        node: str,
+        known: Sequence[str],
+        execute: Callable[[SessionControl], str],
+        event: Callable[..., None],
+        *,
+        is_latched: Callable[[], bool] = lambda: False,
+        kept: Path | None = None,
+    ) -> None:
+        """Take commands for `node` (node@site).
+
+        Parameters: known, commands that it answers when a pattern matches it; execute, returns a sentence for the
+        answer or raises RefusedError; event, publishes a session/event; is_latched, tells whether the node is in
+        emergency stop; kept, where the newest emergency stop is kept until the node is armed.
+        """
+        self.latch = EstopLatch(kept)
+        self._node = node
+        self._known = frozenset(known)
+        self._execute = execute
+        self._event = event
+        self._is_latched = is_latched
+        self._answers: OrderedDict[str, _Answer] = OrderedDict()
+        self._held_up_s = 0.0
+        self._distrust_until_ns = 0
+
+    def note_held_up(self, now_ns: int, duration_ns: int) -> None:
+        """Record that the node did nothing for `duration_ns` until now, both on the clock of `handle` [ns].
+
+        What waited for it meanwhile comes within the next second, and may carry the time of a clock that is ahead.
+        """
+        self._held_up_s = duration_ns * 1e-9
+        self._distrust_until_ns = now_ns + HELD_UP_NS
+
+    def note_own_stop(self, now_ns: int) -> None:
+        """Record that the device has stopped by a switch of its own, at `now_ns` on the clock of `handle` [ns]."""
+        self._note_stop(stop_of(self._node, now_ns), now_ns)
+
+    def handle(self, control: SessionControl, now_ns: int) -> bool:
+        """Execute a command if it concerns this node, and answer with a session/event of the same id.
+
+        Parameters: control; now_ns, on the clock that stamps the node's messages [ns].
+        Returns: whether the node executed it now, rather than repeated its answer or refused it unheard.
+        """
+        if not is_meant(self._node, control.target):
+            return False
+        if is_pattern(control.target) and control.command not in self._known:
+            return False
+        if is_estop(control.src) and control.command != "estop":
+            # whoever could connect to the node may stop it, and no more
+            return False
+        is_new = control.id not in self._answers or control.command == "estop"
+        if is_new:
+            if refusal := self._refusal(control, now_ns):
+                text, facts = refusal
+                facts = {"command": control.command, **facts, "sent_t_ns": control.t_ns}
+                self._event("refused", "warning", text, answer_to=control.id, **facts)
+                return False
+            answer = self._answers[control.id] = self._answer(control)
+            if len(self._answers) > _REMEMBERED_ANSWERS:
+                self._answers.popitem(last=False)
+            if answer.kind == "ack" and control.command == "estop":
+                self._note_stop(control, now_ns)
+            elif answer.kind == "ack" and control.command == "arm":
+                self.latch.release()
+        kind, level, text, _ = self._answers[control.id]
+        self._event(kind, level, text, answer_to=control.id, command=control.command)
+        return is_new
+
+    def _note_stop(self, control: SessionControl, now_ns: int) -> None:
+        for identifier in [found for found, answer in self._answers.items() if answer.begins_motion]:
+            del self._answers[identifier]
+        if fault := self.latch.record(control.id, encode(control), now_ns):
+            self._event("fault", "warning", fault)
+
+    def _refusal(self, control: SessionControl, now_ns: int) -> tuple[str, dict[str, Scalar]] | None:
+        """Return why a command is not executed whatever it says, and the facts to quote; None where it may be."""
+        facts: dict[str, Scalar] = {}
+        if begins_motion(control.command, control.parameters):
+            facts = {**self.latch.facts(now_ns), "latched": self._is_latched()}
+            # before the age: an older client sends what has expired once more, and gives up at any other refusal
+            if reason := self.latch.reason_against((control.node_latch or {}).get(self._node), now_ns):
+                return f"{control.command} is refused: {reason}", facts
+        if expiry := self._expiry(control, now_ns):
+            return expiry, {"expired": True, **facts}
+        return None
+
+    def _expiry(self, control: SessionControl, now_ns: int) -> str:
+        """Return why a command is too old to be executed, or cannot be shown not to be; empty when it is fresh."""
+        if control.command in _OBEYED_AT_ANY_AGE:
+            return ""
+        valid_s = DEFAULT_VALIDITY_S if control.validity_s is None else min(control.validity_s, _LONGEST_VALIDITY_S)
+        quoted_ns = (control.node_t_ns or {}).get(self._node)
+        if quoted_ns is not None and 0.0 <= (now_ns - quoted_ns) * 1e-9 <= valid_s:
+            return ""
+        age_s = (now_ns - control.t_ns) * 1e-9
+        if age_s > valid_s:
+            return f"{control.command} expired: it was sent {age_s:.1f} s ago and valid for {valid_s:.1f} s"
+        if age_s < -_CLOCKS_AGREE_S:
+            return f"{control.command} cannot be shown to be fresh: the clock of {control.src} is {-age_s:.1f} s ahead"
+        if now_ns < self._distrust_until_ns:
+            held_up = f"this node was held up for {self._held_up_s:.1f} s"
+            return f"{control.command} cannot be shown to be fresh: {held_up}, during which it may have waited"
+        return ""
+
+    def _answer(self, control: SessionControl) -> _Answer:
+        begins = begins_motion(control.command, control.parameters)
+        try:
+            return _Answer("ack", "info", self._execute(control), begins)
+        except TelenanoError as error:
+            return _Answer("refused", "warning", str(error), begins)
+
+
+def stop_of(node: str, now_ns: int) -> SessionControl:
+    """Return an emergency stop for a node (node@site) that no sender has sent, of `now_ns` [ns]."""
+    header = {"seq": 0, "t_ns": now_ns, "src": f"estop@{site_of(node)}", "v": 1, "id": os.urandom(12).hex()}
+    return SessionControl.model_validate({**header, "command": "estop", "target": node, "parameters": {}})

@@ -1,0 +1,109 @@
+"""The input journal of a node: in which order it took its messages and deadlines, published in batches."""
+
+from array import array
+from collections import deque
+from collections.abc import Callable, Iterable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from proto.journal_messages import JournalInput
+from proto.messages import Array
+from services.runtime.bus.bus import Received
+from services.runtime.loop.clock import TurnClock
+from services.runtime.loop.node_state import StateSnapshot
+
+DEADLINE, MESSAGE, COMMAND = 0, 1, 2
+# turns in one message: some 80 kB, and below what is allowed however many sources there are
+_BATCH = 4096
+
+
+class _Batch(NamedTuple):
+    """A complete batch; `state` and `outputs` are those before its first turn."""
+
+    first_turn: int
+    sources: Iterable[tuple[str, str]]
+    outputs: dict[str, int]
+    state: bytes
+    kind: "array[int]"
+    time_ns: "array[int]"
+    input: "array[int]"
+    number: "array[int]"
+
+
+class InputJournal:
+    """Keeps the turns of a node and gives it `clock`, which shows one time during a turn.
+
+    Each batch begins with the state of the node and the numbers of its next outputs, so that a re-run can begin at any
+    of them: the recorder may come late, and a recording may be cut.
+    """
+
+    def __init__(self, node: Any, sequence_numbers: Callable[[], dict[str, int]]) -> None:
+        """Begin with the state that the node was built in, and take over its clock."""
+        clock = node.context.clock
+        self.clock = TurnClock(clock.now_ns(), clock.epoch_offset_ns)
+        self._node = node
+        self._sequence_numbers = sequence_numbers
+        self._snapshot = StateSnapshot(node)
+        self._first_turn = 0
+        self._complete: deque[_Batch] = deque()
+        self._begin()
+        node.clock = self.clock
+
+    @property
+    def full(self) -> bool:
+        """A batch is complete."""
+        return len(self._kind) >= _BATCH
+
+    def record_deadline(self) -> None:
+        """Record a deadline that was acted on at the time that the clock shows."""
+        self._kind.append(DEADLINE)
+        self._time_ns.append(self.clock.time_ns)
+        self._input.append(-1)
+        self._number.append(-1)
+
+    def record_message(self, received: Received, *, executed: bool) -> None:
+        """Record a message that was acted on when it was received; `executed`: the node carried out its command."""
+        message = received.message
+        source = (received.topic, message.src)
+        place = self._sources.get(source)
+        if place is None:
+            place = self._sources[source] = len(self._sources)
+        self._kind.append(COMMAND if executed else MESSAGE)
+        self._time_ns.append(received.received_ns)
+        self._input.append(place)
+        self._number.append(message.seq)
+
+    def complete(self) -> None:
+        """End the batch, if there were turns since the last one, and begin a new one."""
+        if self._kind:
+            arrays = (self._kind, self._time_ns, self._input, self._number)
+            self._complete.append(_Batch(self._first_turn, self._sources, self._outputs, self._state, *arrays))
+            self._first_turn += len(self._kind)
+            self._begin()
+
+    def publish(self) -> None:
+        """Send the batches that are complete."""
+        while self._complete:
+            batch = self._complete.popleft()
+            arrays = (batch.kind, batch.time_ns, batch.input, batch.number, np.frombuffer(batch.state, dtype=np.uint8))
+            kind, time_ns, place, number, state = (Array.from_numpy(np.asarray(found)) for found in arrays)
+            self._node.publish(
+                "node/journal",
+                first_turn=batch.first_turn,
+                epoch_offset_ns=self.clock.epoch_offset_ns,
+                inputs=tuple(JournalInput(topic=topic, src=src) for topic, src in batch.sources),
+                outputs=batch.outputs,
+                kind=kind,
+                time_ns=time_ns,
+                input=place,
+                number=number,
+                state=state,
+            )
+
+    def _begin(self) -> None:
+        self._sources: dict[tuple[str, str], int] = {}
+        self._kind, self._time_ns = array("B"), array("q")
+        self._input, self._number = array("h"), array("q")
+        self._outputs = {**self._sequence_numbers(), **self._node.further_outputs()}
+        self._state = self._snapshot.capture()

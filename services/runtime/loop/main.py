@@ -1,0 +1,165 @@
+"""The way from a command line to a running node: configuration, clock, bus, loop."""
+
+import argparse
+import importlib
+import signal
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Generic, NoReturn, TypeVar
+
+from pydantic import BaseModel
+
+from presets import DEFAULT_SITE_FILE, find_scenario, site_file_named
+from presets.plugins import fault_of_package
+from proto.errors import TelenanoError
+from proto.nodes import sites_of
+from services.runtime.bus.address_book import AddressBook
+from services.runtime.loop.log import StructuredLog, configure_logging
+from services.runtime.loop.node import AccountedBus, Node, NodeContext
+from services.runtime.loop.participant import Participant, StopSignals, open_participant, run_loop
+from services.runtime.loop.realtime import (
+    RealtimeConfig,
+    ahead_of_others,
+    apply_realtime,
+    die_with_parent,
+    ordinary_scheduling,
+    raise_file_limit,
+    use_huge_pages,
+)
+from services.runtime.settings.config import read_yaml, validate
+from services.runtime.settings.scenario import load_scenario
+
+C = TypeVar("C", bound=BaseModel)
+
+EXIT_BAD_START = 2
+EXIT_DIED = 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wiring(Participant):
+    """What a node's builder is given: its part in the bus, and the files that it is configured by."""
+
+    site_file: Path
+    scenario_file: Path
+
+
+@dataclass(frozen=True)
+class NodeKind(Generic[C]):
+    """A kind of node: its name in the table of nodes, its section of the scenario and how it is built."""
+
+    name: str
+    config: type[C]
+    build: Callable[[Wiring, C], tuple[Node, AccountedBus]]
+    realtime: bool = True
+
+    @property
+    def sites(self) -> tuple[str, ...]:
+        return sites_of(self.name)
+
+
+def node_kind(name: str) -> NodeKind[Any]:
+    """Return the kind that a service declares for itself, so that a check and the node's own cannot differ."""
+    module = importlib.import_module(f"services.{name}.__main__")
+    return next(value for value in vars(module).values() if isinstance(value, NodeKind))
+
+
+def ordinary(node: Callable[[NodeContext, C], Node], inputs: Sequence[str]) -> Callable[..., tuple[Node, AccountedBus]]:
+    """Return the builder of a node of the loop that has one bus."""
+
+    def build(wiring: Wiring, config: C) -> tuple[Node, AccountedBus]:
+        bus = wiring.bus(inputs, newest_only=True)
+        return node(wiring.context(bus), config), bus
+
+    return build
+
+
+class NodeArguments(argparse.Namespace):
+    """What a node is started with."""
+
+    site_file: Path
+    scenario: Path
+    site: str
+    set: list[str]
+    with_parent: bool
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        """Exit with an error of the command line in one sentence."""
+        self.exit(EXIT_BAD_START, f"{self.prog}: {message} (`{self.prog} --help` explains)\n")
+
+
+def parse_arguments(name: str, sites: Sequence[str], arguments: Sequence[str] | None) -> NodeArguments:
+    """Read the command line of a node."""
+    parser = _Parser(prog=f"telenano node {name}", description=f"Run one {name} of the rig.")
+    about = "address book of the rig: a known name or a YAML file; default: local, all on this machine"
+    parser.add_argument("--site-file", type=Path, default=DEFAULT_SITE_FILE, metavar="NAME|FILE", help=about)
+    about = "scenario with this node's section: a known name or a YAML file"
+    parser.add_argument("--scenario", type=Path, required=True, metavar="NAME|FILE", help=about)
+    parser.add_argument("--site", choices=sites, default=sites[0], help="site that this process belongs to")
+    parser.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE", help="change one key")
+    parser.add_argument("--with-parent", action="store_true", help="stop when the process that started this one ends")
+    return parser.parse_args(arguments, namespace=NodeArguments())
+
+
+def load_site(path: Path) -> AddressBook:
+    """Read a site file; ConfigError names file and key."""
+    return validate(AddressBook, read_yaml(path), str(path))
+
+
+def run_node(kind: NodeKind[C], arguments: Sequence[str] | None = None) -> int:
+    """Run a node until it is stopped; return the exit code, 2 when it could not start."""
+    given = parse_arguments(kind.name, kind.sites, arguments)
+    configure_logging()
+    log = StructuredLog(f"{kind.name}@{given.site}")
+    try:
+        _run(kind, given, log)
+    except TelenanoError as error:
+        log.error(str(error))
+        return EXIT_BAD_START
+    except (Exception, SystemExit) as error:
+        if not (text := fault_of_package(error)):
+            raise
+        log.error(text)
+        # not the code of a package that ends the program: to this project 2 is a fault of the configuration
+        if isinstance(error, SystemExit):
+            return EXIT_DIED
+        raise
+    return 0
+
+
+def _run(kind: NodeKind[C], given: NodeArguments, log: StructuredLog) -> None:
+    if given.with_parent:
+        die_with_parent(signal.SIGTERM)
+    site_file = site_file_named(given.site_file) or DEFAULT_SITE_FILE
+    scenario_file = find_scenario(str(given.scenario))
+    book = load_site(site_file)
+    loaded = load_scenario(scenario_file, given.set)
+    config = loaded.section(kind.name, kind.config)
+    wanted = (
+        loaded.scenario.realtime_in_force() if kind.realtime else RealtimeConfig(scheduler="normal", memory_lock="off")
+    )
+    if not kind.realtime:
+        ahead_of_others()
+    # before the ZeroMQ context exists: its threads inherit what is asked for here
+    key = f"{kind.name}@{given.site}"
+    status = apply_realtime(wanted, log, key)
+    signals = StopSignals()
+    raise_file_limit()
+    report_trace = None
+    if loaded.scenario.realtime.trace and kind.realtime:
+        from services.runtime.loop import hop_trace
+
+        report_trace = hop_trace.install(log)
+    with open_participant(key, book, signals.descriptor) as participant:
+        wiring = Wiring(**vars(participant), site_file=site_file, scenario_file=scenario_file)
+        node, bus = kind.build(wiring, config)
+        # tens of ms for a large process, in which the others on its processor have their periods to keep
+        with ordinary_scheduling():
+            huge_pages = use_huge_pages() if loaded.scenario.realtime.huge_pages else 0
+        log.info("ready", realtime=status.fifo, memory_locked=status.memory_locked, huge_pages=huge_pages)
+        run_loop(node, bus, signals, status, spin_s=wanted.spin_s, guarded=kind.realtime)
+    if report_trace is not None:
+        report_trace()
+    log.info("stopped")

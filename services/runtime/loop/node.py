@@ -1,0 +1,493 @@
+"""What every node is, and the one loop that all of them run in."""
+
+import os
+import signal
+import socket
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+from typing import Any, ClassVar, Literal, Protocol, cast
+
+from presets.plugins import fault_of_package
+from proto import TOPICS, WireError, accept
+from proto.errors import RefusedError
+from proto.messages import MAX_TEXT, SUPERSEDED, InputHealth, NodeHealth, Scalar, SessionControl
+from proto.sequence import Arrival
+from services.runtime.bus.bus import Bus, ConnectionEvent, Received
+from services.runtime.bus.ends import publish_end
+from services.runtime.loop.clock import NEVER_NS, Clock
+from services.runtime.loop.commands import HELD_UP_NS, CommandHandler, stop_of
+from services.runtime.loop.deadlines import LatenessWindow, SpinMargin
+from services.runtime.loop.freshness import LOOP_DEADLINE_NS
+from services.runtime.loop.journal import InputJournal
+from services.runtime.loop.log import RateLimitedLog, StructuredLog
+from services.runtime.loop.quiet_work import QuietWork
+from services.runtime.loop.realtime import RealtimeStatus
+
+NodeState = Literal["starting", "ready", "running", "safe", "stopping"]
+HEALTH_PERIOD_NS = 500_000_000
+# pieces of a report, each for a pause of its own: what node/health says, the message, the end of a batch, its message
+_REPORT, _JOURNAL_REPORT = ("account", "health"), ("complete", "journal")
+# at first, where a rig waits until every node has said that it receives its inputs
+STARTING_PERIOD_NS, _STARTING_NS = 100_000_000, 3_000_000_000
+_STATM = Path("/proc/self/statm")
+
+
+@dataclass
+class NodeContext:
+    """What a node is given: its name and everything that touches the world."""
+
+    key: str
+    clock: Clock
+    bus: Bus
+    log: StructuredLog
+    stop_requested: bool = False
+    # where an emergency stop is kept for this node until it is armed; None where it has no such place
+    kept_stop: Path | None = None
+
+    def request_stop(self) -> None:
+        """End the loop of the node after the step in hand."""
+        self.stop_requested = True
+
+    def event(self, kind: str, level: str, text: str, *, answer_to: str = "", **data: bool | float | str) -> None:
+        """Publish a session/event and write it to the log."""
+        self.publish_event(kind, level, text, data, answer_to)
+
+    def publish_event(self, kind: str, level: str, text: str, data: Mapping[str, Scalar], answer_to: str = "") -> None:
+        """Publish and log an event whose data is already a mapping."""
+        # the text may quote a peer or a file name: cut to the length that the wire allows, and made encodable
+        text = text[:MAX_TEXT].encode(errors="replace").decode()
+        self.bus.publish("session/event", id=answer_to, kind=kind, level=level, text=text, data=data)
+        self.log.write(level, text, kind=kind, **data)
+
+
+class DeviceDelay:
+    """What a real device adds to the round trip: as it is declared, and how old its samples really were.
+
+    Parameters: declared_s [s]; calibration, the identity of the one in use.
+    """
+
+    def __init__(self, declared_s: float, calibration: str) -> None:
+        self._declared_s, self._calibration = declared_s, calibration
+        self._sum_s, self._count = 0.0, 0
+
+    def record(self, age_s: float) -> None:
+        self._sum_s += age_s
+        self._count += 1
+
+    def report(self) -> dict[str, float | str]:
+        """Return the part of node/health, and begin a new interval."""
+        found: dict[str, float | str] = {"device_latency_s": self._declared_s, "calibration": self._calibration}
+        if self._count:
+            found["device_age_s"] = self._sum_s / self._count
+        self._sum_s, self._count = 0.0, 0
+        return found
+
+
+class Node(ABC):
+    """One process of the rig: a state machine that messages and deadlines drive.
+
+    It holds no socket and reads no clock but those of its context, so that a test drives it in virtual time.
+    """
+
+    inputs: ClassVar[tuple[str, ...]]
+    # commands that it answers, and those that it knows only when it is named, and no pattern reaches it
+    commands: ClassVar[tuple[str, ...]] = ()
+    named_commands: ClassVar[tuple[str, ...]] = ()
+    replay: ClassVar[bool] = False
+    # its inputs are written to node/journal, and during a turn its clock stands still
+    journalled: ClassVar[bool] = False
+    # node/health of others is a turn as well, and not only for `admits`
+    acts_on_health: ClassVar[bool] = False
+    # its deadlines are worth a busy wait
+    has_precise_deadlines = True
+    # the message with which a tick of the loop comes for the last time before a pause, "" for the node's own deadline,
+    # None where there are no ticks; and the time from then until nobody needs its processor [ns]
+    last_of_tick: ClassVar[str | None] = None
+    pause_after_ns: ClassVar[int] = 0
+    period_s: float = 0.0
+    state: NodeState = "ready"
+
+    def __init__(self, context: NodeContext) -> None:
+        self.context = context
+        self.clock: Clock = context.clock
+        self.publish = context.bus.publish
+        self.event = context.event
+        self.steps = 0
+        self.overruns = 0
+        # messages that were not acted on because they, or the hand's sample behind them, were past their deadline
+        self.stale = 0
+        # what `on_deadline` does in pauses of the loop: at its `due_ns` it is called, without a busy wait
+        self.quiet_work = QuietWork(self.pause_after_ns)
+        # of a real device, for node/health
+        self.device_delay: DeviceDelay | None = None
+        # how often a switch of the device itself has stopped it
+        self.own_stops = 0
+
+    @abstractmethod
+    def on_message(self, received: Received) -> None:
+        """Act on a message of one of the inputs; session/control goes to `on_control` as well."""
+
+    def admits(self, received: Received) -> bool:
+        """Return whether a message may be acted on; device nodes keep out what comes from a recording."""
+        return True
+
+    @property
+    def is_latched(self) -> bool:
+        """Whether the node is in emergency stop, until it is armed."""
+        return False
+
+    def further_outputs(self) -> Mapping[str, int]:
+        """Return the number of the next output by each way past the node's own bus, for the journal."""
+        return {}
+
+    def deadline_ns(self) -> int:
+        """Return the monotonic time [ns] at which `on_deadline` is wanted."""
+        return NEVER_NS
+
+    @abstractmethod
+    def on_deadline(self, now_ns: int) -> None:
+        """Act on a deadline that has come."""
+
+    def on_control(self, control: SessionControl) -> str:
+        """Execute a command and return a sentence about the result; RefusedError gives the reason if it cannot."""
+        raise RefusedError(f"{self.context.key} does not know {control.command}")
+
+    def interrupt(self) -> None:
+        """Act on SIGTERM or SIGINT, within the signal handler."""
+        self.context.request_stop()
+
+    @abstractmethod
+    def make_safe(self) -> None:
+        """Put actuators in their declared safe state; called whatever ends the loop."""
+
+    def publish_end(self, bus: "AccountedBus") -> None:
+        """Publish the last message: how many were sent, for readers to know what they lack at the end."""
+        publish_end(bus, self.context.key)
+
+
+class AccountedBus(Bus, Protocol):
+    """A bus whose inputs are accounted for."""
+
+    def input_health(self) -> tuple[InputHealth, ...]:
+        """Return the account of every input."""
+
+    def rejections(self) -> tuple[dict[str, int], str]:
+        """Return the frames refused so far by reason, and the text of the last refusal."""
+
+    def sequence_numbers(self) -> dict[str, int]:
+        """Return the seq of the next message on each topic."""
+
+    def process_events(self, *, now: bool = False) -> Sequence[ConnectionEvent]:
+        """Process events of network connections, if there may be any or `now`; return what happened to them."""
+
+    def has_arrived(self) -> bool:
+        """Return whether something may have arrived since the last wait, for `receive`."""
+
+    def is_batch_due(self, now_ns: int) -> bool:
+        """Return whether copies for a recorder are to be sent in the next pause."""
+
+    def send_batches(self) -> None:
+        """Send the copies for a recorder that there are."""
+
+
+class NodeLoop:
+    """The loop of a node: messages as they come, deadlines when they come, health twice a second."""
+
+    def __init__(
+        self,
+        node: Node,
+        bus: AccountedBus,
+        realtime: RealtimeStatus,
+        *,
+        spin_s: float = 0.0,
+        starting_period_ns: int = HEALTH_PERIOD_NS,
+        note_alive: Callable[[], None] = lambda: None,
+    ) -> None:
+        """Make a loop; `note_alive` is called with each report of health."""
+        self.node = node
+        self._note_alive = note_alive
+        self._starting_period_ns = starting_period_ns
+        self._bus = bus
+        self._clock = node.context.clock
+        self._realtime = realtime
+        self._spin = SpinMargin(round(spin_s * 1e9) if node.has_precise_deadlines else 0)
+        self._commands = CommandHandler(
+            node.context.key,
+            node.commands,
+            node.on_control,
+            node.event,
+            is_latched=lambda: node.is_latched,
+            kept=node.context.kept_stop,
+        )
+        # looked for at the start, after each time that the process stood still, and twice a second: the sender may
+        # have been ended before it could send
+        self._may_be_kept = True
+        self._own_stops = 0
+        self._lateness = LatenessWindow()
+        self._limited_log = RateLimitedLog(node.context.log, self._clock)
+        self._started_ns = self._awake_ns = self._health_ns = self._last_health_ns = self._clock.monotonic_ns()
+        self._quiet = QuietWork(node.pause_after_ns)
+        # threads of equal priority share its processor
+        self._yields = realtime.fifo
+        self._journal = InputJournal(node, bus.sequence_numbers) if node.journalled else None
+        self._last_cpu_s = time.process_time()
+        self._health: dict[str, Any] = {}
+        self._last_steps = 0
+        self._rejected_seen = 0
+
+    def run(self) -> None:
+        """Run until a stop is requested, then leave the node safe whatever happened."""
+        context = self.node.context
+        try:
+            while not context.stop_requested:
+                self.turn()
+        # code of a package may end the program
+        except (Exception, SystemExit) as error:
+            text = fault_of_package(error) or f"this node failed: {type(error).__name__}: {error}"
+            self.node.event("fault", "error", " ".join(text.split()))
+            raise
+        finally:
+            # to make safe may take its time, and is no turn
+            self.node.clock = self._clock
+            try:
+                self.node.make_safe()
+            finally:
+                # the device of a package may fail in this as well
+                self.node.state = "stopping"
+                self.publish_health(self._clock.monotonic_ns())
+                self.node.publish_end(self._bus)
+
+    @property
+    def health_due_ns(self) -> int:
+        """Monotonic time [ns] of the next report, or of the next piece of one."""
+        return min(self._health_ns, self._quiet.due_ns)
+
+    def turn(self) -> None:
+        """Wait for the next message or deadline and act on it."""
+        wanted = self.node.deadline_ns() - self._spin.ns
+        self._bus.wait(min(wanted, self._health_ns, self._quiet.due_ns, self.node.quiet_work.due_ns))
+        woken = self._note_awake()
+        if self._may_be_kept:
+            self._take_kept_stop()
+        taken = self._take(woken)
+        if notices := self._bus.process_events():
+            self._report_connections(notices)
+        # a message may have moved the deadline
+        deadline = self.node.deadline_ns()
+        now = self._clock.monotonic_ns()
+        if deadline - self._spin.ns <= now:
+            if not taken and woken >= wanted:
+                self._spin.record(woken - wanted)
+            now, deadline = self._await(deadline)
+            if deadline <= now:
+                self._lateness.record((now - deadline) * 1e-9)
+                self._act_on_deadline(now)
+                if self.node.last_of_tick == "":
+                    self._note_tick(now)
+        elif self.node.quiet_work.due_ns <= now:
+            self._act_on_deadline(now)
+        if now >= self._health_ns or now >= self._quiet.due_ns:
+            self._work(now)
+        elif self._journal is not None and self._journal.full:
+            self._journal.complete()
+            self._journal.publish()
+
+    def _await(self, deadline_ns: int) -> tuple[int, int]:
+        """Wait busily for a deadline; return the time and the deadline [ns], later where a message has moved it.
+
+        Others have this processor meanwhile, for what they have to say to this node before its deadline: kept from
+        them it would come a period later.
+        """
+        while (now := self._clock.monotonic_ns()) < deadline_ns:
+            if self._yields:
+                os.sched_yield()
+                if self._bus.has_arrived():
+                    self._take(self._note_awake())
+                    deadline_ns = self.node.deadline_ns()
+                    if now < deadline_ns - self._spin.ns:
+                        break
+        return now, deadline_ns
+
+    def _take(self, woken_ns: int) -> list[Received]:
+        """Act on what has arrived."""
+        taken = list(self._bus.receive())
+        if taken and self._journal is not None:
+            taken = self._retimed(taken, woken_ns)
+        for received in taken:
+            self._dispatch(received)
+        return taken
+
+    def _take_kept_stop(self) -> None:
+        """Obey an emergency stop that was kept for this node and that it has not had: before anything that waited."""
+        self._may_be_kept = False
+        latch, now_ns = self._commands.latch, self._clock.now_ns()
+        if (payload := latch.kept()) is None:
+            return
+        try:
+            control = accept("session/control", payload)
+        except WireError:
+            control = None
+        if not isinstance(control, SessionControl) or control.command != "estop":
+            # a file that nobody can read is still there because somebody stopped the node
+            control = stop_of(self.node.context.key, now_ns)
+        if control.id != latch.newest_id:
+            self._dispatch(Received("session/control", control, payload, now_ns, Arrival.NEXT))
+            self.node.event("mode", "warning", "an emergency stop that was kept for this device is in force")
+
+    def _act_on_deadline(self, now_ns: int) -> None:
+        journal = self._journal
+        if journal is None:
+            self.node.on_deadline(now_ns)
+        else:
+            journal.clock.time_ns = now_ns + journal.clock.epoch_offset_ns
+            self.node.on_deadline(now_ns)
+            journal.record_deadline()
+        if self.node.own_stops != self._own_stops:
+            self._own_stops = self.node.own_stops
+            self._commands.note_own_stop(self.node.clock.now_ns())
+
+    def _note_tick(self, now_ns: int) -> None:
+        self._quiet.note_tick(now_ns)
+        if self._bus.is_batch_due(now_ns):
+            self._quiet.add(now_ns, "batches")
+
+    def _work(self, now_ns: int) -> None:
+        """Do what is due of the work that can wait."""
+        if now_ns >= self._health_ns:
+            # a node that runs is in a session, whose loop pays for each report
+            starting = now_ns - self._started_ns < _STARTING_NS and self.node.state != "running"
+            self._health_ns = now_ns + (self._starting_period_ns if starting else HEALTH_PERIOD_NS)
+            self._may_be_kept = True
+            self._quiet.add(now_ns, *_REPORT, *(_JOURNAL_REPORT if self._journal is not None else ()))
+        for piece in self._quiet.take(now_ns):
+            match piece:
+                case "account":
+                    self._account(now_ns)
+                case "health":
+                    self._send_health()
+                case "batches":
+                    self._bus.send_batches()
+                case "complete" if self._journal is not None:
+                    self._journal.complete()
+                case "journal" if self._journal is not None:
+                    self._journal.publish()
+
+    def publish_health(self, now_ns: int) -> None:
+        """Send node/health and what the journal holds, and start a new interval."""
+        self._account(now_ns)
+        self._send_health()
+        if self._journal is not None:
+            self._journal.complete()
+            self._journal.publish()
+
+    def _account(self, now_ns: int) -> None:
+        """Make up the account that node/health gives, and begin a new interval."""
+        self._report_connections(self._bus.process_events(now=True))
+        self._report_rejections()
+        elapsed_s = max(now_ns - self._last_health_ns, 1) * 1e-9
+        cpu_s = time.process_time()
+        p50, p99, greatest = self._lateness.take()
+        rejected, _ = self._bus.rejections()
+        if self.node.stale:
+            rejected["stale"] = self.node.stale
+        self._health = {
+            "pid": os.getpid(),
+            "state": self.node.state,
+            "uptime_s": (now_ns - self._started_ns) * 1e-9,
+            "rate_hz": (self.node.steps - self._last_steps) / elapsed_s,
+            "period_s": self.node.period_s,
+            "lateness_p50_s": p50,
+            "lateness_p99_s": p99,
+            "lateness_max_s": greatest,
+            "overruns": self.node.overruns,
+            "rejected": rejected,
+            "cpu_percent": 100.0 * max(0.0, cpu_s - self._last_cpu_s) / elapsed_s,
+            "memory_bytes": resident_bytes(),
+            "realtime": self._realtime.fifo,
+            "memory_locked": self._realtime.memory_locked,
+            "replay": self.node.replay,
+            "inputs": self._bus.input_health(),
+            **(self.node.device_delay.report() if self.node.device_delay is not None else {}),
+        }
+        self._last_steps, self._last_cpu_s, self._last_health_ns = self.node.steps, cpu_s, now_ns
+
+    def _send_health(self) -> None:
+        self._note_alive()
+        self.node.publish("node/health", **self._health)
+
+    def _note_awake(self) -> int:
+        """Return the monotonic time [ns], and note it if the process did nothing for longer than a command is valid."""
+        now = self._clock.monotonic_ns()
+        if now - self._awake_ns > HELD_UP_NS:
+            self._commands.note_held_up(self._clock.now_ns(), now - self._awake_ns)
+        self._may_be_kept |= now - self._awake_ns > LOOP_DEADLINE_NS
+        self._awake_ns = now
+        return now
+
+    def _dispatch(self, received: Received) -> None:
+        if received.arrival is Arrival.AFTER_GAP and TOPICS[received.topic].delivery == "lossless":
+            self._report_gap(received)
+        if not self.node.admits(received):
+            return
+        if received.topic == self.node.last_of_tick:
+            self._note_tick(self._awake_ns)
+        journal = self._journal
+        if journal is not None:
+            journal.clock.time_ns = received.received_ns
+        self.node.on_message(received)
+        executed = False
+        # not isinstance, which the classes of messages answer in Python
+        kind = type(received.message)
+        if kind is SessionControl:
+            self._note_awake()
+            executed = self._commands.handle(cast(SessionControl, received.message), self.node.clock.now_ns())
+        # of the health of others as a rule only `admits` takes note, and what came of that is in the journal
+        if journal is not None and (kind is not NodeHealth or self.node.acts_on_health):
+            journal.record_message(received, executed=executed)
+
+    def _retimed(self, taken: list[Received], woken_ns: int) -> list[Received]:
+        """Return messages as received now where the process stood still since it woke up: their ages need that time."""
+        now_ns = self._clock.monotonic_ns()
+        if now_ns - woken_ns <= LOOP_DEADLINE_NS:
+            return taken
+        return [received._replace(received_ns=now_ns + self._clock.epoch_offset_ns) for received in taken]
+
+    def _report_connections(self, notices: Sequence[ConnectionEvent]) -> None:
+        for notice in notices:
+            self.node.context.publish_event("network", notice.level, notice.text, notice.data)
+
+    def _report_gap(self, received: Received) -> None:
+        source = received.message.src
+        text = f"{received.topic}: messages from {source} were lost before number {received.message.seq}"
+        self.node.event("fault", "warning", text, topic=received.topic, source=source, seq=received.message.seq)
+
+    def _report_rejections(self) -> None:
+        rejected, last = self._bus.rejections()
+        total = sum(rejected.values()) - rejected.get(SUPERSEDED, 0)
+        if total > self._rejected_seen:
+            self._limited_log.warning("rejected", f"refused: {last}", count=total - self._rejected_seen)
+            self._rejected_seen = total
+
+
+def install_stop_signals(stop: Callable[[], None]) -> int:
+    """Call `stop` on SIGTERM and SIGINT; gives a descriptor that becomes readable at a signal, to end a wait."""
+    reader, writer = socket.socketpair()
+    for end in (reader, writer):
+        end.setblocking(False)
+    signal.set_wakeup_fd(writer.detach(), warn_on_full_buffer=False)
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        stop()
+
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, handle)
+    return reader.detach()
+
+
+def resident_bytes() -> int:
+    """Return the resident memory of this process [bytes]."""
+    return int(_STATM.read_bytes().split()[1]) * os.sysconf("SC_PAGE_SIZE")

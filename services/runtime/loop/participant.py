@@ -1,0 +1,210 @@
+"""How a process takes part in the bus: what it opens there, the loop that it runs, and how both end."""
+
+import contextlib
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import zmq
+
+from proto.errors import EndpointError
+from proto.nodes import DEVICES, FAR_END, site_of
+from services.runtime.bus.address_book import AddressBook
+from services.runtime.bus.bus import Bus, Subscriber, ZmqBus
+from services.runtime.bus.outgoing_batch import OutgoingBatch
+from services.runtime.bus.publisher import Publisher, ZmqPublisher
+from services.runtime.bus.reader import Reader
+from services.runtime.bus.transport import Transport, open_context
+from services.runtime.loop.clock import Clock, SystemClock
+from services.runtime.loop.hang_guard import HangGuard
+from services.runtime.loop.log import RateLimitedLog, StructuredLog
+from services.runtime.loop.node import (
+    STARTING_PERIOD_NS,
+    AccountedBus,
+    Node,
+    NodeContext,
+    NodeLoop,
+    install_stop_signals,
+)
+from services.runtime.loop.realtime import RealtimeStatus, freeze_garbage, ordinary_scheduling
+from services.runtime.security.keyring import Keyring, this_machine
+
+SITES = ("master", "slave")
+# the name of who only listens: it is in no site file
+OBSERVER = "record@master"
+NO_REALTIME = RealtimeStatus(fifo=False, memory_locked=False)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Participant:
+    """A process on the bus: its name there, its clock, and the sockets that it opens.
+
+    `wake_descriptor` becomes readable at a stop signal, to end the wait of a bus.
+    """
+
+    key: str
+    book: AddressBook
+    clock: Clock
+    log: StructuredLog
+    network: Transport
+    wake_descriptor: int
+    resources: contextlib.ExitStack = field(default_factory=contextlib.ExitStack)
+    batches: list[OutgoingBatch] = field(default_factory=list)
+
+    def bind(self, key: str, kind: int = zmq.PUB, *, batched: bool = False) -> ZmqPublisher:
+        """Bind the endpoints of a node; EndpointError gives the reason if that fails.
+
+        Parameters: batched, a recorder on this machine may have the messages in batches, which the bus sends.
+        """
+        publisher = self.resources.enter_context(contextlib.closing(self.network.publisher(key, kind)))
+        if batched:
+            self.batches.append(publisher.keep_batch())
+        log = RateLimitedLog(self.log, self.clock)
+        publisher.on_limited = lambda text: log.warning("range", text)
+        return publisher
+
+    def subscribers(
+        self, connections: Mapping[str, Sequence[str]], *, apart: bool = False, newest_only: bool = False
+    ) -> list[Subscriber]:
+        """Connect to nodes (keys) for topics (values): a socket for each machine, or with `apart` for each node."""
+        opened = self.network.subscribers(connections, apart=apart, newest_only=newest_only)
+        return [self.resources.enter_context(contextlib.closing(subscriber)) for subscriber in opened]
+
+    def observe(self, wanted: Callable[[str, str], bool], sites: Sequence[str] = SITES) -> dict[str, Subscriber]:
+        """Connect to each node at `sites` by a socket of its own, for the topics that are `wanted` of its site."""
+        topics_of = self.book.observed(self.network.machine, sites)
+        plan = {node: [topic for topic in topics if wanted(topic, site_of(node))] for node, topics in topics_of.items()}
+        plan = {node: topics for node, topics in plan.items() if topics}
+        return dict(zip(plan, self.subscribers(plan, apart=True), strict=True))
+
+    def bus(self, topics: Sequence[str], *, newest_only: bool = False) -> ZmqBus:
+        """Open the bus of an ordinary node: its own endpoint and connections for its inputs.
+
+        Parameters: newest_only, for a node of the loop, which acts on the newest message of each `latest` topic.
+        """
+        # the publisher first: it is what may fail, and nothing is open yet
+        publisher = self.bind(self.key, batched=newest_only)
+        subscribers = self.subscribers(self.book.sources(self.key, topics), newest_only=newest_only)
+        ends = self.datagrams(publisher, publisher, subscribers) if self.key == FAR_END else []
+        return self.bus_of(publisher, [*subscribers, *ends, *(self.estop_inlet() if self.key in DEVICES else ())])
+
+    def datagrams(self, outgoing: ZmqPublisher, reports: ZmqPublisher, readers: Sequence[Subscriber]) -> list[Reader]:
+        """Open this end of the link's datagrams, for what `outgoing` sends and one of `readers` receives.
+
+        There is none, and everything crosses over TCP, in a rig on one machine and where the site file asks for it.
+        """
+        if not self.book.spans_machines or self.book.link.transport == "stream":
+            return []
+        # what it is sealed with is loaded in these two processes only
+        try:
+            from services.runtime.datagram.wiring import open_end
+        except ImportError:
+            self.log.warning(
+                "the link sends no datagrams, everything crosses over TCP: `cryptography` is not installed: "
+                'pip install "telenano[controller,delay]"'
+            )
+            return []
+        end = open_end(self, outgoing, reports, readers)
+        return [] if end is None else [end]
+
+    def estop_inlet(self) -> list[Subscriber]:
+        """Open the inlet for emergency stops; without an ipc endpoint there is none, and a console has to send them."""
+        inlet = self.network.estop_inlet(self.key)
+        return [] if inlet is None else [self.resources.enter_context(contextlib.closing(inlet))]
+
+    def bus_of(self, publisher: Publisher, subscribers: Sequence[Reader]) -> ZmqBus:
+        """Make one bus of sockets that were opened before."""
+        return ZmqBus(publisher, subscribers, self.clock, self.wake_descriptor, self.network, self.batches)
+
+    def context(self, bus: Bus) -> NodeContext:
+        return NodeContext(self.key, self.clock, bus, self.log, kept_stop=self.kept_stop())
+
+    def kept_stop(self) -> Path | None:
+        """Return where emergency stops of a device are kept; None for other nodes, and without an ipc endpoint."""
+        return self.book.kept_stop(self.key) if self.key in DEVICES else None
+
+
+@contextlib.contextmanager
+def open_participant(
+    key: str, book: AddressBook, wake_descriptor: int = -1, *, publisher: bool = True
+) -> Iterator[Participant]:
+    """Open a part in the bus while the block runs; then close connections, endpoints and context, in this order.
+
+    Parameters: publisher, false for who has no endpoint in the site file, only listens and may be on any machine.
+    Raises: EndpointError when the node is not in the book, ConfigError when its machine lacks a key that the rig needs.
+    """
+    clock = SystemClock()
+    machine = _machine_of(book, key) if publisher else this_machine(Keyring())
+    with contextlib.ExitStack() as resources:
+        context = resources.enter_context(open_context(serves_network=publisher and book.spans_machines))
+        network = resources.enter_context(contextlib.closing(Transport(context, clock, book, machine)))
+        yield Participant(
+            key=key,
+            book=book,
+            clock=clock,
+            log=StructuredLog(key),
+            network=network,
+            wake_descriptor=wake_descriptor,
+            resources=resources,
+        )
+
+
+def _machine_of(book: AddressBook, key: str) -> str:
+    try:
+        return book.machine_of(key)
+    except KeyError as error:
+        raise EndpointError(str(error.args[0])) from error
+
+
+class StopSignals:
+    """SIGTERM and SIGINT from now on: they interrupt the node, also when they come before there is one."""
+
+    def __init__(self) -> None:
+        self._node: Node | None = None
+        self._received = False
+        self.descriptor = install_stop_signals(self._receive)
+
+    def interrupt(self, node: Node) -> None:
+        """Interrupt a node at every signal, and now if there was one already."""
+        self._node = node
+        if self._received:
+            self._receive()
+
+    def _receive(self) -> None:
+        self._received = True
+        if self._node is None:
+            return
+        self._node.interrupt()
+        if not self._node.context.stop_requested:
+            # the descriptor ends every wait until it is read, and this loop goes on waiting after a signal
+            with contextlib.suppress(BlockingIOError):
+                os.read(self.descriptor, 64)
+
+
+def run_loop(
+    node: Node,
+    bus: AccountedBus,
+    signals: StopSignals,
+    realtime: RealtimeStatus = NO_REALTIME,
+    *,
+    spin_s: float = 0.0,
+    freeze: bool = True,
+    guarded: bool = False,
+) -> None:
+    """Run a node until it or a signal requests its stop.
+
+    Parameters: spin_s, longest busy wait before a deadline [s]; freeze, false for a process that has work after the
+    loop, for which it needs the garbage collector; guarded, the process is ended where it computes without end.
+    """
+    guard = HangGuard()
+    note_alive = guard.renew if guarded else lambda: None
+    starting_ns = STARTING_PERIOD_NS
+    loop = NodeLoop(node, bus, realtime, spin_s=spin_s, starting_period_ns=starting_ns, note_alive=note_alive)
+    signals.interrupt(node)
+    if freeze:
+        # it looks at every object of the process, in which the others on its processor have their periods to keep
+        with ordinary_scheduling():
+            freeze_garbage()
+    with guard if guarded else contextlib.nullcontext():
+        loop.run()

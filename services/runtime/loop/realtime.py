@@ -1,0 +1,259 @@
+"""Real-time settings of a process, so that a 1 kHz loop keeps its deadlines: scheduling, memory lock, processors."""
+
+import contextlib
+import ctypes
+import gc
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from proto.errors import ConfigError
+from proto.nodes import name_of
+from services.runtime.loop.log import StructuredLog
+from services.runtime.settings.optional_modules import optional_module
+
+# Windows has none
+resource = optional_module("resource")
+_PR_SET_TIMERSLACK = 29
+_PR_SET_PDEATHSIG = 1
+# pages are locked as they are first touched: locking every reserved page would take 400 MB a process
+_MCL_CURRENT_FUTURE_ONFAULT = 7
+# far above what a rig needs; libzmq scans nothing by number, so the size costs nothing
+_MOST_FILES = 65_536
+# ahead of ordinary processes; the nodes of the loop stay ahead of everything
+_BESIDE_THE_LOOP_NICENESS = -5
+_MAPS = Path("/proc/self/maps")
+_HUGE_PAGE = 2 << 20
+_MADV_COLLAPSE = 25
+_TASKS = Path("/proc/self/task")
+# the processors that this process could use before `auto` put it on one of them
+_permitted_before: set[int] = set()
+_CPU_DMA_LATENCY = Path("/dev/cpu_dma_latency")
+
+
+class RealtimeConfig(BaseModel):
+    """Real-time settings to request; `auto` uses what is permitted and logs once what is not."""
+
+    model_config = ConfigDict(frozen=True, strict=True, extra="forbid")
+
+    scheduler: Literal["auto", "fifo", "normal"] = Field(
+        default="auto", description="fifo: SCHED_FIFO or an error; auto: where permitted; normal: never"
+    )
+    priority: Annotated[int, Field(ge=1, le=98)] = Field(default=50, description="Priority under SCHED_FIFO")
+    memory_lock: Literal["auto", "on", "off"] = Field(default="auto", description="Lock the memory of the process")
+    spin_s: Annotated[float, Field(ge=0.0, le=0.001)] = Field(
+        default=100e-6,
+        description="Longest busy wait before a deadline [s]; as much of it is used as wake-ups are late by",
+    )
+    cpus: Literal["auto", "link_at_master", "free"] | dict[str, Annotated[int, Field(ge=0)]] = Field(
+        default="auto",
+        description="Processor that a process stays on. auto: under SCHED_FIFO the master's nodes on one, link and "
+        "slave's nodes on another; link_at_master: the link with the master's, which auto means where the AFM has "
+        "model dynamic; free: any; or a mapping of node or node@site to a processor",
+    )
+    huge_pages: bool = Field(
+        default=True, description="Put the memory of each process on pages of 2 MB at its start, where the kernel can"
+    )
+    trace: bool = Field(
+        default=False, description="Write the time that each part of a hop takes to the log of each node at its end"
+    )
+
+
+class RealtimeStatus(BaseModel):
+    """The real-time settings that were granted."""
+
+    fifo: bool
+    memory_locked: bool
+
+
+def is_linux() -> bool:
+    """Return whether this system has the scheduling and memory calls of Linux."""
+    return sys.platform == "linux"
+
+
+def apply_realtime(config: RealtimeConfig, log: StructuredLog, node: str) -> RealtimeStatus:
+    """Request scheduling, memory lock and fine timers; before the ZeroMQ context exists, whose threads inherit them.
+
+    Raises ConfigError where `fifo` or `on` is configured and not permitted, or the processor does not exist.
+    """
+    if not is_linux():
+        if config.scheduler == "fifo" or config.memory_lock == "on":
+            raise ConfigError(f"realtime: {sys.platform} has no real-time scheduling: give scheduler auto or normal")
+        log.info("without real-time scheduling: this system has none", system=sys.platform)
+        return RealtimeStatus(fifo=False, memory_locked=False)
+    libc = ctypes.CDLL(None, use_errno=True)
+    libc.prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
+    fifo = config.scheduler != "normal" and _set_fifo(config, log)
+    permitted = os.sched_getaffinity(0)
+    cpu = processor_of(node, config, sorted(permitted))
+    # without SCHED_FIFO a process must be free to leave a processor that others keep busy, unless it was pinned there
+    if cpu is not None and (fifo or isinstance(config.cpus, dict)):
+        _stay_on(cpu)
+        if not isinstance(config.cpus, dict):
+            _permitted_before.update(permitted)
+    locked = config.memory_lock != "off" and _lock_memory(libc, config, log)
+    return RealtimeStatus(fifo=fifo, memory_locked=locked)
+
+
+def processor_of(node: str, config: RealtimeConfig, permitted: Sequence[int]) -> int | None:
+    """Return the processor that `node@site` is pinned to, None for any.
+
+    Left to itself the scheduler moves real-time threads between processors at almost every message; in a pinned loop
+    messages were measured a quarter younger. The two sides meet at the link, so only two of the eight hops change
+    processor, on whichever side it is.
+    """
+    if isinstance(config.cpus, dict):
+        return config.cpus.get(node, config.cpus.get(name_of(node)))
+    if config.cpus == "free" or len(permitted) < 2:
+        return None
+    # the last ones: the first tend to serve the machine's interrupts
+    masters, slaves = permitted[-2:]
+    at_master = node.endswith("@master") and (config.cpus == "link_at_master" or not node.startswith("delay_node"))
+    return masters if at_master else slaves
+
+
+@contextlib.contextmanager
+def ordinary_scheduling() -> Iterator[None]:
+    """Leave SCHED_FIFO while the block runs: for work at the start that others on this processor must not wait for.
+
+    Of this thread alone, and of those that it begins meanwhile.
+    """
+    if not is_linux() or os.sched_getscheduler(0) != os.SCHED_FIFO:
+        yield
+        return
+    granted = os.sched_getparam(0)
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    try:
+        yield
+    finally:
+        os.sched_setscheduler(0, os.SCHED_FIFO, granted)
+
+
+def ahead_of_others() -> None:
+    """Raise the priority above ordinary processes where permitted, for a node that has to keep up with the loop."""
+    with contextlib.suppress(PermissionError):
+        os.setpriority(os.PRIO_PROCESS, 0, _BESIDE_THE_LOOP_NICENESS)
+
+
+def lower_thread(name: str) -> None:
+    """Put a thread of this process one priority below the others under SCHED_FIFO, on any processor.
+
+    Threads of one priority and processor take turns only when they wait: one that always has something to do would stop
+    the others. On any processor it need not wait for them, unless the processor was configured.
+    Parameters: name, as in /proc.
+    """
+    if not is_linux() or os.sched_getscheduler(0) != os.SCHED_FIFO:
+        return
+    lower = os.sched_param(max(1, os.sched_getparam(0).sched_priority - 1))
+    for task in _TASKS.iterdir():
+        # a thread may have ended meanwhile
+        with contextlib.suppress(OSError):
+            if (task / "comm").read_text().strip() == name:
+                os.sched_setscheduler(int(task.name), os.SCHED_FIFO, lower)
+                if _permitted_before:
+                    os.sched_setaffinity(int(task.name), _permitted_before)
+
+
+def freeze_garbage() -> None:
+    """Freeze the existing objects and disable the garbage collector: a full collection takes tens of ms."""
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+
+
+def use_huge_pages() -> int:
+    """Put the heap of this process on huge pages, where the kernel can, and return how many there are.
+
+    A node wakes up a thousand times a second, after others have used its processor, and touches its whole working set:
+    with pages of 4 kB the processor looks up thousands of places anew, in a virtual machine in two tables for each.
+    """
+    if not is_linux():
+        return 0
+    libc = ctypes.CDLL(None, use_errno=True)
+    libc.madvise.argtypes = [ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int]
+    libc.mincore.argtypes = [ctypes.c_void_p, ctypes.c_size_t, ctypes.c_void_p]
+    page, found = os.sysconf("SC_PAGE_SIZE"), 0
+    present = (ctypes.c_ubyte * (_HUGE_PAGE // page))()
+    for line in _MAPS.read_text().splitlines():
+        place, access, _, _, inode, *name = line.split(maxsplit=5)
+        if access != "rw-p" or inode != "0" or (name and name[0] != "[heap]"):
+            continue
+        first, last = (int(end, 16) for end in place.split("-"))
+        for start in range(-(-first // _HUGE_PAGE) * _HUGE_PAGE, last - _HUGE_PAGE + 1, _HUGE_PAGE):
+            # where most of it is in use: elsewhere it would take memory for nothing
+            if libc.mincore(start, _HUGE_PAGE, present) == 0 and bytes(present).count(1) > len(present) // 2:
+                found += libc.madvise(start, _HUGE_PAGE, _MADV_COLLAPSE) == 0
+    return found
+
+
+def raise_file_limit() -> None:
+    """Raise the limit of open files as far as permitted: clients that only connect must not use them up."""
+    if resource is None:
+        return
+    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (min(most, _MOST_FILES), most))
+
+
+def die_with_parent(signal_number: int) -> None:
+    """Ask the kernel to send this process a signal when its parent dies, so that no node outlives its supervisor."""
+    if not is_linux():
+        # a node is then ended by its supervisor alone
+        return
+    ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal_number, 0, 0, 0)
+
+
+@contextlib.contextmanager
+def shallow_idle() -> Iterator[bool]:
+    """Keep the processors out of deep idle states while the block runs; yield whether that was permitted."""
+    try:
+        descriptor = os.open(_CPU_DMA_LATENCY, os.O_WRONLY)
+    except OSError:
+        yield False
+        return
+    try:
+        os.write(descriptor, (0).to_bytes(4, "little"))
+        yield True
+    finally:
+        os.close(descriptor)
+
+
+def _stay_on(cpu: int) -> None:
+    try:
+        os.sched_setaffinity(0, {cpu})
+    except OSError as error:
+        known = ", ".join(map(str, sorted(os.sched_getaffinity(0))))
+        raise ConfigError(
+            f"realtime.cpus: {cpu} cannot be used ({error.strerror}), permitted processors are {known}"
+        ) from error
+
+
+def _set_fifo(config: RealtimeConfig, log: StructuredLog) -> bool:
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(config.priority))
+    except PermissionError as error:
+        if config.scheduler == "fifo":
+            raise ConfigError(
+                "realtime.scheduler: fifo is not permitted: run as root, raise `ulimit -r`, or set it to auto"
+            ) from error
+        log.warning(
+            "SCHED_FIFO is not permitted, the loop may run late under load: run as root, "
+            "raise `ulimit -r`, or give a container `ulimits: {rtprio: 99}`"
+        )
+        return False
+    return True
+
+
+def _lock_memory(libc: ctypes.CDLL, config: RealtimeConfig, log: StructuredLog) -> bool:
+    if libc.mlockall(_MCL_CURRENT_FUTURE_ONFAULT) == 0:
+        return True
+    if config.memory_lock == "on":
+        reason = os.strerror(ctypes.get_errno())
+        raise ConfigError(
+            f"realtime.memory_lock: memory cannot be locked ({reason}): raise `ulimit -l`, or set it to auto"
+        )
+    log.warning("memory cannot be locked, a page fault may delay the loop: raise `ulimit -l`")
+    return False

@@ -1,0 +1,1 @@
+"""Scenario and settings of a process, from file, environment, and command line."""

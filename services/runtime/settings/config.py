@@ -1,0 +1,232 @@
+"""The one configuration loader: a YAML file, then the environment, then flags; every error names file and key."""
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeVar, get_args, get_origin
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic.fields import FieldInfo
+
+from presets.regular_files import read_regular
+from proto.errors import ConfigError
+from services.runtime.untrusted.yaml_text import LARGEST_BYTES, YamlError, yaml_value
+
+M = TypeVar("M", bound=BaseModel)
+
+ENVIRONMENT_PREFIX = "TELENANO__"
+# sections within sections: far more than there are, and few enough for whoever walks through them
+_DEEPEST = 16
+# faults of one document that are reported, so that a thousand wrong keys cost no more than that
+_MOST_FAULTS = 20
+
+
+class Settings(BaseModel):
+    """The base of settings: frozen and strict, without unknown keys and without infinite numbers."""
+
+    model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
+
+
+def read_yaml(path: Path) -> dict[str, Any]:
+    """Return the mapping in a YAML file; ConfigError names the file, line and what is wrong."""
+    try:
+        return parse_yaml(read_regular(path, LARGEST_BYTES), str(path))
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
+
+
+def parse_yaml(content: bytes, origin: str) -> dict[str, Any]:
+    """Return the mapping in the content of a YAML file; ConfigError names its origin, line and what is wrong."""
+    try:
+        data = yaml_value(content.decode())
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{origin}: is not UTF-8 text (byte {error.start})") from error
+    except YamlError as error:
+        raise ConfigError(f"{origin}: is not valid YAML: {error}") from error
+    if not isinstance(data, dict):
+        raise ConfigError(f"{origin}: contains a {type(data).__name__}, must contain a mapping of keys")
+    return data
+
+
+def environment_overrides(environment: Mapping[str, str] = os.environ) -> dict[str, Any]:
+    """Return TELENANO__SECTION__KEY=value as nested keys in lower case, each value read as YAML."""
+    overrides: dict[str, Any] = {}
+    for name, value in environment.items():
+        if name.startswith(ENVIRONMENT_PREFIX):
+            path = name.removeprefix(ENVIRONMENT_PREFIX).lower().split("__")
+            _put(overrides, path, _scalar(value, f"environment variable {name}"), f"environment variable {name}")
+    return overrides
+
+
+def flag_overrides(flags: Sequence[str]) -> dict[str, Any]:
+    """Return `section.key=value` flags as nested keys, each value read as YAML."""
+    overrides: dict[str, Any] = {}
+    for flag in flags:
+        key, sign, value = flag.partition("=")
+        if not sign or not key:
+            raise ConfigError(f"--set {flag}: is not of the form section.key=value")
+        _put(overrides, key.split("."), _scalar(value, f"--set {flag}"), f"--set {flag}")
+    return overrides
+
+
+def nested(flat: Mapping[str, Any], origin: str) -> dict[str, Any]:
+    """Return dotted keys as nested ones; ConfigError when a key is both a value and a section."""
+    tree: dict[str, Any] = {}
+    for key, value in flat.items():
+        _put(tree, key.split("."), value, origin)
+    return tree
+
+
+def flatten(tree: Mapping[str, Any]) -> dict[str, Any]:
+    """Return nested keys as dotted ones, the inverse of `nested`; an empty mapping leaves no key."""
+    flat: dict[str, Any] = {}
+    for key, value in tree.items():
+        if isinstance(value, Mapping):
+            flat |= {f"{key}.{below}": leaf for below, leaf in flatten(value).items()}
+        else:
+            flat[key] = value
+    return flat
+
+
+def merge(*layers: Mapping[str, Any]) -> dict[str, Any]:
+    """Merge mappings key by key; the last one wins.
+
+    A mapping with another `kind` takes the place of the one before: the keys of the two have nothing to do with each
+    other, as those of an operator that follows a path and of one that trembles.
+    """
+    merged: dict[str, Any] = {}
+    for layer in layers:
+        for key, value in layer.items():
+            below = merged.get(key)
+            if isinstance(below, dict) and isinstance(value, dict) and not _of_another_kind(below, value):
+                value = merge(below, value)
+            merged[key] = value
+    return merged
+
+
+def _of_another_kind(below: Mapping[str, Any], value: Mapping[str, Any]) -> bool:
+    return "kind" in below and "kind" in value and below["kind"] != value["kind"]
+
+
+def validate(model: type[M], data: Mapping[str, Any], origin: str, section: str = "") -> M:
+    """Validate a mapping against a model.
+
+    Raises ConfigError naming `origin`, every key at fault (below `section`, if given) and what would be right.
+    """
+    try:
+        # through JSON, so that a YAML list passes where a strict model has a tuple; and dates, which YAML makes of some
+        # texts, as texts: the error of the model then names the key
+        return model.model_validate_json(json.dumps(data, allow_nan=True, default=str))
+    except (TypeError, ValueError) as error:
+        if isinstance(error, ValidationError):
+            # What JSON cannot have is refused without the name of its key, and with the whole document.
+            if error.errors()[0]["type"] == "json_invalid" and (undecodable := _undecodable(data)):
+                raise ConfigError(f"{origin}: {undecodable}") from error
+            raise ConfigError(_describe(error, origin, model, section)) from error
+        raise ConfigError(f"{origin}: {error}") from error
+
+
+def _undecodable(value: Any, key: str = "") -> str:
+    """Return a sentence about the first text that is no Unicode, such as a path that the locale cannot express."""
+    if isinstance(value, str):
+        try:
+            value.encode()
+        except UnicodeEncodeError:
+            shown = os.fsencode(value).decode("ascii", "backslashreplace")
+            remedy = "run with PYTHONUTF8=1, or under a locale such as C.UTF-8"
+            return f"{key}: {shown} cannot be read as text under this locale: {remedy}"
+        return ""
+    parts = value.items() if isinstance(value, Mapping) else enumerate(value) if isinstance(value, list | tuple) else ()
+    found = (_undecodable(part, f"{key}.{name}" if key else str(name)) for name, part in parts)
+    return next(filter(None, found), "")
+
+
+def layered(path: Path, flags: Sequence[str] = ()) -> tuple[dict[str, Any], str]:
+    """Read a file and merge environment and flags over it.
+
+    Returns: the merged mapping and its origin in words, for errors.
+    Raises ConfigError naming the file, the variable or the flag.
+    """
+    environment, given = environment_overrides(), flag_overrides(flags)
+    layers = [str(path)] + ["environment"] * bool(environment) + ["--set"] * bool(given)
+    return merge(read_yaml(path), environment, given), " + ".join(layers)
+
+
+def _scalar(text: str, origin: str) -> Any:
+    try:
+        return yaml_value(text)
+    except YamlError as error:
+        raise ConfigError(f"{origin}: the value is not valid YAML: {error}") from error
+
+
+def _put(tree: dict[str, Any], path: Sequence[str], value: Any, origin: str) -> None:
+    if len(path) > _DEEPEST:
+        raise ConfigError(f"{origin}: {'.'.join(path)[:80]}... has {len(path)} parts, at most {_DEEPEST} are allowed")
+    for part in path[:-1]:
+        tree = tree.setdefault(part, {})
+        if not isinstance(tree, dict):
+            raise ConfigError(f"{origin}: {part} already has a value and cannot have keys below it")
+    tree[path[-1]] = value
+
+
+def _describe(error: ValidationError, origin: str, model: type[BaseModel], section: str) -> str:
+    lines = []
+    faults = error.errors(include_url=False, include_context=False)
+    for fault in faults[:_MOST_FAULTS]:
+        key = ".".join(str(part) for part in (section, *fault["loc"]) if part != "")
+        text = fault["msg"].removeprefix("Value error, ")
+        if fault["type"] == "extra_forbidden":
+            text = f"unknown key{_known_keys(model, fault['loc'][:-1])}"
+        elif fault["type"] == "missing":
+            text = "is missing"
+        elif not isinstance(fault["input"], dict | list):
+            text = f"{text}{_allowed(fault, model)}, got {fault['input']!r:.200}"
+        lines.append(f"{origin}: {key + ': ' if key else ''}{text}")
+    if len(faults) > _MOST_FAULTS:
+        lines.append(f"{origin}: and {len(faults) - _MOST_FAULTS} more")
+    return "\n".join(lines)
+
+
+def _allowed(fault: Mapping[str, Any], model: type[BaseModel]) -> str:
+    """Name both bounds of a value that is beyond one of them, where the path leads to its field."""
+    if fault["type"] not in ("greater_than", "greater_than_equal", "less_than", "less_than_equal"):
+        return ""
+    *path, name = fault["loc"]
+    owner = _model_at(model, path)
+    field = owner.model_fields.get(str(name)) if owner is not None else None
+    bounds = _bounds(field) if field is not None else {}
+    low = next((f"from {word}{bounds[key]:g}" for key, word in (("ge", ""), ("gt", "above ")) if key in bounds), "")
+    high = next((f"to {word}{bounds[key]:g}" for key, word in (("le", ""), ("lt", "below ")) if key in bounds), "")
+    return f" (allowed is {low} {high})" if low and high else ""
+
+
+def _bounds(part: Any) -> dict[str, float]:
+    """Return ge, gt, le and lt of a field, or of a type within its annotation."""
+    found: dict[str, float] = {}
+    for rule in getattr(part, "metadata", getattr(part, "__metadata__", ())):
+        # a rule is a bound itself, or the field of an annotation
+        found |= _bounds(rule) if isinstance(rule, FieldInfo) else {}
+        found |= {key: getattr(rule, key) for key in ("ge", "gt", "le", "lt") if hasattr(rule, key)}
+    for inner in get_args(part.annotation if isinstance(part, FieldInfo) else part):
+        found |= _bounds(inner)
+    return found
+
+
+def _known_keys(model: type[BaseModel], path: tuple[int | str, ...]) -> str:
+    """Name the keys that would be right."""
+    owner = _model_at(model, path)
+    return f", known are {', '.join(owner.model_fields)}" if owner is not None else ""
+
+
+def _model_at(model: type[BaseModel], path: Sequence[int | str]) -> type[BaseModel] | None:
+    """Return the model that a path leads to through models and mappings of them, None where it leads elsewhere."""
+    kind: Any = model
+    for part in path:
+        if get_origin(kind) is dict:
+            kind = get_args(kind)[1]
+        elif isinstance(kind, type) and issubclass(kind, BaseModel) and str(part) in kind.model_fields:
+            kind = kind.model_fields[str(part)].annotation
+        else:
+            return None
+    return kind if isinstance(kind, type) and issubclass(kind, BaseModel) else None

@@ -1,0 +1,79 @@
+"""The scenario file: one section a node; the supervisor reads all of it, each node its own section."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from services.runtime.loop.realtime import RealtimeConfig
+from services.runtime.settings.config import layered, validate
+
+M = TypeVar("M", bound=BaseModel)
+
+
+class Scenario(BaseModel):
+    """An experiment: what runs, for how long, and the section of each node, which the node itself checks."""
+
+    model_config = ConfigDict(frozen=True, strict=True, extra="forbid")
+
+    name: str = Field(pattern=r"^[a-z0-9_-]{1,64}$", description="Name of the experiment, used for files")
+    description: str = Field(description="What it shows, in a sentence")
+    duration_s: Annotated[float, Field(gt=0.0, le=86_400.0)] = Field(description="Length of the session [s]")
+    realtime: RealtimeConfig = Field(default=RealtimeConfig(), description="What nodes ask of the machine")
+    haptic_node: dict[str, Any] = Field(default={}, description="Section of the haptic node")
+    controller: dict[str, Any] = Field(default={}, description="Section of both halves of the law")
+    delay_node: dict[str, Any] = Field(default={}, description="Section of the link")
+    afm_node: dict[str, Any] = Field(default={}, description="Section of the AFM")
+    recorder: dict[str, Any] = Field(default={}, description="Section of the recorder")
+
+    def realtime_in_force(self) -> RealtimeConfig:
+        """Return what nodes ask of the machine, with the processors that `auto` means.
+
+        The dynamic cantilever takes a seventh of the slave's processor. With link, controller and instrument on it the
+        loop was half a millisecond older, which it is not with the link on the other one.
+        """
+        busy = self.afm_node.get("model") == "dynamic" and self.realtime.cpus == "auto"
+        return self.realtime.model_copy(update={"cpus": "link_at_master"}) if busy else self.realtime
+
+
+# where a scenario names what a package may have brought, and of which kind that is (`presets.plugins`)
+_NAMED = (
+    ("laws", ("controller", "law")),
+    ("devices", ("haptic_node", "driver")),
+    ("devices", ("afm_node", "driver")),
+    ("operators", ("haptic_node", "operator", "kind")),
+    ("samples", ("afm_node", "environment")),
+)
+
+
+def named_in(document: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Return kind and name of each law, device, operator and sample that a scenario names."""
+    found = []
+    for kind, path in _NAMED:
+        value: Any = document
+        for key in path:
+            value = value.get(key) if isinstance(value, Mapping) else None
+        if isinstance(value, str):
+            found.append((kind, value))
+    return found
+
+
+@dataclass(frozen=True)
+class LoadedScenario:
+    """A scenario, where it was read from, and the merged document."""
+
+    scenario: Scenario
+    origin: str
+    document: dict[str, Any]
+
+    def section(self, name: str, model: type[M]) -> M:
+        """Return a node's section, validated; ConfigError names file and key."""
+        return validate(model, getattr(self.scenario, name), self.origin, name)
+
+
+def load_scenario(path: Path, flags: Sequence[str] = ()) -> LoadedScenario:
+    """Read a scenario with environment and flags merged over it; ConfigError names file and key."""
+    document, origin = layered(path, flags)
+    return LoadedScenario(validate(Scenario, document, origin), origin, document)

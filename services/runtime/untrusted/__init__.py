@@ -1,0 +1,1 @@
+"""What strangers gave, within bounds: YAML, files read in a child process, text for a terminal."""

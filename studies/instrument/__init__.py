@@ -1,0 +1,1 @@
+"""Experiments with the instrument alone: images, force curves, calibration."""

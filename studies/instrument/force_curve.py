@@ -1,0 +1,321 @@
+"""Force curves: approach and retraction of the simulated tip, the points A to D of Fig. 5, and what hysteresis takes.
+
+A snap-in: the tip jumps to the sample. B contact: the force passes zero on the way back. C pull-off: the strongest pull
+on the way back. D break: the last jump of the force, where the meniscus gives way.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from presets.regular_files import open_regular
+from proto.errors import ConfigError, RigError
+from services.afm_node.config import AfmConfig
+from services.afm_node.physics.cantilever import deflection_m, equilibrium, initial_state
+from services.afm_node.physics.dynamic import NO_NOISE, advance, steady_state
+from services.afm_node.physics.dynamic_sim import require_steps
+from services.afm_node.physics.sample.igor_waves import load_wave, require_whole
+from services.runtime.untrusted.limited_child import read_in_child
+
+Array = npt.NDArray[np.float64]
+
+# of the greatest step of the force on the way back: smaller ones are not the break
+_JUMP_SHARE = 0.5
+
+
+@dataclass(frozen=True)
+class Half:
+    """One way of a curve, in the order of time: base x_s [m], towards the sample, deflection [m], force on tip [N]."""
+
+    base_m: Array
+    deflection_m: Array
+    force_n: Array
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Approach and retraction, with what they were measured with."""
+
+    approach: Half
+    retract: Half
+    stiffness_n_per_m: float
+    rest_distance_m: float
+    speed_m_per_s: float
+    model: str
+
+
+@dataclass(frozen=True)
+class Marks:
+    """Base x_s [m] and force [N] of each point, and the energy of the loop [J]; None where there is no such point."""
+
+    snap_in_base_m: float | None
+    snap_in_force_n: float | None
+    contact_base_m: float | None
+    pull_off_base_m: float
+    pull_off_force_n: float
+    break_base_m: float | None
+    hysteresis_j: float
+
+    def as_dict(self) -> dict[str, Any]:
+        return asdict(self)
+
+
+def force_curve(
+    config: AfmConfig,
+    start_m: float,
+    load_n: float,
+    points: int = 1000,
+    speed_m_per_s: float = 200e-9,
+    *,
+    dynamic: bool = False,
+    progress: Callable[[int, int], None] = lambda n, of: None,
+) -> Curve:
+    """Return a curve that begins start_m [m] above the rest point and turns where the force reaches load_n [N].
+
+    Parameters: points of each way; speed_m_per_s of the base; dynamic, Eq. 4 in full instead of k zeta = F(h), the base
+    at rest for as long as the cantilever needs to come to rest at each point (the speed is then that of the data).
+    Raises: ConfigError, if the tip cannot reach the load, or an argument is no positive number.
+    """
+    for name, value in (("start [m]", start_m), ("load [N]", load_n), ("speed [m/s]", speed_m_per_s)):
+        if not (math.isfinite(value) and value > 0.0):
+            raise ConfigError(f"{name} = {value:g} must be positive and finite")
+    if not 10 <= points <= 100_000:
+        raise ConfigError(f"{points} points a way are outside 10 to 100000")
+    if load_n > config.safety.force_limit_n:
+        raise ConfigError(f"a load of {load_n:g} N is above safety.force_limit_n = {config.safety.force_limit_n:g} N")
+    plant = config.to_params().plant
+    begin = -start_m
+    end = _turning_point(config, load_n)
+    if end <= begin:
+        raise ConfigError(f"the curve begins at x_s = {begin:g} m, beyond the load at {end:g} m: begin further away")
+    there = np.linspace(begin, end, points)
+    measure = _dynamic(config, begin) if dynamic else _static(config, begin)
+    ways = []
+    for number, way in enumerate((there, there[::-1])):
+        zeta = np.empty(points)
+        for i, base in enumerate(way.tolist()):
+            zeta[i] = measure(base)
+            if i % 50 == 49:
+                progress(number * points + i + 1, 2 * points)
+        ways.append(Half(way.copy(), zeta, plant.stiffness_n_per_m * zeta))
+    model = "dynamic" if dynamic else "quasi_static"
+    return Curve(ways[0], ways[1], plant.stiffness_n_per_m, plant.rest_distance_m, speed_m_per_s, model)
+
+
+def curve_of_samples(
+    base_m: Sequence[float], deflection_m: Sequence[float], force_n: Sequence[float], start_m: float, speed: float
+) -> Curve:
+    """Return the curve in the samples of an instrument that went down from start_m [m] and back at a speed [m/s].
+
+    What came before the base went down and after it was back is left out; bases repeat where the instrument stepped
+    without moving. Raises: RigError, if there are fewer than 10 samples either way.
+    """
+    base, zeta, force = (np.asarray(values, dtype=np.float64) for values in (base_m, deflection_m, force_n))
+    turn = int(np.argmax(base)) if len(base) else 0
+    below = np.flatnonzero(base[:turn] <= start_m)
+    first = int(below[-1]) if len(below) else 0
+    back = np.flatnonzero(base[turn:] <= start_m)
+    last = turn + int(back[0]) if len(back) else len(base) - 1
+    halves = []
+    for way in (slice(first, turn + 1), slice(turn, last + 1)):
+        moved = np.flatnonzero(np.diff(base[way], prepend=np.nan) != 0.0)
+        if len(moved) < 10:
+            raise RigError("fewer than 10 samples came of a way of the curve: is the speed too high?")
+        halves.append(Half(base[way][moved], zeta[way][moved], force[way][moved]))
+    far = zeta[way] != 0.0
+    k = float(np.median(force[way][far] / zeta[way][far])) if far.any() else 0.0
+    return Curve(halves[0], halves[1], k, 0.0, speed, "live")
+
+
+def _static(config: AfmConfig, begin_m: float) -> Callable[[float], float]:
+    plant = config.to_params().plant
+    state = initial_state(plant, begin_m)
+
+    def measure(base_m: float) -> float:
+        nonlocal state
+        state = equilibrium(plant, state, base_m)
+        return deflection_m(plant, state.distance_m, base_m)
+
+    return measure
+
+
+def _dynamic(config: AfmConfig, begin_m: float) -> Callable[[float], float]:
+    try:
+        plant = config.to_dynamic()
+        require_steps(plant)
+    except ValueError as error:
+        raise ConfigError(str(error)) from error
+    state = steady_state(plant, begin_m, 0.0)
+    # after Q periods a motion is e^-pi of what it was
+    settle = max(1, round(config.cantilever.quality / 2.0)) * plant.drive.shape[0]
+
+    def measure(base_m: float) -> float:
+        nonlocal state
+        state, _ = advance(plant, state, base_m, 0.0, 0.0, settle, NO_NOISE)
+        state, reading = advance(plant, state, base_m, 0.0, 0.0, plant.drive.shape[0], NO_NOISE)
+        return reading.mean_deflection_m
+
+    return measure
+
+
+def _turning_point(config: AfmConfig, load_n: float) -> float:
+    """Return the base x_s [m] at which the tip is pushed with load_n [N], by bisection on the static curve."""
+    plant = config.to_params().plant
+    low = config.rest_distance_m
+    high = low + 1e-9
+    deep = equilibrium(plant, initial_state(plant, low), low)
+
+    def force(base_m: float) -> float:
+        return plant.stiffness_n_per_m * deflection_m(plant, equilibrium(plant, deep, base_m).distance_m, base_m)
+
+    while force(high) < load_n:
+        high = low + 2.0 * (high - low)
+        if high - low > 1e-4:
+            raise ConfigError(f"no base within 0.1 mm pushes the tip with {load_n:g} N")
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if force(middle) < load_n else (low, middle)
+    return high
+
+
+def marks_of(curve: Curve) -> Marks:
+    """Return the points A to D of a curve and the energy of its loop, from force against base alone."""
+    down, up = curve.approach, curve.retract
+    steps = np.diff(down.force_n)
+    snap = int(np.argmin(steps))
+    has_snap = _is_jump(steps, snap)
+    pull = int(np.argmin(up.force_n))
+    pushed = np.flatnonzero(up.force_n[:pull] > 0.0)
+    jumps = np.diff(up.force_n[pull:])
+    large = np.flatnonzero(jumps > _JUMP_SHARE * float(jumps.max())) if len(jumps) else np.zeros(0, int)
+    broken = len(large) > 0 and _is_jump(jumps, int(large[-1]))
+    # both ways over the same bases: what the base does on the cantilever and does not get back
+    loop = float(np.trapezoid(down.force_n, down.base_m) + np.trapezoid(up.force_n, up.base_m))
+    return Marks(
+        float(down.base_m[snap]) if has_snap else None,
+        float(down.force_n[snap + 1]) if has_snap else None,
+        float(up.base_m[pushed[-1]]) if len(pushed) else None,
+        float(up.base_m[pull]),
+        float(up.force_n[pull]),
+        float(up.base_m[pull + int(large[-1])]) if broken else None,
+        loop,
+    )
+
+
+def _is_jump(steps: Array, at: int) -> bool:
+    """Return whether a step of the force stands alone: on a branch, however steep, steps change little by little."""
+    around = [abs(float(steps[i])) for i in (at - 3, at - 2, at + 2, at + 3) if 0 <= i < len(steps)]
+    return bool(around) and abs(float(steps[at])) > 5.0 * max(around) + 1e-12
+
+
+def write_hdf5(path: Path, curve: Curve) -> None:
+    """Write a curve as afmformats does: one group, columns in SI units, metadata as attributes."""
+    from importlib.metadata import version
+
+    import h5py
+
+    down, up = curve.approach, curve.retract
+    points = len(down.base_m)
+    step_s = abs(float(down.base_m[1] - down.base_m[0])) / curve.speed_m_per_s
+    with h5py.File(path, "w") as file:
+        file.attrs["software"] = "telenano"
+        file.attrs["software version"] = version("telenano")
+        group = file.create_group("0")
+        # height (measured) rises away from the sample
+        group["force"] = np.concatenate([down.force_n, up.force_n])
+        group["height (measured)"] = -np.concatenate([down.base_m, up.base_m])
+        group["segment"] = np.repeat(np.array([0, 1], dtype=np.uint8), points)
+        group["time"] = np.arange(2 * points) * step_s
+        for name, unit in (("force", "N"), ("height (measured)", "m"), ("segment", ""), ("time", "s")):
+            group[name].attrs["unit"] = unit
+        metadata = {
+            "enum": 0,
+            "imaging mode": "force-distance",
+            "point count": 2 * points,
+            "spring constant": curve.stiffness_n_per_m,
+            "speed approach": curve.speed_m_per_s,
+            "speed retract": curve.speed_m_per_s,
+            "duration": 2 * points * step_s,
+        }
+        group.attrs.update(metadata)
+
+
+def read_measured(path: Path) -> Curve:
+    """Return a measured curve: an Igor wave of Asylum's (Defl, and ZSnsr or Raw), HDF5, or a file of JPK or a table.
+
+    HDF5 is as `write_hdf5` makes it, a table (.tab) as afmformats does. Of a file with several curves it is the first.
+    Raises: ConfigError naming the file and what is wrong with it.
+    """
+    readers = {".ibw": _read_ibw, ".h5": _read_hdf5, ".jpk-force": _read_afmformats, ".tab": _read_afmformats}
+    if path.suffix.lower() not in readers:
+        raise ConfigError(f"{path}: is no curve that can be read; these are {', '.join(readers)}")
+    try:
+        # what is not there, or no file, is said in the words of the system, which not every reader has
+        open_regular(path).close()
+        curve = readers[path.suffix.lower()](path)
+    except ImportError as error:
+        raise ConfigError(f"{path}: needs {error.name} to be read: pip install 'telenano[instrument]'") from error
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from error
+    # the readers fail in whatever way the damage leads them to
+    except Exception as error:
+        raise ConfigError(f"{path}: is no whole force curve: {error}") from error
+    for half in (curve.approach, curve.retract):
+        if not (len(half.base_m) >= 10 and np.isfinite(half.base_m).all() and np.isfinite(half.force_n).all()):
+            raise ConfigError(f"{path}: a way of the curve has fewer than 10 points, or some that are no number")
+    return curve
+
+
+def _read_ibw(path: Path) -> Curve:
+    require_whole(path)
+    wave, (values,) = read_in_child(f"{load_wave.__module__}:{load_wave.__name__}", path)
+    if values.ndim != 2:
+        raise ValueError(f"it has the shape {values.shape}; a curve has rows and columns")
+    columns = dict(zip(wave["labels"][1], np.asarray(values, dtype=np.float64).T, strict=True))
+    if wave["unit"] != "m":
+        raise ValueError("its values are no lengths in m")
+    notes = dict(line.partition(":")[::2] for line in wave["note"].split("\r"))
+    for names in (("Defl",), ("ZSnsr", "Raw")):
+        if not any(name in columns for name in names):
+            raise ValueError(f"it has no column {' or '.join(names)}")
+    if missing := [name for name in ("SpringConstant", "Indexes") if name not in notes]:
+        raise ValueError(f"its note lacks {', '.join(missing)}")
+    k = float(notes["SpringConstant"])
+    height = columns["ZSnsr"] if "ZSnsr" in columns else columns["Raw"]
+    deflection = columns["Defl"]
+    turn = int(float(notes["Indexes"].split(",")[1])) + 1
+    # towards the sample is where the deflection rises: Asylum's sensor does too
+    seconds = float(wave["steps"][0]) * turn
+    return _measured(height, deflection, k, turn, abs(float(height[turn - 1] - height[0])) / seconds)
+
+
+def _read_hdf5(path: Path) -> Curve:
+    facts, (force, height, segment) = read_in_child("studies.instrument.curve_files:load_hdf5", path)
+    turn, k = int(np.count_nonzero(segment == 0)), facts["k"]
+    return _measured(-height, force / k, k, turn, facts["speed"])
+
+
+def _read_afmformats(path: Path) -> Curve:
+    """Return the first curve of a file that afmformats reads; its height rises away from the sample."""
+    facts, (force, height, segment) = read_in_child("studies.instrument.curve_files:load_afmformats", path)
+    k, speed = facts["k"], facts["speed"]
+    first, last = segment == segment[0], segment == segment[-1]
+    if not 0.0 < k < math.inf or segment[0] == segment[-1]:
+        raise ValueError("it needs a spring constant above 0 N/m, an approach and a retraction")
+    kept = first | last
+    return _measured(-height[kept], force[kept] / k, k, int(np.count_nonzero(first)), speed)
+
+
+def _measured(base: Array, deflection: Array, k: float, turn: int, speed: float) -> Curve:
+    if not 0.0 < k < math.inf:
+        raise ValueError(f"its spring constant is {k:g} N/m; it must be above 0 N/m")
+    # far from the sample, where the curve begins, there is no force
+    zeta = deflection - float(np.median(deflection[: max(turn // 10, 2)]))
+    ways = (slice(0, turn), slice(turn, None))
+    halves = [Half(base[way], zeta[way], k * zeta[way]) for way in ways]
+    return Curve(halves[0], halves[1], k, 0.0, speed, "measured")

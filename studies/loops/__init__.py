@@ -1,0 +1,1 @@
+"""Studies of the closed loop in lockstep: stability, transparency, comparison of laws."""

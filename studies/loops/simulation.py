@@ -1,0 +1,202 @@
+"""A whole session of a scenario in lockstep, as `telenano up` runs it on processes: `telenano.simulate`.
+
+The steps are those of the nodes, the link is computed by its own engine, and nothing waits for a clock: the eight
+seconds of Fig. 12 take a fraction of one. What the processes add to it, their own delay of a millisecond or two and its
+jitter, is not in it.
+"""
+
+import importlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from analysis.holds import Hold, Instrument, judge_holds, verdict_of
+from presets import find_scenario
+from proto.errors import ConfigError
+from services.afm_node.config import AfmConfig
+from services.afm_node.physics.sample_models import SAMPLES
+from services.afm_node.safety import MODE_FOLLOW, MODE_HOLD
+from services.controller.config import ControllerConfig
+from services.delay_node.config import LinkSettings
+from services.haptic_node.config import HapticConfig
+from services.runtime.settings.config import merge, nested, read_yaml, validate
+from services.runtime.settings.scenario import LoadedScenario, Scenario
+from studies.loops.link import schedule_of
+from studies.loops.lockstep import Instrument as Environment
+from studies.loops.lockstep import Trajectory, build_rig, simulate
+
+Column = npt.NDArray[Any]
+
+# before the session begins the instrument is armed and comes to its reference
+_SETTLE_S, _SETTLE_ROUND_TRIPS = 0.3, 4.0
+
+_COLUMNS = {
+    "time_s": ("s", "Time since the start of the operator's programme"),
+    "operator_force_n": ("N", "Force of the operator on the device, F_m, towards the sample"),
+    "hand_position_m": ("m", "Position of the device, x_m, towards the sample"),
+    "reference_m": ("m", "Reference of the device, x_mr"),
+    "rendered_force_n": ("N", "Force that the law ascribes to the environment, at the hand's scale"),
+    "base_position_m": ("m", "Position of the base, x_s, towards the sample"),
+    "tip_force_n": ("N", "Force on the tip, F_s, repulsive positive"),
+    "scaled_tip_force_n": ("N", "The same at the hand's scale, alpha_f F_s"),
+    "separation_m": ("m", "Distance between tip and sample, h"),
+    "in_contact": ("", "Whether the tip touches"),
+    "hand_following": ("", "Whether the device follows commands"),
+}
+_RENAMED = {"operator_force_n": "hand_force_n"}
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What a session was run with, as a figure has to state it."""
+
+    scenario: str
+    law: str
+    parameters: dict[str, Any]
+    environment: str
+    round_trip_ms: float
+    link_profile: str
+    link_seed: int
+
+    def title(self) -> str:
+        """Return the words of a title."""
+        link = "" if self.link_profile == "clean" else f", link {self.link_profile}"
+        return f"{self.scenario}, {self.law}, round trip {self.round_trip_ms:g} ms{link} (simulated in lockstep)"
+
+
+class SimulatedSession(Mapping[str, Column]):
+    """Columns of shape (n,), one value a period of the hand; `units` and `descriptions` have an entry for each.
+
+    `conditions` is what it was run with; `holds`, `verdict` and `reason` are those of `analysis.verdict`, as for a
+    recording.
+    """
+
+    def __init__(self, conditions: Conditions, course: Trajectory, force_scale: float) -> None:
+        self.conditions = conditions
+        self.force_scale = force_scale
+        self._course = course
+        values = {name: getattr(course, _RENAMED.get(name, name), None) for name in _COLUMNS}
+        values["scaled_tip_force_n"] = force_scale * course.tip_force_n
+        self._columns: dict[str, Column] = {name: np.asarray(column) for name, column in values.items()}
+        self.units = {name: unit for name, (unit, _) in _COLUMNS.items()}
+        self.descriptions = {name: text for name, (_, text) in _COLUMNS.items()}
+
+    def __getitem__(self, name: str) -> Column:
+        """Return a column; KeyError names those that there are."""
+        if name not in self._columns:
+            raise KeyError(f"a simulated session has no column {name!r}; its columns are {', '.join(self._columns)}")
+        return self._columns[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._columns)
+
+    def __len__(self) -> int:
+        return len(self._columns)
+
+    @cached_property
+    def holds(self) -> list[Hold]:
+        """The holds of the hand, each judged."""
+        mode = self._course.instrument_mode
+        tip = Instrument((mode == MODE_FOLLOW) | (mode == MODE_HOLD), self._course.in_contact)
+        time_s = self["time_s"]
+        return judge_holds(time_s, self["operator_force_n"], time_s, self["scaled_tip_force_n"], tip)
+
+    @property
+    def verdict(self) -> str:
+        return verdict_of(self.holds)[0]
+
+    @property
+    def reason(self) -> str:
+        return verdict_of(self.holds)[1]
+
+    def to_pandas(self) -> Any:
+        """Return a pandas DataFrame, with `units` in its attrs; ConfigError where pandas is not installed."""
+        try:
+            pandas = importlib.import_module("pandas")
+        except ImportError as error:
+            raise ConfigError("tables as data frames need the package pandas: pip install pandas") from error
+        frame = pandas.DataFrame(dict(self))
+        frame.attrs.update(units=self.units)
+        return frame
+
+
+def simulate_scenario(
+    scenario: str = "fig12",
+    *,
+    law: str | None = None,
+    round_trip_ms: float | None = None,
+    delay_ms: float | None = None,
+    environment: str | None = None,
+    operator: Mapping[str, Any] | None = None,
+    duration_s: float | None = None,
+    settings: Mapping[str, Any] | None = None,
+) -> SimulatedSession:
+    """Run a scenario in lockstep.
+
+    Parameters: scenario, a known name or a YAML file; law; round_trip_ms, of the link [ms], half of it each way, or
+    delay_ms, one way; environment, `afm_node.environment`; operator, section `haptic_node.operator`; duration_s [s];
+    settings, by dotted key of the scenario, such as {"controller.virtual_impedance.force_gain": 10}. What is not given
+    is the scenario's.
+    Raises: ConfigError naming the file or key at fault, or what cannot be simulated.
+    """
+    if round_trip_ms is not None and delay_ms is not None:
+        raise ConfigError("round_trip_ms and delay_ms are the same delay, there and back and one way: give one of them")
+    trip_ms = round_trip_ms if delay_ms is None else 2.0 * delay_ms
+    given: dict[str, Any] = {}
+    if law is not None:
+        given["controller"] = {"law": law}
+    if trip_ms is not None:
+        one_way = {"delay_s": 0.5e-3 * trip_ms}
+        given["delay_node"] = {"forward": one_way, "backward": dict(one_way)}
+    if environment is not None:
+        given["afm_node"] = {"environment": environment}
+    if duration_s is not None:
+        given["duration_s"] = duration_s
+    path = find_scenario(scenario)
+    document = merge(read_yaml(path), nested(dict(settings or {}), "settings"), given)
+    if operator is not None:
+        # in the place of that of the scenario, and not key by key: it may be of another kind
+        document["haptic_node"] = {**document.get("haptic_node", {}), "operator": dict(operator)}
+    return simulate_document(document, str(path))
+
+
+def simulate_document(document: Mapping[str, Any], origin: str) -> SimulatedSession:
+    """Run a scenario that was read already; ConfigError names `origin` and the key at fault."""
+    loaded = LoadedScenario(validate(Scenario, document, origin), origin, dict(document))
+    controller = loaded.section("controller", ControllerConfig)
+    haptic = loaded.section("haptic_node", HapticConfig)
+    afm = loaded.section("afm_node", AfmConfig)
+    link = loaded.section("delay_node", LinkSettings)
+    for section, driver in (("haptic_node", haptic.driver), ("afm_node", afm.driver)):
+        if driver != "simulated":
+            raise ConfigError(f"{origin}: {section}.driver: {driver} has no model to simulate; only `up` can run it")
+    if afm.model != "quasi_static":
+        raise ConfigError(f"{origin}: afm_node.model: {afm.model} runs on the bus only; a lockstep has quasi_static")
+    if haptic.operator.kind == "interactive":
+        raise ConfigError(f"{origin}: haptic_node.operator.kind: interactive is a person, who cannot be simulated")
+    rig = build_rig(controller, haptic, _instrument(afm))
+    trip_s = link.forward.delay_s + link.backward.delay_s
+    settle = round((_SETTLE_S + _SETTLE_ROUND_TRIPS * trip_s) / rig.period_s)
+    ticks = settle + max(1, round(loaded.scenario.duration_s / rig.period_s))
+    course = simulate(rig, schedule_of(link, ticks, rig.period_s), settle)
+    section = controller.law_config()
+    conditions = Conditions(
+        scenario=loaded.scenario.name,
+        law=controller.law,
+        parameters=section.model_dump(mode="json"),
+        environment=afm.environment,
+        round_trip_ms=round(1e3 * trip_s, 6),
+        link_profile=link.profile,
+        link_seed=link.seed,
+    )
+    return SimulatedSession(conditions, course, section.force_scale)
+
+
+def _instrument(config: AfmConfig) -> Environment:
+    if config.environment in SAMPLES.found:
+        return config.to_sample_params()
+    return config.to_spring_params() if config.environment == "spring" else config.to_params()

@@ -1,0 +1,262 @@
+"""Stability maps: which delay each law bears, on a grid and to a fraction of a sample, beside what theory predicts."""
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from services.haptic_node.config import ARMS, ArmConstants, DeviceConfig
+from services.haptic_node.physics.motor import closed_loop_coefficients
+from studies.loops.cells import Cell, CellResult, Environment, Hand
+from studies.loops.sweep import Sweep
+from studies.loops.theory import (
+    Arm,
+    Device,
+    LoopModel,
+    arm_response,
+    critical_delay_s,
+    critical_link_delay_s,
+    loop_model,
+    margin_of,
+)
+
+
+class Body(NamedTuple):
+    """Mass [kg] and damper [N s/m] of the environment that has them."""
+
+    mass_kg: float = 0.01
+    damping_n_s_per_m: float = 0.02
+
+
+DEFAULT_BODY = Body()
+
+
+@dataclass(frozen=True)
+class Axes:
+    """The grid of a study. gains: None is the law's own. jitter: ms, or a share of the one-way delay if `relative`."""
+
+    laws: tuple[str, ...]
+    environment: Environment
+    delays_ms: tuple[float, ...]
+    stiffnesses_n_per_m: tuple[float, ...]
+    gains: tuple[float | None, ...] = (None,)
+    jitters: tuple["Jitter", ...] = ()
+    losses: tuple[float, ...] = (0.0,)
+    seed: int = 0
+    session_s: float | None = None
+    settings: tuple[tuple[str, float | int | str | bool], ...] = ()
+    hand: Hand = "force"
+    body: Body = DEFAULT_BODY
+    device_latency_ms: float = 0.0
+    disturbances: tuple[tuple[str, float | int | str | bool], ...] = ()
+
+    def lines(self) -> list["Line"]:
+        """Return every combination of what is not the delay."""
+        combinations = itertools.product(
+            self.laws, self.stiffnesses_n_per_m, self.gains, self.jitters or (Jitter(),), self.losses
+        )
+        return [Line(self, *values) for values in combinations]
+
+
+@dataclass(frozen=True)
+class Jitter:
+    """Half-width of the jitter each way: so many ms, or that share of the one-way delay."""
+
+    value: float = 0.0
+    relative: bool = False
+
+    def at_ms(self, round_trip_ms: float) -> float:
+        return 0.5 * round_trip_ms * self.value if self.relative else self.value
+
+    def __str__(self) -> str:
+        return f"{100.0 * self.value:g}%" if self.relative else f"{self.value:g} ms"
+
+
+@dataclass(frozen=True)
+class Line:
+    """One law under one set of conditions: a line of the map along the delay."""
+
+    axes: Axes
+    law: str
+    stiffness_n_per_m: float
+    gain: float | None
+    jitter: Jitter
+    loss: float
+
+    def cell(self, round_trip_ms: float) -> Cell:
+        return Cell(
+            law=self.law,
+            environment=self.axes.environment,
+            hand=self.axes.hand,
+            round_trip_ms=round_trip_ms,
+            stiffness_n_per_m=self.stiffness_n_per_m,
+            mass_kg=self.axes.body.mass_kg,
+            damping_n_s_per_m=self.axes.body.damping_n_s_per_m,
+            gain=self.gain,
+            jitter_ms=self.jitter.at_ms(round_trip_ms),
+            loss=self.loss,
+            device_latency_ms=self.axes.device_latency_ms,
+            seed=self.axes.seed,
+            session_s=self.axes.session_s,
+            settings=self.axes.settings,
+            disturbances=self.axes.disturbances,
+        )
+
+    @property
+    def label(self) -> str:
+        parts = [f"{'K' if self.axes.environment == 'spring' else 'k'} = {self.stiffness_n_per_m:g} N/m"]
+        parts += [f"K_f = {self.gain:g}"] if self.gain is not None else []
+        parts += [f"jitter {self.jitter}"] if self.jitter.value else []
+        parts += [f"loss {100.0 * self.loss:g}%"] if self.loss else []
+        disturbed = dict.fromkeys(key.partition(".")[0] for key, _ in self.axes.disturbances if key != "seed")
+        parts += [f"with {', '.join(disturbed)}"] if disturbed else []
+        return ", ".join(parts)
+
+
+@dataclass(frozen=True)
+class LineResult:
+    """A line of the map and where it turns unstable.
+
+    critical_delay_ms: round trip of the loop that is neutral, the half period of the hold and the declared latency of
+    the devices included: what compares with T_c of the theory; critical_link_ms: what the link alone may add. Both are
+    None when no cell up to the longest delay is unstable. theory_ms, theory_link_ms: T_c and T_d, None where the law
+    has no such loop, and where no delay makes it neutral (`theory_unlimited`).
+    """
+
+    line: Line
+    cells: tuple[CellResult, ...]
+    critical_delay_ms: float | None
+    critical_link_ms: float | None
+    theory_ms: float | None
+    theory_link_ms: float | None
+    theory_unlimited: bool = False
+
+    def as_dict(self) -> dict[str, Any]:
+        line = self.line
+        return {
+            "law": line.law,
+            "environment": line.axes.environment,
+            "hand": line.axes.hand,
+            "stiffness_n_per_m": line.stiffness_n_per_m,
+            "gain": line.gain,
+            "jitter": str(line.jitter),
+            "loss": line.loss,
+            "device_latency_ms": line.axes.device_latency_ms,
+            **({"disturbances": dict(line.axes.disturbances)} if line.axes.disturbances else {}),
+            "critical_delay_ms": self.critical_delay_ms,
+            "critical_link_delay_ms": self.critical_link_ms,
+            "theory_delay_ms": self.theory_ms,
+            "theory_link_delay_ms": self.theory_link_ms,
+            "theory_unlimited": self.theory_unlimited,
+            "longest_delay_ms": max(line.axes.delays_ms),
+            "verdicts": {f"{cell.cell.round_trip_ms:g}": cell.verdict for cell in self.cells},
+        }
+
+
+def run_stability(axes: Axes, sweep: Sweep) -> list[LineResult]:
+    """Run the grid, then close in on the critical delay of each line."""
+    lines = axes.lines()
+    delays = sorted(set(axes.delays_ms))
+    grid = [line.cell(delay) for line in lines for delay in delays]
+    results = sweep.run(grid)
+    rows = [tuple(results[i : i + len(delays)]) for i in range(0, len(results), len(delays))]
+    edges = find_edges(lines, rows, sweep)
+    return [line_result(line, row, edge) for line, row, edge in zip(lines, rows, edges, strict=True)]
+
+
+@dataclass(frozen=True)
+class Edge:
+    """Numbers of samples of delay: `low` is stable (-1: none is known to be), `high` is not."""
+
+    low: int
+    high: int
+
+    @property
+    def middle(self) -> int | None:
+        """Return the next delay to compute; None when nothing lies between."""
+        return (self.low + self.high) // 2 if self.high - self.low > 1 else None
+
+
+def find_edges(lines: Sequence[Line], rows: Sequence[tuple[CellResult, ...]], sweep: Sweep) -> list[float | None]:
+    """Return for each line the round trip of the link [ms] at which the loop is neutral; None if no cell is unstable.
+
+    A constant delay acts in whole samples, so the search goes over those; between the last stable and the first
+    unstable number the growth rate is taken as linear in the delay, and its zero is the edge.
+    """
+    edges = {i: edge for i, row in enumerate(rows) if (edge := _bracket(lines[i], row)) is not None}
+    while middles := {i: edge.middle for i, edge in edges.items() if edge.middle is not None}:
+        results = sweep.run([lines[i].cell(_ms(lines[i], samples)) for i, samples in middles.items()])
+        for (i, samples), result in zip(middles.items(), results, strict=True):
+            stable = result.verdict == "stable"
+            edges[i] = Edge(samples, edges[i].high) if stable else Edge(edges[i].low, samples)
+    ends = [lines[i].cell(_ms(lines[i], max(0, k))) for i, edge in edges.items() for k in (edge.low, edge.high)]
+    growths = [result.growth_per_s for result in sweep.run(ends)]
+    found = {i: growths[2 * n : 2 * n + 2] for n, i in enumerate(edges)}
+    return [_ms(line, 1) * neutral(edges[i], *found[i]) if i in edges else None for i, line in enumerate(lines)]
+
+
+def neutral(edge: Edge, low_growth_per_s: float | None, high_growth_per_s: float | None) -> float:
+    """Return the number of samples, with its fraction, at which the growth rate passes zero.
+
+    Beyond either end by a sample at most: near neutral a small motion counts as stable while it still grows a little,
+    and an end that counts as a limit cycle may still die out very slowly.
+    """
+    if edge.low < 0:
+        return 0.0
+    low, high = low_growth_per_s, high_growth_per_s
+    if low is None or high is None or not low < high:
+        return 0.5 * (edge.low + edge.high)
+    share = min(max(-low / (high - low), -1.0), 2.0)
+    return edge.low + share * (edge.high - edge.low)
+
+
+def _bracket(line: Line, row: Sequence[CellResult]) -> Edge | None:
+    samples = [int(cell.cell.round_trip_ms / _ms(line, 1) + 1e-9) for cell in row]
+    unstable = [i for i, cell in enumerate(row) if cell.verdict != "stable"]
+    if not unstable:
+        return None
+    first = unstable[0]
+    return Edge(samples[first - 1] if first else -1, samples[first])
+
+
+def _ms(line: Line, samples: int) -> float:
+    return samples * line.cell(0.0).controller().period_s * 1e3
+
+
+def line_result(line: Line, cells: tuple[CellResult, ...], link_ms: float | None) -> LineResult:
+    """Put a line, its cells and the edge that was found [ms] beside what theory says."""
+    theory_s, theory_link_s = theory_of(line)
+    # the loop's gain never reaches 1: no delay makes it neutral
+    unlimited = theory_s is not None and math.isinf(theory_s)
+    inside_ms = 0.5 * _ms(line, 1) + line.axes.device_latency_ms
+    return LineResult(
+        line,
+        cells,
+        link_ms + inside_ms if link_ms is not None else None,
+        link_ms,
+        theory_s * 1e3 if theory_s is not None and math.isfinite(theory_s) else None,
+        theory_link_s * 1e3 if theory_link_s is not None and math.isfinite(theory_link_s) else None,
+        unlimited,
+    )
+
+
+def theory_of(line: Line) -> tuple[float | None, float | None]:
+    """Return T_c and T_d [s] of a line, where its law and environment make a linear loop with a constant delay."""
+    controller = line.cell(0.0).controller()
+    section = controller.law_config()
+    model = loop_model(line.law, section, line.stiffness_n_per_m)
+    if model is None or line.axes.environment != "spring" or line.jitter.value or line.loss or controller.clamp.enabled:
+        return None, None
+    devices_s = 1e-3 * line.axes.device_latency_ms
+    if line.axes.hand != "force":
+        # the arm and the device are not sampled, so the hold is taken to be worth half a period, as it is without them
+        critical_s = arm_margin_s(model, getattr(section, "force_gain", 1.0), ARMS[line.axes.hand])
+        return critical_s, max(0.0, critical_s - 0.5 * controller.period_s - devices_s)
+    return critical_delay_s(model), max(0.0, critical_link_delay_s(model, controller.period_s) - devices_s)
+
+
+def arm_margin_s(model: LoopModel, hand_gain: float, arm: ArmConstants) -> float:
+    """Return T_c [s] of a loop with an arm on the 30 Hz device; `hand_gain` as in `theory.arm_response`."""
+    device = Device(*closed_loop_coefficients(DeviceConfig().to_params()))
+    return margin_of(arm_response(model, hand_gain, Arm(*arm), device)).delay_s

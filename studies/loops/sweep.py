@@ -1,0 +1,140 @@
+"""Many cells: on every core or on a Dask cluster, with a journal that an interrupted sweep goes on from.
+
+The journal holds a line of JSON for each finished cell. Its key includes a digest of all model sources, so a changed
+model is computed anew while everything else is taken from the file.
+"""
+
+import contextlib
+import json
+import os
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass, field
+from importlib import import_module
+from multiprocessing import active_children, get_context
+from pathlib import Path
+from typing import Any
+
+from proto.errors import ConfigError
+from services.numerics.interrupts import kept_from_children
+from studies.loops.cells import Cell, CellResult, run_cell
+
+JOURNAL_NAME = "journal.jsonl"
+# cells handed over together: one takes about 20 ms, a message to a process or a machine a good part of that
+_BATCH = 8
+
+Progress = Callable[[int, int], None]
+
+
+def silent(done: int, total: int) -> None:
+    """Show nothing."""
+
+
+def run_batch(cells: Sequence[Cell]) -> list[CellResult]:
+    """Run some cells one after the other: what a worker is asked to do."""
+    return [run_cell(cell) for cell in cells]
+
+
+class Journal:
+    """The results on disk, by key."""
+
+    def __init__(self, path: Path) -> None:
+        """Read the journal if it exists. Raises ConfigError naming file and line, if it is not a journal of a study."""
+        self.path = path
+        self.results: dict[str, CellResult] = {}
+        for number, line in enumerate(self._whole_lines(), start=1):
+            try:
+                entry = json.loads(line)
+                self.results[entry["key"]] = CellResult.from_dict(entry["result"])
+            except (ValueError, KeyError, TypeError) as error:
+                raise ConfigError(f"{path}:{number}: is not a line of a study's journal: {error}") from error
+
+    def record(self, results: Iterable[CellResult]) -> None:
+        """Write results to the file, then keep them in memory."""
+        entries = [(result.cell.key, result) for result in results]
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        lines = [json.dumps({"key": key, "result": result.as_dict()}, allow_nan=False) for key, result in entries]
+        with self.path.open("ab") as file:
+            file.write("".join(line + "\n" for line in lines).encode())
+        self.results.update(entries)
+
+    def _whole_lines(self) -> list[bytes]:
+        """Return the lines that were written to their end; one that was cut off is taken out of the file."""
+        data = self.path.read_bytes() if self.path.exists() else b""
+        end = data.rfind(b"\n") + 1
+        if end < len(data):
+            os.truncate(self.path, end)
+        return data[:end].splitlines()
+
+
+@dataclass
+class Sweep:
+    """Runs cells and remembers them. `workers`: processes on this machine; `scheduler`: a Dask cluster instead."""
+
+    journal: Journal
+    workers: int
+    scheduler: str | None = None
+    progress: Progress = silent
+    computed: int = field(default=0, init=False)
+
+    def run(self, cells: Sequence[Cell]) -> list[CellResult]:
+        """Return the result of each cell, in order; those in the journal are not computed again."""
+        keys = {cell: cell.key for cell in dict.fromkeys(cells)}
+        missing = [cell for cell, key in keys.items() if key not in self.journal.results]
+        done = len(keys) - len(missing)
+        self.progress(done, len(keys))
+        # closed here: an interruption must not wait for what workers are at
+        with contextlib.closing(self._computed(missing)) as found:
+            for results in found:
+                self.journal.record(results)
+                self.computed += len(results)
+                done += len(results)
+                self.progress(done, len(keys))
+        return [self.journal.results[keys[cell]] for cell in cells]
+
+    def _computed(self, cells: list[Cell]) -> Generator[list[CellResult], None, None]:
+        for cell in cells:
+            # before anything is started: a cell that cannot be run is the caller's mistake
+            cell.controller()
+            cell.hold_s()
+        batches = [cells[i : i + _BATCH] for i in range(0, len(cells), _BATCH)]
+        if self.scheduler is not None:
+            yield from _on_cluster(self.scheduler, batches)
+        elif self.workers == 1 or len(batches) < 2:
+            yield from map(run_batch, batches)
+        else:
+            yield from _on_processes(min(self.workers, len(batches)), batches)
+
+
+def _on_processes(workers: int, batches: list[list[Cell]]) -> Iterator[list[CellResult]]:
+    """Run on processes of this machine, which end with what reads their results."""
+    # spawned, not forked: the parent has threads of its own by now
+    others = set(active_children())
+    pool = ProcessPoolExecutor(workers, get_context("spawn"))
+    try:
+        with kept_from_children():
+            futures = [pool.submit(run_batch, batch) for batch in batches]
+        for future in as_completed(futures):
+            yield future.result()
+    except BaseException:
+        # what they are at is of no use any more, and may take seconds
+        pool.shutdown(wait=False, cancel_futures=True)
+        for process in set(active_children()) - others:
+            process.terminate()
+        raise
+    finally:
+        pool.shutdown()
+
+
+def _on_cluster(address: str, batches: list[list[Cell]]) -> Iterator[list[CellResult]]:
+    """Run on a cluster whose workers have this project installed; ConfigError when it does not answer."""
+    # dask has types for a part of itself only
+    cluster: Any = import_module("dask.distributed")
+    try:
+        client = cluster.Client(address, timeout="10s")
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"--scheduler {address}: no Dask scheduler answers there: {error}") from error
+    with client:
+        futures: list[Any] = client.map(run_batch, batches, pure=False)
+        for _, results in cluster.as_completed(futures, with_results=True):
+            yield results

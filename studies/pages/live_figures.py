@@ -1,0 +1,126 @@
+"""Fig. 10 and 12 of the paper, from a running rig: each is its scenario, and its recording is read."""
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from presets import SCENARIO_DIRECTORY
+from proto.errors import RigError
+from recording.arrays import columns
+from recording.reader import Recording
+from services.afm_node.config import AfmConfig
+from services.launcher.child_session import run_session
+from services.runtime.settings.scenario import load_scenario
+from studies.pages.rig_output import reason_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Array = npt.NDArray[np.float64]
+
+RECORDING_NAME = "session.mcap"
+# start and end of the processes, beyond the session [s]
+_OVERHEAD_S, _USUAL_OVERHEAD_S = 120.0, 8.0
+
+
+class TactilePath(NamedTuple):
+    """Fig. 10: way along the line [m], height of the hand [m], surface as the tip sees it [m], time [s], alpha_p."""
+
+    way_m: Array
+    hand_m: Array
+    surface_m: Array
+    time_s: Array
+    position_scale: float
+
+    @property
+    def correlation(self) -> float:
+        return float(np.corrcoef(self.hand_m, self.surface_m)[0, 1])
+
+    @property
+    def rms_m(self) -> float:
+        """Return the RMS difference of the hand and the scaled surface, at the hand [m]."""
+        return float(np.sqrt(np.mean((self.hand_m - self.surface_m / self.position_scale) ** 2)))
+
+
+def run_scenario(name: str, out: Path, progress: Callable[[int, int], object] = lambda n, of: None) -> Path:
+    """Run a scenario of the project on real processes and return its recording.
+
+    Parameters: progress, called with the seconds so far and what the whole takes as a rule. Raises: RigError saying why
+    the rig did not run.
+    """
+    folder = (out / name).absolute()
+    folder.mkdir(parents=True, exist_ok=True)
+    command = [sys.executable, "-m", "telenano", "up", "--scenario", name, "--out", str(folder)]
+    command += ["--overwrite", "--headless", "--json", "--no-view"]
+    duration_s = load_scenario(SCENARIO_DIRECTORY / f"{name}.yaml").scenario.duration_s
+    usual = round(duration_s + _USUAL_OVERHEAD_S)
+    try:
+        done = run_session(
+            command, duration_s + _OVERHEAD_S, lambda spent_s: progress(min(round(spent_s), usual), usual)
+        )
+    except TimeoutError as error:
+        raise RigError(f"{name}: {error}, see {folder}") from error
+    # 3: the recording lacks something, and says what; the figure shows it
+    if done.returncode not in (0, 3) or not (folder / RECORDING_NAME).exists():
+        raise RigError(f"{name}: the rig did not run: {reason_of(done.stdout, done.stderr)}")
+    progress(usual, usual)
+    return folder / RECORDING_NAME
+
+
+def tactile_path(recording_file: Path) -> TactilePath:
+    """Return what the hand felt along the line, from the first touch to the end of the line.
+
+    Raises: RigError, if the tip never went along a line in contact.
+    """
+    recording = Recording(recording_file)
+    loaded = load_scenario(SCENARIO_DIRECTORY / "fig10.yaml")
+    config = loaded.section("afm_node", AfmConfig)
+    controller: dict[str, Any] = loaded.scenario.controller
+    tip = columns(recording, "afm/state", ("t_ns", "base_position_m.0", "base_position_m.1", "in_contact", "mode"))
+    hand = columns(recording, "haptic/state", ("t_ns", "position_m.2"))
+    x, y = tip["base_position_m.0"].astype(float), tip["base_position_m.1"].astype(float)
+    assert config.begin is not None
+    path = config.begin.tactile
+    way = np.hypot(x - path.x0_m, y - path.y0_m)
+    felt = np.flatnonzero((tip["in_contact"].astype(bool)) & (tip["mode"] == "follow") & (way > 0.0))
+    if len(felt) < 100:
+        raise RigError(f"{recording_file}: the tip did not go along a line in contact")
+    surface = config.to_surface()
+    assert surface is not None
+    columns_at = np.clip(((x[felt] + 0.5 * surface.width_m) / surface.step_x_m).astype(int), 0, None)
+    rows_at = np.clip(((y[felt] + 0.5 * surface.depth_m) / surface.step_y_m).astype(int), 0, None)
+    heights = surface.height_m[
+        np.minimum(rows_at, surface.height_m.shape[0] - 1), np.minimum(columns_at, surface.height_m.shape[1] - 1)
+    ]
+    time_ns = tip["t_ns"][felt].astype(np.int64)
+    hand_m = np.interp(time_ns, hand["t_ns"].astype(np.int64), hand["position_m.2"].astype(float))
+    # where the surface is level at the beginning the hand is at its origin
+    return TactilePath(
+        way[felt],
+        hand_m - hand_m[0],
+        heights - heights[0],
+        (time_ns - time_ns[0]) * 1e-9,
+        float(controller["tactile"]["position_scale"]),
+    )
+
+
+def tactile_figure(path: TactilePath) -> "Figure":
+    """Draw Fig. 10: the hand x_m solid, the surface at the hand's scale dashed."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8.0, 4.0), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots()
+    axes.plot(path.way_m * 1e9, path.hand_m * 1e2, color="#1f4e79", label="hand x_m")
+    scaled = path.surface_m / path.position_scale * 1e2
+    axes.plot(path.way_m * 1e9, scaled, "--", color="#c0392b", label="surface as the tip sees it, at 0.1 cm/nm")
+    axes.set_xlabel("way along the line [nm]")
+    axes.set_ylabel("height at the hand [cm]")
+    axes.legend(loc="upper center")
+    axes.grid(alpha=0.3)
+    return figure

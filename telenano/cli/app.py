@@ -1,0 +1,75 @@
+"""The `telenano` command: where it begins."""
+
+import contextlib
+import gc
+import json
+import os
+import sys
+from collections.abc import Sequence
+
+from telenano.cli import terminal
+
+# below the nodes, whose loops go on while the stop is on its way
+_URGENT = 1
+
+
+def main() -> None:
+    """Run the command line; an emergency stop without what the other commands need."""
+    terminal.install()
+    arguments = sys.argv[1:]
+    if "estop" in arguments[:2]:
+        _hurry()
+        from telenano.cli.estop_command import read_arguments, run_estop
+
+        request = read_arguments(arguments)
+        if request is not None:
+            raise SystemExit(run_estop(request))
+    # not before: a stop needs none of it
+    from services.numerics import interrupts
+
+    interrupts.install()
+    try:
+        try:
+            from telenano.cli.root import app
+        except ModuleNotFoundError as error:
+            raise SystemExit(_without(error)) from error
+        app()
+    except SystemExit:
+        raise
+    except BaseException:
+        # whatever a library makes of an interruption, it is one
+        if not interrupts.received():
+            raise
+        raise SystemExit(_interrupted(arguments, interrupts.exit_code())) from None
+    finally:
+        interrupts.restore()
+
+
+def _interrupted(arguments: Sequence[str], code: int) -> int:
+    """Print that a signal ended a command which was at nothing that has words of its own; return the exit code."""
+    with contextlib.suppress(OSError):
+        sys.stderr.write("telenano: interrupted\n")
+        if "--json" in arguments:
+            sys.stdout.write(json.dumps({"error": "interrupted"}) + "\n")
+        sys.stdout.flush()
+    return code
+
+
+def _without(error: ModuleNotFoundError) -> int:
+    """Print what an installation without extras lacks for the command line; return the exit code."""
+    if (error.name or "").partition(".")[0] not in ("typer", "rich", "click"):
+        raise error
+    sys.stderr.write(
+        f"telenano: the package {error.name} is not installed: pip install 'telenano[rig]' for everything, or"
+        " 'telenano[launcher]' for the command without studies and exports\n"
+    )
+    return 2
+
+
+def _hurry() -> None:
+    """Run ahead of ordinary processes where that is permitted: a busy machine may leave them a tenth of its time."""
+    # nothing here lives long enough to be collected
+    gc.disable()
+    # other systems than Linux have no such priorities
+    with contextlib.suppress(PermissionError, AttributeError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_URGENT))

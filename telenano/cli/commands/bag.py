@@ -1,0 +1,364 @@
+"""`telenano bag`: the commands on recordings."""
+
+import json
+from collections.abc import Iterable
+from enum import StrEnum
+from itertools import islice
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from pydantic import BaseModel
+
+from analysis.plot import draw, read_traces, save_png
+from analysis.process_replay import rerun as run_again
+from proto.errors import RecordingError
+from recording.channel_filter import Selection
+from recording.diff import diff_recordings
+from recording.export import export_recording
+from recording.merge_sites import merge_sites
+from recording.multi_file import open_recordings
+from recording.reader import Recording
+from recording.rewrite import filter_recording, merge_recordings, split_recording
+from recording.tables import line, plain
+from recording.tolerance import Tolerances
+from recording.verify import verify as check
+from telenano.cli.completion import node_names
+from telenano.cli.exit_codes import EXIT_FAILED
+from telenano.cli.options import CountOption, ExcludeOption, JsonOption, TopicsOption, command_group
+from telenano.cli.output import console, print_document, print_json, print_rows, report_errors
+
+_CHANNEL_COLUMNS = ("channel_topic", "src", "messages", "rate_hz", "gaps", "lost", "restarts")
+_PLOT_SIZE = (100, 12)
+
+app = command_group()
+
+FileArgument = Annotated[Path, typer.Argument(metavar="FILE", help="Recording (.mcap).")]
+FilesArgument = Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings (.mcap).")]
+OutOption = Annotated[Path, typer.Option("--out", metavar="PATH", help="File or folder to make, never overwritten.")]
+NodesOption = Annotated[
+    list[str] | None, typer.Option("--nodes", metavar="NODE", help="Only messages of these nodes (repeatable).")
+]
+StartOption = Annotated[float, typer.Option("--start", min=0.0, metavar="S", help="From this time on [s].")]
+EndOption = Annotated[float | None, typer.Option("--end", metavar="S", help="Up to this time [s].")]
+ToleranceOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--tolerance", metavar="[TOPIC:]FIELD=VALUE", help="Largest difference, in the field's unit (repeatable)."
+    ),
+]
+
+
+class ExportFormat(StrEnum):
+    """What a recording can be exported to."""
+
+    PARQUET = "parquet"
+    CSV = "csv"
+    HDF5 = "hdf5"
+    MCAP_JSON = "mcap-json"
+    MCAP_PROTOBUF = "mcap-protobuf"
+
+
+@app.command()
+def info(file: FileArgument, as_json: JsonOption = False) -> None:
+    """Show what a recording contains."""
+    with report_errors(as_json):
+        found = Recording(file).info().model_dump(mode="json")
+    if not as_json:
+        # all columns are wider and longer than a screen
+        found["channels"] = [{key: row[key] for key in _CHANNEL_COLUMNS} for row in found["channels"]]
+        found["metadata"] = found["metadata"].get("recording", {})
+    print_document(found, str(file), as_json=as_json)
+
+
+@app.command("list")
+def list_files(
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder to look through, with all below.")] = Path(),
+    as_json: JsonOption = False,
+) -> None:
+    """List the recordings in a folder: length, messages, size, and whether they were closed properly."""
+    with report_errors(as_json):
+        if not folder.is_dir():
+            raise RecordingError(f"{folder}: is not a folder")
+        rows = [_row(path) for path in sorted(folder.rglob("*.mcap"))]
+    if as_json:
+        print_json({"folder": str(folder), "recordings": rows})
+    elif rows:
+        print_rows(rows)
+    else:
+        typer.echo(f"{folder}: no recordings")
+
+
+@app.command()
+def cat(
+    files: FilesArgument,
+    topics: TopicsOption = None,
+    exclude: ExcludeOption = None,
+    nodes: NodesOption = None,
+    start: StartOption = 0.0,
+    end: EndOption = None,
+    count: CountOption = None,
+) -> None:
+    """Print messages with their record fields, one a line as JSON."""
+    with report_errors(as_json=False):
+        recording = open_recordings(files)
+        chosen = Selection.of(topics or (), exclude or (), nodes or ())
+        _print_lines(map(line, islice(recording.select(chosen, *_bounds(recording.span_ns[0], start, end)), count)))
+
+
+@app.command()
+def echo(
+    file: FileArgument,
+    topic: Annotated[str, typer.Argument(metavar="TOPIC", help="Channel, such as teleop/forward@slave.")],
+    start: StartOption = 0.0,
+    end: EndOption = None,
+    count: CountOption = None,
+) -> None:
+    """Print the messages of a channel as `telenano topic echo` does with those of a running rig."""
+    with report_errors(as_json=False):
+        recording = Recording(file)
+        known = [channel.channel_topic for channel in recording.channels]
+        if topic not in known:
+            raise RecordingError(f"{file}: has no channel {topic}, it has {', '.join(dict.fromkeys(known))}")
+        bounds = _bounds(recording.span_ns[0], start, end)
+        _print_lines(map(plain, islice(recording.messages([topic], *bounds), count)))
+
+
+@app.command("filter")
+def filter_file(
+    file: FileArgument,
+    out: OutOption,
+    topics: TopicsOption = None,
+    exclude: ExcludeOption = None,
+    nodes: NodesOption = None,
+    start: StartOption = 0.0,
+    end: EndOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Copy chosen channels and times into a new recording."""
+    with report_errors(as_json):
+        chosen = Selection.of(topics or (), exclude or (), nodes or ())
+        _print_model(filter_recording(file, out, chosen, start, end), as_json)
+
+
+@app.command()
+def recalibrate(
+    file: FileArgument,
+    out: OutOption,
+    handle: Annotated[
+        Path | None, typer.Option("--handle", metavar="FILE", help="handle.yaml, of the same handle.")
+    ] = None,
+    stage: Annotated[
+        Path | None, typer.Option("--stage", metavar="FILE", help="stage.yaml, of the same instrument.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Read what real devices sent with another calibration, into a new recording."""
+    with report_errors(as_json):
+        from analysis.recalibrate import recalibrate as read_again
+        from services.afm_node.devices.converter_calibration import read_calibration as read_stage
+        from services.haptic_node.devices.calibration import read_calibration as read_handle
+
+        found = read_again(
+            file,
+            out,
+            handle=None if handle is None else read_handle(handle),
+            stage=None if stage is None else read_stage(stage),
+        )
+        _print_model(found, as_json)
+
+
+@app.command()
+def merge(
+    files: FilesArgument,
+    out: OutOption,
+    sites: Annotated[
+        bool,
+        typer.Option(
+            "--sites",
+            help="Of the two sites of one session, the master's first: on its clock, each message once.",
+        ),
+    ] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Merge recordings in the order of time."""
+    with report_errors(as_json):
+        _print_model(merge_sites(files, out) if sites else merge_recordings(files, out), as_json)
+
+
+@app.command()
+def split(
+    file: FileArgument,
+    out: OutOption,
+    interval: Annotated[float | None, typer.Option("--interval", metavar="S", help="Time in each part [s].")] = None,
+    size: Annotated[int | None, typer.Option("--size", metavar="BYTES", help="Payload in each part [bytes].")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Split a recording into parts."""
+    with report_errors(as_json):
+        parts = [
+            part.model_dump(mode="json") for part in split_recording(file, out, interval_s=interval, size_bytes=size)
+        ]
+    if as_json:
+        print_json({"parts": parts})
+    else:
+        print_rows([{"path": part["path"], "messages": part["messages"]} for part in parts])
+
+
+@app.command()
+def verify(files: FilesArgument, as_json: JsonOption = False) -> None:
+    """Verify checksums, order, numbers and contents, and list what is missing; exit code 1 if anything is.
+
+    Several files are taken as the parts of one recording.
+    """
+    with report_errors(as_json):
+        verdict = check(files)
+    if as_json:
+        print_json(verdict.model_dump(mode="json"))
+    else:
+        for finding in verdict.findings:
+            place = f" {finding.channel}" if finding.channel else ""
+            typer.echo(f"{finding.level}: {finding.check}: {finding.file}{place}: {finding.text}")
+        typer.echo(f"{verdict.messages} messages, {'sound' if verdict.sound else 'not sound'}")
+    if not verdict.sound:
+        raise typer.Exit(EXIT_FAILED)
+
+
+@app.command()
+def recover(file: FileArgument, out: OutOption, as_json: JsonOption = False) -> None:
+    """Copy everything readable in an unfinished, truncated or damaged recording into a complete one."""
+    with report_errors(as_json):
+        _print_model(filter_recording(file, out), as_json)
+
+
+@app.command()
+def export(
+    file: FileArgument,
+    out: OutOption,
+    to: Annotated[ExportFormat, typer.Option("--to", help="parquet, csv: a folder; the others: a file.")],
+    topics: TopicsOption = None,
+    exclude: ExcludeOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Convert a recording for other tools; viewers read mcap-json or mcap-protobuf."""
+    with report_errors(as_json):
+        _print_model(export_recording(file, out, to.value, Selection.of(topics or (), exclude or ())), as_json)
+
+
+@app.command()
+def diff(
+    left: FileArgument,
+    right: FileArgument,
+    topics: TopicsOption = None,
+    exclude: ExcludeOption = None,
+    tolerance: ToleranceOption = None,
+    ignore: Annotated[
+        list[str] | None,
+        typer.Option("--ignore", metavar="FIELD", help="Not this field, such as t_ns (repeatable)."),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Compare two recordings message by message, by channel and number; exit code 1 if they differ."""
+    with report_errors(as_json):
+        allowed = Tolerances.parse(tolerance or ())
+        chosen = Selection.of(topics or (), exclude or ())
+        found = diff_recordings(left, right, allowed, ignore or (), chosen)
+    if as_json:
+        print_json(found.model_dump(mode="json"))
+    else:
+        rows = [row.model_dump() for row in found.channels if row.only_left or row.only_right or row.different]
+        typer.echo("the same" if found.same else f"{left} and {right} differ")
+        if rows:
+            print_rows(rows)
+    if not found.same:
+        raise typer.Exit(EXIT_FAILED)
+
+
+@app.command()
+def rerun(
+    file: FileArgument,
+    node: Annotated[
+        list[str],
+        typer.Option(
+            "--node",
+            metavar="NODE@SITE",
+            help="Node to run again (repeatable), such as controller@master.",
+            autocompletion=node_names,
+        ),
+    ],
+    tolerance: ToleranceOption = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", metavar="SECTION.KEY=VALUE", help="Change one key of the recorded scenario (repeatable)."
+        ),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Run a node's code on recorded inputs and compare its output with the recorded; exit code 1 if it differs."""
+    with report_errors(as_json):
+        recording, allowed = Recording(file), Tolerances.parse(tolerance or ())
+        results = [run_again(recording, key, allowed, settings or ()) for key in node]
+    if as_json:
+        print_json({"nodes": [result.model_dump(mode="json") for result in results]})
+    else:
+        for result in results:
+            typer.echo(f"{result.node}: {result.verdict()}")
+    if not all(result.identical for result in results):
+        raise typer.Exit(EXIT_FAILED)
+
+
+@app.command()
+def plot(
+    file: FileArgument,
+    fields: Annotated[
+        list[str], typer.Argument(metavar="TOPIC.FIELD...", help="What to draw, such as afm/state.tip_force_n.2.")
+    ],
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="FILE", help="PNG to make; default: the terminal.")
+    ] = None,
+) -> None:
+    """Draw fields over time, on the terminal or into a PNG."""
+    with report_errors(as_json=False):
+        traces = read_traces(file, fields)
+        if out is not None:
+            save_png(traces, out, file.name)
+            typer.echo(str(out))
+            return
+        size = console().size
+        width = size.width if console().is_terminal else _PLOT_SIZE[0]
+        for trace in traces:
+            typer.echo(draw(trace, width, _PLOT_SIZE[1]))
+
+
+def _row(path: Path) -> dict[str, Any]:
+    try:
+        found = Recording(path).info()
+    except RecordingError as error:
+        return {
+            "path": str(path),
+            "duration_s": None,
+            "messages": 0,
+            "size_bytes": path.stat().st_size,
+            "note": str(error),
+        }
+    note = "" if found.closed else "not closed properly"
+    note = f"{note}, {found.skipped_bytes} bytes damaged".strip(", ") if found.skipped_bytes else note
+    note = f"{note}, {found.lost} messages missing".strip(", ") if found.lost else note
+    facts = {"path": str(path), "duration_s": round(found.duration_s, 3), "messages": found.messages}
+    return {**facts, "size_bytes": found.size_bytes, "note": note}
+
+
+def _bounds(origin_ns: int, start_s: float, end_s: float | None) -> tuple[int, int | None]:
+    end_ns = None if end_s is None else origin_ns + round(end_s * 1e9)
+    return origin_ns + round(start_s * 1e9), end_ns
+
+
+def _print_lines(lines: Iterable[dict[str, Any]]) -> None:
+    for found in lines:
+        typer.echo(json.dumps(found))
+
+
+def _print_model(model: BaseModel, as_json: bool) -> None:
+    document = model.model_dump(mode="json")
+    print_document(document, str(document.get("path", "")), as_json=as_json)

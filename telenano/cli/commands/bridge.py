@@ -1,0 +1,96 @@
+"""`telenano bridge`: a running rig for the viewers of others."""
+
+import contextlib
+import os
+from typing import Annotated
+
+import typer
+
+from presets import DEFAULT_SITE_FILE
+from proto.errors import ConfigError, RigError
+from services.recorder.live import LiveRecording
+from services.runtime.bus.observer import RIG_HINT, nobody_runs
+from services.runtime.loop.main import load_site
+from services.viz_node.access import LOOPBACK, Access
+from services.viz_node.serve import bind, checked_tls
+from telenano.cli.options import (
+    AllowOption,
+    CertificateKeyOption,
+    CertificateOption,
+    DurationOption,
+    HostNameOption,
+    HostOption,
+    SiteFileOption,
+    command_group,
+)
+from telenano.cli.output import report_errors
+from telenano.foxglove_bridge import DEFAULT_PORT, DEFAULT_RATE_HZ, Bridge, FoxgloveServer, address_of
+from telenano.view_server import announced, missing_packages
+
+TOKEN_VARIABLE = "TELENANO_BRIDGE_TOKEN"
+
+app = command_group()
+
+
+@app.callback()
+def bridge() -> None:
+    """Hand the messages of a running rig to other programs."""
+
+
+@app.command()
+def foxglove(
+    site_file: SiteFileOption = DEFAULT_SITE_FILE,
+    host: HostOption = LOOPBACK,
+    port: Annotated[int, typer.Option("--port", min=0, max=65535, metavar="N", help="Port.")] = DEFAULT_PORT,
+    certificate: CertificateOption = None,
+    key: CertificateKeyOption = None,
+    allow: AllowOption = None,
+    name: HostNameOption = None,
+    allow_origin: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--allow-origin",
+            metavar="ORIGIN",
+            help="Pages that may connect, as https://app.foxglove.dev, or null (repeatable).",
+        ),
+    ] = None,
+    rate: Annotated[
+        float, typer.Option("--rate", min=0.0, metavar="HZ", help="Most of each channel a second; 0: all.")
+    ] = DEFAULT_RATE_HZ,
+    duration: DurationOption = None,
+) -> None:
+    """Serve every topic with its schema to Foxglove and Lichtblick, until Ctrl-C; prints the address to open.
+
+    It ends with a token, that of TELENANO_BRIDGE_TOKEN or a new one. Where the output is no terminal it goes to a file
+    that only its owner can read.
+    """
+    with report_errors(False):
+        if reason := missing_packages("foxglove"):
+            raise ConfigError(reason)
+        book = load_site(site_file)
+        tls = checked_tls(host, certificate, key)
+        access = Access.made(
+            observer=os.environ.get(TOKEN_VARIABLE, ""),
+            names=[host, *(name or ())],
+            allow=allow or (),
+            # a browser names the origin of its page, a program none: it has the token
+            origins=["", *(allow_origin or ())],
+        )
+        with (
+            LiveRecording(book) as live,
+            bind(host, port, "the bridge") as bound,
+            contextlib.closing(FoxgloveServer(bound, access, tls)) as server,
+        ):
+            address = address_of(server.port, access, host=(name or [host])[0], tls=tls is not None)
+            with announced({"open in Foxglove or Lichtblick": address}, typer.echo, "bridge"):
+                _hand_on(Bridge(server, rate), live, duration, is_waiting=nobody_runs(book))
+
+
+def _hand_on(bridge: Bridge, live: LiveRecording, duration: float | None, *, is_waiting: bool) -> None:
+    if is_waiting:
+        # one may be started after its bridge
+        typer.echo("telenano: no rig of this site file runs on this machine yet; waiting for one", err=True)
+    with contextlib.suppress(KeyboardInterrupt):
+        bridge.run(live.messages(duration_s=duration))
+    if not bridge.sent:
+        raise RigError(f"nothing was received: {RIG_HINT}")

@@ -1,0 +1,115 @@
+"""`telenano curve`: a force curve in simulated time or of a running rig, its marks, a measured one beside it."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from presets import DEFAULT_SITE_FILE
+from proto.errors import ConfigError, RigError
+from services.runtime.settings.config import flag_overrides, validate
+from telenano.cli.options import JsonOption, SiteFileOption
+from telenano.cli.output import print_document, report_errors
+from telenano.cli.program_view import LiveOption, follow_program, refuse_foreign
+from telenano.cli.sample_options import require, results_in
+
+if TYPE_CHECKING:
+    from proto.messages import Scalar
+    from studies.instrument.force_curve import Curve
+
+
+class CurveModel(StrEnum):
+    """Which cantilever is simulated."""
+
+    QUASI_STATIC = "quasi_static"
+    DYNAMIC = "dynamic"
+
+
+def curve(
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for curve.h5 and curve.png.")],
+    start: Annotated[float, typer.Option("--start", metavar="NM", help="Way above the rest point [nm].")] = 20.0,
+    load: Annotated[float, typer.Option("--load", metavar="NN", help="Force at which the base turns [nN].")] = 20.0,
+    points: Annotated[int, typer.Option("--points", metavar="N", help="Points of each way.")] = 1000,
+    speed: Annotated[
+        float | None, typer.Option("--speed", metavar="NM/S", help="Speed of the base [nm/s]; 200, or 50 with --live.")
+    ] = None,
+    model: Annotated[
+        CurveModel, typer.Option("--model", help="quasi_static: k zeta = F(h); dynamic: Eq. 4 in full.")
+    ] = CurveModel.QUASI_STATIC,
+    afm: Annotated[
+        list[str] | None,
+        typer.Option("--afm", metavar="KEY=VALUE", help="Change a key of afm_node, as in a scenario (repeatable)."),
+    ] = None,
+    overlay: Annotated[
+        Path | None,
+        typer.Option(
+            "--overlay", metavar="FILE", help="Measured curve to draw beside it (.ibw, .jpk-force, .h5, .tab)."
+        ),
+    ] = None,
+    reduced_modulus: Annotated[
+        float | None,
+        typer.Option("--reduced-modulus", metavar="PA", help="Of the measured contact [Pa]; default: of --afm."),
+    ] = None,
+    live: LiveOption = False,
+    site_file: SiteFileOption = DEFAULT_SITE_FILE,
+    as_json: JsonOption = False,
+) -> None:
+    """Approach and retract, mark snap-in, contact, pull-off and break, write HDF5 (afmformats) and a figure."""
+    with report_errors(as_json):
+        require("h5py")
+        # before all other models: it has every step compiled that is imported after it
+        import studies.instrument.force_curve as curves
+        from services.afm_node.config import AfmConfig
+        from studies.instrument.adhesion_fit import fit_adhesion
+        from studies.instrument.force_curve_figure import curve_figure
+
+        config = validate(AfmConfig, flag_overrides(afm or ()), "--afm")
+        measured = None if overlay is None else curves.read_measured(overlay)
+        if live:
+            refuse_foreign({"--afm": afm and overlay is None, "--model dynamic": model is CurveModel.DYNAMIC})
+            found = _live(site_file, start * 1e-9, load * 1e-9, 50e-9 if speed is None else speed * 1e-9, as_json)
+        else:
+            columns = (TextColumn("curve"), BarColumn(), TimeRemainingColumn())
+            with Progress(*columns, console=Console(stderr=True), disable=as_json, transient=True) as bar:
+                task = bar.add_task("curve", total=2 * points)
+                found = curves.force_curve(
+                    config, start * 1e-9, load * 1e-9, points, 200e-9 if speed is None else speed * 1e-9,
+                    dynamic=model is CurveModel.DYNAMIC, progress=lambda n, of: bar.update(task, completed=n),
+                )  # fmt: skip
+        marks = curves.marks_of(found)
+        other = None if measured is None else (measured, curves.marks_of(measured))
+        fit: dict[str, Any] | None = None
+        if measured is not None:
+            # a curve that this contact does not describe is worth a look all the same
+            try:
+                fit = fit_adhesion(measured, config, reduced_modulus).as_dict()
+            except ConfigError as error:
+                fit = {"refused": f"{error} with --reduced-modulus" if reduced_modulus is None else str(error)}
+        pairs = [(found, marks), *([] if other is None else [other])]
+        with results_in(out) as folder:
+            curves.write_hdf5(folder / "curve.h5", found)
+            curve_figure(pairs).savefig(folder / "curve.png", dpi=130)
+    document = {"model": found.model, "stiffness_n_per_m": found.stiffness_n_per_m, **marks.as_dict()}
+    if other is not None:
+        document["measured"] = {"stiffness_n_per_m": other[0].stiffness_n_per_m, **other[1].as_dict()}
+    if fit is not None:
+        document["fit"] = fit
+    document["files"] = [str(out / "curve.h5"), str(out / "curve.png")]
+    print_document(document, str(out), as_json=as_json)
+
+
+def _live(site_file: Path, start_m: float, load_n: float, speed_m_per_s: float, as_json: bool) -> "Curve":
+    """Have a running rig take a curve; RigError when it ended before it was complete."""
+    from services.console.live_program import LiveCurve
+    from studies.instrument.force_curve import curve_of_samples
+
+    samples = LiveCurve()
+    parameters: dict[str, Scalar] = {"program": "curve", "curve.start_m": start_m, "curve.load_n": load_n,
+                  "curve.speed_m_per_s": speed_m_per_s}  # fmt: skip
+    report = follow_program(site_file, parameters, samples, as_json=as_json)
+    if report.state != "finished":
+        raise RigError(report.text)
+    return curve_of_samples(samples.base_m, samples.deflection_m, samples.force_n, -start_m, speed_m_per_s)

@@ -1,0 +1,17 @@
+"""`telenano estop`: stop the devices at once. What it does is in `telenano.cli.estop_command`, which needs no typer."""
+
+import typer
+
+from telenano.cli.estop_command import EstopRequest, run_estop
+from telenano.cli.options import JsonOption, RigFileOption, SiteOption, TargetOption
+
+
+def estop(
+    target: TargetOption = "*",
+    site: SiteOption = None,
+    site_file: RigFileOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Stop the devices at once, whoever else sends commands; exit code 1 if one does not answer."""
+    request = EstopRequest(target, "" if site is None else site.value, site_file, as_json)
+    raise typer.Exit(run_estop(request))

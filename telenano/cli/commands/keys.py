@@ -1,0 +1,139 @@
+"""`telenano keys`: the key of this machine, and the list of the keys of others with their roles."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from proto.errors import ConfigError
+from services.runtime.security.keyring import AllowedKey, Keyring, Role, keys_directory, keys_in
+from services.runtime.security.private_files import read_regular
+from telenano.cli.options import JsonOption, command_group
+from telenano.cli.output import print_json, print_rows, report_errors
+
+app = command_group()
+
+DirOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--dir", metavar="DIR", help="Folder of the keys; default: TELENANO_KEYS_DIR, or telenano/keys in ~/.config."
+    ),
+]
+NameArgument = Annotated[str, typer.Argument(metavar="NAME", help="Machine of the site file, such as master or slave.")]
+
+
+class RoleName(StrEnum):
+    """What a key may do."""
+
+    DATA = "data"
+    CONTROL = "control"
+    OBSERVE = "observe"
+
+
+@app.command()
+def new(
+    name: NameArgument,
+    replace: Annotated[
+        bool, typer.Option("--replace", help="Replace an existing key; the other machines must allow the new one.")
+    ] = False,
+    folder: DirOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Make a key pair for a machine; the secret key stays in a file that only you can read."""
+    with report_errors(as_json):
+        ring = _ring(folder)
+        public = ring.create(name, replace=replace).public.decode()
+    if as_json:
+        print_json({"name": name, "public_key": public, "folder": str(ring.folder)})
+        return
+    typer.echo(f"made the key of {name} in {ring.folder}; its public key is\n\n  {public}\n")
+    typer.echo(f"On each other machine:  telenano keys allow {name} '{public}' --role ...")
+
+
+@app.command()
+def show(folder: DirOption = None, as_json: JsonOption = False) -> None:
+    """Show the public keys of this machine and the keys that it knows of others; secret keys are never shown."""
+    with report_errors(as_json):
+        ring = _ring(folder)
+        own = {name: ring.own(name).public.decode() for name in ring.names()}
+        allowed = ring.allowed().keys
+        warnings = [text for name in own if (text := ring.misplaced(name))]
+    if as_json:
+        print_json(
+            {
+                "folder": str(ring.folder),
+                "own": own,
+                "allowed": [key.model_dump(mode="json") for key in allowed],
+                **({"warnings": warnings} if warnings else {}),
+            }
+        )
+        return
+    rows = [{"machine": name, "public key": key, "here": "own"} for name, key in own.items()]
+    rows += [{"machine": key.name, "public key": key.public_key, "here": _roles_text(key)} for key in allowed]
+    if rows:
+        print_rows(rows)
+    for text in warnings:
+        typer.echo(f"warning: {text}", err=True)
+    typer.echo(f"keys are in {ring.folder}" if rows else f"no key is in {ring.folder}: `telenano keys new NAME`")
+
+
+@app.command()
+def allow(
+    name: NameArgument,
+    key: Annotated[str, typer.Argument(metavar="KEY|FILE", help="Its public key (quoted), or its NAME.key file.")],
+    role: Annotated[
+        list[RoleName],
+        typer.Option(
+            "--role", help="data: accept its messages; control: its commands; observe: let it subscribe (repeatable)."
+        ),
+    ],
+    folder: DirOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Allow a machine to connect, or change its roles; running nodes apply it within a second."""
+    with report_errors(as_json):
+        roles: list[Role] = [entry.value for entry in role]
+        entry = _ring(folder).allow(name, _public_key(key), roles)
+    _print_entry(entry, f"{name} is allowed: {_roles_text(entry)}", as_json=as_json)
+
+
+@app.command()
+def revoke(
+    name: Annotated[str, typer.Argument(metavar="NAME|KEY", help="Machine, or its public key (quoted).")],
+    folder: DirOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Revoke a key for ever; running nodes close its connections within a second."""
+    with report_errors(as_json):
+        entry = _ring(folder).revoke(name)
+    _print_entry(entry, f"the key {entry.public_key} of {entry.name} is revoked", as_json=as_json)
+
+
+def _ring(folder: Path | None) -> Keyring:
+    return Keyring(folder or keys_directory())
+
+
+def _public_key(text: str) -> str:
+    path = Path(text)
+    if not path.name.endswith(".key"):
+        return text
+    try:
+        content, _ = read_regular(path)
+    except OSError as error:
+        raise ConfigError(f"{path}: holds no public key: {error.strerror}") from error
+    public, _ = keys_in(content)
+    if not public:
+        raise ConfigError(f"{path}: holds no public key")
+    return public.decode(errors="replace")
+
+
+def _roles_text(key: AllowedKey) -> str:
+    return "revoked" if key.revoked else ", ".join(key.roles)
+
+
+def _print_entry(entry: AllowedKey, text: str, *, as_json: bool) -> None:
+    if as_json:
+        print_json(entry.model_dump(mode="json"))
+    else:
+        typer.echo(text)

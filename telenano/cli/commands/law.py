@@ -1,0 +1,97 @@
+"""`telenano law`: the laws that are installed, their parameters, and the rules that they keep or break."""
+
+import sys
+from typing import Annotated, Any
+
+import typer
+
+from telenano.cli.completion import law_name
+from telenano.cli.exit_codes import EXIT_FAILED
+from telenano.cli.options import JsonOption, command_group
+from telenano.cli.output import print_document, print_json, print_rows, report_errors
+
+app = command_group()
+_OWN = "telenano"
+
+LawArgument = Annotated[
+    str, typer.Argument(metavar="LAW", help="Name of a law, as `law list` gives it.", autocompletion=law_name)
+]
+
+
+@app.command("list")
+def list_laws(as_json: JsonOption = False) -> None:
+    """List the laws, those of installed packages included, and what keeps one from being used."""
+    with report_errors(as_json):
+        from services.controller.config import LAWS, PACKAGE_LAWS
+
+        rows = [{"law": name, **_origin(name), "about": _about(law)} for name, law in LAWS.items()]
+        problems = dict(PACKAGE_LAWS.problems)
+    if as_json:
+        print_json({"laws": rows, "problems": problems})
+        return
+    print_rows(rows)
+    for text in problems.values():
+        typer.echo(f"telenano: {text}", err=True)
+
+
+@app.command()
+def show(law: LawArgument, as_json: JsonOption = False) -> None:
+    """Show what a law is, and its parameters with default, range and unit."""
+    with report_errors(as_json):
+        from services.controller.config import LAWS
+        from services.controller.law_rules import known_law
+
+        found = known_law(law)
+        properties: dict[str, Any] = found.config.model_json_schema()["properties"]
+        parameters = [
+            {
+                "parameter": f"controller.{law}.{name}",
+                "default": schema.get("default"),
+                "least": schema.get("minimum"),
+                "most": schema.get("maximum"),
+                "about": schema.get("description", ""),
+            }
+            for name, schema in properties.items()
+        ]
+        facts = {"law": law, **_origin(law), "about": _about(LAWS[law])}
+    if as_json:
+        print_json({**facts, "parameters": parameters})
+        return
+    print_document(facts, law, as_json=False)
+    print_rows(parameters)
+
+
+@app.command()
+def check(law: LawArgument, as_json: JsonOption = False) -> None:
+    """Check the rules that the rig relies on; exit code 1 and a sentence for each that the law breaks."""
+    with report_errors(as_json):
+        from services.controller.law_rules import broken_rules, known_law
+
+        known_law(law)
+        if not as_json:
+            typer.echo("trying the rules; the first time the steps are compiled, up to a minute", err=True)
+        broken = broken_rules(law)
+    if as_json:
+        print_json({"law": law, "rules": broken, "keeps_all": not any(broken.values())})
+    else:
+        for rule, faults in broken.items():
+            typer.echo(f"{'broken' if faults else 'kept  '}  {rule}")
+            for fault in faults:
+                typer.echo(f"        {fault}")
+    if any(broken.values()):
+        raise typer.Exit(EXIT_FAILED)
+
+
+def _origin(name: str) -> dict[str, str]:
+    from presets.plugins import installed
+    from services.controller.config import OWN_LAWS
+
+    if name in OWN_LAWS:
+        return {"package": _OWN, "version": "", "digest": ""}
+    return installed("laws")[name].facts()
+
+
+def _about(law: Any) -> str:
+    """Return the first sentence of the module that defines a law."""
+    text = (sys.modules[law.master_receive.__module__].__doc__ or "").strip()
+    return " ".join(text.split("\n\n")[0].split()).split(": ")[0]

@@ -1,0 +1,144 @@
+"""`telenano link`: show and change the link of a running rig."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from presets import DEFAULT_SITE_FILE
+from proto.errors import RigError
+from proto.nodes import LINK
+from recording.tables import json_fields
+from services.delay_node.profiles import PROFILES
+from services.runtime.bus.observer import RIG_HINT, Observer, messages_of
+from services.runtime.loop.main import load_site
+from telenano.cli.commands.link_probe import probe
+from telenano.cli.commands.session import SessionCommand, send_command
+from telenano.cli.commands.topic import open_observer
+from telenano.cli.options import JsonOption, SiteFileOption, command_group
+from telenano.cli.output import print_json, print_rows, report_errors
+from telenano.cli.tables import counts_text
+
+_PATIENCE_S = 3.0
+_COUNTS = ("messages_in", "messages_out", "duplicated", "reordered", "corrupted", "queue_depth")
+_DIRECTIONS = ("forward", "backward")
+# the receiving end of each direction reports twice a second
+_NETWORK_S = 1.5
+_NETWORK_COUNTS = ("receiving", "sent", "arrived", "late", "lost")
+_PER_DATAGRAM = ("number", "arrived_ns", "delay_ns", "lost_flag")
+_DELAYS = ("delay_mean_s", "delay_min_s", "delay_max_s")
+
+app = command_group()
+
+
+@app.command()
+def show(site_file: SiteFileOption = DEFAULT_SITE_FILE, as_json: JsonOption = False) -> None:
+    """Show the settings in force, the traffic, the delay applied, and the offset of the other site's clock.
+
+    Between two machines it also shows what the network really did: sent, arrived, late, lost, one-way delay.
+    """
+    with report_errors(as_json):
+        with open_observer(site_file, "link/status") as observer:
+            status = current_status(observer)
+        network: dict[str, dict[str, Any]] = {}
+        if load_site(site_file).spans_machines:
+            with open_observer(site_file, "link/network") as observer:
+                network = current_network(observer)
+    if as_json:
+        print_json({**status, "network": network} if network else status)
+    else:
+        print_rows([*status_rows(status), *network_rows(network)])
+
+
+@app.command("set")
+def set_keys(
+    settings: Annotated[
+        list[str],
+        typer.Argument(metavar="KEY=VALUE...", help="Settings by dotted key, such as forward.delay_s=0.02 (SI units)."),
+    ],
+    site_file: SiteFileOption = DEFAULT_SITE_FILE,
+    as_json: JsonOption = False,
+) -> None:
+    """Change settings of the link for the messages that reach it from now on."""
+    _change(settings, site_file, as_json=as_json)
+
+
+@app.command()
+def profile(
+    name: Annotated[
+        str | None, typer.Argument(metavar="[NAME]", help="Profile to apply; without it, list the profiles.")
+    ] = None,
+    site_file: SiteFileOption = DEFAULT_SITE_FILE,
+    as_json: JsonOption = False,
+) -> None:
+    """Apply a named profile, in place of all settings but the seed; or list the profiles."""
+    rows = [{"profile": known, "what": row.about} for known, row in PROFILES.items()]
+    if name is not None:
+        _change([f"profile={name}"], site_file, as_json=as_json)
+    elif as_json:
+        print_json({"profiles": rows})
+    else:
+        print_rows(rows)
+
+
+@app.command()
+def clear(site_file: SiteFileOption = DEFAULT_SITE_FILE, as_json: JsonOption = False) -> None:
+    """Remove every impairment from the link."""
+    _change(["profile=clean"], site_file, as_json=as_json)
+
+
+app.command()(probe)
+
+
+def _change(settings: Sequence[str], site_file: Path, *, as_json: bool) -> None:
+    send_command(SessionCommand.SET, settings, LINK, site_file, as_json=as_json)
+
+
+def current_status(observer: Observer) -> dict[str, Any]:
+    """Return the fields of the next link/status; RigError when none is received."""
+    for received in messages_of(observer, "link/status", _PATIENCE_S, 1):
+        return json_fields(received.message)
+    raise RigError(f"no link/status received: {RIG_HINT}")
+
+
+def current_network(observer: Observer) -> dict[str, dict[str, Any]]:
+    """Return the counts of the newest link/network of each direction; empty where the link sends no datagrams."""
+    found: dict[str, dict[str, Any]] = {}
+    for received in messages_of(observer, "link/network", _NETWORK_S, None):
+        fields = json_fields(received.message)
+        found[fields["direction"]] = {key: value for key, value in fields.items() if key not in _PER_DATAGRAM}
+        if len(found) == len(_DIRECTIONS):
+            break
+    return found
+
+
+def network_rows(network: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return what the network did as rows of a table: what, forward, backward."""
+    if not network:
+        return []
+    ways = [network.get(direction, {}) for direction in _DIRECTIONS]
+    rows = [_row(f"network: {key}", *(way.get(key, "") for way in ways)) for key in _NETWORK_COUNTS]
+    rows.append(_row("network: refused", *(counts_text(way.get("refused", {})) for way in ways)))
+    rows += [_row(f"network: {key}", *(way[key] if way.get("delay_valid") else "" for way in ways)) for key in _DELAYS]
+    clocks = [way["clock"]["uncertainty_s"] if way.get("delay_valid") else "" for way in ways]
+    return [*rows, _row("network: delays known to ± [s]", *clocks)]
+
+
+def status_rows(status: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return a status as rows of a table: what, forward, backward."""
+    ways = (status["forward"], status["backward"])
+    rows: list[dict[str, Any]] = [_row("profile", *(way["profile"] for way in ways))]
+    keys = sorted({key for way in ways for key in way["settings"]})
+    rows += [_row(key, *(way["settings"].get(key, "") for way in ways)) for key in keys]
+    rows += [_row(key, *(way[key] for way in ways)) for key in _COUNTS]
+    rows.append(_row("dropped", *(counts_text(way["dropped"]) for way in ways)))
+    rows += [_row(key, *(way[key] if way["delay_valid"] else "" for way in ways)) for key in _DELAYS]
+    clock = status["clock"]
+    if clock["valid"]:
+        rows.append(_row("clock offset of the slave [s]", clock["offset_s"], f"± {clock['uncertainty_s']:.6f}"))
+    return rows
+
+
+def _row(what: str, forward: Any, backward: Any) -> dict[str, Any]:
+    return {"what": what, "forward": forward, "backward": backward}

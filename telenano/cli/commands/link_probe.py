@@ -1,0 +1,129 @@
+"""`telenano link probe`: what the network between two sites does, as a trace, a figure and a verdict for each law."""
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any, cast
+
+import typer
+import yaml
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from presets import TWO_SITES_FILE
+from proto.errors import RigError
+from proto.network_messages import LinkNetwork
+from services.runtime.bus.observer import RIG_HINT
+from telenano.cli.commands.topic import open_observer
+from telenano.cli.options import JsonOption, SiteFileOption
+from telenano.cli.output import print_json, print_rows, report_errors
+from telenano.cli.sample_options import results_in
+
+_TOPIC = "link/network"
+_SECTION = "delay_node.yaml"
+
+
+def probe(
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for traces, figure and verdicts.")] = Path(
+        "probe"
+    ),
+    duration: Annotated[
+        float, typer.Option("--duration", metavar="S", min=2.0, max=1e6, help="How long to measure [s].")
+    ] = 30.0,
+    recording: Annotated[
+        Path | None,
+        typer.Option("--from", metavar="FILE", help="Take what a recording holds in the place of a running rig."),
+    ] = None,
+    laws: Annotated[
+        str | None, typer.Option("--laws", metavar="LIST", help="Try laws on the trace, in lockstep: names, or all.")
+    ] = None,
+    site_file: SiteFileOption = TWO_SITES_FILE,
+    as_json: JsonOption = False,
+) -> None:
+    """Measure the network between two running sites: delay and loss of each datagram, each way.
+
+    Run it at the master while both sites run (`telenano up --site ...`, also before the session begins).
+    """
+    with report_errors(as_json):
+        from analysis.network_trace import DIRECTIONS, trace_figure, traces_of, write_traces
+
+        chosen = _laws(laws)
+        reports = _recorded(recording) if recording is not None else _measured(site_file, duration, shown=not as_json)
+        traces = traces_of(reports)
+        absent = [direction for direction in DIRECTIONS if direction not in traces]
+        if absent:
+            raise RigError(
+                f"no {_TOPIC} of the direction {absent[0]} was received: does the link receive as datagrams there? "
+                f"`telenano link show` says; {RIG_HINT}"
+            )
+        with results_in(out) as folder:
+            section = write_traces(traces, folder)
+            (folder / _SECTION).write_text(yaml.safe_dump(section, sort_keys=False), encoding="utf-8")
+            trace_figure(traces).savefig(folder / "network.png", dpi=130)
+            network: dict[str, dict[str, Any]] = {direction: trace.summary() for direction, trace in traces.items()}
+            verdicts = _tried(chosen, section, folder, network)
+            document = {"network": network, "laws": verdicts, "replay": section, "files": str(out)}
+            (folder / "probe.json").write_text(_json_text(document), encoding="utf-8")
+    if as_json:
+        print_json(document)
+        return
+    print_rows([{"what": key, **{way: network[way][key] for way in network}} for key in network["forward"]])
+    if verdicts:
+        print_rows(verdicts)
+    typer.echo(f"{out}: traces, network.png, probe.json; {_SECTION} has the settings that replay this network")
+
+
+def _laws(text: str | None) -> tuple[str, ...]:
+    if text is None:
+        return ()
+    from studies import option_values
+
+    return option_values.laws(text)
+
+
+def _tried(
+    laws: tuple[str, ...], section: dict[str, Any], folder: Path, network: dict[str, dict[str, Any]]
+) -> list[dict[str, Any]]:
+    if not laws:
+        return []
+    from services.delay_node.config import parse_settings
+    from studies.loops.network import MeasuredNetwork, rows_of, run_laws
+
+    round_trip_ms = sum(way["delay_p50_ms"] for way in network.values())
+    lost_share = max(way["lost_share"] for way in network.values())
+    return rows_of(run_laws(laws, MeasuredNetwork(parse_settings(section), folder, round_trip_ms, lost_share)))
+
+
+def _recorded(path: Path) -> Iterator[LinkNetwork]:
+    """Yield the reports of a recording; at the master it has both directions, one of them as a copy."""
+    from recording.reader import Recording
+
+    seen = set()
+    for message in Recording(path).messages():
+        if message.topic == _TOPIC and (message.src, message.seq) not in seen:
+            seen.add((message.src, message.seq))
+            yield cast(LinkNetwork, message.decode())
+
+
+def _measured(site_file: Path, duration_s: float, *, shown: bool) -> list[LinkNetwork]:
+    """Return the reports of a running rig within a time [s]."""
+    columns = (TextColumn("probe"), BarColumn(), TimeRemainingColumn())
+    found: dict[tuple[str, int], LinkNetwork] = {}
+    begin = time.monotonic()
+    with (
+        open_observer(site_file, _TOPIC) as observer,
+        Progress(*columns, console=Console(stderr=True), disable=not shown, transient=True) as bar,
+    ):
+        task = bar.add_task("probe", total=duration_s)
+        for observed in observer.listen(duration_s):
+            message = observed.received.message
+            if isinstance(message, LinkNetwork):
+                found[message.src, message.seq] = message
+            bar.update(task, completed=time.monotonic() - begin)
+    return sorted(found.values(), key=lambda message: message.t_ns)
+
+
+def _json_text(document: dict[str, Any]) -> str:
+    import json
+
+    return json.dumps(document, indent=2, allow_nan=False) + "\n"

@@ -1,0 +1,40 @@
+"""`telenano new`: a package that extends telenano, ready to install."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from telenano.cli.new_package import new_package
+from telenano.cli.options import JsonOption
+from telenano.cli.output import print_json, report_errors
+
+
+class Kind(StrEnum):
+    """What a package can bring."""
+
+    LAW = "law"
+    DEVICE = "device"
+    OPERATOR = "operator"
+    SAMPLE = "sample"
+
+
+def new(
+    kind: Annotated[Kind, typer.Argument(metavar="KIND", help="law, device, operator or sample.")],
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Its name in a scenario, such as my_law.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", metavar="DIR", help="Folder to make; default: telenano-NAME.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Make a package with a law, device, operator or sample of your own, and a test of it."""
+    with report_errors(as_json):
+        folder = out or Path(f"telenano-{name.replace('_', '-')}")
+        written = new_package(kind.value, name, folder)
+    if as_json:
+        print_json({"folder": str(folder), "files": [str(path) for path in written]})
+        return
+    for path in written:
+        typer.echo(path)
+    typer.echo(f"next: pip install -e {folder} && pytest {folder}")

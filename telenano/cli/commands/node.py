@@ -1,0 +1,55 @@
+"""`telenano node`: run one node alone."""
+
+import os
+import sys
+from typing import Annotated
+
+import typer
+
+from proto import TOPICS
+from proto.errors import ConfigError
+from proto.nodes import NODES, SERVICES, name_of
+from telenano.cli.completion import service_names
+from telenano.cli.options import command_group
+from telenano.cli.output import print_json, print_rows, report_errors
+
+app = command_group()
+
+
+@app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []})
+def node(
+    context: typer.Context,
+    name: Annotated[
+        str,
+        typer.Argument(
+            metavar="NAME|list", help=f"One of {', '.join(SERVICES)}; or list.", autocompletion=service_names
+        ),
+    ],
+) -> None:
+    """Run one node alone; what follows NAME goes to the node, whose --help lists it. `list` lists the nodes."""
+    if name in ("--help", "-h"):
+        typer.echo(context.get_help())
+        return
+    if name == "list":
+        _list(as_json="--json" in context.args)
+        return
+    with report_errors(as_json=False):
+        if name not in SERVICES:
+            raise ConfigError(f"unknown node {name!r}: known are {', '.join(SERVICES)}")
+    # the node takes the place of this process, so that signals reach it
+    os.execv(sys.executable, [sys.executable, "-m", f"services.{name}", *context.args])
+
+
+def _list(*, as_json: bool) -> None:
+    rows = [
+        {"node": row.key, "part": row.part, "required": row.required, "publishes": ", ".join(_topics_of(row.key))}
+        for row in NODES
+    ]
+    if as_json:
+        print_json({"nodes": rows})
+    else:
+        print_rows(rows)
+
+
+def _topics_of(node: str) -> list[str]:
+    return [name for name, row in TOPICS.items() if node in row.publishers or name_of(node) in row.publishers]

@@ -1,0 +1,102 @@
+"""`telenano param`: every key of a scenario, and the values that it has in one."""
+
+from typing import Annotated, Any
+
+import typer
+import yaml
+
+from presets import find_scenario
+from proto.errors import ConfigError
+from telenano.cli.completion import scenario_names, scenario_sections
+from telenano.cli.options import JsonOption, command_group
+from telenano.cli.output import print_json, print_rows, report_errors
+
+app = command_group()
+
+ScenarioOption = Annotated[
+    str,
+    typer.Option(
+        "--scenario", metavar="NAME|FILE", help="Scenario whose values are meant.", autocompletion=scenario_names
+    ),
+]
+SettingsOption = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="SECTION.KEY=VALUE", help="Change one key first (SI units); may be repeated."),
+]
+
+
+@app.command("list")
+def list_all(
+    prefix: Annotated[
+        str,
+        typer.Argument(
+            metavar="[PREFIX]", help="Only keys that begin so, such as delay_node.", autocompletion=scenario_sections
+        ),
+    ] = "",
+    as_page: Annotated[bool, typer.Option("--markdown", help="Print them as the page docs/scenarios.md.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """List the keys of a scenario with default, range and unit: whatever `--set` can change."""
+    with report_errors(as_json):
+        from services.launcher.scenario_keys import all_keys, markdown
+
+        keys = [key for key in all_keys() if key.name.startswith(prefix)]
+        if not keys:
+            raise ConfigError(f"{prefix}: no key begins so; `telenano param list` has them all")
+    rows: list[dict[str, Any]] = [
+        {
+            "key": key.name,
+            "type": key.kind,
+            "default": key.default,
+            "least": key.least,
+            "most": key.most,
+            "about": key.about,
+        }
+        for key in keys
+    ]
+    if as_json:
+        print_json({"keys": rows})
+    elif as_page:
+        typer.echo(markdown(keys), nl=False)
+    else:
+        print_rows([{key: value for key, value in row.items() if key != "type"} for row in rows])
+
+
+@app.command()
+def get(
+    key: Annotated[str, typer.Argument(metavar="KEY", help="Dotted key, or a section, such as controller.wave.")],
+    scenario: ScenarioOption = "fig12",
+    settings: SettingsOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Print the value of a key in a scenario, its default where the scenario does not name it."""
+    with report_errors(as_json):
+        value = _value(scenario, settings, key)
+    if as_json:
+        print_json({"key": key, "value": value})
+    else:
+        typer.echo(_yaml(value))
+
+
+@app.command()
+def dump(scenario: ScenarioOption = "fig12", settings: SettingsOption = None, as_json: JsonOption = False) -> None:
+    """Print a scenario with every default in it, as a YAML file that can be run."""
+    with report_errors(as_json):
+        document = _value(scenario, settings, None)
+    if as_json:
+        print_json(document)
+    else:
+        typer.echo(_yaml(document))
+
+
+def _value(scenario: str, settings: list[str] | None, key: str | None) -> Any:
+    from services.launcher.scenario_keys import filled, value_at
+    from services.runtime.settings.scenario import load_scenario
+
+    document = filled(load_scenario(find_scenario(scenario), settings or ()))
+    return document if key is None else value_at(document, key)
+
+
+def _yaml(value: Any) -> str:
+    text: str = yaml.safe_dump(value, sort_keys=False, allow_unicode=True, width=100)
+    return text.removesuffix("\n").removesuffix("\n...")

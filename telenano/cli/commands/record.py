@@ -1,0 +1,125 @@
+"""`telenano record`: an additional recorder that attaches to a running rig and leaves it as it was."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from presets import DEFAULT_SITE_FILE
+from proto.errors import TelenanoError
+from services.recorder.attach import run_record
+from services.recorder.config import RecorderConfig
+from services.recorder.node import RecorderNode
+from services.runtime.bus.observer import RIG_HINT, nobody_runs
+from services.runtime.loop.main import load_site
+from services.runtime.settings.config import validate
+from telenano.cli.keyboard import RawKeyboard
+from telenano.cli.options import ExcludeOption, JsonOption, SiteFileOption, TopicsOption
+from telenano.cli.output import fail, fail_incomplete, print_json, report_errors
+
+_KEYS_TEXT = "s new file · t snapshot · q end"
+
+
+class RecordKeyBindings:
+    """What the keys do to a recorder."""
+
+    def __init__(self, keys: RawKeyboard) -> None:
+        self._keys = keys
+        self._note = _KEYS_TEXT
+
+    def __call__(self, node: RecorderNode) -> None:
+        actions: dict[str, Callable[[], None]] = {
+            "s": node.split,
+            "t": node.snapshot,
+            "q": node.context.request_stop,
+        }
+        for key in self._keys.pressed():
+            try:
+                self._note = _KEYS_TEXT if key in actions else f"unknown key {key!r}: {_KEYS_TEXT}"
+                actions.get(key, lambda: None)()
+            except TelenanoError as error:
+                self._note = str(error)
+        self._keys.show(f"{node.status()} · {self._note}")
+
+
+def record(
+    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="Recording to make; an existing one is kept.")],
+    topics: TopicsOption = None,
+    exclude: ExcludeOption = None,
+    duration: Annotated[
+        float | None, typer.Option("--duration", min=0.0, metavar="S", help="End after this time [s].")
+    ] = None,
+    split_size: Annotated[
+        int | None, typer.Option("--split-size", metavar="BYTES", help="Begin a new file at this size.")
+    ] = None,
+    split_interval: Annotated[
+        float | None, typer.Option("--split-interval", metavar="S", help="Begin a new file after this time [s].")
+    ] = None,
+    quota: Annotated[int | None, typer.Option("--quota", metavar="BYTES", help="Most that all files may take.")] = None,
+    quota_policy: Annotated[
+        str, typer.Option("--quota-policy", metavar="stop|drop_oldest", help="What happens at the quota.")
+    ] = "stop",
+    snapshot: Annotated[
+        float | None, typer.Option("--snapshot", metavar="S", help="Keep this time in memory, write on a trigger [s].")
+    ] = None,
+    snapshot_on: Annotated[
+        list[str] | None,
+        typer.Option("--snapshot-on", metavar="mode|fault|contact", help="Event that is a trigger (repeatable)."),
+    ] = None,
+    snapshot_after: Annotated[
+        float, typer.Option("--snapshot-after", metavar="S", help="Go on writing after a trigger [s].")
+    ] = 1.0,
+    flush_interval: Annotated[
+        float, typer.Option("--flush-interval", metavar="S", help="Most that a kill may lose [s].")
+    ] = 0.2,
+    compression: Annotated[str, typer.Option("--compression", metavar="zstd|lz4|none", help="Of each chunk.")] = "zstd",
+    sync: Annotated[bool, typer.Option("--sync", help="Wait for the disk at each flush.")] = False,
+    scenario: Annotated[
+        Path | None,
+        typer.Option("--scenario", metavar="FILE", help="Scenario to attach, which report and re-run need (YAML)."),
+    ] = None,
+    site_file: SiteFileOption = DEFAULT_SITE_FILE,
+    as_json: JsonOption = False,
+) -> None:
+    """Attach to a running rig and record it; Ctrl-C or q completes the file. Keys: s new file, t snapshot, q end.
+
+    The exit code is 3 if the recording lacks messages that were sent.
+    """
+    with report_errors(as_json):
+        given: dict[str, Any] = {
+            "directory": str(out.absolute().parent),
+            "file_name": out.name,
+            "topics": topics or [],
+            "exclude": exclude or [],
+            "split_size_bytes": split_size,
+            "split_interval_s": split_interval,
+            "quota_bytes": quota,
+            "quota_policy": quota_policy,
+            "snapshot_s": snapshot,
+            "snapshot_on": snapshot_on or [],
+            "snapshot_after_s": snapshot_after,
+            "flush_interval_s": flush_interval,
+            "compression": compression,
+            "sync_to_disk": sync,
+        }
+        config = validate(RecorderConfig, given, "telenano record")
+        nobody = "no rig of this site file runs on this machine" if nobody_runs(load_site(site_file)) else ""
+        if nobody and not as_json:
+            # one may be started after its recorder
+            typer.echo(f"telenano: {nobody} yet; waiting for one", err=True)
+        with RawKeyboard() as keys:
+            done = run_record(site_file, config, scenario, duration, RecordKeyBindings(keys))
+        if not done.fault and not done.messages and not nobody:
+            nobody = "nothing was received"
+        if nobody and not done.messages:
+            fail(f"{nobody}: {RIG_HINT} The recording is empty: {done.path}", as_json=as_json, **done.model_dump())
+        if done.fault:
+            fail(done.fault, as_json=as_json, **done.model_dump())
+        if as_json:
+            print_json(done.model_dump())
+        else:
+            typer.echo(f"recorded {done.messages} messages, {done.lost} lost, {done.files} file(s), newest {done.path}")
+        missing = [f"{done.missing} messages are missing"] if done.missing else []
+        if missing or done.notes:
+            fail_incomplete([*missing, *done.notes])

@@ -1,0 +1,136 @@
+"""`telenano replay`: recordings take the place of nodes on the bus, the rest of the rig being live."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from presets import DEFAULT_SITE_FILE
+from proto.errors import ConfigError, TelenanoError
+from services.player.node import PlayerNode, PlaySettings
+from services.player.playback import Span
+from services.player.run import ReplayRequest, run_replay
+from telenano.cli.keyboard import RawKeyboard
+from telenano.cli.options import ExcludeOption, JsonOption, SiteFileOption, TopicsOption
+from telenano.cli.output import print_json, report_errors
+
+_RATE_STEP = 1.25
+_KEYS_TEXT = (
+    "space pause · . step · n next on topic · e next event · ← → 1 s · + - rate · a b loop points · l loop · q end"
+)
+
+
+class PlayerKeyBindings:
+    """What the keys do to a player."""
+
+    def __init__(self, keys: RawKeyboard, step_topic: str) -> None:
+        self._keys = keys
+        self._step_topic = step_topic
+        self._note = ""
+
+    def __call__(self, player: PlayerNode) -> None:
+        for key in self._keys.pressed():
+            try:
+                self._note = self._press(player, key)
+            except TelenanoError as error:
+                self._note = str(error)
+        self._keys.show(player.status() + (f" · {self._note}" if self._note else ""))
+
+    def _press(self, player: PlayerNode, key: str) -> str:
+        playback, rate = player.playback, player.playback_clock.rate
+        actions: dict[str, Callable[[], Any]] = {
+            "space": lambda: player.pause(not player.playback_clock.paused),
+            ".": player.step,
+            "n": lambda: player.step(topic=self._step_topic or playback.channels[0].channel_topic),
+            "e": player.seek_event,
+            "right": lambda: player.seek(playback.time_s + 1.0),
+            "left": lambda: player.seek(playback.time_s - 1.0),
+            "+": lambda: player.set_rate(rate * _RATE_STEP),
+            "-": lambda: player.set_rate(rate / _RATE_STEP),
+            "a": lambda: playback.limit(start_ns=playback.position_ns),
+            "b": lambda: playback.limit(end_ns=playback.position_ns + 1),
+            "l": lambda: setattr(playback, "loop", not playback.loop),
+            "q": player.end,
+        }
+        if key not in actions:
+            return _KEYS_TEXT
+        actions[key]()
+        return ""
+
+
+def parse_remap(texts: Sequence[str]) -> dict[str, str]:
+    """Read OLD=NEW; ConfigError names what is wrong."""
+    found: dict[str, str] = {}
+    for text in texts:
+        old, _, new = text.partition("=")
+        if not old or not new:
+            raise ConfigError(f"--remap {text}: is not of the form OLD=NEW")
+        found[old] = new
+    return found
+
+
+def replay(
+    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings (.mcap), the parts of one.")],
+    nodes: Annotated[
+        list[str] | None,
+        typer.Option("--nodes", metavar="NODE", help="Take the place of this node (repeatable); default: all of them."),
+    ] = None,
+    topics: TopicsOption = None,
+    exclude: ExcludeOption = None,
+    rate: Annotated[
+        float, typer.Option("--rate", min=0.0, help="1 as recorded, 0 as fast as the slowest reader keeps up.")
+    ] = 1.0,
+    start: Annotated[float, typer.Option("--start", min=0.0, metavar="S", help="Begin here [s].")] = 0.0,
+    end: Annotated[float | None, typer.Option("--end", metavar="S", help="End here [s].")] = None,
+    duration: Annotated[
+        float | None, typer.Option("--duration", metavar="S", help="End this long after --start [s].")
+    ] = None,
+    loop: Annotated[bool, typer.Option("--loop", help="Begin again at --start when --end is reached.")] = False,
+    paused: Annotated[
+        bool, typer.Option("--paused", help="Wait for the space bar or a command before starting.")
+    ] = False,
+    wait: Annotated[
+        float, typer.Option("--wait", min=0.0, metavar="S", help="Longest wait until all topics have a reader [s].")
+    ] = 1.0,
+    remap: Annotated[
+        list[str] | None,
+        typer.Option("--remap", metavar="OLD=NEW", help="Rename a topic, or move a node@site (repeatable)."),
+    ] = None,
+    step_topic: Annotated[
+        str, typer.Option("--step-topic", metavar="TOPIC", help="Channel to which the key n steps; default: the first.")
+    ] = "",
+    site_file: SiteFileOption = DEFAULT_SITE_FILE,
+    as_json: JsonOption = False,
+) -> None:
+    """Play a recording in the place of nodes that do not run; only node/health shows that it is a replay.
+
+    Keys: space pause, . step, n step to the next message of --step-topic, e next event, arrows 1 s back and on,
+    + and - rate, a and b the ends of a loop, l loop on and off, q end. The same by
+    `telenano session set player.KEY=VALUE --target player`.
+    """
+    with report_errors(as_json):
+        if end is not None and duration is not None:
+            raise ConfigError("--end and --duration: give one of them")
+        until = end if duration is None else start + duration
+        request = ReplayRequest(
+            files,
+            site_file,
+            nodes or (),
+            topics or (),
+            exclude or (),
+            parse_remap(remap or ()),
+            Span(start, until, loop),
+            PlaySettings(rate, paused, wait),
+        )
+        with RawKeyboard() as keys:
+            done = run_replay(request, PlayerKeyBindings(keys, step_topic), _warn)
+        if as_json:
+            document = {"nodes": done.nodes, "messages": done.sent, "time_s": done.time_s}
+            print_json({**document, "warnings": done.warnings})
+        else:
+            typer.echo(f"played {done.sent} messages of {', '.join(done.nodes)} up to {done.time_s:.3f} s")
+
+
+def _warn(text: str) -> None:
+    typer.echo(f"telenano: warning: {text}", err=True)

@@ -1,0 +1,57 @@
+"""`telenano reproduce`: figures and equations of the paper, made again, on one page."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from telenano.cli.exit_codes import EXIT_FAILED
+from telenano.cli.options import JsonOption
+from telenano.cli.output import print_json, report_errors, results_folder
+
+
+class PaperFigure(StrEnum):
+    """What can be made again; for Fig. 10 and 12 a rig is run."""
+
+    ALL = "all"
+    EQUATIONS = "equations"
+    FIG5 = "fig5"
+    FIG6 = "fig6"
+    MODELS = "models"
+    FIG8 = "fig8"
+    FIG10 = "fig10"
+    FIG12 = "fig12"
+
+
+def reproduce(
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for reproduce.html.")],
+    what: Annotated[PaperFigure, typer.Argument(help="A figure, the equations, or all of them.")] = PaperFigure.ALL,
+    pixels: Annotated[
+        int, typer.Option("--pixels", min=8, max=1024, metavar="N", help="Pixels and lines of fig8.")
+    ] = 128,
+    as_json: JsonOption = False,
+) -> None:
+    """Make figures and equations of the paper again, and write them on one HTML page."""
+    with report_errors(as_json):
+        # first of all: it has every step compiled that is imported after it
+        from studies.pages.reproduce import FIGURES
+        from studies.pages.reproduce import reproduce as make
+
+        chosen = FIGURES if what is PaperFigure.ALL else (what.value,)
+        columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
+        show = Progress(*columns, console=Console(stderr=True), disable=as_json, transient=True)
+        with results_folder(out), show as bar:
+            tasks = {name: bar.add_task(name, total=None) for name in chosen}
+            summary = make(chosen, out, pixels, lambda name, n, of: bar.update(tasks[name], completed=n, total=of))
+    failed: Any = summary.get("failed", {})
+    if as_json:
+        print_json(summary)
+    else:
+        typer.echo(f"page: {out / 'reproduce.html'}")
+        for reason in failed.values():
+            typer.echo(f"not made: {reason}", err=True)
+    if failed:
+        raise typer.Exit(EXIT_FAILED)

@@ -1,0 +1,67 @@
+"""`telenano sample`: make or read the surface that the tip meets, and show what a round tip sees of it."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from proto.errors import ConfigError
+from telenano.cli.options import JsonOption
+from telenano.cli.output import print_document, report_errors
+from telenano.cli.sample_options import (
+    ChannelOption,
+    SampleOption,
+    SampleSetOption,
+    SampleSizeOption,
+    require,
+    results_in,
+    sample_config,
+)
+
+
+def sample(
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for sample.gwy, sample.gsf, sample.png.")],
+    name: SampleOption = "dots",
+    size: SampleSizeOption = None,
+    channel: ChannelOption = None,
+    settings: SampleSetOption = None,
+    tip_radius: Annotated[
+        float, typer.Option("--tip-radius", min=0.0, max=1e6, metavar="NM", help="Radius of the tip's sphere [nm].")
+    ] = 10.0,
+    as_json: JsonOption = False,
+) -> None:
+    """Write a sample and what a tip of this radius sees of it, as .gwy, .gsf and PNG."""
+    with report_errors(as_json):
+        require("gwyfile")
+        config = sample_config(name, size, channel, settings)
+        from analysis.image_files import Image, write_gsf, write_gwy, write_png
+        from services.afm_node.physics.sample.surface import dilated
+
+        surface = config.build()
+        try:
+            seen = dilated(surface, tip_radius * 1e-9)
+        except ValueError as error:
+            raise ConfigError(f"--tip-radius: {error}") from error
+        images = {
+            "sample": Image("Sample", "m", surface.height_m, surface.width_m, surface.depth_m),
+            "seen": Image(f"Seen by a tip of {tip_radius:g} nm", "m", seen.height_m, surface.width_m, surface.depth_m),
+        }
+        with results_in(out) as folder:
+            write_gsf(folder / "sample.gsf", images["sample"])
+            write_gwy(folder / "sample.gwy", images)
+            write_png(folder / "sample.png", images)
+    heights = surface.height_m
+    document = {
+        "sample": config.name,
+        "rows": heights.shape[0],
+        "columns": heights.shape[1],
+        "width_m": surface.width_m,
+        "depth_m": surface.depth_m,
+        **({"level": f"{config.level}: {config.levelled}"} if config.levelled else {}),
+        "lowest_m": float(heights.min()),
+        "highest_m": float(heights.max()),
+        "height_span_m": float(heights.max() - heights.min()),
+        "height_std_m": float(heights.std()),
+        "files": [str(out / name) for name in ("sample.gwy", "sample.gsf", "sample.png")],
+    }
+    print_document(document, str(out), as_json=as_json)

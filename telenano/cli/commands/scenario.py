@@ -1,0 +1,115 @@
+"""`telenano scenario`: the experiments that are known, and files of one's own."""
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+import yaml
+
+from presets import find_scenario, scenarios
+from proto.errors import ConfigError
+from recording.whole_files import whole_file
+from services.runtime.settings.config import read_yaml
+from telenano.cli.completion import scenario_names
+from telenano.cli.options import JsonOption, command_group
+from telenano.cli.output import print_json, print_rows, report_errors
+
+app = command_group()
+
+NameArgument = Annotated[
+    str, typer.Argument(metavar="NAME|FILE", help="A known name, or a YAML file.", autocompletion=scenario_names)
+]
+SettingsOption = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="SECTION.KEY=VALUE", help="Change one key first (SI units); may be repeated."),
+]
+
+
+@app.command("list")
+def list_all(as_json: JsonOption = False) -> None:
+    """List the scenarios, those of installed packages included."""
+    with report_errors(as_json):
+        rows: list[dict[str, Any]] = []
+        for name, path in sorted(scenarios().items()):
+            document = read_yaml(path)
+            rows.append(
+                {"scenario": name, "duration_s": document.get("duration_s"), "about": document.get("description")}
+            )
+    if as_json:
+        print_json({"scenarios": rows})
+    else:
+        print_rows(rows)
+
+
+@app.command()
+def show(name: NameArgument, as_json: JsonOption = False) -> None:
+    """Print a scenario as its file has it; `param dump` has every default in it."""
+    with report_errors(as_json):
+        path = find_scenario(name)
+        document = read_yaml(path)
+        text = path.read_text(encoding="utf-8")
+    if as_json:
+        print_json(document)
+    else:
+        typer.echo(f"# {path}\n{text}", nl=False)
+
+
+@app.command()
+def validate(name: NameArgument, settings: SettingsOption = None, as_json: JsonOption = False) -> None:
+    """Check a scenario with the models of all nodes; exit code 2 and a sentence for each key that is wrong."""
+    with report_errors(as_json):
+        # the models of all nodes take a second to import
+        from services.launcher.plan import check_sections
+        from services.runtime.settings.scenario import load_scenario
+
+        loaded = load_scenario(find_scenario(name), settings or ())
+        check_sections(loaded)
+    if as_json:
+        print_json({"scenario": loaded.scenario.name, "valid": True, "origin": loaded.origin})
+    else:
+        typer.echo(f"{loaded.origin}: valid, {loaded.scenario.duration_s:g} s")
+
+
+@app.command()
+def new(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the experiment: lower case, digits, _ and -.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", metavar="FILE", help="File to write; default: NAME.yaml.")
+    ] = None,
+    base: Annotated[
+        str,
+        typer.Option("--from", metavar="NAME|FILE", help="Scenario to begin with.", autocompletion=scenario_names),
+    ] = "fig12",
+    as_json: JsonOption = False,
+) -> None:
+    """Write a scenario file of your own, which an editor completes by its JSON Schema."""
+    with report_errors(as_json):
+        from presets import SCHEMA_DIRECTORY
+        from services.runtime.settings.config import validate as validated
+        from services.runtime.settings.scenario import Scenario
+
+        path = out or Path(f"{name}.yaml")
+        if path.exists():
+            raise ConfigError(f"{path}: exists already; give another name or --out")
+        document = {**read_yaml(find_scenario(base)), "name": name}
+        validated(Scenario, document, str(path))
+        head = f"# yaml-language-server: $schema={(SCHEMA_DIRECTORY / 'scenario.json').as_uri()}\n"
+        text = yaml.safe_dump(document, sort_keys=False, allow_unicode=True, width=100)
+        with whole_file(path, replace=False) as file:
+            file.write_text(head + text, encoding="utf-8")
+    if as_json:
+        print_json({"file": str(path)})
+    else:
+        typer.echo(f"{path}; next: telenano scenario validate {path} && telenano up --scenario {path}")
+
+
+@app.command()
+def schema(
+    site: Annotated[bool, typer.Option("--site", help="The schema of site files instead.")] = False,
+) -> None:
+    """Print the JSON Schema of scenario files, with the laws, devices and samples that are installed here."""
+    with report_errors(as_json=False):
+        from services.launcher.scenario_keys import scenario_schema, site_schema
+
+        typer.echo(json.dumps(site_schema() if site else scenario_schema(), indent=2))

@@ -1,0 +1,73 @@
+"""`telenano session`: send a command to the nodes of a running rig."""
+
+from collections.abc import Sequence
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE
+from proto.messages import SessionEvent
+from services.console.command_client import parse_parameters, send_control
+from services.runtime.loop.clock import process_start_ns
+from services.runtime.loop.commands import Command
+from telenano.cli.estop_command import EstopRequest, run_estop
+from telenano.cli.exit_codes import EXIT_FAILED
+from telenano.cli.options import JsonOption, RigFileOption, Site, SiteOption, TargetOption
+from telenano.cli.output import print_json, report_errors
+
+
+class SessionCommand(StrEnum):
+    """The commands of a session."""
+
+    ARM = "arm"
+    START = "start"
+    STOP = "stop"
+    ESTOP = "estop"
+    SET = "set"
+    MARK = "mark"
+
+
+def session(
+    command: Annotated[SessionCommand, typer.Argument(help="Command to send.")],
+    parameters: Annotated[
+        list[str] | None, typer.Argument(metavar="[KEY=VALUE]...", help="Parameters by dotted key, units in the names.")
+    ] = None,
+    target: TargetOption = "*",
+    site: SiteOption = None,
+    site_file: RigFileOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Send a command to a running rig and wait for the answers; exit code 1 if one is refused or missing."""
+    if command is SessionCommand.ESTOP:
+        raise typer.Exit(run_estop(EstopRequest(target, "" if site is None else site.value, site_file, as_json)))
+    send_command(command, parameters or (), target, site_file, site, as_json=as_json)
+
+
+def send_command(
+    command: SessionCommand,
+    parameters: Sequence[str],
+    target: str,
+    site_file: Path | None,
+    site: Site | None = None,
+    *,
+    as_json: bool,
+) -> None:
+    """Send a command, print the answers, and exit with 1 if a node refuses or does not answer."""
+    with report_errors(as_json):
+        book_file = site_file or (DEFAULT_SITE_FILE if site is None else TWO_SITES_FILE)
+        at: Literal["master", "slave"] = "master" if site is None else site.value
+        wanted = Command(command.value, target, parameters=parse_parameters(parameters))
+        answers = send_control(
+            wanted, book_file, at, lambda event: None if as_json else _print_answer(event), issued_ns=process_start_ns()
+        )
+    if as_json:
+        rows = {src: {"kind": event.kind, "text": event.text} for src, event in sorted(answers.items())}
+        print_json({"command": command.value, "target": target, "answers": rows})
+    if any(event.kind == "refused" for event in answers.values()):
+        raise typer.Exit(EXIT_FAILED)
+
+
+def _print_answer(event: SessionEvent) -> None:
+    typer.echo(f"{event.src} {event.kind}: {event.text}")

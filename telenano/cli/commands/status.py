@@ -1,0 +1,116 @@
+"""`telenano status`: the state of a running rig, from the messages of a moment at every socket of it."""
+
+import contextlib
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Literal
+
+import typer
+from rich.console import Group
+from rich.table import Table
+from rich.text import Text
+
+from presets import DEFAULT_SITE_FILE
+from services.launcher.rig_status import NEEDED, RigStatus, document_of, expected_nodes, listen
+from services.runtime.bus.observer import Observer
+from services.runtime.loop.main import load_site
+from telenano.cli.options import JsonOption, ListenOption, SiteFileOption
+from telenano.cli.output import console, fail, print_json, report_errors
+from telenano.cli.tables import LEVEL_STYLES, counts_text, health_cells
+
+_DEFAULT_S = 1.5
+_COLUMNS: dict[str, Literal["left", "right"]] = {
+    "node": "left",
+    "state": "left",
+    "up": "right",
+    "rate Hz": "right",
+    "late p99 ms": "right",
+    "overruns": "right",
+    "input age ms": "right",
+    "lost": "right",
+    "refused": "left",
+    "CPU %": "right",
+    "MB": "right",
+    "granted": "left",
+}
+_AFM_NOTES = {"in_contact": "in contact", "meniscus": "meniscus", "limited": "at a limit"}
+
+
+def status(
+    site_file: SiteFileOption = DEFAULT_SITE_FILE, duration: ListenOption = _DEFAULT_S, as_json: JsonOption = False
+) -> None:
+    """Show the state of a running rig; exit code 1 if a node does not report or waits for something."""
+    with report_errors(as_json):
+        book = load_site(site_file)
+        with contextlib.closing(Observer(book, NEEDED)) as observer:
+            rig_status = listen(observer, duration)
+    print_status(rig_status, expected_nodes(book.nodes, observer.subscribers), as_json=as_json)
+
+
+def print_status(rig_status: RigStatus, expected: Sequence[str], *, as_json: bool) -> None:
+    """Print the state of a rig and exit with 1 if a node has a problem."""
+    document = document_of(rig_status, expected)
+    if not as_json:
+        console().print(status_tables(document))
+    if document["problems"]:
+        nodes = ", ".join(facts["node"] for facts in document["nodes"] if facts["problem"])
+        fail(f"nodes with a problem: {nodes}", as_json=as_json, **document)
+    if as_json:
+        print_json(document)
+    else:
+        typer.echo("every node reports and none waits for anything")
+
+
+def status_tables(document: Mapping[str, Any]) -> Group:
+    """Draw the state of a rig: the nodes, then a line for each of link, law, device, recorder and event."""
+    table = Table()
+    for name, justify in _COLUMNS.items():
+        # headings may wrap in a narrow terminal, names may not
+        table.add_column(name, justify=justify, no_wrap=name == "node")
+    for facts in document["nodes"]:
+        cells = health_cells(facts) if facts["heard"] else {"state": Text("no report", "red")}
+        table.add_row(facts["node"], *(cells.get(name, Text("")) for name in list(_COLUMNS)[1:]))
+    lines = Table.grid(padding=(0, 2))
+    for facts in document["nodes"]:
+        if facts["problem"]:
+            lines.add_row(Text(facts["node"], "yellow"), Text(facts["problem"], "yellow"))
+    for what, text in _lines(document):
+        lines.add_row(what, text)
+    return Group(table, lines)
+
+
+def _lines(document: Mapping[str, Any]) -> Iterator[tuple[str, Text]]:
+    if link := document["link"]:
+        yield from ((f"link {way}", Text(_way_text(link[way]))) for way in ("forward", "backward"))
+        if clock := link["clock"]:
+            ahead_ms, uncertainty_ms = clock["offset_s"] * 1e3, clock["uncertainty_s"] * 1e3
+            yield "clocks", Text(f"the slave's clock is {ahead_ms:.3f} ms ahead, ± {uncertainty_ms:.3f} ms")
+    for law in document["laws"]:
+        yield f"law {law['src']}", _law_text(law)
+    for hand in document["hand"]:
+        session = f"programme at {hand['session_s']:.1f} s" if hand["session_s"] >= 0.0 else "programme not running"
+        stopped = " · emergency stop is latched" if hand["estop"] else ""
+        limited = " · at a limit" if hand["limited"] else ""
+        yield f"hand {hand['src']}", Text(f"{hand['mode']} · {session}{limited}{stopped}", "red" if stopped else "")
+    for afm in document["afm"]:
+        notes = [text for key, text in _AFM_NOTES.items() if afm[key]]
+        yield f"AFM {afm['src']}", Text(" · ".join([afm["mode"], *notes]), "red" if afm["mode"] == "estop" else "")
+    for node in document["nodes"]:
+        if node["node"].startswith("recorder@") and node["heard"]:
+            yield node["node"], Text(f"{node['state']} · {node['received']} messages received · {node['lost']} lost")
+    yield from (("connection", Text(text)) for text in document["connections"])
+    for event in document["events"]:
+        yield f"event {event['src']}", Text(event["text"], LEVEL_STYLES[event["level"]])
+
+
+def _way_text(way: Mapping[str, Any]) -> str:
+    delay = "no message" if way["delay_mean_s"] is None else f"delay {way['delay_mean_s'] * 1e3:.2f} ms"
+    return f"{way['profile']} · {delay} · dropped {counts_text(way['dropped'])} · {way['queue_depth']} in flight"
+
+
+def _law_text(law: Mapping[str, Any]) -> Text:
+    notes = [law["law"], "passive" if law["passive"] else "not passive"]
+    notes += ["waits for the other half to switch"] if law["switching"] else []
+    notes += [f"net energy {law['net_energy_j']:.3g} J"] if law["net_valid"] else []
+    ago = f"last signal received {law['silence_s'] * 1e3:.0f} ms ago"
+    notes.append(ago if law["heard"] else "no signal received yet")
+    return Text(" · ".join(notes), "" if law["passive"] and law["heard"] else "yellow")

@@ -1,0 +1,74 @@
+"""`telenano study promises`: what the laws promise over bad links, tried on drawn cells."""
+
+import json
+import os
+import sys
+from typing import Annotated
+
+import typer
+from rich.table import Column, Table
+
+from studies.pages.page import Page, text
+from telenano.cli.commands.study_options import LawOption, OutOption, WorkersOption
+from telenano.cli.exit_codes import EXIT_FAILED
+from telenano.cli.options import JsonOption
+from telenano.cli.output import console, print_json, report_errors
+from telenano.cli.sample_options import results_in
+
+_COLUMNS = 160
+_HEAD = ("law", "hand", "round trip [ms]", "energy >= -1 uJ", "least energy [uJ]", "stable", "force (median)",
+         "force (least)", "hand ahead [mm]", "not stable")  # fmt: skip
+
+
+def promises(
+    out: OutOption,
+    law: LawOption = "passivity,wave",
+    seeds: Annotated[int, typer.Option("--seeds", min=1, max=10_000, help="Seeds: six drawn cells each.")] = 50,
+    burst: Annotated[
+        float | None,
+        typer.Option(
+            "--burst", min=1.0, max=1e4, metavar="N", help="Lose 5, 20 or 50 %, N messages in a row on average."
+        ),
+    ] = None,
+    workers: WorkersOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Try on drawn bad links what the laws promise; exit code 1 where one that promises passivity made energy."""
+    with report_errors(as_json, "interrupted: the journal keeps the finished cells, the same command continues"):
+        from studies import option_values
+        from studies.loops.promises import as_dict, broken, outcomes
+        from studies.loops.sweep import JOURNAL_NAME, Journal, Sweep
+
+        sweep = Sweep(Journal(out / JOURNAL_NAME), workers or os.cpu_count() or 1)
+        found = outcomes(option_values.laws(law), seeds, sweep, burst)
+        failed = broken(found)
+        rows_found = [as_dict(row) for row in found]
+        summary = {"study": "promises", "seeds": seeds, "burst": burst, "held": not failed, "rows": rows_found}
+        rows = [
+            (r.law, r.hand, r.round_trip_ms, f"{r.passive}/{r.runs}", 1e6 * r.lowest_energy_j, f"{r.stable}/{r.runs}",
+             r.share, r.least_share, None if r.apart_m is None else 1e3 * r.apart_m,
+             ", ".join(f"{number} {kind.replace('_', ' ')}" for kind, number in r.failed.items()))
+            for r in found
+        ]  # fmt: skip
+        lost = "0, 5 or 20 % loss" if burst is None else f"5, 20 or 50 % loss, {burst:g} messages in a row on average"
+        page = Page("What the laws promise over bad links")
+        page.code(" ".join(["telenano", *sys.argv[1:]]))
+        page.table(_HEAD, rows)
+        page.paragraph(
+            f"Jitter of half the delay, {lost}, springs of 5 to 200 N/m and the contact, drawn at random;"
+            " force: at the tip, as a share of what the hand means to press with, in stable holds."
+        )
+        with results_in(out) as folder:
+            document = json.dumps(summary, indent=2, allow_nan=False) + "\n"
+            (folder / "promises.json").write_text(document, encoding="utf-8")
+            page.write(folder / "promises.html")
+        if as_json:
+            print_json(summary)
+        else:
+            table = Table(*(Column(name, overflow="fold") for name in _HEAD))
+            for row in rows:
+                table.add_row(*(text(value) for value in row))
+            console(_COLUMNS).print(table)
+            typer.echo(f"page: {out / 'promises.html'}")
+    if failed:
+        raise typer.Exit(EXIT_FAILED)

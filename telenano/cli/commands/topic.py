@@ -1,0 +1,230 @@
+"""`telenano topic`: the messages of a running rig."""
+
+import contextlib
+import json
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from presets import DEFAULT_SITE_FILE
+from proto import TOPICS
+from proto.errors import RigError
+from proto.nodes import VIEW
+from recording.quantities import quantity
+from recording.tables import json_fields
+from services.launcher.scenario_keys import value_at
+from services.runtime.bus.observer import (
+    RIG_HINT,
+    Observer,
+    known_name,
+    list_topics,
+    measure_bandwidth,
+    measure_delay,
+    measure_rate,
+    messages_of,
+    require_rig,
+)
+from services.runtime.loop.main import load_site
+from telenano.cli.options import (
+    CountOption,
+    DurationOption,
+    JsonOption,
+    ListenOption,
+    SiteFileOption,
+    TopicArgument,
+    command_group,
+)
+from telenano.cli.output import print_document, print_json, print_rows, report_errors
+
+_LIST_S = 1.5
+_SILENCE_S = 4.0
+
+app = command_group()
+
+
+@app.command("list")
+def list_all(
+    site_file: SiteFileOption = DEFAULT_SITE_FILE, duration: ListenOption = _LIST_S, as_json: JsonOption = False
+) -> None:
+    """List every topic: its publishers, its declared rate, and the number of messages received."""
+    with report_errors(as_json), open_observer(site_file) as observer:
+        rows = list_topics(observer, duration)
+        if not any(row["heard"] for row in rows):
+            raise RigError(f"nothing was received within {duration:g} s: {RIG_HINT}")
+    if as_json:
+        print_json({"duration_s": duration, "topics": rows})
+    else:
+        print_rows(rows)
+
+
+@app.command()
+def echo(
+    topic: TopicArgument,
+    site_file: SiteFileOption = DEFAULT_SITE_FILE,
+    count: CountOption = None,
+    duration: DurationOption = None,
+    field: Annotated[
+        list[str] | None,
+        typer.Option("--field", metavar="NAME", help="Only this field, such as tip_force_n.2 (repeatable)."),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Print the messages of a topic, one a line as JSON; with --json as one object at the end."""
+    collected: list[dict[str, Any]] = []
+    received_any = False
+    with report_errors(as_json), open_observer(site_file, topic) as observer:
+        with contextlib.suppress(KeyboardInterrupt):
+            for received in messages_of(observer, topic, duration, count):
+                received_any = True
+                fields = _chosen(json_fields(received.message), field)
+                if as_json:
+                    collected.append(fields)
+                else:
+                    typer.echo(json.dumps(fields))
+        if not received_any:
+            raise RigError(f"{topic}: no message was received: {RIG_HINT}")
+    if as_json:
+        print_json({"topic": topic, "messages": collected})
+
+
+def _chosen(fields: dict[str, Any], names: list[str] | None) -> dict[str, Any]:
+    """Return the fields that are named, `position_m.2` for a component; ConfigError lists those that there are."""
+    if not names:
+        return fields
+    return {name: value_at(fields, name) for name in names}
+
+
+@app.command()
+def info(topic: TopicArgument, as_json: JsonOption = False) -> None:
+    """Show what a topic is: message, publishers, readers, rate, and its fields with unit and description."""
+    with report_errors(as_json):
+        name, _ = known_name(topic)
+        row = TOPICS[name]
+        from telenano.cli.rig_graph import edges
+
+        readers = sorted({edge.reader for edge in edges() if edge.topic == name})
+        facts: dict[str, Any] = {
+            "topic": name,
+            "message": row.model.__name__,
+            "version": row.model.version,
+            "publishers": list(row.publishers),
+            "readers in the loop": readers,
+            "declared rate [Hz]": row.rate_hz,
+            "deadline [s]": row.deadline_s,
+            "delivery": row.delivery,
+            "crosses the link": row.bridged or "no",
+        }
+        fields = [
+            {"field": field, "unit": quantity(name, field).unit, "about": quantity(name, field).description}
+            for field in row.model.model_fields
+        ]
+    if as_json:
+        print_json({**facts, "fields": fields})
+    else:
+        print_document(facts, name, as_json=False)
+        print_rows(fields)
+
+
+@app.command()
+def bw(
+    topic: TopicArgument,
+    site_file: SiteFileOption = DEFAULT_SITE_FILE,
+    count: CountOption = None,
+    duration: DurationOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Measure the bandwidth of a topic: bytes of a message, bytes a second, by source."""
+    _measure(measure_bandwidth, topic, site_file, duration, count, as_json=as_json)
+
+
+@app.command()
+def pub(
+    topic: TopicArgument,
+    fields: Annotated[
+        str, typer.Argument(metavar="FIELDS", help="Fields of the message as YAML: '{force_n: [0, 0, -0.5]}'.")
+    ],
+    src: Annotated[
+        str,
+        typer.Option("--as", metavar="NODE@SITE", help="Node in whose place it is published; it must not run."),
+    ] = VIEW,
+    rate: Annotated[
+        float, typer.Option("--rate", min=0.01, max=1000.0, metavar="HZ", help="Messages a second.")
+    ] = 10.0,
+    count: CountOption = None,
+    site_file: SiteFileOption = DEFAULT_SITE_FILE,
+    as_json: JsonOption = False,
+) -> None:
+    """Publish messages in the place of a node that does not run, until Ctrl-C or a number; for trials and tests."""
+    with report_errors(as_json):
+        from services.launcher.publish import publish
+
+        sent = publish(load_site(site_file), src, known_name(topic)[0], fields, rate, count)
+    if as_json:
+        print_json({"topic": topic, "src": src, "sent": sent})
+    else:
+        typer.echo(f"published {sent} messages on {topic} as {src}")
+
+
+@app.command()
+def hz(
+    topic: TopicArgument,
+    site_file: SiteFileOption = DEFAULT_SITE_FILE,
+    count: CountOption = None,
+    duration: DurationOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Measure the rate of a topic: mean, standard deviation of the interval, gaps in the sequence."""
+    _measure(measure_rate, topic, site_file, duration, count, as_json=as_json)
+
+
+@app.command()
+def delay(
+    topic: TopicArgument,
+    site_file: SiteFileOption = DEFAULT_SITE_FILE,
+    count: CountOption = None,
+    duration: DurationOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Measure the age of the messages of a topic when they arrive here: median, 99th percentile, maximum [ms]."""
+    _measure(measure_delay, topic, site_file, duration, count, as_json=as_json)
+
+
+def _measure(
+    measure: Callable[[Observer, str, float | None, int | None], list[dict[str, Any]]],
+    topic: str,
+    site_file: Path,
+    duration_s: float | None,
+    count: int | None,
+    *,
+    as_json: bool,
+) -> None:
+    with report_errors(as_json), open_observer(site_file, topic) as observer:
+        rows = measure(observer, topic, duration_s, count)
+    if as_json:
+        print_json({"topic": topic, "sources": rows})
+    else:
+        print_rows(rows)
+
+
+@contextlib.contextmanager
+def open_observer(site_file: Path, topic: str | None = None) -> Iterator[Observer]:
+    """Connect to the rig of a site file, for one topic or all of them; ConfigError for an unknown topic."""
+    book = load_site(site_file)
+    require_rig(book, site_file)
+    with contextlib.closing(Observer(book, (known_name(topic)[0],)) if topic else Observer(book)) as observer:
+        # sockets that a killed rig left behind, a machine that is switched off: neither is noticed before
+        said = threading.Timer(_SILENCE_S, _say_silence, (observer, topic or "any topic"))
+        said.daemon = True
+        said.start()
+        try:
+            yield observer
+        finally:
+            said.cancel()
+
+
+def _say_silence(observer: Observer, topic: str) -> None:
+    if observer.silent:
+        typer.echo(f"telenano: nothing was received on {topic} within {_SILENCE_S:g} s: {RIG_HINT}", err=True)

@@ -1,0 +1,115 @@
+"""`telenano estop`, and `telenano session estop`: without typer and without models where nothing else is asked for."""
+
+import contextlib
+import json
+import os
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE, site_file_named
+from proto.errors import ConfigError, RigError, TelenanoError
+from services.console.emergency_stop import Answer, LocalRig, emergency_stop, keep_for_absent
+from telenano.cli.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED
+
+
+class EstopRequest(NamedTuple):
+    """The options of the command: `site` is empty where both are one."""
+
+    target: str = "*"
+    site: str = ""
+    site_file: Path | None = None
+    as_json: bool = False
+
+
+def read_arguments(arguments: Sequence[str]) -> EstopRequest | None:
+    """Return the request in a command line; None when it is another command, or better read by the usual way."""
+    words = list(arguments)
+    if words[:1] == ["session"]:
+        words = words[1:]
+    if words[:1] != ["estop"]:
+        return None
+    words = [part for word in words[1:] for part in (word.split("=", 1) if word.startswith("--") else [word])]
+    request = EstopRequest()
+    while words:
+        option, value = words.pop(0), words[0] if words else ""
+        if option == "--json":
+            request = request._replace(as_json=True)
+            continue
+        if option == "--target" and value:
+            request = request._replace(target=value)
+        elif option == "--site" and value in ("master", "slave"):
+            request = request._replace(site=value)
+        elif option == "--site-file" and value:
+            request = request._replace(site_file=site_file_named(Path(value)))
+        else:
+            return None
+        words.pop(0)
+    return request
+
+
+def run_estop(request: EstopRequest) -> int:
+    """Stop what the request means, print the answers, and return the exit code."""
+    try:
+        answers = _stop(request)
+    except TelenanoError as error:
+        sys.stderr.write(f"telenano: {error}\n")
+        if request.as_json:
+            _print(json.dumps({"error": str(error)}))
+        return EXIT_BAD_CONFIGURATION if isinstance(error, ConfigError) else EXIT_FAILED
+    except KeyboardInterrupt:
+        sys.stderr.write("telenano: interrupted\n")
+        return EXIT_FAILED
+    if request.as_json:
+        rows = {node: {"kind": answer.kind, "text": answer.text} for node, answer in sorted(answers.items())}
+        _print(json.dumps({"command": "estop", "target": request.target, "answers": rows}))
+    return EXIT_FAILED if any(answer.kind == "refused" for answer in answers.values()) else 0
+
+
+def _print(line: str) -> None:
+    """Print a line; a stop goes on, and has its exit code, where that is not possible."""
+    try:
+        sys.stdout.write(line + "\n")
+        sys.stdout.flush()
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            sys.stderr.write(f"telenano: standard output cannot be written: {error.strerror}\n")
+        # or Python would fail to write it when it ends
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _stop(request: EstopRequest) -> dict[str, Answer]:
+    site_file = request.site_file or (TWO_SITES_FILE if request.site else DEFAULT_SITE_FILE)
+    named = request.site_file is not None
+    rig = LocalRig.read(site_file) if named else LocalRig.packaged(two_machines=bool(request.site))
+    reach = rig.reach(request.target, request.site)
+    answers: dict[str, Answer] = {}
+
+    def on_answer(answer: Answer) -> None:
+        answers[answer.node] = answer
+        if not request.as_json:
+            _print(f"{answer.node} {answer.kind}: {answer.text}")
+
+    if reach.direct or reach.by_link:
+        emergency_stop(rig, reach, request.target, on_answer)
+    elif reach.absent and not reach.by_console:
+        if kept := keep_for_absent(rig, reach, request.target):
+            raise RigError(f"{', '.join(kept)} does not run now: the stop is kept, it comes back in emergency stop")
+        raise RigError("no device of the site file runs here: is `telenano up` running with this site file?")
+    for device in reach.absent:
+        sys.stderr.write(f"telenano: {device} does not run\n")
+    if reach.by_console or not answers:
+        _stop_by_console(request, site_file, lambda answer: on_answer(answer) if answer.node not in answers else None)
+    return answers
+
+
+def _stop_by_console(request: EstopRequest, site_file: Path, on_answer: Callable[[Answer], None]) -> None:
+    """Send the command as any other: over a network, to nodes of an older version, to what is not a device."""
+    # with models and keys, which takes longer
+    from services.console.command_client import send_control
+    from services.runtime.loop.commands import Command
+
+    site: Literal["master", "slave"] = "slave" if request.site == "slave" else "master"
+    command = Command("estop", request.target)
+    send_control(command, site_file, site, lambda event: on_answer(Answer(event.src, event.kind, event.text)))

@@ -1,0 +1,230 @@
+"""The table of commands, each imported when it runs: `telenano --help` answers at once, without what they need."""
+
+import contextlib
+import importlib
+import sys
+from collections.abc import Iterator, Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+
+from services.numerics import interrupts
+
+# of the command line; typer has no other name for the base of all of them
+_UsageError: Any = typer.BadParameter.__base__
+
+
+# what is missing of these is a fault of the installation, and no extra
+_OWN = ("proto", "presets", "recording", "services", "analysis", "studies", "telenano")
+
+
+class LazyCommand(NamedTuple):
+    """Where a command or a group of them is defined, and its line in the list of commands."""
+
+    module: str
+    attribute: str
+    about: str
+
+
+LAZY_COMMANDS = {
+    "up": LazyCommand(
+        "telenano.cli.commands.up", "up", "Run a scenario on a rig, record it, write figure and summary."
+    ),
+    "session": LazyCommand("telenano.cli.commands.session", "session", "Send a command to a running rig."),
+    "estop": LazyCommand(
+        "telenano.cli.commands.estop", "estop", "Stop the devices at once, whoever else sends commands."
+    ),
+    "status": LazyCommand("telenano.cli.commands.status", "status", "Show the state of a running rig."),
+    "view": LazyCommand("telenano.cli.commands.view", "view", "Open the operator's page of a rig or of a recording."),
+    "bridge": LazyCommand("telenano.cli.commands.bridge", "app", "Hand a running rig to the viewers of others."),
+    "topic": LazyCommand("telenano.cli.commands.topic", "app", "Inspect the messages of a running rig."),
+    "link": LazyCommand("telenano.cli.commands.link", "app", "Show and change the link of a running rig."),
+    "node": LazyCommand("telenano.cli.commands.node", "app", "Run one node alone."),
+    "record": LazyCommand("telenano.cli.commands.record", "record", "Attach to a running rig and record it."),
+    "replay": LazyCommand(
+        "telenano.cli.commands.replay", "replay", "Play a recording in the place of nodes that do not run."
+    ),
+    "report": LazyCommand("telenano.cli.commands.report", "report", "Write figure and summary of a recording again."),
+    "compare": LazyCommand(
+        "telenano.cli.commands.compare", "compare", "Draw sessions over one another, with one table."
+    ),
+    "bag": LazyCommand("telenano.cli.commands.bag", "app", "Inspect a recording, and make others from it."),
+    "study": LazyCommand(
+        "telenano.cli.commands.study",
+        "app",
+        "Study each law in lockstep: stability, transparency.",
+    ),
+    "scenario": LazyCommand("telenano.cli.commands.scenario", "app", "List, show, check and make scenarios."),
+    "param": LazyCommand("telenano.cli.commands.param", "app", "List the keys of a scenario, and get their values."),
+    "graph": LazyCommand("telenano.cli.commands.graph", "graph", "Draw the nodes, and the topics between them."),
+    "law": LazyCommand("telenano.cli.commands.law", "app", "List, show and check laws, those of packages included."),
+    "new": LazyCommand("telenano.cli.commands.new", "new", "Make a package with a law, device, operator or sample."),
+    "sample": LazyCommand(
+        "telenano.cli.commands.sample", "sample", "Make or read a surface, and show what a round tip sees of it."
+    ),
+    "scan": LazyCommand(
+        "telenano.cli.commands.scan", "scan", "Image a sample: tapping or contact mode, simulated time."
+    ),
+    "curve": LazyCommand(
+        "telenano.cli.commands.curve",
+        "curve",
+        "Measure a force curve of the simulated instrument, beside a measured one.",
+    ),
+    "calibrate": LazyCommand(
+        "telenano.cli.commands.calibrate", "app", "Calibrate the simulated instrument: read-out and stiffness."
+    ),
+    "reproduce": LazyCommand(
+        "telenano.cli.commands.reproduce", "reproduce", "Make figures and equations of the paper again, on one page."
+    ),
+    "keys": LazyCommand("telenano.cli.commands.keys", "app", "Make, show and list the keys that identify machines."),
+    "device": LazyCommand("telenano.cli.commands.device", "app", "List, probe and watch real devices; emulate some."),
+    "doctor": LazyCommand("telenano.doctor.report", "doctor", "Check whether this machine can run a rig."),
+}
+
+
+GROUPS = {
+    "Run": ("up", "session", "estop", "replay", "node"),
+    "Look": ("status", "view", "topic", "link", "graph", "bridge"),
+    "Record and report": ("record", "bag", "report", "compare"),
+    "Study": ("study", "law", "curve", "scan", "sample", "calibrate", "reproduce"),
+    "Set up": ("scenario", "param", "new", "device", "keys", "doctor"),
+}
+
+
+def load(name: str) -> Any:
+    """Import a command of the table."""
+    row = LAZY_COMMANDS[name]
+    found = getattr(importlib.import_module(row.module), row.attribute)
+    if isinstance(found, typer.Typer):
+        command = typer.main.get_command(found)
+        command.help = command.help or row.about
+        return _plain(command)
+    alone = typer.Typer(
+        add_completion=False,
+        pretty_exceptions_enable=False,
+        rich_markup_mode=None,
+        context_settings={"help_option_names": ["-h", "--help"]},
+    )
+    alone.command(name)(found)
+    return _plain(typer.main.get_command(alone))
+
+
+def _plain(command: Any) -> Any:
+    """Show arguments and options by their metavars alone: FILE... and not {FILE...}... <list[Path]>."""
+    for parameter in command.params:
+        # typer has no setting for it
+        parameter._get_number_range_help_str = partial(_range_words, parameter)
+        if getattr(parameter, "param_type_name", "") != "argument":
+            if parameter.metavar is None and getattr(parameter, "min", None) is not None:
+                parameter.metavar = "N"
+            continue
+        name = parameter.display_name_raw.upper() if parameter.metavar is None else parameter.metavar
+        if parameter.nargs != 1 and not name.endswith(("...", "...]")):
+            name += "..."
+        in_usage = f"[{name}]" if not parameter.required and not name.startswith("[") else name
+        # typer has no setting for either
+        parameter._usage_display_name = partial(str, in_usage)
+        parameter._rich_display_name = partial(str, name.replace("[", "").replace("]", ""))
+        parameter.display_type_rich = lambda ctx: None
+    for child in getattr(command, "commands", {}).values():
+        # the whole sentence, which would be cut off after 45 letters
+        child.short_help = child.short_help or " ".join((child.help or "").partition("\n\n")[0].split())
+        _plain(child)
+    return command
+
+
+def _range_words(parameter: Any) -> str | None:
+    """Return the bounds of a number as a person writes them: ≥ 0, and not x>=0.0."""
+    bounds = (("≥", getattr(parameter, "min", None)), ("≤", getattr(parameter, "max", None)))
+    return ", ".join(f"{sign} {bound:g}" for sign, bound in bounds if bound is not None) or None
+
+
+class LazyRoot(TyperGroup):
+    """The group of all commands, which lists them without importing them, and reports what none of them did."""
+
+    def main(
+        self,
+        args: Sequence[str] | None = None,
+        prog_name: str | None = None,
+        complete_var: str | None = None,
+        standalone_mode: bool = True,
+        windows_expand_args: bool = True,
+        **extra: Any,
+    ) -> Any:
+        """Run a command and exit; a usage error, and what the system refuses, is a sentence as any other error is."""
+        as_json = "--json" in (sys.argv[1:] if args is None else args)
+        try:
+            code = super().main(args, prog_name, complete_var, False, windows_expand_args, **extra)
+        except (_UsageError, OSError, ModuleNotFoundError, typer.Abort) as error:
+            if not standalone_mode or interrupts.received():
+                raise
+            code = _report(error, as_json=as_json)
+        if not standalone_mode:
+            return code
+        sys.exit(code if isinstance(code, int) else 0)
+
+    def make_context(self, *args: Any, **extra: Any) -> Any:
+        with _unknown_to_typer():
+            return super().make_context(*args, **extra)
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run a command."""
+        with _unknown_to_typer():
+            return super().invoke(ctx)
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        return list(LAZY_COMMANDS)
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write the commands under the headings of GROUPS, each with its whole line."""
+        for heading, names in GROUPS.items():
+            with formatter.section(heading):
+                formatter.write_dl([(name, LAZY_COMMANDS[name].about) for name in names])
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """Return what the list of commands needs of one; None if it is unknown."""
+        row = LAZY_COMMANDS.get(cmd_name)
+        return None if row is None else TyperCommand(name=cmd_name, help=row.about)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Return the command to run, imported now; an unknown name is a usage error."""
+        if args and args[0] in LAZY_COMMANDS:
+            return args[0], load(args[0]), args[1:]
+        return super().resolve_command(ctx, args)
+
+
+@contextlib.contextmanager
+def _unknown_to_typer() -> Iterator[None]:
+    """Raise an interruption on as what typer does not catch: it would end the command without a word."""
+    try:
+        yield
+    except KeyboardInterrupt as error:
+        raise interrupts.Ended from error
+
+
+def _report(error: Any, *, as_json: bool) -> int:
+    """Print what no command has reported; return the exit code."""
+    from telenano.cli.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED
+    from telenano.cli.output import print_error, system_error_text, usage_text
+
+    if isinstance(error, ModuleNotFoundError):
+        package = (error.name or "").partition(".")[0]
+        if not package or package in _OWN:
+            raise error
+        print_error(f"this needs the package {package}: pip install 'telenano[rig]'", as_json=as_json)
+        return EXIT_BAD_CONFIGURATION
+    if isinstance(error, typer.Abort):
+        print_error("the input ended before the question was answered", as_json=as_json)
+        return EXIT_FAILED
+    if isinstance(error, OSError):
+        print_error(system_error_text(error), as_json=as_json)
+        return EXIT_FAILED
+    code: int = error.exit_code
+    if error.format_message().startswith("Usage:"):
+        # a group without a command: its help
+        error.show()
+    else:
+        print_error(usage_text(error), as_json=as_json)
+    return code

@@ -1,0 +1,111 @@
+"""Options and arguments that several commands share, and the way to make a group of commands."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from presets import site_file_named
+from telenano.cli.completion import node_names, topic_names
+
+# as ros2 and docker have it
+HELP_NAMES = {"help_option_names": ["-h", "--help"]}
+
+
+class Site(StrEnum):
+    """The two sites of a rig."""
+
+    MASTER = "master"
+    SLAVE = "slave"
+
+
+SiteFileOption = Annotated[
+    Path,
+    typer.Option(
+        "--site-file",
+        metavar="FILE",
+        callback=site_file_named,
+        help="Address book of the rig (YAML); default: all on this machine.",
+    ),
+]
+RigFileOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--site-file",
+        metavar="FILE",
+        callback=site_file_named,
+        help="Address book of the rig (YAML); default: all on this machine, with --site two of them.",
+    ),
+]
+TopicArgument = Annotated[
+    str,
+    typer.Argument(
+        metavar="TOPIC",
+        help="Topic; topic@site is the copy that left the link at that site.",
+        autocompletion=topic_names,
+    ),
+]
+TargetOption = Annotated[
+    str,
+    typer.Option(
+        "--target",
+        metavar="NODES",
+        help="Nodes meant: node@site, node, or a pattern such as '*'.",
+        autocompletion=node_names,
+    ),
+]
+SiteOption = Annotated[
+    Site | None,
+    typer.Option("--site", help="Site of two at which this is typed: from the slave the nodes there are reached."),
+]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print exactly one JSON object on stdout, nothing else.")]
+CountOption = Annotated[
+    int | None, typer.Option("--count", min=1, metavar="N", help="End after this number of messages; default: no end.")
+]
+DurationOption = Annotated[
+    float | None, typer.Option("--duration", min=0.0, metavar="S", help="End after this time [s]; default: no end.")
+]
+TopicsOption = Annotated[
+    list[str] | None,
+    typer.Option("--topics", metavar="PATTERN", help="Only these channels: glob or /regular expression/ (repeatable)."),
+]
+ExcludeOption = Annotated[
+    list[str] | None, typer.Option("--exclude", metavar="PATTERN", help="Not these channels (repeatable).")
+]
+FormatOption = Annotated[
+    str, typer.Option("--format", metavar="png,pdf,svg", help="Formats of the figures, one or several.")
+]
+StyleOption = Annotated[
+    str,
+    typer.Option("--style", metavar="screen|paper", help="paper: one column of a journal, letters of 8 pt, no title."),
+]
+# of what serves browsers
+HostOption = Annotated[str, typer.Option("--host", metavar="ADDRESS", help="Address to bind; others need TLS.")]
+CertificateOption = Annotated[
+    Path | None, typer.Option("--certificate", metavar="FILE", help="Certificate of this server (PEM).")
+]
+CertificateKeyOption = Annotated[
+    Path | None, typer.Option("--key", metavar="FILE", help="Key of the certificate (PEM).")
+]
+AllowOption = Annotated[
+    list[str] | None,
+    typer.Option("--allow", metavar="NETWORK", help="Addresses that may connect, beside this machine (repeatable)."),
+]
+HostNameOption = Annotated[
+    list[str] | None,
+    typer.Option("--name", metavar="HOST", help="Name or address by which others open it (repeatable)."),
+]
+ListenOption = Annotated[float, typer.Option("--duration", min=0.0, metavar="S", help="How long to listen [s].")]
+
+
+def command_group() -> typer.Typer:
+    """Return an empty group of commands; its help text is in the table of `lazy_commands`."""
+    return typer.Typer(
+        no_args_is_help=True,
+        context_settings=HELP_NAMES,
+        add_completion=False,
+        pretty_exceptions_enable=False,
+        # markup would swallow the units in brackets
+        rich_markup_mode=None,
+    )

@@ -1,0 +1,175 @@
+"""Output of commands: errors as sentences and exit codes, results as JSON or tables."""
+
+import contextlib
+import errno
+import json
+import os
+import sys
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NoReturn
+
+import typer
+from rich.console import Console, ConsoleOptions, RenderableType
+from rich.segment import Segment
+
+from proto.errors import ConfigError, ReportError, TelenanoError
+from recording.whole_files import new_folder
+from services.numerics import interrupts
+from services.runtime.untrusted.printable import printable
+from telenano.cli.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED, EXIT_INCOMPLETE
+from telenano.cli.tables import rows_table, summary_tables
+
+_PIPE_COLUMNS = 140
+_WRITE_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
+
+
+@contextlib.contextmanager
+def report_errors(as_json: bool, interrupted: str = "interrupted") -> Iterator[None]:
+    """Report a TelenanoError, what the system refuses, Ctrl-C or SIGTERM as a sentence and an exit code.
+
+    Parameters: interrupted, the text for Ctrl-C and SIGTERM.
+    """
+    try:
+        yield
+    except TelenanoError as error:
+        code = EXIT_BAD_CONFIGURATION if isinstance(error, ConfigError) else EXIT_FAILED
+        fail(str(error), interrupts.exit_code() if interrupts.received() else code, as_json=as_json)
+    except BrokenPipeError:
+        # the reader of the pipe, such as `head`, has closed it: nothing more can be printed
+        _discard_output()
+    except OSError as error:
+        fail(system_error_text(error), as_json=as_json)
+    except KeyboardInterrupt:
+        fail(interrupted, interrupts.exit_code(), as_json=as_json)
+
+
+def fail(text: str, code: int = EXIT_FAILED, *, as_json: bool, **facts: Any) -> NoReturn:
+    """Print an error on stderr, with `facts` as JSON on stdout if asked, and exit."""
+    print_error(text, as_json=as_json, **facts)
+    raise typer.Exit(code)
+
+
+def print_error(text: str, *, as_json: bool, **facts: Any) -> None:
+    """Print an error on stderr, with `facts` as JSON on stdout if asked."""
+    with contextlib.suppress(OSError):
+        typer.echo(f"telenano: {text}", err=True)
+    try:
+        if as_json:
+            print_json({"error": text, **facts})
+        sys.stdout.flush()
+    except OSError:
+        # what was printed before could not be written either
+        _discard_output()
+
+
+def system_error_text(error: OSError) -> str:
+    """Return in words what the system refused."""
+    reason = error.strerror or str(error)
+    if error.filename is not None:
+        return f"{error.filename}: {reason}"
+    # those who write files report errors with the name of the file
+    return f"standard output cannot be written: {reason}" if error.errno in _WRITE_ERRORS else reason
+
+
+def usage_text(error: Any) -> str:
+    """Return a usage error of the command line as a sentence."""
+    message = " ".join(error.format_message().split()).rstrip(".")
+    path = error.ctx.command_path.removeprefix(error.ctx.find_root().command_path) if error.ctx else ""
+    return f"{message[:1].lower()}{message[1:]} (`telenano{path} --help` explains)"
+
+
+def _discard_output() -> None:
+    """Send what is still printed nowhere, or Python would fail to write it when it ends."""
+    with contextlib.suppress(OSError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+@contextlib.contextmanager
+def results_folder(out: Path) -> Iterator[None]:
+    """Make a folder for results, and remove it if nothing came to be in it; ConfigError when it cannot be made."""
+    with contextlib.ExitStack() as folder:
+        try:
+            folder.enter_context(new_folder(out))
+        except OSError as error:
+            raise ConfigError(f"--out {out}: cannot be made: {error.strerror}") from error
+        yield
+
+
+def print_json(document: Any) -> None:
+    """Print one JSON document on a line."""
+    typer.echo(json.dumps(document))
+
+
+def console(pipe_columns: int = _PIPE_COLUMNS) -> Console:
+    """Return the console of standard output; a pipe has no width of its own, and a narrow table would lose names."""
+    found = PrintableConsole()
+    return found if found.is_terminal else PrintableConsole(width=pipe_columns)
+
+
+class PrintableConsole(Console):
+    """A console whose tables and texts hold nothing that a terminal obeys, besides what draws them."""
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
+        """Yield the parts of what is drawn; called for each cell of a table as well, before it is fitted."""
+        for part in super().render(renderable, options):
+            yield part if part.control else part._replace(text=printable(part.text))
+
+
+def print_document(document: dict[str, Any], title: str, *, as_json: bool) -> None:
+    """Print a result as JSON or as tables."""
+    if as_json:
+        print_json(document)
+    else:
+        console().print(summary_tables(document, title))
+
+
+def print_summary(summary: dict[str, Any], title: str, *, as_json: bool) -> None:
+    """Print the summary of a session; exit with EXIT_INCOMPLETE and a sentence when its recording is not whole."""
+    print_document(summary, title, as_json=as_json)
+    if text := clock_warning(summary):
+        typer.echo(f"telenano: warning: {text}", err=True)
+    if missing := summary["recording"]["missing"]:
+        fail_incomplete(missing)
+
+
+def clock_warning(summary: Mapping[str, Any]) -> str:
+    """Return in words that the sites of a session have different clocks, or may have; empty if there is nothing to say.
+
+    Parameters: summary, of `analysis.report`.
+    """
+    clocks = summary.get("clocks")
+    if clocks is None:
+        return ""
+    if clocks["applied"]:
+        advice = "start a time service on each machine, `telenano doctor` says how"
+        return (
+            f"the clocks of the sites are not synchronised: {clocks['reason']}; it is taken off the figures; {advice}"
+        )
+    other = clocks["otherwise"]
+    if other is None or other["verdict"] == summary["verdict"]:
+        return ""
+    return (
+        f"the clocks of the sites may not be synchronised: {clocks['reason']}; as they are the session is "
+        f"{summary['verdict']}, with that difference taken off {other['verdict']}"
+    )
+
+
+def fail_incomplete(missing: Sequence[str]) -> NoReturn:
+    """Print on stderr what a recording lacks, and exit."""
+    typer.echo(f"telenano: the recording is not whole: {'; '.join(missing)}", err=True)
+    raise typer.Exit(EXIT_INCOMPLETE)
+
+
+def fail_with_summary(error: ReportError, title: str, *, as_json: bool) -> NoReturn:
+    """Print the summary of a report whose files cannot be written, then the error, and exit."""
+    if not as_json:
+        console().print(summary_tables(error.summary, title))
+    missing = error.summary["recording"]["missing"]
+    also = f"; the recording is not whole: {'; '.join(missing)}" if missing else ""
+    fail(f"{error}{also}", as_json=as_json, summary=error.summary)
+
+
+def print_rows(rows: Sequence[Mapping[str, Any]]) -> None:
+    """Print rows that have the same keys as a table."""
+    console().print(rows_table(rows))

@@ -1,0 +1,57 @@
+"""A program of the instrument of a running rig, as a person sees it: a bar, and the keys that pause and end it."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from proto.errors import ConfigError
+from telenano.cli.keyboard import RawKeyboard
+
+if TYPE_CHECKING:
+    from proto.instrument import AfmProgram
+    from proto.messages import Scalar
+    from services.console.live_program import LiveCurve, LiveImage
+
+_BAR = 30
+
+LiveOption = Annotated[
+    bool, typer.Option("--live", help="By the instrument of the running rig, with its sample and cantilever.")
+]
+
+
+def refuse_foreign(given: Mapping[str, Any]) -> None:
+    """Raise ConfigError naming options that are given and mean nothing to a running rig."""
+    if names := [name for name, value in given.items() if value]:
+        raise ConfigError(f"{', '.join(names)}: not with --live: the scenario of the rig decides it")
+
+
+def follow_program(
+    site_file: Path, parameters: "Mapping[str, Scalar]", collected: "LiveImage | LiveCurve", *, as_json: bool
+) -> "AfmProgram":
+    """Run a program on the rig with a bar and keys: space pauses and resumes, q ends it; return its last report."""
+    from services.console.live_program import run_program
+
+    with RawKeyboard() as keyboard:
+
+        def on_report(report: "AfmProgram") -> str:
+            if not as_json:
+                keyboard.show(bar_of(report))
+            for key in keyboard.pressed():
+                if key == "q":
+                    return "abort"
+                if key == "space" and report.program == "scan":
+                    return "resume" if report.state == "paused" else "pause"
+            return ""
+
+        return run_program(site_file, "master", parameters, collected, on_report)
+
+
+def bar_of(report: "AfmProgram") -> str:
+    """Return a line of text: how far a program is, and the keys."""
+    full = round(_BAR * report.done_percent / 100.0)
+    count = f" {report.line}/{report.lines}" if report.lines else ""
+    keys = "space: pause, q: end" if report.program == "scan" else "q: end"
+    state = "paused" if report.state == "paused" else report.text
+    return f"{report.program} {'━' * full}{'╌' * (_BAR - full)}{count}  {state}  ({keys})"

@@ -1,0 +1,71 @@
+"""Options of the commands that put a sample under the tip."""
+
+import contextlib
+from collections.abc import Iterator, Sequence
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from proto.errors import ConfigError
+from recording.whole_files import whole_results
+from services.runtime.settings.config import flag_overrides, validate
+
+if TYPE_CHECKING:
+    from services.afm_node.physics.sample.made_samples import SampleConfig
+
+SampleOption = Annotated[
+    str,
+    typer.Option(
+        "--sample",
+        metavar="NAME|FILE|MODULE:FUNCTION",
+        help="flat, dots, grating, a height map (.gsf, .gwy, .ibw, .npy), or a function of x and y [m].",
+    ),
+]
+SampleSizeOption = Annotated[
+    float | None,
+    typer.Option("--size", metavar="NM", help="Side of the sample [nm], for all but files that say it; default: 150."),
+]
+ChannelOption = Annotated[
+    str | None, typer.Option("--channel", metavar="NAME", help="Part of the name of a file's channel; default: height.")
+]
+SampleSetOption = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Change a key of the sample, such as dot_count=20 (repeatable)."),
+]
+
+
+def sample_config(
+    name: str, size_nm: float | None, channel: str | None, settings: Sequence[str] | None
+) -> "SampleConfig":
+    """Return the sample that the options describe; ConfigError names the option or key."""
+    from services.afm_node.physics.sample.made_samples import SampleConfig
+
+    given: dict[str, Any] = {"name": name, **flag_overrides(settings or ())}
+    if size_nm is not None:
+        given["size_m"] = size_nm * 1e-9
+    if channel is not None:
+        given["channel"] = channel
+    return validate(SampleConfig, given, "--sample")
+
+
+def require(*modules: str) -> None:
+    """Raise ConfigError naming what is not installed, before anything takes its time."""
+    missing = [name for name in modules if find_spec(name) is None]
+    if missing:
+        raise ConfigError(f"{', '.join(missing)} is not installed: pip install 'telenano[instrument]'")
+
+
+@contextlib.contextmanager
+def results_in(out: Path) -> Iterator[Path]:
+    """Yield a temporary folder whose files go into `out` when the block ends, and nowhere if it fails.
+
+    Raises: ConfigError when it cannot be made.
+    """
+    with contextlib.ExitStack() as results:
+        try:
+            folder = results.enter_context(whole_results(out))
+        except OSError as error:
+            raise ConfigError(f"--out {out}: cannot be made: {error.strerror}") from error
+        yield folder

@@ -1,0 +1,80 @@
+"""`telenano up --sweep`: one session after the other, each with another value, in a folder of its own."""
+
+import itertools
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from proto.errors import ConfigError, RigError
+from services.launcher.child_session import run_session
+from telenano.cli.exit_codes import EXIT_INCOMPLETE
+
+# the delay of the link has no single key in a scenario
+DELAY_OPTIONS = {"round_trip_ms": "--round-trip-ms", "delay_ms": "--delay-ms"}
+_MOST_SESSIONS = 100
+
+
+class Point(NamedTuple):
+    """One session of a sweep: its name, which is that of its folder, and the options that make it."""
+
+    name: str
+    options: tuple[str, ...]
+
+
+def points_of(sweeps: Sequence[str]) -> list[Point]:
+    """Return every combination of the values of `KEY=V1,V2,…`; ConfigError says which text is wrong."""
+    axes = [[(key, value) for value in values] for key, values in map(_axis, sweeps)]
+    points = [Point(", ".join(f"{_short(key)}={value}" for key, value in chosen).replace("/", "-"),
+                    tuple(word for key, value in chosen for word in _option(key, value)))
+              for chosen in itertools.product(*axes)]  # fmt: skip
+    if len(points) > _MOST_SESSIONS:
+        raise ConfigError(f"--sweep: {len(points)} sessions are more than {_MOST_SESSIONS}")
+    if len({point.name for point in points}) < len(points):
+        raise ConfigError("--sweep: two sessions would have the same values, or keys with the same last part")
+    return points
+
+
+def without_sweep(words: Sequence[str]) -> list[str]:
+    """Return the options of a command line of `up` that each session of its sweep has as well."""
+    kept, skip = [], False
+    for word in words[words.index("up") + 1 :]:
+        name, sign, _ = word.partition("=")
+        if not skip and word != "--json" and name not in ("--sweep", "--out"):
+            kept.append(word)
+        skip = not skip and name in ("--sweep", "--out") and not sign
+    return kept
+
+
+def _axis(text: str) -> tuple[str, list[str]]:
+    key, sign, values = text.partition("=")
+    found = [value.strip() for value in values.split(",")]
+    if not sign or not key or not all(found):
+        raise ConfigError(f"--sweep {text}: is not of the form KEY=V1,V2, such as controller.law=wave,smith")
+    return key.strip(), found
+
+
+def _short(key: str) -> str:
+    return key.rpartition(".")[2]
+
+
+def _option(key: str, value: str) -> tuple[str, str]:
+    return (DELAY_OPTIONS[key], value) if key in DELAY_OPTIONS else ("--set", f"{key}={value}")
+
+
+def run_sweep(points: Sequence[Point], arguments: Sequence[str], out: Path, show: Callable[[str], None]) -> list[Path]:
+    """Run the sessions one after the other, each by a `telenano up` of its own; return their folders.
+
+    Raises: RigError naming a session that failed, with what it said.
+    """
+    folders = []
+    for number, point in enumerate(points, start=1):
+        show(f"{number}/{len(points)}: {point.name}")
+        folder = out / point.name
+        command = [sys.executable, "-m", "telenano", "up", *arguments, *point.options, "--out", str(folder), "--json"]
+        done = run_session(command)
+        # what is missing in a recording is in its summary, and a hold without data in the table
+        if done.returncode not in (0, EXIT_INCOMPLETE):
+            raise RigError(f"the session {point.name} failed: {done.stderr.strip() or done.stdout.strip()}")
+        folders.append(folder)
+    return folders

@@ -1,0 +1,126 @@
+"""Results as tables of a terminal."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from rich.console import Group, RenderableType
+from rich.table import Column, Table
+from rich.text import Text
+
+from proto.messages import SUPERSEDED
+from services.runtime.untrusted.printable import printable
+
+# what is a loss where it is anything at all
+_ALARMING = ("missing", "lost", "damage", "skipped_bytes")
+_SENTENCES = ("missing", "damage")
+LEVEL_STYLES = {"info": "", "warning": "yellow", "error": "red"}
+_STATE_STYLES = {"ready": "green", "running": "green", "safe": "yellow", "starting": "yellow"}
+
+
+def counts_text(counts: Mapping[str, int]) -> str:
+    """Return counts with their names in one line; 0 when there are none."""
+    return ", ".join(f"{name} {count}" for name, count in counts.items()) or "0"
+
+
+def health_cells(facts: Mapping[str, Any]) -> dict[str, Text]:
+    """Draw the health of a node, as `node_facts` gives it: a cell for each heading."""
+    state = "replay" if facts["replay"] else facts["state"]
+    late_s, age_s = facts["lateness_p99_s"], facts["oldest_input_s"]
+    minutes, seconds = divmod(round(facts["uptime_s"]), 60)
+    granted = [name for name, key in (("fifo", "realtime"), ("memory", "memory_locked")) if facts[key]]
+    return {
+        "state": Text(state, _STATE_STYLES.get(state, "red")),
+        "up": Text(f"{minutes // 60}:{minutes % 60:02}:{seconds:02}"),
+        "rate Hz": Text(f"{facts['rate_hz']:.1f}"),
+        "late p99 ms": Text("-" if late_s is None else f"{late_s * 1e3:.3f}"),
+        "overruns": _alarming(facts["overruns"], str(facts["overruns"])),
+        "input age ms": Text("-" if age_s is None else f"{age_s * 1e3:.1f}"),
+        "lost": _alarming(facts["lost"], str(facts["lost"])),
+        "refused": _alarming(len(facts["refused"].keys() - {SUPERSEDED}), counts_text(facts["refused"])),
+        "CPU %": Text(f"{facts['cpu_percent']:.0f}"),
+        "MB": Text(f"{facts['memory_bytes'] / 1e6:.0f}"),
+        "granted": Text(", ".join(granted) or "nothing"),
+    }
+
+
+def _alarming(count: int, text: str) -> Text:
+    return Text(text, "red" if count else "")
+
+
+def summary_tables(summary: Mapping[str, Any], title: str) -> Group:
+    """Draw a summary: single values, then the values by topic side by side, then every list as a table."""
+    by_topic = {key: value for key, value in summary.items() if _keyed_by_topic(value)}
+    rest = {key: value for key, value in summary.items() if key not in by_topic}
+    lists = dict(_take_lists(rest))
+    parts: list[RenderableType] = [_values_table(rest, title)]
+    if by_topic:
+        topics = sorted({topic for values in by_topic.values() for topic in values})
+        rows = [{"topic": topic} | {key: values.get(topic) for key, values in by_topic.items()} for topic in topics]
+        parts.append(rows_table(rows))
+    parts += [rows_table(rows, title=key) for key, rows in lists.items()]
+    return Group(*parts)
+
+
+def _take_lists(tree: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Sequence[Mapping[str, Any]]]]:
+    """Remove the lists of rows from a tree of values and yield them by dotted key."""
+    for key, value in list(tree.items()):
+        if _is_list_of_rows(value):
+            yield f"{prefix}{key}", tree.pop(key)
+        elif isinstance(value, Mapping):
+            tree[key] = dict(value)
+            yield from _take_lists(tree[key], f"{prefix}{key}.")
+
+
+def rows_table(rows: Sequence[Mapping[str, Any]], title: str | None = None) -> Table:
+    """Draw rows that have the same keys."""
+    # as text: the units in brackets would be taken for markup
+    table = Table(
+        *(Column(Text(printable(name))) for name in rows[0]), title=None if title is None else Text(printable(title))
+    )
+    for column, value in zip(table.columns, rows[0].values(), strict=True):
+        column.justify = "left" if isinstance(value, str) else "right"
+        column.overflow = "fold"
+    for row in rows:
+        table.add_row(*(_value_text(value) for value in row.values()))
+    return table
+
+
+def _values_table(values: Mapping[str, Any], title: str) -> Table:
+    table = Table("quantity", "value", title=Text(printable(title)))
+    for column in table.columns:
+        column.overflow = "fold"
+    for key, value in _leaves("", values):
+        # sentences, each on a line of its own
+        text = (
+            Text(printable("\n".join(value))) if value and key.rpartition(".")[2] in _SENTENCES else _value_text(value)
+        )
+        if value and key.rpartition(".")[2] in _ALARMING:
+            text.stylize("red")
+        table.add_row(Text(printable(key)), text)
+    return table
+
+
+def _keyed_by_topic(value: Any) -> bool:
+    return isinstance(value, Mapping) and bool(value) and all("/" in key for key in value)
+
+
+def _is_list_of_rows(value: Any) -> bool:
+    return isinstance(value, list | tuple) and bool(value) and all(isinstance(row, Mapping) for row in value)
+
+
+def _leaves(prefix: str, tree: Mapping[str, Any]) -> list[tuple[str, Any]]:
+    rows: list[tuple[str, Any]] = []
+    for key, value in tree.items():
+        name = f"{prefix}{key}"
+        rows += _leaves(f"{name}.", value) if isinstance(value, Mapping) and value else [(name, value)]
+    return rows
+
+
+def _value_text(value: Any) -> Text:
+    if value is None:
+        return Text("-", "dim")
+    if isinstance(value, bool):
+        return Text("yes" if value else "no", "green" if value else "red")
+    if isinstance(value, list | tuple):
+        return Text(printable(", ".join(str(item) for item in value)) or "-")
+    return Text(f"{value:.6g}" if isinstance(value, float) else printable(str(value)))

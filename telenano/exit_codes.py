@@ -1,9 +1,0 @@
-"""The exit codes of commands that failed; docs/cli.md has their meaning."""
-
-EXIT_FAILED = 1
-EXIT_BAD_CONFIGURATION = 2
-# done, but the recording lacks something
-EXIT_INCOMPLETE = 3
-# ended by SIGINT (Ctrl-C) or SIGTERM, as shells have it; `services.runtime.interrupts.exit_code` returns which
-EXIT_INTERRUPTED = 130
-EXIT_TERMINATED = 143
