@@ -106,6 +106,9 @@ def describe_exit(exit_code: int) -> str:
     """Describe how a process ended; a negative code is the signal that killed it, as of subprocess."""
     if exit_code >= 0:
         return f"ended with exit code {exit_code}"
+    if hasattr(signal, "SIGPROF") and exit_code == -signal.SIGPROF:
+        # the kernel ends a node at its limit of processor time (services.runtime.loop.hang_guard)
+        return "hung: it computed for 1.5 s without a report, and the kernel ended it"
     try:
         return f"was killed by {signal.Signals(-exit_code).name}"
     except ValueError:

@@ -35,7 +35,8 @@ class Rig:
         self._recorded = Recorded()
 
     def start(self, *arguments: str, scenario: str = "fig12") -> None:
-        command = ["up", "--scenario", scenario, "--out", str(self.out), "--json", *arguments]
+        # a test that runs a session again, because the machine held it up, keeps the last one
+        command = ["up", "--scenario", scenario, "--out", str(self.out), "--overwrite", "--json", *arguments]
         self.process = subprocess.Popen(
             self.command(*command),
             env=self.environment,

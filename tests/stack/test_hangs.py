@@ -53,8 +53,9 @@ def test_a_node_that_spins_is_started_again_and_one_that_is_stopped_is_left_alon
     assert {node: pid for node, pid in after.items() if node != SPUN} == {
         node: pid for node, pid in before.items() if node != SPUN
     }
-    assert rig.log_has("launcher@master", "it hangs and is killed")
-    assert rig.log_has("launcher@master", f"{SPUN} was killed by SIGKILL")
+    # whoever is the first: the kernel, at the node's own limit of processor time, or the launcher
+    ended = (f"{SPUN} hung: it computed", "it hangs and is killed")
+    assert any(rig.log_has("launcher@master", text) for text in ended)
     code, _, err = rig.stop()
     # what the killed process had in hand is lost, and the recording says so
     assert code in (0, 1, 3), err

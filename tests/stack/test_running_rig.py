@@ -377,5 +377,5 @@ def test_after_all_of_it_the_rig_ends_in_order_and_nobody_was_started_again(rig:
     assert code == 0, err
     assert summary["seq_gaps"]["session/event"] == 0
     log = (rig.out / "logs" / "launcher@master.log").read_text()
-    assert [line for line in log.splitlines() if "again" in line] == []
+    assert [line for line in log.splitlines() if "started again" in line] == []
     assert Recording(rig.out / "session.mcap").closed

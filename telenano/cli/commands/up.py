@@ -32,7 +32,6 @@ from telenano.cli.output import (
     print_summary,
     report_errors,
 )
-from telenano.doctor.checks import check_synchronised, kernel_clock
 from telenano.view_server import view_beside_rig
 
 
