@@ -82,11 +82,13 @@ reliability: setup
 	  tests/stack/test_full_disk.py tests/stack/test_two_sites.py tests/stack/test_compose.py
 	$(BIN)/python tests/stack/ledger.py out/faults.jsonl docs/reliability.md
 
-# what editors complete scenario and site files by, and the page of all keys
+# what editors complete scenario and site files by, the schema of summary.json, and the pages of all keys
 schemas: setup
 	$(BIN)/telenano scenario schema >presets/schemas/scenario.json
 	$(BIN)/telenano scenario schema --site >presets/schemas/site.json
 	$(BIN)/telenano param list --markdown >docs/scenarios.md
+	$(BIN)/python -m analysis.summary >presets/schemas/summary.json
+	$(BIN)/python -m analysis.summary --markdown >docs/summary.md
 
 # the documents with their reference, in out/site
 site: setup

@@ -1,8 +1,9 @@
 """`telenano bag rerun`: a node run once more on the inputs of its journal, its outputs compared.
 
 A node writes down in which order it took its messages and deadlines, and what state it was in (`node/journal`,
-ADR 0012). The re-run builds the node, puts it into that state, and repeats the turns one by one. What the link sends
-on beside that is compared with what came out of it at either site (ADR 0019).
+ADR 0012). The re-run builds the node, puts it into that state, and repeats the turns one by one. The keys that were
+recorded are compared: an optional key that a node has learned to say since leaves older recordings equal. What the link
+sends on beside that is compared with what came out of it at either site (ADR 0019).
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -335,8 +336,8 @@ class ReplayBus:
     def _compare(self, message: Message, recorded: RecordedMessage) -> None:
         if encode(message) == recorded.payload:
             return
-        topic = recorded.topic
-        found = first_difference(message.model_dump(), recorded.decode().model_dump(), self._tolerances.on(topic))
+        topic, said, kept = recorded.topic, message.model_dump(), recorded.decode().model_dump()
+        found = first_difference(said, kept, self._tolerances.on(topic), _said_since(message, kept))
         if found is not None:
             text = f"re-run {found.text} recorded"
             raise self._difference(topic, message.seq, recorded.publish_ns, found.field, text)
@@ -365,6 +366,12 @@ class ReplayOutlet:
     def sequence_numbers(self) -> dict[str, int]:
         """Return nothing: the numbers are those of the bus of the re-run."""
         return {}
+
+
+def _said_since(message: Message, kept: Mapping[str, Any]) -> set[str]:
+    """Return what a message may have that a recording of before does not: optional keys, and a higher version."""
+    since = {key for key in message.additions if key not in kept}
+    return since | {"v"} if message.v > kept["v"] else since
 
 
 def _begin(recorded: _Recorded, batches: Sequence[NodeJournal]) -> int:

@@ -27,6 +27,7 @@ from analysis.holds import (
 )
 from analysis.missing import Spans, account, cut_off, gaps
 from analysis.programme import planned_holds
+from analysis.summary import Summary
 from proto import TOPICS
 from proto.errors import RecordingError, ReportError
 from proto.nodes import LAUNCHER, name_of
@@ -228,7 +229,7 @@ def _reported(recording: RecordingSource, timeline: Timeline, start_ns: int) -> 
 
 
 def summarise(session: Session, info: RecordingInfo, traffic: Traffic, missing: Sequence[str] = ()) -> dict[str, Any]:
-    """Return the summary of a session; what the session does not show is null."""
+    """Return the summary of a session, with the keys of `Summary`; what the session does not show is null."""
     series = session.series()
     scaled = session.force_scale * series.tip_force_n
     mode = session.tip["mode"]
@@ -239,7 +240,7 @@ def summarise(session: Session, info: RecordingInfo, traffic: Traffic, missing: 
     verdict, reason = verdict_of(holds)
     missing = [*session.missing, *_lacking(session, series, holds), *missing]
     last_s = session.duration_s - RELEASE_WINDOW_S
-    return {
+    found = {
         "scenario": session.scenario,
         **session.conditions,
         "duration_s": round(session.duration_s, 3),
@@ -259,6 +260,7 @@ def summarise(session: Session, info: RecordingInfo, traffic: Traffic, missing: 
         "clocks": _clocks(session, info, traffic),
         "recording": account(info, session.start_ns, missing),
     }
+    return Summary.model_validate(found).model_dump(exclude_unset=True)
 
 
 def _lacking(session: Session, series: SessionSeries, holds: Sequence[Hold]) -> list[str]:

@@ -7,7 +7,19 @@ what this accepts they accept, with the same values and bytes, and it refuses no
 
 from collections.abc import Callable, Mapping
 from types import UnionType
-from typing import Annotated, Any, Literal, NamedTuple, TypedDict, TypeVar, Union, cast, get_args, get_origin
+from typing import (
+    Annotated,
+    Any,
+    Literal,
+    NamedTuple,
+    NotRequired,
+    TypedDict,
+    TypeVar,
+    Union,
+    cast,
+    get_args,
+    get_origin,
+)
 
 import msgpack
 import msgspec
@@ -20,6 +32,8 @@ from proto.ranges import Range
 
 # values of a text with a pattern, such as the few names of nodes, that the declared model has accepted
 _MOST_TEXTS = 256
+# combinations of keys that may be absent, of which a node sends a few
+_MOST_COMBINATIONS = 256
 M = TypeVar("M", bound=BaseModel)
 _REFUSALS = (msgspec.MsgspecError, ValueError, TypeError, RecursionError, OverflowError)
 
@@ -39,11 +53,27 @@ class TypedForm(NamedTuple):
 
 
 def typed_form(model: type[Message], most_bytes: int) -> TypedForm | None:
-    """Return the fast way for a model, None if it holds more than scalars and vectors of them."""
-    added = tuple(model.additions)
-    short = _form_of_keys(model, most_bytes, absent=added)
-    whole = _form_of_keys(model, most_bytes, absent=()) if added and short is not None else None
-    return short if short is None or whole is None else _either(short, whole, added[0])
+    """Return the fast way for a model, None if it holds more than scalars and vectors of them.
+
+    It takes every combination of the keys that may be absent. A combination is known to `read` once the declared model
+    has accepted it, as texts are.
+    """
+    needed: dict[str, Any] = {}
+    optional: dict[str, Any] = {}
+    for name, field in model.model_fields.items():
+        if name not in model.additions:
+            form = _form(field.annotation, tuple(field.metadata)) if field.is_required() else None
+            needed[name] = form
+        else:
+            # absent is what None stands for
+            form = _form(get_args(field.annotation)[0])
+            form = None if field.metadata and form is not str else form
+            optional[name] = form
+        if form is None:
+            return None
+    # a version that is not known here, and any text that was not met before, is for the declared model to judge
+    needed["v"] = Annotated[int, msgspec.Meta(ge=1, le=model.version)]
+    return _compiled(model, needed, optional, most_bytes)
 
 
 def typed_rows(model: type[Message], most_bytes: int) -> TypedForm | None:
@@ -61,7 +91,7 @@ def typed_rows(model: type[Message], most_bytes: int) -> TypedForm | None:
         return None
     whole = msgspec.defstruct(model.__name__, fields, forbid_unknown_fields=True, gc=False)
     convert, encode, as_dict = msgspec.convert, msgspec.msgpack.Encoder().encode, msgspec.structs.asdict
-    construct, construct_row = _constructor(model, {}), _constructor(kind, {})
+    construct, construct_row = _constructor(model), _constructor(kind)
     sources: set[str] = set()
 
     def compose(given: Mapping[str, Any]) -> tuple[Message, bytes] | None:
@@ -106,77 +136,54 @@ def _form_of_field(field: FieldInfo) -> Any:
     return Annotated[str, msgspec.Meta(max_length=most[0])] if most else None
 
 
-def _either(short: TypedForm, whole: TypedForm, added: str) -> TypedForm:
-    """Return the form of messages that have all keys which were added later, or none; `added` is one of them."""
-
-    def compose(fields: Mapping[str, Any]) -> tuple[Message, bytes] | None:
-        return (whole if added in fields else short).compose(fields)
-
-    def note(message: Message) -> None:
-        short.note(message)
-        whole.note(message)
-
-    return TypedForm(
-        lambda payload: short.fields(payload) or whole.fields(payload),
-        lambda payload: short.read(payload) or whole.read(payload),
-        compose,
-        note,
+def _compiled(model: type[Message], needed: dict[str, Any], optional: dict[str, Any], most_bytes: int) -> TypedForm:
+    pack_header = msgpack.Packer().pack_map_header
+    # how a map of so many keys begins
+    heads = {count: bytes(pack_header(count)) for count in range(len(needed), len(needed) + len(optional) + 1)}
+    keys = needed | {name: NotRequired[form] for name, form in optional.items()}
+    decode = msgspec.msgpack.Decoder(TypedDict(model.__name__, keys)).decode  # type: ignore[operator]
+    columns = [
+        (name, optional[name] | None, None) if name in optional else (name, needed[name]) for name in model.model_fields
+    ]
+    record = msgspec.defstruct(
+        model.__name__, columns, forbid_unknown_fields=True, gc=False, kw_only=True, omit_defaults=True
     )
-
-
-def _form_of_keys(model: type[Message], most_bytes: int, absent: tuple[str, ...]) -> TypedForm | None:
-    texts: dict[str, set[str]] = {}
-    types: dict[str, Any] = {}
-    for name, field in model.model_fields.items():
-        if name in absent:
-            continue
-        form = _form(field.annotation, tuple(field.metadata))
-        if name in model.additions:
-            # absent is what None stands for
-            form = _form(get_args(field.annotation)[0])
-        elif not field.is_required():
-            return None
-        if form is None:
-            return None
-        if form is str:
-            texts[name] = set()
-        types[name] = form
-    # a version that is not known here, and any text that was not met before, is for the declared model to judge
-    types["v"] = Annotated[int, msgspec.Meta(ge=1, le=model.version)]
-    return _compiled(model, types, texts, most_bytes, dict.fromkeys(absent))
-
-
-def _compiled(
-    model: type[Message], types: dict[str, Any], texts: dict[str, set[str]], most_bytes: int, absent: dict[str, None]
-) -> TypedForm:
-    head = bytes(msgpack.Packer().pack_map_header(len(types)))
-    decode = msgspec.msgpack.Decoder(TypedDict(model.__name__, types)).decode  # type: ignore[operator]
-    record = msgspec.defstruct(model.__name__, list(types.items()), forbid_unknown_fields=True, gc=False)
     convert, encode, as_dict = msgspec.convert, msgspec.msgpack.Encoder().encode, msgspec.structs.asdict
-    construct = _constructor(model, absent)
-    sources = texts.pop("src")
-    others, names = tuple(texts.items()), tuple(types)
+    construct = _constructor(model)
+    sources: set[str | None] = set()
+    texts: dict[str, set[str | None]] = {
+        name: set() for name, form in (needed | optional).items() if form is str and name != "src"
+    }
+    others, names = tuple(texts.items()), tuple(model.model_fields)
+    # by the keys of a message, in the order of the model: how its map begins, and the keys that it lacks
+    combinations: dict[tuple[str, ...], tuple[bytes, dict[str, None]]] = {}
 
     def fields_of(payload: bytes) -> dict[str, Any] | None:
-        # so many keys, all of them required: none is there twice, and none is unknown
-        if not payload.startswith(head) or len(payload) > most_bytes:
+        if len(payload) > most_bytes:
             return None
         try:
             fields: dict[str, Any] = decode(payload)
         except _REFUSALS:
             return None
-        return fields
+        # so many keys, all of them known: none is there twice, and none is unknown
+        return fields if payload.startswith(heads[len(fields)]) else None
 
     def read(payload: bytes) -> Message | None:
-        if not payload.startswith(head) or len(payload) > most_bytes:
+        if len(payload) > most_bytes:
             return None
         try:
             fields = decode(payload)
         except _REFUSALS:
             return None
         # the order of keys is free on the wire, and that of the model in a message
-        if fields["src"] not in sources or tuple(fields) != names:
+        found = combinations.get(tuple(fields))
+        if found is None or fields["src"] not in sources:
             return None
+        head, absent = found
+        if not payload.startswith(head):
+            return None
+        if absent:
+            fields.update(absent)
         for name, known in others:
             if fields[name] not in known:
                 return None
@@ -199,24 +206,27 @@ def _compiled(
         for name, known in (("src", sources), *others):
             if len(known) < _MOST_TEXTS:
                 known.add(getattr(message, name))
+        absent = {name: None for name in optional if getattr(message, name) is None}
+        present = tuple(name for name in names if name not in absent)
+        if len(combinations) < _MOST_COMBINATIONS:
+            combinations[present] = heads[len(present)], absent
 
     return TypedForm(fields_of, read, compose, note)
 
 
-def _constructor(model: type[M], absent: dict[str, None]) -> Callable[[dict[str, Any]], M]:
-    """Return what makes a message of fields that are known to be good, with `fields` itself inside.
+def _constructor(model: type[M]) -> Callable[[dict[str, Any]], M]:
+    """Return what makes a message of all its fields, which are known to be good, with `fields` itself inside.
 
-    As `model_construct`, which takes six times as long. `absent`: what the message has as None besides.
+    As `model_construct`, which takes six times as long.
     """
     # the slots of pydantic's own base; a frozen model refuses what goes past them
     slots = vars(BaseModel)
     set_fields, set_names = slots["__dict__"].__set__, slots["__pydantic_fields_set__"].__set__
     set_extra, set_private = slots["__pydantic_extra__"].__set__, slots["__pydantic_private__"].__set__
-    new, names = object.__new__, set(model.model_fields) - set(absent)
+    new, names = object.__new__, set(model.model_fields)
 
     def construct(fields: dict[str, Any]) -> M:
         message = new(model)
-        fields.update(absent)
         set_fields(message, fields)
         set_names(message, names)
         set_extra(message, None)
@@ -230,7 +240,7 @@ def _form(annotation: Any, metadata: tuple[Any, ...] = ()) -> Any:
     """Return the type that msgspec decodes a field as, None for one that is left to the declared model."""
     origin, parts = get_origin(annotation), get_args(annotation)
     if origin is Annotated:
-        return _form(parts[0], (*annotation.__metadata__, *metadata))
+        return _form(parts[0], (*_rules(annotation.__metadata__), *metadata))
     if annotation is str:
         return str
     if annotation is float and len(metadata) == 1 and isinstance(metadata[0], Range):
@@ -248,6 +258,12 @@ def _form(annotation: Any, metadata: tuple[Any, ...] = ()) -> Any:
         form = _form(parts[0])
         return None if form is None or form is str else form | None
     return None
+
+
+def _rules(metadata: tuple[Any, ...]) -> list[Any]:
+    """Return the rules of a type, with those that pydantic's `Field` holds: a field's own it has taken out already."""
+    held = [found.metadata if isinstance(found, FieldInfo) else [found] for found in metadata]
+    return [rule for rules in held for rule in rules]
 
 
 def _whole_number(metadata: tuple[Any, ...]) -> Any:

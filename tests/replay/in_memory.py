@@ -1,7 +1,11 @@
 """A recording that is read from its file once, however often it is asked for: most of a re-run's time is reading."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from copy import copy
 from pathlib import Path
+from typing import Any
+
+import msgpack
 
 from recording.messages import ChannelFilter, RecordedMessage
 from recording.reader import DamageCallback, Recording
@@ -14,6 +18,15 @@ class InMemory(Recording):
         super().__init__(path)
         end_ns = None if end_s is None else self.span_ns[0] + round(end_s * 1e9)
         self._messages = tuple(super().select(end_ns=end_ns))
+
+    def edited(self, topic: str, fields: Mapping[str, Any]) -> "InMemory":
+        """Return a copy in which every message on a topic has these fields besides its own, or in their place."""
+        copied = copy(self)
+        copied._messages = tuple(
+            found._replace(payload=msgpack.packb({**found.fields(), **fields})) if found.topic == topic else found
+            for found in self._messages
+        )
+        return copied
 
     def select(
         self,

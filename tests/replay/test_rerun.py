@@ -4,15 +4,31 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
+from typing import Any, ClassVar
 
 import pytest
 from in_memory import InMemory
-from references import COMPILED, LINK_REFERENCE, OUTPUTS, REFERENCES, SHARE, MachineTolerances, nodes_of, rerun_digests
+from references import (
+    COMPILED,
+    LINK_REFERENCE,
+    OUTPUTS,
+    REFERENCES,
+    SHARE,
+    SHORT_S,
+    MachineTolerances,
+    nodes_of,
+    rerun_digests,
+)
 
-from analysis.process_replay import RerunResult, rerun
+import proto.codec
+from analysis.process_replay import ReplayBus, RerunResult, rerun
+from proto import TOPICS, Message
 from proto.errors import ConfigError, RecordingError
+from proto.messages import AfmState
+from proto.typed import typed_form
 from recording.channel_filter import Selection
 from recording.reader import Recording
 from recording.rewrite import filter_recording
@@ -172,3 +188,88 @@ def test_what_cannot_be_rerun_is_named(reference: Recording, tmp_path: Path) -> 
         rerun(reference, "recorder@master")
     with pytest.raises(ConfigError, match="force_gan: unknown key"):
         rerun(reference, "controller@master", settings=["controller.virtual_impedance.force_gan=1.0"])
+
+
+class WarmerState(AfmState):
+    """The state of an instrument that has learned to say how warm it is."""
+
+    version: ClassVar[int] = 3
+    additions: ClassVar[Mapping[str, int]] = {**AfmState.additions, "temperature_k": 3}
+    temperature_k: float | None = None
+
+
+@pytest.fixture(scope="module")
+def beginning() -> InMemory:
+    return InMemory(REFERENCE, SHORT_S)
+
+
+@pytest.fixture
+def say_more(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """Let the instrument say fields besides its own, or without those named, as a message of a newer class."""
+
+    def say(without: tuple[str, ...] = (), **more: Any) -> None:
+        row = replace(TOPICS["afm/state"], model=WarmerState)
+        form = proto.codec._form_of(row)
+        monkeypatch.setitem(TOPICS, "afm/state", row)
+        monkeypatch.setitem(proto.codec._FORMS, "afm/state", form)
+        monkeypatch.setitem(proto.codec._TYPED, "afm/state", typed_form(WarmerState, form.most_bytes))
+        monkeypatch.setitem(proto.codec._MOST_BYTES, WarmerState, form.most_bytes)
+        publish_as = ReplayBus.publish_as
+
+        def publish_more(bus: ReplayBus, src: str, topic: str, fields: Mapping[str, Any]) -> Message:
+            said = {**fields, **more} if topic == "afm/state" else fields
+            return publish_as(bus, src, topic, {key: value for key, value in said.items() if key not in without})
+
+        monkeypatch.setattr(ReplayBus, "publish_as", publish_more)
+
+    return say
+
+
+@needs_journal
+def test_an_optional_key_added_since_leaves_an_older_recording_equal(
+    beginning: InMemory, say_more: Callable[..., None]
+) -> None:
+    before = rerun(beginning, "afm_node@slave", MachineTolerances(beginning, "afm_node@slave"))
+    say_more(temperature_k=293.0)
+    said: list[Message] = []
+    tolerances = MachineTolerances(beginning, "afm_node@slave")
+    result = rerun(beginning, "afm_node@slave", tolerances, take=lambda topic, message: said.append(message))
+    states = [message for message in said if isinstance(message, WarmerState)]
+    assert {(state.v, state.temperature_k) for state in states} == {(3, 293.0)}
+    assert len(states) == result.compared["afm/state"] > 200
+    assert result.difference == ""
+    assert result.identical
+    assert result == before
+
+
+@needs_journal
+@pytest.mark.parametrize(("field", "value"), [("mode", "estop"), ("meniscus", True), ("step_s", 2e-3)])
+def test_a_changed_value_beside_an_added_key_is_a_difference(
+    beginning: InMemory, say_more: Callable[..., None], field: str, value: Any
+) -> None:
+    say_more(temperature_k=293.0, **{field: value})
+    result = rerun(beginning, "afm_node@slave", MachineTolerances(beginning, "afm_node@slave"))
+    assert not result.identical
+    assert (result.topic, result.field) == ("afm/state", field)
+
+
+@needs_journal
+@pytest.mark.parametrize(
+    ("recorded", "without", "field"),
+    [
+        # a recorded key that is missing now, beside a higher version, the same one and a lower one
+        ({"device": "ok", "v": 2}, (), "device"),
+        ({"device": "ok", "v": 1}, ("temperature_k",), "device"),
+        ({"device": "ok", "v": 2}, ("temperature_k",), "v"),
+        ({"temperature_k": 292.0, "v": 3}, (), "temperature_k"),
+        ({"v": 2}, ("temperature_k",), "v"),
+    ],
+)
+def test_a_recorded_optional_key_that_is_missing_or_differs_is_a_difference(
+    beginning: InMemory, say_more: Callable[..., None], recorded: dict[str, Any], without: tuple[str, ...], field: str
+) -> None:
+    say_more(without, temperature_k=293.0)
+    edited = beginning.edited("afm/state", recorded)
+    result = rerun(edited, "afm_node@slave", MachineTolerances(edited, "afm_node@slave"))
+    assert not result.identical
+    assert (result.topic, result.field) == ("afm/state", field)

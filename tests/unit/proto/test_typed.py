@@ -1,17 +1,19 @@
 """The fast way through the contract: what it accepts the declared models accept, and it decides nothing else."""
 
+import itertools
 import math
 import random
-from typing import Any
+from typing import Annotated, Any, ClassVar
 
 import msgpack
 import numpy as np
 import pytest
-from pydantic import ValidationError
+from pydantic import Field, ValidationError
 
 from proto import TOPICS, Message, WireError, accept, compose, encode
-from proto.codec import MAX_PLAIN_BYTES
-from proto.messages import AfmCommand, LinkFate, LinkFates
+from proto.codec import _TYPED, MAX_PLAIN_BYTES
+from proto.contract import WITH_ADDITIONS, examples
+from proto.messages import AfmCommand, AfmState, LinkFate, LinkFates
 from proto.ranges import POSITION, limited
 from proto.typed import typed_form, typed_rows
 
@@ -51,6 +53,26 @@ def example(topic: str) -> dict[str, Any]:
     return fields
 
 
+# above it the subsets of a message's optional keys are too many to try, and all pairs of them stand for the rest
+MOST_TRIED = 8
+
+
+def subsets(topic: str) -> list[tuple[str, ...]]:
+    """Return the sets of optional keys to try: every one, of a message with many those of at most two, and all."""
+    keys = tuple(TOPICS[topic].model.additions)
+    most = len(keys) if len(keys) <= MOST_TRIED else 2
+    found = [subset for size in range(most + 1) for subset in itertools.combinations(keys, size)]
+    return found if keys in found else [*found, keys]
+
+
+def with_keys(topic: str, keys: tuple[str, ...]) -> Message:
+    """Return an ordinary message with these of its optional keys."""
+    model = TOPICS[topic].model
+    whole = examples(TOPICS[topic])["ordinary" + WITH_ADDITIONS].model_dump()
+    fields = {key: value for key, value in whole.items() if key in keys or key not in model.additions}
+    return limited(model, {**fields, "v": model.version_of(keys)})
+
+
 def corrupted(payload: bytes, rng: random.Random) -> bytes:
     damaged = bytearray(payload)
     for _ in range(rng.choice((1, 1, 2))):
@@ -87,18 +109,118 @@ def test_the_messages_of_the_loop_take_the_fast_way_with_the_same_bytes(topic: s
     assert composed[0].model_copy(update={"seq": 8}).seq == 8
 
 
+def test_messages_of_the_loop_have_optional_keys() -> None:
+    extended = [topic for topic in _TYPED if TOPICS[topic].model.additions]
+    assert extended == ["haptic/state", "afm/state"]
+    assert [len(subsets(topic)) for topic in extended] == [2**6, 2**4]
+
+
+@pytest.mark.parametrize("topic", [topic for topic in _TYPED if TOPICS[topic].model.additions])
+def test_every_subset_of_the_optional_keys_takes_the_fast_way(topic: str) -> None:
+    model = TOPICS[topic].model
+    form = typed_form(model, MAX_PLAIN_BYTES)
+    assert form is not None
+    # as a reader meets them: one after the other, each of them new
+    for keys in subsets(topic):
+        message = with_keys(topic, keys)
+        payload, fields = encode(message), message.model_dump()
+        form.note(message)
+        read, composed = form.read(payload), form.compose(dict(reversed(fields.items())))
+        assert read == message, keys
+        assert composed == (message, payload), keys
+        assert form.fields(payload) == fields
+        for found in (read, composed[0]):
+            assert found is not None
+            assert encode(found) == payload
+            assert found.model_dump() == fields
+            assert vars(found).keys() == model.model_fields.keys()
+        # a device that does not know a value says None, which is not sent
+        said = form.compose({**dict.fromkeys(model.additions), **fields})
+        assert said == (message, payload), keys
+    for keys in subsets(topic):
+        assert form.read(encode(with_keys(topic, keys))) is not None
+
+
+@pytest.mark.parametrize("topic", [topic for topic in _TYPED if TOPICS[topic].model.additions])
+def test_a_wrong_optional_key_is_left_to_the_declared_model(topic: str) -> None:
+    model = TOPICS[topic].model
+    form = typed_form(model, MAX_PLAIN_BYTES)
+    assert form is not None
+    for key in model.additions:
+        message = with_keys(topic, (key,))
+        fields = message.model_dump()
+        form.note(message)
+        for value in ("sideways", math.nan, math.inf, 2**63, -1e300, True, [1.0]):
+            wrong = {**fields, key: value}
+            assert form.read(msgpack.packb(wrong)) is None
+            assert form.compose(wrong) is None
+            with pytest.raises(ValidationError):
+                model(**wrong)
+        assert form.read(msgpack.packb({**fields, "extra": 1})) is None
+        assert form.compose({**fields, "extra": 1}) is None
+        # one key in the place of another, and one more than the map is said to have
+        payload, pair = encode(message), msgpack.packb(key) + msgpack.packb(fields[key])
+        twice = payload.replace(msgpack.packb("seq") + msgpack.packb(fields["seq"]), pair)
+        for broken in (twice, payload + pair, payload.replace(pair, b"")):
+            assert form.read(broken) is None
+            assert form.fields(broken) is None
+
+
+def test_one_more_optional_key_keeps_the_fast_way_with_its_range() -> None:
+    class Warmer(AfmState):
+        version: ClassVar[int] = 3
+        additions: ClassVar[dict[str, int]] = {**AfmState.additions, "lines": 3}
+        lines: Annotated[int, Field(ge=1, le=8)] | None = None
+
+    form = typed_form(Warmer, MAX_PLAIN_BYTES)
+    assert form is not None
+    fields = {**with_keys("afm/state", ("device",)).model_dump(), "v": 3}
+    for lines in (1, 8):
+        message = Warmer(**fields, lines=lines)
+        form.note(message)
+        assert form.read(encode(message)) == message
+        assert form.compose({**fields, "lines": lines}) == (message, encode(message))
+    for lines in (0, 9):
+        assert form.read(msgpack.packb({**fields, "lines": lines})) is None
+        assert form.compose({**fields, "lines": lines}) is None
+
+
+def test_a_rule_that_a_field_adds_to_its_type_is_not_passed_over() -> None:
+    class Ruled(Message):
+        version: ClassVar[int] = 2
+        additions: ClassVar[dict[str, int]] = {"lines": 2}
+        lines: int | None = Field(default=None, ge=1)
+
+    assert typed_form(Ruled, MAX_PLAIN_BYTES) is None
+
+
+def test_optional_keys_in_another_order_are_left_to_the_declared_model() -> None:
+    form = typed_form(AfmState, MAX_PLAIN_BYTES)
+    assert form is not None
+    message = with_keys("afm/state", ("device", "input_v"))
+    fields = message.model_dump()
+    form.note(message)
+    for first in ("device", "input_v", "mode"):
+        shuffled = {first: fields[first], **fields}
+        assert form.read(msgpack.packb(shuffled)) is None
+        assert form.compose(shuffled) == (message, encode(message))
+
+
 @pytest.mark.parametrize("topic", LOOP)
 def test_what_it_accepts_of_corrupted_payloads_the_declared_model_accepts_as_well(
     topic: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     form = typed_form(TOPICS[topic].model, MAX_PLAIN_BYTES)
     assert form is not None
-    message = limited(TOPICS[topic].model, example(topic))
-    form.note(message)
+    messages = [limited(TOPICS[topic].model, example(topic))]
+    if TOPICS[topic].model.additions:
+        messages += [with_keys(topic, keys) for keys in subsets(topic)]
+    for message in messages:
+        form.note(message)
     monkeypatch.setattr("proto.codec._TYPED", {})
     rng, accepted = random.Random(topic), 0
     for _ in range(1500):
-        payload = corrupted(encode(message), rng)
+        payload = corrupted(encode(rng.choice(messages)), rng)
         found = form.read(payload)
         if found is not None:
             accepted += 1

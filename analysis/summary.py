@@ -1,0 +1,217 @@
+"""The summary of a session as a model: every key of `summary.json` with its type and its meaning.
+
+    python -m analysis.summary [--markdown]
+
+prints its JSON Schema, or the page docs/summary.md. `make schemas` writes both.
+"""
+
+import json
+import sys
+from collections.abc import Iterator
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from analysis.verdict import Kind
+
+_SCHEMA = "https://json-schema.org/draft/2020-12/schema"
+_TAKEN_OFF = "with the offset of the slave's clock taken off"
+_TYPES = {"string": "text", "boolean": "true or false", "integer": "integer", "number": "number", "null": "null"}
+_PAGE = """# The keys of `summary.json`
+
+`telenano up` and `telenano report` write `summary.json` beside the figure, `telenano report --json` prints it, and
+`telenano.open(FILE).summary` returns it as a dictionary.
+Everything in it is read from the recording. What the session does not show is `null`.
+`presets/schemas/summary.json` is its JSON Schema. This page and the schema are made from the model in
+`analysis/summary.py`, which every summary has to fit, by `make schemas`.
+
+`[]` stands for each item of a list, `<name>` for any key of a map.
+A channel has the name of its topic, followed by `@` and the site where its messages were received behind the link.
+The meaning of each verdict is in [the chapter on verdicts](studies.md#what-the-verdicts-mean).
+
+"""
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(frozen=True, strict=True, extra="forbid")
+
+
+class LoopAge(_Part):
+    """The ages of the answers that the hand took up in the session."""
+
+    p50: float = Field(description="Median [ms]")
+    p99: float = Field(description="99th percentile [ms]")
+    max: float = Field(description="Greatest [ms]")
+
+
+class Package(_Part):
+    """A package that brought something to the session."""
+
+    package: str = Field(description="Name of the package")
+    version: str = Field(description="Version of the package")
+    digest: str = Field(description="SHA-256 of the files of the package")
+
+
+class HoldSummary(_Part):
+    """A hold: a stretch in which the hand's force stands still, and what becomes of α_f F_s in it."""
+
+    start_s: float = Field(description="Start of the hold in the session [s]")
+    end_s: float = Field(description="End of the hold in the session [s]")
+    hand_force_n: float = Field(description="Force F_m with which the hand presses in the hold [N]")
+    verdict: Kind = Field(description="Verdict on the hold")
+    growth_per_s: float | None = Field(
+        description="Growth rate of the mode that decides the verdict [1/s]; null where nothing moves"
+    )
+    peak_to_peak_n: float = Field(description="Peak-to-peak of the motion at the end of the hold, without noise [N]")
+    noise_n: float = Field(description="Standard deviation of the noise of the read-out [N]")
+    reason: str = Field(description="The verdict in words")
+
+
+class OtherReading(_Part):
+    """The figures of the other reading of the clocks."""
+
+    stable: bool = Field(description=f"`stable` of the session, {_TAKEN_OFF}")
+    verdict: Kind = Field(description=f"`verdict` of the session, {_TAKEN_OFF}")
+    reason: str = Field(description=f"`reason` of the session, {_TAKEN_OFF}")
+    hold_ratio: float | None = Field(description=f"`hold_ratio` of the session, {_TAKEN_OFF}")
+
+
+class ClocksSummary(_Part):
+    """What the clocks of the two sites differ by, as the link measured it."""
+
+    offset_s: float = Field(description="Time by which the slave's clock is ahead, in the middle of the recording [s]")
+    uncertainty_s: float = Field(description="Bound of the error of the offset: half of the best round trip [s]")
+    drift_ppm: float = Field(description="Time that the slave's clock gains on the master's [ppm]")
+    applied: bool = Field(description="Whether the clocks are shown to differ, so that the difference is taken off")
+    reason: str = Field(description="Why the difference is taken off, or is not, in words")
+    otherwise: OtherReading | None = Field(
+        description="The other reading, where it can be neither shown nor excluded; null where there is only one"
+    )
+
+
+class PartSummary(_Part):
+    """One of the files of a recording in parts."""
+
+    file: str = Field(description="Name of the file, without its folder")
+    begins_s: float = Field(description="First message of the file, in the time of the session [s]")
+    ends_s: float = Field(description="Last message of the file, in the time of the session [s]")
+    pause_s: float = Field(description="Time since the file before, in which nothing was recorded [s]")
+    messages: int = Field(description="Messages in the file")
+
+
+class RecordingSummary(_Part):
+    """The account of the recording that the session was read from."""
+
+    file: str = Field(description="Path of the recording, or of the first of its parts")
+    complete: bool = Field(description="Whether nothing is missing that was sent to the recorder")
+    missing: list[str] = Field(description="What is missing, in sentences")
+    lost: int = Field(description="Messages that are missing, without those that the impaired link dropped")
+    messages: int = Field(description="Messages in the recording")
+    parts: list[PartSummary] = Field(
+        default=[], description="The files of a recording in parts; the key is absent where there is one file"
+    )
+
+
+class Summary(_Part):
+    """The summary of a session, as `summary.json` has it."""
+
+    scenario: str = Field(description="Name of the scenario")
+    law: list[str] = Field(description="Laws that were in force, one after the other")
+    parameters: dict[str, Any] = Field(description="Parameters of the law that the scenario names, SI units")
+    changed: list[str] = Field(description="What was set while the session ran, each with the node that set it")
+    link_round_trip_ms: float | None = Field(
+        description="Median of the delays that the link added there and back [ms]; null without `link/status`"
+    )
+    round_trip_ms: float | None = Field(
+        description="Median age of the hand's sample that the newest answer descends from, in whole periods, as the "
+        "law has to bridge it [ms]; null without `law/status`"
+    )
+    link_profile: str = Field(description="Profile of the link that the scenario names")
+    link_seed: int = Field(description="Seed of the random streams of the link")
+    plugins: dict[str, Package] = Field(description="What other packages brought to the session, by `<kind>.<name>`")
+    version: str = Field(description="Version of telenano that recorded the session; unknown if not recorded")
+    commit: str = Field(description="Commit of telenano that recorded the session; unknown if not recorded")
+    duration_s: float = Field(description="Duration of the operator's programme as recorded [s]")
+    stable: bool = Field(description="Whether the verdict is `stable`")
+    verdict: Kind = Field(description="Verdict on the session: that of its worst hold")
+    reason: str = Field(description="The verdict in words")
+    hold_ratio: float | None = Field(
+        description="Mean of F_m/(α_f F_s) from 2.2 s to 2.5 s of the session; null where the tip does not press "
+        "throughout or has no samples"
+    )
+    contact_x_cm: float | None = Field(
+        description="Mean position reference of the hand in the last second of the session [cm]; null without "
+        "`haptic/command`"
+    )
+    release_force_nn: float | None = Field(
+        description="Mean force F_s on the tip in the last second of the session [nN]; null without `afm/state`"
+    )
+    greatest_pull_nn: float | None = Field(
+        description="Most negative force F_s on the tip in the session, 0 if it was never pulled [nN]; null without "
+        "`afm/state`"
+    )
+    loop_age_ms: LoopAge | None = Field(
+        description="Age of the first answer to each sample of the hand, on the hand's own clock; null if none came"
+    )
+    overruns: int = Field(description="Deadlines that nodes missed while the session ran")
+    rate_hz: dict[str, float] = Field(description="By channel: messages sent in a second of the session [1/s]")
+    completeness: dict[str, float] = Field(
+        description="By channel with one source and a declared rate: recorded share of the declared number of messages"
+    )
+    seq_gaps: dict[str, int] = Field(description="By channel: gaps in the numbers of the messages, in all files")
+    holds: list[HoldSummary] = Field(description="The holds of the session, in order of time")
+    clocks: ClocksSummary | None = Field(
+        description="What the clocks of the sites differ by; null where the link measured nothing"
+    )
+    recording: RecordingSummary = Field(description="The account of the recording")
+
+
+def summary_schema() -> dict[str, Any]:
+    """Return the JSON Schema of `summary.json`."""
+    return {"$schema": _SCHEMA, **Summary.model_json_schema()}
+
+
+def markdown() -> str:
+    """Return the page docs/summary.md: a row for each key, those of parts under the key that holds them."""
+    rows = [f"| `{name}` | {kind} | {meaning} |" for name, kind, meaning in rows_of(summary_schema())]
+    return "\n".join([_PAGE + "| key | type | meaning |", "|---" * 3 + "|", *rows, ""])
+
+
+def rows_of(schema: dict[str, Any]) -> list[tuple[str, str, str]]:
+    """Return dotted name, type and meaning of each key of a JSON Schema, from the top down."""
+    return list(_rows(schema, schema["$defs"], ""))
+
+
+def _rows(part: dict[str, Any], parts: dict[str, Any], stem: str) -> Iterator[tuple[str, str, str]]:
+    for key, value in part["properties"].items():
+        name = stem + key
+        yield name, _type_of(value), value["description"]
+        for inner, place in _inside(value, name):
+            yield from _rows(parts[inner["$ref"].rpartition("/")[2]], parts, place)
+
+
+def _inside(value: dict[str, Any], name: str) -> Iterator[tuple[dict[str, Any], str]]:
+    """Yield the references in the type of a key, each with the name that the keys of that part begin with."""
+    if "$ref" in value:
+        yield value, f"{name}."
+    for choice in value.get("anyOf", ()):
+        yield from _inside(choice, name)
+    if "items" in value:
+        yield from _inside(value["items"], f"{name}[]")
+    if isinstance(value.get("additionalProperties"), dict):
+        yield from _inside(value["additionalProperties"], f"{name}.<name>")
+
+
+def _type_of(value: dict[str, Any]) -> str:
+    """Return the type of a key in words."""
+    if "anyOf" in value:
+        return " or ".join(map(_type_of, value["anyOf"]))
+    if "enum" in value:
+        return "one of " + ", ".join(f"`{word}`" for word in value["enum"])
+    if value.get("type") == "array":
+        return f"list of {_type_of(value['items'])}"
+    return _TYPES.get(value.get("type", "object"), "object")
+
+
+if __name__ == "__main__":
+    sys.stdout.write(markdown() if "--markdown" in sys.argv[1:] else json.dumps(summary_schema(), indent=2) + "\n")

@@ -1,0 +1,182 @@
+"""`summary.json` has the keys of its model: each has a row in the documents, and one that is new is noticed."""
+
+import json
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, get_args
+
+import pytest
+from made_sessions import TIP, Made
+from pydantic import ValidationError
+
+from analysis import report
+from analysis.holds import Hold
+from analysis.report import Session, read_session, read_traffic, summarise, write_report
+from analysis.summary import Package, Summary, markdown, rows_of, summary_schema
+from analysis.verdict import Kind
+from presets import SCHEMA_DIRECTORY
+from recording.channel_filter import ALL
+from recording.multi_file import RecordingSource, open_recordings
+from recording.rewrite import filter_recording
+
+ROOT = Path(__file__).resolve().parents[3]
+REFERENCES = ROOT / "tests" / "replay"
+# a session in its whole length, and what may happen to one
+MADE: dict[str, Made] = {
+    "stable": Made(),
+    "of_two_clocks": Made(ahead_s=0.3, drift=1e-5),
+    "of_two_readings": Made(told_s=0.02),
+    "set": Made(set_s=2.0),
+    "cut_off": Made(end_s=3.0),
+    "without_answers": Made(answers=0.0),
+    "without_tip": Made(without=lambda topic, time_s: topic in ("afm/state", "haptic/command")),
+    "without_status": Made(without=lambda topic, time_s: topic in ("law/status", "link/status", "clock/pong")),
+    "with_a_gap": Made(without=lambda topic, time_s: topic == "afm/state" and time_s > 3.0),
+    "guarded": Made(
+        mode=lambda time_s: "retracted" if time_s > 3.5 else "follow",
+        events=((3.5, {"mode": "retracting", "reason": "force_limit"}),),
+    ),
+    "killed": Made(
+        without=lambda topic, time_s: topic == "afm/state" and time_s > 2.0, incidents=((2.0, f"{TIP} was killed"),)
+    ),
+}
+
+
+def summary_of(recording: RecordingSource) -> dict[str, Any]:
+    session = read_session(recording)
+    return summarise(session, recording.info(), read_traffic(recording, session))
+
+
+@pytest.fixture(scope="module")
+def summaries(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Any]]:
+    """Summaries of the reference recordings, of one of them in two parts, and of sessions that are made up."""
+    files = {path.stem: [path] for path in sorted(REFERENCES.glob("*.mcap")) if path.stem != "link"}
+    parts = [tmp_path_factory.mktemp("parts") / name for name in ("session.mcap", "session_1.mcap")]
+    filter_recording(REFERENCES / "wave.mcap", parts[0], ALL, end_s=1.2)
+    filter_recording(REFERENCES / "wave.mcap", parts[1], ALL, start_s=1.5)
+    files["in_parts"] = parts
+    for name, made in MADE.items():
+        files[name] = [made.write(tmp_path_factory.mktemp(name))]
+    return {name: summary_of(open_recordings(paths)) for name, paths in files.items()}
+
+
+def keys_of(value: Any, stem: str = "") -> Iterator[str]:
+    """Yield the dotted names of all keys, as the page writes them."""
+    for item in value if isinstance(value, list) else ():
+        yield from keys_of(item, f"{stem}[]")
+    for key, inner in value.items() if isinstance(value, dict) else ():
+        name = f"{stem}.{key}" if stem else key
+        yield name
+        # the keys of maps are names of channels, parameters and packages
+        if name not in ("parameters", "plugins", "rate_hz", "completeness", "seq_gaps"):
+            yield from keys_of(inner, name)
+
+
+def test_every_summary_has_the_keys_of_the_page_and_each_of_them_is_met(summaries: dict[str, dict[str, Any]]) -> None:
+    rows = re.findall(r"^\| `([^`]+)` \|", (ROOT / "docs" / "summary.md").read_text(encoding="utf-8"), re.MULTILINE)
+    assert len(rows) == len(set(rows)) > 50
+    met = {key for summary in summaries.values() for key in keys_of(summary)}
+    packages = {f"plugins.<name>.{key}" for key in Package.model_fields}
+    assert met | packages == set(rows)
+
+
+def test_every_summary_is_what_the_model_and_the_file_hold(
+    summaries: dict[str, dict[str, Any]], tmp_path: Path
+) -> None:
+    for name, summary in summaries.items():
+        text = json.dumps(summary)
+        again = Summary.model_validate_json(text).model_dump(exclude_unset=True)
+        assert json.dumps(again) == text, name
+    assert write_report(REFERENCES / "wave.mcap", tmp_path) == summaries["wave"]
+    assert (tmp_path / "summary.json").read_text() == json.dumps(summaries["wave"], indent=2) + "\n"
+
+
+def test_the_sessions_show_what_a_summary_can_say(summaries: dict[str, dict[str, Any]]) -> None:
+    said = {summary["verdict"] for summary in summaries.values()}
+    assert said >= {"stable", "no_data", "guarded"}
+    assert summaries["of_two_clocks"]["clocks"]["applied"]
+    assert summaries["of_two_readings"]["clocks"]["otherwise"] is not None
+    assert summaries["without_status"]["clocks"] is None
+    assert summaries["without_tip"]["greatest_pull_nn"] is None
+    assert summaries["without_answers"]["loop_age_ms"] is None
+    assert summaries["set"]["changed"]
+    assert not summaries["cut_off"]["recording"]["complete"]
+    assert len(summaries["in_parts"]["recording"]["parts"]) == 2
+    assert "parts" not in summaries["wave"]["recording"]
+
+
+@pytest.fixture(scope="module")
+def stable(tmp_path_factory: pytest.TempPathFactory) -> tuple[Session, RecordingSource]:
+    recording = open_recordings([MADE["stable"].write(tmp_path_factory.mktemp("session"))])
+    return read_session(recording), recording
+
+
+@pytest.mark.parametrize("kind", get_args(Kind))
+def test_every_verdict_is_one_that_a_summary_may_have(
+    stable: tuple[Session, RecordingSource], monkeypatch: pytest.MonkeyPatch, kind: Kind
+) -> None:
+    session, recording = stable
+    hold = Hold(0.5, 1.5, 1.0, kind, None if kind == "no_data" else -1.0, 0.0, 0.0, "in words")
+    monkeypatch.setattr(report, "judge_holds", lambda *given: [hold])
+    summary = summarise(session, recording.info(), read_traffic(recording, session))
+    assert (summary["verdict"], summary["reason"], summary["stable"]) == (kind, "in words", kind == "stable")
+    assert summary["holds"] == [hold._asdict()]
+
+
+def new_condition(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(session.conditions, "humidity_percent", 40.0)
+
+
+def new_fact_of_the_recording(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+    account = report.account
+    monkeypatch.setattr(report, "account", lambda *given: {**account(*given), "disk": "full"})
+
+
+def new_fact_of_the_clocks(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = {"offset_s": 0.0, "uncertainty_s": 0.0, "drift_ppm": 0.0, "applied": False, "reason": "", "otherwise": None}
+    monkeypatch.setattr(report, "_clocks", lambda *given: {**found, "source": "link/status"})
+
+
+@pytest.mark.parametrize(
+    ("change", "name"),
+    [
+        (new_condition, "humidity_percent"),
+        (new_fact_of_the_recording, "recording.disk"),
+        (new_fact_of_the_clocks, "clocks.source"),
+    ],
+)
+def test_a_key_without_a_row_is_refused_by_name(
+    stable: tuple[Session, RecordingSource],
+    monkeypatch: pytest.MonkeyPatch,
+    change: Callable[[Session, pytest.MonkeyPatch], None],
+    name: str,
+) -> None:
+    session, recording = stable
+    change(session, monkeypatch)
+    with pytest.raises(ValidationError, match=re.escape(name)):
+        summarise(session, recording.info(), read_traffic(recording, session))
+
+
+def test_a_key_that_is_left_out_is_named(
+    stable: tuple[Session, RecordingSource], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    session, recording = stable
+    monkeypatch.delitem(session.conditions, "link_seed")
+    with pytest.raises(ValidationError, match="link_seed"):
+        summarise(session, recording.info(), read_traffic(recording, session))
+
+
+def test_schema_and_page_in_the_repository_are_those_of_the_model() -> None:
+    schema = json.loads((SCHEMA_DIRECTORY / "summary.json").read_text(encoding="utf-8"))
+    assert schema == summary_schema(), "renew it: make schemas"
+    assert (ROOT / "docs" / "summary.md").read_text(encoding="utf-8") == markdown(), "renew it: make schemas"
+
+
+def test_every_key_has_a_meaning_and_a_unit_where_its_name_has_one() -> None:
+    units = {"_per_s": "1/s", "_hz": "1/s", "_s": "s", "_ms": "ms", "_n": "N", "_nn": "nN", "_cm": "cm", "_ppm": "ppm"}
+    for name, kind, meaning in rows_of(summary_schema()):
+        assert len(meaning) >= 10, name
+        assert "|" not in meaning, name
+        unit = next((unit for ending, unit in units.items() if name.endswith(ending)), None)
+        assert unit is None or kind.startswith("object") or f"[{unit}]" in meaning, name
