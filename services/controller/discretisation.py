@@ -45,7 +45,9 @@ def exact_discretisation(mass: float, damping: float, stiffness: float, period_s
             phi = _times(phi, phi)
         phi_xx, phi_xv, phi_vx, phi_vv = map(float, phi)
         gamma_x, gamma_v = float(psi[1] / Decimal(mass)), float(psi[3] / Decimal(mass))
-        return Discretisation(phi_xx, phi_xv, phi_vx, phi_vv, gamma_x, gamma_v)
+        return Discretisation(
+            phi_xx=phi_xx, phi_xv=phi_xv, phi_vx=phi_vx, phi_vv=phi_vv, gamma_x=gamma_x, gamma_v=gamma_v
+        )
 
 
 def decay(ratio: float) -> float:

@@ -20,6 +20,7 @@ from services.controller.law import (
     EnergyAccount,
     Law,
     PortSignal,
+    port_signal,
 )
 from services.controller.warm_up import warm_up
 from services.numerics.frames import to_paper_axis, to_site_frame
@@ -163,7 +164,7 @@ class ControllerHalf(Node):
             separation_valid, in_contact = message.separation_valid, message.in_contact
         else:
             self.far_lateral = message.position_m[:2]
-        self.signal = PortSignal(
+        self.signal = port_signal(
             position_m=to_paper_axis(message.position_m),
             velocity_m_per_s=to_paper_axis(message.velocity_m_per_s),
             force_n=force_n,
@@ -173,8 +174,6 @@ class ControllerHalf(Node):
             separation_valid=separation_valid,
             in_contact=in_contact,
             active=message.active,
-            silence_s=0.0,
-            round_trip_s=0.0,
         )
         return True
 

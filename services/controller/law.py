@@ -9,8 +9,10 @@ All quantities are scalars along the paper's axis, towards the sample: x_m, F_m 
 on the tip, repulsive positive, that is, along -x).
 """
 
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from types import ModuleType
 from typing import Any, NamedTuple
 
 from pydantic import BaseModel
@@ -60,6 +62,30 @@ class PortSignal(NamedTuple):
     round_trip_s: float
 
 
+@compiled
+def port_signal(
+    position_m: float,
+    velocity_m_per_s: float = 0.0,
+    force_n: float = 0.0,
+    wave_sqrt_w: float = 0.0,
+    energy_j: float = 0.0,
+    separation_m: float = 0.0,
+    separation_valid: bool = False,
+    in_contact: bool = False,
+    active: bool = False,
+    silence_s: float = 0.0,
+    round_trip_s: float = 0.0,
+) -> PortSignal:
+    """Return a signal from what a law says by name; what it does not say is zero or false.
+
+    The defaults are those of a step and not of the tuple, because numba does not fill in defaults of a tuple.
+    """
+    return PortSignal(
+        position_m, velocity_m_per_s, force_n, wave_sqrt_w, energy_j, separation_m, separation_valid, in_contact,
+        active, silence_s, round_trip_s,
+    )  # fmt: skip
+
+
 class MasterReference(NamedTuple):
     """What the operator's device is to do: follow position_m, or, where `active` is false, be off.
 
@@ -100,7 +126,11 @@ def longest_pause_periods(silence_limit_s: float, period_s: float) -> int:
     return max(LONGEST_BRIDGED_PERIODS, round(silence_limit_s / period_s))
 
 
-NO_SIGNAL = PortSignal(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, False, False, False, 1e9, 0.0)
+NO_SIGNAL = port_signal(position_m=0.0, silence_s=1e9)
+# before the instrument has said anything
+NO_TIP = TipMeasurement(
+    base_position_m=0.0, force_n=0.0, separation_m=0.0, separation_valid=False, in_contact=False, following=False
+)
 
 # Params and states are NamedTuples of the law's own, so the table of laws cannot name them: each law's module does.
 Steps = Callable[..., Any]
@@ -153,6 +183,25 @@ class Law:
     uses_waves: bool = False
     uses_energy: bool = False
     local_loop: bool = False
+
+
+_MASTER_STEPS = ("master_start", "master_resume", "master_send", "master_receive", "retune")
+_SLAVE_STEPS = ("slave_start", "slave_receive", "slave_send")
+_ACCOUNTS = ("master_energy_account", "slave_energy_account")
+
+
+def law_of(module: str, config: type[BaseModel], *, slave: ModuleType | None = None, **flags: bool) -> Law:
+    """Return the law that a module has written down: it has the module's name, and its steps are those of `Law`.
+
+    Parameters: module, the `__name__` of the module, which calls this below its last step; slave, a module that has the
+    steps of the slave half, where that is not the same one; flags, those of `Law`.
+    Raises: AttributeError naming a step that is missing.
+    """
+    own = sys.modules[module]
+    values: dict[str, Any] = {step: getattr(own, step) for step in _MASTER_STEPS}
+    values |= {step: getattr(slave or own, step) for step in _SLAVE_STEPS}
+    values |= {step: getattr(own, step) for step in _ACCOUNTS if hasattr(own, step)} | flags
+    return Law(name=module.rpartition(".")[2], config=config, **values)
 
 
 def checked_law(name: str, value: Any) -> Law:

@@ -11,7 +11,16 @@ from proto.ranges import ENERGY, FORCE, POSITION, VELOCITY, WAVE, WAY, Range
 from services.controller.clamp import clamped
 from services.controller.config import LAWS, OWN_LAWS, ControllerConfig
 from services.controller.deadband import deadband, initial_deadband_state
-from services.controller.law import LONGEST_BRIDGED_PERIODS, NO_SIGNAL, HandSample, Law, PortSignal, TipMeasurement
+from services.controller.law import (
+    LONGEST_BRIDGED_PERIODS,
+    NO_SIGNAL,
+    NO_TIP,
+    HandSample,
+    Law,
+    PortSignal,
+    TipMeasurement,
+    port_signal,
+)
 
 TICKS = 40
 PERIODS_S = (1e-4, 1e-3, 0.1)
@@ -67,22 +76,29 @@ def _hand_sample(rng: random.Random) -> HandSample:
 
 def _tip_sample(rng: random.Random) -> TipMeasurement:
     position, force, apart = _quantity(POSITION, rng), _quantity(FORCE, rng), _quantity(POSITION, rng)
-    return TipMeasurement(position, force, apart, rng.random() < 0.5, rng.random() < 0.7, rng.random() < 0.8)
+    return TipMeasurement(
+        base_position_m=position,
+        force_n=force,
+        separation_m=apart,
+        separation_valid=rng.random() < 0.5,
+        in_contact=rng.random() < 0.7,
+        following=rng.random() < 0.8,
+    )
 
 
 def _signal_at_corners(rng: random.Random) -> PortSignal:
-    return PortSignal(
-        _quantity(WAY, rng),
-        _quantity(VELOCITY, rng),
-        _quantity(FORCE, rng),
-        _quantity(WAVE, rng),
-        _quantity(ENERGY, rng),
-        _quantity(POSITION, rng),
-        rng.random() < 0.5,
-        rng.random() < 0.7,
-        rng.random() < 0.8,
-        rng.choice((0.0, 1e-4, 0.04, 1e9, 9.3e9)),
-        rng.choice((0.0, 1e-3, 10.0, 9.3e9)),
+    return port_signal(
+        position_m=_quantity(WAY, rng),
+        velocity_m_per_s=_quantity(VELOCITY, rng),
+        force_n=_quantity(FORCE, rng),
+        wave_sqrt_w=_quantity(WAVE, rng),
+        energy_j=_quantity(ENERGY, rng),
+        separation_m=_quantity(POSITION, rng),
+        separation_valid=rng.random() < 0.5,
+        in_contact=rng.random() < 0.7,
+        active=rng.random() < 0.8,
+        silence_s=rng.choice((0.0, 1e-4, 0.04, 1e9, 9.3e9)),
+        round_trip_s=rng.choice((0.0, 1e-3, 10.0, 9.3e9)),
     )
 
 
@@ -165,13 +181,14 @@ def _run_together(halves: _Halves) -> None:
     """Let the halves answer each other on a stiff spring: what is unstable grows until the ranges stop it."""
     stiffness = halves.rng.choice((1.0, 20.0, 1e9))
     hand_n = halves.rng.choice((1.0, 1e6))
-    halves.hand, halves.tip = HandSample(0.0, 0.0, hand_n, True), TipMeasurement(0.0, 0.0, 0.0, True, True, True)
+    halves.hand = HandSample(0.0, 0.0, hand_n, True)
+    halves.tip = NO_TIP._replace(separation_valid=True, in_contact=True, following=True)
     for _ in range(TICKS):
         forward = _over_the_wire(halves.forward())._replace(active=True, silence_s=0.0)
         base, answer = halves.backward(forward)
         base = min(max(base, POSITION.low), POSITION.high)
         force = min(max(stiffness * base, FORCE.low), FORCE.high)
-        halves.tip = TipMeasurement(base, force, -base, True, True, True)
+        halves.tip = halves.tip._replace(base_position_m=base, force_n=force, separation_m=-base)
         late_s = halves.rng.choice((0.0, 1.0, 4.0)) * halves.period_s
         answer = _over_the_wire(answer)._replace(active=True, silence_s=0.0, round_trip_s=late_s)
         reference = halves.receive(answer)

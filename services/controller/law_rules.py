@@ -10,12 +10,14 @@ from typing import Any, NamedTuple
 
 from proto.errors import ConfigError
 from services.controller.config import LAWS, PACKAGE_LAWS, ControllerConfig
-from services.controller.law import NO_SIGNAL, HandSample, Law, TipMeasurement
+from services.controller.law import NO_SIGNAL, NO_TIP, HandSample, Law, TipMeasurement
 from services.controller.law_corners import failures
 from services.numerics.compiled import compiled_form, is_step
 
 _HAND = HandSample(5e-3, 0.01, 0.7, True)
-_TIP = TipMeasurement(1.1e-8, 7e-9, 1e-10, True, True, True)
+_TIP = TipMeasurement(
+    base_position_m=1.1e-8, force_n=7e-9, separation_m=1e-10, separation_valid=True, in_contact=True, following=True
+)
 _PERIOD_S = 1e-3
 # of the same place, after rounding
 _SAME_PLACE_M = 1e-20
@@ -129,7 +131,7 @@ def _holds_spring(name: str) -> Iterator[str]:
 
 def _held_n(law: Law, params: Any, period_s: float) -> float:
     """Return alpha_f F_s that a hand of 1 N holds against a spring without delay [N]."""
-    x, tip = 0.0, TipMeasurement(0.0, 0.0, 0.0, False, True, True)
+    x, tip = 0.0, NO_TIP._replace(in_contact=True, following=True)
     master, slave = law.master_start(params, HandSample(0.0, 0.0, 0.0, True)), law.slave_start(params, tip)
     answer = NO_SIGNAL
     for _ in range(round(_HOLD_S / period_s)):
@@ -137,7 +139,7 @@ def _held_n(law: Law, params: Any, period_s: float) -> float:
         master, signal = law.master_send(params, master, hand, period_s)
         slave, wanted = law.slave_receive(params, slave, signal._replace(silence_s=0.0), tip, period_s)
         base = wanted.position_m
-        tip = TipMeasurement(base, _SPRING_N_PER_M * base, 0.0, False, True, True)
+        tip = tip._replace(base_position_m=base, force_n=_SPRING_N_PER_M * base)
         slave, answer = law.slave_send(params, slave, tip, period_s)
         master, reference = law.master_receive(params, master, hand, answer._replace(silence_s=0.0), period_s)
         x = reference.position_m
@@ -149,7 +151,7 @@ class _Bench:
 
     def __init__(self, name: str) -> None:
         self.law, self.params = LAWS[name], _params(name)
-        self.x, self.tip = 0.0, TipMeasurement(0.0, 0.0, 0.0, False, False, False)
+        self.x, self.tip = 0.0, NO_TIP
         self.master = self.law.master_start(self.params, HandSample(0.0, 0.0, 0.0, True))
         self.slave = self.law.slave_start(self.params, self.tip)
 
@@ -164,7 +166,9 @@ class _Bench:
             signal = signal._replace(silence_s=0.0)
             self.slave, wanted = self.law.slave_receive(self.params, self.slave, signal, self.tip, _PERIOD_S)
             base = 0.0 if retracted else wanted.position_m
-            self.tip = TipMeasurement(base, _SPRING_N_PER_M * base, 0.0, False, base != 0.0, not retracted)
+            self.tip = NO_TIP._replace(
+                base_position_m=base, force_n=_SPRING_N_PER_M * base, in_contact=base != 0.0, following=not retracted
+            )
             self.slave, answer = self.law.slave_send(self.params, self.slave, self.tip, _PERIOD_S)
             answer = answer._replace(silence_s=0.0)
             self.master, reference = self.law.master_receive(self.params, self.master, hand, answer, _PERIOD_S)

@@ -20,6 +20,7 @@ from services.controller.half import ROUND_TRIP_UNKNOWN, ZERO_XY, ControllerHalf
 from services.controller.input_age import INSTRUMENT_DEADLINE_S
 from services.controller.law import (
     NO_SIGNAL,
+    NO_TIP,
     EnergyAccount,
     HandSample,
     MasterReference,
@@ -216,7 +217,7 @@ class SlaveController(ControllerHalf):
 
     def __init__(self, context: NodeContext, config: ControllerConfig) -> None:
         super().__init__(context, config)
-        self.tip = TipMeasurement(0.0, 0.0, 0.0, False, False, False)
+        self.tip = NO_TIP
         self.reference = SlaveReference(0.0, True)
         self._dt_s = config.period_s
         # periods that the half is behind the hand, and the length of its last step
@@ -349,12 +350,12 @@ class SlaveController(ControllerHalf):
     def _on_instrument(self, message: AfmState) -> None:
         self.lateral_m, self._lateral_n = message.base_position_m[:2], message.tip_force_n[:2]
         self.tip = TipMeasurement(
-            to_paper_axis(message.base_position_m),
-            message.tip_force_n[2],
-            message.separation_m,
-            message.separation_valid,
-            message.in_contact,
-            message.mode in ("follow", "hold")
+            base_position_m=to_paper_axis(message.base_position_m),
+            force_n=message.tip_force_n[2],
+            separation_m=message.separation_m,
+            separation_valid=message.separation_valid,
+            in_contact=message.in_contact,
+            following=message.mode in ("follow", "hold")
             and not (self._occupied_until_ns and self.clock.now_ns() < self._occupied_until_ns),
         )
         self.state = "running" if self.tip.following else "safe"

@@ -6,13 +6,13 @@ from services.controller import energy
 from services.controller.clamp import clamped
 from services.controller.config import ControllerConfig
 from services.controller.deadband import deadband, initial_deadband_state
-from services.controller.law import HandSample, Law, SlaveReference, TipMeasurement
+from services.controller.law import NO_TIP, HandSample, Law, SlaveReference
 
 
 def warm_up(law: Law, params: Any, config: ControllerConfig) -> None:
     """Compile the steps of a law before the first tick needs them."""
     period_s = config.period_s
-    hand, tip = HandSample(0.0, 0.0, 0.0, False), TipMeasurement(0.0, 0.0, 0.0, False, False, False)
+    hand, tip = HandSample(0.0, 0.0, 0.0, False), NO_TIP
     state = law.master_resume(params, hand, 0.0)
     state, signal = law.master_send(params, law.master_start(params, hand), hand, period_s)
     state, _ = law.master_receive(params, state, hand, signal, period_s)

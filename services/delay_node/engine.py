@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from services.delay_node.config import DirectionSettings, LinkSettings, parse_settings
-from services.delay_node.fate import Direction, DirectionStats, Fate, Figures, Release
+from services.delay_node.fate import Direction, DirectionStats, Fate, Figures, Release, delayed
 from services.delay_node.models.queueing import ServedQueue, Waiting
 from services.delay_node.pipeline import Files, InFlight, Pipeline, TopicPipeline, read_files
 from services.runtime.loop.node_state import FindInput
@@ -173,11 +173,11 @@ class DirectionEngine:
         self._queues = self._all_queues()
         self._now_ns, self._arrivals, self._pushed = state["now_ns"], state["arrivals"], state["pushed"]
         self._figures.restore_state(state["figures"])
-        self._fates = [Fate(*fate) for fate in state["fates"]]
+        self._fates = [Fate._make(fate) for fate in state["fates"]]
         # in the order of the heap that it was
         self._heap = []
         for release_ns, pushed, damaged, *facts in state["in_flight"]:
-            fate = Fate(*facts)
+            fate = Fate._make(facts)
             payload = damaged or find(fate.topic, fate.src, fate.seq, fate.arrived_ns, fate.size_bytes)
             self._heap.append((release_ns, pushed, Release(fate.topic, payload, fate)))
         for pattern, waiting in state["waiting"].items():
@@ -196,7 +196,7 @@ class DirectionEngine:
 
     def _restored(self, captured: Sequence[Any], find: FindInput) -> InFlight:
         topic, size_bytes, *rest = captured
-        message = InFlight(self._topic_pipelines[topic], *rest)
+        message = InFlight._make((self._topic_pipelines[topic], *rest))
         payload = message.payload or find(topic, message.src, message.seq, message.arrived_ns, size_bytes)
         return message._replace(payload=payload)
 
@@ -229,10 +229,17 @@ class DirectionEngine:
             latest_release.latest_ns = release_ns
             latest_release.order = self._arrivals
         size_bytes = len(payload)
-        fate = Fate(
-            self._direction, pipeline.topic, seq, 0, size_bytes, now_ns, release_ns, delay_ns, 0, 0, "", False,
-            reordered, False, src,
-        )  # fmt: skip
+        fate = delayed(
+            direction=self._direction,
+            topic=pipeline.topic,
+            seq=seq,
+            size_bytes=size_bytes,
+            arrived_ns=now_ns,
+            release_ns=release_ns,
+            delay_ns=delay_ns,
+            reordered=reordered,
+            src=src,
+        )
         if self._fates is not None:
             self._fates.append(fate)
         release = Release(pipeline.topic, payload, fate)
@@ -256,7 +263,16 @@ class DirectionEngine:
         copy_ns = _random_delay_ns(fixed_ns, pipeline.copy_jitter)
 
         shared = pipeline.shared
-        message = InFlight(pipeline, self._arrivals, seq, 0, payload, now_ns, now_ns, 0, False, False, False, src)
+        message = InFlight(
+            pipeline=pipeline,
+            order=self._arrivals,
+            seq=seq,
+            copy=0,
+            payload=payload,
+            arrived_ns=now_ns,
+            ready_ns=now_ns,
+            src=src,
+        )
         if not applies:
             self._enqueue(message, bypass=True)
             return
@@ -434,7 +450,14 @@ def _random_delay_ns(fixed_ns: int, jitter: Callable[[], float] | None) -> int:
 
 def _waiting(message: InFlight) -> Waiting[InFlight]:
     topic, reliable = message.pipeline.topic, message.pipeline.reliable
-    return Waiting(message.ready_ns, len(message.payload), topic, reliable, message.order, message)
+    return Waiting(
+        ready_ns=message.ready_ns,
+        size_bytes=len(message.payload),
+        topic=topic,
+        reliable=reliable,
+        order=message.order,
+        item=message,
+    )
 
 
 def _fate(direction: Direction, message: InFlight) -> Fate:
@@ -446,13 +469,7 @@ def _fate(direction: Direction, message: InFlight) -> Fate:
         copy=message.copy,
         size_bytes=len(message.payload),
         arrived_ns=message.arrived_ns,
-        release_ns=None,
-        delay_ns=0,
-        queue_ns=0,
-        held_ns=0,
-        dropped="",
         duplicated=message.duplicated,
-        reordered=False,
         corrupted=message.corrupted,
         src=message.src,
     )

@@ -17,15 +17,32 @@ class Fate(NamedTuple):
     copy: int  # 0 the message itself, 1 its duplicate
     size_bytes: int
     arrived_ns: int
-    release_ns: int | None  # None: dropped
-    delay_ns: int  # release - arrival, everything included; 0 if dropped
-    queue_ns: int  # part of it waiting for, and being sent by, the rate limit or delivery trace
-    held_ns: int  # part of it waiting for the end of an outage
-    dropped: str  # one of CAUSES, empty if released
-    duplicated: bool  # a copy was made of this message
-    reordered: bool  # released before a message of its topic that had arrived earlier
-    corrupted: bool  # bits were flipped
+    release_ns: int | None = None  # None: dropped, or not decided yet
+    delay_ns: int = 0  # release - arrival, everything included; 0 if dropped
+    queue_ns: int = 0  # part of it waiting for, and being sent by, the rate limit or delivery trace
+    held_ns: int = 0  # part of it waiting for the end of an outage
+    dropped: str = ""  # one of CAUSES, empty if released
+    duplicated: bool = False  # a copy was made of this message
+    reordered: bool = False  # released before a message of its topic that had arrived earlier
+    corrupted: bool = False  # bits were flipped
     src: str = ""  # publisher of the message, where it was given
+
+
+def delayed(
+    direction: Direction,
+    topic: str,
+    seq: int,
+    size_bytes: int,
+    arrived_ns: int,
+    release_ns: int,
+    delay_ns: int,
+    reordered: bool,
+    src: str,
+) -> Fate:
+    """Return the fate of a message on a plain bridge: keywords of the class itself take nearly twice as long."""
+    return Fate(
+        direction, topic, seq, 0, size_bytes, arrived_ns, release_ns, delay_ns, 0, 0, "", False, reordered, False, src
+    )
 
 
 class Release(NamedTuple):

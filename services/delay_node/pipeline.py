@@ -114,11 +114,11 @@ class InFlight(NamedTuple):
     payload: bytes
     arrived_ns: int
     ready_ns: int  # after an outage
-    delay_ns: int
-    gated: bool
-    duplicated: bool
-    corrupted: bool
-    src: str
+    delay_ns: int = 0
+    gated: bool = False
+    duplicated: bool = False
+    corrupted: bool = False
+    src: str = ""
 
 
 def read_files(settings: DirectionSettings, folder: Path, prefix: str) -> dict[str, Files]:

@@ -211,7 +211,7 @@ class ForceProfileConfig(Settings):
     def to_params(self) -> OperatorParams:
         times = np.array([point.time_s for point in self.points])
         forces = np.array([point.force_n for point in self.points])
-        return OperatorParams(FORCE_PROFILE, times, forces, 0.0, 0.0, 0.0, 0.0, 0.0, self.max_force_n)
+        return OperatorParams(kind=FORCE_PROFILE, times_s=times, values=forces, max_force_n=self.max_force_n)
 
 
 class ArmConstants(NamedTuple):
@@ -295,7 +295,8 @@ class InteractiveConfig(Settings):
 
     def to_params(self) -> OperatorParams:
         # a profile of one corner, which the device holds until it is given another force
-        return OperatorParams(FORCE_PROFILE, np.zeros(1), np.zeros(1), 0.0, 0.0, 0.0, 0.0, 0.0, self.max_force_n)
+        none = np.zeros(1)
+        return OperatorParams(kind=FORCE_PROFILE, times_s=none, values=none, max_force_n=self.max_force_n)
 
 
 if TYPE_CHECKING:

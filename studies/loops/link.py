@@ -94,7 +94,14 @@ def schedule_from(
         np.searchsorted(forward_ns, backward_ns, side="right") - backward_of,
     ]
     longest = max((int(lag.max(initial=0)) for lag in behind), default=0)
-    return Schedule(forward_ns, forward_of, backward_ns, backward_of, ticks, 1 << (longest + 1).bit_length())
+    return Schedule(
+        forward_ns=forward_ns,
+        forward_of=forward_of,
+        backward_ns=backward_ns,
+        backward_of=backward_of,
+        ticks=ticks,
+        window=1 << (longest + 1).bit_length(),
+    )
 
 
 def _arrivals(

@@ -43,7 +43,15 @@ from services.afm_node.physics.step import (
 from services.controller.clamp import ClampParams, clamped
 from services.controller.config import ControllerConfig
 from services.controller.deadband import DeadbandParams, deadband, initial_deadband_state
-from services.controller.law import NO_SIGNAL, HandSample, PortSignal, TipMeasurement, longest_pause_periods, paced
+from services.controller.law import (
+    NO_SIGNAL,
+    NO_TIP,
+    HandSample,
+    PortSignal,
+    TipMeasurement,
+    longest_pause_periods,
+    paced,
+)
 from services.haptic_node import safety as haptic_safety
 from services.haptic_node.config import HapticConfig
 from services.haptic_node.physics.step import HapticInputs, HapticParams
@@ -206,24 +214,31 @@ def simulate(rig: Rig, schedule: Schedule, session_tick: int) -> Trajectory:
 def _tip_of(answer: AfmOutputs) -> TipMeasurement:
     """Return the part of the instrument's answer that the slave half uses."""
     following = answer.mode == afm_safety.MODE_FOLLOW or answer.mode == afm_safety.MODE_HOLD
-    return TipMeasurement(answer.base_m, answer.force_n, answer.distance_m, True, answer.in_contact, following)
+    return TipMeasurement(
+        base_position_m=answer.base_m,
+        force_n=answer.force_n,
+        separation_m=answer.distance_m,
+        separation_valid=True,
+        in_contact=answer.in_contact,
+        following=following,
+    )
 
 
 @compiled
 def _as_received(signal: PortSignal, silence_s: float, round_trip_s: float) -> PortSignal:
     """Return a signal with the two figures that its receiver fills in."""
     return PortSignal(
-        signal.position_m,
-        signal.velocity_m_per_s,
-        signal.force_n,
-        signal.wave_sqrt_w,
-        signal.energy_j,
-        signal.separation_m,
-        signal.separation_valid,
-        signal.in_contact,
-        signal.active,
-        silence_s,
-        round_trip_s,
+        position_m=signal.position_m,
+        velocity_m_per_s=signal.velocity_m_per_s,
+        force_n=signal.force_n,
+        wave_sqrt_w=signal.wave_sqrt_w,
+        energy_j=signal.energy_j,
+        separation_m=signal.separation_m,
+        separation_valid=signal.separation_valid,
+        in_contact=signal.in_contact,
+        active=signal.active,
+        silence_s=silence_s,
+        round_trip_s=round_trip_s,
     )
 
 
@@ -274,7 +289,7 @@ def _run(
     # when the sample behind the newest answer would have been back without the link, and that behind the command
     answer_hand_ns, command_hand_ns = -1, -1
 
-    tip = TipMeasurement(0.0, 0.0, 0.0, False, False, False)
+    tip = NO_TIP
     slave = slave_start(law, tip)
     slave_tick, received, received_ns = -1, NO_SIGNAL, -1
     slave_behind, slave_dt = 0, dt
@@ -290,7 +305,15 @@ def _run(
         now_ns = n * period_ns
         age_s = np.inf if command_ns < 0 else (now_ns - min(command_ns, command_hand_ns)) * 1e-9
         session_s = (n - times.session_tick) * dt if n >= times.session_tick else -1.0
-        asked = HapticInputs(command_mode, command_m, 0.0, age_s, session_s, False, False)
+        asked = HapticInputs(
+            command_mode=command_mode,
+            position_reference_m=command_m,
+            force_reference_n=0.0,
+            command_age_s=age_s,
+            session_time_s=session_s,
+            estop=False,
+            arm_requested=False,
+        )
         haptic_state, felt = haptic_step(haptic, haptic_state, asked, dt)
 
         if due:

@@ -109,17 +109,17 @@ def _row(law: str, hand: str, round_trip_ms: float, results: Sequence[CellResult
         if result.verdict != "stable":
             failed[result.verdict] = failed.get(result.verdict, 0) + 1
     return Outcome(
-        law,
-        hand,
-        round_trip_ms,
-        len(results),
-        sum(result.lowest_energy_j >= LEAST_J for result in results),
-        min(result.lowest_energy_j for result in results),
-        len(stable),
-        statistics.median(shares) if shares else None,
-        min(shares, default=None),
-        statistics.median(result.apart_m or 0.0 for result in stable) if stable else None,
-        failed,
+        law=law,
+        hand=hand,
+        round_trip_ms=round_trip_ms,
+        runs=len(results),
+        passive=sum(result.lowest_energy_j >= LEAST_J for result in results),
+        lowest_energy_j=min(result.lowest_energy_j for result in results),
+        stable=len(stable),
+        share=statistics.median(shares) if shares else None,
+        least_share=min(shares, default=None),
+        apart_m=statistics.median(result.apart_m or 0.0 for result in stable) if stable else None,
+        failed=failed,
     )
 
 

@@ -3,11 +3,10 @@
 import random
 from typing import get_args
 
+from services.controller.law_names import LAW_NAMES
 from studies.loops.cells import Cell, Environment, Hand
 from studies.loops.tuning import Settings, tuned
 
-# a law that is added makes no other cells of a seed
-_LAWS = ("virtual_impedance", "position_force", "wave", "passivity", "model_mediated", "smith")
 _ROUND_TRIPS_MS = (0.0, 20.0, 40.0, 60.0, 100.0, 150.0, 200.0)
 # what the bus can run
 _ENVIRONMENTS: tuple[Environment, ...] = ("spring", "wall", "contact")
@@ -33,7 +32,7 @@ def drawn_cells(number: int, seed: int) -> list[Cell]:
 
 
 def _drawn(source: random.Random) -> Cell:
-    law, environment = source.choice(_LAWS), source.choice(_ENVIRONMENTS)
+    law, environment = source.choice(LAW_NAMES), source.choice(_ENVIRONMENTS)
     round_trip_ms = source.choice(_ROUND_TRIPS_MS)
     jitter_ms = 0.5 * round_trip_ms * source.choice(_JITTER_SHARES)
     stiffness = source.choice(_STIFFNESSES_N_PER_M)

@@ -286,11 +286,11 @@ def _demodulated(course: Trajectory, begin_s: float, cell: Cell, frequency_hz: f
     hand_m = course.hand_position_m[part]
     tip_m = course.base_position_m[part] / scales.position_scale
     return _Tones(
-        tone(course.hand_force_n[part]),
-        tone(course.rendered_force_n[part]),
-        tone(hand_m),
-        tone(scales.force_scale * course.tip_force_n[part]),
-        tone(tip_m),
-        float((tip_m - hand_m).std()),
-        float(hand_m.std()),
+        hand_n=tone(course.hand_force_n[part]),
+        rendered_n=tone(course.rendered_force_n[part]),
+        hand_m=tone(hand_m),
+        tip_n=tone(scales.force_scale * course.tip_force_n[part]),
+        tip_m=tone(tip_m),
+        error_rms_m=float((tip_m - hand_m).std()),
+        motion_rms_m=float(hand_m.std()),
     )

@@ -35,9 +35,9 @@ def law_names(incomplete: str) -> list[str]:
 def law_name(incomplete: str) -> list[str]:
     """Return the laws that begin so, those of installed packages included, without importing one."""
     from presets.plugins import installed
+    from services.controller.law_names import LAW_NAMES
 
-    own = ("virtual_impedance", "position_force", "wave", "passivity", "model_mediated", "smith")
-    return [name for name in (*own, *installed("laws")) if name.startswith(incomplete)]
+    return [name for name in (*LAW_NAMES, *installed("laws")) if name.startswith(incomplete)]
 
 
 def service_names(incomplete: str) -> list[str]:

@@ -9,6 +9,7 @@ from services.controller.law import (
     PortSignal,
     SlaveReference,
     TipMeasurement,
+    port_signal,
 )
 from services.controller.laws.shared import pass_through
 from services.controller.laws.shared.virtual_mass import (
@@ -47,6 +48,7 @@ __all__ = [
     "moved",
     "pass_through",
     "periods_in",
+    "port_signal",
     "rescaled",
     "resumed",
     "tip_reference",

@@ -34,11 +34,12 @@ from pydantic import Field
 from services.controller.law import (
     EnergyAccount,
     HandSample,
-    Law,
     MasterReference,
     PortSignal,
     SlaveReference,
     TipMeasurement,
+    law_of,
+    port_signal,
 )
 from services.controller.laws.shared.pass_through import measured
 from services.controller.laws.shared.surface import (
@@ -164,7 +165,15 @@ class SlaveState(NamedTuple):
 
 @compiled
 def _begun(params: ModelMediatedParams, mass: Mass) -> MasterState:
-    return MasterState(mass, unknown(params.fit), Surface(0.0, params.fit.kappa, 0.0), False, 0.0, 0.0, 0.0)
+    return MasterState(
+        mass=mass,
+        fit=unknown(params.fit),
+        model=Surface(0.0, params.fit.kappa, 0.0),
+        rendered=False,
+        store_j=0.0,
+        injected_j=0.0,
+        dissipated_j=0.0,
+    )
 
 
 @compiled
@@ -188,7 +197,9 @@ def master_send(
     velocity = p.position_scale * mass.velocity_m_per_s
     force = hand.force_n / p.force_scale
     active = hand.following and mass.coupled
-    return state, PortSignal(tip_reference(p, mass), velocity, force, 0.0, 0.0, 0.0, False, False, active, 0.0, 0.0)
+    return state, port_signal(
+        position_m=tip_reference(p, mass), velocity_m_per_s=velocity, force_n=force, active=active
+    )
 
 
 @compiled
@@ -199,7 +210,15 @@ def learnt(params: ModelMediatedParams, fit: Fit, signal: PortSignal) -> Fit:
         return fitted(params.fit, fit, position, force) if fit.known else met(params.fit, position, force)
     if fit.known and position > fit.surface.contact_nm + params.fit.range_nm:
         surface = Surface(position - params.fit.range_nm, fit.surface.kappa, fit.surface.adhesion_nn)
-        return Fit(surface, fit.positions_nm, fit.forces_nn, fit.weights, fit.bin, fit.damping, True)
+        return Fit(
+            surface=surface,
+            positions_nm=fit.positions_nm,
+            forces_nn=fit.forces_nn,
+            weights=fit.weights,
+            bin=fit.bin,
+            damping=fit.damping,
+            known=True,
+        )
     return fit
 
 
@@ -252,7 +271,15 @@ def master_receive(
         if fit.known and is_retracted(p, signal):
             # what is armed anew may meet another surface
             fit = unknown(params.fit)
-        state = MasterState(mass, fit, fit.surface, fit.known, 0.0, state.injected_j, state.dissipated_j)
+        state = MasterState(
+            mass=mass,
+            fit=fit,
+            model=fit.surface,
+            rendered=fit.known,
+            store_j=0.0,
+            injected_j=state.injected_j,
+            dissipated_j=state.dissipated_j,
+        )
         return state, MasterReference(hand.position_m, 0.0, 0.0, coupled)
     if fit.known and not rendered:
         here = tip_reference(p, mass) / NANO
@@ -276,7 +303,9 @@ def master_receive(
         taken = params.damping_n_s_per_m * moved_m * moved_m / p.period_s
         store = min(store + taken, params.cap_j)
         dissipated += taken
-    state = MasterState(mass, fit, model, rendered, store, injected, dissipated)
+    state = MasterState(
+        mass=mass, fit=fit, model=model, rendered=rendered, store_j=store, injected_j=injected, dissipated_j=dissipated
+    )
     return state, MasterReference(mass.position_m, mass.velocity_m_per_s, force, True)
 
 
@@ -318,7 +347,15 @@ def retune(old: ModelMediatedParams, new: ModelMediatedParams, state: MasterStat
     """Keep the tip's reference constant when alpha_p changes."""
     mass = rescaled(old.mass, new.mass, state.mass)
     store = min(state.store_j, new.cap_j)
-    return MasterState(mass, state.fit, state.model, state.rendered, store, state.injected_j, state.dissipated_j)
+    return MasterState(
+        mass=mass,
+        fit=state.fit,
+        model=state.model,
+        rendered=state.rendered,
+        store_j=store,
+        injected_j=state.injected_j,
+        dissipated_j=state.dissipated_j,
+    )
 
 
 @compiled
@@ -327,17 +364,4 @@ def master_energy_account(params: ModelMediatedParams, state: MasterState) -> En
     return EnergyAccount(state.store_j, state.dissipated_j - state.injected_j, 0.0)
 
 
-MODEL_MEDIATED = Law(
-    name="model_mediated",
-    config=ModelMediatedConfig,
-    master_start=master_start,
-    master_resume=master_resume,
-    master_send=master_send,
-    master_receive=master_receive,
-    slave_start=slave_start,
-    slave_receive=slave_receive,
-    slave_send=slave_send,
-    retune=retune,
-    master_energy_account=master_energy_account,
-    local_loop=True,
-)
+MODEL_MEDIATED = law_of(__name__, ModelMediatedConfig, local_loop=True)

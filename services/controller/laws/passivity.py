@@ -55,11 +55,12 @@ from services.controller.discretisation import approach
 from services.controller.law import (
     EnergyAccount,
     HandSample,
-    Law,
     MasterReference,
     PortSignal,
     SlaveReference,
     TipMeasurement,
+    law_of,
+    port_signal,
 )
 from services.controller.laws.shared.virtual_mass import (
     Mass,
@@ -228,8 +229,12 @@ def master_send(
     velocity = p.position_scale * mass.velocity_m_per_s
     force = hand.force_n / p.force_scale
     active = hand.following and mass.coupled
-    return state, PortSignal(
-        tip_reference(p, mass), velocity, force, 0.0, state.account.in_j, 0.0, False, False, active, 0.0, 0.0
+    return state, port_signal(
+        position_m=tip_reference(p, mass),
+        velocity_m_per_s=velocity,
+        force_n=force,
+        energy_j=state.account.in_j,
+        active=active,
     )
 
 
@@ -282,7 +287,14 @@ def master_receive(
 def slave_start(params: PassivityParams, tip: TipMeasurement) -> SlaveState:
     """Start at the position of the base."""
     stretch = params.mass.force_scale * tip.force_n / params.coupling_n_per_m
-    return SlaveState(tip.base_position_m, stretch, stretch, 0.0, opened(params.start_j), False)
+    return SlaveState(
+        position_m=tip.base_position_m,
+        stretch_m=stretch,
+        lead_m=stretch,
+        limit_n=0.0,
+        account=opened(params.start_j),
+        coupled=False,
+    )
 
 
 @compiled
@@ -317,7 +329,10 @@ def slave_receive(
         if not tip.following and not tip.in_contact:
             account = opened_anew(account, params.start_j)
         stretch = p.force_scale * tip.force_n / k if tip.following else 0.0
-        return SlaveState(base, stretch, stretch, 0.0, account, False), SlaveReference(base, True)
+        state = SlaveState(
+            position_m=base, stretch_m=stretch, lead_m=stretch, limit_n=0.0, account=account, coupled=False
+        )
+        return state, SlaveReference(base, True)
     account = credited(state.account, signal.energy_j, params.cap_j)
     base, stretch = state.position_m, state.stretch_m
     pressed = max(p.force_scale * signal.force_n, 0.0)
@@ -333,7 +348,10 @@ def slave_receive(
     slid = params.relaxed * (k * stretch - p.force_scale * tip.force_n) / k
     stretch -= slid
     base += p.position_scale * slid
-    return SlaveState(base, stretch, state.lead_m, limit, account, True), SlaveReference(base, True)
+    state = SlaveState(
+        position_m=base, stretch_m=stretch, lead_m=state.lead_m, limit_n=limit, account=account, coupled=True
+    )
+    return state, SlaveReference(base, True)
 
 
 @compiled
@@ -341,18 +359,14 @@ def slave_send(
     params: PassivityParams, state: SlaveState, tip: TipMeasurement, dt: float
 ) -> tuple[SlaveState, PortSignal]:
     """Send the force of the coupling back, and the energy that has gone into the channel here."""
-    return state, PortSignal(
-        tip.base_position_m,
-        0.0,
-        params.coupling_n_per_m * state.stretch_m / params.mass.force_scale,
-        0.0,
-        state.account.in_j,
-        tip.separation_m,
-        tip.separation_valid,
-        tip.in_contact,
-        tip.following,
-        0.0,
-        0.0,
+    return state, port_signal(
+        position_m=tip.base_position_m,
+        force_n=params.coupling_n_per_m * state.stretch_m / params.mass.force_scale,
+        energy_j=state.account.in_j,
+        separation_m=tip.separation_m,
+        separation_valid=tip.separation_valid,
+        in_contact=tip.in_contact,
+        active=tip.following,
     )
 
 
@@ -376,19 +390,4 @@ def slave_energy_account(params: PassivityParams, state: SlaveState) -> EnergyAc
     return EnergyAccount(state.account.remaining_j, state.account.lost_j, 2.0 * state.account.granted_j)
 
 
-PASSIVITY = Law(
-    name="passivity",
-    config=PassivityConfig,
-    master_start=master_start,
-    master_resume=master_resume,
-    master_send=master_send,
-    master_receive=master_receive,
-    slave_start=slave_start,
-    slave_receive=slave_receive,
-    slave_send=slave_send,
-    retune=retune,
-    master_energy_account=master_energy_account,
-    slave_energy_account=slave_energy_account,
-    uses_energy=True,
-    local_loop=True,
-)
+PASSIVITY = law_of(__name__, PassivityConfig, uses_energy=True, local_loop=True)

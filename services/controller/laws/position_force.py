@@ -13,8 +13,8 @@ present delay, with the last force and position held.
 
 from typing import NamedTuple
 
-from services.controller.law import HandSample, Law, MasterReference, PortSignal
-from services.controller.laws.shared.pass_through import slave_receive, slave_send, slave_start
+from services.controller.law import HandSample, MasterReference, PortSignal, law_of, port_signal
+from services.controller.laws.shared import pass_through
 from services.controller.laws.shared.virtual_mass import (
     Mass,
     MassConfig,
@@ -64,7 +64,7 @@ def master_send(params: PositionForceParams, state: Mass, hand: HandSample, dt: 
     position, velocity = tip_reference(p, state), p.position_scale * state.velocity_m_per_s
     force = hand.force_n / p.force_scale
     active = hand.following and state.coupled
-    return state, PortSignal(position, velocity, force, 0.0, 0.0, 0.0, False, False, active, 0.0, 0.0)
+    return state, port_signal(position_m=position, velocity_m_per_s=velocity, force_n=force, active=active)
 
 
 @compiled
@@ -88,15 +88,4 @@ def retune(old: PositionForceParams, new: PositionForceParams, state: Mass) -> M
     return rescaled(old.mass, new.mass, state)
 
 
-POSITION_FORCE = Law(
-    name="position_force",
-    config=PositionForceConfig,
-    master_start=master_start,
-    master_resume=master_resume,
-    master_send=master_send,
-    master_receive=master_receive,
-    slave_start=slave_start,
-    slave_receive=slave_receive,
-    slave_send=slave_send,
-    retune=retune,
-)
+POSITION_FORCE = law_of(__name__, PositionForceConfig, slave=pass_through)

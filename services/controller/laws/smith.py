@@ -30,9 +30,9 @@ import numpy.typing as npt
 from pydantic import Field
 
 from services.controller.discretisation import decay
-from services.controller.law import HandSample, Law, MasterReference, PortSignal
+from services.controller.law import HandSample, MasterReference, PortSignal, law_of, port_signal
 from services.controller.laws import virtual_impedance as impedance
-from services.controller.laws.shared.pass_through import slave_receive, slave_send, slave_start
+from services.controller.laws.shared import pass_through
 from services.controller.laws.shared.virtual_mass import is_retracted, periods_in
 from services.controller.laws.virtual_impedance import ImpedanceConfig, VirtualImpedanceParams
 from services.controller.ranges import LengthM, StiffnessNPerM, StiffnessOrNoneNPerM, StiffnessRateNPerMS, TimeS
@@ -105,10 +105,16 @@ class MasterState(NamedTuple):
 
 
 @compiled
+def _without_memory(stiffness_n_per_m: float) -> Estimate:
+    return Estimate(
+        mean_m=0.0, mean_n=0.0, square_m2=0.0, product_n_m=0.0, stiffness_n_per_m=stiffness_n_per_m, in_contact=False
+    )
+
+
+@compiled
 def _fresh(params: SmithParams, state: impedance.MasterState) -> MasterState:
     reference = params.impedance.position_scale * state.position_m + state.tip_offset_m
-    estimate = Estimate(0.0, 0.0, 0.0, 0.0, params.stiffness_n_per_m, False)
-    return MasterState(state, np.full(HISTORY, reference), 0, estimate, 0.0)
+    return MasterState(state, np.full(HISTORY, reference), 0, _without_memory(params.stiffness_n_per_m), 0.0)
 
 
 @compiled
@@ -145,9 +151,16 @@ def reference_then(state: MasterState, age_s: float, period_s: float) -> float:
 def estimated(params: SmithParams, estimate: Estimate, reference_m: float, signal: PortSignal) -> Estimate:
     """Update the estimate of K_e by one pair of reference and force; a new contact starts a new memory."""
     if not signal.in_contact:
-        return Estimate(0.0, 0.0, 0.0, 0.0, estimate.stiffness_n_per_m, False)
+        return _without_memory(estimate.stiffness_n_per_m)
     if not estimate.in_contact:
-        return Estimate(reference_m, signal.force_n, 0.0, 0.0, estimate.stiffness_n_per_m, True)
+        return Estimate(
+            mean_m=reference_m,
+            mean_n=signal.force_n,
+            square_m2=0.0,
+            product_n_m=0.0,
+            stiffness_n_per_m=estimate.stiffness_n_per_m,
+            in_contact=True,
+        )
     keep, take = params.forget, 1.0 - params.forget
     off_m, off_n = reference_m - estimate.mean_m, signal.force_n - estimate.mean_n
     square = keep * (estimate.square_m2 + take * off_m * off_m)
@@ -155,7 +168,14 @@ def estimated(params: SmithParams, estimate: Estimate, reference_m: float, signa
     stiffness = estimate.stiffness_n_per_m
     if params.estimate and square > params.motion_m * params.motion_m:
         stiffness = min(max(product / square, 0.0), params.stiffness_max_n_per_m)
-    return Estimate(estimate.mean_m + take * off_m, estimate.mean_n + take * off_n, square, product, stiffness, True)
+    return Estimate(
+        mean_m=estimate.mean_m + take * off_m,
+        mean_n=estimate.mean_n + take * off_n,
+        square_m2=square,
+        product_n_m=product,
+        stiffness_n_per_m=stiffness,
+        in_contact=True,
+    )
 
 
 @compiled
@@ -172,23 +192,21 @@ def master_receive(
     estimate = estimated(params, state.estimate, then, signal)
     if is_retracted(p, signal):
         # what is armed anew may meet another sample
-        estimate = Estimate(0.0, 0.0, 0.0, 0.0, params.stiffness_n_per_m, False)
+        estimate = _without_memory(params.stiffness_n_per_m)
     wanted = estimate.stiffness_n_per_m if signal.in_contact and coupled else 0.0
     reach = params.rate_n_per_m * periods_in(dt, p.period_s)
     in_use = min(max(wanted, state.in_use_n_per_m - reach), state.in_use_n_per_m + reach)
     now = p.position_scale * state.impedance.position_m + state.impedance.tip_offset_m
-    predicted = PortSignal(
-        signal.position_m,
-        signal.velocity_m_per_s,
-        signal.force_n + (in_use * (now - then) if coupled else 0.0),
-        0.0,
-        0.0,
-        signal.separation_m,
-        signal.separation_valid,
-        signal.in_contact,
-        signal.active,
-        signal.silence_s,
-        signal.round_trip_s,
+    predicted = port_signal(
+        position_m=signal.position_m,
+        velocity_m_per_s=signal.velocity_m_per_s,
+        force_n=signal.force_n + (in_use * (now - then) if coupled else 0.0),
+        separation_m=signal.separation_m,
+        separation_valid=signal.separation_valid,
+        in_contact=signal.in_contact,
+        active=signal.active,
+        silence_s=signal.silence_s,
+        round_trip_s=signal.round_trip_s,
     )
     inner, reference = impedance.master_receive(p, state.impedance, hand, predicted, dt)
     return MasterState(inner, state.sent_m, state.newest, estimate, in_use), reference
@@ -201,15 +219,4 @@ def retune(old: SmithParams, new: SmithParams, state: MasterState) -> MasterStat
     return MasterState(inner, state.sent_m, state.newest, state.estimate, state.in_use_n_per_m)
 
 
-SMITH = Law(
-    name="smith",
-    config=SmithConfig,
-    master_start=master_start,
-    master_resume=master_resume,
-    master_send=master_send,
-    master_receive=master_receive,
-    slave_start=slave_start,
-    slave_receive=slave_receive,
-    slave_send=slave_send,
-    retune=retune,
-)
+SMITH = law_of(__name__, SmithConfig, slave=pass_through)

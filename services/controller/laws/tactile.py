@@ -19,7 +19,15 @@ from typing import Literal, NamedTuple
 
 from pydantic import Field
 
-from services.controller.law import HandSample, Law, MasterReference, PortSignal, SlaveReference, TipMeasurement
+from services.controller.law import (
+    HandSample,
+    MasterReference,
+    PortSignal,
+    SlaveReference,
+    TipMeasurement,
+    law_of,
+    port_signal,
+)
 from services.controller.laws.shared.impedance_scaling import impedance_scaled
 from services.controller.laws.shared.virtual_mass import FARTHEST_M, ScaledConfig, bounded
 from services.controller.ranges import DampingOrNoneNSPerM, MassKg, PositionScale, StiffnessNPerM
@@ -72,15 +80,15 @@ class TactileConfig(ScaledConfig):
             self.cantilever_stiffness_n_per_m,
         )
         return TactileParams(
-            self.position_scale,
-            self.force_scale,
-            self.silence_limit_s,
-            period_s,
-            self.cantilever_stiffness_n_per_m,
-            self.scaling == "impedance",
-            inertia,
-            damping,
-            spring,
+            position_scale=self.position_scale,
+            force_scale=self.force_scale,
+            silence_limit_s=self.silence_limit_s,
+            period_s=period_s,
+            stiffness_n_per_m=self.cantilever_stiffness_n_per_m,
+            by_impedance=self.scaling == "impedance",
+            inertia_kg=inertia,
+            damping_n_s_per_m=damping,
+            spring_n_per_m=spring,
         )
 
 
@@ -102,15 +110,20 @@ class SlaveState(NamedTuple):
 
 
 @compiled
+def _untouched(hand: HandSample) -> MasterState:
+    return MasterState(hand_m=hand.position_m, tip_m=0.0, touched=False, zeta_m=0.0, speed_m_per_s=0.0, force_n=0.0)
+
+
+@compiled
 def master_start(params: TactileParams, hand: HandSample) -> MasterState:
     """Start with the hand where it is, until the tip touches."""
-    return MasterState(hand.position_m, 0.0, False, 0.0, 0.0, 0.0)
+    return _untouched(hand)
 
 
 @compiled
 def master_resume(params: TactileParams, hand: HandSample, tip_reference_m: float) -> MasterState:
     """Continue with the hand where it is."""
-    return MasterState(hand.position_m, 0.0, False, 0.0, 0.0, 0.0)
+    return _untouched(hand)
 
 
 @compiled
@@ -118,7 +131,7 @@ def master_send(
     params: TactileParams, state: MasterState, hand: HandSample, dt: float
 ) -> tuple[MasterState, PortSignal]:
     """Return a signal that moves nothing; it only says that the hand is there."""
-    return state, PortSignal(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, False, False, hand.following, 0.0, 0.0)
+    return state, port_signal(position_m=0.0, active=hand.following)
 
 
 @compiled
@@ -128,9 +141,7 @@ def master_receive(
     """Return where the surface takes the hand; without a tip that follows the hand is let go, and begins anew."""
     coupled = signal.active and signal.silence_s <= params.silence_limit_s
     if not (coupled and hand.following):
-        return MasterState(hand.position_m, 0.0, False, 0.0, 0.0, 0.0), MasterReference(
-            hand.position_m, 0.0, 0.0, coupled
-        )
+        return _untouched(hand), MasterReference(hand.position_m, 0.0, 0.0, coupled)
     zeta = signal.force_n / params.stiffness_n_per_m
     if params.by_impedance:
         # the newest signal may be the one of the tick before, and then nothing has moved
@@ -142,12 +153,14 @@ def master_receive(
         shown = params.force_scale * signal.force_n
     shown = bounded(shown, _MOST_N)
     if not (state.touched or signal.in_contact):
-        return MasterState(state.hand_m, 0.0, False, zeta, speed, shown), MasterReference(
-            state.hand_m, 0.0, shown, True
+        state = MasterState(
+            hand_m=state.hand_m, tip_m=0.0, touched=False, zeta_m=zeta, speed_m_per_s=speed, force_n=shown
         )
+        return state, MasterReference(state.hand_m, 0.0, shown, True)
     tip = state.tip_m if state.touched else signal.position_m
     reference = bounded(state.hand_m + (signal.position_m - tip) / params.position_scale, FARTHEST_M)
-    return MasterState(state.hand_m, tip, True, zeta, speed, shown), MasterReference(reference, 0.0, shown, True)
+    state = MasterState(hand_m=state.hand_m, tip_m=tip, touched=True, zeta_m=zeta, speed_m_per_s=speed, force_n=shown)
+    return state, MasterReference(reference, 0.0, shown, True)
 
 
 @compiled
@@ -170,10 +183,14 @@ def slave_send(
 ) -> tuple[SlaveState, PortSignal]:
     """Send the place of the tip, x_s - zeta, and the force on it."""
     place = tip.base_position_m - tip.force_n / params.stiffness_n_per_m
-    return state, PortSignal(
-        place, 0.0, tip.force_n, 0.0, 0.0, tip.separation_m, tip.separation_valid, tip.in_contact, tip.following,
-        0.0, 0.0,
-    )  # fmt: skip
+    return state, port_signal(
+        position_m=place,
+        force_n=tip.force_n,
+        separation_m=tip.separation_m,
+        separation_valid=tip.separation_valid,
+        in_contact=tip.in_contact,
+        active=tip.following,
+    )
 
 
 @compiled
@@ -182,15 +199,4 @@ def retune(old: TactileParams, new: TactileParams, state: MasterState) -> Master
     return state
 
 
-TACTILE = Law(
-    name="tactile",
-    config=TactileConfig,
-    master_start=master_start,
-    master_resume=master_resume,
-    master_send=master_send,
-    master_receive=master_receive,
-    slave_start=slave_start,
-    slave_receive=slave_receive,
-    slave_send=slave_send,
-    retune=retune,
-)
+TACTILE = law_of(__name__, TactileConfig)

@@ -12,8 +12,8 @@ from typing import NamedTuple
 from pydantic import Field
 
 from services.controller.discretisation import Discretisation, exact_discretisation
-from services.controller.law import HandSample, Law, MasterReference, PortSignal
-from services.controller.laws.shared.pass_through import slave_receive, slave_send, slave_start
+from services.controller.law import HandSample, MasterReference, PortSignal, law_of, port_signal
+from services.controller.laws.shared import pass_through
 from services.controller.laws.shared.virtual_mass import (
     FARTHEST_M,
     FASTEST_M_PER_S,
@@ -93,7 +93,7 @@ def master_send(
     position = params.position_scale * state.position_m + state.tip_offset_m
     velocity = params.position_scale * state.velocity_m_per_s
     force = hand.force_n / params.force_scale
-    return state, PortSignal(position, velocity, force, 0.0, 0.0, 0.0, False, False, hand.following, 0.0, 0.0)
+    return state, port_signal(position_m=position, velocity_m_per_s=velocity, force_n=force, active=hand.following)
 
 
 @compiled
@@ -137,15 +137,4 @@ def retune(old: VirtualImpedanceParams, new: VirtualImpedanceParams, state: Mast
     return MasterState(state.position_m, state.velocity_m_per_s, offset)
 
 
-VIRTUAL_IMPEDANCE = Law(
-    name="virtual_impedance",
-    config=VirtualImpedanceConfig,
-    master_start=master_start,
-    master_resume=master_resume,
-    master_send=master_send,
-    master_receive=master_receive,
-    slave_start=slave_start,
-    slave_receive=slave_receive,
-    slave_send=slave_send,
-    retune=retune,
-)
+VIRTUAL_IMPEDANCE = law_of(__name__, VirtualImpedanceConfig, slave=pass_through)

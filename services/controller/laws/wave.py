@@ -54,11 +54,12 @@ from services.controller.discretisation import approach, decay
 from services.controller.law import (
     EnergyAccount,
     HandSample,
-    Law,
     MasterReference,
     PortSignal,
     SlaveReference,
     TipMeasurement,
+    law_of,
+    port_signal,
 )
 from services.controller.laws.shared.virtual_mass import (
     Mass,
@@ -107,7 +108,15 @@ class WaveConfig(SteeredConfig):
         b = self.impedance_n_s_per_m
         share = 1.0 if self.filter_s == 0.0 else approach(period_s / self.filter_s)
         fade = decay(period_s / self.fade_s)
-        return WaveParams(self.mass_params(period_s, b), b, share, fade, max(self.filter_s, period_s), False, 0.0)
+        return WaveParams(
+            mass=self.mass_params(period_s, b),
+            impedance_n_s_per_m=b,
+            share=share,
+            fade=fade,
+            bridge_s=max(self.filter_s, period_s),
+            clamped=False,
+            margin_n=0.0,
+        )
 
 
 class Inbox(NamedTuple):
@@ -160,6 +169,48 @@ class SlaveState(NamedTuple):
 
 
 @compiled
+def master_state(
+    mass: Mass,
+    inbox: Inbox,
+    impulse_m: float = 0.0,
+    sent_j: float = 0.0,
+    wave_sqrt_w: float = 0.0,
+    bias_n: float = 0.0,
+    granted_j: float = 0.0,
+    begun: bool = False,
+    up: bool = False,
+    stood_s: float = 0.0,
+) -> MasterState:
+    """Return a state by the names of its fields; the defaults are those of a line that was never taken up."""
+    return MasterState(
+        mass, inbox, impulse_m, sent_j, wave_sqrt_w, bias_n, granted_j, begun, up, stood_s,
+    )  # fmt: skip
+
+
+@compiled
+def slave_state(
+    position_m: float,
+    inbox: Inbox,
+    anchor_m: float = 0.0,
+    sent_m: float = 0.0,
+    sent_j: float = 0.0,
+    wave_sqrt_w: float = 0.0,
+    reserve_j: float = 0.0,
+    last_m: float = 0.0,
+    last_n: float = 0.0,
+    bias_n: float = 0.0,
+    granted_j: float = 0.0,
+    coupled: bool = False,
+    begun: bool = False,
+) -> SlaveState:
+    """Return a state by the names of its fields; the defaults are those of a line that was never taken up."""
+    return SlaveState(
+        position_m, inbox, anchor_m, sent_m, sent_j, wave_sqrt_w, reserve_j, last_m, last_n, bias_n,
+        granted_j, coupled, begun,
+    )  # fmt: skip
+
+
+@compiled
 def received(inbox: Inbox, position_m: float, energy_j: float) -> Inbox:
     """Update the counters by a signal; one with less energy than was received already is an old one: ignore it."""
     if energy_j < inbox.received_j:
@@ -188,7 +239,7 @@ def emptied(position_m: float, energy_j: float) -> Inbox:
 
 @compiled
 def _begun(mass: Mass) -> MasterState:
-    return MasterState(mass, emptied(0.0, 0.0), 0.0, 0.0, 0.0, 0.0, 0.0, False, False, 0.0)
+    return master_state(mass=mass, inbox=emptied(0.0, 0.0))
 
 
 @compiled
@@ -210,8 +261,13 @@ def master_send(params: WaveParams, state: MasterState, hand: HandSample, dt: fl
     position = tip_reference(p, mass) + p.position_scale * state.impulse_m
     velocity = p.position_scale * mass.velocity_m_per_s
     force = hand.force_n / p.force_scale
-    return state, PortSignal(
-        position, velocity, force, state.wave_sqrt_w, state.sent_j, 0.0, False, False, state.up, 0.0, 0.0
+    return state, port_signal(
+        position_m=position,
+        velocity_m_per_s=velocity,
+        force_n=force,
+        wave_sqrt_w=state.wave_sqrt_w,
+        energy_j=state.sent_j,
+        active=state.up,
     )
 
 
@@ -225,9 +281,14 @@ def master_receive(
     coupled = is_coupled(p, signal)
     stood = 0.0 if hand.following else state.stood_s + dt
     if not (coupled and (hand.following or (state.up and stood <= p.silence_limit_s))):
-        inbox = emptied(position, signal.energy_j)
-        free, granted, begun = let_go(p, state.mass, hand, signal), state.granted_j, state.begun
-        state = MasterState(free, inbox, 0.0, state.sent_j, 0.0, 0.0, granted, begun, False, stood)
+        state = master_state(
+            mass=let_go(p, state.mass, hand, signal),
+            inbox=emptied(position, signal.energy_j),
+            sent_j=state.sent_j,
+            granted_j=state.granted_j,
+            begun=state.begun,
+            stood_s=stood,
+        )
         return state, MasterReference(hand.position_m, 0.0, 0.0, coupled)
     # what was sent before the tip was felt is no wave: start to count here
     inbox = state.inbox if state.up else emptied(position, signal.energy_j)
@@ -252,29 +313,26 @@ def master_receive(
         granted += abs(bias * velocity) * period
         force += bias
         bias *= params.fade
-    state = MasterState(mass, inbox, impulse, sent, out, bias, granted, True, True, stood)
+    state = master_state(
+        mass=mass,
+        inbox=inbox,
+        impulse_m=impulse,
+        sent_j=sent,
+        wave_sqrt_w=out,
+        bias_n=bias,
+        granted_j=granted,
+        begun=True,
+        up=True,
+        stood_s=stood,
+    )
     return state, MasterReference(mass.position_m, mass.velocity_m_per_s, force, True)
 
 
 @compiled
 def slave_start(params: WaveParams, tip: TipMeasurement) -> SlaveState:
     """Start at the position of the base."""
-    force = params.mass.force_scale * tip.force_n
-    return SlaveState(
-        tip.base_position_m,
-        emptied(0.0, 0.0),
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-        tip.base_position_m,
-        force,
-        0.0,
-        0.0,
-        False,
-        False,
-    )
+    base, force = tip.base_position_m, params.mass.force_scale * tip.force_n
+    return slave_state(position_m=base, inbox=emptied(0.0, 0.0), last_m=base, last_n=force)
 
 
 @compiled
@@ -290,10 +348,16 @@ def slave_receive(
     coupled = is_coupled(p, signal) and tip.following
     if not coupled:
         base = state.position_m if tip.following else signal.position_m
-        inbox = emptied(position, signal.energy_j)
-        last_m, last_n, granted = state.last_m, state.last_n, state.granted_j
-        begun = state.begun
-        state = SlaveState(base, inbox, base, 0.0, state.sent_j, 0.0, 0.0, last_m, last_n, 0.0, granted, False, begun)
+        state = slave_state(
+            position_m=base,
+            inbox=emptied(position, signal.energy_j),
+            anchor_m=base,
+            sent_j=state.sent_j,
+            last_m=state.last_m,
+            last_n=state.last_n,
+            granted_j=state.granted_j,
+            begun=state.begun,
+        )
         return state, SlaveReference(base, True)
     # a reference of the master's own that came before is no wave: start to count here
     inbox = state.inbox if state.coupled else emptied(position, signal.energy_j)
@@ -318,20 +382,20 @@ def slave_receive(
         way = min(way, allowed / b * dt)
     reserve = state.reserve_j + came_j
     base = state.position_m + p.position_scale * way
-    state = SlaveState(
-        base,
-        inbox,
-        anchor,
-        state.sent_m,
-        state.sent_j,
-        state.wave_sqrt_w,
-        reserve,
-        state.last_m,
-        last_n,
-        bias,
-        state.granted_j,
-        True,
-        True,
+    state = slave_state(
+        position_m=base,
+        inbox=inbox,
+        anchor_m=anchor,
+        sent_m=state.sent_m,
+        sent_j=state.sent_j,
+        wave_sqrt_w=state.wave_sqrt_w,
+        reserve_j=reserve,
+        last_m=state.last_m,
+        last_n=last_n,
+        bias_n=bias,
+        granted_j=state.granted_j,
+        coupled=True,
+        begun=True,
     )
     return state, SlaveReference(base, True)
 
@@ -355,34 +419,31 @@ def slave_send(params: WaveParams, state: SlaveState, tip: TipMeasurement, dt: f
         reserve -= 0.5 * wave * wave * dt
         sent_m += math.sqrt(2.0 / b) * wave * dt
         sent_j += 0.5 * wave * wave * dt
-    state = SlaveState(
-        state.position_m,
-        state.inbox,
-        state.anchor_m,
-        sent_m,
-        sent_j,
-        wave,
-        reserve,
-        tip.base_position_m,
-        force,
-        bias,
-        granted,
-        state.coupled,
-        state.begun,
+    state = slave_state(
+        position_m=state.position_m,
+        inbox=state.inbox,
+        anchor_m=state.anchor_m,
+        sent_m=sent_m,
+        sent_j=sent_j,
+        wave_sqrt_w=wave,
+        reserve_j=reserve,
+        last_m=tip.base_position_m,
+        last_n=force,
+        bias_n=bias,
+        granted_j=granted,
+        coupled=state.coupled,
+        begun=state.begun,
     )
     position = state.anchor_m + p.position_scale * sent_m if state.coupled else state.position_m
-    return state, PortSignal(
-        position,
-        0.0,
-        tip.force_n,
-        wave,
-        sent_j,
-        tip.separation_m,
-        tip.separation_valid,
-        tip.in_contact,
-        tip.following,
-        0.0,
-        0.0,
+    return state, port_signal(
+        position_m=position,
+        force_n=tip.force_n,
+        wave_sqrt_w=wave,
+        energy_j=sent_j,
+        separation_m=tip.separation_m,
+        separation_valid=tip.separation_valid,
+        in_contact=tip.in_contact,
+        active=tip.following,
     )
 
 
@@ -391,17 +452,17 @@ def retune(old: WaveParams, new: WaveParams, state: MasterState) -> MasterState:
     """Keep the tip's reference constant when alpha_p changes, and force and energy of the line when b does."""
     ratio = old.impedance_n_s_per_m / new.impedance_n_s_per_m
     mass = rescaled(old.mass, new.mass, state.mass)
-    return MasterState(
-        mass,
-        state.inbox,
-        state.impulse_m * ratio,
-        state.sent_j,
-        state.wave_sqrt_w,
-        state.bias_n,
-        state.granted_j,
-        state.begun,
-        state.up,
-        state.stood_s,
+    return master_state(
+        mass=mass,
+        inbox=state.inbox,
+        impulse_m=state.impulse_m * ratio,
+        sent_j=state.sent_j,
+        wave_sqrt_w=state.wave_sqrt_w,
+        bias_n=state.bias_n,
+        granted_j=state.granted_j,
+        begun=state.begun,
+        up=state.up,
+        stood_s=state.stood_s,
     )
 
 
@@ -417,20 +478,4 @@ def slave_energy_account(params: WaveParams, state: SlaveState) -> EnergyAccount
     return EnergyAccount(state.inbox.received_j - state.inbox.taken_j + state.reserve_j, 0.0, state.granted_j)
 
 
-WAVE = Law(
-    name="wave",
-    config=WaveConfig,
-    master_start=master_start,
-    master_resume=master_resume,
-    master_send=master_send,
-    master_receive=master_receive,
-    slave_start=slave_start,
-    slave_receive=slave_receive,
-    slave_send=slave_send,
-    retune=retune,
-    master_energy_account=master_energy_account,
-    slave_energy_account=slave_energy_account,
-    uses_waves=True,
-    uses_energy=True,
-    local_loop=True,
-)
+WAVE = law_of(__name__, WaveConfig, uses_waves=True, uses_energy=True, local_loop=True)

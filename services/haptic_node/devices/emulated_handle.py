@@ -101,12 +101,12 @@ class EmulatedHandle:
             flags |= wire.AT_MAX if towards else wire.AT_MIN
         self._drive = self.core.tick(
             BoardSample(
-                self.time_us,
-                POSITION_ZERO + round(reading.position_m / M_PER_COUNT),
-                FORCE_ZERO + round((reading.operator_force_n + self._load_n) / N_PER_COUNT),
-                max(-_FORCE_MAX, min(round(reading.motor_force_n / self._drive_n), _FORCE_MAX)),
-                _SUPPLY_10MV,
-                flags,
+                time_us=self.time_us,
+                position=POSITION_ZERO + round(reading.position_m / M_PER_COUNT),
+                force=FORCE_ZERO + round((reading.operator_force_n + self._load_n) / N_PER_COUNT),
+                sensed_drive=max(-_FORCE_MAX, min(round(reading.motor_force_n / self._drive_n), _FORCE_MAX)),
+                supply_10mv=_SUPPLY_10MV,
+                flags=flags,
             )
         )
 
@@ -121,7 +121,16 @@ class EmulatedHandle:
         return self._drive * V_PER_COUNT
 
     def _boot(self, session: int) -> FirmwareCore:
-        identity = BoardIdentity(self.device_id, session, _FLAGS, 0, M_PER_COUNT, N_PER_COUNT, self._drive_n, MODEL)
+        identity = BoardIdentity(
+            device_id=self.device_id,
+            session=session,
+            flags=_FLAGS,
+            reset_cause=0,
+            m_per_count=M_PER_COUNT,
+            n_per_count=N_PER_COUNT,
+            drive_n_per_count=self._drive_n,
+            model=MODEL,
+        )
         return FirmwareCore(identity)
 
 

@@ -99,7 +99,17 @@ class SerialHandle:
         self._text = ""
         self._report = DeviceReport("lost", 0.0, False, "the handle is not open")
         # where the arm is has never been measured; it is not used before a sample is there
-        self._reading = DeviceReading(0.0, 0.0, 0.0, False, 0.0, 0.0, False, False, False)
+        self._reading = DeviceReading(
+            position_m=0.0,
+            velocity_m_per_s=0.0,
+            operator_force_n=0.0,
+            operator_force_limited=False,
+            motor_force_n=0.0,
+            motor_voltage_v=0.0,
+            end_stop=False,
+            voltage_limited=False,
+            torque_limited=False,
+        )
 
     @property
     def capabilities(self) -> Capabilities:
@@ -424,13 +434,13 @@ def reading_of(state: wire.State, calibration: HandleCalibration) -> DeviceReadi
     force_n = calibration.operator_force_n(state.force)
     saturated = bool(state.flags & wire.FORCE_SATURATED) or abs(force_n) >= calibration.force.saturation_n
     return DeviceReading(
-        calibration.position_m(state.position),
-        calibration.velocity_m_per_s(state.velocity_per_s),
-        force_n,
-        saturated,
-        calibration.drive_force_n(state.drive),
-        0.0,
-        bool(state.flags & (wire.AT_MIN | wire.AT_MAX)),
-        bool(state.flags & wire.VOLTAGE_LIMITED),
-        bool(state.flags & wire.CURRENT_LIMITED),
+        position_m=calibration.position_m(state.position),
+        velocity_m_per_s=calibration.velocity_m_per_s(state.velocity_per_s),
+        operator_force_n=force_n,
+        operator_force_limited=saturated,
+        motor_force_n=calibration.drive_force_n(state.drive),
+        motor_voltage_v=0.0,
+        end_stop=bool(state.flags & (wire.AT_MIN | wire.AT_MAX)),
+        voltage_limited=bool(state.flags & wire.VOLTAGE_LIMITED),
+        torque_limited=bool(state.flags & wire.CURRENT_LIMITED),
     )

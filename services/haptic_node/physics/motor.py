@@ -122,15 +122,15 @@ def _coefficients(params: MotorParams, inputs: MotorInputs) -> _Servo:
     # Off is a shorted motor: it brakes without the drive, so the current limit of the drive does not apply.
     max_torque = params.torque_limit_n_m if inputs.mode == MODE_POSITION else math.inf
     return _Servo(
-        inputs.mode,
-        inputs.position_reference_m,
-        params.servo_gain_v_per_m,
-        k,
-        b,
-        params.servo_gain_v_per_m * k * b,
-        params.friction_torque_n_m * volts_per_torque,
-        params.voltage_limit_v,
-        max_torque * volts_per_torque,
+        mode=inputs.mode,
+        target=inputs.position_reference_m,
+        gain=params.servo_gain_v_per_m,
+        k=k,
+        b=b,
+        a2=params.servo_gain_v_per_m * k * b,
+        friction=params.friction_torque_n_m * volts_per_torque,
+        max_voltage=params.voltage_limit_v,
+        max_drop=max_torque * volts_per_torque,
     )
 
 

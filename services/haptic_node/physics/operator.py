@@ -28,12 +28,12 @@ class OperatorParams(NamedTuple):
     kind: int
     times_s: NDArray[np.float64]
     values: NDArray[np.float64]
-    stiffness_n_per_m: float  # k
-    damping_n_s_per_m: float  # b
-    mass_kg: float  # m
-    pad_stiffness_n_per_m: float  # k_p
-    pad_damping_n_s_per_m: float  # b_p
-    max_force_n: float
+    stiffness_n_per_m: float = 0.0  # k
+    damping_n_s_per_m: float = 0.0  # b
+    mass_kg: float = 0.0  # m
+    pad_stiffness_n_per_m: float = 0.0  # k_p
+    pad_damping_n_s_per_m: float = 0.0  # b_p
+    max_force_n: float = math.inf
 
 
 class OperatorState(NamedTuple):

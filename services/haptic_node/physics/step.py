@@ -85,15 +85,15 @@ def plant_step(
     ends = operator.OperatorInputs(session_time_s, state.motor.position_m, motion.position_m)
     hand, felt = operator_step(params.operator, state.operator, ends, dt)
     reading = DeviceReading(
-        motion.position_m,
-        motion.velocity_m_per_s,
-        felt.force_n,
-        felt.limited,
-        drive.force_n,
-        drive.voltage_v,
-        drive.end_stop,
-        drive.voltage_limited,
-        drive.torque_limited,
+        position_m=motion.position_m,
+        velocity_m_per_s=motion.velocity_m_per_s,
+        operator_force_n=felt.force_n,
+        operator_force_limited=felt.limited,
+        motor_force_n=drive.force_n,
+        motor_voltage_v=drive.voltage_v,
+        end_stop=drive.end_stop,
+        voltage_limited=drive.voltage_limited,
+        torque_limited=drive.torque_limited,
     )
     return PlantState(motion, hand), reading
 
@@ -106,14 +106,14 @@ def step(
     if not dt > 0.0:
         raise ValueError("dt of the haptic step must be a positive time in s")
     guard_inputs = safety.SafetyInputs(
-        inputs.command_mode,
-        inputs.position_reference_m,
-        inputs.force_reference_n,
-        inputs.command_age_s,
-        inputs.estop,
-        inputs.arm_requested,
-        state.plant.motor.position_m,
-        False,
+        command_mode=inputs.command_mode,
+        position_reference_m=inputs.position_reference_m,
+        force_reference_n=inputs.force_reference_n,
+        command_age_s=inputs.command_age_s,
+        estop=inputs.estop,
+        arm_requested=inputs.arm_requested,
+        position_m=state.plant.motor.position_m,
+        device_lost=False,
     )
     guard, applied = safety.step(params.safety, state.safety, guard_inputs, dt)
     command = DriveCommand(applied.mode, applied.position_reference_m, applied.force_reference_n)

@@ -143,7 +143,8 @@ def _unpacked(value: Any) -> Any:
     form, *rest = value
     if form == "tuple":
         parts = [_unpacked(part) for part in rest[1]]
-        return _named(rest[0])(*parts) if rest[0] else tuple(parts)
+        # `_make` refuses another number of fields than the class has, also where the class has defaults
+        return _named(rest[0])._make(parts) if rest[0] else tuple(parts)
     if form == "model":
         return _named(rest[0]).model_construct(**{name: _unpacked(part) for name, part in rest[1].items()})
     if form == "array":

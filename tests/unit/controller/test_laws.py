@@ -8,15 +8,21 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from services.controller.config import LAWS, ControllerConfig
+from services.controller.config import LAWS, OWN_LAWS, ControllerConfig
 from services.controller.law import (
     HandSample,
+    Law,
     MasterReference,
     PortSignal,
     SlaveReference,
     TipMeasurement,
+    law_of,
+    no_energy_account,
 )
+from services.controller.law_names import LAW_NAMES
 from services.controller.law_rules import RULES, broken_rules
+from services.controller.laws import virtual_impedance, wave
+from services.controller.laws.shared import pass_through
 
 T = 1e-3
 
@@ -31,6 +37,34 @@ def test_table_config_and_section_agree(name: str) -> None:
     assert LAWS[name].name == name
     assert type(config.law_config()) is LAWS[name].config
     assert (config.law_config().position_scale, config.law_config().force_scale) == (1.5e-6, 1e8)
+
+
+def test_names_that_need_no_law_are_those_of_the_table() -> None:
+    assert tuple(OWN_LAWS) == LAW_NAMES
+
+
+def test_table_is_made_of_the_steps_that_a_module_has() -> None:
+    law = LAWS["wave"]
+    assert law == Law(
+        name="wave", config=wave.WaveConfig, master_start=wave.master_start, master_resume=wave.master_resume,
+        master_send=wave.master_send, master_receive=wave.master_receive, slave_start=wave.slave_start,
+        slave_receive=wave.slave_receive, slave_send=wave.slave_send, retune=wave.retune,
+        master_energy_account=wave.master_energy_account, slave_energy_account=wave.slave_energy_account,
+        uses_waves=True, uses_energy=True, local_loop=True,
+    )  # fmt: skip
+    smith = LAWS["smith"]
+    assert (smith.slave_start, smith.slave_receive, smith.slave_send) == (
+        pass_through.slave_start, pass_through.slave_receive, pass_through.slave_send,
+    )  # fmt: skip
+    assert smith.master_energy_account is smith.slave_energy_account is no_energy_account
+    assert not (smith.uses_waves or smith.uses_energy or smith.local_loop)
+
+
+def test_law_without_a_step_is_not_made() -> None:
+    with pytest.raises(AttributeError, match="master_start"):
+        law_of(__name__, wave.WaveConfig)
+    with pytest.raises(AttributeError, match="slave_start"):
+        law_of(wave.__name__, wave.WaveConfig, slave=virtual_impedance)
 
 
 def test_no_two_laws_share_a_class_of_parameters() -> None:

@@ -14,10 +14,8 @@ from services.controller.laws.position_force import (
     master_send,
     master_start,
     retune,
-    slave_receive,
-    slave_send,
-    slave_start,
 )
+from services.controller.laws.shared.pass_through import slave_receive, slave_send, slave_start
 from services.controller.laws.shared.virtual_mass import tip_reference
 
 PARAMS = PositionForceConfig().to_params(1e-3)

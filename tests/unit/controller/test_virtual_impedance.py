@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from services.controller.law import NO_SIGNAL, HandSample, PortSignal, TipMeasurement
+from services.controller.laws.shared.pass_through import slave_receive, slave_send, slave_start
 from services.controller.laws.virtual_impedance import (
     MasterState,
     VirtualImpedanceConfig,
@@ -13,9 +14,6 @@ from services.controller.laws.virtual_impedance import (
     master_send,
     master_start,
     retune,
-    slave_receive,
-    slave_send,
-    slave_start,
 )
 
 PERIOD_S = 1e-3

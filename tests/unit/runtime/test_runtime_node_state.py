@@ -126,6 +126,8 @@ def test_what_has_no_form_gives_no_state_and_disturbs_nothing(value: object) -> 
         msgpack.packb({"sample": ["tuple", "services.runtime.loop.main:run_node", []]}),
         msgpack.packb({"sample": ["tuple", "services.runtime.loop.clock:SystemClock", []]}),
         msgpack.packb({"sample": ["tuple", "services.controller.law:HandSample", [1.0]]}),
+        # the last field of this class has a default, which must not stand for a value that was not recorded
+        msgpack.packb({"sample": ["tuple", "services.haptic_node.safety:SafetyInputs", [1, 0.0, 0.0, 0.0, *3 * [0]]]}),
         msgpack.packb({"missing": ["parts", {}]}),
         msgpack.packb({"sample": ["unknown", []]}),
         msgpack.packb({"sample": []}),

@@ -168,6 +168,10 @@ def test_drawn_sample_is_that_of_its_seed_and_can_run_on_the_bus() -> None:
     assert cells != drawn_cells(20, 2)
     assert len(set(cells)) == 20
     assert len({c.law for c in cells}) >= 4
+    # on every machine and in every version that has the same laws
+    assert [(c.law, c.environment, c.round_trip_ms) for c in cells[5:8]] == [
+        ("smith", "wall", 0.0), ("wave", "contact", 60.0), ("passivity", "wall", 150.0),
+    ]  # fmt: skip
     for drawn in cells[:5]:
         assert validate(Scenario, scenario_of(drawn), "test").duration_s == drawn.hold_s()[1]
 

@@ -144,6 +144,15 @@ def test_the_shell_completes_names() -> None:
     assert completion.scenario_sections("af") == ["afm_node"]
 
 
+def test_names_of_laws_are_completed_without_importing_one() -> None:
+    code = (
+        "import sys; from telenano.cli.completion import law_names; law_names('');"
+        "print([m for m in ('numpy', 'numba', 'pydantic', 'services.controller.law') if m in sys.modules])"
+    )
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert found.stdout == "[]\n"
+
+
 def test_what_a_topic_is_needs_no_rig() -> None:
     code, out, _ = run("topic", "info", "afm/state", "--json")
     facts = json.loads(out)

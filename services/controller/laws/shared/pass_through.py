@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from services.controller.law import PortSignal, SlaveReference, TipMeasurement
+from services.controller.law import PortSignal, SlaveReference, TipMeasurement, port_signal
 from services.numerics.compiled import compiled
 
 
@@ -15,18 +15,13 @@ class SlaveState(NamedTuple):
 @compiled
 def measured(tip: TipMeasurement) -> PortSignal:
     """Return the signal that carries the measured state of the tip."""
-    return PortSignal(
-        tip.base_position_m,
-        0.0,
-        tip.force_n,
-        0.0,
-        0.0,
-        tip.separation_m,
-        tip.separation_valid,
-        tip.in_contact,
-        tip.following,
-        0.0,
-        0.0,
+    return port_signal(
+        position_m=tip.base_position_m,
+        force_n=tip.force_n,
+        separation_m=tip.separation_m,
+        separation_valid=tip.separation_valid,
+        in_contact=tip.in_contact,
+        active=tip.following,
     )
 
 

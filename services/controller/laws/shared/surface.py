@@ -122,7 +122,15 @@ def gradient(surface: Surface, cantilever: float, y_nm: float) -> tuple[float, f
 def unknown(params: FitParams) -> Fit:
     """Return the fit before any contact."""
     none = np.zeros(BINS)
-    return Fit(Surface(0.0, params.kappa, 0.0), none, none.copy(), none.copy(), -1, _FIRST_DAMPING, False)
+    return Fit(
+        surface=Surface(0.0, params.kappa, 0.0),
+        positions_nm=none,
+        forces_nn=none.copy(),
+        weights=none.copy(),
+        bin=-1,
+        damping=_FIRST_DAMPING,
+        known=False,
+    )
 
 
 @compiled
@@ -133,13 +141,13 @@ def met(params: FitParams, position_nm: float, force: float) -> Fit:
     y = r * r * (1.0 + params.kappa * r / params.cantilever)
     empty = unknown(params)
     first = Fit(
-        Surface(position_nm - y, params.kappa, adhesion),
-        empty.positions_nm,
-        empty.forces_nn,
-        empty.weights,
-        -1,
-        _FIRST_DAMPING,
-        True,
+        surface=Surface(position_nm - y, params.kappa, adhesion),
+        positions_nm=empty.positions_nm,
+        forces_nn=empty.forces_nn,
+        weights=empty.weights,
+        bin=-1,
+        damping=_FIRST_DAMPING,
+        known=True,
     )
     return remembered(params, first, position_nm, force)
 
@@ -152,7 +160,15 @@ def remembered(params: FitParams, fit: Fit, position_nm: float, force: float) ->
     if index != fit.bin:
         weights *= _KEEP
     positions[index], forces[index], weights[index] = position_nm, force, 1.0
-    return Fit(fit.surface, positions, forces, weights, index, fit.damping, fit.known)
+    return Fit(
+        surface=fit.surface,
+        positions_nm=positions,
+        forces_nn=forces,
+        weights=weights,
+        bin=index,
+        damping=fit.damping,
+        known=fit.known,
+    )
 
 
 @compiled
@@ -226,4 +242,12 @@ def fitted(params: FitParams, fit: Fit, position_nm: float, force: float) -> Fit
     )
     better = misfit(params, fit, tried) <= misfit(params, fit, surface)
     damping = max(0.3 * fit.damping, _LEAST_DAMPING) if better else min(4.0 * fit.damping, _MOST_DAMPING)
-    return Fit(tried if better else surface, fit.positions_nm, fit.forces_nn, fit.weights, fit.bin, damping, True)
+    return Fit(
+        surface=tried if better else surface,
+        positions_nm=fit.positions_nm,
+        forces_nn=fit.forces_nn,
+        weights=fit.weights,
+        bin=fit.bin,
+        damping=damping,
+        known=True,
+    )
