@@ -24,6 +24,7 @@ MODULES: dict[str, tuple[str, ...]] = {
         "tests/unit/runtime/test_quiet_work.py",
     ),
     "services/runtime/loop/node.py": (
+        "tests/unit/runtime/test_loop_edges.py",
         "tests/unit/runtime/test_loop_admission.py",
         "tests/unit/runtime/test_runtime_node.py",
     ),

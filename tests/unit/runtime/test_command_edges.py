@@ -105,3 +105,117 @@ def test_an_event_before_the_first_command_is_no_answer_to_it() -> None:
     header = {"seq": 0, "t_ns": clock.now_ns(), "src": NODE, "v": 1, "kind": "ack", "level": "info", "data": {}}
     assert not client.on_event(SessionEvent.model_validate({**header, "id": "other", "text": "done"}))
     assert client.answers == {}
+
+
+class Asker:
+    """A client in virtual time, what it has sent, and the refusals of a node that it hears of."""
+
+    def __init__(self, *commands: Command, **options: Any) -> None:
+        self.clock = VirtualClock(start_ns=SECOND, epoch_offset_ns=10**18)
+        self.sent: list[dict[str, Any]] = []
+        self.client = CommandClient(self.clock, self.publish, commands or [ARM_HAND], **options)
+        self.client.advance()
+
+    def publish(self, topic: str, **fields: Any) -> None:
+        self.sent.append(fields)
+
+    def pass_ms(self, duration_ms: int) -> None:
+        for _ in range(duration_ms):
+            self.clock.advance_ns(MS)
+            self.client.advance()
+
+    def hear(self, kind: str, node: str = NODE, **data: Any) -> None:
+        """Let an event arrive that answers what was sent last."""
+        header = {"seq": 0, "t_ns": self.clock.now_ns(), "src": node, "v": 1, "id": self.sent[-1]["id"]}
+        fields = {"kind": kind, "level": "warning", "text": f"{node} says {kind}", "data": data}
+        self.client.on_event(SessionEvent.model_validate({**header, **fields}))
+        self.client.advance()
+
+
+ARM_HAND = Command("arm", "haptic_node", (NODE,))
+QUOTED = {"node_latch", "node_t_ns", "validity_s"}
+
+
+def test_a_command_quotes_nothing_until_a_node_has_refused_it() -> None:
+    asker = Asker()
+    asker.pass_ms(300)
+    assert len(asker.sent) == 2
+    assert not any(QUOTED & set(fields) for fields in asker.sent)
+    asker.hear("refused", latch="run-1", estop_age_s=60.0)
+    assert set(asker.sent[-1]) >= QUOTED
+    assert asker.sent[-1]["node_latch"] == {NODE: "run-1"}
+
+
+def test_a_refusal_that_names_a_stop_is_answered_at_once_and_its_repetition_in_turn() -> None:
+    asker = Asker()
+    asker.pass_ms(10)
+    asker.hear("refused", latch="run-1", estop_age_s=60.0)
+    assert len(asker.sent) == 2
+    # the same refusal again, of what was sent before the quotation arrived
+    asker.pass_ms(10)
+    asker.hear("refused", latch="run-1", estop_age_s=60.0)
+    asker.pass_ms(189)
+    assert len(asker.sent) == 2
+    asker.pass_ms(1)
+    assert len(asker.sent) == 3
+
+
+def test_a_refusal_of_what_had_expired_is_answered_in_turn() -> None:
+    asker = Asker()
+    asker.pass_ms(10)
+    asker.hear("refused", expired=True, latch="run-0")
+    asker.pass_ms(189)
+    assert len(asker.sent) == 1
+    asker.pass_ms(1)
+    assert len(asker.sent) == 2
+
+
+@pytest.mark.parametrize("releases_stops", [True, False])
+@pytest.mark.parametrize("latched", [True, False])
+def test_a_launcher_leaves_a_device_in_emergency_stop_to_a_person(releases_stops: bool, latched: bool) -> None:
+    asker = Asker(releases_stops=releases_stops, retry_ns=60 * SECOND)
+    asker.hear("refused", latch="run-1", estop_age_s=60.0, latched=latched)
+    waits = latched and not releases_stops
+    assert asker.client.latched == (NODE if waits else "")
+    # a quotation of the stop would release the device, so whoever waits for a person sends none
+    assert [fields["node_latch"] for fields in asker.sent[1:]] == ([] if waits else [{NODE: "run-1"}])
+    assert (asker.client.failure, asker.client.void) == ("", False)
+
+
+@pytest.mark.parametrize(("stop_age_s", "void"), [(0.4, True), (0.6, False)])
+def test_a_wish_is_as_old_as_whoever_had_it_says(stop_age_s: float, void: bool) -> None:
+    # the wish came half a second before the client
+    asker = Asker(issued_ns=SECOND // 2)
+    asker.hear("refused", latch="run-1", estop_age_s=stop_age_s)
+    assert asker.client.void is void
+    assert ("came to haptic_node@master after it" in asker.client.failure) is void
+
+
+def test_only_an_emergency_stop_makes_a_command_void() -> None:
+    asker = Asker()
+    asker.hear("refused", command="arm")
+    assert (asker.client.failure != "", asker.client.void) == (True, False)
+    stopped = Asker()
+    stopped.hear("ack", command="estop")
+    assert stopped.client.failure == "haptic_node@master was stopped by an emergency stop"
+    assert stopped.client.void
+
+
+def test_the_emergency_stop_of_another_device_does_not_end_a_command() -> None:
+    asker = Asker()
+    asker.hear("ack", "afm_node@slave", command="estop")
+    assert (asker.client.failure, asker.client.void) == ("", False)
+
+
+def test_a_device_that_is_expected_to_answer_is_concerned_whatever_the_target_says() -> None:
+    asker = Asker(Command("arm", "hand", (NODE,)))
+    asker.hear("ack", command="estop")
+    assert asker.client.void
+
+
+def test_a_command_is_valid_to_the_last_moment_of_its_validity() -> None:
+    for late_ns, obeyed in ((0, True), (1, False)):
+        assert Taker().take("set", t_ns=NOW_NS - SECOND - late_ns) is obeyed
+        # and so is the time that it quotes, where the clock of its sender is an hour off
+        quoted = {NODE: NOW_NS - SECOND - late_ns}
+        assert Taker().take("set", t_ns=NOW_NS - 3600 * SECOND, node_t_ns=quoted) is obeyed

@@ -144,3 +144,51 @@ def test_a_machine_that_came_back_after_a_revocation_of_another_is_left_alone_by
         master.turn()
         slave.turn()
     assert (len(slave.texts("revoked")), len(master.texts("down"))) == (1, 1)
+
+
+class Requests:
+    """A socket with requests of clients that have no key, and the answers to them."""
+
+    def __init__(self, count: int) -> None:
+        self.waiting = count
+        self.answers: list[list[bytes]] = []
+
+    def recv_multipart(self, flags: int) -> list[bytes]:
+        if not self.waiting:
+            raise zmq.Again
+        self.waiting -= 1
+        return [b"client", b"", b"1.0", b"7", AFM.encode(), b"10.0.0.9", b"", b"NULL"]
+
+    def send_multipart(self, frames: list[bytes]) -> None:
+        self.answers.append(frames)
+
+
+def test_a_turn_spends_no_more_than_half_a_millisecond_on_the_keys_of_others(
+    machines: tuple[Machine, Machine], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    authenticator = machines[1].network._authenticator
+    requests = Requests(9)
+    answered: list[int] = []
+    with monkeypatch.context() as patched:
+        patched.setattr(authenticator, "socket", requests)
+        while authenticator.process_events():
+            answered.append(len(requests.answers) - sum(answered))
+    assert len(requests.answers) == 9
+    # a request takes up to 120 us, and the loop has a period of 1 ms
+    assert all(count * 120e-6 <= 0.5e-3 for count in answered)
+    assert {(frames[0], frames[2], frames[3], frames[4]) for frames in requests.answers} == {
+        (b"client", b"1.0", b"7", b"400")
+    }
+
+
+def test_a_turn_that_leaves_events_of_connections_says_so_because_no_descriptor_will(
+    machines: tuple[Machine, Machine],
+) -> None:
+    authenticator = machines[1].network._authenticator
+    bound, _ = endpoint_of(machines[1], AFM, 1)
+    try:
+        assert not authenticator.process_events()
+        bound.monitor.has_pending = True
+        assert authenticator.process_events()
+    finally:
+        authenticator.endpoints.clear()

@@ -1,0 +1,127 @@
+"""When the loop looks for a stop that was kept, what a stop of its own and a failure say, and when a report is due."""
+
+from pathlib import Path
+
+import pytest
+from test_runtime_node import GRANTED, MS, Rig, Ticking, busy_rig
+
+from proto import encode
+from proto.messages import SessionControl
+from services.runtime.loop.commands import stop_of
+from services.runtime.loop.kept_stop import keep
+from services.runtime.loop.node import DeviceDelay, NodeLoop
+
+NODE = "controller@master"
+# one that stood still for longer has missed its deadline
+STOOD_STILL_NS = 51 * MS
+
+
+class Stoppable:
+    """A node with a place in which a stop is kept for it, and what it executed."""
+
+    def __init__(self, folder: Path) -> None:
+        self.rig = Rig(period_ns=MS)
+        self.path = self.rig.node.context.kept_stop = folder / "x.kept"
+        self.executed: list[str] = []
+        self.rig.node.on_control = self.execute
+        self.rig.loop = NodeLoop(self.rig.node, self.rig.bus, GRANTED)
+
+    def execute(self, control: SessionControl) -> str:
+        self.executed.append(control.command)
+        return "done"
+
+    def keep(self) -> None:
+        assert keep(self.path, encode(stop_of(NODE, self.rig.clock.now_ns()))) == ""
+
+
+def test_a_stop_that_was_kept_is_obeyed_before_what_waits_when_the_node_starts(tmp_path: Path) -> None:
+    node = Stoppable(tmp_path)
+    node.keep()
+    node.rig.command(gain=1.0)
+    assert node.executed == ["estop", "set"]
+
+
+def test_a_stop_that_was_kept_is_obeyed_before_what_waited_while_the_node_stood_still(tmp_path: Path) -> None:
+    node = Stoppable(tmp_path)
+    node.rig.run_until(100 * MS)
+    node.keep()
+    # a loop that goes on looks with its next report, and not in each turn
+    node.rig.command(gain=1.0)
+    assert node.executed == ["set"]
+    node.rig.clock.advance_ns(STOOD_STILL_NS)
+    node.rig.command(gain=2.0, identifier="waited")
+    assert node.executed == ["set", "estop", "set"]
+
+
+def test_a_node_that_runs_looks_twice_a_second_for_a_stop_that_was_kept(tmp_path: Path) -> None:
+    node = Stoppable(tmp_path)
+    kept, looked_ns = node.rig.loop._commands.latch.kept, list[int]()
+
+    def looked() -> bytes | None:
+        looked_ns.append(node.rig.clock.monotonic_ns())
+        return kept()
+
+    node.rig.loop._commands.latch.kept = looked
+    node.rig.run_until(2100 * MS)
+    # before the first turn acts, and in the turn behind each report
+    assert [time_ns // MS for time_ns in looked_ns] == [5, 6, 506, 1006, 1506, 2006]
+    node.keep()
+    node.rig.run_until(2600 * MS)
+    assert node.executed == ["estop"]
+
+
+def test_only_a_device_that_stopped_itself_asks_for_a_new_wish_to_move() -> None:
+    rig = Rig(period_ns=MS)
+    rig.run_until(10 * MS)
+    rig.command(gain=1.0, program="curve")
+    rig.node.own_stops += 1
+    rig.run_until(rig.clock.monotonic_ns() + 2 * MS)
+    rig.command(gain=1.0, program="curve", identifier="b")
+    assert [(event.id, event.kind) for event in rig.events] == [("a", "ack"), ("b", "refused")]
+    assert "does not refer to the newest emergency stop" in rig.events[-1].text
+
+
+def test_a_failure_is_an_event_that_names_it() -> None:
+    rig = Rig(period_ns=MS)
+    rig.node.fails_at = 3
+    with pytest.raises(RuntimeError):
+        rig.loop.run()
+    (fault,) = [event for event in rig.events if event.kind == "fault"]
+    assert (fault.level, fault.text) == ("error", "this node failed: RuntimeError: driver gone")
+
+
+def test_whoever_drives_a_loop_learns_when_a_report_or_a_piece_of_one_is_due() -> None:
+    rig = Rig()
+    rig.node = Ticking(rig.node.context)
+    rig.loop = NodeLoop(rig.node, rig.bus, GRANTED)
+    for tick in range(6, 520):
+        rig.bus.arrives(tick * MS, "haptic/state", src="haptic_node@master", seq=tick)
+    rig.run_until(504 * MS)
+    assert rig.loop.health_due_ns == 505 * MS
+    # its pieces wait for the pauses behind the ticks
+    rig.run_until(505 * MS)
+    assert rig.loop.health_due_ns == 505 * MS + 300_000
+    rig.run_until(519 * MS)
+    assert rig.loop.health_due_ns == 1005 * MS
+
+
+def test_the_margin_of_the_busy_wait_follows_the_waits_that_nothing_ended() -> None:
+    rig, _ = busy_rig()
+    rig.loop.turn()
+    before_ns = rig.loop._spin.ns
+    rig.loop.turn()
+    after_ns = rig.loop._spin.ns
+    assert after_ns < before_ns
+    # a message that came at about the same time may be what ended the wait
+    rig.bus.oversleep_ns = 50_000
+    rig.bus.arrives(rig.node.deadline_ns() - after_ns + 20_000, "haptic/state")
+    rig.loop.turn()
+    assert len(rig.node.messages) == 1
+    assert rig.loop._spin.ns == after_ns
+
+
+def test_the_first_mean_age_of_a_device_has_its_first_samples_alone() -> None:
+    delay = DeviceDelay(3e-3, "stage 7")
+    for age_s in (0.25, 0.75):
+        delay.record(age_s)
+    assert delay.report()["device_age_s"] == 0.5
