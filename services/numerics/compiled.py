@@ -10,7 +10,7 @@ Compiled forms are `numba.njit` with a cache on disk. Numba notices a change of 
 of the functions that it calls from other files, so a plain cache would go on running an old model after an edit. This
 one keeps a digest of all that went into a compiled form (`code_digest`): after an edit the functions that depend on it
 are compiled again, and the others load in milliseconds
-([ADR 0049](../../docs/decisions/0049-compiled-code-by-what-went-into-it.md)).
+(ADR 0049).
 """
 
 import contextlib

@@ -104,3 +104,32 @@ def test_the_site_has_every_page() -> None:
     text = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
     named = set(re.findall(r"\b([a-z0-9_-]+\.md)\b", text))
     assert {path.name for path in DOCS.glob("*.md")} <= named
+
+
+DECISIONS = sorted((DOCS / "decisions").glob("[0-9]*.md"))
+DECISIONS_PAGE = (DOCS / "decisions" / "README.md").read_text(encoding="utf-8")
+
+
+def test_every_decision_is_listed_with_its_title_date_and_status() -> None:
+    assert len(DECISIONS) > 20
+    for page in DECISIONS:
+        title, _, dated, *_ = page.read_text(encoding="utf-8").splitlines()
+        number = page.name[:4]
+        found = re.fullmatch(r"\*\*Date:\*\* (20\d\d-\d\d-\d\d)\. \*\*Status:\*\* (\w+).*", dated)
+        assert found is not None, page.name
+        row = f"| [{number}]({page.name}) | {title.removeprefix(f'# {number} ')} | {found[1]} | {found[2]} |"
+        assert row in DECISIONS_PAGE, page.name
+
+
+def test_a_decision_that_the_code_or_a_page_names_is_listed_or_folded() -> None:
+    listed = {page.name[:4] for page in DECISIONS} | set(re.findall(r"^\| (\d{4}) \|", DECISIONS_PAGE, re.MULTILINE))
+    folders = ("proto", "recording", "services", "analysis", "studies", "telenano", "tests", "docs")
+    files = [path for folder in folders for end in ("py", "md") for path in (ROOT / folder).rglob(f"*.{end}")]
+    named = {
+        number
+        for path in (*files, *ROOT.glob("*.md"))
+        if "node_modules" not in path.parts
+        for number in re.findall(r"\bADR (\d{4})\b", path.read_text(encoding="utf-8"))
+    }
+    assert len(named) > 20
+    assert named <= listed
