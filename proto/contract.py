@@ -220,8 +220,8 @@ class _Filler:
             return self._record(schema["$ref"].rpartition("/")[2])
         if "anyOf" in schema:
             return self._value(schema["anyOf"][0 if self._case.filled else -1])
-        if "enum" in schema:
-            return schema["enum"][self._case.choice % len(schema["enum"])]
+        if words := schema.get("enum") or schema.get("examples"):
+            return words[self._case.choice % len(words)]
         return getattr(self, f"_{schema['type']}")(schema)
 
     def _record(self, name: str) -> Any:

@@ -9,13 +9,17 @@ from proto.ranges import Percent
 
 # in bytes four times as many, beside which the rest fits into a plain message
 MOST_TEXT = 512
-AfmProgramName = Literal["scan", "curve", "tactile"]
+# of the project, or of a package that brings one
+AfmProgramName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,31}$")]
 
 
 class AfmProgram(Message):
     """What the instrument does by itself, whatever afm/command says; ten times a second, and when it ends."""
 
-    program: AfmProgramName = Field(description="scan: an image; curve: a force curve; tactile: a path felt")
+    program: AfmProgramName = Field(
+        examples=["scan", "curve", "tactile"],
+        description="scan: an image; curve: a force curve; tactile: a path felt; or the program of a package",
+    )
     state: Literal["running", "paused", "finished", "ended"] = Field(
         description="finished: all of it was done; ended: before that, see text"
     )

@@ -14,7 +14,7 @@ from services.afm_node.physics.sim import SimulatedAfm
 from services.afm_node.physics.step import LONGEST_STEP_NS, AfmSample, command_wait_ns
 from services.afm_node.programs.feedback import remaining
 from services.afm_node.programs.lateral import Place, moved
-from services.afm_node.programs.raster import FinishedLine, Measured
+from services.afm_node.programs.program import FinishedLine, Inputs, Instrument
 from services.afm_node.programs.reach import Reach
 from services.afm_node.programs.runner import ProgramRunner
 from services.afm_node.programs.settings import InstrumentRequest, changed_disturbances, requested
@@ -300,18 +300,18 @@ class AfmNode(Node):
         programs = self._programs
         vibrating = self._vibrating
         oscillation = _AT_REST if vibrating is None else vibrating.oscillation
-        measured = Measured(self._guard.base_m, self._place, self._force_n, self._lateral_n[0], oscillation)
-        wanted, line = programs.step(measured, self._pointer, elapsed_s)
+        inputs = Inputs(self._guard.base_m, self._place, self._force_n, self._lateral_n[0], oscillation, self._pointer)
+        action, wanted = programs.step(inputs, elapsed_s)
         if vibrating is not None:
             vibrating.vibrate(wanted.amplitude_m)
-        if line is not None:
-            self._publish_line(line)
+        if wanted.line is not None:
+            self._publish_line(wanted.line)
         asked = safety.SafetyInputs(
-            reference_m=wanted.reference_m,
+            reference_m=wanted.base_m,
             # its references are made in this step
             command_age_s=0.0,
-            action=wanted.action,
-            arm_requested=self._guard.mode == safety.MODE_RETRACTED and wanted.action == safety.ACTION_POSITION,
+            action=action,
+            arm_requested=self._guard.mode == safety.MODE_RETRACTED and action == safety.ACTION_POSITION,
             estop=estop,
             force_n=self._force_n,
             device_lost=self._device_lost,
@@ -438,9 +438,15 @@ def _programs(config: AfmConfig, driver: AfmDriver, reach: Reach | None) -> Prog
     lateral = None if driver.stage is None else config.to_lateral_params()
     known = None if reach is None else reach.surface
     sides = config.sample_sides_m() if known is None else (known.width_m, known.depth_m)
-    vibrates = isinstance(driver, VibratingCantilever)
     c = config.cantilever
-    lag = remaining(PERIOD_S, c.resonance_hz, c.quality)
-    return ProgramRunner(
-        params.safety, lateral, sides, c.stiffness_n_per_m, PERIOD_S, can_vibrate=vibrates, lag=lag, reach=reach
+    instrument = Instrument(
+        limits=params.safety,
+        lateral=lateral,
+        size_m=sides,
+        stiffness_n_per_m=c.stiffness_n_per_m,
+        period_s=PERIOD_S,
+        can_vibrate=isinstance(driver, VibratingCantilever),
+        lag=remaining(PERIOD_S, c.resonance_hz, c.quality),
+        reach=reach,
     )
+    return ProgramRunner(instrument)

@@ -20,12 +20,14 @@ from services.afm_node.physics.cantilever import deflection_m, equilibrium, init
 from services.afm_node.physics.dynamic import NO_NOISE, advance, steady_state
 from services.afm_node.physics.dynamic_sim import require_steps
 from services.afm_node.physics.sample.igor_waves import load_wave, require_whole
+from services.afm_node.programs.curve import CurveSettings
 from services.runtime.untrusted.limited_child import read_in_child
 
 Array = npt.NDArray[np.float64]
 
 # of the greatest step of the force on the way back: smaller ones are not the break
 _JUMP_SHARE = 0.5
+_SPEED_M_PER_S = CurveSettings.in_simulated_time().speed_m_per_s
 
 
 @dataclass(frozen=True)
@@ -70,7 +72,7 @@ def force_curve(
     start_m: float,
     load_n: float,
     points: int = 1000,
-    speed_m_per_s: float = 200e-9,
+    speed_m_per_s: float = _SPEED_M_PER_S,
     *,
     dynamic: bool = False,
     progress: Callable[[int, int], None] = lambda n, of: None,

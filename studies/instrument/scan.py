@@ -4,7 +4,6 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -17,80 +16,20 @@ from services.afm_node.physics.contact.tip_sample import branch_force
 from services.afm_node.physics.dynamic import KICKS_PER_PERIOD, NO_NOISE, free_amplitude_m, steady_state
 from services.afm_node.physics.dynamic_sim import require_steps
 from services.afm_node.physics.sample.surface import Surface, dilated, height_at
-from services.afm_node.programs.feedback import gain_fault, number_fault, remaining
+from services.afm_node.programs.feedback import gain_fault, remaining
 from services.afm_node.programs.imaging import CHANNELS, HEIGHT, Feedback, Line, contact_line, tapping_line
+from services.afm_node.programs.scan import GAIN_NAMES, ScanSettings
 
 Array = npt.NDArray[np.float64]
 
 # way of the feedback in contact [s]: 20 kHz, as instruments have it
 CONTACT_PERIOD_S = 50e-6
-# names of the gains: in ScanRequest, and on the command line
-GAIN_NAMES = ("gain_per_s (--gain)", "proportional (--proportional)")
-_GAINS = {"tapping": (5000.0, 1.0), "contact": (12_500.0, 0.0)}
 _PIEZO_M_PER_S = 1e-3
-# as on the bus
-_MOST_DWELL_S, _MOST_K = 10.0, 2000.0
-# the tip begins this far above the first point [m], and has this long to arrive and settle before the first line [s]
+_MOST_K = 2000.0
+# the tip begins this far above the first point [m]
 _ABOVE_M = 5e-9
 # periods of the feedback in one compiled call, some 50 ms: a signal waits for its end
 _CALL_PERIODS = 40_000
-_SETTLE_S = 0.03
-
-
-@dataclass(frozen=True)
-class ScanRequest:
-    """What to image and how; lengths [m], times [s], forces [N].
-
-    gain_per_s and proportional, of the feedback (`programs.feedback`): 5000/s and 1 in tapping mode, which
-    acts once a period of the drive; 12 500/s and 0 in contact, at 20 kHz.
-    """
-
-    mode: Literal["tapping", "contact"] = "tapping"
-    pixels: int = 128
-    lines: int = 128
-    dwell_s: float = 1e-3
-    amplitude_m: float = 20e-9
-    setpoint_share: float = 0.8
-    setpoint_n: float = 5e-9
-    gain_per_s: float | None = None
-    proportional: float | None = None
-    temperature_k: float = 0.0
-    seed: int = 0
-
-    def check(self) -> None:
-        """Raise ConfigError naming what cannot be."""
-        if not (2 <= self.pixels <= 4096 and 1 <= self.lines <= 4096):
-            raise ConfigError(f"an image of {self.pixels} x {self.lines} is outside 2 x 1 to 4096 x 4096 pixels")
-        if self.mode == "tapping" and not 0.05 <= self.setpoint_share < 1.0:
-            raise ConfigError(
-                f"the set-point is {self.setpoint_share:g} of the free amplitude; it must lie between 0.05 and 1,"
-                " or the tip never reaches the sample"
-            )
-        for name, value, most in (
-            ("dwell [s]", self.dwell_s, _MOST_DWELL_S),
-            ("amplitude [m]", self.amplitude_m, 1e-3),
-        ):
-            if not 0.0 < value <= most:
-                raise ConfigError(f"{name} = {value:g} must be positive, and at most {most:g}")
-        if not 0.0 <= self.temperature_k <= _MOST_K:
-            raise ConfigError(f"temperature [K] = {self.temperature_k:g} must be 0 or more, and at most {_MOST_K:g}")
-        if fault := number_fault(*self.gains, GAIN_NAMES):
-            raise ConfigError(fault)
-
-    @property
-    def gains(self) -> tuple[float, float]:
-        """Return the integral gain [1/s] and the proportional gain."""
-        gain_per_s, proportional = _GAINS[self.mode]
-        return (
-            gain_per_s if self.gain_per_s is None else self.gain_per_s,
-            proportional if self.proportional is None else self.proportional,
-        )
-
-    def feedback(self, setpoint_m: float, period_s: float, lag: float | None, limits: tuple[float, float]) -> Feedback:
-        """Return the feedback; ConfigError names a gain with which it is unstable."""
-        if fault := gain_fault(*self.gains, period_s, lag, GAIN_NAMES):
-            raise ConfigError(fault)
-        return Feedback(setpoint_m, *self.gains, _PIEZO_M_PER_S, *limits)
 
 
 @dataclass(frozen=True)
@@ -132,27 +71,55 @@ class ScanResult:
         return float(np.sum(a * b)) / norm if norm > 0.0 else 0.0
 
 
+@dataclass(frozen=True)
+class Noise:
+    """The thermal noise of the cantilever in tapping mode: its temperature [K], 0 for none, and its seed."""
+
+    temperature_k: float = 0.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.temperature_k <= _MOST_K:
+            raise ConfigError(f"temperature [K] = {self.temperature_k:g} must be 0 or more, and at most {_MOST_K:g}")
+
+
 def scan(
-    surface: Surface, request: ScanRequest, config: AfmConfig, progress: Callable[[int, int], bool] = lambda n, of: True
+    surface: Surface,
+    request: ScanSettings,
+    config: AfmConfig,
+    progress: Callable[[int, int], bool] = lambda n, of: True,
+    noise: Noise = Noise(),
 ) -> ScanResult:
     """Image the whole of a surface.
 
-    Parameters: progress, called with the finished lines and their number; it ends the image by returning False, which
-    leaves the lines so far, as Ctrl-C and SIGTERM do.
-    Raises: ConfigError, if the request or the surface cannot be imaged.
+    Args:
+        surface: What is imaged.
+        request: What an image is, with the defaults of simulated time: `ScanSettings.in_simulated_time(pixels=64)`.
+        config: The instrument.
+        progress: Called with the finished lines and their number; it ends the image by returning False, which leaves
+            the lines so far, as Ctrl-C and SIGTERM do.
+        noise: The thermal noise of the cantilever.
+
+    Raises:
+        ConfigError: The request or the surface cannot be imaged.
     """
-    request.check()
+    if request.width_m is not None or request.depth_m is not None or request.x_m != 0.0 or request.y_m != 0.0:
+        raise ConfigError("in simulated time the whole of a sample is imaged: give no place and no sides of the image")
     try:
         seen = dilated(surface, config.tip_sample.tip_radius_m)
     except ValueError as error:
         raise ConfigError(str(error)) from error
     first = height_at(*seen, 0.0, 0.5 * surface.depth_m / request.lines)[0]
-    rest, amplitude = config.rest_distance_m, request.amplitude_m if request.mode == "tapping" else 0.0
+    rest, amplitude = config.rest_distance_m, request.free_amplitude_m
     begin = rest - first - amplitude - _ABOVE_M
     # the piezo of an imaging AFM reaches as far as the sample is high
     low, high = rest - float(seen.height_m.max()), rest - float(seen.height_m.min())
     limits = (low - amplitude - 1e-7, high + 2e-7)
-    run = (_Tapping if request.mode == "tapping" else _Contact)(request, config, begin, limits)
+    run: _Run
+    if request.mode == "tapping":
+        run = _Tapping(request, config, begin, limits, noise)
+    else:
+        run = _Contact(request, config, begin, limits)
     trace, retrace = np.zeros((2, request.lines, request.pixels, CHANNELS))
     truth = np.zeros((request.lines, request.pixels))
     left, right = 0.0, surface.width_m
@@ -184,10 +151,10 @@ def scan(
 class _Run(ABC):
     """The instrument during a scan: keeps its state from line to line."""
 
-    def __init__(self, dwell_s: float, period_s: float) -> None:
+    def __init__(self, request: ScanSettings, period_s: float) -> None:
         self.period_s = period_s
-        self.periods = max(1, round(dwell_s / period_s))
-        self.settle_periods = max(1, round(_SETTLE_S / period_s))
+        self.periods = max(1, round(request.dwell_s / period_s))
+        self.settle_periods = max(1, round(request.settle_s / period_s))
         self.simulated_s = 0.0
 
     def __call__(self, seen: Surface, line: Line, out: Array) -> None:
@@ -201,23 +168,34 @@ class _Run(ABC):
         """Scan as many pixels of a line as `out` has rows, from `first` on."""
 
 
+def _feedback(
+    request: ScanSettings, setpoint_m: float, period_s: float, lag: float | None, limits: tuple[float, float]
+) -> Feedback:
+    """Return the feedback; ConfigError names a gain with which it is unstable."""
+    if fault := gain_fault(request.gain_per_s, request.proportional, period_s, lag, GAIN_NAMES):
+        raise ConfigError(fault)
+    return Feedback(setpoint_m, request.gain_per_s, request.proportional, _PIEZO_M_PER_S, *limits)
+
+
 class _Tapping(_Run):
     """Dynamic cantilever with a lock-in; the feedback acts once a period of the drive."""
 
-    def __init__(self, request: ScanRequest, config: AfmConfig, begin_m: float, limits: tuple[float, float]) -> None:
+    def __init__(
+        self, request: ScanSettings, config: AfmConfig, begin_m: float, limits: tuple[float, float], noise: Noise
+    ) -> None:
         try:
-            self.plant = config.to_dynamic(temperature_k=request.temperature_k)
+            self.plant = config.to_dynamic(temperature_k=noise.temperature_k)
             require_steps(self.plant)
         except ValueError as error:
             raise ConfigError(str(error)) from error
-        super().__init__(request.dwell_s, 1.0 / self.plant.drive_hz)
+        super().__init__(request, 1.0 / self.plant.drive_hz)
         self.drive_m = request.amplitude_m / free_amplitude_m(self.plant, 1.0)
         setpoint = request.setpoint_share * request.amplitude_m
         lag = remaining(self.period_s, config.cantilever.resonance_hz, config.cantilever.quality)
-        self.feedback = request.feedback(setpoint, self.period_s, lag, limits)
+        self.feedback = _feedback(request, setpoint, self.period_s, lag, limits)
         self.state = steady_state(self.plant, begin_m, self.drive_m)
         self.proportional_m, self.error_m = 0.0, request.amplitude_m - setpoint
-        self.random = np.random.Generator(np.random.PCG64(request.seed)) if request.temperature_k > 0.0 else None
+        self.random = np.random.Generator(np.random.PCG64(noise.seed)) if noise.temperature_k > 0.0 else None
 
     def scan_pixels(self, seen: Surface, line: Line, first: int, out: Array) -> None:
         count = len(out) * line.periods * KICKS_PER_PERIOD
@@ -255,13 +233,13 @@ def _require_contact(plant: Plant, force_n: float) -> None:
 class _Contact(_Run):
     """Quasi-static cantilever at a constant force."""
 
-    def __init__(self, request: ScanRequest, config: AfmConfig, begin_m: float, limits: tuple[float, float]) -> None:
-        super().__init__(request.dwell_s, CONTACT_PERIOD_S)
+    def __init__(self, request: ScanSettings, config: AfmConfig, begin_m: float, limits: tuple[float, float]) -> None:
+        super().__init__(request, CONTACT_PERIOD_S)
         self.plant = config.to_params().plant
         k = self.plant.stiffness_n_per_m
         setpoint = request.setpoint_n / k
         _require_contact(self.plant, request.setpoint_n)
-        self.feedback = request.feedback(setpoint, self.period_s, None, limits)
+        self.feedback = _feedback(request, setpoint, self.period_s, None, limits)
         self.state = initial_state(self.plant, begin_m)
         self.base_m, self.proportional_m = begin_m, 0.0
         self.error_m = setpoint

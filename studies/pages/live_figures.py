@@ -84,7 +84,7 @@ def tactile_path(recording_file: Path) -> TactilePath:
     hand = columns(recording, "haptic/state", ("t_ns", "position_m.2"))
     x, y = tip["base_position_m.0"].astype(float), tip["base_position_m.1"].astype(float)
     assert config.begin is not None
-    path = config.begin.tactile
+    path = config.begin.settings_of("tactile")
     way = np.hypot(x - path.x0_m, y - path.y0_m)
     felt = np.flatnonzero((tip["in_contact"].astype(bool)) & (tip["mode"] == "follow") & (way > 0.0))
     if len(felt) < 100:

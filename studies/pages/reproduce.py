@@ -17,9 +17,10 @@ from services.afm_node.physics.contact.lennard_jones import contact_distance_m, 
 from services.afm_node.physics.contact.maugis_dugdale import cohesive_stress_pa, pull_off_force_n, reduced_modulus_pa
 from services.afm_node.physics.contact.tip_sample import branch_force
 from services.afm_node.physics.sample.made_samples import SampleConfig
+from services.afm_node.programs.scan import ScanSettings
 from studies.instrument.curve_models import ModelRow, compare_models
 from studies.instrument.force_curve import Curve, force_curve, marks_of
-from studies.instrument.scan import ScanRequest, ScanResult, scan
+from studies.instrument.scan import ScanResult, scan
 from studies.pages.live_figures import run_scenario, tactile_figure, tactile_path
 from studies.pages.page import Page, png_of, text
 from studies.pages.paper_equations import cantilever_rows, contact_rows, control_rows, device_rows
@@ -142,7 +143,7 @@ def reproduce(figures: Sequence[str], out: Path, pixels: int, progress: Progress
         page.table(columns, [_model_cells(row) for row in found])
         summary["models"] = [row._asdict() for row in found]
     if "fig8" in figures:
-        request = ScanRequest(pixels=pixels, lines=pixels)
+        request = ScanSettings.in_simulated_time(pixels=pixels, lines=pixels)
 
         def shown(n: int, of: int) -> bool:
             progress("fig8", n, of)

@@ -60,7 +60,7 @@ LAZY_COMMANDS = {
     "param": LazyCommand("telenano.cli.commands.param", "app", "List the keys of a scenario, and get their values."),
     "graph": LazyCommand("telenano.cli.commands.graph", "graph", "Draw the nodes, and the topics between them."),
     "law": LazyCommand("telenano.cli.commands.law", "app", "List, show and check laws, those of packages included."),
-    "new": LazyCommand("telenano.cli.commands.new", "new", "Make a package with a law, device, operator or sample."),
+    "new": LazyCommand("telenano.cli.commands.new", "new", "Make a package with a law, device, sample or program."),
     "sample": LazyCommand(
         "telenano.cli.commands.sample", "sample", "Make or read a surface, and show what a round tip sees of it."
     ),

@@ -13,13 +13,14 @@ _TRY_IT = {
     "law": "telenano law check $name\ntelenano up --scenario fig12 --set controller.law=$name",
     "operator": "telenano up --scenario fig12 --set 'haptic_node.operator={kind: $name}'",
     "sample": "telenano up --scenario fig12 --set afm_node.environment=$name",
+    "program": "telenano up --scenario image\ntelenano session set --target afm_node program=$name $name.radius_m=3e-8",
     "device": "telenano up --scenario fig12 --set haptic_node.driver=$name",
 }
 KINDS = tuple(_TRY_IT)
 
 
 def new_package(kind: str, name: str, folder: Path) -> list[Path]:
-    """Write a package with a law, device, operator or sample, and a test of it; return its files.
+    """Write a package with a law, device, operator, sample or program, and a test of it; return its files.
 
     Raises: ConfigError for a name that cannot be that of a package, or a folder that exists.
     """

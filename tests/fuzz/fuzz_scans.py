@@ -20,8 +20,9 @@ from services.afm_node.physics.contact.friction import FrictionState
 from services.afm_node.physics.dynamic import NO_NOISE, steady_state
 from services.afm_node.physics.sample.surface import Surface, checked, height_at
 from services.afm_node.programs.imaging import CHANNELS, Feedback, Line, contact_line, tapping_line
+from services.afm_node.programs.scan import ScanSettings
 from services.numerics.compiled import always_compiled
-from studies.instrument.scan import ScanRequest, scan
+from studies.instrument.scan import Noise, scan
 
 EXAMPLES = int(sys.argv[1])
 ANYTHING = st.one_of(
@@ -106,7 +107,8 @@ def scans(surface: Surface, request: dict[str, Any], section: dict[str, Any]) ->
     except (ValidationError, ConfigError):
         return
     try:
-        found = scan(surface, ScanRequest(**request), config)
+        noise = Noise(request.pop("temperature_k", 0.0))
+        found = scan(surface, ScanSettings.in_simulated_time(**request), config, noise=noise)
     except ConfigError:
         counts["refused"] += 1
         return

@@ -465,8 +465,8 @@ def test_half_open_connections_are_limited_closed_and_counted(rig: TwoSites) -> 
         made_text, took_text, closed_text = process.communicate(timeout=90)[0].split()
         made = int(made_text)
         assert int(closed_text) == made
-        # What two bursts and the queue of the system hold, what comes with the time that the opening took, and what comes
-        # before a loop has ended the accepting: all five are attacked at once, and on a busy machine each is late.
+        # What two bursts and the queue of the system hold, what comes with the time that the opening took, and what
+        # comes before a loop has ended the accepting: five are attacked at once, and on a busy machine each is late.
         assert BURST <= made <= 4 * BURST + 2 * PER_S * float(took_text) + 32
         accepted.append(made)
     for made, (victim, node, *_) in zip(accepted, doors, strict=True):

@@ -8,10 +8,16 @@ and the stage goes no faster. The base stands, so that the deflection is the hei
 """
 
 import math
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
+from pydantic import Field
+
+from proto.errors import RefusedError
 from services.afm_node.programs.feedback import gain_fault, integral_share
 from services.afm_node.programs.lateral import LateralParams, Place, moved
+from services.afm_node.programs.program import Begun, Inputs, Instrument, Program, Progress, Wanted
+from services.afm_node.programs.program_settings import Force, Length, Position, ProgramSettings, Speed
+from services.afm_node.programs.scan_speed import felt_speed_m_per_s
 
 # phases, in order
 RISE, TRAVEL, APPROACH, FEEL, DONE = range(5)
@@ -19,25 +25,46 @@ RISE, TRAVEL, APPROACH, FEEL, DONE = range(5)
 _GAINS = ("tactile.gain_per_s", "")
 
 
-class TactilePlan(NamedTuple):
-    """The line, or only its start where a pointer leads; how the tip is brought there, and what the base does.
+class TactileSettings(ProgramSettings):
+    """A path that a hand feels."""
 
-    speed_m_per_s: after Eq. 14; holds_force: a feedback (`feedback`) of gain_per_s with the period period_s moves the
-    base; clear_m: base above every point [m]; approach_s: the time after which an approach has found no surface [s].
+    drive: Literal["line", "pointer"] = Field(
+        "line", description="line: from x0, y0 to x1, y1; pointer: wherever lateral.x_m and lateral.y_m lead."
+    )
+    x0_m: Position = Field(0.0, description="Begin of the line [m], or where the pointer takes over.")
+    y0_m: Position = Field(0.0, description="Begin of the line [m], or where the pointer takes over.")
+    x1_m: Position | None = Field(None, description="End of the line [m]; default: half the sample further.")
+    y1_m: Position | None = Field(None, description="End of the line [m]; default: as y0_m.")
+    speed_m_per_s: Speed = Field(30e-9, description="Speed of the tip [m/s], limited by the two below (Eq. 14).")
+    feature_m: Length = Field(1e-9, description="Least length of a feature that is to be felt, dL [m].")
+    bandwidth_hz: float = Field(30.0, gt=0.0, le=1e5, description="Bandwidth of the operator's device, f_m [Hz].")
+    setpoint_n: Force = Field(5e-9, description="Force with which the tip touches the first point [N].")
+    hold: Literal["height", "force"] = Field(
+        "height", description="height: the base stands, the deflection is the height; force: a feedback holds it."
+    )
+    gain_per_s: float = Field(400.0, gt=0.0, le=1e5, description="Gain of that feedback [1/s].")
+    approach_m_per_s: Speed = Field(100e-9, description="Speed of the approach [m/s].")
+
+
+class TactilePlan(NamedTuple):
+    """A path: its settings, its ends, the speed after Eq. 14 [m/s], and what they need to know of the instrument.
+
+    clear_m: base above every point [m]; period_s, of the feedback; approach_s: the time after which an approach has
+    found no surface [s].
     """
 
+    settings: TactileSettings
     start: Place
     end: Place
-    by_pointer: bool
     speed_m_per_s: float
-    setpoint_n: float
-    holds_force: bool
-    gain_per_s: float
-    approach_m_per_s: float
     stiffness_n_per_m: float
     clear_m: float
     period_s: float
-    approach_s: float = math.inf
+    approach_s: float
+
+    @property
+    def by_pointer(self) -> bool:
+        return self.settings.drive == "pointer"
 
 
 class TactileState(NamedTuple):
@@ -48,38 +75,105 @@ class TactileState(NamedTuple):
     approached_s: float = 0.0
 
 
+class Tactile(Program[TactileSettings, TactilePlan, TactileState]):
+    """A path along which the tip touches the sample."""
+
+    settings = TactileSettings
+    title, about = "Tactile", "The path that a hand feels."
+    label = "tactile path"
+
+    def begin(
+        self, settings: TactileSettings, instrument: Instrument, place: Place
+    ) -> Begun[TactilePlan, TactileState]:
+        if instrument.lateral is None:
+            raise RefusedError("program: tactile needs a lateral stage, which this instrument has none of")
+        s, limits = settings, instrument.limits
+        start = Place(s.x0_m, s.y0_m)
+        end_x = s.x0_m + 0.5 * instrument.size_m[0] if s.x1_m is None else s.x1_m
+        end = Place(end_x, s.y0_m if s.y1_m is None else s.y1_m)
+        reach_m, fastest = instrument.lateral
+        furthest = max(abs(value) for value in (*start, *end))
+        if furthest > reach_m:
+            raise RefusedError(f"tactile: the line reaches {furthest:.3g} m, and lateral.reach_m is {reach_m:g} m")
+        if not s.setpoint_n < limits.force_limit_n:
+            raise RefusedError(f"tactile.setpoint_n must be below safety.force_limit_n = {limits.force_limit_n:g} N")
+        felt = felt_speed_m_per_s(s.feature_m, s.bandwidth_hz)
+        plan = TactilePlan(
+            settings=s,
+            start=start,
+            end=end,
+            speed_m_per_s=min(s.speed_m_per_s, felt, fastest),
+            stiffness_n_per_m=instrument.stiffness_n_per_m,
+            clear_m=limits.retract_position_m,
+            period_s=instrument.period_s,
+            approach_s=instrument.approach_limit_s(s.approach_m_per_s),
+        )
+        if fault := plan_fault(plan) or _surface_fault(plan, instrument, place):
+            raise RefusedError(f"tactile: {fault}")
+        limited = ""
+        if (speed := plan.speed_m_per_s) < s.speed_m_per_s:
+            limited = f"its speed is limited from {s.speed_m_per_s:g} to {speed:g} m/s"
+            limited += f": features of {s.feature_m:g} m at {s.bandwidth_hz:g} Hz (Eq. 14)" if speed == felt else ""
+        text = f"the tip touches the sample and goes along {'a pointer' if plan.by_pointer else 'a line'}"
+        return Begun(plan, TactileState(RISE, False), "; ".join(filter(None, (text, limited))), limited)
+
+    def step(self, plan: TactilePlan, state: TactileState, inputs: Inputs, dt: float) -> Wanted[TactileState]:
+        was_limited = state.is_limited
+        state, base_m, target = tactile_step(plan, state, inputs, dt)
+        notice = ""
+        if state.is_limited and not was_limited:
+            speed = plan.speed_m_per_s
+            notice = f"the pointer is ahead of the tip, which goes at {speed:g} m/s: no faster motion is felt (Eq. 14)"
+        return Wanted(state, base_m, target, state.phase == DONE, notice=notice)
+
+    def progress(self, plan: TactilePlan, state: TactileState) -> Progress:
+        texts = ("the tip rises", "the stage moves to the first point", "approach", "the surface is felt", "done")
+        return Progress(texts[state.phase], state.phase / DONE)
+
+    def searching_s(self, plan: TactilePlan, state: TactileState) -> tuple[float, float]:
+        return (state.approached_s if state.phase == APPROACH else 0.0), plan.approach_s
+
+
 def tactile_step(
-    plan: TactilePlan, state: TactileState, base_m: float, place: Place, force_n: float, pointer: Place, dt: float
+    plan: TactilePlan, state: TactileState, inputs: Inputs, dt: float
 ) -> tuple[TactileState, float, Place]:
     """Take what was measured and return the state, and where base [m] and stage are to go in the next dt [s]."""
+    s, base_m, place = plan.settings, inputs.base_m, inputs.place
     if state.phase == RISE:
         return (TactileState(TRAVEL, False) if base_m <= plan.clear_m else state), plan.clear_m, place
     if state.phase == TRAVEL:
         return (TactileState(APPROACH, False) if place == plan.start else state), plan.clear_m, plan.start
     if state.phase == APPROACH:
-        if force_n >= plan.setpoint_n:
+        if inputs.force_n >= s.setpoint_n:
             return TactileState(FEEL, False), base_m, plan.start
         approaching = state._replace(approached_s=state.approached_s + dt)
-        return approaching, base_m + plan.approach_m_per_s * dt, plan.start
+        return approaching, base_m + s.approach_m_per_s * dt, plan.start
     if state.phase == DONE:
         return state, base_m, place
-    goal = pointer if plan.by_pointer else plan.end
+    goal = inputs.pointer if plan.by_pointer else plan.end
     if not plan.by_pointer and place == goal:
         return TactileState(DONE, False), base_m, place
     target, limited = moved(LateralParams(math.inf, plan.speed_m_per_s), place, goal, dt)
-    if plan.holds_force:
-        share = integral_share(plan.gain_per_s, 0.0, plan.period_s, None, dt)
-        base_m += (plan.setpoint_n - force_n) / plan.stiffness_n_per_m * share
+    if s.hold == "force":
+        share = integral_share(s.gain_per_s, 0.0, plan.period_s, None, dt)
+        base_m += (s.setpoint_n - inputs.force_n) / plan.stiffness_n_per_m * share
     return TactileState(FEEL, plan.by_pointer and limited != 0), base_m, target
-
-
-def found_nothing(plan: TactilePlan, state: TactileState) -> bool:
-    """Return whether the approach has taken longer than the whole way of the base."""
-    return state.phase == APPROACH and state.approached_s > plan.approach_s
 
 
 def plan_fault(plan: TactilePlan) -> str:
     """Return why a path cannot be felt as it is planned; empty for nothing."""
-    if not plan.holds_force:
+    if plan.settings.hold != "force":
         return ""
-    return gain_fault(plan.gain_per_s, 0.0, plan.period_s, None, _GAINS)
+    return gain_fault(plan.settings.gain_per_s, 0.0, plan.period_s, None, _GAINS)
+
+
+def _surface_fault(plan: TactilePlan, instrument: Instrument, place: Place) -> str:
+    """Return why the base cannot bring the tip to a path, or hold the force along it; empty for nothing."""
+    s, reach = plan.settings, instrument.reach
+    if reach is None:
+        return ""
+    path = reach.along(plan.start, plan.start if plan.by_pointer else plan.end)
+    held = path if s.hold == "force" else reach.along(plan.start, plan.start)
+    fault = reach.depth_fault(held, s.setpoint_n / plan.stiffness_n_per_m)
+    way = reach.along(place, plan.start)
+    return fault or reach.retracted_fault(path) or reach.retracted_fault(way)

@@ -195,21 +195,21 @@ def _allowed(fault: Mapping[str, Any], model: type[BaseModel]) -> str:
     *path, name = fault["loc"]
     owner = _model_at(model, path)
     field = owner.model_fields.get(str(name)) if owner is not None else None
-    bounds = _bounds(field) if field is not None else {}
+    bounds = bounds_of(field) if field is not None else {}
     low = next((f"from {word}{bounds[key]:g}" for key, word in (("ge", ""), ("gt", "above ")) if key in bounds), "")
     high = next((f"to {word}{bounds[key]:g}" for key, word in (("le", ""), ("lt", "below ")) if key in bounds), "")
     return f" (allowed is {low} {high})" if low and high else ""
 
 
-def _bounds(part: Any) -> dict[str, float]:
+def bounds_of(part: Any) -> dict[str, float]:
     """Return ge, gt, le and lt of a field, or of a type within its annotation."""
     found: dict[str, float] = {}
     for rule in getattr(part, "metadata", getattr(part, "__metadata__", ())):
         # a rule is a bound itself, or the field of an annotation
-        found |= _bounds(rule) if isinstance(rule, FieldInfo) else {}
+        found |= bounds_of(rule) if isinstance(rule, FieldInfo) else {}
         found |= {key: getattr(rule, key) for key in ("ge", "gt", "le", "lt") if hasattr(rule, key)}
     for inner in get_args(part.annotation if isinstance(part, FieldInfo) else part):
-        found |= _bounds(inner)
+        found |= bounds_of(inner)
     return found
 
 

@@ -10,7 +10,9 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from presets import DEFAULT_SITE_FILE
 from proto.errors import ConfigError, RigError
+from services.afm_node.programs.curve import CurveSettings
 from services.runtime.settings.config import flag_overrides, validate
+from telenano.cli.model_options import check_options, with_options
 from telenano.cli.options import JsonOption, SiteFileOption
 from telenano.cli.output import print_document, report_errors
 from telenano.cli.program_view import LiveOption, follow_program, refuse_foreign
@@ -28,14 +30,11 @@ class CurveModel(StrEnum):
     DYNAMIC = "dynamic"
 
 
+@with_options(CurveSettings)
 def curve(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for curve.h5 and curve.png.")],
-    start: Annotated[float, typer.Option("--start", metavar="NM", help="Way above the rest point [nm].")] = 20.0,
-    load: Annotated[float, typer.Option("--load", metavar="NN", help="Force at which the base turns [nN].")] = 20.0,
+    given: dict[str, Any],
     points: Annotated[int, typer.Option("--points", metavar="N", help="Points of each way.")] = 1000,
-    speed: Annotated[
-        float | None, typer.Option("--speed", metavar="NM/S", help="Speed of the base [nm/s]; 200, or 50 with --live.")
-    ] = None,
     model: Annotated[
         CurveModel, typer.Option("--model", help="quasi_static: k zeta = F(h); dynamic: Eq. 4 in full.")
     ] = CurveModel.QUASI_STATIC,
@@ -60,6 +59,7 @@ def curve(
     """Approach and retract, mark snap-in, contact, pull-off and break, write HDF5 (afmformats) and a figure."""
     with report_errors(as_json):
         require("h5py")
+        check_options(CurveSettings, given)
         # before all other models: it has every step compiled that is imported after it
         import studies.instrument.force_curve as curves
         from services.afm_node.config import AfmConfig
@@ -70,13 +70,14 @@ def curve(
         measured = None if overlay is None else curves.read_measured(overlay)
         if live:
             refuse_foreign({"--afm": afm and overlay is None, "--model dynamic": model is CurveModel.DYNAMIC})
-            found = _live(site_file, start * 1e-9, load * 1e-9, 50e-9 if speed is None else speed * 1e-9, as_json)
+            found = _live(site_file, CurveSettings(**given), given, as_json)
         else:
             columns = (TextColumn("curve"), BarColumn(), TimeRemainingColumn())
             with Progress(*columns, console=Console(stderr=True), disable=as_json, transient=True) as bar:
                 task = bar.add_task("curve", total=2 * points)
+                s = CurveSettings.in_simulated_time(**given)
                 found = curves.force_curve(
-                    config, start * 1e-9, load * 1e-9, points, 200e-9 if speed is None else speed * 1e-9,
+                    config, s.start_m, s.load_n, points, s.speed_m_per_s,
                     dynamic=model is CurveModel.DYNAMIC, progress=lambda n, of: bar.update(task, completed=n),
                 )  # fmt: skip
         marks = curves.marks_of(found)
@@ -101,15 +102,16 @@ def curve(
     print_document(document, str(out), as_json=as_json)
 
 
-def _live(site_file: Path, start_m: float, load_n: float, speed_m_per_s: float, as_json: bool) -> "Curve":
+def _live(site_file: Path, settings: CurveSettings, given: "dict[str, Scalar]", as_json: bool) -> "Curve":
     """Have a running rig take a curve; RigError when it ended before it was complete."""
     from services.console.live_program import LiveCurve
     from studies.instrument.force_curve import curve_of_samples
 
     samples = LiveCurve()
-    parameters: dict[str, Scalar] = {"program": "curve", "curve.start_m": start_m, "curve.load_n": load_n,
-                  "curve.speed_m_per_s": speed_m_per_s}  # fmt: skip
+    # what was not given is the rig's own affair
+    parameters: dict[str, Scalar] = {"program": "curve", **{f"curve.{name}": value for name, value in given.items()}}
     report = follow_program(site_file, parameters, samples, as_json=as_json)
     if report.state != "finished":
         raise RigError(report.text)
-    return curve_of_samples(samples.base_m, samples.deflection_m, samples.force_n, -start_m, speed_m_per_s)
+    s = settings
+    return curve_of_samples(samples.base_m, samples.deflection_m, samples.force_n, -s.start_m, s.speed_m_per_s)

@@ -18,17 +18,18 @@ class Kind(StrEnum):
     DEVICE = "device"
     OPERATOR = "operator"
     SAMPLE = "sample"
+    PROGRAM = "program"
 
 
 def new(
-    kind: Annotated[Kind, typer.Argument(metavar="KIND", help="law, device, operator or sample.")],
+    kind: Annotated[Kind, typer.Argument(metavar="KIND", help="law, device, operator, sample or program.")],
     name: Annotated[str, typer.Argument(metavar="NAME", help="Its name in a scenario, such as my_law.")],
     out: Annotated[
         Path | None, typer.Option("--out", "-o", metavar="DIR", help="Folder to make; default: telenano-NAME.")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Make a package with a law, device, operator or sample of your own, and a test of it."""
+    """Make a package with a law, device, operator, sample or program of your own, and a test of it."""
     with report_errors(as_json):
         folder = out or Path(f"telenano-{name.replace('_', '-')}")
         written = new_package(kind.value, name, folder)

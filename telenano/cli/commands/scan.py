@@ -1,6 +1,5 @@
 """`telenano scan`: an image of a sample, in simulated time on this machine, or by a running rig."""
 
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,9 +9,11 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 
 from presets import DEFAULT_SITE_FILE
 from proto.errors import ConfigError, RigError
+from services.afm_node.programs.scan import ScanSettings
 from services.numerics import interrupts
 from services.runtime.settings.config import flag_overrides, validate
 from telenano.cli.exit_codes import EXIT_FAILED
+from telenano.cli.model_options import check_options, with_options
 from telenano.cli.options import JsonOption, SiteFileOption
 from telenano.cli.output import print_document, report_errors
 from telenano.cli.program_view import LiveOption, follow_program, refuse_foreign
@@ -38,56 +39,21 @@ if TYPE_CHECKING:
 _FILES = ("scan.gwy", "scan.gsf", "scan.png")
 
 
-class ScanMode(StrEnum):
-    """How the tip follows the surface."""
-
-    TAPPING = "tapping"
-    CONTACT = "contact"
+# fields of the model for which the command has options of its own
+_OWN = {"setpoint_n": "--setpoint", "setpoint_share": "--setpoint", "width_m": "--size", "depth_m": "--size"}
 
 
+@with_options(ScanSettings, _OWN)
 def scan(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for scan.gwy, scan.gsf, scan.png.")],
-    mode: Annotated[
-        ScanMode | None,
-        typer.Option(
-            "--mode",
-            help="tapping: constant amplitude; contact: constant force; default: tapping, with --live contact.",
-        ),
-    ] = None,
+    given: dict[str, Any],
     name: SampleOption = "dots",
     size: SampleSizeOption = None,
     channel: ChannelOption = None,
     settings: SampleSetOption = None,
-    pixels: Annotated[
-        int | None, typer.Option("--pixels", metavar="N", help="Pixels of a line; 128, or 64 with --live.")
-    ] = None,
-    lines: Annotated[
-        int | None, typer.Option("--lines", metavar="N", help="Lines of the image; 128, or 64 with --live.")
-    ] = None,
-    dwell: Annotated[
-        float | None,
-        typer.Option("--dwell", metavar="MS", help="Time on each pixel, each way [ms]; 1, or 4 with --live."),
-    ] = None,
-    amplitude: Annotated[float, typer.Option("--amplitude", metavar="NM", help="Free amplitude [nm].")] = 20.0,
     setpoint: Annotated[
         float | None,
-        typer.Option("--setpoint", metavar="X", help="Share of that amplitude, or force [nN] in contact; 0.8 or 5."),
-    ] = None,
-    gain: Annotated[
-        float | None,
-        typer.Option(
-            "--gain",
-            metavar="1/S",
-            help="Integral gain of the feedback [1/s]; 5000, in contact 12500, with --live 400.",
-        ),
-    ] = None,
-    proportional: Annotated[
-        float | None,
-        typer.Option(
-            "--proportional",
-            metavar="P",
-            help="Proportional gain of the feedback; 1 in tapping mode, 0 in contact and with --live.",
-        ),
+        typer.Option("--setpoint", metavar="X", help="Share of the amplitude, or force [nN] in contact; 0.8 or 5."),
     ] = None,
     temperature: Annotated[
         float, typer.Option("--temperature", metavar="K", help="Temperature of the thermal noise [K]; 0: none.")
@@ -98,78 +64,47 @@ def scan(
         typer.Option("--afm", metavar="KEY=VALUE", help="Change a key of afm_node, as in a scenario (repeatable)."),
     ] = None,
     live: LiveOption = False,
-    x: Annotated[float, typer.Option("--x", metavar="NM", help="Middle of the image [nm], with --live.")] = 0.0,
-    y: Annotated[float, typer.Option("--y", metavar="NM", help="Middle of the image [nm], with --live.")] = 0.0,
     site_file: SiteFileOption = DEFAULT_SITE_FILE,
     as_json: JsonOption = False,
 ) -> None:
     """Image a sample and write .gwy, .gsf and PNG; Ctrl-C and SIGTERM end the image and keep the lines so far."""
-    if live:
-        with report_errors(as_json):
-            require("gwyfile")
+    with report_errors(as_json):
+        require("gwyfile")
+        mode = given.get("mode") or (ScanSettings() if live else ScanSettings.in_simulated_time()).mode
+        if setpoint is not None:
+            given |= {"setpoint_share": setpoint} if mode == "tapping" else {"setpoint_n": setpoint * 1e-9}
+        if live and size is not None:
+            given |= {"width_m": size * 1e-9, "depth_m": size * 1e-9}
+        check_options(ScanSettings, given, _OWN)
+        if live:
             foreign = {"--sample": name != "dots", "--channel": channel, "--set": settings, "--afm": afm,
                        "--temperature": temperature}  # fmt: skip
             refuse_foreign(foreign)
-            gain = 400.0 if gain is None else gain
-            from services.afm_node.programs.feedback import number_fault
-
-            if fault := number_fault(gain, proportional or 0.0, ("--gain", "--proportional")):
-                raise ConfigError(fault)
-            parameters: dict[str, Scalar] = {
-                "program": "scan", "scan.pixels": 64 if pixels is None else pixels,
-                "scan.lines": 64 if lines is None else lines, "scan.dwell_s": 4e-3 if dwell is None else dwell * 1e-3,
-                "scan.gain_per_s": gain, "scan.x_m": x * 1e-9, "scan.y_m": y * 1e-9,
-            }  # fmt: skip
-            # what the rig takes without it is its own affair
-            if proportional is not None:
-                parameters["scan.proportional"] = proportional
-            if mode is ScanMode.TAPPING:
-                share = 0.8 if setpoint is None else setpoint
-                parameters |= {"scan.mode": "tapping", "scan.setpoint_share": share,
-                               "scan.amplitude_m": amplitude * 1e-9}  # fmt: skip
-            else:
-                parameters["scan.setpoint_n"] = 5e-9 if setpoint is None else setpoint * 1e-9
-            if size is not None:
-                parameters |= {"scan.width_m": size * 1e-9, "scan.depth_m": size * 1e-9}
-            _scan_live(out, site_file, parameters, as_json=as_json)
-        return
-    mode = ScanMode.TAPPING if mode is None else mode
-    pixels, lines = 128 if pixels is None else pixels, 128 if lines is None else lines
-    with report_errors(as_json):
-        require("gwyfile")
+            _scan_live(out, site_file, ScanSettings(**given), given, as_json=as_json)
+            return
+        if foreign_here := [option for option, field in (("--x", "x_m"), ("--y", "y_m")) if given.get(field)]:
+            raise ConfigError(f"{', '.join(foreign_here)}: only with --live: otherwise the whole sample is imaged")
         # before all other models: it has every step compiled that is imported after it
         import studies.instrument.scan as scans
         from services.afm_node.config import AfmConfig
 
         sample = sample_config(name, size, channel, settings)
         config = validate(AfmConfig, flag_overrides(afm or ()), "--afm")
-        request = scans.ScanRequest(
-            mode=mode.value,
-            pixels=pixels,
-            lines=lines,
-            dwell_s=1e-3 if dwell is None else dwell * 1e-3,
-            amplitude_m=amplitude * 1e-9,
-            setpoint_share=0.8 if setpoint is None or mode is ScanMode.CONTACT else setpoint,
-            setpoint_n=5e-9 if setpoint is None or mode is ScanMode.TAPPING else setpoint * 1e-9,
-            gain_per_s=gain,
-            proportional=proportional,
-            temperature_k=temperature,
-            seed=seed,
-        )
-        request.check()
+        request = ScanSettings.in_simulated_time(**given)
+        noise = scans.Noise(temperature, seed)
         surface = sample.build()
         columns = (TextColumn("lines"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
         with results_in(out) as folder:
             with Progress(*columns, console=Console(stderr=True), disable=as_json, transient=True) as bar:
-                task = bar.add_task("lines", total=lines)
-                result = scans.scan(surface, request, config, lambda n, of: _show(bar, task, n))
+                task = bar.add_task("lines", total=request.lines)
+                result = scans.scan(surface, request, config, lambda n, of: _show(bar, task, n), noise)
             _say_if_interrupted(result.partial)
             _write(folder, _images(result, mode))
     document: dict[str, Any] = {
         "sample": sample.name,
-        "mode": mode.value,
+        "mode": mode,
         "lines": len(result.trace),
-        "pixels": pixels,
+        "pixels": request.pixels,
         "simulated_s": result.simulated_s,
         "rms_error_m": result.rms_error_m,
         "correlation": result.correlation,
@@ -181,11 +116,15 @@ def scan(
     _exit_if_interrupted()
 
 
-def _scan_live(out: Path, site_file: Path, parameters: "dict[str, Scalar]", *, as_json: bool) -> None:
+def _scan_live(
+    out: Path, site_file: Path, settings: ScanSettings, given: "dict[str, Scalar]", *, as_json: bool
+) -> None:
     """Have a running rig image its sample, and write what came, also of an image that ended early."""
     from services.console.live_program import LiveImage
 
     image = LiveImage()
+    # what was not given is the rig's own affair
+    parameters: dict[str, Scalar] = {"program": "scan", **{f"scan.{name}": value for name, value in given.items()}}
     failure: RigError | None = None
     with results_in(out) as folder:
         try:
@@ -198,8 +137,7 @@ def _scan_live(out: Path, site_file: Path, parameters: "dict[str, Scalar]", *, a
             _write(folder, _live_images(image, count))
     if failure is not None:
         raise RigError(f"{failure}; {out} has {count} lines") if count else failure
-    mode = parameters.get("scan.mode", "contact")
-    document = {"mode": mode, "state": report.state, "lines": count, "pixels": parameters["scan.pixels"],
+    document = {"mode": settings.mode, "state": report.state, "lines": count, "pixels": settings.pixels,
                 "text": report.text, "files": [str(out / name) for name in _FILES] if count else []}  # fmt: skip
     if image.partial:
         document["partial"] = image.partial
@@ -254,7 +192,7 @@ def _show(bar: Progress, task: TaskID, lines: int) -> bool:
     return True
 
 
-def _images(result: "ScanResult", mode: ScanMode) -> "dict[str, Image]":
+def _images(result: "ScanResult", mode: str) -> "dict[str, Image]":
     """Return the channels that the mode has, and what the tip sees of the sample."""
     from analysis.image_files import Image
     from services.afm_node.programs.imaging import AMPLITUDE, DISSIPATED, FORCE, HEIGHT, LATERAL, PHASE
@@ -273,7 +211,7 @@ def _images(result: "ScanResult", mode: ScanMode) -> "dict[str, Image]":
         "retrace": image("Height retrace", "m", back[:, :, HEIGHT] - level_m),
         "truth": image("Surface as the tip sees it", "m", result.truth_m),
     }
-    if mode is ScanMode.CONTACT:
+    if mode == "contact":
         return images | {
             "force": image("Force", "N", trace[:, :, FORCE]),
             "lateral": image("Lateral force", "N", trace[:, :, LATERAL]),

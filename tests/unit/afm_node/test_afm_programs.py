@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import msgpack
 import numpy as np
 import pytest
 from pydantic import ValidationError
@@ -288,21 +287,9 @@ def command(afm: Imager) -> Any:
     return afm.bench.received("afm/command", "controller@slave", **fields, hand_t_ns=afm.bench.clock.now_ns())
 
 
-def unproportional(packed: Any) -> Any:
-    """Give a state as it was before there was a proportional gain: without the fields that came with it."""
-    if not isinstance(packed, list | dict):
-        return packed
-    if isinstance(packed, dict):
-        return {name: unproportional(value) for name, value in packed.items()}
-    newer = {"services.afm_node.programs.raster:RasterPlan": 3, "services.afm_node.programs.raster:RasterState": 2}
-    if len(packed) == 3 and packed[0] == "tuple" and packed[1] in newer:
-        return [*packed[:2], [unproportional(part) for part in packed[2][: -newer[packed[1]]]]]
-    return [unproportional(part) for part in packed]
-
-
-@pytest.mark.parametrize(("proportional", "is_old"), [(0.0, False), (0.0, True), (0.4, False)])
+@pytest.mark.parametrize("proportional", [0.0, 0.4])
 def test_a_node_restored_in_the_middle_of_an_image_goes_on_with_the_same_lines(
-    bench_of: Any, proportional: float, is_old: bool
+    bench_of: Any, proportional: float
 ) -> None:
     first = Imager(bench_of("afm_node@slave"))
     snapshot = StateSnapshot(first.node)
@@ -310,10 +297,6 @@ def test_a_node_restored_in_the_middle_of_an_image_goes_on_with_the_same_lines(
     first.run(until=lambda: any(topic == "afm/scanline" for topic, _ in first.bench.sent))
     state = snapshot.capture()
     assert state
-    if is_old:
-        older = msgpack.packb(unproportional(msgpack.unpackb(state, strict_map_key=False)))
-        assert len(older) < len(state) - 30
-        state = older
     second = Imager(bench_of("afm_node@slave"))
     restore(second.node, state)
     for afm in (first, second):

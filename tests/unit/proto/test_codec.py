@@ -554,6 +554,7 @@ def test_other_element_types_are_refused_by_name(element: str) -> None:
 _EXACT = {
     "id": "[A-Za-z0-9_-]{1,64}",
     "law": "[a-z][a-z0-9_]{0,30}",
+    "program": "[a-z][a-z0-9_]{0,31}",
     "public_key": "[0-9a-f]{64}",
     "answers": "([0-9a-f]{64})?",
     "src": "[a-z][a-z0-9_]{0,30}@[a-z][a-z0-9_]{0,30}",

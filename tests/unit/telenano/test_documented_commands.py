@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from services.afm_node.programs.settings import requested
 from services.console.command_client import parse_parameters
 from services.delay_node.config import LinkSettings, profile_changes
 from services.delay_node.profiles import PROFILES
@@ -44,7 +45,12 @@ def arguments_in(line: str) -> Iterator[list[str]]:
 
 
 # names of packages of the reader's own, and what takes their place here
-PLACEHOLDERS = {"my_law": "position_force", "{kind: my_hand, tremor_n: 0.1}": "{kind: force_profile}"}
+PLACEHOLDERS = {
+    "my_law": "position_force",
+    "{kind: my_hand, tremor_n: 0.1}": "{kind: force_profile}",
+    "program=my_circle": "program=curve",
+    "my_circle.radius_m": "curve.load_n",
+}
 
 
 def known_here(words: list[str]) -> list[str]:
@@ -92,7 +98,11 @@ def plan_of(options: dict[str, Any], folder: Path) -> Plan:
 
 def check_settings(target: str, words: list[str], folder: Path) -> None:
     """Check what is set while a rig runs as a key of the scenario; ConfigError names what is wrong."""
-    settings = [f"{target}.{key}={value}" for key, value in parse_parameters(words).items()]
+    parameters = parse_parameters(words)
+    if target == "afm_node" and "program" in parameters:
+        requested(parameters)
+        return
+    settings = [f"{target}.{key}={value}" for key, value in parameters.items()]
     make_plan(UpRequest("fig12", None, None, None, folder, False, settings), folder)
 
 

@@ -1,7 +1,7 @@
 import type { Controls } from "./controls";
 import { make, part } from "./dom";
 import { Form, type Values } from "./form";
-import { settings } from "./schema";
+import { programsOf, settings } from "./schema";
 import type { Store } from "./store";
 
 const NM = 1e-9;
@@ -17,7 +17,6 @@ const MODES: Record<string, string> = {
 };
 const LOOK_MS = 100;
 const LONGEST_END_MS = 5000;
-const PROGRAMS: Record<string, string> = { scan: "Scan", curve: "Force curve", tactile: "Tactile" };
 
 /** What the instrument does by itself: images and force curves, and where the tip is over the sample. */
 export class Instrument {
@@ -43,8 +42,7 @@ export class Instrument {
     const schema = this.store.forms["afm_node"] as Record<string, unknown>;
     const button = (id: string, text: string, action: () => unknown): HTMLButtonElement => make("button", { type: "button", id, disabled: !may, onclick: () => void action() }, text);
     const simple = (name: string, text: string): HTMLButtonElement => button(`program-${name}`, text, () => this.controls.command(name, "set", TARGET, { program: name }));
-    const known = Object.keys((schema["properties"] ?? {}) as Record<string, unknown>);
-    const programs = Object.keys(PROGRAMS).filter((name) => known.includes(name)).map((name) => ({ name, form: new Form(settings(schema, name), "program") }));
+    const programs = programsOf(schema).map(({ name, title }) => ({ name, title, form: new Form(settings(schema, name), "program") }));
     const begin = (program: string, form: Form) => () => this.controls.command(`${program} begins`, "set", TARGET, { program, ...form.values() });
     const field = (id: string, label: string): HTMLInputElement => make("input", { id, type: "number", step: "any", placeholder: label, "aria-label": `${label} of the tip in nm`, disabled: !may });
     const [x, y] = [field("tip-x", "x"), field("tip-y", "y")];
@@ -54,11 +52,11 @@ export class Instrument {
     };
     root.replaceChildren(
       make("h2", {}, "Instrument"),
-      make("div", { class: "row", role: "group", "aria-label": "Mode of the instrument" }, button("mode-bilateral", "Bilateral", () => this.followHand()), ...programs.map(({ name, form }) => button(`program-${name}`, PROGRAMS[name]!, begin(name, form)))),
+      make("div", { class: "row", role: "group", "aria-label": "Mode of the instrument" }, button("mode-bilateral", "Bilateral", () => this.followHand()), ...programs.map(({ name, title, form }) => button(`program-${name}`, title, begin(name, form)))),
       make("div", { class: "row" }, simple("pause", "Pause"), simple("resume", "Resume"), simple("abort", "Abort")),
       this.state,
       make("div", { class: "row tip-place" }, "Tip", x, y, "nm", button("tip-go", "Move", go)),
-      ...programs.map(({ name, form }) => make("details", {}, make("summary", {}, `Settings: ${PROGRAMS[name]!.toLowerCase()}`), form.element)),
+      ...programs.map(({ title, form }) => make("details", {}, make("summary", {}, `Settings: ${title.toLowerCase()}`), form.element)),
     );
   }
 

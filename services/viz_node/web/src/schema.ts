@@ -46,6 +46,13 @@ export function settings(root: Facts, section: string): Setting[] {
   });
 }
 
+/** Programs that the instrument can begin: the words of its key `program` that have a section, with the section's title. */
+export function programsOf(root: Facts): { name: string; title: string }[] {
+  const sections = ((root as Schema)["properties"] ?? {}) as Record<string, Schema>;
+  const choices = (sections["program"]?.["anyOf"] as Schema[] | undefined)?.flatMap((choice) => (choice["enum"] as string[] | undefined) ?? []) ?? [];
+  return choices.filter((name) => name in sections).map((name) => ({ name, title: String(sections[name]!["title"] ?? name) }));
+}
+
 function resolved(root: Schema, schema: Schema): Schema {
   const reference = schema["$ref"];
   if (typeof reference !== "string") return schema;

@@ -1,0 +1,149 @@
+"""What a program of the instrument is: a class with its settings, its plan, its steps, and words about its progress.
+
+A program moves the tip by itself, behind the guard. One file has all of it: the settings that `set`, a scenario, the
+page and the commands take, the plan that is made of them or the reason why not, the step, and the report. A class has
+no state of its own: plan and state are NamedTuples of plain values, which the journal of the node can keep.
+"""
+
+import math
+from abc import ABC, abstractmethod
+from typing import ClassVar, Generic, NamedTuple, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from services.afm_node.driver import Oscillation
+from services.afm_node.programs.lateral import LateralParams, Place
+from services.afm_node.programs.reach import Reach, approach_limit_s
+from services.afm_node.safety import SafetyParams
+from services.runtime.settings.config import Settings
+
+Array = npt.NDArray[np.float64]
+S = TypeVar("S", bound=Settings)
+P = TypeVar("P", bound=tuple[object, ...])
+T = TypeVar("T", bound=tuple[object, ...])
+
+
+class Instrument(NamedTuple):
+    """What a program may know of the instrument before it begins.
+
+    limits of the guard and of the stage, None where there is none; size_m, sides of the sample [m]; stiffness_n_per_m,
+    of the cantilever; period_s, of the node; can_vibrate, the base can be driven; lag, what is left of a change of the
+    amplitude after a period; reach, of the base over a surface whose heights are known, None for an instrument that
+    has to find the surface.
+    """
+
+    limits: SafetyParams
+    lateral: LateralParams | None
+    size_m: tuple[float, float]
+    stiffness_n_per_m: float
+    period_s: float
+    can_vibrate: bool = False
+    lag: float = 0.0
+    reach: Reach | None = None
+
+    def approach_limit_s(self, speed_m_per_s: float) -> float:
+        """Return the time after which an approach at a speed [m/s] has certainly found no surface [s]."""
+        return approach_limit_s(self.limits, self.limits.retract_position_m, speed_m_per_s)
+
+
+class Inputs(NamedTuple):
+    """What a program is told at each step.
+
+    Measured at the step before: base x_s [m] and place of the stage; force along z and x on the tip [N]; vibration of
+    the tip. pointer, where a person wants the tip; is_paused, the program is to stand where it is.
+    """
+
+    base_m: float
+    place: Place
+    force_n: float
+    lateral_n: float
+    oscillation: Oscillation
+    pointer: Place
+    is_paused: bool = False
+
+
+class FinishedLine(NamedTuple):
+    """A line: its number and sense, its ends at the middles of the outer pixels, heights [m], forces in x [N].
+
+    Amplitude [m], phase against the drive [rad] and energy that the sample takes in a period [J], None in contact mode.
+    """
+
+    line: int
+    backward: bool
+    start: Place
+    end: Place
+    height_m: Array
+    lateral_n: Array
+    amplitude_m: Array | None = None
+    phase_rad: Array | None = None
+    dissipated_j: Array | None = None
+
+
+class Begun(NamedTuple, Generic[P, T]):
+    """A program that begins: its plan and first state, a sentence for whoever asked, and a warning for the events."""
+
+    plan: P
+    state: T
+    text: str
+    notice: str = ""
+
+
+class Wanted(NamedTuple, Generic[T]):
+    """What a program asks for the next step: its state, and where base x_s [m] and stage are to go.
+
+    is_done: the tip is to retract; line, an image line that was finished; amplitude_m, of the vibration without a
+    sample [m]; notice, a warning for the events.
+    """
+
+    state: T
+    base_m: float
+    place: Place
+    is_done: bool = False
+    line: FinishedLine | None = None
+    amplitude_m: float = 0.0
+    notice: str = ""
+
+
+class Progress(NamedTuple):
+    """How far a program is: in words, as a share of 1, and in lines where it has any."""
+
+    text: str
+    share: float
+    line: int = 0
+    lines: int = 0
+
+
+class Program(ABC, Generic[S, P, T]):
+    """A program of the instrument.
+
+    settings: the model of its section, with units, bounds and defaults; title: what the page calls it; about: one line
+    for a person; label: its name in sentences, where it differs from the one in the table; can_pause: it can stand
+    where it is, and go on.
+    """
+
+    settings: type[S]
+    title: ClassVar[str]
+    about: ClassVar[str]
+    label: ClassVar[str] = ""
+    can_pause: ClassVar[bool] = False
+
+    @abstractmethod
+    def begin(self, settings: S, instrument: Instrument, place: Place) -> Begun[P, T]:
+        """Return the plan and the first state for a tip at `place`; RefusedError says why it cannot be done."""
+
+    @abstractmethod
+    def step(self, plan: P, state: T, inputs: Inputs, dt: float) -> Wanted[T]:
+        """Return the next state and where base and stage are to go in the next dt [s]; it is a pure function."""
+
+    @abstractmethod
+    def progress(self, plan: P, state: T) -> Progress:
+        """Return how far it is."""
+
+    def searching_s(self, plan: P, state: T) -> tuple[float, float]:
+        """Return for how long it has looked for the surface, and how long it may [s]; (0, inf) where it does not."""
+        return 0.0, math.inf
+
+    def shortfall(self, plan: P, state: T) -> str:
+        """Return in words what a program that is finished did not reach; empty for nothing."""
+        return ""

@@ -1,0 +1,319 @@
+"""An image taken by the node: a raster of the stage and the feedback that holds force or amplitude, one step a period.
+
+The feedback (`feedback`) acts on the deflection that is missing to the set-point, or in tapping mode on the amplitude
+above its own. What the base does is the picture, height = -x_s, up to a constant. On a tip of stiffness k over a
+contact of stiffness c the loop closes k + c over c times as slowly as on a rigid sample. The amplitude follows within
+Q / (pi f), 0.2 ms in Table 2, and is read before it has: at the next step.
+
+`ScanSettings` describes an image wherever it is taken: by the node, and in simulated time (`studies.instrument.scan`).
+"""
+
+import math
+from typing import Literal, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import Field
+
+from proto.errors import RefusedError
+from services.afm_node.programs.feedback import carried_out, feedback_step, gain_fault, integral_share
+from services.afm_node.programs.lateral import Place
+from services.afm_node.programs.program import Begun, FinishedLine, Inputs, Instrument, Program, Progress, Wanted
+from services.afm_node.programs.program_settings import Force, Length, Position, ProgramSettings, Speed, by_rate
+
+Array = npt.NDArray[np.float64]
+
+# phases, in order
+RISE, TRAVEL, APPROACH, SETTLE, LINES, DONE = range(6)
+# names of the gains, for whoever gave them by `set`, in a scenario, or on the command line
+GAIN_NAMES = ("scan.gain_per_s (--gain)", "scan.proportional (--proportional)")
+
+
+class ScanSettings(ProgramSettings):
+    """An image with a constant force, or with a constant amplitude of a vibrating tip."""
+
+    mode: Literal["contact", "tapping"] = by_rate(
+        "contact",
+        "tapping",
+        "contact: the force is held; tapping: the amplitude, on the bus with afm_node.model dynamic.",
+    )
+    width_m: Length | None = Field(None, description="Length of a line [m]; default: the whole sample.")
+    depth_m: Length | None = Field(None, description="From the first line to the last [m]; default: the whole sample.")
+    x_m: Position = Field(0.0, description="Middle of the image [m]; 0 is the middle of the sample.")
+    y_m: Position = Field(0.0, description="Middle of the image [m]; 0 is the middle of the sample.")
+    pixels: int = by_rate(64, 128, "Pixels of a line.", ge=2, le=4096)
+    lines: int = by_rate(64, 128, "Lines of the image.", ge=1, le=4096)
+    dwell_s: float = by_rate(4e-3, 1e-3, "Time on each pixel, each way [s].", gt=0.0, le=10.0)
+    setpoint_n: Force = Field(5e-9, description="Force that is held in contact mode [N].")
+    amplitude_m: float = Field(20e-9, ge=1e-12, le=1e-3, description="Amplitude without a sample, in tapping mode [m].")
+    setpoint_share: float = Field(0.8, ge=0.05, lt=1.0, description="Share of that amplitude that is held.")
+    gain_per_s: float = by_rate(
+        400.0,
+        {"tapping": 5000.0, "contact": 12_500.0},
+        "Integral gain of the feedback [1/s].",
+        gt=0.0,
+        le=1e7,
+    )
+    proportional: float = by_rate(
+        0.0, {"tapping": 1.0, "contact": 0.0}, "Proportional gain of the feedback, no unit.", ge=0.0, le=100.0
+    )
+    approach_m_per_s: Speed = Field(100e-9, description="Speed of the approach on the bus [m/s].")
+    settle_s: float = by_rate(0.2, 0.03, "Time for the force to settle before the first line [s].", ge=0.0, le=60.0)
+
+    @property
+    def free_amplitude_m(self) -> float:
+        """Return the amplitude without a sample [m]; 0 in contact mode."""
+        return self.amplitude_m if self.mode == "tapping" else 0.0
+
+
+class ScanPlan(NamedTuple):
+    """An image as an instrument takes it: its settings, its sides [m], and what they need to know of the instrument.
+
+    stiffness_n_per_m turns the force into a deflection; clear_m is the base above every point [m], where the tip moves
+    to the first one; period_s, of the feedback; lag, what is left of a change of the amplitude then; approach_s, the
+    time after which an approach has found no surface [s].
+    """
+
+    settings: ScanSettings
+    width_m: float
+    depth_m: float
+    stiffness_n_per_m: float
+    clear_m: float
+    period_s: float
+    lag: float
+    approach_s: float
+
+    @property
+    def setpoint_m(self) -> float:
+        """Return the amplitude that is held in tapping mode [m]; 0 in contact mode."""
+        return self.settings.setpoint_share * self.settings.free_amplitude_m
+
+    @property
+    def loop_lag(self) -> float | None:
+        return self.lag if self.settings.mode == "tapping" else None
+
+    @property
+    def line_s(self) -> float:
+        """Return the time of a line, each way [s]."""
+        return self.settings.pixels * self.settings.dwell_s
+
+
+class ScanState(NamedTuple):
+    """Phase; line and sense; time in the phase or line [s]; of its pixels sums of height [m] and force [N], counts.
+
+    Sums of the vibration's parts in phase with the drive and a quarter of a period behind it [m], and of the energy
+    that the sample takes in a period [J]. Where the base was sent at the last step, and the proportional part in that.
+    """
+
+    phase: int
+    line: int
+    backward: bool
+    elapsed_s: float
+    height_sum: Array
+    lateral_sum: Array
+    counts: Array
+    in_phase_sum: Array
+    quadrature_sum: Array
+    dissipated_sum: Array
+    reference_m: float = 0.0
+    proportional_m: float = 0.0
+
+
+class Scan(Program[ScanSettings, ScanPlan, ScanState]):
+    """An image, line by line there and back."""
+
+    settings = ScanSettings
+    title, about = "Scan", "What is imaged."
+    can_pause = True
+
+    def begin(self, settings: ScanSettings, instrument: Instrument, place: Place) -> Begun[ScanPlan, ScanState]:
+        s = settings
+        if instrument.lateral is None:
+            raise RefusedError("program: scan needs a lateral stage, which this instrument has none of")
+        if s.mode == "tapping" and not instrument.can_vibrate:
+            raise RefusedError("scan.mode: tapping needs a cantilever that vibrates: afm_node.model dynamic")
+        width_m, depth_m = instrument.size_m
+        plan = ScanPlan(
+            settings=s,
+            width_m=width_m if s.width_m is None else s.width_m,
+            depth_m=depth_m if s.depth_m is None else s.depth_m,
+            stiffness_n_per_m=instrument.stiffness_n_per_m,
+            clear_m=instrument.limits.retract_position_m,
+            period_s=instrument.period_s,
+            lag=instrument.lag,
+            approach_s=instrument.approach_limit_s(s.approach_m_per_s),
+        )
+        reach_m, speed = instrument.lateral
+        fault = line_fault(plan, reach_m, speed, instrument.limits.force_limit_n)
+        if fault := fault or _surface_fault(plan, instrument, place):
+            raise RefusedError(f"scan: {fault}")
+        text = (
+            f"an image of {s.pixels} x {s.lines} pixels begins, {2.0 * s.lines * plan.line_s:.0f} s for its lines after"
+            f" an approach of at most {plan.approach_s:.3g} s"
+        )
+        return Begun(plan, ScanState(RISE, 0, False, 0.0, *_no_samples(plan)), text)
+
+    def step(self, plan: ScanPlan, state: ScanState, inputs: Inputs, dt: float) -> Wanted[ScanState]:
+        state, base_m, target, line = scan_step(plan, state, inputs, dt)
+        return Wanted(state, base_m, target, state.phase == DONE, line, plan.settings.free_amplitude_m)
+
+    def progress(self, plan: ScanPlan, state: ScanState) -> Progress:
+        texts = (
+            "the tip rises",
+            "the stage moves to the first point",
+            "approach",
+            "the amplitude settles" if plan.settings.mode == "tapping" else "the force settles",
+            "lines",
+            "done",
+        )
+        way = min(state.elapsed_s / plan.line_s, 1.0) if state.phase == LINES else 0.0
+        lines = plan.settings.lines
+        done = 2.0 * state.line + float(state.backward) + way
+        return Progress(texts[state.phase], min(done / (2.0 * lines), 1.0), state.line, lines)
+
+    def searching_s(self, plan: ScanPlan, state: ScanState) -> tuple[float, float]:
+        return (state.elapsed_s if state.phase == APPROACH else 0.0), plan.approach_s
+
+
+def scan_step(
+    plan: ScanPlan, state: ScanState, inputs: Inputs, dt: float
+) -> tuple[ScanState, float, Place, FinishedLine | None]:
+    """Take what was measured at the last step, and return where base [m] and stage are to go in the next dt [s].
+
+    While it is paused, the stage stands and the force, or the amplitude, is held.
+    Returns: state, base reference x_s [m], lateral target, and a line where one was finished.
+    """
+    s, phase, elapsed = plan.settings, state.phase, state.elapsed_s + dt
+    base_m, place, first = inputs.base_m, inputs.place, begin_of(plan)
+    if phase == RISE:
+        return (_in(state, TRAVEL) if base_m <= plan.clear_m else state), plan.clear_m, place, None
+    if phase == TRAVEL:
+        return (_in(state, APPROACH) if place == first else state), plan.clear_m, first, None
+    if phase == APPROACH:
+        if (error_m := missing_m(plan, inputs)) <= 0.0:
+            # the base goes on from where it is
+            settling = _in(state, SETTLE)._replace(reference_m=base_m, proportional_m=s.proportional * error_m)
+            return settling, base_m, first, None
+        return state._replace(elapsed_s=elapsed), base_m + s.approach_m_per_s * dt, first, None
+    if phase == DONE:
+        return state, base_m, place, None
+    part_m = carried_out(state.proportional_m, state.reference_m - base_m)
+    share = integral_share(s.gain_per_s, s.proportional, plan.period_s, plan.loop_lag, dt)
+    held, part_m = feedback_step(base_m, part_m, missing_m(plan, inputs), share, s.proportional)
+    state = state._replace(reference_m=held, proportional_m=part_m)
+    if phase == SETTLE:
+        return (_in(state, LINES) if elapsed >= s.settle_s else state._replace(elapsed_s=elapsed)), held, first, None
+    if inputs.is_paused:
+        return state, held, place, None
+    state, target, finished = _advance(plan, state._replace(elapsed_s=elapsed), inputs)
+    return state, held, target, finished
+
+
+def begin_of(plan: ScanPlan) -> Place:
+    """Return the place of the first point."""
+    return _point(plan, 0, 0.0)
+
+
+def missing_m(plan: ScanPlan, inputs: Inputs) -> float:
+    """Return the error of the feedback [m], positive where the base is to go towards the sample."""
+    if plan.settings.mode == "tapping":
+        return inputs.oscillation.amplitude_m - plan.setpoint_m
+    return (plan.settings.setpoint_n - inputs.force_n) / plan.stiffness_n_per_m
+
+
+def _in(state: ScanState, phase: int) -> ScanState:
+    return state._replace(phase=phase, elapsed_s=0.0)
+
+
+def _point(plan: ScanPlan, line: int, share: float) -> Place:
+    """Return the place of a share of a line, from its left to its right edge."""
+    s = plan.settings
+    x = s.x_m + (share - 0.5) * plan.width_m
+    return Place(x, s.y_m + ((line + 0.5) / s.lines - 0.5) * plan.depth_m)
+
+
+def _advance(plan: ScanPlan, state: ScanState, inputs: Inputs) -> tuple[ScanState, Place, FinishedLine | None]:
+    """Count the sample where the tip is, and go on along the line; at its end turn, and after both ways to the next."""
+    s = plan.settings
+    place, left = inputs.place, s.x_m - 0.5 * plan.width_m
+    pixel = min(max(int((place.x_m - left) / plan.width_m * s.pixels), 0), s.pixels - 1)
+    state.height_sum[pixel] -= inputs.base_m
+    state.lateral_sum[pixel] += inputs.lateral_n
+    if s.mode == "tapping":
+        amplitude, angle, dissipated_j = inputs.oscillation
+        state.in_phase_sum[pixel] += amplitude * math.cos(angle)
+        state.quadrature_sum[pixel] += amplitude * math.sin(angle)
+        state.dissipated_sum[pixel] += dissipated_j
+    state.counts[pixel] += 1.0
+    share = min(state.elapsed_s / plan.line_s, 1.0)
+    end = _point(plan, state.line, 0.0 if state.backward else 1.0)
+    if share < 1.0 or place != end:
+        return state, _point(plan, state.line, 1.0 - share if state.backward else share), None
+    finished = FinishedLine(
+        state.line,
+        state.backward,
+        _point(plan, state.line, 0.5 / s.pixels),
+        _point(plan, state.line, 1.0 - 0.5 / s.pixels),
+        _filled(state.height_sum, state.counts),
+        _filled(state.lateral_sum, state.counts),
+        *((*_polar(state), _filled(state.dissipated_sum, state.counts)) if s.mode == "tapping" else ()),
+    )
+    line = state.line + int(state.backward)
+    phase = DONE if line == s.lines else LINES
+    feedback = state.reference_m, state.proportional_m
+    after = ScanState(phase, line, not state.backward, 0.0, *_no_samples(plan), *feedback)
+    target = place if phase == DONE else _point(plan, line, 0.0 if state.backward else 1.0)
+    return after, target, finished
+
+
+def _no_samples(plan: ScanPlan) -> tuple[Array, Array, Array, Array, Array, Array]:
+    n = plan.settings.pixels
+    return np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
+
+
+def _polar(state: ScanState) -> tuple[Array, Array]:
+    """Return amplitude and phase of the means; by the mathematics library, whose bits no vector unit decides."""
+    parts = (_filled(part, state.counts).tolist() for part in (state.in_phase_sum, state.quadrature_sum))
+    pairs = list(zip(*parts, strict=True))
+    return np.array([math.hypot(x, y) for x, y in pairs]), np.array([math.atan2(y, x) for x, y in pairs])
+
+
+def _filled(total: Array, counts: Array) -> Array:
+    """Return the means; a pixel that the tip crossed between two steps lies between its neighbours."""
+    known = np.flatnonzero(counts)
+    return np.asarray(np.interp(np.arange(len(counts)), known, total[known] / counts[known]))
+
+
+def line_fault(plan: ScanPlan, reach_m: float, speed_m_per_s: float, force_limit_n: float) -> str:
+    """Return what of a plan cannot be done with a stage and a guard, and what would be right; empty for none."""
+    s = plan.settings
+    furthest = max(abs(s.x_m) + 0.5 * plan.width_m, abs(s.y_m) + 0.5 * plan.depth_m)
+    if furthest > reach_m:
+        return f"the image reaches {furthest:.3g} m from the centre, and lateral.reach_m is {reach_m:g} m"
+    speed = plan.width_m / plan.line_s
+    if speed > speed_m_per_s:
+        needed_s = plan.width_m / speed_m_per_s / s.pixels
+        return (
+            f"a line would need {speed:.3g} m/s, above lateral.speed_m_per_s = {speed_m_per_s:g} m/s: a dwell of"
+            f" {needed_s:.3g} s or more on each pixel is within it"
+        )
+    if plan.line_s < 2.0 * plan.period_s * s.pixels:
+        return f"a pixel needs at least two steps of the instrument: a dwell of {2.0 * plan.period_s:g} s or more"
+    if s.mode == "contact" and not s.setpoint_n < force_limit_n:
+        return f"the set-point {s.setpoint_n:g} N must be below safety.force_limit_n = {force_limit_n:g} N"
+    if not math.isfinite(plan.clear_m):
+        return "the base has no safe position"
+    return gain_fault(s.gain_per_s, s.proportional, plan.period_s, plan.loop_lag, GAIN_NAMES)
+
+
+def _surface_fault(plan: ScanPlan, instrument: Instrument, place: Place) -> str:
+    """Return why the base cannot follow the surface of an image, or the tip not get there; empty for nothing."""
+    s, reach = plan.settings, instrument.reach
+    if reach is None:
+        return ""
+    image = reach.within(Place(s.x_m, s.y_m), plan.width_m, plan.depth_m)
+    # a tip that taps holds its amplitude above the sample, one in contact bends towards it
+    press_m = -plan.setpoint_m if s.mode == "tapping" else s.setpoint_n / plan.stiffness_n_per_m
+    way = reach.along(place, begin_of(plan))
+    clear = reach.retracted_fault(image, s.free_amplitude_m) or reach.retracted_fault(way, s.free_amplitude_m)
+    return reach.depth_fault(image, press_m) or clear

@@ -1,0 +1,45 @@
+"""The programs of the instrument by name: those of the project, and of installed packages (`telenano.programs`)."""
+
+from typing import Any
+
+from presets.plugins import load
+from proto.errors import RefusedError
+from services.afm_node.programs.curve import Curve
+from services.afm_node.programs.program import Program
+from services.afm_node.programs.scan import Scan
+from services.afm_node.programs.tactile import Tactile
+from services.runtime.settings.config import Settings
+
+AnyProgram = Program[Any, Any, Any]
+
+OWN_PROGRAMS: dict[str, AnyProgram] = {"scan": Scan(), "curve": Curve(), "tactile": Tactile()}
+# `program=...` with one of these changes the program that runs
+CHANGES = ("pause", "resume", "abort")
+# the other keys that `set` takes at the instrument
+OTHER_KEYS = ("program", "lateral", "disturbances")
+
+
+def _checked(name: str, value: Any) -> AnyProgram:
+    program = value() if isinstance(value, type) and issubclass(value, Program) else value
+    if not isinstance(program, Program):
+        raise TypeError(f"is a {type(value).__name__}, must be a Program")
+    if not (isinstance(program.settings, type) and issubclass(program.settings, Settings)):
+        raise TypeError("its settings must be a class of Settings")
+    try:
+        program.settings()
+    except ValueError as error:
+        raise ValueError(f"its settings need a default for every key: {error}") from error
+    for attribute in ("title", "about"):
+        if not isinstance(getattr(program, attribute, None), str):
+            raise TypeError(f"its attribute {attribute} must be a text for a person")
+    return program
+
+
+_PACKAGES = load("programs", _checked, (*OWN_PROGRAMS, *CHANGES, *OTHER_KEYS))
+PROGRAMS: dict[str, AnyProgram] = {**OWN_PROGRAMS, **_PACKAGES.found}
+
+
+def refuse_unusable(name: Any) -> None:
+    """Raise RefusedError saying what is wrong with the program of a package, where it cannot be used."""
+    if isinstance(name, str) and name in _PACKAGES.problems:
+        raise RefusedError(f"program: {_PACKAGES.problems[name]}")

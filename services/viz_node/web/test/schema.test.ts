@@ -1,0 +1,18 @@
+import { expect, test } from "vitest";
+import { programsOf, settings } from "../src/schema";
+
+const schema = {
+  $defs: { Circle: { properties: { radius_m: { type: "number", default: 2e-8, minimum: 1e-9, description: "Radius of the circle [m]." } } } },
+  properties: {
+    program: { anyOf: [{ enum: ["scan", "circle", "abort"], type: "string" }, { type: "null" }] },
+    scan: { $ref: "#/$defs/Circle", title: "Scan" },
+    circle: { $ref: "#/$defs/Circle", title: "Circle" },
+    lateral: { $ref: "#/$defs/Circle", title: "Lateral" },
+  },
+};
+
+test("the programs of the page are those that the instrument says it has, of packages too", () => {
+  expect(programsOf(schema)).toEqual([{ name: "scan", title: "Scan" }, { name: "circle", title: "Circle" }]);
+  expect(programsOf({})).toEqual([]);
+  expect(settings(schema, "circle")).toMatchObject([{ key: "circle.radius_m", unit: "m", label: "radius", initial: 2e-8, min: 1e-9 }]);
+});

@@ -1,0 +1,73 @@
+"""A program of one's own for the instrument: settings, a plan or a refusal, a pure step, and words about its progress.
+
+`trial` runs one over a spring, without a rig.
+"""
+
+from collections.abc import Iterator
+from typing import Any
+
+from proto.errors import RefusedError
+from services.afm_node.driver import Oscillation
+from services.afm_node.programs.feedback import gain_fault, integral_share
+from services.afm_node.programs.lateral import Place, moved
+from services.afm_node.programs.program import Begun, Inputs, Instrument, Program, Progress, Wanted
+from services.afm_node.programs.program_settings import Force, Length, Position, ProgramSettings, Speed
+
+__all__ = [
+    "Begun",
+    "Force",
+    "Inputs",
+    "Instrument",
+    "Length",
+    "Place",
+    "Position",
+    "Program",
+    "ProgramSettings",
+    "Progress",
+    "RefusedError",
+    "Speed",
+    "Wanted",
+    "gain_fault",
+    "integral_share",
+    "trial",
+]
+
+_PERIOD_S = 1e-3
+
+
+def trial(
+    program: Program[Any, Any, Any], settings: ProgramSettings, stiffness_n_per_m: float = 40.0, most_s: float = 60.0
+) -> Iterator[Inputs]:
+    """Yield what a program is told at each step until it is done, on an instrument as shipped over a linear spring.
+
+    The base goes where the program wants it to be, and the stage no faster than it can; nothing guards the tip.
+
+    Args:
+        program: The program to run.
+        settings: Its settings.
+        stiffness_n_per_m: Force on the tip for each metre of the base beyond the surface at `rest_distance_m` [N/m].
+        most_s: The time after which a program that is not done is given up [s].
+
+    Raises:
+        RefusedError: The program refuses its settings.
+        TimeoutError: It is not done within most_s.
+    """
+    # it holds the settings of every program, and so imports the packages that import this
+    from services.afm_node.config import AfmConfig
+
+    config = AfmConfig()
+    limits, lateral = config.to_params().safety, config.to_lateral_params()
+    k = config.cantilever.stiffness_n_per_m
+    instrument = Instrument(limits, lateral, config.sample_sides_m(), k, _PERIOD_S)
+    base_m, place = limits.retract_position_m, Place(0.0, 0.0)
+    plan, state, *_ = program.begin(settings, instrument, place)
+    for _ in range(round(most_s / _PERIOD_S)):
+        force_n = stiffness_n_per_m * max(base_m - config.rest_distance_m, 0.0)
+        inputs = Inputs(base_m, place, force_n, 0.0, Oscillation(0.0, 0.0), Place(0.0, 0.0))
+        yield inputs
+        wanted = program.step(plan, state, inputs, _PERIOD_S)
+        if wanted.is_done:
+            return
+        state, base_m = wanted.state, wanted.base_m
+        place = moved(lateral, place, wanted.place, _PERIOD_S)[0]
+    raise TimeoutError(f"the program is not done within {most_s:g} s")
