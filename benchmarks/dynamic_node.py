@@ -32,7 +32,7 @@ from proto.messages import AfmState, NodeHealth
 from recording.reader import Recording
 from services.afm_node.__main__ import dynamic_afm
 from services.afm_node.config import AfmConfig
-from services.afm_node.physics.sim import SimulatedAfm
+from services.afm_node.physics.sim import simulated_afm
 
 LATE_STEP_S = 2e-3
 # as fine as an empty loop can tell, which is itself late by some tens of microseconds
@@ -49,7 +49,7 @@ def exchange_s(steps: int | None, *, tapping: bool, count: int = 400) -> tuple[f
     """
     section: dict[str, Any] = {} if steps is None else {"model": "dynamic", "cantilever": {"steps_per_period": steps}}
     config = AfmConfig.model_validate(section)
-    driver: Any = SimulatedAfm(config.to_params()) if steps is None else dynamic_afm(config)
+    driver: Any = simulated_afm(config.to_params()) if steps is None else dynamic_afm(config)
     driver.open()
     base_m = config.rest_distance_m - GAP_M if tapping else CONTACT_M
     if tapping:

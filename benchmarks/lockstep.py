@@ -16,12 +16,12 @@ from typing import Any
 import numpy as np
 
 from services.afm_node.physics.step import AfmInputs
+from services.afm_node.physics.step import step as instrument_step
 from services.haptic_node.physics.step import HapticInputs
 from services.haptic_node.physics.step import step as haptic_step
 from services.numerics.compiled import always_compiled
 from studies import option_values
 from studies.loops.cells import DEFAULT_STIFFNESS, ENVIRONMENTS, Cell, rig_of
-from studies.loops.dispatch import instrument_step
 from studies.loops.link import schedule_of, symmetric_link
 from studies.loops.lockstep import Rig, Trajectory, simulate
 
@@ -45,7 +45,7 @@ def instrument_alone(params: Any, state: Any, bases_m: np.ndarray, dt: float) ->
     """Run the instrument over the base positions of a course."""
     total, arm = 0.0, True
     for base_m in bases_m:
-        state, outputs = instrument_step(params, state, AfmInputs(base_m, 0.0, 0, arm, False), dt)
+        state, outputs = instrument_step(params, state, AfmInputs(base_m, 0.0, 0, arm, False, 0.0, 0.0), dt)
         arm = False
         total += outputs.force_n
     return total

@@ -5,12 +5,10 @@ from contextlib import nullcontext
 from pathlib import Path
 
 from proto.errors import ConfigError
-from services.afm_node.config import DRIVERS, AfmConfig, ModbusConfig
+from services.afm_node.config import DRIVERS, SAMPLES, AfmConfig, ModbusConfig
 from services.afm_node.driver import AfmDriver
 from services.afm_node.node import INPUTS, AfmNode
-from services.afm_node.physics.disturbed import DisturbedAfm
-from services.afm_node.physics.sample_models import SAMPLES, SimulatedSample
-from services.afm_node.physics.sim import SimulatedSpring
+from services.afm_node.physics.sim import SimulatedInstrument, simulated_afm
 from services.afm_node.safety import SafetyParams
 from services.runtime.loop.main import NodeKind, ordinary, run_node
 from services.runtime.loop.node import NodeContext
@@ -32,20 +30,18 @@ def _driver(config: AfmConfig) -> AfmDriver:
         device: AfmDriver = driver.build(getattr(config, driver.name) or driver.config(), config.to_params().safety)
         return device
     if config.environment in SAMPLES.found:
-        return SimulatedSample(config.to_sample_params())
+        return SimulatedInstrument(config.to_sample_params())
     if config.environment == "spring":
-        return SimulatedSpring(config.to_spring_params())
-    # with all disturbances off the instrument itself: a person may switch them on while it runs
-    surface, friction = config.to_surface(), config.to_friction_params()
+        return SimulatedInstrument(config.to_spring_params())
     if config.model == "dynamic":
         return dynamic_afm(config)
-    return DisturbedAfm(config.to_params(), surface, friction, config.disturbances)
+    return simulated_afm(config.to_params(), config.to_surface(), config.to_friction_params(), config.disturbances)
 
 
-def dynamic_afm(config: AfmConfig) -> AfmDriver:
+def dynamic_afm(config: AfmConfig) -> SimulatedInstrument:
     """Return the instrument with the dynamic cantilever; ConfigError, if there is no compiler or no such model."""
     try:
-        from services.afm_node.physics.dynamic_sim import DynamicAfm, resting_steps
+        from services.afm_node.physics.dynamic_sim import dynamic_params, resting_steps
     except ImportError as error:
         raise ConfigError('afm_node.model: dynamic needs numba: pip install "telenano[studies]"') from error
     surface, friction = config.to_surface(), config.to_friction_params()
@@ -53,9 +49,10 @@ def dynamic_afm(config: AfmConfig) -> AfmDriver:
         # impulses of 1 K, which the driver scales: the temperature can be changed while it runs
         driven = config.to_dynamic(temperature_k=1.0)
         resting = config.to_dynamic(steps_per_period=resting_steps(driven), temperature_k=1.0, like=driven)
-        return DynamicAfm(config.to_params(), surface, friction, config.disturbances, driven, resting)
+        tip = dynamic_params(config.to_params().plant, driven, resting)
     except ValueError as error:
         raise ConfigError(f"afm_node.model: {error}") from error
+    return simulated_afm(config.to_params(), surface, friction, config.disturbances, tip)
 
 
 def modbus_driver(section: ModbusConfig, limits: SafetyParams) -> AfmDriver:

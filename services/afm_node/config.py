@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import Field, create_model, field_validator, model_validator
 
-from presets.plugins import refuse
+from presets.plugins import load, refuse
 from proto.errors import ConfigError
 from proto.topics import deadline_of
 from services.afm_node.physics.cantilever import Plant, build_plant, volts_per_m
@@ -25,8 +25,8 @@ from services.afm_node.physics.contact.tip_sample import (
 from services.afm_node.physics.disturbances import DisturbanceConfig
 from services.afm_node.physics.sample.made_samples import SampleConfig
 from services.afm_node.physics.sample.surface import Surface, dilated
-from services.afm_node.physics.sample_models import SAMPLES, SampleParams
-from services.afm_node.physics.spring import SpringParams, spring_params
+from services.afm_node.physics.sample_models import checked_sample
+from services.afm_node.physics.spring import spring_params
 from services.afm_node.physics.step import AfmParams
 from services.afm_node.programs.lateral import LateralParams
 from services.afm_node.programs.settings import InstrumentRequest
@@ -191,57 +191,23 @@ class ModbusConfig(Settings):
     port: int | None = Field(None, ge=1, le=65535, description="In place of the calibration's port")
 
 
-_OWN_DRIVERS, _OWN_ENVIRONMENTS = ("simulated", "modbus"), ("tip_sample", "spring")
-_SECTIONS = (
-    "driver",
-    "environment",
-    "cantilever",
-    "model",
-    "mode",
-    "meniscus",
-    "rest_distance_m",
-    "safety",
-    "allow_replay",
+_DRIVER: Any = Field(
+    "simulated",
+    description="simulated: everything below; modbus: a real one, of which safety below is the guard; or the"
+    " driver of another package.",
 )
-DRIVERS = drivers_of("afm_node", (*_OWN_DRIVERS, *_OWN_ENVIRONMENTS, *_SECTIONS, *SAMPLES.found))
-
-if TYPE_CHECKING:
-    DriverName = str
-    EnvironmentName = str
-
-    class _PackageSections(Settings):
-        """The sections of drivers and samples of other packages."""
-
-else:
-    DriverName = Literal[(*_OWN_DRIVERS, *DRIVERS.found)]
-    EnvironmentName = Literal[(*_OWN_ENVIRONMENTS, *SAMPLES.found)]
-    _PackageSections = create_model(
-        "_PackageSections",
-        __base__=Settings,
-        **{
-            name: (driver.config | None, Field(None, description=f"Settings of driver {name}."))
-            for name, driver in DRIVERS.found.items()
-        },
-        **{
-            name: (sample.config, Field(sample.config(), description=f"The sample, for environment {name}."))
-            for name, sample in SAMPLES.found.items()
-        },
-    )
+_ENVIRONMENT: Any = Field(
+    "tip_sample",
+    description="What the tip meets: the sample, a linear spring on the base, or a sample of another package.",
+)
 
 
-class AfmConfig(_PackageSections):
-    """An AFM over a sample: simulated, or a real one."""
+class _OwnSections(Settings):
+    """What the section `afm_node` has without packages; the names of all this are not free for a package."""
 
-    driver: DriverName = Field(
-        "simulated",
-        description="simulated: everything below; modbus: a real one, of which safety below is the guard; or the"
-        " driver of another package.",
-    )
+    driver: str = _DRIVER
     modbus: ModbusConfig | None = Field(None, description="The real instrument, for driver modbus.")
-    environment: EnvironmentName = Field(
-        "tip_sample",
-        description="What the tip meets: the sample, a linear spring on the base, or a sample of another package.",
-    )
+    environment: str = _ENVIRONMENT
     spring: SpringConfig = Field(SpringConfig(), description="The spring, for environment spring.")
     cantilever: CantileverConfig = Field(CantileverConfig(), description="Spring and read-out of the cantilever.")
     tip_sample: TipSampleConfig = Field(TipSampleConfig(), description="Tip, sample and the water between them.")
@@ -346,14 +312,14 @@ class AfmConfig(_PackageSections):
         surface = self.sample.build()
         return surface.width_m, surface.depth_m
 
-    def to_spring_params(self) -> SpringParams:
+    def to_spring_params(self) -> AfmParams:
         """Return the parameters of the linear environment behind the same guard."""
         guard, spring = self.to_params().safety, self.spring
-        return spring_params(guard, spring.stiffness_n_per_m, spring.rest_position_m, spring.bilateral)
+        return AfmParams(guard, spring_params(spring.stiffness_n_per_m, spring.rest_position_m, spring.bilateral))
 
-    def to_sample_params(self) -> SampleParams:
+    def to_sample_params(self) -> AfmParams:
         """Return the parameters of the sample of another package behind the same guard."""
-        return SampleParams(SafetyParams(**self.safety.model_dump()), getattr(self, self.environment).to_params())
+        return AfmParams(SafetyParams(**self.safety.model_dump()), getattr(self, self.environment).to_params())
 
     def to_dynamic(
         self,
@@ -399,6 +365,43 @@ class AfmConfig(_PackageSections):
         gain = volts_per_m(c.bridge_supply_v, c.amplifier_gain, c.sensitivity_per_m)
         plant = _plant(properties, _TABLE_REACH * s.force_limit_n, c.stiffness_n_per_m, self.rest_distance_m, gain)
         return AfmParams(SafetyParams(**s.model_dump()), plant)
+
+
+_OWN_DRIVERS, _OWN_ENVIRONMENTS = ("simulated", "modbus"), ("tip_sample", "spring")
+# keys of the section, and methods of its class
+TAKEN = frozenset({*_OWN_DRIVERS, *_OWN_ENVIRONMENTS, *_OwnSections.model_fields, *dir(_OwnSections)})
+SAMPLES = load("samples", checked_sample, TAKEN)
+DRIVERS = drivers_of("afm_node", TAKEN | SAMPLES.found.keys())
+
+if TYPE_CHECKING:
+    DriverName = str
+    EnvironmentName = str
+
+    class _PackageSections(_OwnSections):
+        """The sections of drivers and samples of other packages."""
+
+else:
+    DriverName = Literal[(*_OWN_DRIVERS, *DRIVERS.found)]
+    EnvironmentName = Literal[(*_OWN_ENVIRONMENTS, *SAMPLES.found)]
+    _PackageSections = create_model(
+        "_PackageSections",
+        __base__=_OwnSections,
+        **{
+            name: (driver.config | None, Field(None, description=f"Settings of driver {name}."))
+            for name, driver in DRIVERS.found.items()
+        },
+        **{
+            name: (sample.config, Field(sample.config(), description=f"The sample, for environment {name}."))
+            for name, sample in SAMPLES.found.items()
+        },
+    )
+
+
+class AfmConfig(_PackageSections):
+    """An AFM over a sample: simulated, or a real one."""
+
+    driver: DriverName = _DRIVER
+    environment: EnvironmentName = _ENVIRONMENT
 
 
 # a configuration is built when it is read, and again by whoever runs it

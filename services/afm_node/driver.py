@@ -1,12 +1,15 @@
-"""The interface of an AFM device. The simulated one is `sim.SimulatedAfm`; a real one is another class of this shape.
+"""The interface of an AFM device; that of the simulated ones is `sim.SimulatedInstrument`, and a real one has another.
 
 A driver moves and measures, no more: what may be sent to it is decided before, by `safety.safety_step`.
 """
 
-from typing import Literal, NamedTuple, Protocol, runtime_checkable
+from typing import Literal, NamedTuple, Protocol
 
 from proto.errors import ConfigError
-from services.afm_node.physics.step import AfmSample
+from services.afm_node.physics.disturbances import DisturbanceConfig
+from services.afm_node.physics.part import AfmSample
+from services.afm_node.physics.part import Oscillation as Oscillation
+from services.afm_node.physics.sample.surface import Surface
 
 
 class DeviceError(ConfigError, OSError):
@@ -40,20 +43,8 @@ class LateralStage(Protocol):
         """Return the force on the tip by the sample in x and y at the last exchange [N]."""
 
 
-class Oscillation(NamedTuple):
-    """Amplitude of the deflection at the frequency of the drive [m], and its phase against the drive [rad].
-
-    dissipated_j: energy that the sample takes in a period [J].
-    """
-
-    amplitude_m: float
-    phase_rad: float
-    dissipated_j: float = 0.0
-
-
-@runtime_checkable
 class VibratingCantilever(Protocol):
-    """What a driver has besides `AfmDriver` whose base can be vibrated: what tapping mode needs."""
+    """What vibrates the base: what tapping mode needs."""
 
     def vibrate(self, amplitude_m: float) -> None:
         """Drive the base so that the amplitude without a sample becomes amplitude_m [m]; 0: not at all."""
@@ -61,6 +52,33 @@ class VibratingCantilever(Protocol):
     @property
     def oscillation(self) -> Oscillation:
         """Return what was measured at the last exchange; zeros while the base is not driven."""
+
+
+class Relief(NamedTuple):
+    """What is known in advance of the heights under the tip: the surface as the tip sees it, None for a plane at 0."""
+
+    surface: Surface | None
+
+
+class Simulation(Protocol):
+    """What an instrument that is simulated can be told: how time passes, and what disturbs it."""
+
+    def elapse(self, dt: float) -> None:
+        """Note that the next exchange comes so much later [s]."""
+
+    @property
+    def disturbances(self) -> DisturbanceConfig | None:
+        """Return what disturbs it, None for one that cannot be disturbed."""
+
+    def configure(self, config: DisturbanceConfig) -> None:
+        """Take other disturbances from now on."""
+
+    @property
+    def settles(self) -> bool:
+        """Return whether there is work that nothing has to wait for, between two exchanges."""
+
+    def settle(self) -> bool:
+        """Go on by a part of what is known of the motion before the next exchange; return whether there is more."""
 
 
 class AfmDriver(Protocol):
@@ -85,6 +103,18 @@ class AfmDriver(Protocol):
     @property
     def stage(self) -> LateralStage | None:
         """Return the lateral stage, None for an instrument that only moves its base."""
+
+    @property
+    def vibration(self) -> VibratingCantilever | None:
+        """Return what vibrates the base, None for an instrument without it."""
+
+    @property
+    def simulation(self) -> Simulation | None:
+        """Return the simulation, None for a real instrument."""
+
+    @property
+    def relief(self) -> Relief | None:
+        """Return what is known of the heights under the tip, None for an instrument that has to find the surface."""
 
     def open(self) -> None:
         """Connect, and put the device into its safe state.

@@ -8,10 +8,9 @@ from proto.instrument import MOST_TEXT
 from proto.messages import AfmCommand, Array, ClockPing, LinkDelay, SessionControl
 from services.afm_node import safety
 from services.afm_node.config import AfmConfig
-from services.afm_node.driver import AfmDriver, DeviceReport, Oscillation, VibratingCantilever
-from services.afm_node.physics.disturbed import DisturbedAfm
-from services.afm_node.physics.sim import SimulatedAfm
-from services.afm_node.physics.step import LONGEST_STEP_NS, AfmSample, command_wait_ns
+from services.afm_node.driver import AfmDriver, DeviceReport
+from services.afm_node.physics.part import AfmSample, Oscillation
+from services.afm_node.physics.step import LONGEST_STEP_NS, command_wait_ns
 from services.afm_node.programs.feedback import remaining
 from services.afm_node.programs.lateral import Place, moved
 from services.afm_node.programs.program import FinishedLine, Inputs, Instrument
@@ -72,8 +71,6 @@ class AfmNode(Node):
         self._allow_replay = config.allow_replay
         self._hand_age = HandAge(context.key, self.clock.now_ns())
         self._driver = driver
-        self._disturbed = driver if isinstance(driver, DisturbedAfm) else None
-        self._vibrating = driver if isinstance(driver, VibratingCantilever) else None
         self._limits = config.to_params().safety
         self._guard = safety.initial_safety_state(self._limits)
         self._command: AfmCommand | None = None
@@ -104,7 +101,7 @@ class AfmNode(Node):
         self._due_ns = self._stepped_ns + _PERIOD_NS
         self._settle_ns = NEVER_NS
         # what comes before the deadline to settle shares this processor
-        self.has_precise_deadlines = self._disturbed is None or not self._disturbed.settles
+        self.has_precise_deadlines = driver.simulation is None or not driver.simulation.settles
         if config.driver == "simulated" and config.environment == "tip_sample" and (doubts := config.doubts()):
             self.event("fault", "warning", doubts)
 
@@ -135,8 +132,9 @@ class AfmNode(Node):
 
     def on_deadline(self, now_ns: int) -> None:
         """Step without a command: the guard judges the silence. Before that, do what nothing waits for."""
-        if self._disturbed is not None and self._settle_ns <= now_ns < self._due_ns:
-            self._settle_ns = now_ns + _SETTLE_AGAIN_NS if self._disturbed.settle() else NEVER_NS
+        simulation = self._driver.simulation
+        if simulation is not None and self._settle_ns <= now_ns < self._due_ns:
+            self._settle_ns = now_ns + _SETTLE_AGAIN_NS if simulation.settle() else NEVER_NS
             return
         self._handle_stall(now_ns)
         self._step(now_ns)
@@ -179,9 +177,12 @@ class AfmNode(Node):
         request = requested({key: value for key, value in control.parameters.items() if key not in changes}, changes)
         sentences = []
         if changes:
-            if self._disturbed is None:
+            simulation = self._driver.simulation
+            if simulation is None:
                 raise RefusedError("disturbances: a real instrument has its own")
-            self._disturbed.configure(changed_disturbances(self._disturbed.disturbances, changes))
+            if simulation.disturbances is None:
+                raise RefusedError("disturbances: only the cantilever of environment tip_sample has them")
+            simulation.configure(changed_disturbances(simulation.disturbances, changes))
             sentences.append("set " + ", ".join(f"{key} = {value}" for key, value in changes.items()))
         lateral = request.lateral
         if lateral.x_m is not None or lateral.y_m is not None:
@@ -279,8 +280,9 @@ class AfmNode(Node):
         self._guard, allowed = safety.safety_step(self._limits, self._guard, asked, elapsed_s)
         if wanted is not self._place and allowed.mode == safety.MODE_FOLLOW:
             self._move_laterally(wanted, elapsed_s)
-        if self._disturbed is not None:
-            self._disturbed.elapse(elapsed_s)
+        simulation = self._driver.simulation
+        if simulation is not None:
+            simulation.elapse(elapsed_s)
         sample = self._driver.exchange(allowed.base_m)
         if (stage := self._driver.stage) is not None:
             self._lateral_n = stage.lateral_force_n
@@ -291,14 +293,14 @@ class AfmNode(Node):
         self._report_changes(allowed)
         self._report_device(report)
         self.steps += 1
-        if self._disturbed is not None and self._disturbed.settles:
+        if simulation is not None and simulation.settles:
             self._settle_ns = self._stepped_ns + _SETTLE_NS
         return allowed
 
     def _step_program(self, elapsed_s: float, *, estop: bool) -> safety.SafetyOutputs:
         """Take a step of the program that runs, and see to its end."""
         programs = self._programs
-        vibrating = self._vibrating
+        vibrating = self._driver.vibration
         oscillation = _AT_REST if vibrating is None else vibrating.oscillation
         inputs = Inputs(self._guard.base_m, self._place, self._force_n, self._lateral_n[0], oscillation, self._pointer)
         action, wanted = programs.step(inputs, elapsed_s)
@@ -416,9 +418,9 @@ class AfmNode(Node):
 
 def _reach(config: AfmConfig, driver: AfmDriver) -> Reach | None:
     """Return what the base reaches, None for an instrument whose surface is not known in advance."""
-    if not isinstance(driver, SimulatedAfm):
+    if driver.relief is None:
         return None
-    return Reach(driver.surface, config.rest_distance_m, config.to_params().safety)
+    return Reach(driver.relief.surface, config.rest_distance_m, config.to_params().safety)
 
 
 def _sample_text(config: AfmConfig, reach: Reach) -> str:
@@ -445,7 +447,7 @@ def _programs(config: AfmConfig, driver: AfmDriver, reach: Reach | None) -> Prog
         size_m=sides,
         stiffness_n_per_m=c.stiffness_n_per_m,
         period_s=PERIOD_S,
-        can_vibrate=isinstance(driver, VibratingCantilever),
+        can_vibrate=driver.vibration is not None,
         lag=remaining(PERIOD_S, c.resonance_hz, c.quality),
         reach=reach,
     )

@@ -23,7 +23,6 @@ from services.runtime.settings.config import Settings, merge, nested, validate
 OWN_LAWS: dict[str, Law] = {
     law.name: law for law in (VIRTUAL_IMPEDANCE, POSITION_FORCE, WAVE, PASSIVITY, MODEL_MEDIATED, SMITH)
 }
-_SECTIONS = ("law", TACTILE.name, "period_s", "switch_limit_s", "deadband", "clamp")
 _KINDS = {type(law.config().to_params(1e-3)): law.name for law in (*OWN_LAWS.values(), TACTILE)}  # type: ignore[attr-defined]
 
 
@@ -36,34 +35,13 @@ def _with_own_parameters(name: str, value: Any) -> Law:
     return law
 
 
-# of installed packages (entry points `telenano.laws`)
-PACKAGE_LAWS = load("laws", _with_own_parameters, (*OWN_LAWS, *_SECTIONS))
-LAWS: dict[str, Law] = {**OWN_LAWS, **PACKAGE_LAWS.found}
-# the hand follows the surface and does not move the tip: no loop, nothing for a study of loops
-KNOWN_LAWS: dict[str, Law] = {**LAWS, TACTILE.name: TACTILE}
-
-if TYPE_CHECKING:
-    LawName = str
-
-    class _LawSections(Settings):
-        """The sections of laws of other packages."""
-
-else:
-    LawName = Literal[tuple(KNOWN_LAWS)]
-    _LawSections = create_model(
-        "_LawSections",
-        __base__=Settings,
-        **{
-            name: (law.config, Field(default=law.config(), description=f"Parameters of the law {name}"))
-            for name, law in PACKAGE_LAWS.found.items()
-        },
-    )
+_LAW: Any = Field(default="virtual_impedance", description="Law in force")
 
 
-class ControllerConfig(_LawSections):
-    """Section `controller` of a scenario, read by both halves of the law."""
+class _OwnSections(Settings):
+    """What the section `controller` has without packages; the names of all this are not free for a package."""
 
-    law: LawName = Field(default="virtual_impedance", description="Law in force")
+    law: str = _LAW
     period_s: Annotated[float, Field(ge=1e-4, le=0.1)] = Field(
         default=1e-3, description="Period of the hand's samples [s]"
     )
@@ -109,6 +87,37 @@ class ControllerConfig(_LawSections):
     def local_loop(self) -> bool:
         """Whether the slave half goes on between signals, on the instrument's clock."""
         return KNOWN_LAWS[self.law].local_loop or self.clamp_params().enabled
+
+
+# keys of the section, and methods of its class; laws of installed packages (entry points `telenano.laws`)
+TAKEN = frozenset({*OWN_LAWS, *_OwnSections.model_fields, *dir(_OwnSections)})
+PACKAGE_LAWS = load("laws", _with_own_parameters, TAKEN)
+LAWS: dict[str, Law] = {**OWN_LAWS, **PACKAGE_LAWS.found}
+# the hand follows the surface and does not move the tip: no loop, nothing for a study of loops
+KNOWN_LAWS: dict[str, Law] = {**LAWS, TACTILE.name: TACTILE}
+
+if TYPE_CHECKING:
+    LawName = str
+
+    class _LawSections(_OwnSections):
+        """The sections of laws of other packages."""
+
+else:
+    LawName = Literal[tuple(KNOWN_LAWS)]
+    _LawSections = create_model(
+        "_LawSections",
+        __base__=_OwnSections,
+        **{
+            name: (law.config, Field(default=law.config(), description=f"Parameters of the law {name}"))
+            for name, law in PACKAGE_LAWS.found.items()
+        },
+    )
+
+
+class ControllerConfig(_LawSections):
+    """Section `controller` of a scenario, read by both halves of the law."""
+
+    law: LawName = _LAW
 
 
 def changed_config(config: ControllerConfig, parameters: Mapping[str, Scalar]) -> ControllerConfig:

@@ -3,7 +3,7 @@
 import math
 from functools import reduce
 from operator import or_
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, Self
 
 import numpy as np
 from pydantic import Field, create_model, field_validator, model_validator
@@ -319,35 +319,16 @@ class SerialConfig(Settings):
     calibration: str = Field(min_length=1, description="Calibration file of this very device (handle.yaml)")
 
 
-_OWN_DRIVERS = ("simulated", "serial")
-_SECTIONS = ("driver", "device", "limits", "operator", "allow_replay")
-DRIVERS = drivers_of("haptic_node", (*_OWN_DRIVERS, *_SECTIONS))
-
-if TYPE_CHECKING:
-    DriverName = str
-
-    class _DriverSections(Settings):
-        """The sections of drivers of other packages."""
-
-else:
-    DriverName = Literal[(*_OWN_DRIVERS, *DRIVERS.found)]
-    _DriverSections = create_model(
-        "_DriverSections",
-        __base__=Settings,
-        **{
-            name: (driver.config | None, Field(default=None, description=f"Settings of driver {name}"))
-            for name, driver in DRIVERS.found.items()
-        },
-    )
+_DRIVER: Any = Field(
+    default="simulated",
+    description="simulated: device and operator below; serial: a real handle; or the driver of another package",
+)
 
 
-class HapticConfig(_DriverSections):
-    """Section `haptic_node` of a scenario."""
+class _OwnSections(Settings):
+    """What the section `haptic_node` has without packages; the names of all this are not free for a package."""
 
-    driver: DriverName = Field(
-        default="simulated",
-        description="simulated: device and operator below; serial: a real handle; or the driver of another package",
-    )
+    driver: str = _DRIVER
     serial: SerialConfig | None = Field(default=None, description="The real handle, for driver serial")
     device: DeviceConfig = Field(default=DeviceConfig(), description="The simulated device")
     limits: LimitsConfig = Field(default=LimitsConfig(), description="The guard in front of the device")
@@ -371,13 +352,13 @@ class HapticConfig(_DriverSections):
         return value
 
     @model_validator(mode="after")
-    def _serial_is_described(self) -> "HapticConfig":
+    def _serial_is_described(self) -> Self:
         if self.driver == "serial" and self.serial is None:
             raise ValueError("driver: serial needs a section serial with port and calibration")
         return self
 
     @model_validator(mode="after")
-    def _limits_inside_travel(self) -> "HapticConfig":
+    def _limits_inside_travel(self) -> Self:
         if self.driver != "simulated":
             # the travel of a real device is in its calibration
             return self
@@ -407,3 +388,32 @@ class HapticConfig(_DriverSections):
     def initial_state(self) -> step.HapticStepState:
         """Return the state at start: at rest, off, not latched."""
         return step.initial_state(self.to_plant_params(), self.device.start_position_m)
+
+
+_OWN_DRIVERS = ("simulated", "serial")
+# keys of the section, and methods of its class
+TAKEN = frozenset({*_OWN_DRIVERS, *_OwnSections.model_fields, *dir(_OwnSections)})
+DRIVERS = drivers_of("haptic_node", TAKEN)
+
+if TYPE_CHECKING:
+    DriverName = str
+
+    class _DriverSections(_OwnSections):
+        """The sections of drivers of other packages."""
+
+else:
+    DriverName = Literal[(*_OWN_DRIVERS, *DRIVERS.found)]
+    _DriverSections = create_model(
+        "_DriverSections",
+        __base__=_OwnSections,
+        **{
+            name: (driver.config | None, Field(default=None, description=f"Settings of driver {name}"))
+            for name, driver in DRIVERS.found.items()
+        },
+    )
+
+
+class HapticConfig(_DriverSections):
+    """Section `haptic_node` of a scenario."""
+
+    driver: DriverName = _DRIVER

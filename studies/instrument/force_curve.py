@@ -173,7 +173,8 @@ def _turning_point(config: AfmConfig, load_n: float) -> float:
     deep = equilibrium(plant, initial_state(plant, low), low)
 
     def force(base_m: float) -> float:
-        return plant.stiffness_n_per_m * deflection_m(plant, equilibrium(plant, deep, base_m).distance_m, base_m)
+        zeta_m = deflection_m(plant, equilibrium(plant, deep, base_m).distance_m, base_m)
+        return float(plant.stiffness_n_per_m * zeta_m)
 
     while force(high) < load_n:
         high = low + 2.0 * (high - low)

@@ -20,7 +20,8 @@ import numpy.typing as npt
 from proto.errors import ConfigError
 from services.afm_node.config import AfmConfig
 from services.afm_node.physics.cantilever import deflection_m, equilibrium, initial_state
-from services.afm_node.physics.disturbances import BOLTZMANN_J_PER_K, converted_v
+from services.afm_node.physics.disturbances import BOLTZMANN_J_PER_K
+from services.afm_node.physics.disturbed import converted_v, converter_step_v
 from services.afm_node.physics.dynamic import KICKS_PER_PERIOD, DynamicPlant, DynamicState, advance, steady_state
 from services.numerics.compiled import compiled, compiled_form
 
@@ -85,11 +86,11 @@ def calibrate_sensitivity(
     first = plant.rest_distance_m + 1e-9
     ways = np.linspace(0.0, way_m, points)
     random = np.random.Generator(np.random.PCG64(seed))
-    volts = np.empty(points)
+    volts, step_v = np.empty(points), converter_step_v(bits, 10.0)
     for i, way in enumerate(ways.tolist()):
         state = equilibrium(plant, state, first + way)
         zeta = deflection_m(plant, state.distance_m, first + way)
-        volts[i] = converted_v(plant.volts_per_m * zeta + noise_v * float(random.standard_normal()), bits, 10.0)
+        volts[i] = converted_v(plant.volts_per_m * zeta + noise_v * float(random.standard_normal()), step_v, 10.0)
     x = ways - ways.mean()
     slope = float((x * volts).sum() / (x * x).sum())
     residual = volts - volts.mean() - slope * x

@@ -19,10 +19,11 @@ from pydantic import Field
 from analysis import modes, verdict
 from analysis.verdict import Circumstances, judge
 from proto.errors import ConfigError
-from services.afm_node.config import AfmConfig, CantileverConfig, SafetyConfig
+from services.afm_node.config import SAMPLES, AfmConfig, CantileverConfig, SafetyConfig
 from services.afm_node.physics.body import body_params
+from services.afm_node.physics.cantilever import Plant
 from services.afm_node.physics.disturbances import DisturbanceConfig
-from services.afm_node.physics.sample_models import SAMPLES, SampleParams
+from services.afm_node.physics.disturbed import noisy_params
 from services.afm_node.physics.spring import spring_params
 from services.afm_node.physics.step import AfmParams
 from services.afm_node.safety import MODE_FOLLOW, MODE_HOLD, SafetyParams
@@ -31,9 +32,8 @@ from services.delay_node.config import LinkSettings
 from services.haptic_node.config import ARMS, HapticConfig
 from services.numerics.compiled import source_digest
 from services.runtime.settings.config import Settings, merge, nested, validate
-from studies.loops.disturbed import disturbed_params
 from studies.loops.link import Schedule, schedule_of, symmetric_link
-from studies.loops.lockstep import Instrument, Rig, Series, Trajectory, build_rig, simulate
+from studies.loops.lockstep import Rig, Series, Trajectory, build_rig, simulate
 
 ENVIRONMENTS = ("spring", "wall", "contact", "body")
 if TYPE_CHECKING:
@@ -156,21 +156,21 @@ class Cell(Settings):
             before = level
         return tuple(points)
 
-    def instrument(self) -> Instrument:
+    def instrument(self) -> AfmParams:
         """Return the constants of what the tip meets; ConfigError for a body that cannot be simulated."""
         return _instrument(self.environment, self.stiffness_n_per_m, self.mass_kg, self.damping_n_s_per_m)
 
-    def disturbed_instrument(self, duration_s: float) -> Instrument:
+    def disturbed_instrument(self, duration_s: float) -> AfmParams:
         """Return the same with its disturbances, for a run of that length [s]; ConfigError names the key at fault."""
         instrument = self.instrument()
         if not self.disturbances:
             return instrument
-        if not isinstance(instrument, AfmParams):
+        if not isinstance(instrument.plant, Plant):
             raise ConfigError(f"--disturb: {self.environment} has no instrument to disturb; give --environment contact")
         section = nested(dict(self.disturbances), "--disturb")
         # one seed for link and instrument, unless it is given
         config = validate(DisturbanceConfig, merge({"seed": self.seed}, section), "--disturb", "disturbances")
-        return disturbed_params(instrument, config, duration_s)
+        return instrument._replace(plant=noisy_params(config, instrument.plant, duration_s))
 
     def operator(self, points: Sequence[tuple[float, float]]) -> dict[str, Any]:
         """Return the section `haptic_node.operator` of a programme: corners (time [s], force [N]).
@@ -391,23 +391,22 @@ def _work(force_n: Series, position_m: Series) -> Series:
 @functools.lru_cache(maxsize=64)
 def _instrument(
     environment: Environment, stiffness_n_per_m: float, mass_kg: float, damping_n_s_per_m: float
-) -> Instrument:
+) -> AfmParams:
     if environment == "contact":
         return AfmConfig(cantilever=CantileverConfig(stiffness_n_per_m=stiffness_n_per_m)).to_params()
     # The spring also pulls, so it is met at its rest position and not from a retracted base.
     safety = SafetyParams(**SafetyConfig(retract_position_m=0.0).model_dump())
     if environment in SAMPLES.found:
-        return SampleParams(safety, sample_config(environment, stiffness_n_per_m).to_params())
+        return AfmParams(safety, sample_config(environment, stiffness_n_per_m).to_params())
     if environment == "body":
         try:
-            return body_params(
-                safety, stiffness_n_per_m, damping_n_s_per_m, mass_kg, CANTILEVER_N_PER_M, WALL_DISTANCE_M
-            )
+            body = body_params(stiffness_n_per_m, damping_n_s_per_m, mass_kg, CANTILEVER_N_PER_M, WALL_DISTANCE_M)
         except ValueError as error:
             raise ConfigError(f"--mass: {error}") from error
+        return AfmParams(safety, body)
     if environment == "wall":
-        return spring_params(safety, stiffness_n_per_m, WALL_DISTANCE_M, False)
-    return spring_params(safety, stiffness_n_per_m, 0.0, True)
+        return AfmParams(safety, spring_params(stiffness_n_per_m, WALL_DISTANCE_M, False))
+    return AfmParams(safety, spring_params(stiffness_n_per_m, 0.0, True))
 
 
 def sample_config(environment: str, stiffness_n_per_m: float) -> Any:

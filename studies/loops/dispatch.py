@@ -1,4 +1,4 @@
-"""One loop for every law and every instrument: compiled code that chooses the step by the type of its parameters.
+"""One loop for every law: compiled code that chooses the step by the type of its parameters.
 
 Numba compiles the loop of `lockstep` once for each pair of law and instrument and keeps the result on disk. The choice
 is made while compiling, so it costs nothing at run time; without the compiler the same names look the step up in plain
@@ -8,17 +8,9 @@ Python. Steps handed over as arguments would be compiled anew by every process.
 from collections.abc import Callable
 from typing import Any, cast
 
-from services.afm_node.physics import body, sample_models, spring
-from services.afm_node.physics import step as afm
-from services.afm_node.physics.body import BodyParams
-from services.afm_node.physics.sample_models import SampleParams
-from services.afm_node.physics.spring import SpringParams
-from services.afm_node.physics.step import AfmParams
 from services.controller.config import LAWS, ControllerConfig
 from services.controller.law import Law
 from services.numerics.compiled import chosen_step
-from studies.loops import disturbed
-from studies.loops.disturbed import DisturbedParams
 
 Step = Callable[..., Any]
 
@@ -35,13 +27,6 @@ def _laws_by_parameters() -> dict[type, Law]:
 
 
 _LAW_OF = _laws_by_parameters()
-_INSTRUMENT_OF: dict[type, Step] = {
-    AfmParams: afm.step,
-    SpringParams: spring.step,
-    BodyParams: body.step,
-    SampleParams: sample_models.step,
-    DisturbedParams: disturbed.step,
-}
 
 
 def _chosen(name: str) -> Callable[[type], Step]:
@@ -57,4 +42,3 @@ master_receive = chosen_step(_chosen("master_receive"))
 slave_start = chosen_step(_chosen("slave_start"))
 slave_receive = chosen_step(_chosen("slave_receive"))
 slave_send = chosen_step(_chosen("slave_send"))
-instrument_step = chosen_step(lambda kind: _INSTRUMENT_OF[kind])

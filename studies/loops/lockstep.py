@@ -26,12 +26,6 @@ import numpy as np
 import numpy.typing as npt
 
 from services.afm_node import safety as afm_safety
-from services.afm_node.physics import sample_models
-from services.afm_node.physics.body import BodyParams
-from services.afm_node.physics.body import initial_state as initial_body_state
-from services.afm_node.physics.sample_models import SampleParams
-from services.afm_node.physics.spring import SpringParams
-from services.afm_node.physics.spring import initial_state as initial_spring_state
 from services.afm_node.physics.step import (
     LONGEST_STEP_NS,
     AfmInputs,
@@ -40,6 +34,7 @@ from services.afm_node.physics.step import (
     command_wait_ns,
     initial_afm_state,
 )
+from services.afm_node.physics.step import step as instrument_step
 from services.controller.clamp import ClampParams, clamped
 from services.controller.config import ControllerConfig
 from services.controller.deadband import DeadbandParams, deadband, initial_deadband_state
@@ -60,7 +55,6 @@ from services.haptic_node.physics.step import step as haptic_step
 from services.numerics.compiled import compiled, compiled_form
 from services.runtime.loop.freshness import DELAY_STEP_NS
 from studies.loops.dispatch import (
-    instrument_step,
     master_receive,
     master_send,
     master_start,
@@ -68,12 +62,9 @@ from studies.loops.dispatch import (
     slave_send,
     slave_start,
 )
-from studies.loops.disturbed import DisturbedParams
-from studies.loops.disturbed import initial_state as initial_disturbed_state
 from studies.loops.link import Schedule
 
 Series = npt.NDArray[np.float64]
-Instrument = AfmParams | SpringParams | BodyParams | SampleParams | DisturbedParams
 
 _NEVER_NS = 2**62
 COLUMNS = (
@@ -111,22 +102,12 @@ class Rig:
     slave: "SlaveLoop"
     haptic: HapticParams
     haptic_start: HapticChainState
-    instrument: Instrument
+    instrument: AfmParams
     instrument_start: Any
     period_s: float
 
 
-def _at_rest(instrument: Instrument) -> Any:
-    if isinstance(instrument, SpringParams):
-        return initial_spring_state(instrument)
-    if isinstance(instrument, SampleParams):
-        return sample_models.initial_state(instrument)
-    if isinstance(instrument, DisturbedParams):
-        return initial_disturbed_state(instrument)
-    return initial_body_state(instrument) if isinstance(instrument, BodyParams) else initial_afm_state(instrument)
-
-
-def build_rig(controller: ControllerConfig, haptic: HapticConfig, instrument: Instrument) -> Rig:
+def build_rig(controller: ControllerConfig, haptic: HapticConfig, instrument: AfmParams) -> Rig:
     """Prepare a rig: the hand where its configuration puts it and off, the instrument retracted."""
     period_s, silence_s = controller.period_s, controller.law_config().silence_limit_s
     return Rig(
@@ -141,7 +122,7 @@ def build_rig(controller: ControllerConfig, haptic: HapticConfig, instrument: In
         haptic.to_params(),
         haptic.initial_state(),
         instrument,
-        _at_rest(instrument),
+        initial_afm_state(instrument),
         period_s,
     )
 
@@ -392,9 +373,8 @@ def _run(
             arm = commanded and not armed and action == afm_safety.ACTION_POSITION
             command_age_s = np.inf if base_hand_ns < 0 else (event_ns - base_hand_ns) * 1e-9
             step_s = min(max(event_ns - instrument_ns, 1), LONGEST_STEP_NS) * 1e-9
-            instrument_state, felt_tip = instrument_step(
-                instrument, instrument_state, AfmInputs(base_reference_m, command_age_s, action, arm, False), step_s
-            )
+            asked_tip = AfmInputs(base_reference_m, command_age_s, action, arm, False, 0.0, 0.0)
+            instrument_state, felt_tip = instrument_step(instrument, instrument_state, asked_tip, step_s)
             instrument_ns = event_ns
             moved = felt_tip.base_m - tip.base_position_m if armed else 0.0
             tip_energy += 0.5 * (felt_tip.force_n + tip.force_n) * moved

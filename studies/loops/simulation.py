@@ -17,8 +17,8 @@ import numpy.typing as npt
 from analysis.holds import Hold, Instrument, judge_holds, verdict_of
 from presets import find_scenario
 from proto.errors import ConfigError
-from services.afm_node.config import AfmConfig
-from services.afm_node.physics.sample_models import SAMPLES
+from services.afm_node.config import SAMPLES, AfmConfig
+from services.afm_node.physics.step import AfmParams
 from services.afm_node.safety import MODE_FOLLOW, MODE_HOLD
 from services.controller.config import ControllerConfig
 from services.delay_node.config import LinkSettings
@@ -26,7 +26,6 @@ from services.haptic_node.config import HapticConfig
 from services.runtime.settings.config import merge, nested, read_yaml, validate
 from services.runtime.settings.scenario import LoadedScenario, Scenario
 from studies.loops.link import schedule_of
-from studies.loops.lockstep import Instrument as Environment
 from studies.loops.lockstep import Trajectory, build_rig, simulate
 
 Column = npt.NDArray[Any]
@@ -196,7 +195,7 @@ def simulate_document(document: Mapping[str, Any], origin: str) -> SimulatedSess
     return SimulatedSession(conditions, course, section.force_scale)
 
 
-def _instrument(config: AfmConfig) -> Environment:
+def _instrument(config: AfmConfig) -> AfmParams:
     if config.environment in SAMPLES.found:
         return config.to_sample_params()
     return config.to_spring_params() if config.environment == "spring" else config.to_params()

@@ -32,8 +32,7 @@ from proto.errors import ConfigError, TelenanoError
 from recording.arrays import columns, last_programme
 from recording.reader import Recording
 from recording.site_clock import Timeline
-from services.afm_node.config import AfmConfig
-from services.afm_node.physics.sample_models import SAMPLES
+from services.afm_node.config import SAMPLES, AfmConfig
 from services.launcher.child_session import run_session
 from studies.loops.cells import (
     WALL_DISTANCE_M,

@@ -1,5 +1,6 @@
 """A package that extends telenano, written from the templates: `telenano new`."""
 
+from collections.abc import Collection
 from importlib.resources import files
 from keyword import iskeyword
 from pathlib import Path
@@ -19,6 +20,22 @@ _TRY_IT = {
 KINDS = tuple(_TRY_IT)
 
 
+def _taken(kind: str) -> Collection[str]:
+    # here and not above: the models are needed for no other command of this module
+    if kind == "law":
+        from services.controller.config import TAKEN as TAKEN_LAWS
+
+        return TAKEN_LAWS
+    from services.afm_node.config import TAKEN as TAKEN_AFM
+
+    if kind == "sample":
+        return TAKEN_AFM
+    from services.haptic_node.config import TAKEN as TAKEN_HAPTIC
+    from services.haptic_node.physics.operator_models import OWN_OPERATORS
+
+    return TAKEN_HAPTIC | TAKEN_AFM if kind == "device" else OWN_OPERATORS
+
+
 def new_package(kind: str, name: str, folder: Path) -> list[Path]:
     """Write a package with a law, device, operator, sample or program, and a test of it; return its files.
 
@@ -28,6 +45,8 @@ def new_package(kind: str, name: str, folder: Path) -> list[Path]:
         raise ConfigError(f"{kind}: is nothing that can be made; these are {', '.join(KINDS)}")
     if not NAME.fullmatch(name) or iskeyword(name):
         raise ConfigError(f"{name}: a name has lower-case letters, digits and _, begins with a letter, at most 32")
+    if name in _taken(kind):
+        raise ConfigError(f"{name}: is a name of telenano's own; take another for a {kind} of yours")
     if folder.exists():
         raise ConfigError(f"{folder}: exists already; give another name or --out")
     words = {

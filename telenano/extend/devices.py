@@ -2,7 +2,7 @@
 
 from services.afm_node.driver import AfmDriver
 from services.afm_node.driver import DeviceReport as AfmReport
-from services.afm_node.physics.step import AfmSample
+from services.afm_node.physics.part import AfmSample
 from services.afm_node.safety import SafetyParams as AfmLimits
 from services.haptic_node.driver import Capabilities, DeviceError, DeviceReading, DriveCommand, HapticDevice
 from services.haptic_node.driver import DeviceReport as HapticReport

@@ -15,7 +15,7 @@ from proto.errors import RefusedError
 from proto.messages import AfmState, SessionControl, SessionEvent
 from services.afm_node.config import AfmConfig
 from services.afm_node.node import AfmNode
-from services.afm_node.physics.sim import SimulatedAfm
+from services.afm_node.physics.sim import simulated_afm
 from services.controller.config import ControllerConfig
 from services.controller.node import MasterController, SlaveController
 from services.delay_node.config import LinkSettings, flattened
@@ -65,7 +65,7 @@ def node_of(name: str) -> tuple[Outside, Node]:
     outside = Outside(f"{name}@{'slave' if name == 'afm_node' else 'master'}")
     context = outside.context
     if name == "afm_node":
-        return outside, AfmNode(context, AfmConfig(), SimulatedAfm(AfmConfig().to_params()))
+        return outside, AfmNode(context, AfmConfig(), simulated_afm(AfmConfig().to_params()))
     if name == "haptic_node":
         config = HapticConfig()
         device = SimulatedHaptic(config.to_plant_params(), config.device.start_position_m)

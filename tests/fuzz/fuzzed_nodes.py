@@ -27,7 +27,7 @@ from recording.reader import Recording
 from recording.writer import RecordingWriter
 from services.afm_node.config import AfmConfig
 from services.afm_node.node import AfmNode
-from services.afm_node.physics.sim import SimulatedAfm
+from services.afm_node.physics.sim import simulated_afm
 from services.controller.config import LAWS, ControllerConfig
 from services.controller.node import half_of_site
 from services.delay_node.config import LinkSettings
@@ -185,7 +185,7 @@ def _haptic(context: NodeContext, *_: Any) -> HapticNode:
 
 def _afm(context: NodeContext, *_: Any) -> AfmNode:
     config = AfmConfig()
-    return AfmNode(context, config, SimulatedAfm(config.to_params()))
+    return AfmNode(context, config, simulated_afm(config.to_params()))
 
 
 def _controller(law: str) -> Callable[..., Node]:

@@ -6,7 +6,7 @@ from typing import Literal, NamedTuple
 from pydantic import AwareDatetime, Field, model_validator
 
 from services.afm_node.devices.register_map import MapName, RegisterMap
-from services.afm_node.physics.step import AfmSample
+from services.afm_node.physics.part import AfmSample
 from services.afm_node.safety import SafetyParams
 from services.runtime.settings.config import Settings, read_yaml, validate
 

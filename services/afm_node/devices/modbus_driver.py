@@ -19,7 +19,7 @@ from services.afm_node.devices.modbus_frames import Answer, Conversation, Framin
 from services.afm_node.devices.modbus_handshake import EXCEPTIONS, Handshake, Steps, heartbeat_of, is_retracted
 from services.afm_node.devices.register_map import RegisterMap
 from services.afm_node.driver import DeviceError, DeviceReport
-from services.afm_node.physics.step import AfmSample
+from services.afm_node.physics.part import AfmSample
 from services.afm_node.safety import SafetyParams
 
 _MS = 1_000_000
@@ -201,6 +201,18 @@ class ModbusAfm:
 
     @property
     def stage(self) -> None:
+        return None
+
+    @property
+    def vibration(self) -> None:
+        return None
+
+    @property
+    def simulation(self) -> None:
+        return None
+
+    @property
+    def relief(self) -> None:
         return None
 
     @property

@@ -14,8 +14,8 @@ from proto.errors import ConfigError
 from services.afm_node.config import AfmConfig
 from services.afm_node.devices.modbus_frames import Operation
 from services.afm_node.driver import AfmDriver
-from services.afm_node.physics.sim import SimulatedAfm, SimulatedSpring
-from services.afm_node.physics.step import AfmSample
+from services.afm_node.physics.part import AfmSample
+from services.afm_node.physics.sim import SimulatedInstrument, simulated_afm
 
 SERIAL = 470012345
 M_PER_V = 8.0e-8
@@ -93,11 +93,11 @@ def instrument_of(config: AfmConfig) -> Bridged:
     """Return the simulated instrument of a configuration, opened. Raises ConfigError for one without a bridge."""
     plant = config.to_params().plant
     if config.environment == "tip_sample":
-        afm = SimulatedAfm(config.to_params())
+        afm = simulated_afm(config.to_params())
         afm.open()
         return afm
     if config.environment == "spring":
-        spring = SimulatedSpring(config.to_spring_params())
+        spring = SimulatedInstrument(config.to_spring_params())
         spring.open()
         return BridgedSpring(spring, plant.volts_per_m / plant.stiffness_n_per_m)
     raise ConfigError(

@@ -2,18 +2,18 @@
 
     m y'' + b y' + K y = F,    F = k max(x_s - L - y, 0)
 
-y is how far the body has been pushed from its place L [m], k the cantilever. It has the interface of `step` and the
-same guard. Time is discrete as in the arm of `services.haptic_node.physics.operator`: every quantity is that of the
-middle of the step, and the force the mean that the spring of the contact has over its way, (V(z1) - V(z0)) / (z1 - z0).
-Force times motion of the base is then exactly the energy that goes into springs, mass and damper: the body is passive
-at every period. For the instrument's period to show its motion, it has to be slower than FASTEST_HZ in contact.
+y is how far the body has been pushed from its place L [m], k the cantilever. It is a part, in the place of
+cantilever and sample. Time is discrete as in the arm of `services.haptic_node.physics.operator`: every quantity is that
+of the middle of the step, and the force the mean that the spring of the contact has over its way,
+(V(z1) - V(z0)) / (z1 - z0). Force times motion of the base is then exactly the energy that goes into springs, mass and
+damper: the body is passive at every period. For the instrument's period to show its motion, it has to be slower than
+FASTEST_HZ in contact.
 """
 
 import math
 from typing import NamedTuple
 
-from services.afm_node.physics.step import AfmInputs, AfmOutputs, guarded
-from services.afm_node.safety import SafetyParams, SafetyState, initial_safety_state
+from services.afm_node.physics.part import AfmSample, Part, PlantInputs, register
 from services.numerics.compiled import compiled
 
 FASTEST_HZ = 150.0
@@ -22,9 +22,8 @@ _PASSES = 30
 
 
 class BodyParams(NamedTuple):
-    """Limits; K [N/m], b [N s/m], m [kg] of the body; k of the cantilever [N/m]; L [m]."""
+    """K [N/m], b [N s/m], m [kg] of the body; k of the cantilever [N/m]; L [m]."""
 
-    safety: SafetyParams
     stiffness_n_per_m: float
     damping_n_s_per_m: float
     mass_kg: float
@@ -33,17 +32,14 @@ class BodyParams(NamedTuple):
 
 
 class BodyState(NamedTuple):
-    """Safety chain; base x_s [m], y [m], y' [m/s]; the force last measured [N]."""
+    """Base x_s [m], y [m], y' [m/s]."""
 
-    safety: SafetyState
     base_m: float
     pushed_m: float
     velocity_m_per_s: float
-    force_n: float
 
 
 def body_params(
-    safety: SafetyParams,
     stiffness_n_per_m: float,
     damping_n_s_per_m: float,
     mass_kg: float,
@@ -60,14 +56,7 @@ def body_params(
         )
     if not damping_n_s_per_m >= 0.0:
         raise ValueError(f"damping of the body {damping_n_s_per_m} N s/m must be >= 0 N s/m")
-    return BodyParams(safety, stiffness_n_per_m, damping_n_s_per_m, mass_kg, cantilever_n_per_m, rest_distance_m)
-
-
-def initial_state(params: BodyParams) -> BodyState:
-    """Return the state at the start: retracted, the body in its place."""
-    safety = initial_safety_state(params.safety)
-    force = params.cantilever_n_per_m * max(safety.base_m - params.rest_distance_m, 0.0)
-    return BodyState(safety, safety.base_m, 0.0, 0.0, force)
+    return BodyParams(stiffness_n_per_m, damping_n_s_per_m, mass_kg, cantilever_n_per_m, rest_distance_m)
 
 
 @compiled
@@ -95,23 +84,29 @@ def pushed(
 
 
 @compiled
-def step(params: BodyParams, state: BodyState, inputs: AfmInputs, dt: float) -> tuple[BodyState, AfmOutputs]:
-    """Advance guard, cantilever and body by dt [s]. Raises ValueError if dt is not positive and finite."""
-    safety, allowed = guarded(params.safety, state.safety, inputs, state.force_n, dt)
-    y_m, velocity = pushed(params, (state.base_m, allowed.base_m), state.pushed_m, state.velocity_m_per_s, dt)
-    gap_m = params.rest_distance_m + y_m - allowed.base_m
+def step(params: BodyParams, state: BodyState, inputs: PlantInputs, dt: float) -> tuple[BodyState, AfmSample]:
+    """Advance cantilever and body by dt [s]; at dt = 0 nothing has moved, and the force is measured."""
+    base_m, y_m, velocity = inputs.base_m, state.pushed_m, state.velocity_m_per_s
+    if dt > 0.0:
+        y_m, velocity = pushed(params, (state.base_m, base_m), y_m, velocity, dt)
+    gap_m = params.rest_distance_m + y_m - base_m
     force = params.cantilever_n_per_m * max(-gap_m, 0.0)
-    outputs = AfmOutputs(
-        allowed.base_m,
-        max(gap_m, 0.0),
-        max(-gap_m, 0.0),
-        force,
-        0.0,
-        force > 0.0,
-        False,
-        allowed.mode,
-        allowed.limited,
-        allowed.reason,
-        allowed.arm_refusal,
+    return BodyState(base_m, y_m, velocity), AfmSample(
+        base_m=base_m,
+        deflection_m=max(-gap_m, 0.0),
+        force_n=force,
+        bridge_voltage_v=0.0,
+        distance_m=max(gap_m, 0.0),
+        distance_valid=True,
+        in_contact=force > 0.0,
+        meniscus=False,
+        lateral_x_n=0.0,
+        lateral_y_n=0.0,
     )
-    return BodyState(safety, allowed.base_m, y_m, velocity, force), outputs
+
+
+def _start(params: BodyParams, inputs: PlantInputs) -> BodyState:
+    return BodyState(inputs.base_m, 0.0, 0.0)
+
+
+register(BodyParams, Part(_start, step, lateral=False))

@@ -24,7 +24,14 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from services.afm_node.physics.contact.electrostatic import (
+    MOST_TURNS,
+    SETTLED_M,
+    electrostatic_force_n,
+    electrostatic_strength_n_m2,
+)
 from services.afm_node.physics.contact.tip_sample import TipSample, branch_force
+from services.afm_node.physics.part import AfmSample, Part, PlantInputs, register
 from services.numerics.compiled import compiled
 
 _TOLERANCE_M = 1e-17
@@ -136,6 +143,42 @@ def equilibrium(plant: Plant, state: PlantState, base_m: float) -> PlantState:
 
 
 @compiled
+def step(plant: Plant, state: PlantState, inputs: PlantInputs, dt: float) -> tuple[PlantState, AfmSample]:
+    """Move the base, find the equilibrium and read it out: the part of the quasi-static cantilever.
+
+    The force is that of the cantilever, k zeta, which in equilibrium is F(h). A surface that rises is to the tip a base
+    that comes nearer. A voltage bends the cantilever by its force F_el as a base does that is nearer by -F_el / k. This
+    force grows as the tip comes nearer, so the turns go one way only, to the next equilibrium, and over the edge where
+    there is none: a pull-in.
+    """
+    k, pull_m, strength = plant.stiffness_n_per_m, 0.0, 0.0
+    if inputs.voltage_v != 0.0:
+        strength = electrostatic_strength_n_m2(inputs.voltage_v, plant.tip.radius_m)
+    tip, zeta = state, 0.0
+    for _ in range(MOST_TURNS):
+        before_m = tip.distance_m
+        if strength > 0.0:
+            pull_m = electrostatic_force_n(strength, plant.tip.radius_m, plant.tip.contact_distance_m, before_m) / k
+        nearer_m = inputs.base_m - pull_m + inputs.height_m
+        tip = equilibrium(plant, tip, nearer_m)
+        zeta = deflection_m(plant, tip.distance_m, nearer_m) + pull_m
+        if strength == 0.0 or abs(tip.distance_m - before_m) < SETTLED_M:
+            break
+    return tip, AfmSample(
+        base_m=inputs.base_m,
+        deflection_m=zeta,
+        force_n=k * zeta,
+        bridge_voltage_v=plant.volts_per_m * zeta,
+        distance_m=tip.distance_m,
+        distance_valid=True,
+        in_contact=tip.contact,
+        meniscus=tip.meniscus,
+        lateral_x_n=0.0,
+        lateral_y_n=0.0,
+    )
+
+
+@compiled
 def _excess(tip: TipSample, spring: _Spring, b: int, h: float) -> tuple[float, float]:
     """X(h) - x_s [m] on branch b, and its slope in h."""
     force, gradient = branch_force(tip, h, b >= 2, b % 2 == 1)
@@ -215,6 +258,13 @@ def initial_state(plant: Plant, base_m: float) -> PlantState:
     """Equilibrium at the base position x_s [m] of a tip that came from far away."""
     far = max(plant.rest_distance_m - base_m, plant.tip.meniscus_break_m, plant.tip.contact_end_m) + _FAR_M
     return equilibrium(plant, PlantState(far, False, False), base_m)
+
+
+def _start(plant: Plant, inputs: PlantInputs) -> PlantState:
+    return initial_state(plant, inputs.base_m + inputs.height_m)
+
+
+register(Plant, Part(_start, step))
 
 
 def build_plant(tip: TipSample, stiffness_n_per_m: float, rest_distance_m: float, volts_per_m: float) -> Plant:

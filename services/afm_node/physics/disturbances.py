@@ -1,4 +1,8 @@
-"""What disturbs a real AFM (paper, 5.1.3), as models of one step: each seeded, each off unless it is switched on.
+"""What disturbs a real AFM (paper, 5.1.3): its settings, and the part of it that does not depend on the motion.
+
+Each is seeded, and off unless it is switched on. What depends on the motion (hysteresis, creep, the converter) is in
+`disturbed`. A node draws the noise as it goes; a study in lockstep draws that of its whole run before, with the same
+step.
 
 At the instrument's rate of a step a millisecond, with t its own time:
 
@@ -14,21 +18,18 @@ octave of frequency, of equal power. *Electrostatic*: the force of a voltage tha
 """
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import Field
 
-from services.numerics.normal_numbers import NormalNumbers
+from services.numerics.normal_numbers import normal_number
 from services.runtime.settings.config import Settings
 
 BOLTZMANN_J_PER_K = 1.380649e-23
-Array = npt.NDArray[np.float64]
 
 _SINES = 48
-_PLAYS = 8
-LAGS_S = (0.1, 1.0, 10.0, 100.0)
 _OCTAVES = 12
 
 
@@ -109,18 +110,30 @@ class DisturbanceConfig(Settings):
         return any(part.enabled for part in parts)
 
 
-class DisturbanceState(NamedTuple):
-    """Time [s]; plays [m]; creep lags [m]; 1/f parts, of unit variance; how many normal numbers were used.
+class NoiseState(NamedTuple):
+    """Time [s]; 1/f parts, of unit variance; how many normal numbers were used; how far the voltage wandered.
 
-    wandered: of the voltage, of unit variance.
+    wandered is of unit variance.
     """
 
     time_s: float
-    plays_m: tuple[float, ...]
-    lags_m: tuple[float, ...]
     flicker: tuple[float, ...]
     drawn: int
-    wandered: float = 0.0
+    wandered: float
+
+
+class Noise(NamedTuple):
+    """What is added in a step: to the base [m], to the deflection [m], to the read-out [V]; the voltage of the tip [V].
+
+    Where nothing is switched on, all of it is zero.
+    """
+
+    drift_m: float = 0.0
+    vibration_m: float = 0.0
+    voltage_v: float = 0.0
+    thermal_m: float = 0.0
+    white_v: float = 0.0
+    flicker_v: float = 0.0
 
 
 class Sines(NamedTuple):
@@ -130,11 +143,11 @@ class Sines(NamedTuple):
     phases: tuple[float, ...]
 
 
-def sines_of(config: DisturbanceConfig) -> Sines:
+@lru_cache(maxsize=8)
+def sines_of(seed: int, vibration: VibrationConfig) -> Sines:
     """Return frequencies and phases of the vibration, which the seed decides."""
-    random = np.random.Generator(np.random.Philox(key=config.seed, counter=[0, 0, 0, 1]))
-    v = config.vibration
-    low, high = sorted((v.low_hz, v.high_hz))
+    random = np.random.Generator(np.random.Philox(key=seed, counter=[0, 0, 0, 1]))
+    low, high = sorted((vibration.low_hz, vibration.high_hz))
     # Each lies somewhere in its part of the band: an even comb would have a period. Powers and sines are those of the C
     # library, one after the other: NumPy's own depend on the instructions of the processor.
     places = [(i + share) / _SINES for i, share in enumerate(random.random(_SINES).tolist())]
@@ -142,97 +155,49 @@ def sines_of(config: DisturbanceConfig) -> Sines:
     return Sines(rates, tuple(2.0 * math.pi * share for share in random.random(_SINES).tolist()))
 
 
-def begun() -> DisturbanceState:
-    """Return the state at the beginning: everything at rest."""
-    return DisturbanceState(0.0, (0.0,) * _PLAYS, (0.0,) * len(LAGS_S), (0.0,) * _OCTAVES, 0)
+def noise_start() -> NoiseState:
+    """Return the state before the first number is drawn."""
+    return NoiseState(0.0, (0.0,) * _OCTAVES, 0, 0.0)
 
 
-def at_rest(state: DisturbanceState, base_m: float) -> DisturbanceState:
-    """Return a state in which the piezo has been at base_m [m] for long; time and noise go on."""
-    return state._replace(plays_m=(base_m,) * _PLAYS, lags_m=(base_m,) * len(LAGS_S))
-
-
-def displaced(
-    config: DisturbanceConfig, sines: Sines, state: DisturbanceState, base_m: float, dt: float
-) -> tuple[DisturbanceState, float]:
-    """Return where the piezo really is [m] when it was sent to base_m [m], dt [s] after the last step."""
-    time, x = state.time_s + dt, base_m
-    plays, lags = state.plays_m, state.lags_m
-    if config.hysteresis.enabled:
-        plays = tuple(_play(p, base_m, r) for p, r in zip(plays, play_radii_m(config.hysteresis), strict=True))
-        x += 4.0 * config.hysteresis.share / _PLAYS * sum(p - base_m for p in plays)
-    if config.creep.enabled:
-        lags = tuple(
-            lag + (base_m - lag) * (1.0 - math.exp(-dt / lag_s)) for lag, lag_s in zip(lags, LAGS_S, strict=True)
-        )
-        x += config.creep.share_per_decade * sum(lag - base_m for lag in lags)
-    if config.drift.enabled:
-        x += config.drift.speed_m_per_s * time
-    if config.vibration.enabled:
-        amplitude = config.vibration.rms_m * math.sqrt(2.0 / _SINES)
-        x += amplitude * sum(
-            math.sin(rate * time + phase) for rate, phase in zip(sines.rates, sines.phases, strict=True)
-        )
-    return state._replace(time_s=time, plays_m=plays, lags_m=lags), x
-
-
-def charged(
-    config: ElectrostaticConfig, normals: NormalNumbers, state: DisturbanceState, dt: float
-) -> tuple[DisturbanceState, float]:
-    """Return the voltage between tip and sample [V], dt [s] after the last step."""
-    if not config.enabled:
-        return state, 0.0
-    if config.noise_v == 0.0:
-        return state, config.voltage_v
-    kept = math.exp(-dt / config.correlation_s)
-    wandered = kept * state.wandered + math.sqrt(1.0 - kept * kept) * normals.at(state.drawn)
-    return state._replace(wandered=wandered, drawn=state.drawn + 1), config.voltage_v + config.noise_v * wandered
-
-
-def play_radii_m(config: HysteresisConfig) -> tuple[float, ...]:
-    """Return the plays r_i [m]: all have turned round by the middle of the range."""
-    return tuple(0.25 * config.range_m * (i + 0.5) / _PLAYS for i in range(_PLAYS))
-
-
-def _play(position_m: float, input_m: float, radius_m: float) -> float:
-    return min(max(position_m, input_m - radius_m), input_m + radius_m)
-
-
-def read_out(
-    config: DisturbanceConfig,
-    normals: NormalNumbers,
-    state: DisturbanceState,
-    deflection_m: float,
-    stiffness_n_per_m: float,
-    volts_per_m: float,
-    dt: float,
-) -> tuple[DisturbanceState, float]:
-    """Return what the read-out says of a deflection [m], dt [s] after the last step."""
-    drawn, zeta, flicker = state.drawn, deflection_m, state.flicker
+def noise_step(
+    config: DisturbanceConfig, state: NoiseState, stiffness_n_per_m: float, dt: float
+) -> tuple[NoiseState, Noise]:
+    """Draw what is added in a step, dt [s] after the last one, to an instrument with such a cantilever [N/m]."""
+    time_s, drawn, flicker, wandered = state.time_s + dt, state.drawn, state.flicker, state.wandered
+    drift_m = config.drift.speed_m_per_s * time_s if config.drift.enabled else 0.0
+    vibration_m = _vibration_m(config.seed, config.vibration, time_s) if config.vibration.enabled else 0.0
+    voltage_v, e = 0.0, config.electrostatic
+    if e.enabled:
+        voltage_v = e.voltage_v
+        if e.noise_v != 0.0:
+            kept = math.exp(-dt / e.correlation_s)
+            wandered = kept * wandered + math.sqrt(1.0 - kept * kept) * normal_number(config.seed, drawn)
+            drawn, voltage_v = drawn + 1, voltage_v + e.noise_v * wandered
+    thermal_m, white_v, flicker_v = 0.0, 0.0, 0.0
     if config.thermal.enabled:
-        zeta += math.sqrt(BOLTZMANN_J_PER_K * config.thermal.temperature_k / stiffness_n_per_m) * normals.at(drawn)
+        variance_m2 = BOLTZMANN_J_PER_K * config.thermal.temperature_k / stiffness_n_per_m
+        thermal_m = math.sqrt(variance_m2) * normal_number(config.seed, drawn)
         drawn += 1
     r = config.readout
     if r.enabled:
-        volts = volts_per_m * zeta + r.white_v * normals.at(drawn)
+        white_v = r.white_v * normal_number(config.seed, drawn)
         drawn += 1
         parts = []
         for octave, part in enumerate(flicker):
             # corners from 0.1 Hz on, an octave apart
             kept = math.exp(-2.0 * math.pi * 0.1 * 2.0**octave * dt)
-            parts.append(kept * part + math.sqrt(1.0 - kept * kept) * normals.at(drawn))
+            parts.append(kept * part + math.sqrt(1.0 - kept * kept) * normal_number(config.seed, drawn))
             drawn += 1
         flicker = tuple(parts)
-        volts += r.flicker_v / math.sqrt(_OCTAVES) * sum(flicker)
-        zeta = converted_v(volts, r.converter_bits, r.converter_range_v) / volts_per_m
-    return state._replace(drawn=drawn, flicker=flicker), zeta
+        flicker_v = r.flicker_v / math.sqrt(_OCTAVES) * sum(flicker)
+    noise = Noise(drift_m, vibration_m, voltage_v, thermal_m, white_v, flicker_v)
+    return NoiseState(time_s, flicker, drawn, wandered), noise
 
 
-def converted_v(volts: float, bits: int, range_v: float) -> float:
-    """Return what a converter of so many bits makes of a voltage [V] between -range_v and range_v.
-
-    >>> converted_v(0.3, 4, 1.0), converted_v(7.0, 4, 1.0)
-    (0.25, 0.875)
-    """
-    step = 2.0 * range_v / float(1 << bits)
-    return min(max(round(volts / step) * step, -range_v), range_v - step)
+def _vibration_m(seed: int, config: VibrationConfig, time_s: float) -> float:
+    sines = sines_of(seed, config)
+    amplitude_m = config.rms_m * math.sqrt(2.0 / _SINES)
+    return amplitude_m * sum(
+        math.sin(rate * time_s + phase) for rate, phase in zip(sines.rates, sines.phases, strict=True)
+    )

@@ -1,4 +1,10 @@
-"""The simulated instrument with the dynamic cantilever of `dynamic`, in the time of the node (ADR 0044)."""
+"""The part of the dynamic cantilever of `dynamic`, in the time of the node (ADR 0044); made only where numba is.
+
+The cantilever goes through the time that passes, in whole periods of its drive. Most of a millisecond is known before
+the next command, since the base stands: `settle` goes through that while nothing waits for it. A step has what is left:
+in the first half of it the base moves to where it is sent, and the second half is what the deflection, and of a tip
+that is driven amplitude and phase, are the mean of. Thermal noise are impulses on the tip.
+"""
 
 import math
 from typing import NamedTuple
@@ -6,11 +12,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from services.afm_node.driver import Oscillation
+from services.afm_node.physics.cantilever import Plant, initial_state
 from services.afm_node.physics.contact.electrostatic import electrostatic_strength_n_m2
-from services.afm_node.physics.contact.friction import FrictionParams, FrictionState
-from services.afm_node.physics.disturbances import DisturbanceConfig, ThermalConfig
-from services.afm_node.physics.disturbed import DisturbedAfm
 from services.afm_node.physics.dynamic import (
     KICKS_PER_PERIOD,
     NO_NOISE,
@@ -20,8 +23,7 @@ from services.afm_node.physics.dynamic import (
     advance,
     free_amplitude_m,
 )
-from services.afm_node.physics.sample.surface import Surface
-from services.afm_node.physics.step import AfmParams, AfmSample
+from services.afm_node.physics.part import AfmSample, Motion, Oscillation, Part, PlantInputs, register
 from services.numerics.compiled import always_compiled
 
 # the motion that is gone through while nothing waits for it, of the millisecond between two exchanges, and at a time,
@@ -108,145 +110,153 @@ def with_exact_rest(plant: DynamicPlant) -> DynamicPlant:
     return plant._replace(mass_kg=plant.mass_kg * half / math.tan(half))
 
 
-class DynamicAfm(DisturbedAfm):
-    """The simulated AFM whose cantilever follows Eq. 4 in full; made only where numba is installed.
+class DynamicParams(NamedTuple):
+    """The quasi-static cantilever, whose rest and read-out it has; the driven and the resting one; what a drive gives.
 
-    The cantilever goes through the time that passes, in whole periods of its drive. Most of a millisecond is known
-    before the next command, since the base stands: `settle` goes through that while nothing waits for it. An exchange
-    has what is left: in the first half of it the base moves to where it is sent, and the second half is what the
-    deflection, and of a tip that is driven amplitude and phase, are the mean of. Thermal noise are impulses on the tip.
+    free_gain is the amplitude without a sample of a unit amplitude of the base. Both cantilevers are built for impulses
+    of 1 K.
     """
 
-    settles = True
-
-    def __init__(
-        self,
-        params: AfmParams,
-        surface: Surface | None,
-        friction: FrictionParams | None,
-        disturbances: DisturbanceConfig,
-        driven: DynamicPlant,
-        resting: DynamicPlant,
-    ) -> None:
-        super().__init__(params, surface, friction, disturbances)
-        require_steps(driven)
-        self._driven, self._resting = driven, with_exact_rest(resting)
-        self._drive_m = 0.0
-        self._due_s = 0.0
-        self._calls = 0
-        self._in_phase_m = self._quadrature_m = self._dissipated_j = 0.0
-        self._taken_j, self._periods = 0.0, 0
-        self._motion = DynamicState(0.0, 0.0, self._safe_position_m, 0.0, self._height_m, False, False, 0)
-        self._electronic = _without_thermal(disturbances)
-
-    def configure(self, config: DisturbanceConfig) -> None:
-        super().configure(config)
-        self._electronic = _without_thermal(config)
-
-    def open(self) -> None:
-        super().open()
-        assert self._tip is not None
-        base = self._safe_position_m
-        zeta = self._tip.distance_m + base + self._height_m - self._plant.rest_distance_m
-        self._motion = DynamicState(zeta, 0.0, base, 0.0, self._height_m, self._tip.contact, self._tip.meniscus, 0)
-
-    def elapse(self, dt: float) -> None:
-        super().elapse(dt)
-        self._due_s += dt
-
-    def vibrate(self, amplitude_m: float) -> None:
-        """Drive the base so that the amplitude without a sample becomes amplitude_m [m]; 0 lets the tip come to rest.
-
-        Raises: ValueError, if that is negative or not finite.
-        """
-        if not (math.isfinite(amplitude_m) and amplitude_m >= 0.0):
-            raise ValueError(f"amplitude = {amplitude_m} m must be finite and >= 0 m")
-        drive_m = amplitude_m / free_amplitude_m(self._driven, 1.0)
-        if (drive_m == 0.0) != (self._drive_m == 0.0):
-            # the steps are others, so it begins a period
-            self._motion = self._motion._replace(phase_step=0)
-        self._drive_m = drive_m
-
-    @property
-    def oscillation(self) -> Oscillation:
-        if self._drive_m == 0.0:
-            return Oscillation(0.0, 0.0)
-        x, y = self._in_phase_m, self._quadrature_m
-        return Oscillation(math.hypot(x, y), math.atan2(y, x), self._dissipated_j)
-
-    @property
-    def _dynamic(self) -> DynamicPlant:
-        return self._driven if self._drive_m > 0.0 else self._resting
-
-    def settle(self) -> bool:
-        plant = self._dynamic
-        n, period_s = int(plant.drive.shape[0]), 1.0 / plant.drive_hz
-        ahead_s, slice_s = self._due_s + _AHEAD_S, _SLICE_STEPS // n * period_s
-        periods = int(min(ahead_s, slice_s) / period_s)
-        if periods > 0:
-            self._due_s -= periods * period_s
-            steps = periods * n
-            self._go_on(self._motion.base_m, self._motion.surface_m, Exchange(0, steps), periods)
-        # a small rest is as well gone through with the next command
-        return ahead_s - periods * period_s > 0.5 * slice_s
-
-    def _respond(self, base_m: float) -> AfmSample:
-        plant, height = self._dynamic, self._height_m
-        period_s = 1.0 / plant.drive_hz
-        most = max(int(_MOST_S / period_s), _LEAST_PERIODS)
-        periods = min(max(int(self._due_s / period_s), _LEAST_PERIODS), most)
-        # neither a debt that grows nor a lead
-        self._due_s = min(max(self._due_s - periods * period_s, -_MOST_S), period_s)
-        n = int(plant.drive.shape[0])
-        moving = periods // 2
-        reading, touched = self._go_on(base_m, height, Exchange(moving * n, (periods - moving) * n), periods)
-        self._in_phase_m, self._quadrature_m = reading.in_phase_m, reading.quadrature_m
-        # of all periods since the last exchange: a meniscus may form and break in each second or third of them only
-        self._dissipated_j, self._taken_j, self._periods = self._taken_j / self._periods, 0.0, 0
-        zeta = reading.mean_deflection_m
-        return AfmSample(
-            base_m + height,
-            zeta,
-            plant.stiffness_n_per_m * zeta,
-            self._plant.volts_per_m * zeta,
-            plant.rest_distance_m + zeta - base_m - height,
-            True,
-            touched > 0.0,
-            self._motion.meniscus,
-        )
-
-    def _go_on(self, base_m: float, surface_m: float, steps: Exchange, periods: int) -> tuple[Reading, float]:
-        plant = self._dynamic
-        if self._voltage_v != 0.0:
-            strength = electrostatic_strength_n_m2(self._voltage_v, plant.tip_radius_m)
-            plant = plant._replace(electrostatic_n_m2=strength)
-        kicks = self._kicks(periods)
-        self._motion, reading, taken_j, touched = exchanged(
-            plant, self._motion, base_m, surface_m, self._drive_m, steps, kicks
-        )
-        self._taken_j, self._periods = self._taken_j + taken_j, self._periods + periods
-        self._calls += 1
-        return reading, touched
-
-    def _rub(self, sample: AfmSample) -> None:
-        if self._drive_m == 0.0:
-            super()._rub(sample)
-            return
-        # a tapping tip lets go in each period
-        self._place_before, self._held, self._lateral_force_n = self._place, FrictionState(0.0, 0.0), (0.0, 0.0)
-
-    def _read_out_config(self) -> DisturbanceConfig:
-        return self._electronic
-
-    def _kicks(self, periods: int) -> npt.NDArray[np.float64]:
-        """Return the thermal impulses of so many periods; the plant was built for 1 K."""
-        config = self.disturbances
-        if not config.thermal.enabled:
-            return NO_NOISE
-        source = np.random.Philox(key=config.seed, counter=[0, 0, self._calls, _KICKS])
-        scale = math.sqrt(config.thermal.temperature_k)
-        return scale * np.random.Generator(source).standard_normal(periods * KICKS_PER_PERIOD)
+    plant: Plant
+    driven: DynamicPlant
+    resting: DynamicPlant
+    free_gain: float
 
 
-def _without_thermal(config: DisturbanceConfig) -> DisturbanceConfig:
-    return config.model_copy(update={"thermal": ThermalConfig()})
+class DynamicTip(NamedTuple):
+    """The motion, and whether it is driven; time that is still to be gone through [s]; calls that drew impulses.
+
+    in_phase_m and quadrature_m of the deflection and dissipated_j a period [J] are those of the last step; taken_j and
+    periods are the energy and the periods since then.
+    """
+
+    motion: DynamicState
+    is_driven: bool = False
+    due_s: float = 0.0
+    calls: int = 0
+    in_phase_m: float = 0.0
+    quadrature_m: float = 0.0
+    dissipated_j: float = 0.0
+    taken_j: float = 0.0
+    periods: int = 0
+
+
+def dynamic_params(plant: Plant, driven: DynamicPlant, resting: DynamicPlant) -> DynamicParams:
+    """Return the constants of a dynamic cantilever; ValueError where its period has too few steps."""
+    require_steps(driven)
+    return DynamicParams(plant, driven, with_exact_rest(resting), free_amplitude_m(driven, 1.0))
+
+
+def _start(params: DynamicParams, inputs: PlantInputs) -> DynamicTip:
+    base, height = inputs.base_m, inputs.height_m
+    tip = initial_state(params.plant, base + height)
+    zeta = tip.distance_m + base + height - params.plant.rest_distance_m
+    return DynamicTip(DynamicState(zeta, 0.0, base, 0.0, height, tip.contact, tip.meniscus, 0))
+
+
+def _tuned(params: DynamicParams, state: DynamicTip, inputs: PlantInputs) -> tuple[DynamicPlant, DynamicTip]:
+    """Return the cantilever that these inputs make, and the state at the beginning of a period where it is another."""
+    is_driven = inputs.amplitude_m > 0.0
+    if is_driven != state.is_driven:
+        # the steps are others, so it begins a period
+        state = state._replace(is_driven=is_driven, motion=state.motion._replace(phase_step=0))
+    plant = params.driven if is_driven else params.resting
+    if inputs.voltage_v != 0.0:
+        strength = electrostatic_strength_n_m2(inputs.voltage_v, plant.tip_radius_m)
+        plant = plant._replace(electrostatic_n_m2=strength)
+    return plant, state
+
+
+class _Way(NamedTuple):
+    """Where base and surface go [m], in which steps and periods."""
+
+    base_m: float
+    surface_m: float
+    steps: Exchange
+    periods: int
+
+
+def _gone_on(
+    params: DynamicParams, plant: DynamicPlant, state: DynamicTip, inputs: PlantInputs, way: _Way
+) -> tuple[DynamicTip, Reading, float]:
+    """Return the state after a way, what was read at its end, and for which share of it the tip touched."""
+    motion, reading, taken_j, touched = exchanged(
+        plant,
+        state.motion,
+        way.base_m,
+        way.surface_m,
+        inputs.amplitude_m / params.free_gain,
+        way.steps,
+        _kicks(inputs, state.calls, way.periods),
+    )
+    state = state._replace(
+        motion=motion,
+        calls=state.calls + 1,
+        taken_j=state.taken_j + taken_j,
+        periods=state.periods + way.periods,
+    )
+    return state, reading, touched
+
+
+def _kicks(inputs: PlantInputs, calls: int, periods: int) -> npt.NDArray[np.float64]:
+    """Return the thermal impulses of so many periods; the plant was built for 1 K."""
+    if inputs.temperature_k <= 0.0:
+        return NO_NOISE
+    source = np.random.Philox(key=inputs.seed, counter=[0, 0, calls, _KICKS])
+    scale = math.sqrt(inputs.temperature_k)
+    return scale * np.random.Generator(source).standard_normal(periods * KICKS_PER_PERIOD)
+
+
+def _settle(params: DynamicParams, state: DynamicTip, inputs: PlantInputs) -> tuple[DynamicTip, bool]:
+    plant, state = _tuned(params, state, inputs)
+    n, period_s = int(plant.drive.shape[0]), 1.0 / plant.drive_hz
+    ahead_s, slice_s = state.due_s + _AHEAD_S, _SLICE_STEPS // n * period_s
+    periods = int(min(ahead_s, slice_s) / period_s)
+    if periods > 0:
+        due_s = state.due_s - periods * period_s
+        way = _Way(state.motion.base_m, state.motion.surface_m, Exchange(0, periods * n), periods)
+        state = _gone_on(params, plant, state, inputs, way)[0]._replace(due_s=due_s)
+    # a small rest is as well gone through with the next command
+    return state, ahead_s - periods * period_s > 0.5 * slice_s
+
+
+def _step(params: DynamicParams, state: DynamicTip, inputs: PlantInputs, dt: float) -> tuple[DynamicTip, AfmSample]:
+    plant, state = _tuned(params, state, inputs)
+    base, height, due_s, period_s = inputs.base_m, inputs.height_m, state.due_s + dt, 1.0 / plant.drive_hz
+    most = max(int(_MOST_S / period_s), _LEAST_PERIODS)
+    periods = min(max(int(due_s / period_s), _LEAST_PERIODS), most)
+    # neither a debt that grows nor a lead
+    due_s = min(max(due_s - periods * period_s, -_MOST_S), period_s)
+    n, moving = int(plant.drive.shape[0]), periods // 2
+    way = _Way(base, height, Exchange(moving * n, (periods - moving) * n), periods)
+    state, reading, touched = _gone_on(params, plant, state, inputs, way)
+    zeta = reading.mean_deflection_m
+    return state._replace(
+        due_s=due_s,
+        in_phase_m=reading.in_phase_m,
+        quadrature_m=reading.quadrature_m,
+        # of all periods since the last step: a meniscus may form and break in each second or third of them only
+        dissipated_j=state.taken_j / state.periods,
+        taken_j=0.0,
+        periods=0,
+    ), AfmSample(
+        base_m=base,
+        deflection_m=zeta,
+        force_n=plant.stiffness_n_per_m * zeta,
+        bridge_voltage_v=params.plant.volts_per_m * zeta,
+        distance_m=plant.rest_distance_m + zeta - base - height,
+        distance_valid=True,
+        in_contact=touched > 0.0,
+        meniscus=state.motion.meniscus,
+    )
+
+
+def _oscillation(state: DynamicTip) -> Oscillation:
+    if not state.is_driven:
+        return Oscillation(0.0, 0.0)
+    x, y = state.in_phase_m, state.quadrature_m
+    return Oscillation(math.hypot(x, y), math.atan2(y, x), state.dissipated_j)
+
+
+_MOTION = Motion(_settle, _oscillation)
+register(DynamicParams, Part(_start, _step, motion=lambda params: _MOTION))

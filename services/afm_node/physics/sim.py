@@ -1,135 +1,80 @@
-"""The simulated instruments: the compiled plants behind the driver protocol."""
+"""The driver of every simulated instrument: any part (`part`) behind the driver protocol of the node."""
 
 import math
+from typing import Any, NamedTuple
 
-from services.afm_node.driver import LateralStage
-from services.afm_node.physics.cantilever import PlantState, initial_state
-from services.afm_node.physics.contact.friction import FrictionParams, FrictionState, friction_step
-from services.afm_node.physics.sample.surface import Surface, height_at
-from services.afm_node.physics.spring import SpringParams, spring_force
-from services.afm_node.physics.step import AfmParams, AfmSample, measure
+from services.afm_node.driver import LateralStage, Relief, Simulation, VibratingCantilever
+from services.afm_node.physics.cantilever import Plant
+from services.afm_node.physics.contact.friction import FrictionParams
+from services.afm_node.physics.disturbances import DisturbanceConfig, NoiseState, noise_start, noise_step
+from services.afm_node.physics.disturbed import (
+    DisturbedState,
+    PiezoState,
+    disturbed_params,
+    disturbed_step,
+    piezo_at_rest,
+)
+from services.afm_node.physics.over_surface import over_surface
+from services.afm_node.physics.part import (
+    AfmSample,
+    Oscillation,
+    PlantInputs,
+    motion_of,
+    part_of,
+    part_start,
+    part_step,
+)
+from services.afm_node.physics.sample.surface import Surface
+from services.afm_node.physics.step import AfmParams
 
-# slopes alone
-_SMOOTH = FrictionParams(0.0, 0.0, 1.0, 1.0)
+_AT_REST = Oscillation(0.0, 0.0)
+_QUIET = DisturbanceConfig()
 
 
-class SimulatedAfm:
-    """An `AfmDriver` whose device is the quasi-static cantilever of `cantilever`, without noise.
+class InstrumentState(NamedTuple):
+    """The whole state of a simulated instrument.
 
-    Parameters: params, whose plant is simulated and whose retract position is the safe state; surface, as the tip sees
-    it, None for a plane at height 0; friction, None for none. The tip follows the stage: what friction holds it back
-    moves it less than a pixel.
+    inputs: of the last step, with the place of the tip, the drive and the thermal noise of the next one; part: None
+    while the instrument is closed; disturbances, and what they remember, the piezo being None while nothing disturbs;
+    elapsed_s: time since the last step [s]; lateral_n: force on the tip in x and y at the last step [N].
+    """
+
+    inputs: PlantInputs
+    disturbances: DisturbanceConfig
+    noise: NoiseState
+    part: Any = None
+    piezo: PiezoState | None = None
+    elapsed_s: float = 0.0
+    lateral_n: tuple[float, float] = (0.0, 0.0)
+
+
+class SimulatedInstrument:
+    """An `AfmDriver` whose device is a part.
+
+    Parameters: params, whose plant is simulated and whose retract position is the safe state; relief, what is known of
+    the heights, None for nothing; cantilever, of an instrument that can be disturbed; disturbances of it.
     """
 
     def __init__(
-        self, params: AfmParams, surface: Surface | None = None, friction: FrictionParams | None = None
+        self,
+        params: AfmParams,
+        relief: Relief | None = None,
+        cantilever: Plant | None = None,
+        disturbances: DisturbanceConfig = _QUIET,
     ) -> None:
-        self._plant = params.plant
-        self._safe_position_m = params.safety.retract_position_m
-        self._tip: PlantState | None = None
-        self._surface, self._friction = surface, friction
-        self._has_lateral_force = surface is not None or (friction is not None and friction.coefficient > 0.0)
-        self._place = self._place_before = (0.0, 0.0)
-        self._height_m, self._slope = _height(surface, 0.0, 0.0)
-        self._held = FrictionState(0.0, 0.0)
-        self._lateral_force_n = (0.0, 0.0)
-
-    @property
-    def safe_position_m(self) -> float:
-        return self._safe_position_m
-
-    @property
-    def latency_s(self) -> float:
-        return 0.0
-
-    @property
-    def calibration_identity(self) -> str:
-        return ""
-
-    @property
-    def report(self) -> None:
-        return None
-
-    @property
-    def stage(self) -> LateralStage:
-        return self
-
-    @property
-    def surface(self) -> Surface | None:
-        """The surface as the tip sees it, None for a plane at height 0."""
-        return self._surface
-
-    def move_to(self, x_m: float, y_m: float) -> None:
-        if not (math.isfinite(x_m) and math.isfinite(y_m)):
-            raise ValueError(f"lateral position {x_m}, {y_m} m must be finite")
-        self._place = (x_m, y_m)
-        self._height_m, self._slope = _height(self._surface, x_m, y_m)
-
-    @property
-    def lateral_force_n(self) -> tuple[float, float]:
-        return self._lateral_force_n
-
-    def open(self) -> None:
-        """Start with the tip in equilibrium at the safe position.
-
-        Raises: RuntimeError, if it is already open.
-        """
-        if self._tip is not None:
-            raise RuntimeError("the simulated AFM is already open")
-        self._tip = initial_state(self._plant, self._safe_position_m + self._height_m)
-
-    def exchange(self, base_m: float) -> AfmSample:
-        if self._tip is None:
-            raise RuntimeError("the simulated AFM is not open: call open() first")
-        sample = self._respond(base_m)
-        if self._has_lateral_force:
-            self._rub(sample)
-        return sample if self._height_m == 0.0 else sample._replace(base_m=base_m)
-
-    def _respond(self, base_m: float) -> AfmSample:
-        """Move the base [m] and return what the cantilever does; the base of the sample counts from the surface."""
-        assert self._tip is not None
-        # a surface that rises is to the tip a base that comes nearer
-        self._tip, sample = measure(self._plant, self._tip, base_m + self._height_m)
-        return sample
-
-    def _rub(self, sample: AfmSample) -> None:
-        """Find the lateral force where the tip is, which the motion since the last exchange has built up."""
-        (x, y), (x0, y0) = self._place, self._place_before
-        self._place_before = self._place
-        friction = self._friction or _SMOOTH
-        self._held, force_x, force_y = friction_step(
-            friction, self._held, x - x0, y - y0, sample.force_n, *self._slope, sample.in_contact
-        )
-        self._lateral_force_n = (force_x, force_y)
-
-    def retract(self) -> bool:
-        if self._tip is not None:
-            self.exchange(self._safe_position_m)
-        return True
-
-    def close(self) -> None:
-        self.retract()
-        self._tip = None
-
-
-def _height(surface: Surface | None, x_m: float, y_m: float) -> tuple[float, tuple[float, float]]:
-    """Return height [m] and slopes at a place whose 0, 0 is the middle of the map."""
-    if surface is None:
-        return 0.0, (0.0, 0.0)
-    height, slope_x, slope_y = height_at(*surface, x_m + 0.5 * surface.width_m, y_m + 0.5 * surface.depth_m)
-    return float(height), (float(slope_x), float(slope_y))
-
-
-class SimulatedSpring:
-    """An `AfmDriver` whose tip meets a linear spring, F = K (x_s - L), in place of cantilever and sample.
-
-    It has no deflection of its own: the force is that of the spring, and the distance reported is L - x_s.
-    """
-
-    def __init__(self, params: SpringParams) -> None:
         self._params = params
-        self._opened = False
+        self._relief, self._cantilever = relief, cantilever
+        self._motion = motion_of(params.plant)
+        self._state = InstrumentState(
+            _thermal(PlantInputs(self.safe_position_m), disturbances, moves=self._motion is not None),
+            disturbances,
+            noise_start(),
+        )
+
+    @property
+    def state(self) -> InstrumentState:
+        """The whole state."""
+        return self._state
 
     @property
     def safe_position_m(self) -> float:
@@ -148,26 +93,144 @@ class SimulatedSpring:
         return None
 
     @property
-    def stage(self) -> None:
-        return None
+    def stage(self) -> LateralStage | None:
+        return self if part_of(self._params.plant).lateral else None
+
+    @property
+    def vibration(self) -> VibratingCantilever | None:
+        return None if self._motion is None else self
+
+    @property
+    def simulation(self) -> Simulation | None:
+        return self
+
+    @property
+    def relief(self) -> Relief | None:
+        return self._relief
+
+    def move_to(self, x_m: float, y_m: float) -> None:
+        if not (math.isfinite(x_m) and math.isfinite(y_m)):
+            raise ValueError(f"lateral position {x_m}, {y_m} m must be finite")
+        self._state = self._state._replace(inputs=self._state.inputs._replace(x_m=x_m, y_m=y_m))
+
+    @property
+    def lateral_force_n(self) -> tuple[float, float]:
+        return self._state.lateral_n
+
+    def vibrate(self, amplitude_m: float) -> None:
+        """Drive the base so that the amplitude without a sample becomes amplitude_m [m]; 0 lets the tip come to rest.
+
+        Raises: ValueError, if that is negative or not finite.
+        """
+        if not (math.isfinite(amplitude_m) and amplitude_m >= 0.0):
+            raise ValueError(f"amplitude = {amplitude_m} m must be finite and >= 0 m")
+        self._state = self._state._replace(inputs=self._state.inputs._replace(amplitude_m=amplitude_m))
+
+    @property
+    def oscillation(self) -> Oscillation:
+        state = self._state
+        if self._motion is None or state.part is None or state.inputs.amplitude_m == 0.0:
+            return _AT_REST
+        return self._motion.oscillation(state.part)
+
+    @property
+    def disturbances(self) -> DisturbanceConfig | None:
+        return None if self._cantilever is None else self._state.disturbances
+
+    def configure(self, config: DisturbanceConfig) -> None:
+        """Take other disturbances from now on; those that go on keep their state."""
+        state = self._state
+        if not state.disturbances.any_enabled:
+            # what creeps and lags behind is at rest where the base is when it is switched on
+            state = state._replace(piezo=None, elapsed_s=0.0)
+        inputs = _thermal(state.inputs, config, moves=self._motion is not None)
+        self._state = state._replace(disturbances=config, inputs=inputs)
+
+    def elapse(self, dt: float) -> None:
+        """Note the time [s] of the next exchange."""
+        self._state = self._state._replace(elapsed_s=self._state.elapsed_s + dt)
+
+    @property
+    def settles(self) -> bool:
+        return self._motion is not None
+
+    def settle(self) -> bool:
+        state = self._state
+        if self._motion is None or state.part is None:
+            return False
+        part, goes_on = self._motion.settle(self._params.plant, state.part, state.inputs)
+        self._state = state._replace(part=part)
+        return goes_on
 
     def open(self) -> None:
-        """Start at the safe position. Raises RuntimeError if it is already open."""
-        if self._opened:
-            raise RuntimeError("the simulated spring is already open")
-        self._opened = True
+        """Start at rest in the safe position.
+
+        Raises: RuntimeError, if it is already open.
+        """
+        state = self._state
+        if state.part is not None:
+            raise RuntimeError("the simulated instrument is already open")
+        inputs = state.inputs._replace(base_m=self.safe_position_m)
+        self._state = state._replace(part=part_start(self._params.plant, inputs))
 
     def exchange(self, base_m: float) -> AfmSample:
-        if not self._opened:
-            raise RuntimeError("the simulated spring is not open: call open() first")
+        state = self._state
+        if state.part is None:
+            raise RuntimeError("the simulated instrument is not open: call open() first")
         if not math.isfinite(base_m):
             raise ValueError(f"base position {base_m} m must be finite")
-        force = spring_force(self._params, base_m)
-        return AfmSample(base_m, 0.0, force, 0.0, self._params.rest_distance_m - base_m, True, force != 0.0, False)
+        inputs = state.inputs._replace(base_m=base_m, voltage_v=0.0)
+        if self._cantilever is not None and state.disturbances.any_enabled:
+            sample = self._disturbed(self._cantilever, inputs)
+        else:
+            part, sample = part_step(self._params.plant, state.part, inputs, state.elapsed_s)
+            self._state = state._replace(inputs=inputs, part=part)
+        lateral_n = (sample.lateral_x_n, sample.lateral_y_n)
+        self._state = self._state._replace(elapsed_s=0.0, lateral_n=lateral_n)
+        return sample
+
+    def _disturbed(self, cantilever: Plant, inputs: PlantInputs) -> AfmSample:
+        state, tip, config = self._state, self._params.plant, self._state.disturbances
+        # thermal noise of a cantilever that moves are impulses on its tip
+        drawn = config if self._motion is None else config.model_copy(update={"thermal": _QUIET.thermal})
+        noise_state, noise = noise_step(drawn, state.noise, cantilever.stiffness_n_per_m, state.elapsed_s)
+        piezo = piezo_at_rest(inputs.base_m) if state.piezo is None else state.piezo
+        moved, sample = disturbed_step(
+            disturbed_params(config, tip, cantilever), DisturbedState(state.part, piezo), inputs, noise, state.elapsed_s
+        )
+        inputs = inputs._replace(voltage_v=noise.voltage_v)
+        self._state = state._replace(inputs=inputs, noise=noise_state, part=moved.tip, piezo=moved.piezo)
+        return sample
 
     def retract(self) -> bool:
-        """Retract to the safe position at once: there is nothing to move."""
+        """Retract to the safe position at once: the base has no way to go."""
+        if self._state.part is not None:
+            self.exchange(self.safe_position_m)
         return True
 
     def close(self) -> None:
-        self._opened = False
+        self.retract()
+        self._state = self._state._replace(part=None)
+
+
+def _thermal(inputs: PlantInputs, config: DisturbanceConfig, *, moves: bool) -> PlantInputs:
+    """Return the inputs with the thermal impulses of a cantilever that moves."""
+    temperature_k = config.thermal.temperature_k if moves and config.thermal.enabled else 0.0
+    return inputs._replace(temperature_k=temperature_k, seed=config.seed)
+
+
+def simulated_afm(
+    params: AfmParams,
+    surface: Surface | None = None,
+    friction: FrictionParams | None = None,
+    disturbances: DisturbanceConfig = _QUIET,
+    tip: Any = None,
+) -> SimulatedInstrument:
+    """Return the simulated AFM.
+
+    Parameters: params, of the quasi-static cantilever; surface, as the tip sees it, None for a plane at height 0;
+    friction, None for none; disturbances, which may be switched on while it runs; tip, a dynamic cantilever in the
+    place of the quasi-static one.
+    """
+    part = over_surface(params.plant if tip is None else tip, surface, friction)
+    return SimulatedInstrument(params._replace(plant=part), Relief(surface), params.plant, disturbances)

@@ -1,46 +1,40 @@
-"""The linear environment of the theory of delay, F = K (x_s - L), behind the safety chain of the AFM.
+"""The linear environment of the theory of delay, F = K (x_s - L): a part in the place of cantilever and sample.
 
-It has the interface of `services.afm_node.physics.step`: the same inputs and outputs, the same guard, and in place of
-cantilever and sample a spring on the base itself. The distance reported is L - x_s.
+It is a spring on the base itself, so there is no deflection. The distance reported is L - x_s.
 """
 
 import math
 from typing import NamedTuple
 
-from services.afm_node.physics.step import AfmInputs, AfmOutputs, guarded
-from services.afm_node.safety import SafetyParams, SafetyState, initial_safety_state
+from services.afm_node.physics.part import AfmSample, Part, PlantInputs, register
 from services.numerics.compiled import compiled
 
 
 class SpringParams(NamedTuple):
-    """Limits, stiffness K [N/m], L [m]; `bilateral`: it also pulls, which is what makes it linear."""
+    """Stiffness K [N/m], L [m]; `bilateral`: it also pulls, which is what makes it linear."""
 
-    safety: SafetyParams
     stiffness_n_per_m: float
     rest_distance_m: float
     bilateral: bool
 
 
 class SpringState(NamedTuple):
-    """Safety chain and the force last measured [N]."""
+    """The force last measured [N]: a spring remembers nothing that it needs."""
 
-    safety: SafetyState
     force_n: float
 
 
-def spring_params(
-    safety: SafetyParams, stiffness_n_per_m: float, rest_distance_m: float, bilateral: bool
-) -> SpringParams:
+def spring_params(stiffness_n_per_m: float, rest_distance_m: float, bilateral: bool) -> SpringParams:
     """Return the constants of the environment.
 
-    Parameters: safety; stiffness_n_per_m, K [N/m], > 0; rest_distance_m, L [m]; bilateral.
+    Parameters: stiffness_n_per_m, K [N/m], > 0; rest_distance_m, L [m]; bilateral.
     Raises: ValueError naming value and unit.
     """
     if not (math.isfinite(stiffness_n_per_m) and stiffness_n_per_m > 0.0):
         raise ValueError(f"stiffness of the environment K = {stiffness_n_per_m} N/m must be finite and > 0 N/m")
     if not math.isfinite(rest_distance_m):
         raise ValueError(f"rest distance L = {rest_distance_m} m must be finite")
-    return SpringParams(safety, stiffness_n_per_m, rest_distance_m, bilateral)
+    return SpringParams(stiffness_n_per_m, rest_distance_m, bilateral)
 
 
 @compiled
@@ -50,28 +44,26 @@ def spring_force(params: SpringParams, base_m: float) -> float:
     return force if params.bilateral or force > 0.0 else 0.0
 
 
-def initial_state(params: SpringParams) -> SpringState:
-    """Return the state at the start: retracted, at the force there."""
-    safety = initial_safety_state(params.safety)
-    return SpringState(safety, spring_force(params, safety.base_m))
-
-
 @compiled
-def step(params: SpringParams, state: SpringState, inputs: AfmInputs, dt: float) -> tuple[SpringState, AfmOutputs]:
-    """Advance guard and spring by dt [s]. Raises ValueError if dt is not positive and finite."""
-    safety, allowed = guarded(params.safety, state.safety, inputs, state.force_n, dt)
-    force = spring_force(params, allowed.base_m)
-    outputs = AfmOutputs(
-        allowed.base_m,
-        params.rest_distance_m - allowed.base_m,
-        0.0,
-        force,
-        0.0,
-        force != 0.0,
-        False,
-        allowed.mode,
-        allowed.limited,
-        allowed.reason,
-        allowed.arm_refusal,
+def step(params: SpringParams, state: SpringState, inputs: PlantInputs, dt: float) -> tuple[SpringState, AfmSample]:
+    """Move the base and measure."""
+    force = spring_force(params, inputs.base_m)
+    return SpringState(force), AfmSample(
+        base_m=inputs.base_m,
+        deflection_m=0.0,
+        force_n=force,
+        bridge_voltage_v=0.0,
+        distance_m=params.rest_distance_m - inputs.base_m,
+        distance_valid=True,
+        in_contact=force != 0.0,
+        meniscus=False,
+        lateral_x_n=0.0,
+        lateral_y_n=0.0,
     )
-    return SpringState(safety, force), outputs
+
+
+def _start(params: SpringParams, inputs: PlantInputs) -> SpringState:
+    return SpringState(spring_force(params, inputs.base_m))
+
+
+register(SpringParams, Part(_start, step, lateral=False))

@@ -55,7 +55,8 @@ def unusable_config(name: str, problem: str) -> type[BaseModel]:
     return Unusable
 
 
-OPERATOR_MODELS = load("operators", _checked, ("force_profile", "impedance", "interactive"))
+OWN_OPERATORS = ("force_profile", "impedance", "interactive")
+OPERATOR_MODELS = load("operators", _checked, OWN_OPERATORS)
 _MODEL_OF = {model.params: model for model in OPERATOR_MODELS.found.values()}
 
 

@@ -14,7 +14,7 @@ from services.afm_node.devices.register_map import RegisterMap, read_map
 from services.afm_node.devices.t7_model import T7Model, calibration_of
 from services.afm_node.devices.t7_server import respond, served_requests
 from services.afm_node.node import AfmNode
-from services.afm_node.physics.sim import SimulatedAfm
+from services.afm_node.physics.sim import simulated_afm
 from services.runtime.settings.config import merge, parse_yaml, validate
 
 MS = 1_000_000
@@ -34,7 +34,7 @@ class StageLine:
 
     def __init__(self, calibrated: InstrumentCalibration | None = None, registers: RegisterMap | None = None) -> None:
         self.now_ns = 10**9
-        afm = SimulatedAfm(PARAMS)
+        afm = simulated_afm(PARAMS)
         afm.open()
         self.model = T7Model(afm)
         self.reachable, self.running, self.accepting = True, True, True

@@ -7,7 +7,7 @@ from pydantic import ValidationError
 
 from services.afm_node import config
 from services.afm_node.config import AfmConfig, CantileverConfig, SafetyConfig, TipSampleConfig
-from services.afm_node.physics.sim import SimulatedAfm, SimulatedSpring
+from services.afm_node.physics.sim import SimulatedInstrument, simulated_afm
 
 
 def walk(model):
@@ -131,7 +131,7 @@ def test_the_instruments_give_numbers_at_every_end_of_their_settings(section, ke
         assert "Value error" in str(error)
         return
     limits = found.safety
-    for instrument in (SimulatedAfm(found.to_params()), SimulatedSpring(found.to_spring_params())):
+    for instrument in (simulated_afm(found.to_params()), SimulatedInstrument(found.to_spring_params())):
         instrument.open()
         for base_m in (limits.base_min_m, 0.0, limits.base_max_m, limits.retract_position_m):
             sample = instrument.exchange(base_m)

@@ -7,7 +7,7 @@ import pytest
 from proto.errors import RefusedError
 from services.afm_node.config import AfmConfig
 from services.afm_node.node import AfmNode
-from services.afm_node.physics.sim import SimulatedAfm
+from services.afm_node.physics.sim import simulated_afm
 
 
 class Instrument:
@@ -16,7 +16,7 @@ class Instrument:
     def __init__(self, bench: Any) -> None:
         self.bench = bench
         config = AfmConfig()
-        self.driver = SimulatedAfm(config.to_params())
+        self.driver = simulated_afm(config.to_params())
         self.node = AfmNode(bench.context, config, self.driver)
 
     def command(self, x_s_m: float = 0.0, mode: str = "position", hand_seq: int = 7, hand_ms: float = 0.0) -> None:
@@ -275,7 +275,7 @@ def test_a_played_hand_behind_live_commands_is_followed(afm: Instrument) -> None
 def test_played_commands_count_from_their_reception_where_they_are_allowed(bench_of: Any, allow: bool) -> None:
     bench = bench_of("afm_node@slave")
     config = AfmConfig(allow_replay=allow)
-    node = AfmNode(bench.context, config, SimulatedAfm(config.to_params()))
+    node = AfmNode(bench.context, config, simulated_afm(config.to_params()))
     fields = {"mode": "position", "base_position_m": (0.0, 0.0, 0.0), "hand_seq": 7, "hand_t_ns": 3, "t_ns": 5}
     command = bench.received("afm/command", "controller@slave", **fields)
     node.on_message(command)

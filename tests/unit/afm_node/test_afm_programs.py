@@ -9,9 +9,8 @@ from pydantic import ValidationError
 from proto.errors import ConfigError, RefusedError
 from services.afm_node.config import AfmConfig
 from services.afm_node.node import AfmNode
-from services.afm_node.physics.disturbed import DisturbedAfm
 from services.afm_node.physics.sample.surface import height_at
-from services.afm_node.physics.sim import SimulatedAfm, SimulatedSpring
+from services.afm_node.physics.sim import SimulatedInstrument, simulated_afm
 from services.runtime.loop.journal import StateSnapshot
 from services.runtime.loop.node_state import restore
 from services.runtime.settings.config import validate
@@ -40,9 +39,9 @@ class Imager:
         self.config = AfmConfig.model_validate(section)
         spring = self.config.environment == "spring"
         self.driver: Any = (
-            SimulatedSpring(self.config.to_spring_params())
+            SimulatedInstrument(self.config.to_spring_params())
             if spring
-            else SimulatedAfm(self.config.to_params(), self.config.to_surface(), self.config.to_friction_params())
+            else simulated_afm(self.config.to_params(), self.config.to_surface(), self.config.to_friction_params())
         )
         self.node = AfmNode(bench.context, self.config, self.driver)
 
@@ -217,7 +216,7 @@ def edges(bench_of: Any, **settings: Any) -> tuple[float, float, float]:
     afm = Imager(bench_of("afm_node@slave"), {**SOFT, "disturbances": noise})
     surface = afm.config.to_surface()
     assert surface is not None
-    afm.driver = DisturbedAfm(afm.config.to_params(), surface, None, afm.config.disturbances)
+    afm.driver = simulated_afm(afm.config.to_params(), surface, None, afm.config.disturbances)
     afm.node = AfmNode(afm.bench.context, afm.config, afm.driver)
     afm.set(**parameters(**settings))
     afm.run()

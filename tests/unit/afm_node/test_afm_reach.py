@@ -15,7 +15,7 @@ from services.afm_node.config import AfmConfig
 from services.afm_node.node import AfmNode
 from services.afm_node.physics.sample.made_samples import SampleConfig
 from services.afm_node.physics.sample.surface import Surface, checked, plane_levelled
-from services.afm_node.physics.sim import SimulatedAfm
+from services.afm_node.physics.sim import SimulatedInstrument, simulated_afm
 from services.afm_node.programs.lateral import Place
 from services.afm_node.programs.reach import Reach, Span, approach_limit_s
 
@@ -169,7 +169,9 @@ def test_an_image_that_the_retracted_tip_would_hit_is_refused_with_the_base_that
 class Unknown:
     """An instrument with a stage whose surface nothing is known of: not the simulated one, only its shape."""
 
-    def __init__(self, inner: SimulatedAfm) -> None:
+    relief = None
+
+    def __init__(self, inner: SimulatedInstrument) -> None:
         self._inner = inner
 
     def __getattr__(self, name: str) -> Any:
@@ -179,7 +181,7 @@ class Unknown:
 def far_away(bench_of: Any) -> Imager:
     afm = rig(bench_of, None, rest_distance_m=1e-6)
     afm.bench = bench_of("afm_node@slave")
-    afm.driver = Unknown(SimulatedAfm(afm.config.to_params()))
+    afm.driver = Unknown(simulated_afm(afm.config.to_params()))
     afm.node = AfmNode(afm.bench.context, afm.config, afm.driver)
     return afm
 

@@ -5,9 +5,9 @@ import math
 import pytest
 
 from services.afm_node.config import AfmConfig, SpringConfig
-from services.afm_node.physics.sim import SimulatedSpring
-from services.afm_node.physics.spring import initial_state, spring_force, spring_params, step
-from services.afm_node.physics.step import AfmInputs
+from services.afm_node.physics.sim import SimulatedInstrument
+from services.afm_node.physics.spring import spring_force, spring_params
+from services.afm_node.physics.step import AfmInputs, initial_afm_state, step
 
 CONFIG = AfmConfig(environment="spring", spring=SpringConfig(stiffness_n_per_m=38.0, rest_position_m=1e-9))
 PARAMS = CONFIG.to_spring_params()
@@ -15,8 +15,8 @@ PARAMS = CONFIG.to_spring_params()
 
 def test_force_is_linear_both_ways_and_one_sided_where_asked() -> None:
     for x in (-5e-9, 0.0, 1e-9, 4e-9):
-        assert spring_force(PARAMS, x) == 38.0 * (x - 1e-9)
-    one_sided = spring_params(PARAMS.safety, 38.0, 1e-9, False)
+        assert spring_force(PARAMS.plant, x) == 38.0 * (x - 1e-9)
+    one_sided = spring_params(38.0, 1e-9, False)
     assert spring_force(one_sided, -5e-9) == 0.0
     assert spring_force(one_sided, 4e-9) == 38.0 * (4e-9 - 1e-9)
 
@@ -24,13 +24,13 @@ def test_force_is_linear_both_ways_and_one_sided_where_asked() -> None:
 @pytest.mark.parametrize("stiffness", [0.0, -1.0, math.inf, math.nan])
 def test_stiffness_that_is_none_is_named(stiffness: float) -> None:
     with pytest.raises(ValueError, match=r"stiffness of the environment K = .* N/m must be finite and > 0"):
-        spring_params(PARAMS.safety, stiffness, 0.0, True)
+        spring_params(stiffness, 0.0, True)
 
 
 def test_driver_gives_what_the_compiled_step_gives() -> None:
-    device = SimulatedSpring(PARAMS)
+    device = SimulatedInstrument(PARAMS)
     device.open()
-    state = initial_state(PARAMS)
+    state = initial_afm_state(PARAMS)
     for n in range(200):
         asked = AfmInputs(2e-9 * math.sin(0.1 * n), 0.0, 0, n == 0, False)
         state, out = step(PARAMS, state, asked, 1e-3)
@@ -39,7 +39,7 @@ def test_driver_gives_what_the_compiled_step_gives() -> None:
 
 
 def test_driver_says_what_is_wrong() -> None:
-    device = SimulatedSpring(PARAMS)
+    device = SimulatedInstrument(PARAMS)
     with pytest.raises(RuntimeError, match="not open"):
         device.exchange(0.0)
     device.open()

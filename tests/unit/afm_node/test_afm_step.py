@@ -6,8 +6,10 @@ import pytest
 from services.afm_node import safety
 from services.afm_node.config import AfmConfig
 from services.afm_node.physics.cantilever import initial_state
-from services.afm_node.physics.sim import SimulatedAfm
-from services.afm_node.physics.step import AfmInputs, AfmSample, initial_afm_state, measure, step
+from services.afm_node.physics.cantilever import step as measure
+from services.afm_node.physics.part import AfmSample, inputs_at
+from services.afm_node.physics.sim import simulated_afm
+from services.afm_node.physics.step import AfmInputs, initial_afm_state, step
 from services.afm_node.safety import SafetyInputs, initial_safety_state, safety_step
 
 DT = 1e-3
@@ -70,7 +72,7 @@ def test_the_limit_itself_is_allowed(params):
     low, high = 10e-9, 30e-9
     for _ in range(60):
         mid = 0.5 * (low + high)
-        force = measure(plant, initial_state(plant, mid), mid)[1].force_n
+        force = measure(plant, initial_state(plant, mid), inputs_at(mid, 0.0, 0.0), DT)[1].force_n
         low, high = (mid, high) if force <= limit else (low, mid)
     _, rows = follow(params, np.full(300, low))
     assert rows[-1].mode == safety.MODE_FOLLOW
@@ -81,7 +83,7 @@ def test_the_limit_itself_is_allowed(params):
 def test_the_driver_behind_the_guard_gives_what_the_step_gives(params):
     state = initial_afm_state(params)
     guard, force = initial_safety_state(params.safety), 0.0
-    afm = SimulatedAfm(params)
+    afm = simulated_afm(params)
     afm.open()
     rng = np.random.default_rng(1)
     reference = 0.0
@@ -140,7 +142,7 @@ def test_figure_12(meniscus, contact_cm):
 
 
 def test_the_simulated_device_is_a_driver(params):
-    afm = SimulatedAfm(params)
+    afm = simulated_afm(params)
     with pytest.raises(RuntimeError, match="not open"):
         afm.exchange(0.0)
     afm.retract()

@@ -15,14 +15,19 @@ from services.afm_node.node import AfmNode
 from services.afm_node.physics.disturbances import (
     BOLTZMANN_J_PER_K,
     DisturbanceConfig,
-    begun,
-    converted_v,
-    displaced,
-    read_out,
-    sines_of,
+    noise_start,
+    noise_step,
 )
-from services.afm_node.physics.disturbed import DisturbedAfm
-from services.afm_node.physics.sim import SimulatedAfm
+from services.afm_node.physics.disturbed import (
+    converted_v,
+    converter_params,
+    converter_step_v,
+    piezo_at_rest,
+    piezo_params,
+    piezo_step,
+    read_out,
+)
+from services.afm_node.physics.sim import SimulatedInstrument, simulated_afm
 from services.numerics.normal_numbers import NormalNumbers
 from services.runtime.loop.journal import StateSnapshot
 from services.runtime.loop.node_state import restore
@@ -37,27 +42,28 @@ def only(name: str, **keys: Any) -> DisturbanceConfig:
 
 
 def displacements(config: DisturbanceConfig, bases: np.ndarray) -> np.ndarray:
-    sines, state, found = sines_of(config), begun(), []
+    piezo, state, drawn, found = piezo_params(config.hysteresis, config.creep), piezo_at_rest(0.0), noise_start(), []
     for base in bases.tolist():
-        state, x = displaced(config, sines, state, base, DT)
-        found.append(x)
+        state, x = piezo_step(piezo, state, base, DT)
+        drawn, noise = noise_step(config, drawn, 1.0, DT)
+        found.append(x + noise.drift_m + noise.vibration_m)
     return np.array(found)
 
 
 def readings(config: DisturbanceConfig, zeta_m: float, count: int, stiffness: float = 1.0) -> np.ndarray:
-    normals, state, found = NormalNumbers(config.seed), begun(), []
+    converter, state, found = converter_params(config.readout, VOLTS_PER_M), noise_start(), []
     for _ in range(count):
-        state, value = read_out(config, normals, state, zeta_m, stiffness, VOLTS_PER_M, DT)
-        found.append(value)
+        state, noise = noise_step(config, state, stiffness, DT)
+        found.append(read_out(converter, noise, zeta_m))
     return np.array(found)
 
 
-def instrument(disturbances: DisturbanceConfig) -> DisturbedAfm:
-    return DisturbedAfm(CONFIG.to_params(), None, None, disturbances)
+def instrument(disturbances: DisturbanceConfig) -> SimulatedInstrument:
+    return simulated_afm(CONFIG.to_params(), disturbances=disturbances)
 
 
 def test_switched_off_they_change_no_bit() -> None:
-    plain, wrapped = SimulatedAfm(CONFIG.to_params()), instrument(DisturbanceConfig())
+    plain, wrapped = simulated_afm(CONFIG.to_params()), instrument(DisturbanceConfig())
     plain.open()
     wrapped.open()
     for i in range(300):
@@ -146,8 +152,8 @@ def test_the_converter_rounds_and_ends() -> None:
     step = 2.0 / 256
     (value,) = set(readings(config, 33e-9, 5) * VOLTS_PER_M)
     assert value == pytest.approx(round(33e-9 * VOLTS_PER_M / step) * step, rel=1e-12)
-    assert converted_v(5.0, 8, 1.0) == 1.0 - step
-    assert converted_v(-5.0, 8, 1.0) == -1.0
+    assert converted_v(5.0, converter_step_v(8, 1.0), 1.0) == 1.0 - step
+    assert converted_v(-5.0, converter_step_v(8, 1.0), 1.0) == -1.0
 
 
 def test_a_seed_decides_everything_and_a_place_is_all_there_is_to_remember() -> None:
@@ -194,19 +200,19 @@ def test_they_are_switched_on_while_the_node_runs_and_a_restored_node_goes_on_al
     with pytest.raises(RefusedError, match=r"afm_node.disturbances.drift.speed: unknown key"):
         switch(bench, node, **{"disturbances.drift.speed": 1.0})
     bare = bench_of("afm_node@slave")
-    plain = AfmNode(bare.context, CONFIG, SimulatedAfm(CONFIG.to_params()))
-    with pytest.raises(RefusedError, match="a real instrument has its own"):
-        switch(bare, plain, **{"disturbances.drift.enabled": True})
+    spring = AfmNode(bare.context, CONFIG, SimulatedInstrument(CONFIG.to_spring_params()))
+    with pytest.raises(RefusedError, match="only the cantilever of environment tip_sample has them"):
+        switch(bare, spring, **{"disturbances.drift.enabled": True})
 
 
 VIBRATION = """
 import hashlib
-from services.afm_node.physics.disturbances import DisturbanceConfig, begun, displaced, sines_of
+from services.afm_node.physics.disturbances import DisturbanceConfig, noise_start, noise_step
 config = DisturbanceConfig.model_validate({"vibration": {"enabled": True}})
-sines, state, digest = sines_of(config), begun(), hashlib.sha256()
+state, digest = noise_start(), hashlib.sha256()
 for _ in range(2000):
-    state, x = displaced(config, sines, state, 0.0, 1e-3)
-    digest.update(x.hex().encode())
+    state, noise = noise_step(config, state, 1.0, 1e-3)
+    digest.update(noise.vibration_m.hex().encode())
 print(digest.hexdigest())
 """
 

@@ -9,13 +9,11 @@ from pydantic import ValidationError
 from proto.errors import ConfigError, RefusedError
 from services.afm_node.__main__ import dynamic_afm
 from services.afm_node.config import AfmConfig
-from services.afm_node.driver import VibratingCantilever
 from services.afm_node.node import AfmNode
 from services.afm_node.physics.disturbances import BOLTZMANN_J_PER_K, DisturbanceConfig
 from services.afm_node.physics.dynamic import drive_work_j, free_amplitude_m
-from services.afm_node.physics.dynamic_sim import DynamicAfm
 from services.afm_node.physics.sample.surface import height_at
-from services.afm_node.physics.sim import SimulatedAfm
+from services.afm_node.physics.sim import SimulatedInstrument, simulated_afm
 from services.afm_node.safety import MODE_RETRACTED
 from services.runtime.loop.journal import StateSnapshot
 from services.runtime.loop.node_state import restore
@@ -38,19 +36,25 @@ TAPPING = {
 }
 
 
-def instrument(section: dict[str, Any]) -> DynamicAfm:
+def instrument(section: dict[str, Any]) -> SimulatedInstrument:
     driver = dynamic_afm(AfmConfig.model_validate(section))
-    assert isinstance(driver, DynamicAfm)
+    assert driver.vibration is not None
     return driver
 
 
-def settled(afm: DynamicAfm) -> None:
+def tip_of(afm: SimulatedInstrument) -> Any:
+    """The state of the dynamic cantilever, which may be over a surface."""
+    part = afm.state.part
+    return getattr(part, "tip", part)
+
+
+def settled(afm: SimulatedInstrument) -> None:
     """Let an instrument do all that nothing waits for, which takes it some parts."""
     parts = 1
     while afm.settle():
         parts += 1
     # of 4500 steps: 32 or 96 a period
-    assert parts == (3 if afm._drive_m > 0.0 else 1)
+    assert parts == (3 if afm.state.inputs.amplitude_m > 0.0 else 1)
 
 
 class Tapper:
@@ -79,7 +83,7 @@ class Tapper:
 def test_in_contact_the_dynamic_cantilever_goes_where_the_quasi_static_one_goes() -> None:
     section = {"model": "dynamic"}
     config = AfmConfig.model_validate(section)
-    dynamic, static = instrument(section), SimulatedAfm(config.to_params())
+    dynamic, static = instrument(section), simulated_afm(config.to_params())
     dynamic.open()
     static.open()
     contacts = 0
@@ -116,7 +120,7 @@ def test_a_tapping_image_holds_the_amplitude_and_its_lines_carry_amplitude_and_p
         phases = np.abs(line.phase_rad.to_numpy())
         assert np.all((phases > 0.5) & (phases < 2.7))
         # in steady vibration the sample takes what the base gives and the cantilever's own damping does not
-        plant, free_m = afm.driver._driven, 20e-9
+        plant, free_m = afm.driver._params.plant.tip.driven, 20e-9
         drive_m, turns_hz = free_m / free_amplitude_m(plant, 1.0), 2.0 * np.pi * plant.drive_hz
         z = line.amplitude_m.to_numpy() * np.exp(1j * line.phase_rad.to_numpy())
         given_j = np.array([drive_work_j(plant, drive_m, v.real, v.imag) for v in z.tolist()])
@@ -125,7 +129,7 @@ def test_a_tapping_image_holds_the_amplitude_and_its_lines_carry_amplitude_and_p
         assert taken_j == pytest.approx(np.median(given_j - damped_j), rel=0.05, abs=0.0)
     # away from the sample the tip comes to rest
     assert afm.driver.oscillation == (0.0, 0.0, 0.0)
-    assert afm.driver._motion.contact is False
+    assert tip_of(afm.driver).motion.contact is False
     reports = afm.bench.take("afm/program")
     assert (reports[-1].state, "the amplitude settles" in {report.text for report in reports}) == ("finished", True)
 
@@ -156,7 +160,7 @@ def test_a_proportional_gain_follows_an_edge_more_closely_in_tapping_mode_too(be
     ):
         with pytest.raises(RefusedError, match=words):
             afm.set(**{**TAPPING, **changes})
-    assert (afm.driver._drive_m, afm.node._guard.mode) == (0.0, MODE_RETRACTED)
+    assert (afm.driver.state.inputs.amplitude_m, afm.node._guard.mode) == (0.0, MODE_RETRACTED)
 
 
 def test_a_journal_goes_on_in_the_middle_of_a_tapping_line(bench_of: Any) -> None:
@@ -190,7 +194,7 @@ def test_thermal_motion_has_the_energy_of_equipartition_and_none_at_rest() -> No
     for _ in range(500):
         afm.elapse(1e-3)
         afm.exchange(0.0)
-        deflections.append(afm._motion.deflection_m)
+        deflections.append(tip_of(afm).motion.deflection_m)
     energy = 40.0 * np.mean((np.array(deflections[10:]) - quiet.deflection_m) ** 2)
     # samples a millisecond apart know nothing of each other: 6 % of scatter
     assert energy == pytest.approx(BOLTZMANN_J_PER_K * 300.0, rel=0.2, abs=0.0)
@@ -201,10 +205,10 @@ def test_a_step_that_comes_late_takes_no_more_than_two_milliseconds_of_motion() 
     afm.open()
     taken = []
     for elapsed_s in (1e-3, 1.0, 1e-3, 1e-3):
-        before = afm._due_s
+        before = tip_of(afm).due_s
         afm.elapse(elapsed_s)
         afm.exchange(0.0)
-        taken.append((before, afm._due_s))
+        taken.append((before, tip_of(afm).due_s))
     # less than a period is carried on, and a late second is not made up for
     assert all(0.0 <= due <= 1.0 / 150e3 for _, due in taken)
 
@@ -220,17 +224,17 @@ def test_what_is_known_of_the_motion_is_gone_through_before_the_next_exchange() 
                 if afm is ahead:
                     settled(afm)
                     # nine tenths of the millisecond that is still to come
-                    assert -0.9e-3 <= afm._due_s < -0.87e-3
+                    assert -0.9e-3 <= tip_of(afm).due_s < -0.87e-3
                 afm.elapse(1e-3)
                 afm.exchange(base_m)
-                assert 0.0 <= afm._due_s <= 1.0 / 150e3
+                assert 0.0 <= tip_of(afm).due_s <= 1.0 / 150e3
         forces.append(afm.oscillation.amplitude_m)
     # the tip is at rest by then, or nearly so, whoever did the work and when
     assert forces[0] == pytest.approx(forces[1], rel=0.02, abs=0.0)
     # commands in a row lead no further than that
     for _ in range(50):
         ahead.exchange(4e-9)
-    assert ahead._due_s >= -2e-3
+    assert tip_of(ahead).due_s >= -2e-3
 
 
 def test_what_has_no_dynamic_model_is_refused_by_name(bench_of: Any) -> None:
@@ -246,8 +250,8 @@ def test_what_has_no_dynamic_model_is_refused_by_name(bench_of: Any) -> None:
     with pytest.raises(ConfigError, match=r"steps_per_period = 96 is too few for a cantilever of 0\.1 N/m"):
         instrument({"model": "dynamic", "cantilever": {"stiffness_n_per_m": 0.1}})
     config = AfmConfig.model_validate({"cantilever": {"stiffness_n_per_m": 1.0}})
-    static = SimulatedAfm(config.to_params())
-    assert not isinstance(static, VibratingCantilever)
+    static = simulated_afm(config.to_params())
+    assert static.vibration is None
     bench = bench_of("afm_node@slave")
     node = AfmNode(bench.context, config, static)
     fields = {"id": "a", "command": "set", "target": "afm_node", "parameters": TAPPING}

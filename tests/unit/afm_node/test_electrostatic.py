@@ -14,9 +14,8 @@ from services.afm_node.physics.contact.electrostatic import (
     electrostatic_strength_n_m2,
 )
 from services.afm_node.physics.contact.lennard_jones import contact_distance_m, lennard_jones_force
-from services.afm_node.physics.disturbances import DisturbanceConfig, begun, charged
-from services.afm_node.physics.disturbed import DisturbedAfm
-from services.numerics.normal_numbers import NormalNumbers
+from services.afm_node.physics.disturbances import DisturbanceConfig, noise_start, noise_step
+from services.afm_node.physics.sim import simulated_afm
 
 R = 10e-9
 
@@ -30,7 +29,7 @@ def instrument(volts: float, section: dict[str, Any]) -> Any:
     if config.model == "dynamic":
         driver: Any = dynamic_afm(config)
     else:
-        driver = DisturbedAfm(config.to_params(), None, None, DisturbanceConfig())
+        driver = simulated_afm(config.to_params(), None, None, DisturbanceConfig())
     driver.configure(at_voltage(volts))
     driver.open()
     return driver
@@ -100,13 +99,13 @@ def test_the_dynamic_cantilever_rests_where_the_quasi_static_one_does() -> None:
 
 
 def test_a_voltage_wanders_by_its_share_and_its_seed() -> None:
-    config = at_voltage(0.5, noise_v=0.2, correlation_s=0.02).electrostatic
+    config = at_voltage(0.5, noise_v=0.2, correlation_s=0.02)
     runs = []
     for _ in range(2):
-        normals, state, volts = NormalNumbers(6), begun(), []
+        state, volts = noise_start(), []
         for _ in range(20_000):
-            state, value = charged(config, normals, state, 1e-3)
-            volts.append(value)
+            state, noise = noise_step(config, state, 1.0, 1e-3)
+            volts.append(noise.voltage_v)
         runs.append(volts)
     assert runs[0] == runs[1]
     # a thousand times the time of correlation

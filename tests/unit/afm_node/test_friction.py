@@ -10,7 +10,7 @@ from test_afm_programs import SOFT, Imager, parameters
 from services.afm_node.config import AfmConfig
 from services.afm_node.physics.contact.friction import FrictionParams, FrictionState, adhesion_n, friction_step
 from services.afm_node.physics.sample.surface import checked
-from services.afm_node.physics.sim import SimulatedAfm
+from services.afm_node.physics.sim import simulated_afm
 
 MU, LATERAL_N_PER_M = 0.3, 100.0
 PARAMS = FrictionParams(MU, 12.5e-9, LATERAL_N_PER_M, 10e-6)
@@ -57,7 +57,7 @@ def test_friction_needs_contact_and_adhesion_is_the_pull_off_of_the_curve() -> N
     assert friction_step(PARAMS, FrictionState(1e-9, 0.0), 1e-9, 0.0, 0.0, 0.5, 0.0, False) == ((0.0, 0.0), 0.0, 0.0)
     params = AfmConfig.model_validate({"cantilever": {"stiffness_n_per_m": 1.0}}).to_params()
     # with a spring softer than the contact the deepest pull is met by the curve
-    afm = SimulatedAfm(params)
+    afm = simulated_afm(params)
     afm.open()
     afm.exchange(12e-9)
     least = min(afm.exchange(12e-9 - i * 1e-11).force_n for i in range(2000))
@@ -68,7 +68,7 @@ def test_an_instrument_on_a_ramp_reads_the_closed_form_both_ways() -> None:
     ramp = checked(np.tile(0.25 * np.linspace(0.0, 100e-9, 101), (3, 1)), 101e-9, 3e-9)
     config = AfmConfig.model_validate({**SOFT, "friction": {"coefficient": MU}, "sample": {"name": "flat"}})
     friction = config.to_friction_params()
-    afm = SimulatedAfm(config.to_params(), ramp, friction)
+    afm = simulated_afm(config.to_params(), ramp, friction)
     afm.open()
     assert afm.exchange(0.0).in_contact
     for sense in (1.0, -1.0):

@@ -16,7 +16,7 @@ from services.afm_node.devices.modbus_driver import ModbusAfm
 from services.afm_node.devices.modbus_frames import Conversation, FeedbackRequest, FramingError, Operation
 from services.afm_node.devices.register_map import Register, RegisterMap, read_map
 from services.afm_node.driver import DeviceError
-from services.afm_node.physics.sim import SimulatedAfm
+from services.afm_node.physics.sim import simulated_afm
 from services.runtime.loop.clock import VirtualClock
 
 RETRACTED_M = PARAMS.safety.retract_position_m
@@ -51,7 +51,7 @@ def test_identifies_sets_up_retracts_and_follows(line: StageLine) -> None:
 
 
 def test_force_is_that_of_the_simulated_instrument_within_a_step_of_the_converters(line: StageLine) -> None:
-    simulated = SimulatedAfm(PARAMS)
+    simulated = simulated_afm(PARAMS)
     simulated.open()
     tick(line)
     for base_m in (0.0, 8e-9, 14e-9, 20e-9):

@@ -61,9 +61,9 @@ def test_sensitivity_and_zero_are_found_within_their_standard_errors() -> None:
 
 
 def test_compiled_instrument_gives_its_sensitivity_less_what_its_sample_yields() -> None:
-    from services.afm_node.physics.sim import SimulatedAfm
+    from services.afm_node.physics.sim import simulated_afm
 
-    afm = SimulatedAfm(PARAMS)
+    afm = simulated_afm(PARAMS)
     afm.open()
     _, mover, provisional = rig(afm)
     found = press(mover, provisional, 0.01, 1e-8)

@@ -12,7 +12,7 @@ from proto.errors import RefusedError
 from proto.messages import Message
 from services.afm_node.config import AfmConfig
 from services.afm_node.node import AfmNode
-from services.afm_node.physics.sim import SimulatedAfm
+from services.afm_node.physics.sim import simulated_afm
 from services.delay_node.config import LinkSettings, parse_settings
 from services.delay_node.node import DelayNode
 from services.runtime.loop.freshness import HandAge
@@ -174,7 +174,7 @@ def test_offset_of_the_other_clock_is_measured_with_its_uncertainty(
     link = Link(bench_of("delay_node@master"), LinkSettings(), spans_machines=True)
     far = bench_of("afm_node@slave")
     config = AfmConfig()
-    instrument = AfmNode(far.context, config, SimulatedAfm(config.to_params()))
+    instrument = AfmNode(far.context, config, simulated_afm(config.to_params()))
     far.clock.epoch_offset_ns += injected_ns + link.bench.clock.monotonic_ns() - far.clock.monotonic_ns()
     skew = far.clock.monotonic_ns() - link.bench.clock.monotonic_ns()
     for _ in range(3):

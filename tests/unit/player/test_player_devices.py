@@ -6,7 +6,7 @@ import pytest
 
 from services.afm_node.config import AfmConfig
 from services.afm_node.node import AfmNode
-from services.afm_node.physics.sim import SimulatedAfm
+from services.afm_node.physics.sim import simulated_afm
 from services.haptic_node.config import HapticConfig
 from services.haptic_node.node import HapticNode
 from services.haptic_node.physics.sim import SimulatedHaptic
@@ -21,7 +21,7 @@ COMMANDS = {
 def device(bench: Any, key: str, *, allow: bool) -> Node:
     if key.startswith("afm"):
         config = AfmConfig(allow_replay=allow)
-        return AfmNode(bench.context, config, SimulatedAfm(config.to_params()))
+        return AfmNode(bench.context, config, simulated_afm(config.to_params()))
     hand = HapticConfig(allow_replay=allow)
     simulated = SimulatedHaptic(hand.to_plant_params(), hand.device.start_position_m)
     return HapticNode(bench.context, hand, simulated)

@@ -12,7 +12,7 @@ from proto.sequence import Arrival
 from services.afm_node import safety
 from services.afm_node.config import AfmConfig
 from services.afm_node.node import AfmNode
-from services.afm_node.physics.sim import SimulatedAfm
+from services.afm_node.physics.sim import simulated_afm
 from services.haptic_node.config import HapticConfig
 from services.haptic_node.node import HapticNode
 from services.haptic_node.physics.sim import SimulatedHaptic
@@ -138,7 +138,7 @@ class Device:
 def _node(context: NodeContext) -> Node:
     if context.key == TIP:
         afm = AfmConfig()
-        return AfmNode(context, afm, SimulatedAfm(afm.to_params()))
+        return AfmNode(context, afm, simulated_afm(afm.to_params()))
     hand = HapticConfig()
     return HapticNode(context, hand, SimulatedHaptic(hand.to_plant_params(), 0.0))
 

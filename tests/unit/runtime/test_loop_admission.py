@@ -10,7 +10,7 @@ from proto.messages import SUPERSEDED, SessionControl, SessionEvent
 from proto.sequence import Arrival
 from services.afm_node.config import AfmConfig
 from services.afm_node.node import AfmNode
-from services.afm_node.physics.sim import SimulatedAfm
+from services.afm_node.physics.sim import simulated_afm
 from services.runtime.bus.bus import Received
 from services.runtime.loop.clock import NEVER_NS, VirtualClock
 from services.runtime.loop.log import StructuredLog
@@ -58,7 +58,7 @@ class Device:
         self.bus = FakeBus(self.clock)
         config = AfmConfig(**section)
         context = NodeContext("afm_node@slave", self.clock, self.bus, StructuredLog("afm_node@slave"))
-        self.node = AfmNode(context, config, SimulatedAfm(config.to_params()))
+        self.node = AfmNode(context, config, simulated_afm(config.to_params()))
         self.loop = NodeLoop(self.node, self.bus, PLAIN)
         self._seq = 0
 

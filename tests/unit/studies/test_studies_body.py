@@ -21,7 +21,7 @@ SAFETY = SafetyParams(**SafetyConfig().model_dump())
 
 
 def body(mass_kg: float = 0.01, damping: float = 0.02, rest_m: float = 0.0) -> BodyParams:
-    return body_params(SAFETY, 20.0, damping, mass_kg, 40.0, rest_m)
+    return body_params(20.0, damping, mass_kg, 40.0, rest_m)
 
 
 def path_of(params: BodyParams, base_m: Any) -> tuple[np.ndarray, np.ndarray]:

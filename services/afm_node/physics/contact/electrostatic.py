@@ -11,12 +11,15 @@ real tip has its oxide there: below the contact distance the force stays what it
 
 import math
 
+from services.numerics.compiled import compiled
+
 VACUUM_PERMITTIVITY_F_PER_M = 8.8541878128e-12
 # a quasi-static tip and its force are found in turns, until a turn moves it by less than this [m]
 SETTLED_M = 1e-14
 MOST_TURNS = 40
 
 
+@compiled
 def electrostatic_strength_n_m2(voltage_v: float, radius_m: float) -> float:
     """Return pi eps0 R^2 V^2 [N m^2].
 
@@ -27,6 +30,7 @@ def electrostatic_strength_n_m2(voltage_v: float, radius_m: float) -> float:
     return math.pi * VACUUM_PERMITTIVITY_F_PER_M * (radius_m * voltage_v) ** 2
 
 
+@compiled
 def electrostatic_force_n(strength_n_m2: float, radius_m: float, least_m: float, distance_m: float) -> float:
     """Return the force [N], negative: attractive; least_m, distance below which it grows no more [m]."""
     h = max(distance_m, least_m)

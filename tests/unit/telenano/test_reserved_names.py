@@ -1,0 +1,66 @@
+"""Names that a package may not take: those of the models, refused by `telenano new` and where an entry is loaded."""
+
+from pathlib import Path
+
+import pytest
+from pydantic import BaseModel
+
+from presets import plugins
+from presets.plugins import Plugin
+from proto.errors import ConfigError
+from services.afm_node import config as afm
+from services.afm_node.physics.sample_models import checked_sample
+from services.controller import config as controller
+from services.haptic_node import config as haptic
+from services.runtime.settings.device_drivers import drivers_of
+from telenano.cli.new_package import new_package
+
+MODELS = (
+    (afm.AfmConfig, afm.TAKEN, afm.SAMPLES.found.keys() | afm.DRIVERS.found.keys()),
+    (haptic.HapticConfig, haptic.TAKEN, haptic.DRIVERS.found.keys()),
+    (controller.ControllerConfig, controller.TAKEN, controller.PACKAGE_LAWS.found.keys()),
+)
+
+
+@pytest.mark.parametrize(("model", "taken", "packages"), MODELS, ids=["afm_node", "haptic_node", "controller"])
+def test_every_key_and_method_of_a_section_is_taken(
+    model: type[BaseModel], taken: frozenset[str], packages: set[str]
+) -> None:
+    assert set(model.model_fields) - packages <= taken
+    methods = {name for name in vars(model) if not name.startswith("_") and name not in ("model_config",)}
+    assert {name for name in methods if not name.startswith("model_")} <= taken
+
+
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    [
+        ("sample", "friction"),
+        ("sample", "lateral"),
+        ("sample", "disturbances"),
+        ("sample", "doubts"),
+        ("device", "serial"),
+        ("device", "operator"),
+        ("device", "begin"),
+        ("law", "clamp"),
+        ("law", "wave"),
+        ("law", "params"),
+        ("operator", "impedance"),
+    ],
+)
+def test_a_package_of_such_a_name_is_not_made(tmp_path: Path, kind: str, name: str) -> None:
+    with pytest.raises(ConfigError, match=f"{name}: is a name of telenano's own"):
+        new_package(kind, name, tmp_path / "package")
+    assert not (tmp_path / "package").exists()
+
+
+def test_an_installed_one_is_refused_where_it_is_loaded(monkeypatch: pytest.MonkeyPatch) -> None:
+    def installed(kind: str) -> dict[str, Plugin]:
+        return {"friction": Plugin(kind, "friction", "telenano-friction", "1.0", "nowhere:FRICTION")}
+
+    monkeypatch.setattr(plugins, "installed", installed)
+    words = "friction of the package telenano-friction 1.0 cannot be used: friction is a name of telenano's own"
+    for loaded in (plugins.load("samples", checked_sample, afm.TAKEN), drivers_of("afm_node", afm.TAKEN)):
+        assert loaded.found == {}
+        assert loaded.problems == {"friction": words}
+        with pytest.raises(ValueError, match="is a name of telenano's own"):
+            plugins.refuse(loaded, "friction")
