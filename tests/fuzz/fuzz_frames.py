@@ -150,6 +150,9 @@ class Frames:
             return "".join(rng.choices(string.ascii_letters + "_-", k=rng.choice((1, 8, 64))))
         if name == "src":
             return "fuzz@slave"
+        if schema.get("pattern") == "^[a-z][a-z0-9_]{0,31}$":
+            # programs of packages have names of their own
+            return rng.choice(("scan", "z", "p" + 31 * "_"))
         if "[0-9a-f]{64}" in schema.get("pattern", ""):
             return f"{rng.getrandbits(256):064x}"
         most = schema.get("maxLength", 4096)
