@@ -42,7 +42,7 @@ PLACES = {
     "law": ("faulty_law", "received = p.force_scale * signal.force_n", "controller.law=faulty_law"),
     "operator": ("faulty_hand", "force = params.force_n * min(t / params.rise_s, 1.0)",
                  "haptic_node.operator={kind: faulty_hand}"),
-    "sample": ("faulty_gel", "depth = base_m - params.rest_distance_m", "afm_node.environment=faulty_gel"),
+    "sample": ("faulty_gel", "depth = inputs.base_m - params.rest_distance_m", "afm_node.environment=faulty_gel"),
     "device": ("faulty_handle", "velocity = (self._position_m - before) / dt_s",
                "haptic_node.driver=faulty_handle"),
 }  # fmt: skip
