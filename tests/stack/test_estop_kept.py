@@ -143,6 +143,7 @@ def test_an_instrument_that_was_stopped_for_longer_than_the_stop_is_sent_comes_b
     record("an AFM stopped for longer than the emergency stop is sent", took)
 
 
+@pytest.mark.endurance
 def test_an_instrument_that_is_killed_in_emergency_stop_comes_back_in_it(rig: Rig) -> None:
     begin_ns = time.time_ns()
     rig.kill(TIP)
@@ -155,6 +156,7 @@ def test_an_instrument_that_is_killed_in_emergency_stop_comes_back_in_it(rig: Ri
     arm(rig)
 
 
+@pytest.mark.endurance
 def test_a_stop_for_an_instrument_that_does_not_run_is_kept_for_the_next_one(rig: Rig) -> None:
     begin_ns = time.time_ns()
     rig.kill(TIP)
@@ -165,6 +167,7 @@ def test_a_stop_for_an_instrument_that_does_not_run_is_kept_for_the_next_one(rig
 
 
 def test_the_end_of_the_rig_keeps_no_stop(rig: Rig) -> None:
+    rig.telenano("estop")
     assert {path.name for path in rig.sockets.glob("*.kept")} == {f"{node}.estop.kept" for node in (TIP, HAND)}
     code, _, err = rig.stop()
     assert code == 0, err
