@@ -21,9 +21,9 @@ _PRESSING_SHARE = 0.05
 HAND, TIP, ANSWERS = "haptic/state", "afm/state", "haptic/command"
 # samples come every millisecond; at this distance [s] the deadline of the loop has passed
 LONGEST_STEP_S = 0.05
-# of a hold: with more of it missing between its samples there is no telling what became of it
+# A hold of which a greater share is missing between its samples cannot be judged.
 _MISSING_SHARE = 0.1
-# of the instrument's reasons for withdrawing those that missing commands are
+# The instrument gives these reasons where it withdraws for want of commands.
 _STARVED = ("command_deadline", "hold_expired")
 # a report of the instrument belongs to what it did at most so long before or after [s]
 _REPORTED_WITHIN_S = 0.2
@@ -170,7 +170,7 @@ def judge_holds(
     for start, end in constant_stretches(hand_time_s, hand_force_n, _HAND_STEADY_SHARE * greatest):
         force = float(np.interp(0.5 * (start + end), hand_time_s, hand_force_n))
         holds.append((start, end, force))
-    # what the recording does not have of the hand
+    # A hold that was planned and that the recording does not show at the hand has no data.
     for start, end, force in programme.planned:
         shown_s = sum(max(0.0, min(end, last) - max(start, first)) for first, last, _ in holds)
         if shown_s < 0.5 * (end - start) and lacks_of(hand_time_s, hand_time_s, (start, end)):

@@ -45,7 +45,7 @@ Series = npt.NDArray[Any]
 
 HOLD_WINDOW_S = (2.2, 2.5)
 RELEASE_WINDOW_S = 1.0
-# by which a difference of two clocks shows in no figure
+# A difference of two clocks that is below one period of the loop shows in no figure.
 _LOOP_PERIOD_S = 1e-3
 _WITHDRAWN = ("retracting", "retracted", "estop")
 _COMMAND_FIELDS = ("position_m.2", "force_n.2")
@@ -150,7 +150,7 @@ def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
     """Write all files of a folder or none of them; OSError names the first that cannot be written."""
     with whole_results(folder) as part:
         for name, data in files.items():
-            # what runs out of room does not say where
+            # An error of a full disk does not name its file.
             try:
                 (part / name).write_bytes(data)
             except OSError as error:
@@ -204,7 +204,7 @@ def _read_session(recording: RecordingSource, timeline: Timeline) -> Session:
         timeline=timeline,
         missing=tuple(missing),
         programme=Programme(
-            # what was planned after the end of the recording was not cut short by the operator
+            # A hold that was planned after the end of a recording that is cut off was not cut short by the operator.
             planned_holds(document, max(seconds, document.duration_s) if is_cut else seconds),
             (hand["t_ns"][new] - start_ns) * 1e-9,
             *_reported(recording, timeline, start_ns),
@@ -267,7 +267,7 @@ def _lacking(session: Session, series: SessionSeries, holds: Sequence[Hold]) -> 
     """Return a sentence for each span that makes a hold one without data, as long as it is in the session."""
     programme = session.programme
     times = {HAND: series.hand_time_s, TIP: series.tip_time_s, ANSWERS: programme.answered_s}
-    # of a recording that ends early the holds after its end are lacking as well
+    # The holds after the end of a recording that ends early are lacking as well.
     end_s = max([session.duration_s, *(hold.end_s for hold in holds)])
     found = []
     for hold in holds:

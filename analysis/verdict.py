@@ -93,7 +93,7 @@ _RESIDUE_SHARE = 0.1
 # cycles that a hold has to have for a swing to be looked for in its turning points, and those that a fit of the band
 # about zero may have; the share of a swing by which the force has to turn, and that which is left in its last quarter
 _SEEN_CYCLES, _SLOW_CYCLES, _SEEN_SHARE, _SEEN_AT_END = 1.5, 8.0, 1.0 / 3.0, 0.25
-# of the least way from turn to turn that counts: an approach is longer
+# The longest way of an approach is at least so many times the height that counts as a turn.
 _APPROACH_HEIGHTS = 4.0
 # where there is noise, turns are looked for in so many means
 _TURN_SAMPLES = 256

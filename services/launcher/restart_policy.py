@@ -5,6 +5,7 @@ from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from services.runtime.loop import hang_guard
 from services.runtime.loop.clock import Clock
 from services.runtime.loop.main import EXIT_BAD_START
 
@@ -107,8 +108,7 @@ def describe_exit(exit_code: int) -> str:
     if exit_code >= 0:
         return f"ended with exit code {exit_code}"
     if hasattr(signal, "SIGPROF") and exit_code == -signal.SIGPROF:
-        # the kernel ends a node at its limit of processor time (services.runtime.loop.hang_guard)
-        return "hung: it computed for 1.5 s without a report, and the kernel ended it"
+        return f"hung: it computed for {hang_guard.LIMIT_S:g} s without a report, and the kernel ended it"
     try:
         return f"was killed by {signal.Signals(-exit_code).name}"
     except ValueError:
