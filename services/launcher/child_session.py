@@ -4,7 +4,7 @@ import subprocess
 import time
 from collections.abc import Callable, Sequence
 
-from services.numerics.interrupts import kept_from_children
+from services.signals.interrupts import kept_from_children
 
 _LOOK_S = 0.5
 

@@ -174,7 +174,7 @@ def _compiler() -> Callable[[Callable[..., object]], object]:
     from numba.core.typing.typeof import typeof_impl
 
     from services.numerics.compile_cache import CheckedCache
-    from services.numerics.interruptible import InterruptibleDispatcher
+    from services.signals.interruptible import InterruptibleDispatcher
 
     @typeof_impl.register(FunctionType)
     def _typeof_step(function: FunctionType, context: object) -> object:

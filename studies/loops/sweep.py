@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from proto.errors import ConfigError
-from services.numerics.interrupts import kept_from_children
+from services.signals.interrupts import kept_from_children
 from studies.loops.cells import Cell, CellResult, run_cell
 
 JOURNAL_NAME = "journal.jsonl"

@@ -25,7 +25,7 @@ def main() -> None:
         if request is not None:
             raise SystemExit(run_estop(request))
     # not before: a stop needs none of it
-    from services.numerics import interrupts
+    from services.signals import interrupts
 
     interrupts.install()
     try:

@@ -4,6 +4,6 @@ EXIT_FAILED = 1
 EXIT_BAD_CONFIGURATION = 2
 # done, but the recording lacks something
 EXIT_INCOMPLETE = 3
-# ended by SIGINT (Ctrl-C) or SIGTERM, as shells have it; `services.numerics.interrupts.exit_code` returns which
+# ended by SIGINT (Ctrl-C) or SIGTERM, as shells have it; `services.signals.interrupts.exit_code` returns which
 EXIT_INTERRUPTED = 130
 EXIT_TERMINATED = 143

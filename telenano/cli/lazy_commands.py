@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from services.numerics import interrupts
+from services.signals import interrupts
 
 # of the command line; typer has no other name for the base of all of them
 _UsageError: Any = typer.BadParameter.__base__

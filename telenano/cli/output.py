@@ -15,8 +15,8 @@ from rich.segment import Segment
 
 from proto.errors import ConfigError, ReportError, TelenanoError
 from recording.whole_files import new_folder
-from services.numerics import interrupts
 from services.runtime.untrusted.printable import printable
+from services.signals import interrupts
 from telenano.cli.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED, EXIT_INCOMPLETE
 from telenano.cli.tables import rows_table, summary_tables
 

@@ -10,8 +10,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 from presets import DEFAULT_SITE_FILE
 from proto.errors import ConfigError, RigError
 from services.afm_node.programs.scan import ScanSettings
-from services.numerics import interrupts
 from services.runtime.settings.config import flag_overrides, validate
+from services.signals import interrupts
 from telenano.cli.exit_codes import EXIT_FAILED
 from telenano.cli.model_options import check_options, with_options
 from telenano.cli.options import JsonOption, SiteFileOption

@@ -16,7 +16,7 @@ from recording.multi_file import open_recordings
 from services.launcher.plan import Plan, UpRequest, make_plan
 from services.launcher.run import Outcome, default_folder, report_of, run_rig
 from services.launcher.session import RigNode
-from services.numerics import interrupts
+from services.signals import interrupts
 from services.viz_node.figure_style import FigureOptions, figure_options
 from telenano.cli.completion import node_names, scenario_names
 from telenano.cli.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED

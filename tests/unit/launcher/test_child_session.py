@@ -24,7 +24,7 @@ time.sleep({seconds})
 _PARENT = """
 import os, signal, sys, threading, time
 from services.launcher.child_session import run_session
-from services.numerics import interrupts
+from services.signals import interrupts
 
 interrupts.install()
 

@@ -9,7 +9,7 @@ import pytest
 # compiled code that returns named tuples, called again and again while signals arrive at random times
 _COMPUTES = """
 import os, random, signal, sys, threading, time
-from services.numerics import interrupts
+from services.signals import interrupts
 {prepare}
 import studies
 from services.afm_node.config import AfmConfig
@@ -59,7 +59,7 @@ def test_a_signal_within_compiled_code_is_raised_after_it(prepare: str, name: st
 def test_an_interruption_that_a_destructor_would_swallow_is_raised_again() -> None:
     done = run("""
 import os, signal, time
-from services.numerics import interrupts
+from services.signals import interrupts
 
 class Ends:
     def __del__(self):
@@ -79,7 +79,7 @@ except KeyboardInterrupt:
 def test_a_signal_is_kept_until_the_end_of_what_must_be_done_as_a_whole() -> None:
     done = run("""
 import os, signal
-from services.numerics import interrupts
+from services.signals import interrupts
 
 interrupts.install()
 try:
@@ -96,7 +96,7 @@ except KeyboardInterrupt:
 def test_a_signal_that_is_ignored_stays_so_and_a_handler_of_somebody_else_too() -> None:
     done = run("""
 import signal
-from services.numerics import interrupts
+from services.signals import interrupts
 
 signal.signal(signal.SIGINT, signal.SIG_IGN)
 interrupts.install()

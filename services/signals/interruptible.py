@@ -4,7 +4,7 @@ from typing import Any
 
 from numba.core.registry import CPUDispatcher
 
-from services.numerics import interrupts
+from services.signals import interrupts
 
 _call = CPUDispatcher.__call__
 

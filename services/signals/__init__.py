@@ -1,0 +1,1 @@
+"""How SIGINT and SIGTERM reach a process that computes."""
