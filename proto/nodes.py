@@ -9,16 +9,17 @@ Site = Literal["master", "slave"]
 class NodeRow(NamedTuple):
     """One row of the table: a node, as `name@site`.
 
-    `part`: `rig`, a process of its own that the launcher starts and stops; `endpoint`, a further endpoint of such a
-    process; `launcher`, which supervises the others; `visitor`, which comes and goes with a command. An emergency stop
-    connects to the nodes, and so needs no endpoint. The rows stand in
-    the order in which a rig is started; `stop` is the place in the order in which it is stopped. A session waits for
+    `part`: `rig`, a process of its own that the launcher starts and stops; `beside`, one that it keeps running as well,
+    and that a session neither waits for nor ends with; `endpoint`, a further endpoint of such a process; `launcher`,
+    which supervises the others; `visitor`, which comes and goes with a command. An emergency stop connects to the
+    nodes, and so needs no endpoint. The rows stand in the order in which a rig is started; `stop` is the place in the
+    order in which it is stopped. A session waits for
     the nodes that are `required`; a site may have the others. `no_rerun` says why a re-run of the node from recorded
     inputs has no meaning; it is empty for those that keep a journal of their inputs.
     """
 
     key: str
-    part: Literal["rig", "endpoint", "launcher", "visitor"]
+    part: Literal["rig", "beside", "endpoint", "launcher", "visitor"]
     stop: int = 0
     required: bool = True
     no_rerun: str = ""
@@ -30,14 +31,15 @@ _SUPERVISES = "it acts on processes and on time, which are not in a recording, a
 
 # the recorders start first and stop last, to record the others start and stop; the devices are made safe first
 NODES = (
-    NodeRow("recorder@slave", "rig", stop=7, required=False, no_rerun=_RECORDS),
-    NodeRow("recorder@master", "rig", stop=6, no_rerun=_RECORDS),
+    NodeRow("recorder@slave", "rig", stop=8, required=False, no_rerun=_RECORDS),
+    NodeRow("recorder@master", "rig", stop=7, no_rerun=_RECORDS),
     NodeRow("delay_node@master", "rig", stop=5),
     NodeRow("delay_node@slave", "endpoint", no_rerun="it is an endpoint of delay_node@master: run that again"),
     NodeRow("afm_node@slave", "rig", stop=4),
     NodeRow("controller@slave", "rig", stop=3),
     NodeRow("controller@master", "rig", stop=2),
     NodeRow("haptic_node@master", "rig", stop=1),
+    NodeRow("viz_node@master", "beside", stop=6, required=False, no_rerun="it only shows what the others send"),
     NodeRow("launcher@master", "launcher", required=False, no_rerun=_SUPERVISES),
     NodeRow("launcher@slave", "launcher", required=False, no_rerun=_SUPERVISES),
     NodeRow("console@master", "visitor", required=False, no_rerun=_BY_HAND),
@@ -58,6 +60,8 @@ DEVICES = (HAND, TIP)
 LAUNCHER = "launcher@master"
 LAUNCHERS = (LAUNCHER, "launcher@slave")
 PLAYER = "player@master"
+# the process that serves the page, and the force of an operator at it
+PAGE = "viz_node@master"
 VIEW = "view@master"
 RECORDER = "recorder@master"
 # the name of the process between the sites, and its endpoint at either one
@@ -66,9 +70,10 @@ LINK = "delay_node"
 FAR_END = "controller@slave"
 
 _RIG = tuple(row for row in NODES if row.part == "rig")
+_PROCESSES = tuple(row for row in NODES if row.part in ("rig", "beside"))
 START_ORDER = tuple(row.key for row in _RIG if row.required)
 OPTIONAL_NODES = tuple(row.key for row in _RIG if not row.required)
-STOP_ORDER = tuple(row.key for row in sorted(_RIG, key=lambda row: row.stop))
+STOP_ORDER = tuple(row.key for row in sorted(_PROCESSES, key=lambda row: row.stop))
 # they keep a journal of their inputs and are run again from it
 RERUN_NODES = tuple(row.key for row in _RIG if not row.no_rerun)
 
@@ -88,7 +93,7 @@ SERVICES = tuple(dict.fromkeys(name_of(node) for node in STOP_ORDER))
 
 def sites_of(name: str) -> tuple[str, ...]:
     """Return the sites at which processes of a name may run, the master's first."""
-    return tuple(sorted(site_of(row.key) for row in _RIG if name_of(row.key) == name))
+    return tuple(sorted(site_of(row.key) for row in _PROCESSES if name_of(row.key) == name))
 
 
 def is_console(node: str) -> bool:
@@ -113,8 +118,10 @@ def is_pattern(target: str) -> bool:
 
 
 def is_visitor(node: str) -> bool:
-    """Return whether a node comes and goes with a command: its absence is not reported."""
-    return is_console(node) or any(name_of(row.key) == name_of(node) and row.part == "visitor" for row in NODES)
+    """Return whether a rig is whole without a node, which comes and goes: its absence is not reported."""
+    return is_console(node) or any(
+        name_of(row.key) == name_of(node) and row.part in ("beside", "visitor") for row in NODES
+    )
 
 
 def endpoints_of(node: str) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ import zmq
 
 from proto.errors import ConfigError, EndpointError, RigError
 from proto.messages import Scalar, SessionEvent
-from proto.nodes import LINK, Site, is_console, is_estop, is_meant, is_pattern, name_of, site_of
+from proto.nodes import LINK, PAGE, Site, is_console, is_estop, is_meant, is_pattern, name_of, site_of
 from services.runtime.bus.address_book import AddressBook
 from services.runtime.bus.ends import publish_end
 from services.runtime.bus.observer import RIG_HINT, require_rig
@@ -69,7 +69,7 @@ def addressed(book: AddressBook, target: str, site: Site = "master") -> list[str
 
 def _answers_nothing(node: str) -> bool:
     # the link's second socket belongs to the same process, which answers under the name of the first
-    return is_console(node) or is_estop(node) or name_of(node) == "launcher" or node == f"{LINK}@slave"
+    return is_console(node) or is_estop(node) or name_of(node) == "launcher" or node in (f"{LINK}@slave", PAGE)
 
 
 def console_of(book: AddressBook, site: Site) -> str:

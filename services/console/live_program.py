@@ -28,10 +28,6 @@ _LISTEN_S = 0.1
 _OVER_S = 1.0
 
 
-class ProgramEndedError(RigError):
-    """A program ended before it was finished."""
-
-
 @dataclass
 class LiveImage:
     """The lines of an image so far: heights [m], lateral forces [N] of shape (lines, pixels), NaN for none; sides.

@@ -36,6 +36,7 @@ class UpRequest:
     site: Site | None = None
     attach: bool = False
     wait_s: float | None = None
+    page: bool = False
 
     def check(self) -> None:
         """Reject options that would have no effect; ConfigError names them with the reason."""
@@ -71,7 +72,8 @@ def _reject(given: Mapping[str, bool], reason: str) -> None:
 class Plan:
     """A checked rig: its address book, effective scenario and folder.
 
-    `nodes` are those to start, in order; `others` those that run elsewhere and that the session needs.
+    `nodes` are those to start, in order; `others` those that run elsewhere and that the session needs; `page`, whether
+    the operator's page is served beside them.
     """
 
     book: AddressBook
@@ -84,6 +86,9 @@ class Plan:
     site: Site | None = None
     attach: bool = False
     wait_s: float | None = None
+    page: bool = False
+    # the file that was given; the effective scenario is written only where nodes are started from it
+    given: Path = Path()
 
     @property
     def warning(self) -> str:
@@ -107,7 +112,7 @@ class Plan:
 
     @property
     def scenario_file(self) -> Path:
-        return self.out / "scenario.yaml"
+        return self.given if self.attach else self.out / "scenario.yaml"
 
     def existing_outputs(self) -> list[Path]:
         """Return the files of an earlier session in the folder; a restarted recorder leaves several recordings."""
@@ -139,7 +144,8 @@ def make_plan(request: UpRequest, default_out: Path) -> Plan:
     own = own_nodes(book, request)
     check_book(book, site_file, request)
     out = (request.out or default_out).absolute()
-    loaded = effective_scenario(find_scenario(request.scenario), request, out)
+    given = find_scenario(request.scenario).absolute()
+    loaded = effective_scenario(given, request, out)
     check_sections(loaded)
     plan = Plan(
         book=book,
@@ -152,6 +158,8 @@ def make_plan(request: UpRequest, default_out: Path) -> Plan:
         site=request.site,
         attach=request.attach,
         wait_s=request.wait_s,
+        page=request.page and request.site != "slave",
+        given=given,
     )
     existing = [path for path in plan.existing_outputs() if plan.attach or path.suffix == ".mcap"]
     if existing and not request.overwrite:

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from proto.nodes import name_of
 from services.runtime.bus.publisher import LINGER_S
@@ -41,6 +41,13 @@ class StopObserver:
 
     def wait(self, nodes: Sequence[str], waited_s: float, limit_s: float) -> None:
         """Look at nodes that have been waited for [s], of a limit [s]; called several times a second."""
+
+
+class Inherited(NamedTuple):
+    """What one process is given beside its command line: variables of its environment, and open descriptors."""
+
+    environment: Mapping[str, str] = {}
+    descriptors: tuple[int, ...] = ()
 
 
 class Children(Protocol):
@@ -78,16 +85,19 @@ class NodeProcesses:
         log_directory: Path,
         epoch_offset_ns: int,
         on_stopping: Callable[[str], None] = lambda node: None,
+        inherited: Mapping[str, Inherited] | None = None,
     ) -> None:
         """Prepare empty logs for the nodes in `commands`, the command line of each by its key.
 
-        `stop_order` are keys; `on_stopping` is called with a key before its process is stopped.
+        `stop_order` are keys; `on_stopping` is called with a key before its process is stopped; `inherited` is what
+        some of the nodes are given as well.
         """
         self._commands = commands
         self._stop_order = stop_order
         self._log_directory = log_directory
         self._environment = child_environment(os.environ, epoch_offset_ns)
         self._on_stopping = on_stopping
+        self._inherited = inherited or {}
         self._running: dict[str, subprocess.Popen[bytes]] = {}
         log_directory.mkdir(parents=True, exist_ok=True)
         for node in commands:
@@ -97,13 +107,15 @@ class NodeProcesses:
         return self._log_directory / f"{node}.log"
 
     def start(self, node: str) -> int:
+        inherited = self._inherited.get(node, Inherited())
         with self.log_path(node).open("ab") as log:
             process = subprocess.Popen(
                 self._commands[node],
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=log,
-                env=self._environment,
+                env={**self._environment, **inherited.environment},
+                pass_fds=inherited.descriptors,
                 # the terminal's Ctrl-C is for the supervisor alone, which then stops the nodes in order
                 start_new_session=True,
                 preexec_fn=partial(_die_with, os.getpid()),

@@ -2,7 +2,7 @@
 
 import signal
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
 from services.runtime.loop import hang_guard
@@ -56,10 +56,13 @@ class _History:
 class RestartTracker:
     """Starts and exits of every node, and when it is due to be started again."""
 
-    def __init__(self, clock: Clock, nodes: Iterable[str], policy: RestartPolicy | None = None) -> None:
-        self._clock = clock
+    def __init__(
+        self, clock: Clock, nodes: Iterable[str], policy: RestartPolicy | None = None, *, beside: Collection[str] = ()
+    ) -> None:
+        """Keep track of `nodes`, and of those `beside` the rig, which are started again however often they end."""
+        self._clock, self._beside = clock, beside
         self._policy = policy or RestartPolicy()
-        self._histories = {node: _History() for node in nodes}
+        self._histories = {node: _History() for node in (*nodes, *beside)}
 
     def record_start(self, node: str) -> None:
         """Record a start, which is a restart when one was due."""
@@ -83,7 +86,7 @@ class RestartTracker:
             history.exits_ns.popleft()
         if exit_code == EXIT_BAD_START:
             return ProcessExit(node, exit_code, life_s, None, "it cannot start as it is configured and is not retried")
-        if len(history.exits_ns) >= policy.crash_loop_exits:
+        if len(history.exits_ns) >= policy.crash_loop_exits and node not in self._beside:
             verdict = f"it died {len(history.exits_ns)} times within {policy.crash_loop_window_s:g} s"
             return ProcessExit(node, exit_code, life_s, None, verdict)
         reset = life_s >= policy.healthy_life_s or history.delay_s == 0.0

@@ -3,7 +3,7 @@
 import contextlib
 import logging
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -15,8 +15,10 @@ from recording.reader import Recording
 from services.launcher.disk_space import disk_warning
 from services.launcher.external_recording import ExternalRecording, readable_here
 from services.launcher.plan import RECORDING_NAME, Plan
-from services.launcher.processes import NodeProcesses, node_command
-from services.launcher.session import RigNode, SessionNode, SiteNode
+from services.launcher.processes import Inherited, NodeProcesses, node_command
+from services.launcher.rig_node import RigNode
+from services.launcher.session import SessionNode
+from services.launcher.site_node import SiteNode
 from services.launcher.supervisor import Supervisor
 from services.launcher.watchdog import ProcFiles, Watchdog
 from services.runtime.bus.bus import ZmqBus
@@ -55,8 +57,14 @@ def default_folder(scenario: str, now: datetime) -> Path:
     return Path("sessions") / f"{Path(scenario).stem}-{now:%Y%m%d-%H%M%S}"
 
 
-def run_rig(plan: Plan, observe: Observer, show: Callable[[str], None]) -> Outcome:
-    """Run a planned rig from the first process to the last; TelenanoError if it could not begin."""
+def run_rig(
+    plan: Plan, observe: Observer, show: Callable[[str], None], beside: Mapping[str, Inherited] | None = None
+) -> Outcome:
+    """Run a planned rig from the first process to the last; TelenanoError if it could not begin.
+
+    Parameters: beside, what further processes inherit, by node: they run with the rig, which goes on without them.
+    """
+    beside = beside or {}
     signals = StopSignals()
     with contextlib.ExitStack() as stack:
         participant = stack.enter_context(open_participant(plan.launcher, plan.book, signals.descriptor))
@@ -66,13 +74,14 @@ def run_rig(plan: Plan, observe: Observer, show: Callable[[str], None]) -> Outco
         if warning := disk_warning(plan):
             show(f"warning: {warning}")
         log_directory = plan.out / "logs"
-        commands = {node: node_command(node, plan.site_file, plan.scenario_file) for node in plan.nodes}
+        nodes = (*plan.nodes, *beside)
+        commands = {node: node_command(node, plan.site_file, plan.scenario_file) for node in nodes}
         clock = participant.clock
         children = NodeProcesses(
-            commands, STOP_ORDER, log_directory, clock.epoch_offset_ns, lambda node: show(f"stopping {node}")
+            commands, STOP_ORDER, log_directory, clock.epoch_offset_ns, lambda node: show(f"stopping {node}"), beside
         )
         stack.enter_context(own_log(log_directory / f"{plan.launcher}.log"))
-        supervisor = Supervisor(clock, plan.nodes, children, Watchdog(clock, ProcFiles()))
+        supervisor = Supervisor(clock, plan.nodes, children, Watchdog(clock, ProcFiles()), tuple(beside))
         rig = make_rig(plan, participant.context(bus), supervisor)
         rig.observe = observe
         if plan.site != "slave":

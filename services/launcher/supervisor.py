@@ -7,7 +7,7 @@ from services.launcher.processes import Children, StopObserver
 from services.launcher.restart_policy import ProcessExit, RestartTracker, describe_exit
 from services.launcher.watchdog import Finding, Watchdog
 from services.runtime.loop.clock import Clock
-from services.runtime.loop.main import EXIT_BAD_START
+from services.runtime.loop.main import EXIT_BAD_START, EXIT_DIED
 
 # level, sentence, and the facts of a session/event
 Report = Callable[..., None]
@@ -17,23 +17,30 @@ class Supervisor:
     """The nodes that are children of this process; `failure`: why the rig cannot go on, empty while it can."""
 
     def __init__(
-        self, clock: Clock, nodes: Sequence[str], children: Children, watchdog: Watchdog | None = None
+        self,
+        clock: Clock,
+        nodes: Sequence[str],
+        children: Children,
+        watchdog: Watchdog | None = None,
+        beside: Sequence[str] = (),
     ) -> None:
         """Supervise `nodes`, in the order of their start; none where all of them run elsewhere.
 
-        Parameters: watchdog, finds nodes that hang; without one only processes that end are started again.
+        Parameters: watchdog, finds nodes that hang; without one only processes that end are started again; beside,
+        further processes, without which the rig goes on: the operator's page.
         """
         self.nodes = tuple(nodes)
         self.failure = ""
         # whether that was a node which cannot start as it is configured
         self.bad_start = False
-        self._tracker = RestartTracker(clock, nodes)
+        self._beside = tuple(beside)
+        self._tracker = RestartTracker(clock, nodes, beside=beside)
         self._children = children
         self._watchdog = watchdog
 
-    def launch(self) -> None:
-        for node in self.nodes:
-            self._start(node)
+    def launch(self, report: Report) -> None:
+        for node in (*self.nodes, *self._beside):
+            self._start(node, report)
 
     def handle_exits(self, report: Report) -> list[str]:
         """Collect the processes that ended, report what follows for each, and return their nodes."""
@@ -62,8 +69,8 @@ class Supervisor:
     def restart_due(self, report: Report) -> None:
         """Start the nodes whose restart is due; a device comes back in its safe state."""
         for node in self._tracker.due():
-            process_id = self._start(node)
-            report("warning", f"{node} was started again", about_node=node, pid=process_id)
+            if (process_id := self._start(node, report)) is not None:
+                report("warning", f"{node} was started again", about_node=node, pid=process_id)
 
     def restarts(self) -> dict[str, int]:
         return {node: self._tracker.restarts(node) for node in self.nodes}
@@ -77,21 +84,34 @@ class Supervisor:
         """Stop all nodes while an observer looks on."""
         self._children.stop(observer or StopObserver())
 
-    def _start(self, node: str) -> int:
-        process_id = self._children.start(node)
+    def _start(self, node: str, report: Report) -> int | None:
+        """Start a process and return its id; None for one beside the rig that cannot be started, which is reported."""
         self._tracker.record_start(node)
+        try:
+            process_id = self._children.start(node)
+        except OSError as error:
+            if node not in self._beside:
+                raise
+            ended = self._tracker.record_exit(node, EXIT_DIED)
+            report("warning", f"{node} cannot be started: {error}: {ended.verdict}", about_node=node)
+            return None
         if self._watchdog is not None:
             self._watchdog.record_start(node, process_id)
         return process_id
 
     def _handle_exit(self, ended: ProcessExit, report: Report) -> None:
-        text = f"{ended.node} {_exit_text(ended)}: {ended.verdict}"
+        last = self._last_line(ended.node) if ended.node in self._beside and ended.exit_code > 0 else ""
+        text = f"{ended.node} {_exit_text(ended)}{last}: {ended.verdict}"
         level = "error" if ended.given_up else "warning"
         report(level, text, about_node=ended.node, exit_code=ended.exit_code, life_s=ended.life_s)
-        if ended.given_up and not self.failure:
+        if ended.given_up and not self.failure and ended.node not in self._beside:
             # the first failure is the cause, what follows are its consequences
             self.bad_start = ended.exit_code == EXIT_BAD_START
             self.failure = "\n".join([text, *self._history(ended), self.log_tail_of(ended.node)])
+
+    def _last_line(self, node: str) -> str:
+        lines = self._children.log_tail(node).splitlines()
+        return f" ({lines[-1].strip()})" if lines else ""
 
     def _history(self, ended: ProcessExit) -> list[str]:
         """Return how the node ended before, and which others did: a common cause shows in several."""

@@ -3,6 +3,9 @@
 A node that hangs and one that was not let run are both silent. What tells them apart is the processor time that they
 take: a loop that never comes back to its messages takes all that it gets, a process that is stopped, or that waits for
 a processor, takes none. Only the first is ended; the others are only reported, and go on where they stood still.
+
+The limit that the nodes of the loop set themselves (`services/runtime/loop/hang_guard.py`) cannot replace it: recorder
+and page have none, and a node that is stopped or starved takes no processor time and so never reaches one.
 """
 
 import os

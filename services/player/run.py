@@ -13,7 +13,8 @@ from proto.nodes import LINK, PLAYER, is_console, name_of
 from recording.channel_filter import Selection
 from recording.messages import RecordedChannel
 from recording.multi_file import RecordingSource, open_recordings
-from services.player.node import PlayerNode, PlaySettings, ReplayPlan, ReplayPublisher
+from services.player.node import PlayerNode, PlaySettings, ReplayPublisher
+from services.player.plan import ReplayPlan
 from services.player.playback import Playback, Span
 from services.runtime.bus.address_book import AddressBook
 from services.runtime.loop.main import load_site

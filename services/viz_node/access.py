@@ -2,6 +2,7 @@
 
 import hmac
 import ipaddress
+import os
 import re
 import secrets
 from collections.abc import Sequence
@@ -11,6 +12,8 @@ from enum import StrEnum
 from proto.errors import ConfigError
 
 LOOPBACK = "127.0.0.1"
+OPERATOR_VARIABLE = "TELENANO_VIEW_OPERATOR_TOKEN"
+OBSERVER_VARIABLE = "TELENANO_VIEW_OBSERVER_TOKEN"
 _TOKEN_BYTES = 24
 _LEAST_TOKEN = 16
 # as browsers write it: no path, and null for a page that has none
@@ -109,3 +112,8 @@ def is_loopback(host: str) -> bool:
         return ipaddress.ip_address(host.strip("[]")).is_loopback
     except ValueError:
         return False
+
+
+def tokens_given() -> dict[str, str]:
+    """Return the tokens that the environment names; a role without one gets a new one."""
+    return {"operator": os.environ.get(OPERATOR_VARIABLE, ""), "observer": os.environ.get(OBSERVER_VARIABLE, "")}

@@ -160,6 +160,7 @@ class Hub:
         # what ended the hub, and what is called then
         self.fault: BaseException | None = None
         self.on_end: Callable[[], None] = lambda: None
+        self.on_tick: Callable[[], None] = lambda: None
         self._source = source
         self._commander = commander
         self._make_forms = forms
@@ -215,6 +216,7 @@ class Hub:
 
     def tick(self) -> None:
         """Collect what has come and queue it for every page."""
+        self.on_tick()
         self._note_alive(time.monotonic())
         restarted = self._source.take_restart()
         if restarted:

@@ -1,10 +1,19 @@
-"""Binding and running the web server of the page."""
+"""Binding and running the web server of the page, and telling its address to whom it is for."""
 
+import asyncio
+import contextlib
+import importlib.util
+import os
+import re
 import socket
+import sys
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from proto.errors import ConfigError, EndpointError
+from proto.errors import ConfigError, EndpointError, RigError
+from services.runtime.bus.local_endpoint import runtime_directory
+from services.runtime.security.private_files import check_runtime_directory, write_private
 from services.viz_node.access import LOOPBACK, Access, is_loopback
 from services.viz_node.connections import Connections, Listener, most_connections
 
@@ -14,6 +23,9 @@ if TYPE_CHECKING:
     from services.viz_node.hub import Hub
 
 DEFAULT_PORT = 8650
+# the number of a socket that the launcher has bound for this process
+SOCKET_VARIABLE = "TELENANO_VIEW_SOCKET"
+_PACKAGES = ("starlette", "uvicorn", "websockets")
 _WEB = Path(__file__).parent / "web"
 _BACKLOG = 64
 _PING_S = 5.0
@@ -33,6 +45,27 @@ def page_folder() -> Path | None:
     """Return the folder of the built page, None where it has not been built."""
     folder = _WEB / "dist"
     return folder if (folder / "index.html").is_file() else None
+
+
+def missing_packages(extra: str) -> str:
+    """Return in words what this installation lacks to serve anything, and the extra that has it."""
+    absent = [name for name in _PACKAGES if importlib.util.find_spec(name) is None]
+    return f"{', '.join(absent)} is not installed: pip install 'telenano[{extra}]'" if absent else ""
+
+
+def missing_for_view() -> str:
+    """Return in words what this installation lacks to serve the page; empty when it lacks nothing."""
+    if reason := missing_packages("view"):
+        return reason
+    if page_folder() is None:
+        return "its page has not been built: `make page` in the repository builds it"
+    return ""
+
+
+def inherited() -> Listener | None:
+    """Return the socket that the launcher has bound for this process, None where it is to bind its own."""
+    number = os.environ.pop(SOCKET_VARIABLE, "")
+    return Listener(fileno=int(number)) if number else None
 
 
 def bind(host: str = LOOPBACK, port: int | None = None, what: str = "the view") -> Listener:
@@ -58,7 +91,7 @@ def bind(host: str = LOOPBACK, port: int | None = None, what: str = "the view") 
 def checked_tls(host: str, certificate: Path | None, key: Path | None) -> Tls | None:
     """Return the files of TLS, None without; ConfigError where one is missing or the host needs them."""
     if (certificate is None) != (key is None):
-        raise ConfigError("--certificate and --key belong together: give both")
+        raise ConfigError("a certificate and its key belong together: give both (--certificate and --key)")
     tls = Tls(certificate, key) if certificate is not None and key is not None else None
     check_exposure(host, tls)
     return tls
@@ -68,8 +101,9 @@ def check_exposure(host: str, tls: Tls | None) -> None:
     """Raise ConfigError for a server that others could reach without encryption: they could read the token."""
     if not is_loopback(host) and tls is None:
         raise ConfigError(
-            f"--host {host}: beyond this machine the token and every command would cross the network in the clear: "
-            "give --certificate and --key (docs/view.md), or leave it at 127.0.0.1 and use `ssh -L`"
+            f"host {host}: beyond this machine the token and every command would cross the network in the clear: give "
+            "--certificate and --key (in a scenario viz_node.certificate_file and key_file, docs/view.md), or "
+            "leave it at 127.0.0.1 and use `ssh -L`"
         )
     for file in tls or ():
         if not file.is_file():
@@ -84,17 +118,73 @@ def address_of(bound: socket.socket, access: Access, *, tls: bool, observer: boo
     return f"{'https' if tls else 'http'}://{shown}:{port}/#{token}"
 
 
-def serve(hub: "Hub", access: Access, page: Path | None, bound: Listener, tls: Tls | None = None) -> None:
-    """Serve the page of a hub until SIGINT or SIGTERM. Raises what ended the hub, if something did."""
-    from services.viz_node.server import MOST_PAGES, make_app
+def addresses_of(bound: socket.socket, access: Access, tls: Tls | None, name: str = "") -> dict[str, str]:
+    """Return the addresses for each role to open."""
+    return {
+        role: address_of(bound, access, tls=tls is not None, observer=observer, name=name)
+        for role, observer in (("operator", False), ("observer", True))
+    }
 
-    # the web server closes what it is given, and may be started again
-    listener = bound.again(Connections(most_connections(MOST_PAGES + _LEAST_STRANGERS)))
-    server = make_server(make_app(hub, access, page, listener.connections), tls)
-    hub.on_end = lambda: setattr(server, "should_exit", True)
-    server.run(sockets=[listener])
-    if hub.fault is not None:
-        raise hub.fault
+
+@contextlib.contextmanager
+def announced(addresses: Mapping[str, str], show: Callable[[str], None], what: str = "view") -> Iterator[None]:
+    """Show the addresses of a server on a terminal; elsewhere write them to a private file while the block runs.
+
+    An address ends with the token, and what goes to a pipe or a file is kept: logs of containers and of services.
+    Parameters: addresses, by what they are called; show, prints a line; what, the server.
+    """
+    if sys.stdout.isatty():
+        for name, address in addresses.items():
+            show(f"{name}: {address}")
+        yield
+        return
+    base = re.split("[#?]", next(iter(addresses.values())))[0]
+    check_runtime_directory(make=True)
+    file = runtime_directory() / f"{what}-{base.rstrip('/').rpartition(':')[2]}.addresses"
+    write_private(file, "".join(f"{name}: {address}\n" for name, address in addresses.items()))
+    show(f"{what}: {base}")
+    show(f"its addresses with their tokens, for its owner alone to read: {file}")
+    try:
+        yield
+    finally:
+        file.unlink(missing_ok=True)
+
+
+class PageServer:
+    """The web server of a hub in this thread: it serves while `run` waits."""
+
+    def __init__(self, hub: "Hub", access: Access, bound: Listener, tls: Tls | None, wake_descriptor: int) -> None:
+        """Prepare to serve at a bound address; `run` returns as soon as `wake_descriptor` is readable."""
+        from services.viz_node.server import MOST_PAGES, make_app
+
+        # the web server closes what it is given, and may be started again
+        listener = bound.again(Connections(most_connections(MOST_PAGES + _LEAST_STRANGERS)))
+        self._server = make_server(make_app(hub, access, page_folder(), listener.connections), tls)
+        # signals are for who waits
+        self._server.capture_signals = contextlib.nullcontext  # type: ignore[method-assign, assignment]
+        self._hub = hub
+        hub.on_end = lambda: setattr(self._server, "should_exit", True)
+        self._loop = asyncio.new_event_loop()
+        self._woken = asyncio.Event()
+        self._loop.add_reader(wake_descriptor, self._woken.set)
+        self._serving = self._loop.create_task(self._server.serve(sockets=[listener]))
+
+    def run(self, wait_s: float | None = None) -> None:
+        """Serve for a time [s], or until the descriptor is readable. Raises what has ended the server."""
+        self._loop.run_until_complete(self._wait(wait_s))
+        if self._serving.done():
+            raise self._hub.fault or self._serving.exception() or RigError("the server of the page could not begin")
+
+    async def _wait(self, wait_s: float | None) -> None:
+        woken = asyncio.create_task(self._woken.wait())
+        await asyncio.wait({self._serving, woken}, timeout=wait_s, return_when=asyncio.FIRST_COMPLETED)
+        woken.cancel()
+
+    def close(self) -> None:
+        """End the server and the connections of its pages."""
+        self._server.should_exit = True
+        self._loop.run_until_complete(asyncio.wait({self._serving}))
+        self._loop.close()
 
 
 def make_server(app: Any, tls: Tls | None = None) -> "uvicorn.Server":

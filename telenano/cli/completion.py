@@ -49,6 +49,6 @@ def service_names(incomplete: str) -> list[str]:
 
 def node_names(incomplete: str) -> list[str]:
     """Return the nodes of a rig that begin so, by name and as name@site."""
-    from proto.nodes import SERVICES, START_ORDER
+    from proto.nodes import START_ORDER, name_of
 
-    return [name for name in (*SERVICES, *START_ORDER) if name.startswith(incomplete)]
+    return [name for name in (*dict.fromkeys(map(name_of, START_ORDER)), *START_ORDER) if name.startswith(incomplete)]

@@ -10,8 +10,9 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
+from services.launcher.rig_node import Phase, RigNode
 from services.launcher.rig_status import node_facts
-from services.launcher.session import Phase, RigNode, SessionNode
+from services.launcher.session import SessionNode
 from telenano.cli.tables import LEVEL_STYLES, health_cells
 
 _REFRESH_TICKS = 5

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from proto import TOPICS
-from proto.nodes import LINK, START_ORDER, name_of, site_of
+from proto.nodes import LINK, START_ORDER, VIEW, name_of, site_of
 from proto.topics import Topic
 from services.afm_node.node import INPUTS as AFM_INPUTS
 from services.controller.node import MASTER_INPUTS, SLAVE_INPUTS
@@ -46,7 +46,7 @@ def edges(measured_hz: Mapping[str, float] | None = None) -> list[Edge]:
 
 
 def _sources(topic: Topic) -> list[str]:
-    nodes = [*START_ORDER, f"{LINK}@slave", "view@master"]
+    nodes = [*START_ORDER, f"{LINK}@slave", VIEW]
     return [node for node in nodes if any(node == name or name_of(node) == name for name in topic.publishers)]
 
 

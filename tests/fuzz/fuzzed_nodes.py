@@ -38,7 +38,8 @@ from services.haptic_node.physics.sim import SimulatedHaptic
 from services.launcher.processes import StopObserver
 from services.launcher.session import SessionNode
 from services.launcher.supervisor import Supervisor
-from services.player.node import PlayerNode, PlaySettings, ReplayPlan
+from services.player.node import PlayerNode, PlaySettings
+from services.player.plan import ReplayPlan
 from services.player.playback import Playback, Span
 from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake, Listener

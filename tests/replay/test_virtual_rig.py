@@ -343,7 +343,8 @@ def test_a_recording_without_a_journal_is_refused(sessions: Callable[[str], Reco
         ("console@master", "its commands are those that a person typed"),
         ("console_lab@slave", "its commands are those that a person typed"),
         ("player@master", "it repeats the messages of another recording"),
-        ("viz_node@master", "it is not in the table of nodes"),
+        ("viz_node@master", "it only shows what the others send"),
+        ("thermometer@master", "it is not in the table of nodes"),
     ],
 )
 def test_why_a_node_cannot_be_run_again_is_reported(

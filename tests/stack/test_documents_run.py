@@ -19,7 +19,7 @@ from websockets.sync.client import connect
 
 from recording.reader import Recording
 from services.viz_node.requests import PROTOCOL
-from telenano.view_server import missing_for_view
+from services.viz_node.serve import missing_for_view
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"

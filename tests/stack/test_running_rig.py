@@ -27,10 +27,10 @@ from services.runtime.loop.clock import SystemClock
 from services.runtime.loop.commands import Command
 from services.runtime.loop.main import load_site
 from services.viz_node.access import Access
+from services.viz_node.commander import RigCommander
 from services.viz_node.hub import Hub
 from services.viz_node.live import LiveSource
 from services.viz_node.requests import PROTOCOL
-from telenano.view_server import RigCommander
 
 CONSOLE = "console@master"
 OPERATOR, OBSERVER = "operator-token-0123", "observer-token-0123"

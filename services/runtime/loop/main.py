@@ -22,6 +22,7 @@ from services.runtime.loop.realtime import (
     RealtimeConfig,
     ahead_of_others,
     apply_realtime,
+    behind_others,
     die_with_parent,
     ordinary_scheduling,
     raise_file_limit,
@@ -46,12 +47,17 @@ class Wiring(Participant):
 
 @dataclass(frozen=True)
 class NodeKind(Generic[C]):
-    """A kind of node: its name in the table of nodes, its section of the scenario and how it is built."""
+    """A kind of node: its name in the table of nodes, its section of the scenario and how it is built.
+
+    `realtime`, whether it is in the loop; `observer`, whether it shows what the others do: it comes behind them, and
+    keeps the garbage collector.
+    """
 
     name: str
     config: type[C]
     build: Callable[[Wiring, C], tuple[Node, AccountedBus]]
     realtime: bool = True
+    observer: bool = False
 
     @property
     def sites(self) -> tuple[str, ...]:
@@ -141,7 +147,7 @@ def _run(kind: NodeKind[C], given: NodeArguments, log: StructuredLog) -> None:
         loaded.scenario.realtime_in_force() if kind.realtime else RealtimeConfig(scheduler="normal", memory_lock="off")
     )
     if not kind.realtime:
-        ahead_of_others()
+        (behind_others if kind.observer else ahead_of_others)()
     # before the ZeroMQ context exists: its threads inherit what is asked for here
     key = f"{kind.name}@{given.site}"
     status = apply_realtime(wanted, log, key)
@@ -159,7 +165,7 @@ def _run(kind: NodeKind[C], given: NodeArguments, log: StructuredLog) -> None:
         with ordinary_scheduling():
             huge_pages = use_huge_pages() if loaded.scenario.realtime.huge_pages else 0
         log.info("ready", realtime=status.fifo, memory_locked=status.memory_locked, huge_pages=huge_pages)
-        run_loop(node, bus, signals, status, spin_s=wanted.spin_s, guarded=kind.realtime)
+        run_loop(node, bus, signals, status, spin_s=wanted.spin_s, freeze=not kind.observer, guarded=kind.realtime)
     if report_trace is not None:
         report_trace()
     log.info("stopped")

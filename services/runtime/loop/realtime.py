@@ -26,6 +26,8 @@ _MCL_CURRENT_FUTURE_ONFAULT = 7
 _MOST_FILES = 65_536
 # ahead of ordinary processes; the nodes of the loop stay ahead of everything
 _BESIDE_THE_LOOP_NICENESS = -5
+# what is shown may come late, what is felt may not
+_OBSERVER_NICENESS = 5
 _MAPS = Path("/proc/self/maps")
 _HUGE_PAGE = 2 << 20
 _MADV_COLLAPSE = 25
@@ -137,6 +139,12 @@ def ahead_of_others() -> None:
     """Raise the priority above ordinary processes where permitted, for a node that has to keep up with the loop."""
     with contextlib.suppress(PermissionError):
         os.setpriority(os.PRIO_PROCESS, 0, _BESIDE_THE_LOOP_NICENESS)
+
+
+def behind_others() -> None:
+    """Lower the priority below ordinary processes, for one that shows what the others do."""
+    with contextlib.suppress(PermissionError):
+        os.setpriority(os.PRIO_PROCESS, 0, _OBSERVER_NICENESS)
 
 
 def lower_thread(name: str) -> None:

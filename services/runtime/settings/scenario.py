@@ -27,6 +27,7 @@ class Scenario(BaseModel):
     delay_node: dict[str, Any] = Field(default={}, description="Section of the link")
     afm_node: dict[str, Any] = Field(default={}, description="Section of the AFM")
     recorder: dict[str, Any] = Field(default={}, description="Section of the recorder")
+    viz_node: dict[str, Any] = Field(default={}, description="Section of the server of the page")
 
     def realtime_in_force(self) -> RealtimeConfig:
         """Return what nodes ask of the machine, with the processors that `auto` means.

@@ -12,7 +12,7 @@ from services.recorder.live import LiveRecording
 from services.runtime.bus.observer import RIG_HINT, nobody_runs
 from services.runtime.loop.main import load_site
 from services.viz_node.access import LOOPBACK, Access
-from services.viz_node.serve import bind, checked_tls
+from services.viz_node.serve import announced, bind, checked_tls, missing_packages
 from telenano.cli.options import (
     AllowOption,
     CertificateKeyOption,
@@ -25,7 +25,6 @@ from telenano.cli.options import (
 )
 from telenano.cli.output import report_errors
 from telenano.foxglove_bridge import DEFAULT_PORT, DEFAULT_RATE_HZ, Bridge, FoxgloveServer, address_of
-from telenano.view_server import announced, missing_packages
 
 TOKEN_VARIABLE = "TELENANO_BRIDGE_TOKEN"
 

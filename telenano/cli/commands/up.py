@@ -1,9 +1,7 @@
 """`telenano up`: run a scenario on a rig, record it, and write figure and summary."""
 
-import contextlib
 import signal
 import sys
-from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,9 +11,9 @@ import typer
 from presets.plugins import known_problems
 from proto.errors import ConfigError, ReportError
 from recording.multi_file import open_recordings
+from services.launcher.page import inherited_by_page
 from services.launcher.plan import Plan, UpRequest, make_plan
 from services.launcher.run import Outcome, default_folder, report_of, run_rig
-from services.launcher.session import RigNode
 from services.signals import interrupts
 from services.viz_node.figure_style import FigureOptions, figure_options
 from telenano.cli.completion import node_names, scenario_names
@@ -32,7 +30,6 @@ from telenano.cli.output import (
     print_summary,
     report_errors,
 )
-from telenano.view_server import view_beside_rig
 
 
 def up(
@@ -137,6 +134,7 @@ def up(
             site=None if site is None else site.value,
             attach=attach,
             wait_s=wait,
+            page=not (no_view or as_json or headless),
         )
         plan = make_plan(request, default_folder(scenario, datetime.now()))
         if delay_ms is not None and round_trip_ms is None:
@@ -149,9 +147,8 @@ def up(
         if plan.warning:
             typer.echo(f"telenano: {plan.warning}", err=True)
         view = _open_view(live=not headless and not as_json, quiet=as_json)
-        served = not (no_view or as_json or headless or plan.site == "slave")
-        with view_beside_rig(plan.site_file, typer.echo) if served else contextlib.nullcontext(str) as look, view:
-            outcome = run_rig(plan, _watching(look, view.observe), view.show)
+        with inherited_by_page(plan, typer.echo) as beside, view:
+            outcome = run_rig(plan, view.observe, view.show, beside)
         _restore_default_signals()
         try:
             summary = report_of(outcome, plan, view.show, options)
@@ -185,17 +182,6 @@ def _sweep(given: list[str], scenario: str, out: Path | None, options: FigureOpt
 def _open_view(*, live: bool, quiet: bool) -> LiveView | LineView:
     out = console()
     return LiveView(out) if live and out.is_terminal else LineView(out, quiet=quiet)
-
-
-def _watching(look: Callable[[], str], observe: Callable[[RigNode], None]) -> Callable[[RigNode], None]:
-    """Return an observer of the rig that looks after its page as well, and reports when that has ended."""
-
-    def watch(rig: RigNode) -> None:
-        if ended := look():
-            rig.reports.append(ended)
-        observe(rig)
-
-    return watch
 
 
 def _restore_default_signals() -> None:

@@ -3,29 +3,32 @@
 import contextlib
 import os
 import signal
-import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import Annotated, NamedTuple
 
 import typer
 
 from presets import DEFAULT_SITE_FILE
-from proto.errors import ConfigError, RigError, TelenanoError
-from proto.nodes import VIEW
-from recording.multi_file import open_recordings
-from services.launcher.restart_policy import RestartPolicy, RestartTracker
+from proto.errors import ConfigError, TelenanoError
+from proto.nodes import PAGE
+from recording.multi_file import RecordingSource, open_recordings
+from services.launcher.restart_policy import RestartTracker
 from services.runtime.bus.observer import nobody_runs
 from services.runtime.loop.clock import SystemClock
-from services.runtime.loop.main import load_site
-from services.runtime.loop.realtime import die_with_parent
+from services.runtime.loop.main import EXIT_DIED, load_site
+from services.runtime.loop.participant import StopSignals, open_participant, run_loop
+from services.runtime.loop.realtime import behind_others
 from services.viz_node.access import LOOPBACK, Access
+from services.viz_node.config import ViewConfig
 from services.viz_node.connections import Listener
 from services.viz_node.hub import Hub
 from services.viz_node.live import LiveSource
+from services.viz_node.node import page_of_rig
 from services.viz_node.playback import RecordingPlayback
-from services.viz_node.serve import address_of, bind, checked_tls, page_folder, serve
+from services.viz_node.serve import PageServer, Tls, addresses_of, announced, missing_for_view
 from telenano.cli.options import (
     AllowOption,
     CertificateKeyOption,
@@ -35,18 +38,15 @@ from telenano.cli.options import (
     SiteFileOption,
 )
 from telenano.cli.output import report_errors
-from telenano.view_server import (
-    SOCKET_VARIABLE,
-    RigCommander,
-    RigHand,
-    announced,
-    forms,
-    missing_for_view,
-    tokens_given,
-)
 
-# behind the nodes of the rig: what is shown may come late, what is felt may not
-_NICENESS = 5
+
+class Served(NamedTuple):
+    """Who may open a page, where it is served, and what ends it."""
+
+    access: Access
+    tls: Tls | None
+    bound: Listener
+    signals: StopSignals
 
 
 def view(
@@ -74,69 +74,70 @@ def view(
     with report_errors(False):
         if reason := missing_for_view():
             raise ConfigError(f"the view cannot be served: {reason}")
-        tls = checked_tls(host, certificate, key)
-        access = Access.made(names=[host, *(name or ())], allow=allow or (), **tokens_given())
-        make_hub = _hubs_of(files or (), site_file)
-        hub = make_hub()
-        inherited = _inherited()
-        bound = inherited or bind(host, port)
-        os.nice(_NICENESS)
-        if inherited is None and not files and nobody_runs(load_site(site_file)):
-            # one may be started after its page
-            typer.echo("telenano: no rig of this site file runs on this machine yet; the page waits for one", err=True)
-        shown = (name or [""])[0]
-        addresses = {
-            role: address_of(bound, access, tls=tls is not None, observer=observer, name=shown)
-            for role, observer in (("operator", False), ("observer", True))
-        }
-        signal.signal(signal.SIGTERM, _leave)
-        # after the last thing that could fail: whoever reads this may open it; and a person ends it with Ctrl-C
-        with (
-            announced(addresses, typer.echo) if inherited is None else contextlib.nullcontext(),
-            contextlib.suppress(KeyboardInterrupt),
-        ):
-            _serve_again(make_hub, hub, lambda hub: serve(hub, access, page_folder(), bound, tls), inherited is None)
+        config = ViewConfig(
+            host=host,
+            port=port,
+            certificate_file=None if certificate is None else str(certificate),
+            key_file=None if key is None else str(key),
+            names=tuple(name or ()),
+            allow=tuple(allow or ()),
+        )
+        tls, access = config.tls(), config.access()
+        recordings = open_recordings(files) if files else None
+        if recordings is None:
+            # names what keeps this machine from the rig before an address is shown
+            LiveSource(load_site(site_file), "").close()
+        idle = recordings is None and nobody_runs(load_site(site_file))
+        signals = StopSignals()
+        with config.bind() as bound:
+            page = Served(access, tls, bound, signals)
+            behind_others()
+            if idle:
+                # one may be started after its page
+                text = "no rig of this site file runs on this machine yet; the page waits for one"
+                typer.echo(f"telenano: {text}", err=True)
+            # after the last thing that could fail: whoever reads this may open it
+            with announced(addresses_of(bound, access, tls, config.name), typer.echo):
+                _serve_again(
+                    partial(_serve_rig, site_file, page)
+                    if recordings is None
+                    else partial(_serve_recording, recordings, page)
+                )
+    # the signal that ended it, as after any other command; a person ends it with Ctrl-C
+    if os.read(signals.descriptor, 1)[0] == signal.SIGTERM:
+        raise SystemExit(128 + signal.SIGTERM)
 
 
-def _serve_again(make_hub: Callable[[], Hub], hub: Hub, serve_once: Callable[[Hub], None], again: bool) -> None:
-    """Serve until the server is ended. Where something unforeseen ends it, say so, and begin `again` with a new hub."""
-    restarts = RestartTracker(SystemClock(), [VIEW], RestartPolicy(crash_loop_exits=sys.maxsize))
+def _serve_again(serve_once: Callable[[], None]) -> None:
+    """Serve until a signal comes. Where something unforeseen ends the server, say so, and begin again."""
+    restarts = RestartTracker(SystemClock(), [], beside=[PAGE])
     while True:
-        restarts.record_start(VIEW)
+        restarts.record_start(PAGE)
         try:
-            return serve_once(hub)
+            return serve_once()
         except TelenanoError as error:
             raise type(error)(f"the view has ended: {error}") from error
-        except Exception as error:
-            text = f"the view has ended: {type(error).__name__}: {error}"
-            if not again:
-                # who started this process starts another one
-                raise RigError(text) from error
-            end = restarts.record_exit(VIEW, 1)
-            typer.echo(f"telenano: {text}; {end.verdict}", err=True)
-            hub.close()
+        except Exception as error:  # noqa: BLE001
+            # whatever it was: the operator has to be able to stop the rig
+            end = restarts.record_exit(PAGE, EXIT_DIED)
+            text = f"the view has ended: {type(error).__name__}: {error}; {end.verdict}"
+            typer.echo(f"telenano: {text}", err=True)
             time.sleep(end.restart_in_s or 0.0)
-            hub = make_hub()
 
 
-def _leave(number: int, frame: object) -> NoReturn:
-    """End as after Ctrl-C, so that what has to be put away is."""
-    raise SystemExit(128 + number)
+def _serve_recording(recordings: RecordingSource, page: Served) -> None:
+    with (
+        contextlib.closing(Hub(RecordingPlayback(recordings, time.monotonic))) as hub,
+        contextlib.closing(PageServer(hub, page.access, page.bound, page.tls, page.signals.descriptor)) as server,
+    ):
+        server.run()
 
 
-def _hubs_of(files: list[Path] | tuple[Path, ...], site_file: Path) -> Callable[[], Hub]:
-    """Return what makes the hub of a recording or of a running rig."""
-    if files:
-        recordings = open_recordings(files)
-        return lambda: Hub(RecordingPlayback(recordings, time.monotonic))
-    commander = RigCommander(site_file)
-    return lambda: Hub(LiveSource(load_site(site_file), str(site_file)), commander, forms, lambda: RigHand(site_file))
-
-
-def _inherited() -> Listener | None:
-    """Return the socket that `telenano up` has bound for this process, and end with that one."""
-    number = os.environ.pop(SOCKET_VARIABLE, "")
-    if not number:
-        return None
-    die_with_parent(signal.SIGTERM)
-    return Listener(fileno=int(number))
+def _serve_rig(site_file: Path, page: Served) -> None:
+    """Run the node that `telenano up` starts beside a rig in this process."""
+    book = load_site(site_file)
+    # a machine that may only observe has no other key, and what is on no network needs none
+    is_public = PAGE in book.nodes and book.network_endpoint(PAGE) is not None
+    with open_participant(PAGE, book, page.signals.descriptor, publisher=is_public) as participant:
+        node, bus = page_of_rig(participant, site_file, page.bound, page.access, page.tls)
+        run_loop(node, bus, page.signals, freeze=False)

@@ -13,7 +13,7 @@ import yaml
 
 from presets import TWO_SITES_FILE
 from proto.errors import ConfigError
-from proto.nodes import START_ORDER, site_of
+from proto.nodes import PAGE, START_ORDER, site_of
 from services.launcher.processes import LINGER_GRACE_S, RECORDER_GRACE_S
 from services.runtime.loop.main import load_site, node_kind
 from services.runtime.loop.realtime import RealtimeConfig
@@ -24,8 +24,9 @@ ROOT = Path(__file__).resolve().parents[3]
 DEPLOY = ROOT / "deploy"
 WHOLE, MASTER, SLAVE = (DEPLOY / name for name in ("docker-compose.yml", "compose.master.yml", "compose.slave.yml"))
 DEVICES = DEPLOY / "compose.devices.yml"
-NOT_NODES = {"session", "study", "keys", "viz_node"}
+# of a node of the rig: the page has none of its rights, see its own test
 VIEW = "viz_node"
+NOT_NODES = {"session", "study", "keys", VIEW}
 _PIN = re.compile(r"^([A-Za-z0-9._-]+)==([^ ;\\]+)")
 
 
@@ -170,11 +171,12 @@ def test_engine_waits_for_as_long_as_a_node_may_send(path: Path) -> None:
 @pytest.mark.parametrize("path", [WHOLE, MASTER], ids=lambda path: path.name)
 def test_the_page_is_reached_from_this_machine_only_and_is_checked(path: Path) -> None:
     service = effective(path)[VIEW]
-    assert "--host" not in service["command"], "it would not bind 127.0.0.1"
-    assert "ports" not in service
+    # the node of its environment, which the entry point runs, and which is checked as the image checks any node
+    assert service["environment"]["TELENANO_NODE"] == PAGE
+    assert {"command", "healthcheck", "ports", "tty"} & set(service) == set()
+    settings = {key for key in service["environment"] if key.startswith("TELENANO__VIZ_NODE__")}
+    assert settings == {"TELENANO__VIZ_NODE__PORT"}, "with a host it would not bind 127.0.0.1"
     assert re.fullmatch(r"on-failure:[1-9]", service["restart"])
-    port = service["command"][service["command"].index("--port") + 1]
-    assert f"http://127.0.0.1:{port}/health" in service["healthcheck"]["test"][-1]
     # the sockets of the rig, and on two machines the keys
     assert service["volumes"][0] == "run:/run/telenano"
 
@@ -253,6 +255,7 @@ def test_settings_handed_on_are_keys_that_there_are(tmp_path: Path) -> None:
     values = dict(re.findall(r"^#?(TELENANO__\w+)=(.*)$", (DEPLOY / ".env.example").read_text(), re.M))
     values["TELENANO__RECORDER__QUOTA_BYTES"] = "20000000000"
     values["TELENANO__RECORDER__DIRECTORY"] = "/recordings"
+    values["TELENANO__VIZ_NODE__PORT"] = "8650"
     handed_on = {key for service in effective(WHOLE).values() for key in service.get("environment", {})}
     assert {key for key in handed_on if key.startswith("TELENANO__")} == set(values)
     overrides = environment_overrides(values)

@@ -10,7 +10,8 @@ from proto.messages import InputHealth, Message, NodeHealth, SessionControl, Ses
 from proto.sequence import Arrival
 from services.launcher.external_recording import ExternalRecording
 from services.launcher.processes import StopObserver
-from services.launcher.session import RigNode, SessionNode
+from services.launcher.rig_node import RigNode
+from services.launcher.session import SessionNode
 from services.launcher.supervisor import Supervisor
 from services.runtime.bus.bus import Received
 from services.runtime.loop.clock import VirtualClock

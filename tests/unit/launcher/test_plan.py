@@ -6,7 +6,7 @@ import yaml
 
 from presets import DEFAULT_SITE_FILE, SCENARIO_DIRECTORY, TWO_SITES_FILE, known_scenarios
 from proto.errors import ConfigError
-from proto.nodes import LAUNCHER, OPTIONAL_NODES, RECORDER, START_ORDER, STOP_ORDER
+from proto.nodes import LAUNCHER, OPTIONAL_NODES, PAGE, RECORDER, START_ORDER, STOP_ORDER
 from services.launcher.disk_space import disk_warning
 from services.launcher.plan import ALLOW_REPLAY, UpRequest, anchored, make_plan
 from services.runtime.loop.main import load_site
@@ -34,7 +34,7 @@ def test_every_packaged_scenario_is_sound(tmp_path: Path) -> None:
 
 def test_the_packaged_site_has_the_whole_rig() -> None:
     assert set(load_site(DEFAULT_SITE_FILE).nodes) >= {LAUNCHER, *START_ORDER}
-    assert set(STOP_ORDER) == {*START_ORDER, *OPTIONAL_NODES}
+    assert set(STOP_ORDER) == {*START_ORDER, *OPTIONAL_NODES, PAGE}
     # the recorders receive from the others as they come and go
     assert START_ORDER[0] == RECORDER
     assert set(STOP_ORDER[-2:]) == {RECORDER, "recorder@slave"}

@@ -15,7 +15,8 @@ from services.launcher import run as up
 from services.launcher.external_recording import holds_command
 from services.launcher.plan import Plan, UpRequest, make_plan
 from services.launcher.run import Outcome, make_rig, outcome_of, report_of, run_rig
-from services.launcher.session import SessionNode, SiteNode
+from services.launcher.session import SessionNode
+from services.launcher.site_node import SiteNode
 from services.launcher.supervisor import Supervisor
 from services.recorder.config import RecorderConfig
 

@@ -7,7 +7,7 @@ from rich.console import Console
 from proto.messages import NodeHealth, SessionEvent
 from proto.sequence import Arrival
 from services.launcher.readiness import READY_DEADLINE_S, oldest_input_s, silent_inputs, unmet
-from services.launcher.session import _Ending
+from services.launcher.rig_node import _Ending
 from services.runtime.bus.bus import Received
 from telenano.cli.live_view import nodes_table, rig_picture
 

@@ -7,7 +7,7 @@ from rich.console import Console
 
 from proto.messages import ClockPing
 from services.launcher.readiness import READY_DEADLINE_S
-from services.launcher.session import SiteNode
+from services.launcher.site_node import SiteNode
 from services.launcher.supervisor import Supervisor
 from telenano.cli.live_view import LineView, rig_picture
 

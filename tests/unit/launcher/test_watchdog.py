@@ -45,7 +45,7 @@ class Bench:
         self.clock, self.times, self.children = VirtualClock(start_ns=SECOND_NS), FakeTimes(), FakeChildren()
         self.supervisor = Supervisor(self.clock, NODES, self.children, Watchdog(self.clock, self.times))
         self.reported: list[tuple[str, str]] = []
-        self.supervisor.launch()
+        self.supervisor.launch(self.report)
         self.pids = {NODE: 1, OTHER: 2}
         self._health_ns = self.clock.monotonic_ns()
 

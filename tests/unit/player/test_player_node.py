@@ -18,7 +18,8 @@ from proto.nodes import PLAYER
 from recording.channel_filter import Selection
 from recording.reader import Recording
 from recording.writer import RecordingWriter
-from services.player.node import PlayerNode, PlaySettings, ReplayPlan, ReplayPublisher
+from services.player.node import PlayerNode, PlaySettings, ReplayPublisher
+from services.player.plan import ReplayPlan
 from services.player.playback import Playback, Span
 from services.player.run import ReplayRequest, absent_topics, refused_messages, remote_control, run_replay
 from services.recorder.config import RecorderConfig

@@ -18,6 +18,7 @@ from proto.nodes import (
     LINK,
     NODES,
     OPTIONAL_NODES,
+    PAGE,
     PLAYER,
     RECORDER,
     RERUN_NODES,
@@ -41,7 +42,7 @@ ROOT = Path(__file__).resolve().parents[3]
 COMPOSE = [ROOT / "deploy" / name for name in ("docker-compose.yml", "compose.master.yml", "compose.slave.yml")]
 KEYS = {row.key for row in NODES}
 # services of the compose files and images that are no node of the rig
-NO_NODES = {"session", "study", "keys", "viz_node"}
+NO_NODES = {"session", "study", "keys"}
 
 
 def folders() -> set[str]:
@@ -110,11 +111,16 @@ def test_the_names_that_code_uses_are_rows() -> None:
 
 
 def test_start_and_stop_have_the_same_nodes() -> None:
-    rig = [row for row in NODES if row.part == "rig"]
-    assert sorted(row.stop for row in rig) == list(range(1, len(rig) + 1))
-    assert [row.key for row in NODES if row.part != "rig" and row.stop] == []
-    assert set(STOP_ORDER) == {*START_ORDER, *OPTIONAL_NODES}
-    assert len(STOP_ORDER) == len(START_ORDER) + len(OPTIONAL_NODES)
+    processes = [row for row in NODES if row.part in ("rig", "beside")]
+    assert sorted(row.stop for row in processes) == list(range(1, len(processes) + 1))
+    assert [row.key for row in NODES if row not in processes and row.stop] == []
+    assert sorted(STOP_ORDER) == sorted([*START_ORDER, *OPTIONAL_NODES, PAGE])
+
+
+def test_the_page_is_beside_the_rig() -> None:
+    assert [row.key for row in NODES if row.part == "beside"] == [PAGE]
+    assert PAGE not in {*START_ORDER, *OPTIONAL_NODES, *RERUN_NODES}
+    assert node_kind(name_of(PAGE)).sites == (site_of(PAGE),)
 
 
 def test_an_endpoint_belongs_to_a_node_of_the_rig() -> None:
@@ -122,7 +128,8 @@ def test_an_endpoint_belongs_to_a_node_of_the_rig() -> None:
 
 
 def test_visitors_are_known_by_name() -> None:
-    assert {row.key for row in NODES if is_visitor(row.key)} == {row.key for row in NODES if row.part == "visitor"}
+    parts = {row.key: row.part for row in NODES}
+    assert {key for key in parts if is_visitor(key)} == {key for key in parts if parts[key] in ("beside", "visitor")}
     assert is_console("console_desk@master")
     assert not is_console(LAUNCHER)
 
@@ -169,7 +176,7 @@ def test_site_files_name_only_nodes_that_there_are(path: Path) -> None:
 
 def test_containers_are_the_nodes_of_the_rig() -> None:
     whole, master, slave = (nodes_of(path) for path in COMPOSE)
-    assert sorted(whole.values()) == sorted(START_ORDER)
+    assert sorted(whole.values()) == sorted([*START_ORDER, PAGE])
     assert sorted([*master.values(), *slave.values()]) == sorted(STOP_ORDER)
     assert {site_of(node) for node in master.values()} == {"master"}
     assert {site_of(node) for node in slave.values()} == {"slave"}
@@ -185,7 +192,7 @@ def test_a_container_runs_the_image_of_its_node() -> None:
 def test_the_makefile_has_an_image_for_each_node() -> None:
     words = re.search(r"^IMAGES := ((?:.*\\\n)*.*)$", (ROOT / "Makefile").read_text(), re.M)
     assert words is not None
-    assert set(re.findall(r"(\w+):", words.group(1))) == {*SERVICES, "session", "study", "viz_node"}
+    assert set(re.findall(r"(\w+):", words.group(1))) == {*SERVICES, "session", "study"}
 
 
 def test_the_benchmark_of_containers_starts_every_node() -> None:
@@ -195,4 +202,5 @@ def test_the_benchmark_of_containers_starts_every_node() -> None:
         for statement in tree.body
         if isinstance(statement, ast.Assign) and ast.unparse(statement.targets[0]) == "NODES"
     ]
-    assert [sorted(names) for names in lists] == [sorted(nodes_of(COMPOSE[0]))]
+    rig = sorted(name for name, node in nodes_of(COMPOSE[0]).items() if node != PAGE)
+    assert [sorted(names) for names in lists] == [rig]

@@ -27,7 +27,7 @@ from services.console.command_client import parse_parameters
 from services.runtime.loop.journal import StateSnapshot
 from services.runtime.loop.node_state import restore
 from services.runtime.settings.config import validate
-from telenano.view_server import forms
+from services.viz_node.commander import forms
 
 RIG = {"cantilever": {"stiffness_n_per_m": 1.0}}
 ASKED = ["program=circle", "circle.radius_m=3e-8", "circle.speed_m_per_s=1e-7", "circle.approach_m_per_s=1e-6"]

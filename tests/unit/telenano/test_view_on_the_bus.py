@@ -23,10 +23,10 @@ from services.runtime.loop.commands import Command
 from services.runtime.loop.main import load_site
 from services.runtime.loop.participant import open_participant
 from services.viz_node.access import Role
+from services.viz_node.commander import RigHand
 from services.viz_node.feed import Seen
 from services.viz_node.hub import Hub, Session
 from services.viz_node.live import LiveSource
-from telenano.view_server import RigHand
 
 
 @pytest.fixture(autouse=True)

@@ -4,6 +4,7 @@ import os
 import resource
 import socket
 import threading
+import time
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from pathlib import Path
@@ -25,7 +26,7 @@ from services.viz_node.connections import MOST_CONNECTIONS, Connections
 from services.viz_node.feed import Seen
 from services.viz_node.hub import Hub
 from services.viz_node.requests import LARGEST_FRAME, PROTOCOL
-from services.viz_node.serve import bind, make_server
+from services.viz_node.serve import PageServer, bind, make_server
 from services.viz_node.source import NoTransport
 
 ACCESS = Access("operator-token-0123", "observer-token-0123")
@@ -213,3 +214,33 @@ def test_too_few_open_files_are_reported_before_the_page_is_served(monkeypatch: 
         limits.most_connections(24)
     monkeypatch.setattr(limits, "_descriptors_free", lambda: 100)
     assert limits.most_connections(24) == 36
+
+
+def test_what_ends_the_hub_ends_the_wait_of_the_node_that_serves_it() -> None:
+    hub, ticks = Hub(Source()), [0]
+
+    def count() -> None:
+        ticks[0] += 1
+        if ticks[0] > 1:
+            raise OverflowError("int too large")
+
+    hub.on_tick = count
+    wake, signalled = socket.socketpair()
+    with wake, signalled, bind(port=0) as bound:
+        serving = PageServer(hub, ACCESS, bound, None, wake.fileno())
+        with pytest.raises(OverflowError, match="int too large"):
+            while True:
+                serving.run(PATIENCE_S)
+        serving.close()
+    assert ticks == [2]
+
+
+def test_a_signal_ends_the_wait_of_the_node_that_serves_the_page() -> None:
+    wake, signalled = socket.socketpair()
+    with wake, signalled, bind(port=0) as bound:
+        serving = PageServer(Hub(Source()), ACCESS, bound, None, wake.fileno())
+        signalled.send(b"\x0f")
+        began_s = time.monotonic()
+        serving.run(10.0 * PATIENCE_S)
+        serving.close()
+    assert time.monotonic() - began_s < 10.0 * PATIENCE_S

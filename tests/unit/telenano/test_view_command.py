@@ -1,15 +1,15 @@
-"""The page beside a rig: what keeps it away is one line, and nothing of it keeps the rig from running."""
+"""`telenano view`: its addresses, its end, and the emergency stop of a page that it serves."""
 
 import contextlib
 import os
 import resource
+import signal
 import socket
 import stat
 import subprocess
 import sys
 import tempfile
 import threading
-import time
 import urllib.request
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -21,53 +21,15 @@ import pytest
 import zmq
 
 from presets import DEFAULT_SITE_FILE
-from proto.errors import ConfigError, RecordingError, RigError, TelenanoError
-from proto.nodes import DEVICES
+from proto.errors import ConfigError, RecordingError, TelenanoError
+from proto.nodes import DEVICES, PAGE
 from services.console.emergency_stop import LocalRig
 from services.runtime.bus.local_endpoint import estop_endpoint
-from services.viz_node import serve
+from services.runtime.loop.healthcheck import endpoint_of, receive_health
+from services.viz_node.commander import RigCommander, forms
 from services.viz_node.requests import PROTOCOL
-from services.viz_node.serve import Tls, bind, check_exposure
-from telenano import view_server
-from telenano.cli.commands import view as view_command
-from telenano.view_server import RigCommander
-
-
-def test_without_its_packages_or_its_page_the_rig_runs_without_a_view(monkeypatch: pytest.MonkeyPatch) -> None:
-    shown: list[str] = []
-    monkeypatch.setattr(view_server, "_PACKAGES", ("no_such_package",))
-    with view_server.view_beside_rig(DEFAULT_SITE_FILE, shown.append):
-        pass
-    monkeypatch.setattr(view_server, "_PACKAGES", ())
-    monkeypatch.setattr(view_server, "page_folder", lambda: None)
-    with view_server.view_beside_rig(DEFAULT_SITE_FILE, shown.append):
-        pass
-    assert shown == [
-        "no view: no_such_package is not installed: pip install 'telenano[view]'",
-        "no view: its page has not been built: `make page` in the repository builds it",
-    ]
-
-
-def test_a_page_that_cannot_be_started_again_is_tried_later_and_the_rig_goes_on(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    process = view_server.ViewProcess(["no_such_recording.mcap"], {}, os.open(os.devnull, os.O_RDONLY))
-    assert process._process is not None
-    process._process.kill()
-    process._process.wait()
-    assert "was killed by SIGKILL" in process.look()
-
-    def refuse(self: view_server.ViewProcess) -> None:
-        raise OSError(24, "Too many open files")
-
-    monkeypatch.setattr(view_server.ViewProcess, "_start", refuse)
-    said = ""
-    while not said:
-        said = process.look()
-        time.sleep(0.01)
-    assert "the view cannot be started" in said
-    assert "it is started again in 0.2 s" in said
-    process.close()
+from services.viz_node.serve import Tls, announced, bind, check_exposure, page_folder
+from telenano.cli.commands.view import _serve_again
 
 
 @pytest.fixture
@@ -80,70 +42,14 @@ def runtime(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 def needs_page() -> None:
     pytest.importorskip("uvicorn")
-    if view_server.page_folder() is None:
+    if page_folder() is None:
         pytest.skip("the page has not been built: make page")
-
-
-def fetched(address: str) -> bytes:
-    with urllib.request.urlopen(address, timeout=60.0) as answer:
-        found: bytes = answer.read()
-    return found
-
-
-def test_the_address_is_answered_from_the_beginning_and_the_process_ends_with_the_rig(
-    monkeypatch: pytest.MonkeyPatch, runtime: Path
-) -> None:
-    needs_page()
-    monkeypatch.setattr(serve, "DEFAULT_PORT", 0)
-    shown: list[str] = []
-    with view_server.view_beside_rig(DEFAULT_SITE_FILE, shown.append) as look:
-        address = shown[0].removeprefix("view: ")
-        assert b"EMERGENCY STOP" in fetched(address)
-        assert look() == ""
-    with pytest.raises(OSError):
-        urllib.request.urlopen(address, timeout=5.0)
-
-
-def test_a_page_whose_server_is_killed_is_started_again_at_its_address_and_it_is_said(
-    monkeypatch: pytest.MonkeyPatch, runtime: Path
-) -> None:
-    needs_page()
-    monkeypatch.setattr(serve, "DEFAULT_PORT", 0)
-    shown: list[str] = []
-    started: list[view_server.ViewProcess] = []
-    start = view_server.ViewProcess._start
-    monkeypatch.setattr(view_server.ViewProcess, "_start", lambda self: (started.append(self), start(self)))
-    with view_server.view_beside_rig(DEFAULT_SITE_FILE, shown.append) as look:
-        address = shown[0].removeprefix("view: ")
-        assert b"EMERGENCY STOP" in fetched(address)
-        assert started[0]._process is not None
-        started[0]._process.kill()
-        said = ""
-        while len(started) < 2:
-            said = look() or said
-            time.sleep(0.005)
-        assert said.startswith("the view was killed by SIGKILL after ")
-        assert said.endswith("it is started again in 0.1 s")
-        # whoever asks meanwhile waits for the answer of the new process
-        assert b"EMERGENCY STOP" in fetched(address)
-        assert look() == ""
-
-
-def test_what_the_process_of_the_page_said_last_is_reported(runtime: Path) -> None:
-    process = view_server.ViewProcess(["no_such_recording.mcap"], {}, os.open(os.devnull, os.O_RDONLY))
-    said = ""
-    while not said:
-        said = process.look()
-        time.sleep(0.01)
-    process.close()
-    assert "the view ended with exit code" in said
-    assert "no_such_recording.mcap" in said
 
 
 def test_tokens_are_shown_on_a_terminal_and_nowhere_else(monkeypatch: pytest.MonkeyPatch, runtime: Path) -> None:
     addresses = {"operator": "http://127.0.0.1:8650/#secret-1", "observer": "http://127.0.0.1:8650/#secret-2"}
     shown: list[str] = []
-    with view_server.announced(addresses, shown.append):
+    with announced(addresses, shown.append):
         file = runtime / "view-8650.addresses"
         assert shown == [
             "view: http://127.0.0.1:8650/",
@@ -154,50 +60,31 @@ def test_tokens_are_shown_on_a_terminal_and_nowhere_else(monkeypatch: pytest.Mon
     assert list(runtime.iterdir()) == []
     shown.clear()
     monkeypatch.setattr(sys.stdout, "isatty", lambda: True, raising=False)
-    with view_server.announced(addresses, shown.append):
+    with announced(addresses, shown.append):
         assert shown == [f"{name}: {address}" for name, address in addresses.items()]
         assert list(runtime.iterdir()) == []
 
 
-class Counted:
-    """A hub that counts how often it was made, and whether it was closed."""
-
-    made = 0
-
-    def __init__(self) -> None:
-        type(self).made += 1
-
-    def close(self) -> None:
-        pass
-
-
 def test_a_view_that_something_unforeseen_ends_begins_anew_and_says_so(capsys: pytest.CaptureFixture[str]) -> None:
-    Counted.made = 0
-    served: list[object] = []
+    served: list[int] = []
 
-    def serve_once(hub: object) -> None:
-        served.append(hub)
+    def serve_once() -> None:
+        served.append(len(served))
         if len(served) == 1:
             raise OverflowError("int too large")
 
-    view_command._serve_again(Counted, Counted(), serve_once, True)  # type: ignore[arg-type]
-    assert (Counted.made, len(set(map(id, served)))) == (2, 2)
+    _serve_again(serve_once)
+    assert served == [0, 1]
     said = capsys.readouterr().err
     assert "the view has ended: OverflowError: int too large; it is started again in 0.1 s" in said
 
 
-def test_a_view_of_another_process_or_of_a_broken_recording_ends_with_a_sentence() -> None:
-    def broken(hub: object) -> None:
-        raise OverflowError("int too large")
-
-    with pytest.raises(RigError, match="the view has ended: OverflowError: int too large"):
-        view_command._serve_again(Counted, Counted(), broken, False)  # type: ignore[arg-type]
-
-    def unreadable(hub: object) -> None:
+def test_a_view_of_a_broken_recording_ends_with_a_sentence() -> None:
+    def unreadable() -> None:
         raise RecordingError("a.mcap: cannot be read")
 
     with pytest.raises(RecordingError, match=r"the view has ended: a\.mcap: cannot be read"):
-        view_command._serve_again(Counted, Counted(), unreadable, True)  # type: ignore[arg-type]
+        _serve_again(unreadable)
 
 
 class Device:
@@ -260,6 +147,31 @@ def test_the_emergency_stop_of_an_open_page_works_while_strangers_hold_every_des
         assert all(f"{node}: latched" in answer["text"] for node in DEVICES)
 
 
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 128 + signal.SIGTERM), (signal.SIGINT, 0)])
+def test_the_view_of_a_rig_has_the_health_of_a_node_and_ends_in_order(
+    runtime: Path, number: signal.Signals, code: int
+) -> None:
+    needs_page()
+    command = [sys.executable, "-m", "telenano", "view", "--port", "0"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as view:
+        assert view.stdout is not None
+        file = [view.stdout.readline().split()[-1] for _ in range(2)][1]
+        health = receive_health(endpoint_of(PAGE, DEFAULT_SITE_FILE), PAGE, 60.0)
+        # a second one has the page, and no endpoint for its health
+        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as second:
+            assert second.stdout is not None
+            base = second.stdout.readline().split()[-1]
+            with urllib.request.urlopen(base, timeout=60.0) as answer:
+                assert b"EMERGENCY STOP" in answer.read()
+            second.send_signal(number)
+            assert second.wait(60.0) == code
+        view.send_signal(number)
+        assert view.wait(60.0) == code
+    assert health is not None
+    assert (health["state"], health["pid"]) == ("ready", view.pid)
+    assert not Path(file).exists()
+
+
 def test_a_stop_needs_neither_a_descriptor_nor_its_site_file_when_it_comes(runtime: Path, tmp_path: Path) -> None:
     file = tmp_path / "site.yaml"
     file.write_text(DEFAULT_SITE_FILE.read_text())
@@ -299,7 +211,7 @@ def test_nothing_leaves_this_machine_in_the_clear(tmp_path: Path) -> None:
 
 
 def test_the_forms_are_the_schemas_of_the_nodes() -> None:
-    found = view_server.forms()
+    found = forms()
     assert "wave" in found["laws"]
     assert "lte" in found["profiles"]
     assert "force_gain" in str(found["controller"])

@@ -1,0 +1,107 @@
+"""The connection to a Modbus instrument over TCP, which never waits."""
+
+import errno
+import select
+import socket
+from collections.abc import Callable
+from typing import Any, Protocol
+
+from services.afm_node.devices.host_address import HostAddress
+
+_READ_BYTES = 4096
+
+
+class Line(Protocol):
+    """A connection that never waits; each method but `close` raises OSError when it is gone.
+
+    `resolved`: whether the address of the device is known, so that it is connected to.
+    """
+
+    @property
+    def resolved(self) -> bool: ...
+
+    def ready(self) -> bool:
+        """Return whether it is connected by now."""
+
+    def send(self, request: bytes) -> None: ...
+
+    def receive(self) -> bytes:
+        """Return what has come, without waiting."""
+
+    def close(self) -> None: ...
+
+
+Connect = Callable[[str, int], Line]
+
+
+class TcpLine:
+    """A TCP connection to a device, made without waiting for it, nor for its address."""
+
+    def __init__(self, place: HostAddress) -> None:
+        """Begin to connect, as soon as the address is known."""
+        self._place = place
+        self._socket: Any = None
+        self._connected = False
+
+    @property
+    def resolved(self) -> bool:
+        return self._socket is not None
+
+    def _connect(self, family: int, address: Any) -> None:
+        self._socket = made = socket.socket(family, socket.SOCK_STREAM)
+        made.setblocking(False)
+        # a request is one small segment, and the next one waits for its answer
+        made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        failed = made.connect_ex(address)
+        self._connected = failed == 0
+        if failed not in (0, errno.EINPROGRESS):
+            raise OSError(failed, "cannot connect")
+
+    def ready(self) -> bool:
+        """Return whether it is connected by now; OSError also for a name that is not known."""
+        if self._socket is None:
+            found = self._place.poll()
+            if found is None:
+                return False
+            self._connect(*found)
+        if not self._connected and select.select([], [self._socket], [], 0)[1]:
+            failed = self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
+            if failed:
+                raise OSError(failed, errno.errorcode.get(failed, "cannot connect"))
+            self._connected = True
+        return self._connected
+
+    def send(self, request: bytes) -> None:
+        if self._socket.send(request) != len(request):
+            raise OSError(errno.EAGAIN, "the device takes no more bytes")
+
+    def receive(self) -> bytes:
+        """Return what has come, without waiting."""
+        try:
+            received: bytes = self._socket.recv(_READ_BYTES)
+        except BlockingIOError:
+            return b""
+        if not received:
+            raise OSError(errno.ECONNRESET, "the device has closed the connection")
+        return received
+
+    def close(self) -> None:
+        if self._socket is not None:
+            self._socket.close()
+
+
+class TcpConnector:
+    """Makes the connections to a device, one after the other, and keeps its address in between."""
+
+    def __init__(self) -> None:
+        self._places: dict[tuple[str, int], HostAddress] = {}
+
+    def __call__(self, host: str, port: int) -> TcpLine:
+        """Begin to connect to a host by address or name."""
+        place = self._places.get((host, port))
+        if place is None:
+            place = self._places[host, port] = HostAddress(host, port)
+        else:
+            # by the next time the device may have another one
+            place.renew()
+        return TcpLine(place)

@@ -1,0 +1,47 @@
+"""The page among the processes of a rig: its address is bound here, so that it stays the same over restarts."""
+
+import contextlib
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from proto.errors import TelenanoError
+from proto.nodes import PAGE, name_of
+from services.launcher.plan import Plan
+from services.launcher.processes import Inherited
+from services.viz_node.access import OBSERVER_VARIABLE, OPERATOR_VARIABLE
+from services.viz_node.config import ViewConfig
+from services.viz_node.serve import SOCKET_VARIABLE, addresses_of, announced, missing_for_view
+
+
+@contextlib.contextmanager
+def inherited_by_page(plan: Plan, show: Callable[[str], Any]) -> Iterator[dict[str, Inherited]]:
+    """Bind the address of a rig's page while the block runs, show it, and yield what the process of the page inherits.
+
+    Where there is to be no page that is nothing. What keeps it from being served is shown, and the rig runs without.
+    """
+    with contextlib.ExitStack() as stack:
+        found = {}
+        try:
+            if reason := _missing(plan):
+                show(f"no view: {reason}")
+            elif plan.page:
+                found = {PAGE: _bound(plan, show, stack)}
+        except (TelenanoError, OSError) as error:
+            show(f"no view: {error}")
+        yield found
+
+
+def _missing(plan: Plan) -> str:
+    if plan.page and PAGE not in plan.book.nodes:
+        return f"{plan.site_file} has no {PAGE}"
+    return missing_for_view() if plan.page else ""
+
+
+def _bound(plan: Plan, show: Callable[[str], Any], stack: contextlib.ExitStack) -> Inherited:
+    config = plan.loaded.section(name_of(PAGE), ViewConfig)
+    tls, access = config.tls(), config.access()
+    bound = stack.enter_context(config.bind())
+    addresses = addresses_of(bound, access, tls, config.name)
+    stack.enter_context(announced({"view": addresses["operator"]}, show))
+    tokens = {OPERATOR_VARIABLE: access.operator_token, OBSERVER_VARIABLE: access.observer_token}
+    return Inherited({**tokens, SOCKET_VARIABLE: str(bound.fileno())}, (bound.fileno(),))

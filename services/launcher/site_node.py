@@ -1,0 +1,67 @@
+"""The site of the slave, whose nodes are kept running for a session that is conducted at the master's."""
+
+from typing import ClassVar
+
+from proto.messages import ClockPing
+from proto.nodes import TIP
+from services.launcher.liveness import LivenessMonitor
+from services.launcher.readiness import READY_DEADLINE_S, unmet
+from services.launcher.rig_node import RigNode
+from services.launcher.supervisor import Supervisor
+from services.runtime.bus.bus import Received
+from services.runtime.loop.node import NodeContext
+
+
+class SiteNode(RigNode):
+    """Keeps the nodes of the slave's site running for a session that the master's conducts; arms and starts nothing."""
+
+    # clock/ping comes from the link itself, past its impairments: the heartbeat of the master's machine
+    inputs: ClassVar[tuple[str, ...]] = (*RigNode.inputs, "clock/ping")
+
+    def __init__(self, context: NodeContext, supervisor: Supervisor, *, link: str, site: str, other_site: str) -> None:
+        """Prepare a site from the endpoint of the link at it (node@site) and the names of both sites."""
+        super().__init__(context, supervisor, LivenessMonitor(context.clock, (link,), other_site), (), site)
+        self._deadline_ns = context.clock.monotonic_ns() + round(READY_DEADLINE_S * 1e9)
+
+    def waiting(self) -> dict[str, str]:
+        """Return for each node that is not ready what it waits for, but for inputs: the other site may send those."""
+        return unmet(self.nodes, self.health, inputs=False)
+
+    def status_line(self) -> str:
+        if self.phase in ("ending", "over"):
+            return "stopping" if self.phase == "ending" else "stopped"
+        site = self.liveness.site_name
+        if not self.liveness.any_alive:
+            silent = "is silent" if self.liveness.silent else "has not reported yet"
+            return f"{site} {silent}, the nodes here wait for it; Ctrl-C stops them"
+        if self.phase == "starting":
+            return f"waiting for {len(self.waiting())} of {len(self.nodes)} nodes to be ready, {site} is alive"
+        return f"running, {site} is alive and conducts; Ctrl-C stops the nodes here"
+
+    def on_message(self, received: Received) -> None:
+        super().on_message(received)
+        if isinstance(received.message, ClockPing):
+            self.liveness.record(received.message.src)
+
+    def _hints(self, *nodes: str) -> str:
+        # whichever side was lost, the tip is here
+        return super()._hints(TIP)
+
+    def advance(self) -> None:
+        """End when interrupted or when a node cannot be kept running; change to running when all nodes are ready."""
+        if self.phase in ("starting", "running") and (self.failure or self.interrupted):
+            self.phase = "ending"
+            self.event("node", "info", "the site is stopped", answer_to="", interrupted=self.interrupted)
+            self.context.request_stop()
+        elif self.phase == "starting":
+            self._advance_start()
+
+    def _advance_start(self) -> None:
+        waiting = self.waiting()
+        if not waiting:
+            self.phase = self.state = "running"
+            return
+        if self.clock.monotonic_ns() >= self._deadline_ns:
+            reasons = "; ".join(f"{node} {reason}" for node, reason in waiting.items())
+            last = [self.supervisor.log_tail_of(node) for node in waiting]
+            self._failure = "\n".join([f"the site was not ready within {READY_DEADLINE_S:g} s: {reasons}", *last])

@@ -1,0 +1,91 @@
+"""What of a recording is played: its nodes, and the topic on which each of its channels is published."""
+
+from collections.abc import Mapping
+
+from proto.errors import ConfigError
+from proto.nodes import LAUNCHER, LINK, is_console, name_of
+from recording.channel_filter import Selection
+from recording.messages import RecordedChannel
+from recording.multi_file import RecordingSource
+from services.runtime.bus.address_book import AddressBook
+
+# recorder, player, the observer `telenano record` and the page are not part of the rig that is played, and an
+# emergency stop has no endpoint that could be taken
+_EXCLUDED_NODES = ("recorder", "player", "record", "estop", "viz_node")
+_EXCLUDED_TOPICS = ("node/health", "node/journal")
+
+
+def node_of(channel: RecordedChannel) -> str:
+    """Return the node at whose endpoint a channel was received; empty in a recording that is not ours."""
+    return f"{LINK}@{channel.site}" if channel.via == "link" else channel.src
+
+
+class ReplayPlan:
+    """Nodes of the address book that are played, and the topic on which each channel is published."""
+
+    def __init__(
+        self,
+        recording: RecordingSource,
+        book: AddressBook,
+        selection: Selection,
+        remap: Mapping[str, str] | None = None,
+    ) -> None:
+        """Select channels and nodes; ConfigError names nodes that are not in the address book.
+
+        `remap` renames topics (channel name to topic) and moves nodes (node@site to node@site).
+        """
+        self._selection = selection
+        self._remap = dict(remap or {})
+        # the launcher of the slave's site reports on processes, and a rig on one machine has no place for it
+        launchers = {channel.src for channel in recording.channels if name_of(channel.src) == name_of(LAUNCHER)}
+        self.without_place = sorted(
+            node for node in launchers if not selection.nodes and self._remap.get(node, node) not in book.nodes
+        )
+        selected = [channel for channel in recording.channels if self.plays(channel)]
+        # consoles whose name stays free
+        commanded = {channel.src for channel in recording.channels if channel.topic == "session/control"}
+        self.left_out = sorted(node for node in commanded if is_console(node) and not self._plays_node(node))
+        self.nodes = sorted({self.node(channel) for channel in selected})
+        absent = [node for node in self.nodes if node not in book.nodes]
+        if absent:
+            known = ", ".join(sorted(book.nodes))
+            others = " ".join(f"--nodes {node}" for node in self.nodes if node in book.nodes)
+            others = f", or play the others alone: `{others}`" if others else ""
+            raise ConfigError(
+                f"{recording.path}: {', '.join(absent)} is not in the site file, which has {known}; name one that has "
+                f"it with --site-file, or move it to another with `--remap {absent[0]}=NAME@SITE`{others}"
+            )
+        self.topics = {channel: self._topic(channel) for channel in selected}
+
+    def plays(self, channel: RecordedChannel) -> bool:
+        """Return whether a channel is played.
+
+        Health is not, because the player publishes its own, nor a journal, because nobody takes those turns now.
+        """
+        node = node_of(channel)
+        if (
+            not node
+            or node in self.without_place
+            or name_of(node) in _EXCLUDED_NODES
+            or channel.topic in _EXCLUDED_TOPICS
+        ):
+            return False
+        return self._plays_node(node) and self.chooses(channel.channel_topic)
+
+    def chooses(self, channel_topic: str) -> bool:
+        """Return whether a channel of this name was chosen."""
+        return self._selection.names(channel_topic)
+
+    def _plays_node(self, node: str) -> bool:
+        """Return whether a node was chosen; a console only by its name, because the replay is commanded from there."""
+        if not self._selection.nodes:
+            return not is_console(node)
+        return any(test(node) for test in self._selection.nodes)
+
+    def node(self, channel: RecordedChannel) -> str:
+        """Return the node at whose endpoint a channel is published."""
+        found = node_of(channel)
+        return self._remap.get(found, found)
+
+    def _topic(self, channel: RecordedChannel) -> str:
+        return self._remap.get(channel.channel_topic, channel.topic)

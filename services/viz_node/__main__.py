@@ -1,0 +1,32 @@
+"""Run the server of the page."""
+
+import sys
+from functools import partial
+
+from proto.errors import ConfigError
+from services.runtime.loop.main import NodeKind, Wiring, run_node
+from services.runtime.loop.node import AccountedBus, Node
+from services.viz_node.config import ViewConfig
+from services.viz_node.serve import addresses_of, announced, inherited, missing_for_view
+
+
+def build(wiring: Wiring, config: ViewConfig) -> tuple[Node, AccountedBus]:
+    """Serve at the address that the launcher has bound, or bind one and tell it to the owner of this process."""
+    if reason := missing_for_view():
+        raise ConfigError(f"the view cannot be served: {reason}")
+    from services.viz_node.node import page_of_rig
+
+    tls, access, given = config.tls(), config.access(), inherited()
+    bound = wiring.resources.enter_context(given or config.bind())
+    node, bus = page_of_rig(wiring, wiring.site_file, bound, access, tls)
+    if given is None:
+        # after the last thing that could fail: whoever reads this may open it
+        addresses = addresses_of(bound, access, tls, config.name)
+        wiring.resources.enter_context(announced(addresses, partial(print, flush=True)))
+    return node, bus
+
+
+VIZ_NODE = NodeKind("viz_node", ViewConfig, build, realtime=False, observer=True)
+
+if __name__ == "__main__":
+    sys.exit(run_node(VIZ_NODE))

@@ -1,0 +1,113 @@
+"""How the commands of a page, and the force of its operator, reach the nodes of a running rig; what it can set."""
+
+import contextlib
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from proto.errors import ConfigError, TelenanoError
+from proto.messages import Scalar
+from proto.nodes import VIEW
+from services.console.command_client import send_control
+from services.console.emergency_stop import Answer, LocalRig, emergency_stop
+from services.numerics.frames import to_site_frame
+from services.runtime.bus.ends import publish_end
+from services.runtime.loop.commands import Command, CommandName
+from services.runtime.loop.main import load_site
+from services.runtime.loop.participant import open_participant
+from services.viz_node.connections import DescriptorReserve
+
+_NAMES: dict[str, CommandName] = {"start": "start", "stop": "stop", "arm": "arm", "set": "set", "mark": "mark"}
+# which nodes the commands of the page are for; `*` for those that have several
+_EVERYBODY = "*"
+
+
+class RigCommander:
+    """Sends the commands of pages as `telenano session` does: at the console of the site, for one command at a time."""
+
+    def __init__(self, site_file: Path) -> None:
+        """Read the site file, and keep descriptors for an emergency stop: later there may be none left."""
+        self._site_file = site_file
+        self._rig = LocalRig.read(site_file)
+        self._reserve = DescriptorReserve()
+
+    def send(
+        self,
+        command: str,
+        target: str,
+        parameters: Mapping[str, Scalar],
+        is_wanted: Callable[[], bool],
+        issued_ns: int,
+    ) -> dict[str, tuple[str, str]]:
+        """Send a command and return by node `ack` or `refused` and a sentence; RigError when nobody answers."""
+        if command not in _NAMES:
+            raise ConfigError(f"{command}: is not a command of a session")
+        wanted = Command(_NAMES[command], target, parameters=parameters)
+        answers = send_control(wanted, self._site_file, "master", lambda event: None, is_wanted, issued_ns=issued_ns)
+        return {src: (event.kind, event.text) for src, event in answers.items()}
+
+    def estop(self) -> dict[str, tuple[str, str]]:
+        """Stop the devices as `telenano estop` does: those of this machine at once, others at the console."""
+        with self._reserve.lent():
+            return self._estop()
+
+    def close(self) -> None:
+        """Give up the descriptors that are kept."""
+        self._reserve.close()
+
+    def _estop(self) -> dict[str, tuple[str, str]]:
+        rig, reach = self._rig, self._rig.reach(_EVERYBODY, "")
+        answers: dict[str, tuple[str, str]] = {}
+
+        def note(answer: Answer) -> None:
+            answers.setdefault(answer.node, (answer.kind, answer.text))
+
+        if reach.direct or reach.by_link:
+            emergency_stop(rig, reach, _EVERYBODY, note)
+        if reach.by_console or not answers:
+            send_control(
+                Command("estop", _EVERYBODY),
+                self._site_file,
+                "master",
+                lambda event: note(Answer(event.src, event.kind, event.text)),
+            )
+        return answers
+
+
+class RigHand:
+    """The force of an operator at a page, on `operator/force`: what a scenario with an interactive operator follows."""
+
+    def __init__(self, site_file: Path) -> None:
+        """Bind the endpoint of the view; ConfigError or EndpointError when the site file has none, or it is taken."""
+        self._open = contextlib.ExitStack()
+        participant = self._open.enter_context(open_participant(VIEW, load_site(site_file)))
+        try:
+            self._publisher = participant.bind(VIEW)
+        except TelenanoError:
+            self._open.close()
+            raise
+
+    def push(self, force_n: float) -> None:
+        self._publisher.publish("operator/force", force_n=to_site_frame(force_n))
+
+    def close(self) -> None:
+        """Publish the last message, and close the endpoint."""
+        publish_end(self._publisher, VIEW)
+        self._open.close()
+
+
+def forms() -> dict[str, Any]:
+    """Return the JSON schemas of what `set` changes, by node, and the profiles of the link."""
+    # the models of the laws take a second to import, which only a page needs
+    from services.afm_node.programs.settings import InstrumentRequest
+    from services.controller.config import LAWS, ControllerConfig
+    from services.delay_node.config import LinkSettings
+    from services.delay_node.profiles import PROFILES
+
+    return {
+        "afm_node": InstrumentRequest.model_json_schema(),
+        "controller": ControllerConfig.model_json_schema(),
+        "delay_node": LinkSettings.model_json_schema(),
+        "laws": list(LAWS),
+        "profiles": sorted(PROFILES),
+    }

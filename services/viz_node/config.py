@@ -1,0 +1,43 @@
+"""Settings of the page's server."""
+
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from services.viz_node.access import LOOPBACK, Access, tokens_given
+from services.viz_node.connections import Listener
+from services.viz_node.serve import Tls, bind, checked_tls
+
+
+class ViewConfig(BaseModel):
+    """Settings: where the page is served, and to whom. Its tokens are in the environment, because files are kept."""
+
+    model_config = ConfigDict(frozen=True, strict=True, extra="forbid")
+
+    host: str = Field(default=LOOPBACK, description="Address to bind; beyond this machine it needs a certificate")
+    port: Annotated[int, Field(ge=0, le=65535)] | None = Field(
+        default=None, description="Port to bind; none = 8650, or any free one"
+    )
+    certificate_file: str | None = Field(default=None, description="Certificate of the server (PEM)")
+    key_file: str | None = Field(default=None, description="Key of the certificate (PEM)")
+    names: tuple[str, ...] = Field(default=(), description="Further names of the server, the first one in addresses")
+    allow: tuple[str, ...] = Field(default=(), description="Further networks that may connect, such as 10.0.0.0/24")
+
+    @property
+    def name(self) -> str:
+        """The name of the server in its addresses; empty for the address that is bound."""
+        return next(iter(self.names), "")
+
+    def tls(self) -> Tls | None:
+        """Return the files of TLS; ConfigError where one is missing or the host needs them."""
+        files = [None if text is None else Path(text) for text in (self.certificate_file, self.key_file)]
+        return checked_tls(self.host, *files)
+
+    def access(self) -> Access:
+        """Return who may open the page, with the tokens of the environment or new ones."""
+        return Access.made(names=[self.host, *self.names], allow=self.allow, **tokens_given())
+
+    def bind(self) -> Listener:
+        """Bind the address; EndpointError with the reason."""
+        return bind(self.host, self.port)

@@ -1,0 +1,75 @@
+"""The page's server as a node: what it waits for is the web server, and its health is published as that of any node."""
+
+import contextlib
+from pathlib import Path
+from typing import ClassVar
+
+from proto.errors import EndpointError
+from services.runtime.bus.bus import Received, ZmqBus
+from services.runtime.bus.publisher import NullPublisher, Publisher
+from services.runtime.loop.node import Node, NodeContext
+from services.runtime.loop.participant import Participant
+from services.viz_node.access import Access
+from services.viz_node.commander import RigCommander, RigHand, forms
+from services.viz_node.connections import Listener
+from services.viz_node.hub import Hub
+from services.viz_node.live import LiveSource
+from services.viz_node.serve import PageServer, Tls
+
+
+class PageBus(ZmqBus):
+    """A bus that serves the page while it waits, so that a server which hangs sends no health."""
+
+    def __init__(self, participant: Participant, publisher: Publisher, server: PageServer) -> None:
+        super().__init__(publisher, (), participant.clock, participant.wake_descriptor, participant.network)
+        self._server = server
+
+    def wait(self, deadline_ns: int) -> None:
+        """Serve until the monotonic clock has reached `deadline_ns` or a signal has come."""
+        self._server.run(max(0.0, (deadline_ns - self._clock.monotonic_ns()) * 1e-9))
+
+
+class PageNode(Node):
+    """Serves the page of a rig; its steps are those in which the pages are told what has changed."""
+
+    inputs: ClassVar[tuple[str, ...]] = ()
+    has_precise_deadlines = False
+
+    def __init__(self, context: NodeContext, hub: Hub, server: PageServer) -> None:
+        super().__init__(context)
+        self._hub, self._server = hub, server
+        hub.on_tick = self._count
+
+    def on_message(self, received: Received) -> None:
+        """Ignore a message: the hub has connections of its own, past the checks that a page does not need."""
+
+    def on_deadline(self, now_ns: int) -> None:
+        """Do nothing: the hub has its own times."""
+
+    def make_safe(self) -> None:
+        """End the server, and let go of the hand with it."""
+        self._server.close()
+        self._hub.close()
+
+    def _count(self) -> None:
+        self.steps += 1
+
+
+def page_of_rig(
+    participant: Participant, site_file: Path, bound: Listener, access: Access, tls: Tls | None
+) -> tuple[PageNode, PageBus]:
+    """Return the node that serves the page of a rig at a bound address, and its bus."""
+    commander = participant.resources.enter_context(contextlib.closing(RigCommander(site_file)))
+    hub = Hub(LiveSource(participant.book, str(site_file)), commander, forms, lambda: RigHand(site_file))
+    server = PageServer(hub, access, bound, tls, participant.wake_descriptor)
+    bus = PageBus(participant, _publisher_of(participant), server)
+    return PageNode(participant.context(bus), hub, server), bus
+
+
+def _publisher_of(participant: Participant) -> Publisher:
+    """Bind the endpoint of the page; where another page of this rig has it, this one is served without health."""
+    try:
+        return participant.bind(participant.key)
+    except EndpointError as error:
+        participant.log.info(f"the page is served without node/health: {error}")
+        return NullPublisher(participant.clock, participant.key)
