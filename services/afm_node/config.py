@@ -327,20 +327,24 @@ class _OwnSections(Settings):
         steps_per_period: int | None = None,
         temperature_k: float = 0.0,
         like: "DynamicPlant | None" = None,
+        finest: int | None = None,
     ) -> "DynamicPlant":
         """Return the cantilever with its dynamics (Eq. 4), driven at drive_hz [Hz] or at its resonance.
 
-        Parameters: like, one of this configuration, whose grid of the force is taken.
+        Parameters: like, one of this configuration, whose grid of the force is taken; finest, the most steps of a
+        period where a step is divided because the tip meets the sample.
         Raises: ValueError naming value and unit, where the values admit no model.
         """
         # a node that asks for no dynamics does not import them
-        from services.afm_node.physics.dynamic import Damping, build_dynamic
+        from services.afm_node.physics.dynamic import FINEST, Damping, build_dynamic
 
         c, t = self.cantilever, self.tip_sample
         damping = Damping(t.liquid_viscosity_pa_s, t.liquid_thickness_m, t.sample_viscosity_pa_s, t.sample_thickness_m)
         drive = c.resonance_hz if drive_hz is None else drive_hz
         plant, steps = self.to_params().plant, steps_per_period or c.steps_per_period
-        return build_dynamic(plant, c.resonance_hz, c.quality, drive, damping, steps, temperature_k, like)
+        return build_dynamic(
+            plant, c.resonance_hz, c.quality, drive, damping, steps, temperature_k, like, finest or FINEST
+        )
 
     def to_params(self) -> AfmParams:
         """Build the parameters of the pure step; built once per set of its parameters.

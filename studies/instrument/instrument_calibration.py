@@ -113,7 +113,7 @@ def _without_defaults(document: dict[str, Any]) -> dict[str, Any]:
 def _thermal_motion(plant: DynamicPlant, state: DynamicState, normals: Array, out: Array) -> DynamicState:
     steps = plant.drive.shape[0] // KICKS_PER_PERIOD
     for i in range(out.shape[0]):
-        state, _ = advance(plant, state, state.base_m, 0.0, 0.0, steps, normals[i : i + 1])
+        state, _ = advance(plant, state, state.base_m, 0.0, 0.0, steps, normals[2 * i : 2 * i + 2])
         out[i] = state.deflection_m
     return state
 
@@ -123,7 +123,7 @@ def _shiver(plant: DynamicPlant, state: DynamicState, random: np.random.Generato
     thermal_motion = compiled_form(_thermal_motion)
     for first in range(0, len(out), _CALL_SAMPLES):
         part = out[first : first + _CALL_SAMPLES]
-        state = thermal_motion(plant, state, random.standard_normal(len(part)), part)
+        state = thermal_motion(plant, state, random.standard_normal(2 * len(part)), part)
     return state
 
 

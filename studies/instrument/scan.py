@@ -13,7 +13,7 @@ from services.afm_node.config import AfmConfig
 from services.afm_node.physics.cantilever import Plant, initial_state
 from services.afm_node.physics.contact.friction import FrictionState
 from services.afm_node.physics.contact.tip_sample import branch_force
-from services.afm_node.physics.dynamic import KICKS_PER_PERIOD, NO_NOISE, free_amplitude_m, steady_state
+from services.afm_node.physics.dynamic import NO_NOISE, NORMALS_PER_PERIOD, free_amplitude_m, steady_state
 from services.afm_node.physics.dynamic_sim import require_steps
 from services.afm_node.physics.sample.surface import Surface, dilated, height_at
 from services.afm_node.programs.feedback import gain_fault, remaining
@@ -28,6 +28,12 @@ _PIEZO_M_PER_S = 1e-3
 _MOST_K = 2000.0
 # the tip begins this far above the first point [m]
 _ABOVE_M = 5e-9
+# a feedback is tried for some periods over the first point: it swings where the base goes on by more than this [m], and
+# the last eighth of the time takes away less than half of it
+_LEAST_TRIAL, _MOST_TRIAL = 2000, 20_000
+_QUIET_M = 20e-12
+# the gains that are tried in turn, as shares of the integral and the proportional gain
+_LOWER_GAINS = ((1.0, 0.5), (1.0, 0.0), (0.5, 0.0), (0.25, 0.0), (0.125, 0.0))
 # periods of the feedback in one compiled call, some 50 ms: a signal waits for its end
 _CALL_PERIODS = 40_000
 
@@ -36,7 +42,8 @@ _CALL_PERIODS = 40_000
 class ScanResult:
     """An image: trace and retrace of shape (lines, pixels, CHANNELS), and what the tip sees at the same points [m].
 
-    wanted_lines, of the whole image: there are fewer where it was ended early.
+    wanted_lines, of the whole image: there are fewer where it was ended early. gain_per_s [1/s] and proportional are
+    the gains of the feedback that took it; those as shipped are lowered where they would swing.
     """
 
     trace: Array
@@ -46,6 +53,8 @@ class ScanResult:
     depth_m: float
     simulated_s: float
     wanted_lines: int
+    gain_per_s: float
+    proportional: float
 
     @property
     def partial(self) -> str:
@@ -130,7 +139,7 @@ def scan(
             y = (number + 0.5) * surface.depth_m / request.lines
             truth[number] = [height_at(*seen, float(x), y)[0] for x in xs]
             if number == 0:
-                run(seen, Line(left, y, left, y, 1, run.settle_periods), np.zeros((1, CHANNELS)))
+                run.settle(seen, left, y)
             run(seen, Line(left, y, right, y, request.pixels, run.periods), trace[number])
             back = np.zeros((request.pixels, CHANNELS))
             run(seen, Line(right, y, left, y, request.pixels, run.periods), back)
@@ -144,8 +153,9 @@ def scan(
             raise
     depth = surface.depth_m * done / request.lines
     return ScanResult(
-        trace[:done], retrace[:done], truth[:done], surface.width_m, depth, run.simulated_s, request.lines
-    )
+        trace[:done], retrace[:done], truth[:done], surface.width_m, depth, run.simulated_s, request.lines,
+        run.gain_per_s, run.proportional,
+    )  # fmt: skip
 
 
 class _Run(ABC):
@@ -156,6 +166,11 @@ class _Run(ABC):
         self.periods = max(1, round(request.dwell_s / period_s))
         self.settle_periods = max(1, round(request.settle_s / period_s))
         self.simulated_s = 0.0
+        self.gain_per_s, self.proportional = request.gain_per_s, request.proportional
+
+    def settle(self, seen: Surface, x_m: float, y_m: float) -> None:
+        """Let the feedback come to rest over the first point."""
+        self(seen, Line(x_m, y_m, x_m, y_m, 1, self.settle_periods), np.zeros((1, CHANNELS)))
 
     def __call__(self, seen: Surface, line: Line, out: Array) -> None:
         self.simulated_s += line.pixels * line.periods * self.period_s
@@ -177,6 +192,12 @@ def _feedback(
     return Feedback(setpoint_m, request.gain_per_s, request.proportional, _PIEZO_M_PER_S, *limits)
 
 
+def _swing_m(height_m: Array) -> float:
+    """Return the greatest less the least of heights [m], without the straight line from the first to the last."""
+    flat = height_m - height_m[0] - np.arange(len(height_m)) * ((height_m[-1] - height_m[0]) / (len(height_m) - 1))
+    return float(flat.max() - flat.min())
+
+
 class _Tapping(_Run):
     """Dynamic cantilever with a lock-in; the feedback acts once a period of the drive."""
 
@@ -196,9 +217,48 @@ class _Tapping(_Run):
         self.state = steady_state(self.plant, begin_m, self.drive_m)
         self.proportional_m, self.error_m = 0.0, request.amplitude_m - setpoint
         self.random = np.random.Generator(np.random.PCG64(noise.seed)) if noise.temperature_k > 0.0 else None
+        shipped = ScanSettings.in_simulated_time(mode="tapping")
+        self.as_shipped = (request.gain_per_s, request.proportional) == (shipped.gain_per_s, shipped.proportional)
+
+    def settle(self, seen: Surface, x_m: float, y_m: float) -> None:
+        """Let the feedback come to rest over the first point, with lower gains where those as shipped would swing.
+
+        The bounds of `gain_fault` are those of an amplitude that follows the base. A soft tip, or a low set-point, has
+        an amplitude that another period of the drive may have twice, so the gains are tried here, without noise.
+
+        Raises:
+            ConfigError: Gains that were asked for swing; it names gains that do not.
+        """
+        if self._swings(seen, x_m, y_m, self.feedback):
+            for integral, proportional in _LOWER_GAINS:
+                lower = self.feedback._replace(
+                    gain_per_s=integral * self.feedback.gain_per_s,
+                    proportional=proportional * self.feedback.proportional,
+                )
+                if not self._swings(seen, x_m, y_m, lower):
+                    break
+            else:
+                raise ConfigError("the feedback swings over the first point, even with an eighth of its gain")
+            if not self.as_shipped:
+                names = ", ".join(f"{name} = {value:g}" for name, value in zip(GAIN_NAMES, lower[1:3], strict=True))
+                raise ConfigError(f"these gains make the feedback swing over the first point; with {names} it does not")
+            self.feedback = lower
+            self.gain_per_s, self.proportional = lower.gain_per_s, lower.proportional
+        super().settle(seen, x_m, y_m)
+
+    def _swings(self, seen: Surface, x_m: float, y_m: float, feedback: Feedback) -> bool:
+        """Return whether the base is still swinging after the time in which the feedback is to settle."""
+        periods = min(max(self.settle_periods, _LEAST_TRIAL), _MOST_TRIAL)
+        out = np.zeros((periods, CHANNELS))
+        tapping_line(
+            self.plant, self.state, self.proportional_m, self.error_m, feedback,
+            Line(x_m, y_m, x_m, y_m, periods, 1), *seen, self.drive_m, NO_NOISE, 0, out,
+        )  # fmt: skip
+        before, after = (_swing_m(out[-n * periods // 8 :][: periods // 8, HEIGHT]) for n in (2, 1))
+        return after > _QUIET_M and after > 0.5 * before
 
     def scan_pixels(self, seen: Surface, line: Line, first: int, out: Array) -> None:
-        count = len(out) * line.periods * KICKS_PER_PERIOD
+        count = len(out) * line.periods * NORMALS_PER_PERIOD
         normals = NO_NOISE if self.random is None else self.random.standard_normal(count)
         self.state, self.proportional_m, self.error_m = tapping_line(
             self.plant,

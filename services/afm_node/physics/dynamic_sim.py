@@ -17,6 +17,7 @@ from services.afm_node.physics.contact.electrostatic import electrostatic_streng
 from services.afm_node.physics.dynamic import (
     KICKS_PER_PERIOD,
     NO_NOISE,
+    NORMALS_PER_PERIOD,
     DynamicPlant,
     DynamicState,
     Reading,
@@ -61,7 +62,7 @@ def exchanged(
 
     These two are an energy [J] and a share of the time.
     """
-    split = steps.moving * KICKS_PER_PERIOD // plant.drive.shape[0] if normals.size > 0 else 0
+    split = steps.moving * NORMALS_PER_PERIOD // plant.drive.shape[0] if normals.size > 0 else 0
     taken, touched = 0.0, 0.0
     if steps.moving > 0:
         state, before = advance(plant, state, base_m, surface_m, drive_m, steps.moving, normals[:split])
@@ -86,18 +87,18 @@ def least_steps(plant: DynamicPlant) -> int:
 
 
 def require_steps(plant: DynamicPlant) -> None:
-    """Raise ValueError naming the steps a period that a tip in contact needs, where there are fewer."""
-    steps, least = int(plant.drive.shape[0]), least_steps(plant)
+    """Raise ValueError where the shortest parts of a step are too long for a tip in contact."""
+    steps, least = int(plant.finer.turns.shape[0]), least_steps(plant)
     if steps < least:
         raise ValueError(
-            f"cantilever.steps_per_period = {steps} is too few for a cantilever of {plant.stiffness_n_per_m:g} N/m,"
-            f" which the sample makes swing faster: {least} or more are needed"
+            f"{steps} steps a period, the shortest that there are, are too few for a cantilever of"
+            f" {plant.stiffness_n_per_m:g} N/m, which the sample makes swing faster: {least} or more would be needed"
         )
 
 
 def resting_steps(driven: DynamicPlant) -> int:
-    """Return the steps a period of a tip that is not driven: as few as its accuracy and its contact allow."""
-    return min(max(_RESTING_STEPS, least_steps(driven)), int(driven.drive.shape[0]))
+    """Return the steps a period of a tip that is not driven: as few as its contact allows; none of them is divided."""
+    return max(_RESTING_STEPS, least_steps(driven))
 
 
 def with_exact_rest(plant: DynamicPlant) -> DynamicPlant:
@@ -204,7 +205,7 @@ def _kicks(inputs: PlantInputs, calls: int, periods: int) -> npt.NDArray[np.floa
         return NO_NOISE
     source = np.random.Philox(key=inputs.seed, counter=[0, 0, calls, _KICKS])
     scale = math.sqrt(inputs.temperature_k)
-    return scale * np.random.Generator(source).standard_normal(periods * KICKS_PER_PERIOD)
+    return scale * np.random.Generator(source).standard_normal(periods * NORMALS_PER_PERIOD)
 
 
 def _settle(params: DynamicParams, state: DynamicTip, inputs: PlantInputs) -> tuple[DynamicTip, bool]:

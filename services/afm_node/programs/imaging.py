@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from services.afm_node.physics.cantilever import Plant, PlantState, deflection_m, equilibrium
 from services.afm_node.physics.contact.friction import FrictionParams, FrictionState, friction_step
-from services.afm_node.physics.dynamic import KICKS_PER_PERIOD, DynamicPlant, DynamicState, advance
+from services.afm_node.physics.dynamic import NORMALS_PER_PERIOD, DynamicPlant, DynamicState, advance
 from services.afm_node.physics.sample.surface import height_at
 from services.afm_node.programs.feedback import carried_out, feedback_step
 from services.numerics.compiled import always_compiled, compiled
@@ -85,7 +85,7 @@ def tapping_line(
     """Scan pixels of a line in tapping mode, the feedback acting once in each period of the drive.
 
     Parameters: proportional_m, the part of the feedback in the base, and error_m, so far; height_m and its steps, the
-    map as the tip sees it; drive_m, amplitude of the base's vibration; normals, for thermal noise, eight for each
+    map as the tip sees it; drive_m, amplitude of the base's vibration; normals, for thermal noise, sixteen for each
     period, or none; out (pixels, CHANNELS), filled with as many pixels as it has rows, of the line from `first` on.
     Returns: state, proportional part, error.
     """
@@ -101,8 +101,8 @@ def tapping_line(
             x, y = line.x0_m + share * (line.x1_m - line.x0_m), line.y0_m + share * (line.y1_m - line.y0_m)
             surface = height_at(height_m, step_x_m, step_y_m, x, y)[0]
             base, proportional_m = regulated(feedback, state.base_m, proportional_m, error_m, dt)
-            kick = (n - begun) * KICKS_PER_PERIOD
-            noise = normals[kick : kick + KICKS_PER_PERIOD] if normals.size > 0 else normals
+            kick = (n - begun) * NORMALS_PER_PERIOD
+            noise = normals[kick : kick + NORMALS_PER_PERIOD] if normals.size > 0 else normals
             before = state.base_m
             state, reading = advance(plant, state, base, surface, drive_m, steps, noise)
             amplitude = math.hypot(reading.in_phase_m, reading.quadrature_m)

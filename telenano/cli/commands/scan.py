@@ -108,6 +108,8 @@ def scan(
         "simulated_s": result.simulated_s,
         "rms_error_m": result.rms_error_m,
         "correlation": result.correlation,
+        "gain_per_s": result.gain_per_s,
+        "proportional": result.proportional,
         "files": [str(out / name) for name in _FILES],
     }
     if result.partial:

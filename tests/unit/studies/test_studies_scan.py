@@ -80,7 +80,8 @@ def swing(gain_per_s: float, monkeypatch: pytest.MonkeyPatch) -> float:
 def test_a_quick_feedback_in_tapping_mode_is_stable_as_far_as_routh_says(monkeypatch: pytest.MonkeyPatch) -> None:
     most_per_s = 2.0 * np.pi * 150e3 / 100.0
     assert swing(0.7 * most_per_s, monkeypatch) < 1e-11
-    assert swing(1.5 * most_per_s, monkeypatch) > 1e-10
+    with pytest.raises(ConfigError, match="make the feedback swing over the first point"):
+        swing(1.5 * most_per_s, monkeypatch)
 
 
 def image(*, temperature_k: float = 0.0, **changes):
@@ -114,11 +115,27 @@ def test_what_cannot_be_imaged_is_refused(changes, what):
 
 
 def test_steps_too_few_for_the_contact_of_a_soft_tip_are_refused_for_images_and_curves():
-    soft = AfmConfig.model_validate({"cantilever": {"stiffness_n_per_m": 0.1}})
-    with pytest.raises(ConfigError, match=r"steps_per_period = 96 is too few for a cantilever of 0\.1 N/m"):
+    hard = {"tip_sample": {"sample_modulus_pa": 1e13, "tip_modulus_pa": 1e13}}
+    soft = AfmConfig.model_validate({"cantilever": {"stiffness_n_per_m": 1e-3}, **hard})
+    with pytest.raises(ConfigError, match=r"too few for a cantilever of 0\.001 N/m"):
         scan(DOTS.build(), simulated(), soft)
-    with pytest.raises(ConfigError, match=r"steps_per_period = 96 is too few .* or more are needed"):
+    with pytest.raises(ConfigError, match=r"too few for a cantilever .* or more would be needed"):
         force_curve(soft, 20e-9, 10e-9, 10, dynamic=True)
+
+
+def test_gains_as_shipped_are_lowered_where_they_would_swing_and_others_are_refused():
+    level = SampleConfig(name="flat", pixels=8).build()
+    soft = {"meniscus": False, "cantilever": {"stiffness_n_per_m": 2.0, "quality": 150.0}}
+    config = AfmConfig.model_validate(soft)
+    request = simulated(pixels=16, lines=1, setpoint_share=0.5, dwell_s=1.0 / 150e3)
+    found = scan(level, request, config)
+    assert (found.gain_per_s, found.proportional) < (request.gain_per_s, request.proportional)
+    assert np.ptp(found.trace[:, :, HEIGHT]) < 20e-12
+    # with the gains as they are, at a gentle set-point, nothing swings and nothing is lowered
+    gentle = scan(level, simulated(pixels=16, lines=1, setpoint_share=0.8), config)
+    assert (gentle.gain_per_s, gentle.proportional) == (request.gain_per_s, request.proportional)
+    with pytest.raises(ConfigError, match=r"swing over the first point; with scan\.gain_per_s .* it does not"):
+        scan(level, simulated(pixels=16, lines=1, setpoint_share=0.5, gain_per_s=5000.0, proportional=0.9), config)
 
 
 @pytest.mark.parametrize(

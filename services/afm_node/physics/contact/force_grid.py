@@ -66,6 +66,23 @@ def grid_force(
 
 
 @always_compiled
+def grid_slopes(
+    cubics: npt.NDArray[np.float64], start_m: float, cells_per_m: float, attraction_n_m2: float, h: float, b: int
+) -> tuple[float, float]:
+    """Return dF/dh [N/m] and d2F/dh2 [N/m^2] at h [m] on branch b = 2 contact + meniscus."""
+    place = (h - start_m) * cells_per_m
+    if not place < cubics.shape[1]:
+        steep = 2.0 * attraction_n_m2 / (h * h * h)
+        return steep, -3.0 * steep / h
+    if place < 0.0:
+        return float(cubics[b, 0, 1]) * cells_per_m, 0.0
+    i = int(place)
+    t = place - i
+    slope = cubics[b, i, 1] + t * (2.0 * cubics[b, i, 2] + 3.0 * t * cubics[b, i, 3])
+    return float(slope) * cells_per_m, float(2.0 * cubics[b, i, 2] + 6.0 * t * cubics[b, i, 3]) * cells_per_m**2
+
+
+@always_compiled
 def passed(passages: Passages, h: float, contact: bool, meniscus: bool) -> tuple[bool, bool]:
     """Return the branch of a tip that has come to h [m]: the passages of `cantilever`, without its equilibria."""
     touches = h <= passages.end_m if contact else h < passages.onset_m
