@@ -61,7 +61,7 @@ def gaps(time_s: Iterable[npt.NDArray[np.float64]], end_s: float) -> Spans:
     return tuple(joined)
 
 
-def account(info: RecordingInfo, start_ns: int, missing: Sequence[str]) -> dict[str, Any]:
+def recording_facts(info: RecordingInfo, start_ns: int, missing: Sequence[str]) -> dict[str, Any]:
     """Return the part of a summary on its recording; `complete` is whether nothing at all is missing.
 
     Parameters: start_ns, of the session, for the times of the parts [ns]; missing, sentences besides those of `info`.

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from proto.errors import TelenanoError
 from proto.network_messages import LinkNetwork
-from services.runtime.datagram.account import SETTLE_NS
+from services.runtime.datagram.arrivals import SETTLE_NS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -33,11 +33,11 @@ from services.runtime.bus.bus import Received, Subscriber, ZmqBus
 from services.runtime.bus.publisher import Publisher, ZmqPublisher
 from services.runtime.bus.reader import Reader
 from services.runtime.loop.clock import TurnClock
-from services.runtime.loop.journal import COMMAND, DEADLINE, MESSAGE
+from services.runtime.loop.journal import COMMAND, DEADLINE, DEFERRED, MESSAGE
 from services.runtime.loop.log import StructuredLog
 from services.runtime.loop.main import Wiring, node_kind
 from services.runtime.loop.node import Node
-from services.runtime.loop.node_state import names, restore
+from services.runtime.loop.node_state import restore
 from services.runtime.settings.config import flag_overrides, merge, parse_yaml, validate
 from services.runtime.settings.scenario import LoadedScenario, Scenario
 
@@ -114,11 +114,7 @@ def rerun(
     bus = ReplayBus(key, clock, recorded, tolerances or Tolerances(), take)
     packages = _packages(recording, key)
     node = _build(recording, key, clock, bus, settings)
-    state = batches[begun].state.data
-    restore(node, state, recorded.payload)
-    if "quiet_work" not in names(state):
-        # recorded before reports waited for pauses: each was part of the turn in which it became due
-        node.quiet_work.do_at_once()
+    restore(node, batches[begun].state.data, recorded.payload)
     bus.numbers = dict(batches[begun].outputs)
     facts: dict[str, Any] = {}
     try:
@@ -126,6 +122,7 @@ def rerun(
             if earlier is not None:
                 _follows(earlier, batch)
                 bus.check_counts(batch)
+                node.context.deferred.forget_unneeded()
             for turn in _turns(batch):
                 _take_turn(node, clock, turn, recorded)
     except _DifferenceError as error:
@@ -155,7 +152,7 @@ def _packages(recording: Recording, key: str) -> list[str]:
 
 
 class Turn(NamedTuple):
-    """A line of the journal: topic and source are empty and seq is -1 for a deadline."""
+    """A line of the journal: topic and source are empty and seq is -1 for a deadline or a deferred task."""
 
     kind: int
     time_ns: int
@@ -257,7 +254,7 @@ class _Recorded:
         return any(first_ns is not None and time_ns < first_ns for time_ns, first_ns in missing)
 
     def _missing(self, batch: NodeJournal) -> Iterator[Turn]:
-        return (turn for turn in _turns(batch) if turn.kind != DEADLINE and self.input(turn) is None)
+        return (turn for turn in _turns(batch) if turn.src and self.input(turn) is None)
 
 
 class ReplayBus:
@@ -400,7 +397,7 @@ def _start_ns(batch: NodeJournal) -> int:
 def _turns(batch: NodeJournal) -> Iterator[Turn]:
     arrays = (batch.kind, batch.time_ns, batch.input, batch.number)
     for kind, time_ns, place, seq in zip(*(found.to_numpy().tolist() for found in arrays), strict=True):
-        source = batch.inputs[place] if kind != DEADLINE else None
+        source = batch.inputs[place] if kind in (MESSAGE, COMMAND) else None
         yield Turn(kind, time_ns, source.topic if source else "", source.src if source else "", seq)
 
 
@@ -416,11 +413,12 @@ def _take_turn(node: Node, clock: TurnClock, turn: Turn, recorded: _Recorded) ->
     clock.time_ns = turn.time_ns
     if turn.kind == DEADLINE:
         node.on_deadline(clock.monotonic_ns())
+    elif turn.kind == DEFERRED:
+        # no task waits where a batch begins, and all are run in the order in which the node adds them
+        if (task := node.context.deferred.take_turn()) is not None:
+            task()
     else:
         _take_message(node, turn, recorded)
-    # a loop that waits for pauses has made a turn of its own of it
-    if not node.quiet_work.waits_for_pauses and node.quiet_work.due_ns <= clock.monotonic_ns():
-        node.on_deadline(clock.monotonic_ns())
 
 
 def _take_message(node: Node, turn: Turn, recorded: _Recorded) -> None:

@@ -25,7 +25,7 @@ from analysis.holds import (
     lacks_of,
     verdict_of,
 )
-from analysis.missing import Spans, account, cut_off, gaps
+from analysis.missing import Spans, cut_off, gaps, recording_facts
 from analysis.programme import planned_holds
 from analysis.summary import Summary
 from proto import TOPICS
@@ -258,7 +258,7 @@ def summarise(session: Session, info: RecordingInfo, traffic: Traffic, missing: 
         "seq_gaps": _gaps(info),
         "holds": [hold._asdict() for hold in holds],
         "clocks": _clocks(session, info, traffic),
-        "recording": account(info, session.start_ns, missing),
+        "recording": recording_facts(info, session.start_ns, missing),
     }
     return Summary.model_validate(found).model_dump(exclude_unset=True)
 

@@ -17,7 +17,7 @@ class JournalInput(Record):
 class NodeJournal(Message):
     """In which order a node took its inputs and deadlines: what a re-run of the node follows.
 
-    A turn is one message or one deadline, acted on at one time. The arrays have one element a turn.
+    A turn is one message, deadline or deferred task, acted on at one time. The arrays have one element a turn.
     """
 
     first_turn: Count = Field(description="Number of the first turn, counted from 0 at the start of the node")
@@ -28,10 +28,12 @@ class NodeJournal(Message):
         description="What `input` counts in, from 0"
     )
     outputs: Counts = Field(description="seq of the next message on each topic of the node, before the first turn")
-    kind: Array = Field(description="u1: 0 deadline, 1 message, 2 message whose command the node carried out")
+    kind: Array = Field(
+        description="u1: 0 deadline, 1 message, 2 message whose command the node carried out, 3 deferred task"
+    )
     time_ns: Array = Field(description="i8: time of the turn on the node's clock [ns]; of a message: its reception")
-    input: Array = Field(description="i2: which of `inputs` the message came from; -1 for a deadline")
-    number: Array = Field(description="i8: seq of the message; -1 for a deadline")
+    input: Array = Field(description="i2: which of `inputs` the message came from; -1 for a deadline or task")
+    number: Array = Field(description="i8: seq of the message; -1 for a deadline or task")
     state: Array = Field(
         description="u1: state of the node before the first turn, for the re-run only; empty when it cannot be captured"
     )

@@ -162,8 +162,8 @@ class ChannelStatistics:
         )
 
 
-class Account:
-    """The account of a recording, message by message in the order of reception; its parts one after the other."""
+class RecordingStatistics:
+    """The statistics of a recording, message by message in the order of reception; its parts one after the other."""
 
     def __init__(self, recorder_site: str) -> None:
         """Begin; the lag is measured at the site of the recorder, whose clock it is, or everywhere if that is empty."""

@@ -15,7 +15,7 @@ from mcap.records import Attachment, Channel, Schema
 from presets.regular_files import open_regular
 from proto.errors import RecordingError
 from proto.nodes import site_of
-from recording.info import END_NAME, Account, AttachmentInfo, PartInfo, RecordingInfo, notes_of
+from recording.info import END_NAME, AttachmentInfo, PartInfo, RecordingInfo, RecordingStatistics, notes_of
 from recording.mcap_index import index_faults
 from recording.mcap_scan import (
     MAGIC,
@@ -299,12 +299,12 @@ def info_of(recordings: Sequence[Recording]) -> RecordingInfo:
     """Read the files of one recording, in the order of time, and return their summary."""
     first = recordings[0]
     node = first.metadata.get("recording", {}).get("node", "")
-    account = Account(site_of(node) if node else "")
+    statistics = RecordingStatistics(site_of(node) if node else "")
     damage: list[Damage] = []
     parts: list[PartInfo] = []
     missing: list[str] = []
     for number, recording in enumerate(recordings):
-        part, found = _account_of(recording, account, parts[-1] if parts else None)
+        part, found = _count(recording, statistics, parts[-1] if parts else None)
         damage += found
         if number and recordings[number - 1].ending not in _PLANNED_ENDS:
             before = Path(parts[-1].path).name
@@ -317,8 +317,8 @@ def info_of(recordings: Sequence[Recording]) -> RecordingInfo:
         if found:
             missing.append(f"{sum(each.size_bytes for each in found)} bytes of {recording.path.name} cannot be read")
         parts.append(part)
-    account.finish()
-    missing += [*account.missing(), *notes_of(recording.metadata for recording in recordings)]
+    statistics.finish()
+    missing += [*statistics.missing(), *notes_of(recording.metadata for recording in recordings)]
     filled = [part for part in parts if part.messages]
     start = min((part.start_ns for part in filled), default=0)
     end = max((part.end_ns for part in filled), default=0)
@@ -332,13 +332,13 @@ def info_of(recordings: Sequence[Recording]) -> RecordingInfo:
         messages=sum(part.messages for part in parts),
         complete=not missing,
         missing=tuple(missing),
-        lost=account.lost,
+        lost=statistics.lost,
         closed=all(part.closed for part in parts),
-        recorder_lag=account.lag(),
+        recorder_lag=statistics.lag(),
         skipped_bytes=sum(part.size_bytes for part in damage),
         damage=describe_damage(damage),
         parts=tuple(parts) if len(parts) > 1 else (),
-        channels=tuple(channel.info() for channel in account.channels.values()),
+        channels=tuple(channel.info() for channel in statistics.channels.values()),
         attachments=tuple(
             AttachmentInfo(name=name, media_type=found.media_type, size_bytes=len(found.data))
             for name, found in attachments.items()
@@ -347,12 +347,14 @@ def info_of(recordings: Sequence[Recording]) -> RecordingInfo:
     )
 
 
-def _account_of(recording: Recording, account: Account, before: PartInfo | None) -> tuple[PartInfo, list[Damage]]:
-    """Add the messages of a file to the account; return its figures, and what of it cannot be read."""
+def _count(
+    recording: Recording, statistics: RecordingStatistics, before: PartInfo | None
+) -> tuple[PartInfo, list[Damage]]:
+    """Add the messages of a file to the statistics; return its figures, and what of it cannot be read."""
     damage = list(recording.structural_damage)
     first_ns, last_ns, messages = 2**64, 0, 0
     for message in recording.select(report=damage.append):
-        account.add(message)
+        statistics.add(message)
         messages += 1
         first_ns, last_ns = min(first_ns, message.log_ns), max(last_ns, message.log_ns)
     if messages == 0:

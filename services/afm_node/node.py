@@ -20,7 +20,6 @@ from services.afm_node.programs.settings import InstrumentRequest, changed_distu
 from services.numerics.frames import to_paper_axis
 from services.runtime.bus.bus import Received
 from services.runtime.loop.clock import NEVER_NS
-from services.runtime.loop.freshness import LOOP_DEADLINE_NS, HandAge
 from services.runtime.loop.node import DeviceDelay, Node, NodeContext
 from services.runtime.loop.replay_guard import ReplayGuard
 
@@ -29,10 +28,6 @@ PERIOD_S = 1e-3
 _PERIOD_NS = round(PERIOD_S * 1e9)
 _COMMAND_WAIT_NS = command_wait_ns(_PERIOD_NS)
 _PROGRAM_PERIOD_NS = 100_000_000
-# after a step, when the messages that it caused have passed on the same processor
-_SETTLE_NS = 250_000
-# from one part of that to the next: they take some 80 us each, and what waits for the processor comes in between
-_SETTLE_AGAIN_NS = 120_000
 _LONGEST_STEP_S = LONGEST_STEP_NS * 1e-9
 _ACTION_CODES = {name: code for code, name in safety.ACTION_NAMES.items()}
 _AT_REST = Oscillation(0.0, 0.0)
@@ -57,19 +52,18 @@ class AfmNode(Node):
     """
 
     inputs = INPUTS
-    # the tick then goes through the slave's half and the link, which may share its processor
-    last_of_tick, pause_after_ns = "afm/command", 350_000
     commands: ClassVar[tuple[str, ...]] = ("arm", "estop")
     # a pattern means the end of the operator's programme, after which the tip may stay where it is
     named_commands: ClassVar[tuple[str, ...]] = ("stop", "set")
     journalled = True
+    # the tick then goes through the slave's half and the link, which may share its processor
+    idle_after = "afm/command"
     period_s = PERIOD_S
 
     def __init__(self, context: NodeContext, config: AfmConfig, driver: AfmDriver) -> None:
         super().__init__(context)
         self._replay_guard = ReplayGuard(context, allow=config.allow_replay)
-        self._allow_replay = config.allow_replay
-        self._hand_age = HandAge(context.key, self.clock.now_ns())
+        self.freshness.allow_replay = config.allow_replay
         self._driver = driver
         self._limits = config.to_params().safety
         self._guard = safety.initial_safety_state(self._limits)
@@ -99,9 +93,6 @@ class AfmNode(Node):
         self._report_device(driver.report)
         self._stepped_ns = self.clock.monotonic_ns()
         self._due_ns = self._stepped_ns + _PERIOD_NS
-        self._settle_ns = NEVER_NS
-        # what comes before the deadline to settle shares this processor
-        self.has_precise_deadlines = driver.simulation is None or not driver.simulation.settles
         if config.driver == "simulated" and config.environment == "tip_sample" and (doubts := config.doubts()):
             self.event("fault", "warning", doubts)
 
@@ -113,10 +104,10 @@ class AfmNode(Node):
         return self._guard.mode == safety.MODE_ESTOP
 
     def deadline_ns(self) -> int:
-        return min(self._due_ns, self._settle_ns)
+        return self._due_ns
 
     def on_message(self, received: Received) -> None:
-        self._handle_stall(received.received_ns - self.clock.epoch_offset_ns)
+        self._judge_stall(received.received_ns - self.clock.epoch_offset_ns)
         message = received.message
         if type(message) is AfmCommand:
             self._command = message
@@ -126,17 +117,13 @@ class AfmNode(Node):
             self._step(self.clock.monotonic_ns(), command_age_s)
             self._due_ns = self._stepped_ns + _COMMAND_WAIT_NS
         elif type(message) is LinkDelay:
-            self._hand_age.record(message)
+            self.freshness.record(message)
         elif type(message) is ClockPing:
             self.publish("clock/pong", ping_t_ns=message.t_ns, received_ns=received.received_ns)
 
     def on_deadline(self, now_ns: int) -> None:
-        """Step without a command: the guard judges the silence. Before that, do what nothing waits for."""
-        simulation = self._driver.simulation
-        if simulation is not None and self._settle_ns <= now_ns < self._due_ns:
-            self._settle_ns = now_ns + _SETTLE_AGAIN_NS if simulation.settle() else NEVER_NS
-            return
-        self._handle_stall(now_ns)
+        """Step without a command: the guard judges the silence."""
+        self._judge_stall(now_ns)
         self._step(now_ns)
         self._due_ns = now_ns + _PERIOD_NS
 
@@ -218,26 +205,18 @@ class AfmNode(Node):
             self.event("fault", "error", text)
         self._driver.close()
 
-    def _handle_stall(self, now_ns: int) -> None:
+    def _judge_stall(self, now_ns: int) -> None:
         """Let the guard judge the time that this process stood still as silence, before it looks at what waited."""
-        # it takes a step every period and a half at the latest
-        stalled_ns = now_ns - self._stepped_ns
-        if stalled_ns > LOOP_DEADLINE_NS and self.steps:
-            stalled_s = stalled_ns * 1e-9
-            mode = safety.MODE_NAMES[self._step(now_ns, max(self._command_age_s(), stalled_s)).mode]
-            text = f"this process stalled for {stalled_s * 1e3:.0f} ms: the AFM is in mode {mode}"
-            self.event("fault", "warning", text, stalled_s=stalled_s, mode=mode)
+        if stalled_s := self.begin_turn(now_ns):
+            self._step(now_ns, max(self._command_age_s(), stalled_s))
 
     def _command_age_s(self) -> float:
-        """Return the age of the command or of the hand's sample behind it [s], whichever is greater."""
-        command = self._command
-        if command is None:
-            return math.inf
-        now_ns = self.clock.now_ns()
-        command_age_s = self._hand_age.message_age_s(
-            now_ns, command.t_ns, self._command_received_ns, allow_replay=self._allow_replay
-        )
-        return self._hand_age.age_s(now_ns, command.hand_t_ns, command_age_s)
+        return self.freshness.command_age_s(self._command, self._command_received_ns, self.clock.now_ns())
+
+    def _settle(self) -> None:
+        """Go on by a part of what is known of the motion; the next part lets in what waits for the processor."""
+        if self._driver.simulation is not None and self._driver.simulation.settle():
+            self.defer(self._settle, NEVER_NS)
 
     def _step(
         self,
@@ -294,7 +273,7 @@ class AfmNode(Node):
         self._report_device(report)
         self.steps += 1
         if simulation is not None and simulation.settles:
-            self._settle_ns = self._stepped_ns + _SETTLE_NS
+            self.defer(self._settle, NEVER_NS)
         return allowed
 
     def _step_program(self, elapsed_s: float, *, estop: bool) -> safety.SafetyOutputs:

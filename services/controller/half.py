@@ -13,7 +13,6 @@ from services.controller import energy
 from services.controller.config import KNOWN_LAWS, PACKAGE_LAWS, ControllerConfig, changed_config
 from services.controller.deadband import deadband, initial_deadband_state
 from services.controller.hand_periods import HandPeriods
-from services.controller.input_age import InputAge
 from services.controller.law import (
     LONGEST_BRIDGED_PERIODS,
     NO_SIGNAL,
@@ -40,7 +39,7 @@ class ControllerHalf(Node):
     are ignored. The master takes over from where the hand is when it receives the slave in the new law, with the tip's
     reference where the slave reports the base; the slave goes on when it receives that the master follows.
 
-    What is past its deadline is rejected (`InputAge`), and a half that stalled begins with the next fresh signal.
+    What is past its deadline is rejected (`Freshness`), and a half that stalled begins with the next fresh signal.
     """
 
     commands: ClassVar[tuple[str, ...]] = ("set",)
@@ -58,7 +57,6 @@ class ControllerHalf(Node):
         self.port = energy.opened(0.0, 0.0)
         self._signal_ns: int | None = None
         self._signal_hand_ns = 0
-        self.input_age = InputAge(context, self.clock.now_ns())
         self._hand_stamp = (0, 0)
         self._period_ns = round(config.period_s * 1e9)
         self._hand_periods = HandPeriods(self._period_ns)
@@ -90,24 +88,22 @@ class ControllerHalf(Node):
         return KNOWN_LAWS[self.config.law]
 
     def deadline_ns(self) -> int:
-        return self.input_age.deadline_ns()
+        return self.freshness.deadline_ns()
 
     def on_deadline(self, now_ns: int) -> None:
-        """Detect a stall: a controller acts on messages only. In a pause, report."""
-        if self.input_age.stalled(now_ns):
+        """Detect a stall: a controller acts on messages only."""
+        if self.begin_turn(now_ns):
             self.forget()
-        if self.quiet_work.take(now_ns):
-            self.publish("law/status", **self._status)
 
     def rejects(self, received: Received) -> bool:
         """Return whether a message is too old to act on; forget the time before, where this process stalled."""
-        if self.input_age.stalled(received.received_ns - self.clock.epoch_offset_ns):
+        if self.begin_turn(received.received_ns - self.clock.epoch_offset_ns):
             self.forget()
-        rejected = self.input_age.rejects(received)
-        self.stale += rejected
-        if received.topic == self.last_of_tick:
-            self.quiet_work.note_tick(received.received_ns - self.clock.epoch_offset_ns)
-        return rejected
+        reason = self.freshness.rejection(received)
+        if reason:
+            self.event("fault", "warning", reason, topic=received.topic, source=received.message.src)
+        self.stale += reason is not None
+        return reason is not None
 
     def forget(self) -> None:
         """Forget the signal of the other half; it is waited for anew."""
@@ -249,7 +245,10 @@ class ControllerHalf(Node):
             "round_trip_valid": measured,
             "round_trip_s": round_trip_s,
         }
-        self.quiet_work.add(self.clock.monotonic_ns(), "status")
+        self.defer(self._publish_status)
+
+    def _publish_status(self) -> None:
+        self.publish("law/status", **self._status)
 
     def _silence_s(self) -> float:
         return max(0.0, (self.clock.now_ns() - (self._signal_ns or 0)) * 1e-9)

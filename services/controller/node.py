@@ -17,7 +17,6 @@ from services.controller import energy
 from services.controller.clamp import clamped
 from services.controller.config import ControllerConfig
 from services.controller.half import ROUND_TRIP_UNKNOWN, ZERO_XY, ControllerHalf
-from services.controller.input_age import INSTRUMENT_DEADLINE_S
 from services.controller.law import (
     NO_SIGNAL,
     NO_TIP,
@@ -32,6 +31,7 @@ from services.controller.law import (
 )
 from services.numerics.frames import to_paper_axis, to_site_frame
 from services.runtime.bus.bus import Received
+from services.runtime.loop.freshness import DEADLINES_S
 from services.runtime.loop.node import NodeContext
 
 MASTER_INPUTS = ("haptic/state", "teleop/backward", "law/status", "link/delay", "session/control")
@@ -52,7 +52,7 @@ class MasterController(ControllerHalf):
 
     inputs = MASTER_INPUTS
     # the tick then is with the slave's side
-    last_of_tick, pause_after_ns = "haptic/state", 150_000
+    idle_after = "haptic/state"
 
     def __init__(self, context: NodeContext, config: ControllerConfig) -> None:
         super().__init__(context, config)
@@ -80,7 +80,7 @@ class MasterController(ControllerHalf):
         elif type(message) is LawStatus:
             self._slave_status = message
         elif type(message) is LinkDelay:
-            self.input_age.record(message)
+            self.freshness.record(message)
 
     def forget(self) -> None:
         super().forget()
@@ -213,7 +213,7 @@ class SlaveController(ControllerHalf):
 
     inputs = SLAVE_INPUTS
     # the tick then goes through the link, which may share its processor
-    last_of_tick, pause_after_ns = "afm/state", 250_000
+    idle_after = "afm/state"
 
     def __init__(self, context: NodeContext, config: ControllerConfig) -> None:
         super().__init__(context, config)
@@ -244,13 +244,13 @@ class SlaveController(ControllerHalf):
         if type(message) is TeleopForward:
             self._on_forward(message, received.received_ns)
         elif type(message) is AfmState:
-            self._instrument_ns = self.input_age.sampled_ns(received)
+            self._instrument_ns = self.freshness.stamp_ns(message.t_ns, received.received_ns)
             self._on_instrument(message)
         elif type(message) is AfmProgram:
             occupied = message.program != "tactile" and message.state in ("running", "paused")
             self._occupied_until_ns = received.received_ns + _PROGRAM_SILENCE_NS if occupied else 0
         elif type(message) is LinkDelay:
-            self.input_age.record(message)
+            self.freshness.record(message)
 
     def forget(self) -> None:
         super().forget()
@@ -336,7 +336,7 @@ class SlaveController(ControllerHalf):
     def _doubt_instrument(self) -> None:
         """Mark an instrument that has been silent for too long as not following, whatever it published last."""
         silence_s = (self.clock.now_ns() - self._instrument_ns) * 1e-9
-        if self.tip.following and silence_s > INSTRUMENT_DEADLINE_S:
+        if self.tip.following and silence_s > DEADLINES_S["afm/state"]:
             self._lose_instrument()
             text = f"the AFM has been silent for {silence_s * 1e3:.0f} ms: the hand is let go"
             self.event("fault", "warning", text, silence_s=silence_s)

@@ -6,10 +6,10 @@ from proto.errors import ConfigError
 from services.delay_node.config import LinkSettings, changes_text
 from services.delay_node.node import DelayNode
 from services.runtime.loop.main import NodeKind, Wiring, run_node
-from services.runtime.loop.node import AccountedBus, Node
+from services.runtime.loop.node import Node, NodeBus
 
 
-def build(wiring: Wiring, settings: LinkSettings) -> tuple[Node, AccountedBus]:
+def build(wiring: Wiring, settings: LinkSettings) -> tuple[Node, NodeBus]:
     """Bind a publisher at each site and subscribe to the nodes of both."""
     if changes := changes_text(settings):
         wiring.log.warning(changes)

@@ -1,6 +1,7 @@
 """The link process: the only path between the sites, with the impairments in force on each direction."""
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import ClassVar, NamedTuple, Protocol
 
@@ -18,18 +19,14 @@ from services.runtime.bus.bus import Received
 from services.runtime.bus.ends import publish_end
 from services.runtime.loop.clock_offset import Exchange, Offset, OffsetFilter
 from services.runtime.loop.deadlines import PeriodicDeadline
-from services.runtime.loop.freshness import StallDetector
-from services.runtime.loop.node import AccountedBus, Node, NodeContext
+from services.runtime.loop.deferred import Task
+from services.runtime.loop.node import Node, NodeBus, NodeContext
 
 STATUS_PERIOD_NS = 100_000_000
 # exchanges of time stamps in view, one a report: the clocks of two sites drift by microseconds in this time
 _CLOCK_WINDOW = 64
 # rows of ground truth that make a message worth sending
 _FATES_AT_ONCE = 32
-# a report in pieces: what happened to the messages of each direction, the state of the link, its delays, which readers
-# that came later need and which the clocks change, and the next exchange of time stamps
-_FATES = ("fates forward", "fates backward")
-_REPORT = (*_FATES, "status", "delay forward", "delay backward", "ping")
 # rows that fit into a message with room to spare
 _MOST_FATES = 1000
 
@@ -62,10 +59,10 @@ class DelayNode(Node):
     inputs = ("session/control",)
     commands: ClassVar[tuple[str, ...]] = ("set",)
     journalled = True
+    # the tick then is with the master's side
+    idle_after = "teleop/backward"
     acts_on_health = True
     period_s = 0.0
-    # the tick then is with the master's side
-    last_of_tick, pause_after_ns = "teleop/backward", 150_000
 
     def __init__(
         self,
@@ -94,18 +91,22 @@ class DelayNode(Node):
         self._forward_delay, self._backward_delay = DeclaredDelay("forward"), DeclaredDelay("backward")
         self._between = ONE_MACHINE
         self._spans_machines = spans_machines
-        self._stalls = StallDetector()
         self._unreported = 0
+        # what happened to the messages of each direction
+        self._fates: tuple[Task, ...] = tuple(partial(self._publish_fates, way) for way in self._ways)
+        # with the state of the link, its delays, which readers that came later need and which the clocks change, and
+        # the next exchange of time stamps
+        self._report = (*self._fates, self._publish_status, self._declare_forward, self._declare_backward, self._ping)
         self._status = PeriodicDeadline(self.clock.monotonic_ns(), STATUS_PERIOD_NS)
         self.state = "running"
 
     def deadline_ns(self) -> int:
         release_ns = self.engine.next_release_ns()
-        due_ns = min(self._status.deadline_ns, self._stalls.deadline_ns())
+        due_ns = min(self._status.deadline_ns, self.freshness.deadline_ns())
         return due_ns if release_ns is None else min(due_ns, release_ns - self.clock.epoch_offset_ns)
 
     def on_message(self, received: Received) -> None:
-        self._report_stall(received.received_ns - self.clock.epoch_offset_ns)
+        self.begin_turn(received.received_ns - self.clock.epoch_offset_ns)
         if type(received.message) is ClockPong:
             pong = received.message
             self._offset.record(Exchange(pong.ping_t_ns, pong.received_ns, pong.t_ns, received.received_ns))
@@ -121,22 +122,19 @@ class DelayNode(Node):
                 self._send(way, due)
         self.steps += 1
         self._unreported += 1
-        received_ns = received.received_ns - self.clock.epoch_offset_ns
-        if received.topic == self.last_of_tick:
-            self.quiet_work.note_tick(received_ns)
         if self._unreported >= _FATES_AT_ONCE and direction == "backward":
-            self.quiet_work.add(received_ns, *_FATES)
+            for task in self._fates:
+                self.defer(task)
 
     def on_deadline(self, now_ns: int) -> None:
-        self._report_stall(now_ns)
+        self.begin_turn(now_ns)
         epoch_ns = now_ns + self.clock.epoch_offset_ns
         for way in self._ways:
             self._send(way, way.engine.due(epoch_ns))
         if now_ns >= self._status.deadline_ns:
             self._status.advance(now_ns)
-            self.quiet_work.add(now_ns, *_REPORT)
-        for piece in self.quiet_work.take(now_ns):
-            self._report(piece)
+            for task in self._report:
+                self.defer(task)
 
     def further_outputs(self) -> dict[str, int]:
         """Return the count of messages forwarded at each endpoint, by its name, and the numbers of the slave's."""
@@ -160,7 +158,7 @@ class DelayNode(Node):
     def make_safe(self) -> None:
         """Do nothing: a link that stands still makes the devices safe by its silence."""
 
-    def publish_end(self, bus: AccountedBus) -> None:
+    def publish_end(self, bus: NodeBus) -> None:
         """Publish at both sites what was sent there, and up to which number messages were sent on."""
         for way, publisher in ((self._backward, bus), (self._forward, self._forward.outlet)):
             newest = self._newest[way.endpoint].values()
@@ -186,32 +184,19 @@ class DelayNode(Node):
         for outlet in (way.outlet,) if way is self._backward else (way.outlet, self._backward.outlet):
             outlet.publish("link/delay", **fields)
 
-    def _report_stall(self, now_ns: int) -> None:
-        """Report that the link stood still; what it sends on late, its readers reject for its age."""
-        stalled_s = self._stalls.stalled_s(now_ns)
-        if stalled_s:
-            text = f"this process stalled for {stalled_s * 1e3:.0f} ms: what waited is sent on late, and is rejected"
-            self.event("fault", "warning", text, stalled_s=stalled_s)
+    def _declare_forward(self) -> None:
+        if self._spans_machines:
+            self._between = between_sites(self._offset.estimate())
+        self._declare(self._forward)
 
-    def _report(self, piece: str) -> None:
-        match piece:
-            case "fates forward":
-                self._unreported = 0
-                self._publish_fates(self._forward)
-            case "fates backward":
-                self._publish_fates(self._backward)
-            case "status":
-                self._publish_status()
-            case "delay forward":
-                if self._spans_machines:
-                    self._between = between_sites(self._offset.estimate())
-                self._declare(self._forward)
-            case "delay backward":
-                self._declare(self._backward)
-            case "ping":
-                self._forward.outlet.publish("clock/ping")
+    def _declare_backward(self) -> None:
+        self._declare(self._backward)
+
+    def _ping(self) -> None:
+        self._forward.outlet.publish("clock/ping")
 
     def _publish_fates(self, way: DirectionPath) -> None:
+        self._unreported = 0
         fates = tuple(_link_fate(fate) for fate in way.engine.take_fates())
         for first in range(0, len(fates), _MOST_FATES):
             self.publish("link/fates", direction=way.name, fates=fates[first : first + _MOST_FATES])

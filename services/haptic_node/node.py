@@ -1,6 +1,5 @@
 """The haptic process: paces the rig, samples the operator's device and guards it."""
 
-import math
 from typing import ClassVar
 
 from proto.errors import RefusedError
@@ -19,7 +18,7 @@ from services.haptic_node.physics.disturbances import DisturbedHaptic, changed_d
 from services.numerics.frames import to_paper_axis, to_site_frame
 from services.runtime.bus.bus import Received
 from services.runtime.loop.deadlines import PeriodicDeadline
-from services.runtime.loop.freshness import LOOP_DEADLINE_NS, HandAge, age_s
+from services.runtime.loop.freshness import age_s
 from services.runtime.loop.node import DeviceDelay, Node, NodeContext
 from services.runtime.loop.replay_guard import ReplayGuard
 
@@ -43,18 +42,17 @@ class HapticNode(Node):
     """
 
     inputs = INPUTS
-    # the tick is then with the master's half, and soon with the slave's side
-    last_of_tick, pause_after_ns = "", 250_000
     commands: ClassVar[tuple[str, ...]] = ("start", "stop", "arm", "estop")
     named_commands: ClassVar[tuple[str, ...]] = ("set",)
     journalled = True
+    # the tick is then with the master's half, and soon with the slave's side
+    idle_after = ""
     period_s = PERIOD_S
 
     def __init__(self, context: NodeContext, config: HapticConfig, device: HapticDevice) -> None:
         super().__init__(context)
         self._replay_guard = ReplayGuard(context, allow=config.allow_replay)
-        self._allow_replay = config.allow_replay
-        self._hand_age = HandAge(context.key, self.clock.now_ns())
+        self.freshness.allow_replay = config.allow_replay
         self.device = device
         device.open()
         if device.report is not None:
@@ -101,14 +99,17 @@ class HapticNode(Node):
             self._command_received_ns = received.received_ns
             self._command_is_new = True
         elif type(received.message) is LinkDelay:
-            self._hand_age.record(received.message)
+            self.freshness.record(received.message)
         elif isinstance(received.message, OperatorForce):
             self._on_operator_force(received.message, received.received_ns)
 
     def on_deadline(self, now_ns: int) -> None:
         """Guard the command, drive and sample the device, publish what it did."""
-        self._handle_stall(now_ns)
+        if self.begin_turn(now_ns):
+            # the command in force, and whatever came in with it
+            self._command, self._operator_force_n = None, 0.0
         periods = self._grid.advance(now_ns)
+        self.freshness.turn_ns = self._grid.deadline_ns
         self.overruns = self._grid.overruns
         elapsed_s = periods * PERIOD_S
         if self._session_ticks is not None:
@@ -153,15 +154,6 @@ class HapticNode(Node):
     def _session_s(self) -> float:
         return _NOT_RUNNING_S if self._session_ticks is None else self._session_ticks * PERIOD_S
 
-    def _handle_stall(self, now_ns: int) -> None:
-        """Forget the command in force, and whatever came in with it, where this process stood still."""
-        late_ns = now_ns - self._grid.deadline_ns
-        if late_ns > LOOP_DEADLINE_NS and self.steps:
-            self._command = None
-            self._operator_force_n = 0.0
-            text = f"this process stalled for {late_ns * 1e-6:.0f} ms: the motor is off until the next command"
-            self.event("fault", "warning", text, stalled_s=late_ns * 1e-9)
-
     def _on_operator_force(self, message: OperatorForce, received_ns: int) -> None:
         """Take the force of a person without a device; say once where the scenario has another operator."""
         if self._force_deadline_s is not None:
@@ -182,21 +174,9 @@ class HapticNode(Node):
             self._pushed_n = force_n
             self.device.push(force_n)
 
-    def _command_age_s(self) -> float:
-        """Return the age of the command, or of the sample that it answers if it moves anything, if greater [s]."""
-        command = self._command
-        if command is None:
-            return math.inf
-        now_ns = self.clock.now_ns()
-        command_age_s = self._hand_age.message_age_s(
-            now_ns, command.t_ns, self._command_received_ns, allow_replay=self._allow_replay
-        )
-        if command.mode == "off":
-            return command_age_s
-        return self._hand_age.age_s(now_ns, command.hand_t_ns, command_age_s)
-
     def _guarded(self) -> safety.SafetyOutputs:
-        command, command_age_s = self._command, self._command_age_s()
+        command = self._command
+        command_age_s = self.freshness.command_age_s(command, self._command_received_ns, self.clock.now_ns())
         if self._command_is_new:
             self._command_is_new = False
             self.stale += command_age_s > self._limits.command_deadline_s

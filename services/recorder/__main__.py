@@ -10,11 +10,11 @@ from services.recorder.live import accept_batches, connect
 from services.recorder.node import RecorderBus, RecorderNode
 from services.recorder.open_recording import open_recording
 from services.runtime.loop.main import NodeKind, Wiring, run_node
-from services.runtime.loop.node import AccountedBus, Node
+from services.runtime.loop.node import Node, NodeBus
 from services.runtime.loop.participant import SITES
 
 
-def build(wiring: Wiring, config: RecorderConfig) -> tuple[Node, AccountedBus]:
+def build(wiring: Wiring, config: RecorderConfig) -> tuple[Node, NodeBus]:
     """Connect to every node of the site file and begin the recording."""
     publisher = wiring.bind(wiring.key)
     intake = begin(wiring, config)

@@ -5,12 +5,12 @@ from functools import partial
 
 from proto.errors import ConfigError
 from services.runtime.loop.main import NodeKind, Wiring, run_node
-from services.runtime.loop.node import AccountedBus, Node
+from services.runtime.loop.node import Node, NodeBus
 from services.viz_node.config import ViewConfig
 from services.viz_node.serve import addresses_of, announced, inherited, missing_for_view
 
 
-def build(wiring: Wiring, config: ViewConfig) -> tuple[Node, AccountedBus]:
+def build(wiring: Wiring, config: ViewConfig) -> tuple[Node, NodeBus]:
     """Serve at the address that the launcher has bound, or bind one and tell it to the owner of this process."""
     if reason := missing_for_view():
         raise ConfigError(f"the view cannot be served: {reason}")

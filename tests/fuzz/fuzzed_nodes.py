@@ -72,7 +72,7 @@ class FuzzedBus:
         self._key, self.clock, self.reader = key, clock, reader
         self._numbers: dict[str, int] = {}
         # only to add up accounts: it has no socket of its own
-        self._accounts = ZmqBus(self, [reader], clock, -1)  # type: ignore[arg-type]
+        self._counters = ZmqBus(self, [reader], clock, -1)  # type: ignore[arg-type]
 
     def publish(self, topic: str, **fields: Any) -> Message:
         seq = self._numbers.get(topic, 0)
@@ -100,10 +100,10 @@ class FuzzedBus:
         return dict(self._numbers)
 
     def input_health(self) -> tuple[InputHealth, ...]:
-        return self._accounts.input_health()
+        return self._counters.input_health()
 
     def rejections(self) -> tuple[dict[str, int], str]:
-        return self._accounts.rejections()
+        return self._counters.rejections()
 
     def process_events(self, *, now: bool = False) -> Sequence[ConnectionEvent]:
         return ()

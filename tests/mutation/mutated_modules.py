@@ -16,13 +16,11 @@ MODULES: dict[str, tuple[str, ...]] = {
         "tests/unit/afm_node/test_safety_codes.py",
     ),
     "services/runtime/loop/freshness.py": (
+        "tests/unit/runtime/test_freshness_of_inputs.py",
         "tests/unit/runtime/test_hand_age_histories.py",
         "tests/unit/runtime/test_runtime_freshness.py",
     ),
-    "services/runtime/loop/quiet_work.py": (
-        "tests/unit/runtime/test_quiet_work_edges.py",
-        "tests/unit/runtime/test_quiet_work.py",
-    ),
+    "services/runtime/loop/deferred.py": ("tests/unit/runtime/test_deferred_tasks.py",),
     "services/runtime/loop/node.py": (
         "tests/unit/runtime/test_loop_edges.py",
         "tests/unit/runtime/test_loop_admission.py",
@@ -55,13 +53,13 @@ MODULES: dict[str, tuple[str, ...]] = {
 EQUIVALENT: dict[str, dict[str, str]] = {
     "services/runtime/loop/freshness.py": {
         "DelayHistory.forget_before: if place > 0: [place > 0 => place >= 0]": "deletes the first 0 entries",
-        "HandAge.__init__: self._judged_ns = 0 [0 => 1]": "no sample of a hand is a nanosecond after 1970",
-        "HandAge.age_s: taken_ns = hand_t_ns + (self._newest_lag_ns if is_newest else self.lag_ns(hand_t_ns))"
+        "Freshness.__init__: self._judged_ns = 0 [0 => 1]": "no sample of a hand is a nanosecond after 1970",
+        "Freshness.age_s: taken_ns = hand_t_ns + (self._newest_lag_ns if is_newest else self.lag_ns(hand_t_ns))"
         " [self._newest_lag_ns if is_newest else self.lag_ns(hand_t_ns) => self.lag_ns(hand_t_ns)]": "the lag of the"
         " newest sample is kept only to save looking it up",
     },
     "services/runtime/loop/commands.py": {
-        "CommandHandler.__init__: self._held_up_s = 0.0 [self._held_up_s = 0.0 => pass]": "read only after it was set",
+        "CommandHandler.__init__: self._stalled_s = 0.0 [self._stalled_s = 0.0 => pass]": "read only after it was set",
         "CommandHandler.__init__: self._distrust_until_ns = 0 [0 => 1]": "no command comes a nanosecond after 1970",
     },
     "services/runtime/security/zap_authenticator.py": {

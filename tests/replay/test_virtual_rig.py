@@ -23,6 +23,7 @@ from recording.reader import RawMessage, Recording
 from recording.rewrite import filter_recording
 from recording.writer import FileSettings, RecordingWriter
 from services.controller.config import LAWS
+from services.runtime.loop.journal import DEFERRED
 
 # what stands between the sites in the session of each law: all that a link does to messages
 LINKS: dict[str, Any] = {
@@ -211,6 +212,19 @@ def test_the_deadband_and_its_statistics_are_rerun(tmp_path: Path) -> None:
     recording = InMemory(path)
     results = [rerun(recording, node) for node in NODES]
     assert all(result.identical for result in results), [result.verdict() for result in results]
+
+
+def test_the_motion_of_a_cantilever_between_commands_is_rerun_over_batches_of_the_journal(tmp_path: Path) -> None:
+    path = record_session(tmp_path, 5, ["afm_node.model=dynamic"], duration_s=1.3)
+    recording = InMemory(path)
+    journals: list[Any] = [
+        found.decode() for found in recording.messages(["node/journal"]) if found.src == "afm_node@slave"
+    ]
+    tasks = sum(int((journal.kind.to_numpy() == DEFERRED).sum()) for journal in journals)
+    assert (len(journals) >= 3, tasks > 500) == (True, True)
+    result = rerun(recording, "afm_node@slave")
+    assert result.identical, result.verdict()
+    assert result.compared["afm/state"] > 500
 
 
 def test_a_changed_gain_is_found(sessions: Callable[[str], Recording]) -> None:

@@ -360,7 +360,7 @@ class VirtualRig:
         due_ns = self._known_due_ns.get(key)
         if due_ns is None:
             loop, inbox = self.loops[key], self.buses[key].inbox
-            deadline_ns = min(loop.node.deadline_ns(), loop.node.quiet_work.due_ns, loop.health_due_ns)
+            deadline_ns = min(loop.node.deadline_ns(), loop.health_due_ns)
             wanted_ns = min(deadline_ns, inbox[0][0]) if inbox else deadline_ns
             due_ns = max(wanted_ns + self._late_ns[key], self._stalled_until_ns[key])
             self._known_due_ns[key] = due_ns

@@ -36,6 +36,11 @@ class Bench:
     def receive(self) -> Iterator[Received]:
         return iter(())
 
+    def run_deferred(self) -> None:
+        """Run the tasks that the node has deferred."""
+        while (task := self.context.deferred.take_turn()) is not None:
+            task()
+
     def wait(self, deadline_ns: int) -> None:
         self.clock.advance_ns(max(0, deadline_ns - self.clock.monotonic_ns()))
 

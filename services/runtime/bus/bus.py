@@ -1,4 +1,4 @@
-"""The bus of one node: a PUB socket that it binds, SUB connections to those it listens to, and the account of both."""
+"""The bus of one node: a PUB socket that it binds, SUB connections to its publishers, and the statistics of both."""
 
 import select
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -36,7 +36,7 @@ _BATCH = 256
 _FEW = 3
 # as plain numbers: the enumerations of the binding cost half as much again as the question itself
 _EVENTS, _READABLE, _DONTWAIT = int(zmq.EVENTS), int(zmq.POLLIN), int(zmq.DONTWAIT)
-# sources that one node keeps account of; a peer that makes up names must not fill the memory
+# sources that one node keeps sequence statistics of; a peer that makes up names must not fill the memory
 _MOST_TRACKERS = 1024
 # of those, the ones that a connection tells of twice a second: each is worked on by the sender and by every reader, and
 # a thousand would cost a loop of 1 kHz tens of ticks
@@ -216,7 +216,7 @@ class Subscriber:
         return bool(cast(int, self.socket.get(_EVENTS)) & _READABLE)
 
     def input_health(self) -> tuple[InputHealth, ...]:
-        """Return the account of the sources that sent most; a topic on which nothing was received has an empty one."""
+        """Return the sequence statistics of the sources that sent most; a topic without messages has empty ones."""
         now = self._clock.now_ns()
         received = {topic for topic, _ in self.trackers}
         silent = [_health_of(topic, "", SequenceTracker(), now) for topic in self.topics if topic not in received]
@@ -229,12 +229,12 @@ class Subscriber:
         self.socket.close()
 
     def tracker(self, topic: str, src: str) -> SequenceTracker:
-        """Return the account of a topic from a source; WireError (`source`) when there are too many sources."""
+        """Return the sequence statistics of a topic from a source; WireError (`source`) for one too many."""
         tracker = self.trackers.get((topic, src))
         if tracker is None:
             if len(self.trackers) >= _MOST_TRACKERS:
                 raise WireError(
-                    "source", f"{topic}: {src} is one source more than the {_MOST_TRACKERS} kept account of"
+                    "source", f"{topic}: {src} is one source more than the {_MOST_TRACKERS} that are counted"
                 )
             tracker = self.trackers[topic, src] = SequenceTracker()
         return tracker
@@ -265,10 +265,10 @@ class ZmqBus:
         self._events_pending = self._network is not None
         self.publish = publisher.publish
         self.sequence_numbers = publisher.sequence_numbers
-        self._accounts: list[Reader | NetworkEvents] = [*self.subscribers]
+        self._counters: list[Reader | NetworkEvents] = [*self.subscribers]
         if self._network is not None:
-            self._accounts.append(self._network)
-        self._counted = [0] * len(self._accounts)
+            self._counters.append(self._network)
+        self._counted = [0] * len(self._counters)
         self._last_error = ""
         # what the last wait found readable; none where every socket has to be asked
         self._readable: Sequence[int] = ()
@@ -316,7 +316,7 @@ class ZmqBus:
         return bool(self._readable)
 
     def is_batch_due(self, now_ns: int) -> bool:
-        """Return whether copies for a recorder are to be sent in the next pause."""
+        """Return whether copies for a recorder are to be sent in the next idle gap."""
         for batch in self._batches:  # noqa: SIM110 - a generator takes three times as long
             if batch.due_ns <= now_ns:
                 return True
@@ -336,9 +336,9 @@ class ZmqBus:
         return notices
 
     def input_health(self) -> tuple[InputHealth, ...]:
-        """Return the account of every input, or of as many as a message takes."""
-        accounts = (health for subscriber in self.subscribers for health in subscriber.input_health())
-        return tuple(islice(accounts, MAX_ROWS))
+        """Return the sequence statistics of every input, or of as many as a message takes."""
+        found = (health for subscriber in self.subscribers for health in subscriber.input_health())
+        return tuple(islice(found, MAX_ROWS))
 
     def rejections(self) -> tuple[dict[str, int], str]:
         """Return what was not taken so far by reason, and the text of a refusal since it was last asked.
@@ -346,12 +346,12 @@ class ZmqBus:
         Beside what is refused that is what was superseded: no fault, for a newer message was waiting as well.
         """
         total: dict[str, int] = {}
-        for place, account in enumerate(self._accounts):
-            for reason, count in account.rejected.items():
+        for place, counter in enumerate(self._counters):
+            for reason, count in counter.rejected.items():
                 total[reason] = total.get(reason, 0) + count
-            counted = sum(account.rejected.values())
+            counted = sum(counter.rejected.values())
             if counted != self._counted[place]:
-                self._counted[place], self._last_error = counted, account.last_error
+                self._counted[place], self._last_error = counted, counter.last_error
         superseded = sum(tracker.superseded for reader in self.subscribers for tracker in reader.trackers.values())
         if superseded:
             total[SUPERSEDED] = superseded
@@ -374,7 +374,7 @@ def _messages_received(source: tuple[tuple[str, str], SequenceTracker]) -> int:
 
 def _health_of(topic: str, src: str, tracker: SequenceTracker, now_ns: int) -> InputHealth:
     received = tracker.received > 0
-    account = {
+    figures = {
         "topic": topic,
         "src": src,
         "received": tracker.received,
@@ -385,4 +385,4 @@ def _health_of(topic: str, src: str, tracker: SequenceTracker, now_ns: int) -> I
         "age_valid": received,
         "age_s": (now_ns - tracker.last_t_ns) * 1e-9 if received else 0.0,
     }
-    return limited(InputHealth, account)
+    return limited(InputHealth, figures)

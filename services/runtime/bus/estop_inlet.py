@@ -27,7 +27,7 @@ class EstopInlet(Subscriber):
         self.shared = False
 
     def input_health(self) -> tuple[InputHealth, ...]:
-        """Return the account of every sender; silence is nothing to report."""
+        """Return the sequence statistics of every sender; silence is nothing to report."""
         return tuple(health for health in super().input_health() if health.src)
 
     def close(self) -> None:

@@ -7,7 +7,7 @@ from proto.sequence import Arrival, SequenceTracker
 
 # frames of a message, and the time of reception [ns]
 Taken = tuple[Sequence[bytes], int]
-# the account of its source, seq, t_ns
+# the sequence statistics of its source, seq, t_ns
 Header = tuple[SequenceTracker, int, int]
 
 

@@ -45,7 +45,7 @@ def known_name(name: str) -> tuple[str, str | None]:
 
 
 class Observer:
-    """One connection to every socket of the rig, so that original and copy are accounted for apart."""
+    """One connection to every socket of the rig, so that original and copy are counted apart."""
 
     def __init__(self, book: AddressBook, wanted: Collection[str] = TOPICS) -> None:
         """Connect for some topics, or for all, as the machine that this process runs on.
@@ -72,7 +72,7 @@ class Observer:
                     yield ObservedMessage(self.name(node, received.topic, received.message.src), received)
 
     def tracker(self, name: str, src: str) -> SequenceTracker:
-        """Return the account of a topic, or of its copy at a site, from a source."""
+        """Return the sequence statistics of a topic, or of its copy at a site, from a source."""
         topic = name.partition("@")[0]
         for node, subscriber in self.subscribers.items():
             if (topic, src) in subscriber.trackers and self.name(node, topic, src) == name:

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from proto.batch import MOST_COPIES, SentCopy, pack_batch
 from services.runtime.loop.clock import NEVER_NS
 
-# age of the oldest copy at which a batch goes out in the next pause of the loop, and without one
+# age of the oldest copy at which a batch goes out in the next idle gap of the loop, and without one
 DUE_NS, LATEST_NS = 5_000_000, 10_000_000
 # payload bytes at which it goes out before the next message: a batch never holds more than this and one message
 _MOST_BYTES = 65_536
@@ -15,7 +15,7 @@ class OutgoingBatch:
     """Collects copies, and hands their bytes to `send` once they are due."""
 
     def __init__(self, monotonic_ns: Callable[[], int], send: Callable[[bytes], None]) -> None:
-        # when the copies go out in the next pause, and when at the latest, on the monotonic clock [ns]
+        # when the copies go out in the next idle gap, and when at the latest, on the monotonic clock [ns]
         self.due_ns = self.latest_ns = NEVER_NS
         self._monotonic_ns = monotonic_ns
         self._send = send

@@ -27,7 +27,7 @@ class Reader(Protocol):
         """Return the messages that have arrived."""
 
     def input_health(self) -> tuple[InputHealth, ...]:
-        """Return the account of every input."""
+        """Return the sequence statistics of every input."""
 
 
 class NetworkEvents(Protocol):

@@ -21,8 +21,8 @@ from proto.network_messages import LinkKey
 from services.runtime.bus.address_book import LinkTransport
 from services.runtime.bus.bus import ConnectionEvent, Received, Subscriber
 from services.runtime.datagram import flood_filter
-from services.runtime.datagram.account import ArrivalAccount
 from services.runtime.datagram.agreement import Agreement
+from services.runtime.datagram.arrivals import ArrivalRecord
 from services.runtime.datagram.body import DATAGRAMS_OF, MOST_SAMPLE_BYTES, REPORT, Report, packed, parse
 from services.runtime.datagram.pacing import NETWORK_BYTES, RESERVE_BYTES, Repeats, SendBudget
 from services.runtime.datagram.play_out import PlayOut
@@ -116,7 +116,7 @@ class DatagramEnd:
         self.last_error = ""
         self.drained = True
         self.sockets: list[Any] = []
-        self.account = ArrivalAccount()
+        self.arrivals = ArrivalRecord()
         # when the next sample of the play-out buffer is due, on the monotonic clock
         self.due_ns = NEVER_NS
         self._play_out = PlayOut() if settings.play_out else None
@@ -200,7 +200,7 @@ class DatagramEnd:
         sealer, peer = self._agreement.sealer, self._peer
         if sealer is None or peer is None:
             return
-        report = REPORT.pack(now_ns + self._clock.epoch_offset_ns, *self._heard, *self.account.of_keys)
+        report = REPORT.pack(now_ns + self._clock.epoch_offset_ns, *self._heard, *self.arrivals.of_keys)
         datagram = sealer.seal(report + samples)
         try:
             self.socket.sendto(datagram, peer)
@@ -238,7 +238,7 @@ class DatagramEnd:
         return not self.drained
 
     def input_health(self) -> tuple[InputHealth, ...]:
-        """Return nothing: what arrives is in the account of the subscriber."""
+        """Return nothing: what arrives is in the sequence statistics of the subscriber."""
         return ()
 
     def _take(self) -> list[tuple[list[bytes], int]]:
@@ -306,7 +306,7 @@ class DatagramEnd:
         self._arrived_ns = monotonic_ns
         if opener is not self._agreement.opener:
             return
-        self.account.record(number, report.sent_ns, now_ns)
+        self.arrivals.record(number, report.sent_ns, now_ns)
         if number == opener.window.newest:
             self._agreement.opened(opener)
             self._heard = (report.sent_ns, now_ns)
@@ -337,7 +337,7 @@ class DatagramEnd:
         if now_ns - self._exchange_ns >= _EXCHANGE_NS and self._best is not None:
             self.offset.record(self._best)
             self._best, self._exchange_ns = None, now_ns
-        self.account.settle(now_ns)
+        self.arrivals.settle(now_ns)
         if now_ns >= self._report_ns:
             self._report_ns = now_ns + _REPORT_NS
             self._count_kernel_drops()
@@ -359,7 +359,7 @@ class DatagramEnd:
                 self._refuse_key(str(error))
                 continue
             if new and agreement.opener is not None:
-                self.account.begin(agreement.opener.window)
+                self.arrivals.begin(agreement.opener.window)
                 self.repeats.forget()
                 self._expected = 0
                 self._stream_at_ns = now_ns + FIRST_NS

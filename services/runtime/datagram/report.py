@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 def network_report(end: "DatagramEnd", direction: Literal["forward", "backward"]) -> dict[str, Any]:
     """Return the fields of link/network for the direction that an end receives."""
     offset = end.offset.estimate()
-    fates = end.account.take_fates()
+    fates = end.arrivals.take_fates()
     # what the other clock is ahead was added to the time of sending
     ahead_ns = 0 if offset is None else round(offset.offset_s * 1e9)
     lost = np.frombuffer(fates.lost, dtype="u1") if fates.lost else np.zeros(0, dtype="u1")
@@ -27,10 +27,10 @@ def network_report(end: "DatagramEnd", direction: Literal["forward", "backward"]
         "direction": direction,
         "receiving": end.receiving,
         "sending": "datagram" if end.acknowledged else "stream",
-        "sent": end.account.sent,
-        "arrived": end.account.arrived,
-        "late": end.account.late,
-        "lost": max(0, end.account.lost),
+        "sent": end.arrivals.sent,
+        "arrived": end.arrivals.arrived,
+        "late": end.arrivals.late,
+        "lost": max(0, end.arrivals.lost),
         "refused": dict(end.rejected),
         "repeats": end.repeats.count,
         "unsent": end.unsent,

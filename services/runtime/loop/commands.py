@@ -46,8 +46,8 @@ _LONGEST_VALIDITY_S = 60.0
 _OBEYED_AT_ANY_AGE = ("estop", "stop")
 # from further ahead than two clocks that agree ever are: the age cannot be told
 _CLOCKS_AGREE_S = 0.1
-# after a node was held up for as long as a command is valid, what it finds in its queues may have waited as long
-HELD_UP_NS = round(DEFAULT_VALIDITY_S * 1e9)
+# after a node stalled for as long as a command is valid, what it finds in its queues may have waited as long
+STALL_NS = round(DEFAULT_VALIDITY_S * 1e9)
 
 
 @dataclass(frozen=True)
@@ -316,16 +316,16 @@ class CommandHandler:
         self._event = event
         self._is_latched = is_latched
         self._answers: OrderedDict[str, _Answer] = OrderedDict()
-        self._held_up_s = 0.0
+        self._stalled_s = 0.0
         self._distrust_until_ns = 0
 
-    def note_held_up(self, now_ns: int, duration_ns: int) -> None:
+    def note_stall(self, now_ns: int, duration_ns: int) -> None:
         """Record that the node did nothing for `duration_ns` until now, both on the clock of `handle` [ns].
 
         What waited for it meanwhile comes within the next second, and may carry the time of a clock that is ahead.
         """
-        self._held_up_s = duration_ns * 1e-9
-        self._distrust_until_ns = now_ns + HELD_UP_NS
+        self._stalled_s = duration_ns * 1e-9
+        self._distrust_until_ns = now_ns + STALL_NS
 
     def note_own_stop(self, now_ns: int) -> None:
         """Record that the device has stopped by a switch of its own, at `now_ns` on the clock of `handle` [ns]."""
@@ -394,8 +394,8 @@ class CommandHandler:
         if age_s < -_CLOCKS_AGREE_S:
             return f"{control.command} cannot be shown to be fresh: the clock of {control.src} is {-age_s:.1f} s ahead"
         if now_ns < self._distrust_until_ns:
-            held_up = f"this node was held up for {self._held_up_s:.1f} s"
-            return f"{control.command} cannot be shown to be fresh: {held_up}, during which it may have waited"
+            stall = f"this node stalled for {self._stalled_s:.1f} s"
+            return f"{control.command} cannot be shown to be fresh: {stall}, during which it may have waited"
         return ""
 
     def _answer(self, control: SessionControl) -> _Answer:

@@ -1,16 +1,22 @@
-"""How old the hand's sample is that a message descends from, and whether this process itself stalled.
+"""How old a message and the hand's sample behind it are, and whether this process itself stalled.
 
 Nothing here reads a clock: a node passes the time of its turn, so that a re-run from its journal decides the same.
 """
 
+import math
 from bisect import bisect_right
+from typing import cast
 
-from proto.messages import LinkDelay
+from proto.messages import AfmCommand, HapticCommand, LinkDelay, TeleopBackward, TeleopForward
 from proto.nodes import LINK, name_of, site_of
-from proto.topics import LOOP_DEADLINE_S
+from proto.topics import LOOP_DEADLINE_S, deadline_of
+from services.runtime.bus.bus import Received
 from services.runtime.loop.clock import NEVER_NS
 
 LOOP_DEADLINE_NS = round(LOOP_DEADLINE_S * 1e9)
+# oldest sample or signal that a controller may still take for the present, by topic [s]
+_SIGNALS = ("teleop/forward", "teleop/backward")
+DEADLINES_S = {topic: deadline_of(topic) for topic in ("haptic/state", "afm/state", *_SIGNALS)}
 # the link reports its delay in steps of this, rounded down: an age may come out too great by less than one step
 DELAY_STEP_NS = 1_000_000
 # a sample this much older than its reader was never sent to it: it is played from a recording
@@ -50,21 +56,46 @@ class DelayHistory:
             del self.from_ns[:place], self.delay_ns[:place]
 
 
-class HandAge:
-    """The age of the hand's samples at one node, less what link/delay accounts for.
+class Freshness:
+    """The three facts that decide whether a node may still act on something.
 
-    At the slave's site a sample came through the forward direction, and its stamp is of the master's clock. At the
-    master's it came back, so both directions count and the clock is that of the stamp.
+    - The *age* of a message is the time since its own stamp.
+    - The age of the hand's sample that a message descends from is the time since that was taken, less what link/delay
+      accounts for. At the slave's site it came through the forward direction, and its stamp is of the master's clock.
+      At the master's it came back, so both directions count and the clock is that of the stamp.
+    - A *stall* is a time for which this process took no turn although one was due.
     """
 
     def __init__(self, node: str, now_ns: int) -> None:
+        """Begin without a turn; `node` is node@site, `now_ns` the time on the clock of the stamps."""
+        # what is played from a recording has the age of its reception
+        self.allow_replay = True
+        # since when a turn is due, on the monotonic clock [ns]; 0: none was taken yet, and the first may take any time
+        self.turn_ns = 0
         self._is_slave = site_of(node) == "slave"
         self._oldest_ns = now_ns - _OLDER_THAN_READER_NS
         self._forward, self._backward = DelayHistory(), DelayHistory()
         self._between_ns = 0
         self._judged_ns = 0
-        # what applies to the newest samples, without a look into the histories
+        # cached lag of the newest samples
         self._newest_from_ns = self._newest_lag_ns = 0
+        # topics whose newest message was too old, which is reported once
+        self._late: set[str] = set()
+
+    def deadline_ns(self) -> int:
+        """Return when to take a turn at the latest, so that a stall is noticed [ns]."""
+        return self.turn_ns + LOOP_DEADLINE_NS // 2 if self.turn_ns else NEVER_NS
+
+    def stalled_s(self, now_ns: int) -> float:
+        """Return how long ago a turn was due [s] where that is beyond the deadline of the loop, else 0.0.
+
+        This is the next turn. What waited meanwhile is late, and is not reported as such again.
+        """
+        gap_ns, self.turn_ns = now_ns - self.turn_ns, now_ns
+        if not LOOP_DEADLINE_NS < gap_ns < now_ns:
+            return 0.0
+        self._late.update(DEADLINES_S)
+        return gap_ns * 1e-9
 
     def record(self, message: LinkDelay) -> None:
         """Record what the link reports of one direction; nobody else knows it."""
@@ -98,13 +129,47 @@ class HandAge:
         sample_age_s = age_s(now_ns, taken_ns)
         return sample_age_s if sample_age_s > message_age_s else message_age_s
 
-    def message_age_s(self, now_ns: int, t_ns: int, received_ns: int, *, allow_replay: bool) -> float:
-        """Return the age of a message by its own stamp, or, of a played one where that is allowed, by its reception."""
-        return age_s(now_ns, received_ns if allow_replay and self.is_played(t_ns) else t_ns)
+    def command_age_s(self, command: AfmCommand | HapticCommand | None, received_ns: int, now_ns: int) -> float:
+        """Return the age of a command, or of the hand's sample that it answers, if greater [s]; inf without a command.
 
-    def is_played(self, t_ns: int) -> bool:
-        """Return whether a time stamp of this site's clock is from before this node began: it is from a recording."""
-        return t_ns < self._oldest_ns
+        A command that moves nothing answers none.
+        """
+        if command is None:
+            return math.inf
+        command_age_s = age_s(now_ns, self.stamp_ns(command.t_ns, received_ns))
+        if type(command) is HapticCommand and command.mode == "off":
+            return command_age_s
+        return self.age_s(now_ns, command.hand_t_ns, command_age_s)
+
+    def stamp_ns(self, t_ns: int, received_ns: int) -> int:
+        """Return the time from which a message counts [ns]: its own stamp, or of a played one that of its reception.
+
+        One whose stamp is from before this node began is from a recording.
+        """
+        return received_ns if self.allow_replay and t_ns < self._oldest_ns else t_ns
+
+    def rejection(self, received: Received) -> str | None:
+        """Return whether an input of a controller is too old to act on: None if it is not, else a sentence to report.
+
+        A sample of the device at this site counts from its time stamp, a signal of the other half from the hand's
+        sample that it descends from. The sentence is empty where the message before was too old as well.
+        """
+        topic, message = received.topic, received.message
+        limit_s = DEADLINES_S.get(topic)
+        if limit_s is None:
+            return None
+        if topic in _SIGNALS:
+            old_s = self.age_s(received.received_ns, cast(TeleopForward | TeleopBackward, message).hand_t_ns)
+        else:
+            old_s = age_s(received.received_ns, self.stamp_ns(message.t_ns, received.received_ns))
+        if old_s <= limit_s:
+            self._late.discard(topic)
+            return None
+        if topic in self._late:
+            return ""
+        self._late.add(topic)
+        age = f"{old_s * 1e3:.0f} ms off, of {limit_s * 1e3:.0f} ms allowed"
+        return f"{topic} of {message.src} is {age}: it is rejected"
 
 
 def age_s(now_ns: int, t_ns: int) -> float:
@@ -115,24 +180,3 @@ def age_s(now_ns: int, t_ns: int) -> float:
     """
     age_ns = now_ns - t_ns
     return (age_ns if age_ns >= -LOOP_DEADLINE_NS else -age_ns) * 1e-9
-
-
-class StallDetector:
-    """Detects from the clock that a process stood still: by the time between two of its turns.
-
-    A node that takes a turn at least every `deadline_ns` is late by half of the bound and more where two turns lie
-    further apart than the bound, the deadline of the loop.
-    """
-
-    def __init__(self) -> None:
-        # 0: no turn yet; what comes before the first may take any time
-        self.turn_ns = 0
-
-    def deadline_ns(self) -> int:
-        """Return when to take a turn at the latest [ns]."""
-        return self.turn_ns + LOOP_DEADLINE_NS // 2 if self.turn_ns else NEVER_NS
-
-    def stalled_s(self, now_ns: int) -> float:
-        """Return how long ago the last turn was [s] where that is beyond the bound, else 0.0; this is the next turn."""
-        gap_ns, self.turn_ns = now_ns - self.turn_ns, now_ns
-        return gap_ns * 1e-9 if LOOP_DEADLINE_NS < gap_ns < now_ns else 0.0

@@ -13,7 +13,7 @@ from services.runtime.bus.bus import Received
 from services.runtime.loop.clock import TurnClock
 from services.runtime.loop.node_state import StateSnapshot
 
-DEADLINE, MESSAGE, COMMAND = 0, 1, 2
+DEADLINE, MESSAGE, COMMAND, DEFERRED = 0, 1, 2, 3
 # turns in one message: some 80 kB, and below what is allowed however many sources there are
 _BATCH = 4096
 
@@ -55,9 +55,9 @@ class InputJournal:
         """A batch is complete."""
         return len(self._kind) >= _BATCH
 
-    def record_deadline(self) -> None:
-        """Record a deadline that was acted on at the time that the clock shows."""
-        self._kind.append(DEADLINE)
+    def record_turn(self, kind: int) -> None:
+        """Record a deadline or a deferred task that was acted on at the time that the clock shows."""
+        self._kind.append(kind)
         self._time_ns.append(self.clock.time_ns)
         self._input.append(-1)
         self._number.append(-1)

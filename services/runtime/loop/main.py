@@ -16,7 +16,7 @@ from proto.errors import TelenanoError
 from proto.nodes import sites_of
 from services.runtime.bus.address_book import AddressBook
 from services.runtime.loop.log import StructuredLog, configure_logging
-from services.runtime.loop.node import AccountedBus, Node, NodeContext
+from services.runtime.loop.node import Node, NodeBus, NodeContext
 from services.runtime.loop.participant import Participant, StopSignals, open_participant, run_loop
 from services.runtime.loop.realtime import (
     RealtimeConfig,
@@ -55,7 +55,7 @@ class NodeKind(Generic[C]):
 
     name: str
     config: type[C]
-    build: Callable[[Wiring, C], tuple[Node, AccountedBus]]
+    build: Callable[[Wiring, C], tuple[Node, NodeBus]]
     realtime: bool = True
     observer: bool = False
 
@@ -70,10 +70,10 @@ def node_kind(name: str) -> NodeKind[Any]:
     return next(value for value in vars(module).values() if isinstance(value, NodeKind))
 
 
-def ordinary(node: Callable[[NodeContext, C], Node], inputs: Sequence[str]) -> Callable[..., tuple[Node, AccountedBus]]:
+def ordinary(node: Callable[[NodeContext, C], Node], inputs: Sequence[str]) -> Callable[..., tuple[Node, NodeBus]]:
     """Return the builder of a node of the loop that has one bus."""
 
-    def build(wiring: Wiring, config: C) -> tuple[Node, AccountedBus]:
+    def build(wiring: Wiring, config: C) -> tuple[Node, NodeBus]:
         bus = wiring.bus(inputs, newest_only=True)
         return node(wiring.context(bus), config), bus
 

@@ -6,7 +6,7 @@ import socket
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
 from typing import Any, ClassVar, Literal, Protocol, cast
@@ -19,18 +19,16 @@ from proto.sequence import Arrival
 from services.runtime.bus.bus import Bus, ConnectionEvent, Received
 from services.runtime.bus.ends import publish_end
 from services.runtime.loop.clock import NEVER_NS, Clock
-from services.runtime.loop.commands import HELD_UP_NS, CommandHandler, stop_of
+from services.runtime.loop.commands import STALL_NS, CommandHandler, stop_of
 from services.runtime.loop.deadlines import LatenessWindow, SpinMargin
-from services.runtime.loop.freshness import LOOP_DEADLINE_NS
-from services.runtime.loop.journal import InputJournal
+from services.runtime.loop.deferred import PATIENCE_NS, Deferred, DeferredTasks, Task
+from services.runtime.loop.freshness import LOOP_DEADLINE_NS, Freshness
+from services.runtime.loop.journal import DEADLINE, DEFERRED, InputJournal
 from services.runtime.loop.log import RateLimitedLog, StructuredLog
-from services.runtime.loop.quiet_work import QuietWork
 from services.runtime.loop.realtime import RealtimeStatus
 
 NodeState = Literal["starting", "ready", "running", "safe", "stopping"]
 HEALTH_PERIOD_NS = 500_000_000
-# pieces of a report, each for a pause of its own: what node/health says, the message, the end of a batch, its message
-_REPORT, _JOURNAL_REPORT = ("account", "health"), ("complete", "journal")
 # at first, where a rig waits until every node has said that it receives its inputs
 STARTING_PERIOD_NS, _STARTING_NS = 100_000_000, 3_000_000_000
 _STATM = Path("/proc/self/statm")
@@ -47,6 +45,11 @@ class NodeContext:
     stop_requested: bool = False
     # where an emergency stop is kept for this node until it is armed; None where it has no such place
     kept_stop: Path | None = None
+    # run by the loop, in its idle gaps
+    deferred: DeferredTasks = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.deferred = DeferredTasks(self.clock)
 
     def request_stop(self) -> None:
         """End the loop of the node after the step in hand."""
@@ -104,10 +107,9 @@ class Node(ABC):
     acts_on_health: ClassVar[bool] = False
     # its deadlines are worth a busy wait
     has_precise_deadlines = True
-    # the message with which a tick of the loop comes for the last time before a pause, "" for the node's own deadline,
-    # None where there are no ticks; and the time from then until nobody needs its processor [ns]
-    last_of_tick: ClassVar[str | None] = None
-    pause_after_ns: ClassVar[int] = 0
+    # the topic with which a tick of the control loop comes before the idle gap in which deferred tasks are run, "" for
+    # the node's own deadline; None of a node that carries no ticks on, and defers nothing
+    idle_after: ClassVar[str | None] = None
     period_s: float = 0.0
     state: NodeState = "ready"
 
@@ -120,12 +122,24 @@ class Node(ABC):
         self.overruns = 0
         # messages that were not acted on because they, or the hand's sample behind them, were past their deadline
         self.stale = 0
-        # what `on_deadline` does in pauses of the loop: at its `due_ns` it is called, without a busy wait
-        self.quiet_work = QuietWork(self.pause_after_ns)
+        # how old the messages and the hand's samples are, and whether this process stalled
+        self.freshness = Freshness(context.key, self.clock.now_ns())
         # of a real device, for node/health
         self.device_delay: DeviceDelay | None = None
         # how often a switch of the device itself has stopped it
         self.own_stops = 0
+
+    def defer(self, task: Task, within_ns: int = PATIENCE_NS) -> None:
+        """Have a task run in an idle gap of the loop, as a turn of its own (`DeferredTasks.add`)."""
+        self.context.deferred.add(task, is_turn=True, within_ns=within_ns)
+
+    def begin_turn(self, now_ns: int) -> float:
+        """Return for how long this process has stalled until now [s], 0.0 if it has not; report a stall."""
+        stalled_s = self.freshness.stalled_s(now_ns)
+        if stalled_s:
+            text = f"this process stalled for {stalled_s * 1e3:.0f} ms: what waited for it meanwhile is late"
+            self.event("fault", "warning", text, stalled_s=stalled_s)
+        return stalled_s
 
     @abstractmethod
     def on_message(self, received: Received) -> None:
@@ -164,16 +178,16 @@ class Node(ABC):
     def make_safe(self) -> None:
         """Put actuators in their declared safe state; called whatever ends the loop."""
 
-    def publish_end(self, bus: "AccountedBus") -> None:
+    def publish_end(self, bus: "NodeBus") -> None:
         """Publish the last message: how many were sent, for readers to know what they lack at the end."""
         publish_end(bus, self.context.key)
 
 
-class AccountedBus(Bus, Protocol):
-    """A bus whose inputs are accounted for."""
+class NodeBus(Bus, Protocol):
+    """The bus of a node, which counts its inputs and holds the batches for a recorder."""
 
     def input_health(self) -> tuple[InputHealth, ...]:
-        """Return the account of every input."""
+        """Return the sequence statistics of every input."""
 
     def rejections(self) -> tuple[dict[str, int], str]:
         """Return the frames refused so far by reason, and the text of the last refusal."""
@@ -188,7 +202,7 @@ class AccountedBus(Bus, Protocol):
         """Return whether something may have arrived since the last wait, for `receive`."""
 
     def is_batch_due(self, now_ns: int) -> bool:
-        """Return whether copies for a recorder are to be sent in the next pause."""
+        """Return whether copies for a recorder are to be sent in the next idle gap."""
 
     def send_batches(self) -> None:
         """Send the copies for a recorder that there are."""
@@ -200,7 +214,7 @@ class NodeLoop:
     def __init__(
         self,
         node: Node,
-        bus: AccountedBus,
+        bus: NodeBus,
         realtime: RealtimeStatus,
         *,
         spin_s: float = 0.0,
@@ -230,7 +244,7 @@ class NodeLoop:
         self._lateness = LatenessWindow()
         self._limited_log = RateLimitedLog(node.context.log, self._clock)
         self._started_ns = self._awake_ns = self._health_ns = self._last_health_ns = self._clock.monotonic_ns()
-        self._quiet = QuietWork(node.pause_after_ns)
+        self._deferred = node.context.deferred
         # threads of equal priority share its processor
         self._yields = realtime.fifo
         self._journal = InputJournal(node, bus.sequence_numbers) if node.journalled else None
@@ -258,18 +272,18 @@ class NodeLoop:
             finally:
                 # the device of a package may fail in this as well
                 self.node.state = "stopping"
-                self.publish_health(self._clock.monotonic_ns())
+                self.publish_health()
                 self.node.publish_end(self._bus)
 
     @property
     def health_due_ns(self) -> int:
-        """Monotonic time [ns] of the next report, or of the next piece of one."""
-        return min(self._health_ns, self._quiet.due_ns)
+        """Monotonic time [ns] of the next report, or of the next deferred task."""
+        return min(self._health_ns, self._deferred.due_ns)
 
     def turn(self) -> None:
         """Wait for the next message or deadline and act on it."""
         wanted = self.node.deadline_ns() - self._spin.ns
-        self._bus.wait(min(wanted, self._health_ns, self._quiet.due_ns, self.node.quiet_work.due_ns))
+        self._bus.wait(min(wanted, self._health_ns, self._deferred.due_ns))
         woken = self._note_awake()
         if self._may_be_kept:
             self._take_kept_stop()
@@ -279,6 +293,7 @@ class NodeLoop:
         # a message may have moved the deadline
         deadline = self.node.deadline_ns()
         now = self._clock.monotonic_ns()
+        event = taken[-1].topic if taken else None
         if deadline - self._spin.ns <= now:
             if not taken and woken >= wanted:
                 self._spin.record(woken - wanted)
@@ -286,15 +301,15 @@ class NodeLoop:
             if deadline <= now:
                 self._lateness.record((now - deadline) * 1e-9)
                 self._act_on_deadline(now)
-                if self.node.last_of_tick == "":
-                    self._note_tick(now)
-        elif self.node.quiet_work.due_ns <= now:
-            self._act_on_deadline(now)
-        if now >= self._health_ns or now >= self._quiet.due_ns:
-            self._work(now)
-        elif self._journal is not None and self._journal.full:
-            self._journal.complete()
-            self._journal.publish()
+                event = ""
+        if event is not None and self.node.idle_after is not None:
+            self._note_event(event, woken)
+        if now >= self._health_ns:
+            self._defer_report(now)
+        if self._deferred.due_ns < NEVER_NS:
+            self._run_deferred()
+        if self._journal is not None and self._journal.full:
+            self._end_batch()
 
     def _await(self, deadline_ns: int) -> tuple[int, int]:
         """Wait busily for a deadline; return the time and the deadline [ns], later where a message has moved it.
@@ -339,53 +354,85 @@ class NodeLoop:
             self.node.event("mode", "warning", "an emergency stop that was kept for this device is in force")
 
     def _act_on_deadline(self, now_ns: int) -> None:
-        journal = self._journal
-        if journal is None:
-            self.node.on_deadline(now_ns)
-        else:
-            journal.clock.time_ns = now_ns + journal.clock.epoch_offset_ns
-            self.node.on_deadline(now_ns)
-            journal.record_deadline()
+        self._take_turn(now_ns, lambda: self.node.on_deadline(now_ns), DEADLINE)
         if self.node.own_stops != self._own_stops:
             self._own_stops = self.node.own_stops
             self._commands.note_own_stop(self.node.clock.now_ns())
 
-    def _note_tick(self, now_ns: int) -> None:
-        self._quiet.note_tick(now_ns)
-        if self._bus.is_batch_due(now_ns):
-            self._quiet.add(now_ns, "batches")
+    def _take_turn(self, now_ns: int, act: Task, kind: int) -> None:
+        """Take a turn that no message brings."""
+        journal = self._journal
+        if journal is not None:
+            journal.clock.time_ns = now_ns + journal.clock.epoch_offset_ns
+        act()
+        if journal is not None:
+            journal.record_turn(kind)
 
-    def _work(self, now_ns: int) -> None:
-        """Do what is due of the work that can wait."""
-        if now_ns >= self._health_ns:
-            # a node that runs is in a session, whose loop pays for each report
-            starting = now_ns - self._started_ns < _STARTING_NS and self.node.state != "running"
-            self._health_ns = now_ns + (self._starting_period_ns if starting else HEALTH_PERIOD_NS)
-            self._may_be_kept = True
-            self._quiet.add(now_ns, *_REPORT, *(_JOURNAL_REPORT if self._journal is not None else ()))
-        for piece in self._quiet.take(now_ns):
-            match piece:
-                case "account":
-                    self._account(now_ns)
-                case "health":
-                    self._send_health()
-                case "batches":
-                    self._bus.send_batches()
-                case "complete" if self._journal is not None:
-                    self._journal.complete()
-                case "journal" if self._journal is not None:
-                    self._journal.publish()
+    def _note_event(self, event: str, begin_ns: int) -> None:
+        end_ns = self._clock.monotonic_ns()
+        self._deferred.note_event(begin_ns, end_ns, is_last=event == self.node.idle_after)
+        if self._bus.is_batch_due(end_ns):
+            self._deferred.add(self._bus.send_batches)
 
-    def publish_health(self, now_ns: int) -> None:
+    def _defer_report(self, now_ns: int) -> None:
+        """Add the tasks of a report: what node/health says, the message, and the batch of the journal."""
+        # a node that runs is in a session, whose loop pays for each report
+        starting = now_ns - self._started_ns < _STARTING_NS and self.node.state != "running"
+        self._health_ns = now_ns + (self._starting_period_ns if starting else HEALTH_PERIOD_NS)
+        self._may_be_kept = True
+        self._deferred.add(self._measure_health)
+        self._deferred.add(self._send_health)
+        if self._journal is not None:
+            self._deferred.add(self._complete_batch)
+
+    def _run_deferred(self) -> None:
+        """Run the tasks that are due."""
+        while (now_ns := self._clock.monotonic_ns()) >= self._deferred.due_ns:
+            for task in self._deferred.take(now_ns, self.node.deadline_ns() - self._spin.ns):
+                self._run_task(task)
+
+    def _run_task(self, task: Deferred) -> None:
+        begin_ns = self._clock.monotonic_ns()
+        if task.is_turn:
+            self._take_turn(begin_ns, task.run, DEFERRED)
+        else:
+            task.run()
+        end_ns = self._clock.monotonic_ns()
+        if self.node.idle_after is not None:
+            self._deferred.note_run(task.run, begin_ns, end_ns, met=self._bus.has_arrived())
+
+    def _complete_batch(self) -> None:
+        """End the batch of the journal where no task of the node waits: a re-run that begins there knows of none."""
+        if self._journal is None:
+            return
+        if self._deferred.has_turns:
+            self._deferred.add(self._complete_batch)
+        else:
+            self._deferred.forget_unneeded()
+            self._journal.complete()
+            self._deferred.add(self._journal.publish)
+
+    def _end_batch(self) -> None:
+        """End the batch of the journal now, and send it."""
+        if self._journal is None:
+            return
+        self._deferred.forget_unneeded()
+        while (task := self._deferred.take_turn()) is not None:
+            self._take_turn(self._clock.monotonic_ns(), task, DEFERRED)
+        self._journal.complete()
+        self._journal.publish()
+
+    def publish_health(self) -> None:
         """Send node/health and what the journal holds, and start a new interval."""
-        self._account(now_ns)
+        self._measure_health()
         self._send_health()
         if self._journal is not None:
             self._journal.complete()
             self._journal.publish()
 
-    def _account(self, now_ns: int) -> None:
-        """Make up the account that node/health gives, and begin a new interval."""
+    def _measure_health(self) -> None:
+        """Take the figures that node/health gives, and begin a new interval."""
+        now_ns = self._clock.monotonic_ns()
         self._report_connections(self._bus.process_events(now=True))
         self._report_rejections()
         elapsed_s = max(now_ns - self._last_health_ns, 1) * 1e-9
@@ -422,8 +469,8 @@ class NodeLoop:
     def _note_awake(self) -> int:
         """Return the monotonic time [ns], and note it if the process did nothing for longer than a command is valid."""
         now = self._clock.monotonic_ns()
-        if now - self._awake_ns > HELD_UP_NS:
-            self._commands.note_held_up(self._clock.now_ns(), now - self._awake_ns)
+        if now - self._awake_ns > STALL_NS:
+            self._commands.note_stall(self._clock.now_ns(), now - self._awake_ns)
         self._may_be_kept |= now - self._awake_ns > LOOP_DEADLINE_NS
         self._awake_ns = now
         return now
@@ -433,8 +480,6 @@ class NodeLoop:
             self._report_gap(received)
         if not self.node.admits(received):
             return
-        if received.topic == self.node.last_of_tick:
-            self._note_tick(self._awake_ns)
         journal = self._journal
         if journal is not None:
             journal.clock.time_ns = received.received_ns

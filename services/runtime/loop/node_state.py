@@ -98,14 +98,6 @@ def restore(node: Any, state: bytes, find: FindInput = _zeros) -> None:
         raise RecordingError(f"{node.context.key}: its state in the journal does not fit this code: {error}") from error
 
 
-def names(state: bytes) -> frozenset[str]:
-    """Return the names of the parts of a captured state; none when it is not one."""
-    try:
-        return frozenset(map(str, msgpack.unpackb(state, strict_map_key=False)))
-    except (ValueError, TypeError, msgpack.exceptions.UnpackException):
-        return frozenset()
-
-
 def _restore_parts(owner: Any, parts: Mapping[str, Any], find: FindInput) -> None:
     for name, value in parts.items():
         if isinstance(value, list) and value[0] == "parts":

@@ -21,8 +21,8 @@ from services.runtime.loop.hang_guard import HangGuard
 from services.runtime.loop.log import RateLimitedLog, StructuredLog
 from services.runtime.loop.node import (
     STARTING_PERIOD_NS,
-    AccountedBus,
     Node,
+    NodeBus,
     NodeContext,
     NodeLoop,
     install_stop_signals,
@@ -184,7 +184,7 @@ class StopSignals:
 
 def run_loop(
     node: Node,
-    bus: AccountedBus,
+    bus: NodeBus,
     signals: StopSignals,
     realtime: RealtimeStatus = NO_REALTIME,
     *,

@@ -508,7 +508,7 @@ def test_energy_is_counted_at_the_device_and_a_law_that_makes_some_is_not_passiv
         far = status_fields(0.0)
         node.on_message(bench.received("law/status", "controller@slave", **far))
         bench.advance_ms(0.2)
-        node.on_deadline(bench.clock.monotonic_ns())
+        bench.run_deferred()
     last = bench.take("law/status")[-1]
     assert last.port_energy_j == pytest.approx(expected_j, rel=0.4)
     assert last.port_energy_j < -1e-4
@@ -516,26 +516,25 @@ def test_energy_is_counted_at_the_device_and_a_law_that_makes_some_is_not_passiv
     assert not last.passive
 
 
-def test_the_status_of_the_law_leaves_in_the_pause_after_its_tick_as_it_was_then(master: Any) -> None:
+def test_the_status_of_the_law_is_deferred_and_as_it_was_at_its_tick(master: Any) -> None:
     bench, node = master
     for n in range(1, 41):
         bench.advance_ms(0.7)
         hand = bench.received("haptic/state", "haptic_node@master", **hand_fields(0.5, position_m=n * 1e-5))
         node.on_message(hand)
-        due_ns, entered_j = node.quiet_work.due_ns, node.port.energy_j
+        entered_j = node.port.energy_j
         assert bench.take("law/status") == []
-        assert (due_ns == bench.clock.monotonic_ns() + node.pause_after_ns) is (n % 10 == 0)
+        assert bench.context.deferred.has_turns is (n % 10 == 0)
         if n % 10 == 0:
-            # the answer comes before the pause, and changes nothing in what is said of the tick
+            # the answer comes before the idle gap, and changes nothing in what is said of the tick
             bench.advance_ms(0.1)
             fields = answer_fields(1.5e-8, hand.message.seq, hand.message.t_ns)
             node.on_message(bench.received("teleop/backward", "controller@slave", **fields))
-            bench.clock.advance_ns(due_ns - bench.clock.monotonic_ns())
-            node.on_deadline(due_ns)
+            bench.run_deferred()
             (status,) = bench.take("law/status")
-            assert (status.port_energy_j, status.t_ns) == (entered_j, due_ns + bench.clock.epoch_offset_ns)
+            assert (status.port_energy_j, status.t_ns) == (entered_j, bench.clock.now_ns())
             # not once more
-            node.on_deadline(due_ns + 10_000)
+            bench.run_deferred()
             assert bench.take("law/status") == []
         bench.advance_ms(0.3)
 
@@ -642,7 +641,7 @@ def test_a_master_that_stalled_waits_for_a_fresh_answer(master: Any, stalled_ms:
     bench.advance_ms(stalled_ms)
     hand = tick(bench, node)
     assert bench.take("haptic/command") == []
-    assert faults(bench) == [f"this process stalled for {stalled_ms + 1} ms: it waits for fresh signals"]
+    assert faults(bench) == [f"this process stalled for {stalled_ms + 1} ms: what waited for it meanwhile is late"]
     tick(bench, node)
     (command,) = bench.take("haptic/command")
     assert command.mode == "off"
@@ -675,7 +674,7 @@ def test_a_slave_that_stalled_holds_until_it_knows_where_the_base_is(bench_of: A
     assert (command.mode, command.base_position_m[2]) == ("hold", -before)
     # no answer is owed for what was asked before
     assert bench.take("teleop/backward") == []
-    assert faults(bench) == [f"this process stalled for {stalled_ms} ms: it waits for fresh signals"]
+    assert faults(bench) == [f"this process stalled for {stalled_ms} ms: what waited for it meanwhile is late"]
     # the instrument says where it is, 9 nm: the half begins there
     node.on_message(bench.received("afm/state", "afm_node@slave", **tip_fields(0.0, command.seq)))
     (backward,) = bench.take("teleop/backward")
@@ -713,7 +712,7 @@ def test_a_controller_takes_a_turn_at_least_twice_a_bound(master: Any) -> None:
     assert faults(bench) == []
     bench.advance_ms(51.0)
     node.on_deadline(bench.clock.monotonic_ns())
-    assert faults(bench) == ["this process stalled for 51 ms: it waits for fresh signals"]
+    assert faults(bench) == ["this process stalled for 51 ms: what waited for it meanwhile is late"]
 
 
 def test_a_hand_that_is_played_from_a_recording_is_followed(master: Any, slave: Any) -> None:

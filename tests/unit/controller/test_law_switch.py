@@ -95,10 +95,9 @@ class Rig:
     def tick(self, count: int = 1, force_n: float = 1.0, wait_ns: int = PERIOD_NS) -> None:
         for _ in range(count):
             pause_ns = wait_ns // 2
-            for node, bench in ((self.slave, self.at_tip), (self.master, self.at_hand)):
+            for bench in (self.at_tip, self.at_hand):
                 bench.clock.advance_ns(pause_ns)
-                if node.quiet_work.due_ns <= bench.clock.monotonic_ns():
-                    node.on_deadline(bench.clock.monotonic_ns())
+                bench.run_deferred()
             self.after()
             self.n += 1
             self.at_hand.clock.advance_ns(wait_ns - pause_ns)

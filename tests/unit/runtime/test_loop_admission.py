@@ -14,7 +14,7 @@ from services.afm_node.physics.sim import simulated_afm
 from services.runtime.bus.bus import Received
 from services.runtime.loop.clock import NEVER_NS, VirtualClock
 from services.runtime.loop.log import StructuredLog
-from services.runtime.loop.node import HELD_UP_NS, STARTING_PERIOD_NS, DeviceDelay, NodeContext, NodeLoop
+from services.runtime.loop.node import STALL_NS, STARTING_PERIOD_NS, DeviceDelay, NodeContext, NodeLoop
 from services.runtime.loop.realtime import RealtimeStatus
 
 PLAIN = RealtimeStatus(fifo=False, memory_locked=False)
@@ -112,37 +112,27 @@ def test_the_instrument_in_its_loop_does_not_obey_a_recording_unless_that_is_all
     assert device.node.state == "safe"
 
 
-def test_deferred_work_of_a_node_without_a_deadline_is_done_when_it_is_due() -> None:
+def test_a_deferred_task_of_a_node_without_a_deadline_is_run_when_it_is_due() -> None:
     rig = Rig()
     done: list[int] = []
-    rig.node.on_deadline = lambda now_ns: done.extend(now_ns for _ in rig.node.quiet_work.take(now_ns))
     rig.run_until(10 * MS)
     assert rig.node.deadline_ns() == NEVER_NS
-    rig.node.quiet_work.note_tick(rig.clock.monotonic_ns())
-    begun_ns = rig.clock.monotonic_ns()
-    rig.node.quiet_work.add(begun_ns + 1, "report")
-    rig.run_until(begun_ns + 30 * MS)
-    # the pause is over, so it waits for the 20 ms that any work waits at most, and for no report of the loop
-    assert done == [begun_ns + 1 + 20 * MS]
-    assert rig.node.quiet_work.due_ns == NEVER_NS
+    deferred, now_ns = rig.node.context.deferred, rig.clock.monotonic_ns()
+    deferred.note_event(now_ns, now_ns, is_last=True)
+    rig.node.defer(lambda: done.append(rig.clock.monotonic_ns()))
+    rig.run_until(now_ns + 30 * MS)
+    # no gap is known, so it waits for the 20 ms that any task waits at most, and for no report of the loop
+    assert done == [now_ns + 20 * MS]
+    assert deferred.due_ns == NEVER_NS
 
 
-def test_deferred_work_of_a_node_with_a_deadline_does_not_wait_for_it() -> None:
+def test_a_deferred_task_of_a_node_with_a_deadline_does_not_wait_for_it() -> None:
     rig = Rig(period_ns=500 * MS)
     done: list[int] = []
-    on_deadline = rig.node.on_deadline
-
-    def deadline(now_ns: int) -> None:
-        if rig.node.quiet_work.take(now_ns):
-            done.append(now_ns)
-        else:
-            on_deadline(now_ns)
-
-    rig.node.on_deadline = deadline
     # the first report
     rig.loop.turn()
     now_ns = rig.clock.monotonic_ns()
-    rig.node.quiet_work.add(now_ns, "report")
+    rig.node.defer(lambda: done.append(rig.clock.monotonic_ns()))
     rig.loop.turn()
     assert (done, rig.node.ticks) == ([now_ns], [])
 
@@ -199,12 +189,12 @@ def test_a_node_was_held_up_when_it_did_nothing_for_longer_than_a_command_is_val
     rig = Rig()
     rig.loop.turn()
     noted: list[int] = []
-    rig.loop._commands.note_held_up = lambda now_ns, duration_ns: noted.append(duration_ns)
-    for pause_ns in (HELD_UP_NS, HELD_UP_NS + 1):
+    rig.loop._commands.note_stall = lambda now_ns, duration_ns: noted.append(duration_ns)
+    for pause_ns in (STALL_NS, STALL_NS + 1):
         rig.clock.advance_ns(pause_ns)
         rig.bus.wait = lambda deadline_ns: None
         rig.loop.turn()
-    assert noted == [HELD_UP_NS + 1]
+    assert noted == [STALL_NS + 1]
 
 
 def test_a_node_that_starts_reports_ten_times_a_second() -> None:
@@ -214,9 +204,11 @@ def test_a_node_that_starts_reports_ten_times_a_second() -> None:
     assert len(rig.health) == 10
 
 
-def test_a_node_that_names_no_pause_has_none() -> None:
-    rig = Rig()
+def test_a_node_that_carries_no_ticks_runs_its_tasks_at_once() -> None:
+    rig = Rig(period_ns=MS)
+    rig.run_until(50 * MS)
+    done: list[int] = []
+    rig.node.defer(lambda: done.append(rig.clock.monotonic_ns()))
     now_ns = rig.clock.monotonic_ns()
-    rig.node.quiet_work.note_tick(now_ns)
-    rig.node.quiet_work.add(now_ns, "report")
-    assert rig.node.quiet_work.due_ns == now_ns + 20 * MS
+    rig.loop.turn()
+    assert done == [now_ns]

@@ -98,9 +98,9 @@ def test_whoever_drives_a_loop_learns_when_a_report_or_a_piece_of_one_is_due() -
         rig.bus.arrives(tick * MS, "haptic/state", src="haptic_node@master", seq=tick)
     rig.run_until(504 * MS)
     assert rig.loop.health_due_ns == 505 * MS
-    # its pieces wait for the pauses behind the ticks
+    # its tasks wait for an idle gap
     rig.run_until(505 * MS)
-    assert rig.loop.health_due_ns == 505 * MS + 300_000
+    assert rig.loop.health_due_ns == 505 * MS + 250_000
     rig.run_until(519 * MS)
     assert rig.loop.health_due_ns == 1005 * MS
 

@@ -439,7 +439,7 @@ def test_invented_sources_do_not_fill_the_memory(unconnected: Subscriber) -> Non
         hand(unconnected, 0, 0, src=f"n{number}@b")
     assert len(unconnected.trackers) == MOST_TRACKERS
     assert unconnected.rejected == {"source": 10}
-    assert f"the {MOST_TRACKERS} kept account of" in unconnected.last_error
+    assert f"the {MOST_TRACKERS} that are counted" in unconnected.last_error
     # sources that were there before are still received
     assert hand(unconnected, 1, 1, src="n5@b") is not None
 

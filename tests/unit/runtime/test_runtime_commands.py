@@ -312,7 +312,7 @@ def test_every_command_that_begins_something_expires(command: str) -> None:
 @pytest.mark.parametrize("age_s", [0.0, 4.0, -3600.0, 1e6])
 def test_an_emergency_stop_is_obeyed_at_any_age_and_each_time(age_s: float) -> None:
     node = Receiver()
-    node.handler.note_held_up(node.clock.now_ns(), 4 * SECOND)
+    node.handler.note_stall(node.clock.now_ns(), 4 * SECOND)
     for _ in range(3):
         sent(node, age_s)
         assert node.take("estop", identifier="e")
@@ -345,11 +345,11 @@ def test_a_sender_whose_clock_disagrees_is_believed_when_it_quotes_the_clock_of_
 
 def test_after_it_was_held_up_a_node_believes_no_foreign_clock_for_a_while() -> None:
     node = Receiver()
-    node.handler.note_held_up(node.clock.now_ns(), 4 * SECOND)
+    node.handler.note_stall(node.clock.now_ns(), 4 * SECOND)
     # 4 s old, from a clock that is 4 s ahead
     sent(node, 0.0)
     assert not node.take("arm", target="controller")
-    assert "held up for 4.0 s" in node.answers[-1][2]
+    assert "stalled for 4.0 s" in node.answers[-1][2]
     sent(node, 0.0, node_t_ns={"controller@master": node.clock.now_ns()})
     assert node.take("arm", target="controller")
     node.clock.advance_ns(SECOND)
@@ -430,7 +430,7 @@ def test_what_nobody_waits_for_any_more_is_not_carried_out_by_a_node_that_wakes_
     talk.stopped = True
     assert not talk.run_s(1.0)
     talk.node_clock.advance_ns(4 * SECOND)
-    talk.node.handler.note_held_up(talk.node_clock.now_ns(), 5 * SECOND)
+    talk.node.handler.note_stall(talk.node_clock.now_ns(), 5 * SECOND)
     talk.stopped = False
     talk.pass_on()
     assert talk.node.carried_out == []
@@ -442,7 +442,7 @@ def test_a_client_that_still_waits_is_obeyed_by_a_node_that_wakes_up() -> None:
     talk = Conversation(ARM_AFM)
     talk.stopped = True
     assert not talk.run_s(4.0)
-    talk.node.handler.note_held_up(talk.node_clock.now_ns(), 4 * SECOND)
+    talk.node.handler.note_stall(talk.node_clock.now_ns(), 4 * SECOND)
     talk.stopped = False
     assert talk.run_s(2.0)
     assert talk.client.failure == ""

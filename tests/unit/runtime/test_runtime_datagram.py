@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from network_bench import payload
 
-from services.runtime.datagram.account import SETTLE_NS, ArrivalAccount
 from services.runtime.datagram.agreement import REKEY_NS, Agreement
+from services.runtime.datagram.arrivals import SETTLE_NS, ArrivalRecord
 from services.runtime.datagram.body import MOST_SAMPLE_BYTES, REPORT, packed, parse
 from services.runtime.datagram.end import FIRST_NS
 from services.runtime.datagram.pacing import MOST_REPEATS, NETWORK_BYTES, Repeats, SendBudget, repeats_for
@@ -222,7 +222,7 @@ def test_the_budget_bounds_what_is_sent_over_any_time() -> None:
 
 def test_each_datagram_is_counted_arrived_late_or_lost() -> None:
     draw = random.Random(7)
-    window, account = ReplayWindow(), ArrivalAccount()
+    window, account = ReplayWindow(), ArrivalRecord()
     account.begin(window)
     fates = {number: draw.choice(("arrives", "arrives", "arrives", "lost", "late")) for number in range(1000)}
     fates[999] = "arrives"
@@ -387,7 +387,7 @@ def test_reordered_datagrams_bring_nothing_old_to_a_node(ends: Pair, attacker: A
     assert ends.slave.seqs[-1] == newest
     assert ends.slave.seqs[-2] < newest - 4
     assert ends.slave.end.rejected == {}
-    assert ends.slave.end.account.late >= 4
+    assert ends.slave.end.arrivals.late >= 4
 
 
 def test_a_flood_of_what_no_key_fits_is_dropped_by_the_kernel(ends: Pair, attacker: Attacker) -> None:
@@ -400,7 +400,7 @@ def test_a_flood_of_what_no_key_fits_is_dropped_by_the_kernel(ends: Pair, attack
     assert ends.slave.seqs[-1] == ends.master.seq - 1
     ends.turns(60)
     assert ends.slave.end.rejected == {"unknown_key": 2000}
-    assert ends.slave.end.account.lost == 0
+    assert ends.slave.end.arrivals.lost == 0
     assert ends.slave.end.receiving == "datagram"
 
 
@@ -525,8 +525,8 @@ def test_keys_that_change_in_mid_session_lose_nothing(ends: Pair) -> None:
     assert ends.slave.end._agreement.public != first
     for side, other in ((ends.master, ends.slave), (ends.slave, ends.master)):
         assert side.seqs == list(range(side.seqs[0], other.seq))
-        assert side.end.account.lost == 0
-        assert side.end.account.arrived == side.end.account.sent
+        assert side.end.arrivals.lost == 0
+        assert side.end.arrivals.arrived == side.end.arrivals.sent
         assert side.end.rejected in ({}, {"unknown_key": 1})
         assert side.end.receiving == "datagram"
 

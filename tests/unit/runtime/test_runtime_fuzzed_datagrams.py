@@ -7,7 +7,7 @@ import pytest
 from datagram_bench import Pair, Side, pair
 from fuzz_datagrams import CAUSES, Datagrams
 
-from services.runtime.datagram.account import MOST_ROWS, SETTLE_NS, ArrivalAccount
+from services.runtime.datagram.arrivals import MOST_ROWS, SETTLE_NS, ArrivalRecord
 from services.runtime.datagram.body import BOUND, DATAGRAMS_OF, REPORT
 from services.runtime.datagram.end import DatagramEnd
 from services.runtime.datagram.replay_window import WINDOW, ReplayWindow
@@ -56,7 +56,7 @@ def test_no_datagram_of_a_peer_with_a_key_ends_an_end(attacked: str, play_out: b
             ends.turn(send=False)
         check(victim)
         assert {"time", "count", "ahead", "malformed"} <= set(victim.end.rejected)
-        assert victim.end.account.arrived > 0.3 * COUNT, victim.end.rejected
+        assert victim.end.arrivals.arrived > 0.3 * COUNT, victim.end.rejected
         recovers(ends, attacked)
 
 
@@ -92,11 +92,11 @@ def test_a_report_that_no_sender_can_give_is_refused_by_name(cause: str, fields:
         ends.joined()
         sealer = ends.slave.end._agreement.sealer
         assert sealer is not None
-        arrived = ends.master.end.account.arrived
+        arrived = ends.master.end.arrivals.arrived
         send(ends.slave, sealer.seal(report(ends.slave.end, **fields)))
         ends.master.take()
         assert ends.master.end.rejected[cause] == 1
-        assert ends.master.end.account.arrived == arrived
+        assert ends.master.end.arrivals.arrived == arrived
         ends.turns(200)
         check(ends.master)
         assert ends.master.end.receiving == "datagram"
@@ -129,7 +129,7 @@ def test_a_number_that_no_sender_can_have_reached_is_refused_and_leaves_the_wind
         send(ends.slave, jump)
         ends.turns(200)
         assert ends.master.end.rejected["ahead"] == 1
-        assert ends.master.end.account.lost == 0
+        assert ends.master.end.arrivals.lost == 0
         assert ends.master.seqs[-1] == ends.slave.seq - 1
 
 
@@ -152,7 +152,7 @@ def test_the_receiver_may_stand_still_for_ten_minutes_and_take_the_next_number()
 
 @pytest.mark.parametrize("jump", [WINDOW - 1, WINDOW, WINDOW + 1, 10 * WINDOW, 10**7, 2**40])
 def test_a_jump_is_counted_without_a_step_for_each_number(jump: int) -> None:
-    window, account = ReplayWindow(), ArrivalAccount()
+    window, account = ReplayWindow(), ArrivalRecord()
     account.begin(window)
     numbers = [*range(2000), *range(2000 + jump, 4000 + jump)]
     for turn, number in enumerate(numbers):

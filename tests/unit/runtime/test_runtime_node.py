@@ -22,7 +22,7 @@ from proto.ranges import limited
 from proto.sequence import Arrival
 from services.runtime.bus.bus import ConnectionEvent, Received
 from services.runtime.loop import journal
-from services.runtime.loop.clock import VirtualClock
+from services.runtime.loop.clock import NEVER_NS, VirtualClock
 from services.runtime.loop.deadlines import PeriodicDeadline
 from services.runtime.loop.log import StructuredLog
 from services.runtime.loop.node import (
@@ -346,13 +346,13 @@ def test_a_message_in_the_busy_wait_that_moves_the_deadline_ends_it() -> None:
 
 
 class Ticking(Probe):
-    """A node with a pause 0.3 ms after each message of the hand."""
+    """A node that carries ticks on."""
 
     journalled = True
-    last_of_tick, pause_after_ns = "haptic/state", 300_000
+    idle_after = "haptic/state"
 
 
-def test_reports_and_batches_go_out_a_piece_in_each_pause_of_a_loop() -> None:
+def test_reports_and_batches_go_out_in_idle_gaps_of_a_loop() -> None:
     rig = Rig()
     rig.node = Ticking(rig.node.context)
     rig.loop = NodeLoop(rig.node, rig.bus, GRANTED)
@@ -368,13 +368,78 @@ def test_reports_and_batches_go_out_a_piece_in_each_pause_of_a_loop() -> None:
 
     rig.node.publish = noted
     rig.run_until(605 * MS)
-    # at the start nothing ticks yet; later each has a pause of its own
+    # at the start nothing ticks yet; later each task has a gap of its own, from a quarter of a tick after it
     assert sent_ns == [
         ("node/health", 5 * MS),
-        ("node/health", 506 * MS + 300_000),
-        ("node/journal", 508 * MS + 300_000),
+        ("node/health", 506 * MS + 250_000),
+        ("node/journal", 508 * MS + 250_000),
     ]
-    assert rig.bus.batches_ns == [300 * MS + 300_000]
+    assert rig.bus.batches_ns == [300 * MS + 250_000]
+
+
+def test_a_report_waits_for_the_gap_that_the_node_names() -> None:
+    rig = Rig()
+    rig.node = Ticking(rig.node.context)
+    rig.loop = NodeLoop(rig.node, rig.bus, GRANTED)
+    for tick in range(6, 606):
+        rig.bus.arrives(tick * MS, "haptic/state", src="haptic_node@master", seq=tick)
+        rig.bus.arrives(tick * MS + 300_000, "teleop/backward", src="controller@slave", seq=tick)
+    rig.run_until(605 * MS)
+    # 0.3 ms, from the sample to the answer, each of which takes one
+    assert rig.health[1].t_ns - 10**18 == 506 * MS + 300_000 // 4
+
+
+def test_a_task_that_a_message_meets_makes_the_gap_shorter() -> None:
+    """The message was there before the task was over, so the next one leaves it the time."""
+    rig = Rig()
+    rig.node = Ticking(rig.node.context)
+    rig.loop = NodeLoop(rig.node, rig.bus, GRANTED)
+    for tick in range(6, 306):
+        rig.bus.arrives(tick * MS, "haptic/state", src="haptic_node@master", seq=tick)
+    begun_ns: list[int] = []
+
+    def task() -> None:
+        begun_ns.append(rig.clock.monotonic_ns())
+        rig.clock.advance_ns(900_000)
+
+    rig.run_until(100 * MS)
+    rig.node.defer(task)
+    rig.run_until(101 * MS)
+    rig.loop.turn()
+    assert begun_ns == [100 * MS + 250_000]
+    assert rig.loop._deferred._gap_ns == MS - 750_000 // 8
+
+
+def test_a_batch_of_the_journal_begins_where_no_task_of_the_node_waits(monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = Rig()
+    rig.node = Ticking(rig.node.context)
+    rig.loop = NodeLoop(rig.node, rig.bus, GRANTED)
+
+    def defer(received: Received) -> None:
+        if received.message.seq % 3 == 0:
+            rig.node.defer(rig.node.carried_out.clear)
+        rig.node.defer(rig.node.messages.clear, NEVER_NS)
+
+    rig.node.on_message = defer
+    waiting: list[int] = []
+    begin = rig.loop._journal._begin
+
+    def noted() -> None:
+        waiting.append(any(task.is_turn for task in rig.loop._deferred._waiting))
+        begin()
+
+    rig.loop._journal._begin = noted
+    for tick in range(6, 601):
+        rig.bus.arrives(tick * MS, "haptic/state", src="haptic_node@master", seq=tick)
+    rig.run_until(590 * MS)
+    assert waiting == [False]
+    # one that is full does not wait for a gap
+    monkeypatch.setattr("services.runtime.loop.journal._BATCH", 20)
+    journals = len(rig.bus.of(NodeJournal))
+    rig.node.defer(rig.node.carried_out.clear)
+    rig.loop.turn()
+    assert waiting == [False, False]
+    assert len(rig.bus.of(NodeJournal)) == journals + 1
 
 
 def test_a_report_does_not_wait_for_ticks_that_come_no_more() -> None:

@@ -35,7 +35,7 @@ def no_fates() -> Fates:
     return Fates(array("q"), array("q"), array("q"), array("B"))
 
 
-class ArrivalAccount:
+class ArrivalRecord:
     """Counts of one direction at its receiving end, across changes of keys."""
 
     def __init__(self) -> None:

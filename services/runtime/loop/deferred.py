@@ -1,0 +1,165 @@
+"""Deferred tasks: what a node has to do and need not do at once, run in the idle gaps of its loop."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from services.runtime.loop.clock import NEVER_NS, Clock
+
+Task = Callable[[], object]
+# a task is run anyway when it has waited for so long
+PATIENCE_NS = 20_000_000
+# without an event for so long nothing is known of the next one, and every task is due at once
+_IDLE_NS = 5_000_000
+# the share of what is measured by which a mean follows it
+_MEAN_SHARE = 8
+
+
+class Deferred(NamedTuple):
+    """A task that waits.
+
+    `is_turn`: the outputs of the node depend on it, so that its run is a turn in the journal. `latest_ns`: when it is
+    run anyway, on the monotonic clock; NEVER_NS of a task that is not needed, only better done in a gap.
+    """
+
+    run: Task
+    is_turn: bool
+    latest_ns: int
+
+
+class DeferredTasks:
+    """The tasks of one loop, in the order in which they were added.
+
+    A report takes as long as a third of a tick and becomes due at any time. In front of a tick it makes that tick late,
+    and a tick that is late by a period meets the next one. So a task waits for an idle gap, in which the tick is with
+    others, from one event of this process to the next. How long the gap is and how long each task takes are means of
+    what the loop has measured. Each gap takes one task, besides those that are not needed, in its middle half: the
+    first quarter belongs to processes that what was just sent has woken up, on the same processor perhaps, and the last
+    one to a tick that comes early. A task that fits in begins until it would not; one that is too long for any gap
+    begins in the second quarter of one, because it would delay a tick anywhere else as well.
+    """
+
+    def __init__(self, clock: Clock) -> None:
+        self._now_ns = clock.monotonic_ns
+        self._waiting: list[Deferred] = []
+        # when there is something to do, on the monotonic clock [ns]
+        self.due_ns = NEVER_NS
+        # mean time that each task takes, and mean length of a gap [ns]
+        self._takes_ns: dict[Task, int] = {}
+        self._gap_ns: int | None = None
+        # whether the last event has begun a gap, when it was dealt with, and when the next one came if a task did not
+        # let it in
+        self._in_gap = False
+        self._begin_ns, self._met_ns = -NEVER_NS, NEVER_NS
+        # the rest of the middle half of the gap, its middle, the next deadline, and whether it has taken its task
+        self._free_ns, self._end_ns, self._middle_ns, self._next_ns = NEVER_NS, 0, 0, NEVER_NS
+        self._is_used = False
+
+    def add(self, task: Task, *, is_turn: bool = False, within_ns: int = PATIENCE_NS) -> None:
+        """Add a task, the same callable each time; one that waits keeps its place.
+
+        Args:
+            task: What to run.
+            is_turn: Whether the outputs of the node depend on it.
+            within_ns: After this time it is run even if there was no idle gap; NEVER_NS: only in one.
+        """
+        if any(task == waiting.run for waiting in self._waiting):
+            return
+        now_ns = self._now_ns()
+        is_idle = now_ns - self._begin_ns >= _IDLE_NS
+        self._waiting.append(Deferred(task, is_turn, now_ns if is_idle else min(now_ns + within_ns, NEVER_NS)))
+        self._schedule(now_ns)
+
+    def note_event(self, begin_ns: int, end_ns: int, *, is_last: bool) -> None:
+        """Measure the gap before an event, and begin the one after it.
+
+        Args:
+            begin_ns: When a message or deadline came, on the monotonic clock.
+            end_ns: When it was dealt with.
+            is_last: Whether the tick is then with others for the longest time.
+        """
+        gap_ns = min(begin_ns, self._met_ns) - self._begin_ns
+        if self._in_gap and gap_ns < _IDLE_NS:
+            self._gap_ns = _mean(self._gap_ns, gap_ns)
+        self._in_gap, self._begin_ns, self._met_ns, self._is_used = is_last, end_ns, NEVER_NS, False
+        gap_ns = self._gap_ns or 0
+        self._free_ns = end_ns + gap_ns // 4 if is_last and gap_ns else NEVER_NS
+        self._end_ns, self._middle_ns, self._next_ns = end_ns + gap_ns - gap_ns // 4, end_ns + gap_ns // 2, NEVER_NS
+        if self._waiting:
+            self._schedule(end_ns)
+
+    def take(self, now_ns: int, next_ns: int = NEVER_NS) -> list[Deferred]:
+        """Return what is to be run now: what has waited for too long, or else the first task if it fits into the gap.
+
+        Args:
+            now_ns: The time on the monotonic clock.
+            next_ns: When the next deadline of the node comes, before which the task has to be over.
+        """
+        self._next_ns = next_ns
+        overdue = [place for place, task in enumerate(self._waiting) if task.latest_ns <= now_ns]
+        if overdue:
+            count = overdue[-1] + 1
+            taken, self._waiting = self._waiting[:count], self._waiting[count:]
+        else:
+            taken = [task for task in (self._next(),) if task is not None and self._fits_at(now_ns) == now_ns]
+            for task in taken:
+                self._waiting.remove(task)
+                self._is_used |= task.latest_ns < NEVER_NS
+        self._schedule(now_ns)
+        return taken
+
+    def take_turn(self) -> Task | None:
+        """Return the first task that is a turn of the node, whatever the time is; None if there is none."""
+        found = next((task for task in self._waiting if task.is_turn), None)
+        if found is None:
+            return None
+        self._waiting.remove(found)
+        self._schedule(self._now_ns())
+        return found.run
+
+    @property
+    def has_turns(self) -> bool:
+        """Whether a task waits that is a turn of the node, and needed."""
+        return any(task.is_turn and task.latest_ns < NEVER_NS for task in self._waiting)
+
+    def forget_unneeded(self) -> None:
+        """Forget the tasks that are not needed."""
+        self._waiting = [task for task in self._waiting if task.latest_ns < NEVER_NS]
+
+    def note_run(self, task: Task, begin_ns: int, end_ns: int, *, met: bool) -> None:
+        """Note how long a task took; the next one leaves the processor to others for half as long.
+
+        Args:
+            task: The task that was run.
+            begin_ns: When it began, on the monotonic clock.
+            end_ns: When it ended.
+            met: A message has come meanwhile, so the gap was over before.
+        """
+        taken_ns = end_ns - begin_ns
+        self._takes_ns[task] = _mean(self._takes_ns.get(task), taken_ns)
+        self._free_ns = max(self._free_ns, end_ns + taken_ns // 2)
+        if met:
+            self._free_ns, self._met_ns = NEVER_NS, begin_ns
+        self._schedule(end_ns)
+
+    def _next(self) -> Deferred | None:
+        """Return the first task that this gap may take."""
+        waiting = (task for task in self._waiting if not self._is_used or task.latest_ns == NEVER_NS)
+        return next(waiting, None)
+
+    def _fits_at(self, now_ns: int) -> int:
+        """Return from when on the next task can be run in this gap [ns], NEVER_NS if none fits in any more."""
+        task, begin_ns = self._next(), max(self._free_ns, now_ns)
+        if task is None:
+            return NEVER_NS
+        end_ns = begin_ns + self._takes_ns.get(task.run, 0)
+        fits = (end_ns <= self._end_ns or begin_ns <= self._middle_ns) and end_ns <= self._next_ns
+        return begin_ns if fits else NEVER_NS
+
+    def _schedule(self, now_ns: int) -> None:
+        latest_ns = min((task.latest_ns for task in self._waiting), default=NEVER_NS)
+        self.due_ns = min(latest_ns, self._fits_at(now_ns))
+
+
+def _mean(known_ns: int | None, measured_ns: int) -> int:
+    """Return the mean that goes on from the one known so far, None at first [ns]."""
+    return measured_ns if known_ns is None else known_ns + (measured_ns - known_ns) // _MEAN_SHARE

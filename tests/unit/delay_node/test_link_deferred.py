@@ -1,0 +1,121 @@
+"""What the link reports is deferred, a piece at a time, and says what is so when it is sent."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from services.delay_node.config import parse_settings
+from services.delay_node.node import DelayNode
+
+MS = 1_000_000
+ZERO = (0.0, 0.0, 0.0)
+SIGNAL: dict[str, Any] = {
+    "law": "wave",
+    "active": True,
+    "position_m": ZERO,
+    "velocity_m_per_s": ZERO,
+    "wave_sqrt_w": None,
+    "energy_j": None,
+    "hand_seq": 1,
+    "hand_t_ns": 1,
+    "force_n": ZERO,
+    "separation_m": 0.0,
+    "separation_valid": False,
+    "in_contact": False,
+}
+
+
+class Endpoint:
+    """An endpoint at a site: keeps what the link publishes of its own, with the time."""
+
+    def __init__(self, bench: Any, sent: list[tuple[str, int]]) -> None:
+        self._bench, self._sent = bench, sent
+
+    def send(self, topic: str, payload: bytes) -> None:
+        """Send on what others published."""
+
+    def publish(self, topic: str, **fields: Any) -> Any:
+        self._sent.append((topic, self._bench.clock.monotonic_ns()))
+
+    def sequence_numbers(self) -> dict[str, int]:
+        return {}
+
+
+class Link:
+    def __init__(self, bench_of: Any) -> None:
+        self.bench = bench_of("delay_node@master")
+        # of both endpoints and of the link itself, in the order of sending
+        self.sent: list[tuple[str, int]] = []
+        outlets = (Endpoint(self.bench, self.sent), Endpoint(self.bench, self.sent))
+        self.node = DelayNode(self.bench.context, parse_settings({}), *outlets, Path())
+        self.node.publish = self.noted
+
+    def noted(self, topic: str, **fields: Any) -> Any:
+        self.sent.append((topic, self.bench.clock.monotonic_ns()))
+
+    def tick(self) -> None:
+        """Let a tick come back, and time pass until the next one."""
+        self.node.on_message(self.bench.received("teleop/backward", "controller@slave", **SIGNAL))
+        self.pass_time(MS)
+
+    def pass_time(self, duration_ns: int) -> None:
+        clock = self.bench.clock
+        end_ns = clock.monotonic_ns() + duration_ns
+        while (due_ns := self.node.deadline_ns()) < end_ns:
+            clock.advance_ns(max(0, due_ns - clock.monotonic_ns()))
+            self.node.on_deadline(clock.monotonic_ns())
+        clock.advance_ns(end_ns - clock.monotonic_ns())
+
+    def run_task(self) -> list[str]:
+        """Run the next task, and return the topics on which it published."""
+        sent = len(self.sent)
+        task = self.bench.context.deferred.take_turn()
+        assert task is not None
+        task()
+        return [topic for topic, _ in self.sent[sent:]]
+
+
+@pytest.fixture
+def link(bench_of: Any) -> Link:
+    return Link(bench_of)
+
+
+def test_a_report_is_due_ten_times_a_second_and_each_piece_is_a_task(link: Link) -> None:
+    for _ in range(2):
+        link.pass_time(100 * MS + 1)
+        # nothing in the turn of the deadline
+        assert link.sent == []
+        # there are no fates, and the forward delay is declared at both sites
+        assert [link.run_task() for _ in range(6)] == [
+            [], [], ["link/status"], ["link/delay", "link/delay"], ["link/delay"], ["clock/ping"]
+        ]  # fmt: skip
+        assert not link.bench.context.deferred.has_turns
+        link.sent.clear()
+
+
+def test_fates_are_deferred_when_there_are_enough_and_only_once(link: Link) -> None:
+    for _ in range(31):
+        link.tick()
+    assert not link.bench.context.deferred.has_turns
+    for _ in range(5):
+        link.tick()
+    assert link.sent == []
+    assert [link.run_task(), link.run_task()] == [[], ["link/fates"]]
+    assert not link.bench.context.deferred.has_turns
+    # those of all ticks until then: the count begins anew
+    link.tick()
+    assert not link.bench.context.deferred.has_turns
+
+
+def test_a_task_of_the_link_stands_for_what_is_so_when_it_is_run(link: Link) -> None:
+    """A delay that was declared meanwhile must not be followed by an older one."""
+    declared: list[Any] = []
+    link.node._backward.outlet.publish = lambda topic, **fields: declared.append((topic, fields))
+    link.pass_time(100 * MS + 1)
+    for _ in range(4):
+        link.run_task()
+    link.node._backward_delay.current = link.node._backward_delay.current._replace(delay_ns=7 * MS)
+    declared.clear()
+    link.run_task()
+    assert [(topic, fields["delay_ns"]) for topic, fields in declared] == [("link/delay", 7 * MS)]
