@@ -10,7 +10,8 @@ from proto.errors import ConfigError, RefusedError
 from proto.messages import Scalar
 from services.controller.clamp import ClampConfig, ClampParams
 from services.controller.deadband import DeadbandConfig
-from services.controller.law import Law, checked_law
+from services.controller.integration import TimingParams
+from services.controller.law import LONGEST_BRIDGED_PERIODS, Law, checked_law, longest_pause_periods
 from services.controller.laws.model_mediated import MODEL_MEDIATED, ModelMediatedConfig
 from services.controller.laws.passivity import PASSIVITY, PassivityConfig
 from services.controller.laws.position_force import POSITION_FORCE, PositionForceConfig
@@ -87,6 +88,16 @@ class _OwnSections(Settings):
     def local_loop(self) -> bool:
         """Whether the slave half goes on between signals, on the instrument's clock."""
         return KNOWN_LAWS[self.law].local_loop or self.clamp_params().enabled
+
+    def master_timing(self) -> TimingParams:
+        """Return the constants of the timing of the master half."""
+        return TimingParams(round(1e9 * self.period_s), LONGEST_BRIDGED_PERIODS, 0)
+
+    def slave_timing(self) -> TimingParams:
+        """Return the constants of the timing of the slave half: while a signal counts, it may go on by itself."""
+        silence_s = self.law_config().silence_limit_s
+        longest, local_ns = longest_pause_periods(silence_s, self.period_s), round(1e9 * silence_s)
+        return TimingParams(round(1e9 * self.period_s), longest, local_ns if self.local_loop else 0)
 
 
 # keys of the section, and methods of its class; laws of installed packages (entry points `telenano.laws`)

@@ -12,9 +12,8 @@ from proto.messages import (
 from services.controller import energy
 from services.controller.config import KNOWN_LAWS, PACKAGE_LAWS, ControllerConfig, changed_config
 from services.controller.deadband import deadband, initial_deadband_state
-from services.controller.hand_periods import HandPeriods
+from services.controller.integration import Heard, TimingParams, silence_ns
 from services.controller.law import (
-    LONGEST_BRIDGED_PERIODS,
     NO_SIGNAL,
     EnergyAccount,
     Law,
@@ -55,11 +54,8 @@ class ControllerHalf(Node):
         self.lateral_m = self.far_lateral = ZERO_XY
         self.switching = False
         self.port = energy.opened(0.0, 0.0)
-        self._signal_ns: int | None = None
-        self._signal_hand_ns = 0
+        self.timing_params = self.timing_of(config)
         self._hand_stamp = (0, 0)
-        self._period_ns = round(config.period_s * 1e9)
-        self._hand_periods = HandPeriods(self._period_ns)
         self._status_ticks = max(1, round(STATUS_PERIOD_S / config.period_s))
         self._reported_j = 0.0
         self._band = config.deadband.to_params()
@@ -105,9 +101,18 @@ class ControllerHalf(Node):
         self.stale += reason is not None
         return reason is not None
 
+    @abstractmethod
+    def timing_of(self, config: ControllerConfig) -> TimingParams:
+        """Return the constants of the timing of this half."""
+
+    @property
+    @abstractmethod
+    def heard(self) -> Heard:
+        """When the newest signal of the other half came."""
+
     def forget(self) -> None:
         """Forget the signal of the other half; it is waited for anew."""
-        self.signal, self._signal_ns = NO_SIGNAL, None
+        self.signal = NO_SIGNAL
         self.state = "safe"
 
     def make_safe(self) -> None:
@@ -125,13 +130,14 @@ class ControllerHalf(Node):
         if not switched and self.law_state is not None:
             self.law_state = self.retuned(self.params, params)
         self.config, self.params = changed, params
+        self.timing_params = self.timing_of(changed)
         self._band = changed.deadband.to_params()
         if switched:
             self._switch()
         return "set " + ", ".join(f"{key} = {value}" for key, value in control.parameters.items())
 
     def _switch(self) -> None:
-        self.signal, self._signal_ns = NO_SIGNAL, None
+        self.signal = NO_SIGNAL
         self._band_state = initial_deadband_state(NO_SIGNAL)
         self.port = energy.opened(self.port.position_m, self.port.force_n)
         self._reported_j = 0.0
@@ -146,11 +152,10 @@ class ControllerHalf(Node):
     def energy_account(self) -> EnergyAccount:
         """Return what this half of the law knows of energy."""
 
-    def receive_signal(self, message: TeleopForward | TeleopBackward, received_ns: int) -> bool:
+    def receive_signal(self, message: TeleopForward | TeleopBackward) -> bool:
         """Take a signal of the other half; one of another law is not understood and counts as silence."""
         if message.law != self.law.name:
             return False
-        self._signal_ns, self._signal_hand_ns = received_ns, message.hand_t_ns
         # F_s is the reaction along +z, F_m the push along -z
         force_n, separation_m, separation_valid, in_contact = to_paper_axis(message.force_n), 0.0, False, False
         # the classes of messages answer `isinstance` in Python, which takes longer than all of this
@@ -175,7 +180,7 @@ class ControllerHalf(Node):
 
     def latest_signal(self) -> PortSignal:
         """Return the newest signal with the time of silence since."""
-        if self._signal_ns is None:
+        if self.heard.received_ns < 0:
             return NO_SIGNAL
         # its last two fields are anew with each look; `_replace` takes five times as long
         return PortSignal(*self.signal[:-2], self._silence_s(), self.round_trip_s()[0])
@@ -183,23 +188,6 @@ class ControllerHalf(Node):
     def round_trip_s(self) -> tuple[float, bool]:
         """Return the age of the hand's sample that the newest answer descends from [s], and whether it is known."""
         return ROUND_TRIP_UNKNOWN
-
-    def elapsed_s(self, hand_t_ns: int, previous_ns: int) -> float | None:
-        """Return the whole periods between two hand samples [s]; None when the sequence starts anew.
-
-        The hand's grid is absolute, so its stamps differ from whole periods by its lateness only; counting on that grid
-        keeps the law on it and makes a re-run from a recording exact. After a sample that was late by more than half a
-        period the next one is none later, 0.0: the time between them was counted already.
-        """
-        if previous_ns and hand_t_ns > previous_ns:
-            periods = self._hand_periods.counted(hand_t_ns)
-            if periods <= self.longest_pause_periods():
-                return periods * self.config.period_s
-        self._hand_periods.begin(hand_t_ns)
-        return None
-
-    def longest_pause_periods(self) -> int:
-        return LONGEST_BRIDGED_PERIODS
 
     def signal_fields(self, signal: PortSignal) -> dict[str, object]:
         """Return the part of a teleop message that both directions share, without the force."""
@@ -240,8 +228,8 @@ class ControllerHalf(Node):
             "dissipated_j": account.dissipated_j,
             "passive": bool(energy.is_passive(net_j, known, account)),
             "saved_percent": 100.0 * (offered - self._band_state.sent) / offered if offered else 0.0,
-            "heard": self._signal_ns is not None,
-            "silence_s": self._silence_s() if self._signal_ns is not None else 0.0,
+            "heard": self.heard.received_ns >= 0,
+            "silence_s": self._silence_s() if self.heard.received_ns >= 0 else 0.0,
             "round_trip_valid": measured,
             "round_trip_s": round_trip_s,
         }
@@ -251,4 +239,4 @@ class ControllerHalf(Node):
         self.publish("law/status", **self._status)
 
     def _silence_s(self) -> float:
-        return max(0.0, (self.clock.now_ns() - (self._signal_ns or 0)) * 1e-9)
+        return silence_ns(self.heard, self.clock.now_ns()) * 1e-9

@@ -17,6 +17,30 @@ from services.controller import energy
 from services.controller.clamp import clamped
 from services.controller.config import ControllerConfig
 from services.controller.half import ROUND_TRIP_UNKNOWN, ZERO_XY, ControllerHalf
+from services.controller.integration import (
+    ANSWER,
+    ANSWER_EARLY,
+    GO_ON,
+    NOTHING,
+    Heard,
+    Settled,
+    TimingParams,
+    master_begin,
+    master_heard,
+    master_sampled,
+    master_settled,
+    master_silenced,
+    master_stalled,
+    round_trip_periods,
+    slave_begin,
+    slave_commanded,
+    slave_measured,
+    slave_signalled,
+    slave_silenced,
+    slave_stalled,
+    slave_stepped,
+    slave_unanswered,
+)
 from services.controller.law import (
     NO_SIGNAL,
     NO_TIP,
@@ -26,8 +50,6 @@ from services.controller.law import (
     PortSignal,
     SlaveReference,
     TipMeasurement,
-    longest_pause_periods,
-    paced,
 )
 from services.numerics.frames import to_paper_axis, to_site_frame
 from services.runtime.bus.bus import Received
@@ -38,6 +60,7 @@ MASTER_INPUTS = ("haptic/state", "teleop/backward", "law/status", "link/delay", 
 SLAVE_INPUTS = ("teleop/forward", "afm/state", "afm/program", "link/delay", "session/control")
 # a program that says nothing for so long is over [ns]: it reports ten times a second
 _PROGRAM_SILENCE_NS = 500_000_000
+_NO_COMMAND = -2
 # a hand whose device is lost is that of an inactive site; a simulated device says nothing
 _FOLLOWING_DEVICE = (None, "ok")
 # while the other half is waited for, the hand comes to rest like a virtual mass that is left alone
@@ -60,8 +83,7 @@ class MasterController(ControllerHalf):
         self.reference = MasterReference(0.0, 0.0, 0.0, False)
         self._tip_reference_m = 0.0
         self._switch_s = 0.0
-        self._dt_s = config.period_s
-        self._command_due = False
+        self.timing = master_begin()
         self._answered_hand_stamp = (0, 0)
         self._slave_status: LawStatus | None = None
 
@@ -72,19 +94,27 @@ class MasterController(ControllerHalf):
         if type(message) is HapticState:
             self._on_hand(message)
         elif type(message) is TeleopBackward:
-            if self.receive_signal(message, received.received_ns) and self.switching:
-                self._take_over()
+            if self.receive_signal(message):
+                self.timing = master_heard(self.timing, received.received_ns, message.hand_t_ns)
+                if self.switching:
+                    self._take_over()
             self._answered_hand_stamp = (message.hand_seq, message.hand_t_ns)
-            if self._command_due:
-                self._publish_command()
+            self._settle()
         elif type(message) is LawStatus:
             self._slave_status = message
         elif type(message) is LinkDelay:
             self.freshness.record(message)
 
+    @property
+    def heard(self) -> Heard:
+        return self.timing.heard
+
+    def timing_of(self, config: ControllerConfig) -> TimingParams:
+        return config.master_timing()
+
     def forget(self) -> None:
         super().forget()
-        self._command_due = False
+        self.timing = master_stalled(self.timing)
 
     def retuned(self, old: Any, new: Any) -> Any:
         """Carry the state over without a jump at the tip."""
@@ -94,14 +124,13 @@ class MasterController(ControllerHalf):
         return cast(EnergyAccount, self.law.master_energy_account(self.params, self.law_state))
 
     def round_trip_s(self) -> tuple[float, bool]:
-        if self._signal_ns is None:
+        if self.heard.received_ns < 0:
             return ROUND_TRIP_UNKNOWN
-        return max(
-            0, round((self._hand_stamp[1] - self._signal_hand_ns) / self._period_ns)
-        ) * self.config.period_s, True
+        return round_trip_periods(self.timing, self.timing_params) * self.config.period_s, True
 
     def _switch(self) -> None:
         super()._switch()
+        self.timing = master_silenced(self.timing)
         self._switch_s = 0.0
         if self.switching:
             self.law_state = self._resumed(self.reference, self._tip_reference_m)
@@ -117,16 +146,17 @@ class MasterController(ControllerHalf):
         self.law_state = self._resumed(self.reference, tip_m)
 
     def _on_hand(self, message: HapticState) -> None:
-        unanswered = self._command_due
-        if unanswered:
-            self._publish_command()
-        elif message.device == "stale" and self._hand_stamp[1]:
+        commanded, repeated = self._settle(), message.device == "stale"
+        self.timing, found = master_sampled(self.timing, self.timing_params, message.t_ns, repeated, commanded)
+        if not repeated:
+            self._take_sample(message, begins=found.begins)
+        if found.repeats:
             self._send_reference()
-        if message.device == "stale":
-            # a sample that is repeated is none: the law does not step, and the next one bridges the gap. To join the
-            # old position anew would leave tip and hand apart by the way in between, for the rest of the session
-            return
-        elapsed = self.elapsed_s(message.t_ns, self._hand_stamp[1])
+        if found.periods:
+            self._send_signal(found.periods * self.config.period_s)
+
+    def _take_sample(self, message: HapticState, *, begins: bool) -> None:
+        """Take up where the hand is, and count the work that it did on its way."""
         self._hand_stamp = (message.seq, message.t_ns)
         following = self.hand.following
         self.hand = HandSample(
@@ -139,27 +169,20 @@ class MasterController(ControllerHalf):
         self.lateral_m = self._at_the_tip(x, y) if x or y else ZERO_XY
         if self.law_state is None:
             self.law_state = self.law.master_start(self.params, self.hand)
-        if elapsed is None:
+        if begins:
             self.port = energy.opened(self.hand.position_m, self.hand.force_n)
         # the sample's force acted over the way to the sample's position
-        counts = elapsed is not None and following and self.hand.following and self.reference.active
+        counts = not begins and following and self.hand.following and self.reference.active
         count = energy.with_inflow if counts and not self.switching else energy.moved_to
         self.port = count(self.port, self.hand.position_m, self.hand.force_n)
-        if elapsed == 0.0:
-            # the sample before was late, and its step was that of both: a step more would be a period too many
-            if not unanswered:
-                self._send_reference()
-            return
-        # after a pause the law goes on from its own state: a hand that was restarted is off, and a law stays with an
-        # off hand, while one that was only held up finds its reference where it was
-        self._dt_s = elapsed if elapsed is not None else self.config.period_s
+
+    def _send_signal(self, dt_s: float) -> None:
         hand = self.hand._replace(following=False) if self.switching else self.hand
-        self.law_state, signal = self.law.master_send(self.params, self.law_state, hand, self._dt_s)
+        self.law_state, signal = self.law.master_send(self.params, self.law_state, hand, dt_s)
         self._tip_reference_m = signal.position_m
-        if self.passes_deadband(signal, self._dt_s):
+        if self.passes_deadband(signal, dt_s):
             self.publish("teleop/forward", **self.signal_fields(signal), force_n=to_site_frame(signal.force_n))
         self.steps += 1
-        self._command_due = True
         slave = self._slave_status
         self.report_status(slave.port_energy_j if slave is not None and slave.law == self.law.name else None)
 
@@ -174,11 +197,16 @@ class MasterController(ControllerHalf):
         scale = self.config.law_config().force_scale if x or y else 0.0
         return scale * x, scale * y
 
-    def _publish_command(self) -> None:
-        self._command_due = False
-        self.reference = self._coasting() if self.switching else self._step_law()
+    def _settle(self) -> bool:
+        """Send the command that is due; return whether one was."""
+        dt_s = self.timing.due * self.config.period_s
+        if not dt_s:
+            return False
+        self.timing = master_settled(self.timing)
+        self.reference = self._coasting(dt_s) if self.switching else self._step_law(dt_s)
         self.state = "running" if self.reference.active else "safe"
         self._send_reference()
+        return True
 
     def _send_reference(self) -> None:
         self.publish(
@@ -191,15 +219,15 @@ class MasterController(ControllerHalf):
             hand_t_ns=self._answered_hand_stamp[1],
         )
 
-    def _step_law(self) -> MasterReference:
+    def _step_law(self, dt_s: float) -> MasterReference:
         signal = self.latest_signal()
-        self.law_state, reference = self.law.master_receive(self.params, self.law_state, self.hand, signal, self._dt_s)
+        self.law_state, reference = self.law.master_receive(self.params, self.law_state, self.hand, signal, dt_s)
         return cast(MasterReference, reference)
 
-    def _coasting(self) -> MasterReference:
+    def _coasting(self, dt_s: float) -> MasterReference:
         """Return the reference while the other half is waited for: it comes to rest, and the force shown stays."""
-        self._switch_s += self._dt_s
-        last, fades = self.reference, math.exp(-self._dt_s / _COASTING_S)
+        self._switch_s += dt_s
+        last, fades = self.reference, math.exp(-dt_s / _COASTING_S)
         active = last.active and self._switch_s <= self.config.switch_limit_s
         position_m, velocity_m_per_s = self.hand.position_m, 0.0
         if self.hand.following:
@@ -219,18 +247,8 @@ class SlaveController(ControllerHalf):
         super().__init__(context, config)
         self.tip = NO_TIP
         self.reference = SlaveReference(0.0, True)
-        self._dt_s = config.period_s
-        # periods that the half is behind the hand, and the length of its last step
-        self._behind, self._step_s = 0, config.period_s
-        # commands that the instrument has not carried out yet, each with the length of its step [s]
-        self._outstanding: list[tuple[int, float]] = []
-        self._awaited_command_seq: int | None = None
-        self._command_answers_signal = (
-            True  # whether the awaited command belongs to a signal, and not to the local loop
-        )
-        self._last_command_seq: int | None = None
+        self.timing = slave_begin()
         self._clamp = config.clamp_params()
-        self._local = config.local_loop
         self._instrument_ns = 0
         self._instrument_lost = False
         self._lateral_n = ZERO_XY
@@ -245,17 +263,23 @@ class SlaveController(ControllerHalf):
             self._on_forward(message, received.received_ns)
         elif type(message) is AfmState:
             self._instrument_ns = self.freshness.stamp_ns(message.t_ns, received.received_ns)
-            self._on_instrument(message)
+            self._on_instrument(message, received.received_ns)
         elif type(message) is AfmProgram:
             occupied = message.program != "tactile" and message.state in ("running", "paused")
             self._occupied_until_ns = received.received_ns + _PROGRAM_SILENCE_NS if occupied else 0
         elif type(message) is LinkDelay:
             self.freshness.record(message)
 
+    @property
+    def heard(self) -> Heard:
+        return self.timing.heard
+
+    def timing_of(self, config: ControllerConfig) -> TimingParams:
+        return config.slave_timing()
+
     def forget(self) -> None:
         super().forget()
-        self._awaited_command_seq = None
-        self._outstanding.clear()
+        self.timing = slave_stalled(self.timing)
         if self.tip.following:
             self._lose_instrument()
 
@@ -264,15 +288,12 @@ class SlaveController(ControllerHalf):
 
     def on_control(self, control: SessionControl) -> str:
         done = super().on_control(control)
-        self._clamp, self._local = self.config.clamp_params(), self.config.local_loop
+        self._clamp = self.config.clamp_params()
         return done
-
-    def longest_pause_periods(self) -> int:
-        """Return what the last signal counts for: until then the half has gone on by itself."""
-        return longest_pause_periods(self.config.law_config().silence_limit_s, self.config.period_s)
 
     def _switch(self) -> None:
         super()._switch()
+        self.timing = slave_silenced(self.timing)
         if self.switching:
             self.law_state = self._standing()
 
@@ -288,36 +309,35 @@ class SlaveController(ControllerHalf):
         return self.law.slave_receive(self.params, self.law_state, NO_SIGNAL, self.tip, self.config.period_s)[0]
 
     def _on_forward(self, message: TeleopForward, received_ns: int) -> None:
-        if self._awaited_command_seq is not None:
+        if self.timing.commands.waiting:
             # the instrument has not answered the last tick: its newest sample has to do, for as long as it is fresh
             self._doubt_instrument()
-            if self.law.local_loop and not self._instrument_lost and not self.switching:
-                self._answer_early()
-            else:
-                self._send_answer()
-        elapsed = self.elapsed_s(message.hand_t_ns, self._hand_stamp[1])
+        early = self.law.local_loop and not self._instrument_lost and not self.switching
+        self.timing, settled = slave_unanswered(self.timing, early)
+        self._settle(settled)
         self._hand_stamp = (message.hand_seq, message.hand_t_ns)
-        if self.receive_signal(message, received_ns) and message.active:
-            self.switching = False
+        understood = self.receive_signal(message)
+        self.switching = self.switching and not (understood and message.active)
+        self.timing, begins = slave_signalled(
+            self.timing, self.timing_params, received_ns, message.hand_t_ns, understood
+        )
         if self.law_state is None:
             self.law_state = self.law.slave_start(self.params, self.tip)
-        elif elapsed is None and not self.switching:
-            self.law_state, self._behind = self._interrupted(), 0
-        self._dt_s = elapsed if elapsed is not None else self.config.period_s
+        elif begins and not self.switching:
+            self.law_state = self._interrupted()
         if self._instrument_lost:
             self.reference = SlaveReference(self.reference.position_m, False)
         elif not self.switching:
-            self._receive(self.latest_signal(), round(self._dt_s / self.config.period_s))
+            self._receive(self.latest_signal(), self.timing.pacing.elapsed)
         self._publish_command(answers=True)
         self.steps += 1
         self.report_status(None)
 
     def _receive(self, signal: PortSignal, elapsed: int) -> None:
         """Step the half by what it is behind the hand; elapsed: periods that a signal has brought, 0 without one."""
-        period_s = self.config.period_s
-        self._behind, periods = paced(self._behind, elapsed, round(1e9 * signal.silence_s) // round(1e9 * period_s))
-        self._step_s = periods * period_s
-        self.law_state, wanted = self.law.slave_receive(self.params, self.law_state, signal, self.tip, self._step_s)
+        self.timing = slave_stepped(self.timing, self.timing_params, self.clock.now_ns(), elapsed)
+        dt_s = self.timing.pacing.step * self.config.period_s
+        self.law_state, wanted = self.law.slave_receive(self.params, self.law_state, signal, self.tip, dt_s)
         self.reference = clamped(self._clamp, wanted, signal, self.tip)
 
     def _publish_command(self, *, answers: bool) -> None:
@@ -329,9 +349,7 @@ class SlaveController(ControllerHalf):
             hand_seq=self._hand_stamp[0],
             hand_t_ns=self._hand_stamp[1],
         )
-        self._awaited_command_seq = self._last_command_seq = command.seq
-        self._command_answers_signal = answers
-        self._outstanding.append((command.seq, self._step_s))
+        self.timing = slave_commanded(self.timing, command.seq, answers)
 
     def _doubt_instrument(self) -> None:
         """Mark an instrument that has been silent for too long as not following, whatever it published last."""
@@ -347,7 +365,7 @@ class SlaveController(ControllerHalf):
         self.state = "safe"
         self._instrument_lost = True
 
-    def _on_instrument(self, message: AfmState) -> None:
+    def _on_instrument(self, message: AfmState, now_ns: int) -> None:
         self.lateral_m, self._lateral_n = message.base_position_m[:2], message.tip_force_n[:2]
         self.tip = TipMeasurement(
             base_position_m=to_paper_axis(message.base_position_m),
@@ -364,25 +382,11 @@ class SlaveController(ControllerHalf):
             self.reference = SlaveReference(self.tip.base_position_m, True)
             self.law_state = self._standing()
         self._count_port_energy()
-        if (
-            self._awaited_command_seq is not None
-            and message.command_seq == self._awaited_command_seq
-            and message.hand_t_ns > 0
-        ):
-            self._send_answer()
-        elif self._awaited_command_seq is None and message.command_seq == self._last_command_seq:
-            self._step_locally()
-        elif message.hand_t_ns > 0 and not self.switching:
-            self._account_for(message.command_seq)
-
-    def _step_locally(self) -> None:
-        """Go on with the force of a step that the instrument made by itself, while the last signal still counts."""
-        if not self._local or self.switching or self.law_state is None or self._signal_ns is None:
-            return
-        signal = self.latest_signal()
-        if signal.active and signal.silence_s <= self.config.law_config().silence_limit_s and self.tip.following:
-            self._receive(signal, 0)
-            self._publish_command(answers=False)
+        follows = self.law_state is not None and self.signal.active and self.tip.following
+        # an instrument that has no command yet names the first one
+        number = message.command_seq if message.hand_t_ns > 0 else _NO_COMMAND
+        self.timing, settled = slave_measured(self.timing, self.timing_params, now_ns, number, self.switching, follows)
+        self._settle(settled)
 
     def _count_port_energy(self) -> None:
         section = self.config.law_config()
@@ -391,39 +395,23 @@ class SlaveController(ControllerHalf):
             self.port, self.tip.base_position_m / section.position_scale, section.force_scale * self.tip.force_n
         )
 
-    def _send_answer(self) -> None:
-        """Let the half account for what its command did, and send the answer if it was to a signal."""
-        self._awaited_command_seq = None
-        if self.switching:
-            self.law_state = self._standing()
-        self.law_state, signal = self._sent(len(self._outstanding))
-        if self._command_answers_signal:
-            self._publish_answer(signal)
-
-    def _account_for(self, command_seq: int) -> None:
-        """Let the half account for a command that the instrument has carried out after a later one was sent."""
-        for commands, (seq, _) in enumerate(self._outstanding, start=1):
-            if seq == command_seq:
-                self.law_state, _ = self._sent(commands)
-                return
-
-    def _answer_early(self) -> None:
-        """Answer with the newest sample and account for nothing: the instrument has not carried the command out yet.
-
-        To a half that accounts for energy the tip would have stood for this step and moved twice as fast in the next,
-        which takes twice the energy for the same way.
-        """
-        if self._command_answers_signal:
-            self._publish_answer(self.law.slave_send(self.params, self.law_state, self.tip, 0.0)[1])
-
-    def _sent(self, commands: int) -> tuple[Any, PortSignal]:
-        """Return state and signal of the half after the first of the outstanding commands, whose steps add up."""
-        dt_s = sum(step_s for _, step_s in self._outstanding[:commands])
-        del self._outstanding[:commands]
-        return cast(tuple[Any, PortSignal], self.law.slave_send(self.params, self.law_state, self.tip, dt_s))
+    def _settle(self, settled: Settled) -> None:
+        """Carry out what is due after a state of the instrument, or where none came."""
+        if settled.what == GO_ON:
+            self._receive(self.latest_signal(), 0)
+            self._publish_command(answers=False)
+        elif settled.what != NOTHING:
+            if settled.what == ANSWER and self.switching:
+                self.law_state = self._standing()
+            dt_s = settled.periods * self.config.period_s
+            state, signal = self.law.slave_send(self.params, self.law_state, self.tip, dt_s)
+            if settled.what != ANSWER_EARLY:
+                self.law_state = state
+            if settled.answers:
+                self._publish_answer(signal)
 
     def _publish_answer(self, signal: PortSignal) -> None:
-        if not self.passes_deadband(signal, self._dt_s):
+        if not self.passes_deadband(signal, self.timing.pacing.elapsed * self.config.period_s):
             return
         self.publish(
             "teleop/backward",

@@ -34,7 +34,7 @@ _ROOT = Path(__file__).resolve().parents[2]
 _PACKAGES = ("services/haptic_node", "services/afm_node", "services/controller", "studies")
 _SHELLS = ("node.py", "__main__.py")
 # raised with every change of what `compile_cache` writes, or of the options of the compiler
-_CACHE_FORMAT = "3"
+_CACHE_FORMAT = "4"
 # what other checkouts and signatures that are no more have left behind
 CACHE_DAYS = 14
 # in the folder of the cache: when it was last cleaned
@@ -44,6 +44,8 @@ CHOICE = "_telenano_choice"
 
 # The attribute that marks a step. It holds the compiled form, None before it was needed.
 STEP = "_telenano_step"
+# marks a step that is compiled into its callers
+INLINED = "_telenano_inlined"
 # The choices whose compiled form the compiler does not know yet: it is imported when it is needed.
 _unregistered: list[Callable[..., Any]] = []
 
@@ -100,6 +102,15 @@ def compiled(function: F) -> F:
     """Mark a pure step: plain Python where Python calls it, compiled where compiled code calls it."""
     setattr(function, STEP, None)
     return function
+
+
+def inlined(function: F) -> F:
+    """Mark a pure step whose compiled form becomes part of each caller, so that its tuples stay in registers.
+
+    It is for short steps that hand large tuples on; each place that calls one compiles it once more.
+    """
+    setattr(function, INLINED, True)
+    return compiled(function)
 
 
 def is_step(function: Callable[..., Any]) -> bool:
@@ -191,7 +202,7 @@ def _compiler() -> Callable[[Callable[..., object]], object]:
             clean_cache(folder, time.time())
 
     def compile_and_keep(function: Callable[..., object]) -> object:
-        dispatcher = numba.njit(function)
+        dispatcher: Any = numba.njit(forceinline=hasattr(function, INLINED))(function)
         if not vars(config)["DISABLE_JIT"]:
             # numba has no option for the class of what it makes
             dispatcher.__class__ = InterruptibleDispatcher

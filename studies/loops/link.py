@@ -1,9 +1,10 @@
 """The link of the lockstep loop: when each signal reaches the other side, known before the loop runs.
 
 What happens to a message depends on its number and the time it is sent, not on its content. The hand sends at every
-tick and the slave answers at once whatever reaches it, so both directions can be computed beforehand by the link's own
+tick and the slave answers at once what it takes, so both directions can be computed beforehand by the link's own
 engine (`fates_of`), and the loop merely merges arrivals. Readers take the newest message only: what was overtaken or
-came twice is dropped here as the bus drops it.
+came twice is dropped here as the bus drops it. Of messages that arrive together, at the end of a slot or of an outage
+that holds them, the loop takes the newest one that was sent, and there is one answer to them.
 """
 
 from pathlib import Path
@@ -29,8 +30,9 @@ class Schedule(NamedTuple):
     """Arrivals at the other side, in the order of time.
 
     forward_ns: at the slave [ns]; forward_of: the tick of the hand's sample each one carries; backward_ns: at the
-    master [ns]; backward_of: the forward arrival each one answers; ticks: length of the run; window: a power of two,
-    more than are ever between a sending and the arrival that it leads to.
+    master [ns]; backward_of: the forward arrival each one answers, the last of those that come
+    together; ticks: length of the run; window: a power of two, more than are ever between a sending and the arrival
+    that it leads to.
     """
 
     forward_ns: Times
@@ -81,8 +83,22 @@ def schedule_of(
     period_ns = round(period_s * 1e9)
     sent_ns = np.arange(ticks, dtype=np.int64) * period_ns
     forward_ns, forward_of = _arrivals(settings, "forward", FORWARD_TOPIC, sent_ns, folder, play_out=play_out)
-    backward_ns, backward_of = _arrivals(settings, "backward", BACKWARD_TOPIC, forward_ns, folder, play_out=play_out)
-    return schedule_from(forward_ns, forward_of, backward_ns, backward_of, ticks, period_ns)
+    answered = last_together(forward_ns)
+    sent_ns = forward_ns[answered]
+    backward_ns, answer = _arrivals(settings, "backward", BACKWARD_TOPIC, sent_ns, folder, play_out=play_out)
+    return schedule_from(forward_ns, forward_of, backward_ns, answered[answer], ticks, period_ns)
+
+
+def last_together(times_ns: Times) -> Times:
+    """Return the places of the arrivals that no other one comes together with later in the order [ns]."""
+    return np.flatnonzero(np.diff(times_ns, append=-1))
+
+
+def fresh(times_ns: Times, numbers: Times) -> tuple[Times, Times]:
+    """Return the arrivals, in the order of time, that a reader of the newest takes: none late and none twice."""
+    newest_before = np.maximum.accumulate(np.concatenate([[-1], numbers]))[:-1]
+    kept = numbers > newest_before
+    return times_ns[kept], numbers[kept]
 
 
 def schedule_from(
@@ -123,6 +139,4 @@ def _arrivals(
         released = [(buffer.release_ns(int(sent_ns[seq]), at_ns), seq) for at_ns, seq in released]
         released.sort()
     pairs = np.array(released, dtype=np.int64).reshape(-1, 2)
-    newest_before = np.maximum.accumulate(np.concatenate([[-1], pairs[:-1, 1]])) if len(pairs) else np.empty(0)
-    fresh = pairs[pairs[:, 1] > newest_before] if len(pairs) else pairs
-    return np.ascontiguousarray(fresh[:, 0]), np.ascontiguousarray(fresh[:, 1])
+    return fresh(pairs[:, 0], pairs[:, 1])

@@ -1,18 +1,18 @@
 """The closed loop in one compiled function: hand, law, link and instrument, tick by tick, no process and no clock.
 
-The steps are those that the nodes call, and the order is that of the bus. At the tick n of the hand, time n Ts:
+The steps are those that the nodes call, the state machines of the halves (`services.controller.integration`) are those
+that the nodes run, and the order is that of the bus. At the tick n of the hand, time n Ts:
 
 1. the haptic site steps with the newest command that it has (guard, device, hand);
-2. if nothing answered the sample of the tick before, the master half receives now, with the newest signal and the time
-   of silence since;
-3. the master half sends, unless the dead band keeps the signal back;
-4. what reaches its end of the link before the next tick acts in the order of arrival. A forward signal goes through the
-   slave half, the instrument and the slave half again, and its answer enters the link. The first backward signal of the
-   tick is received by the master half, which integrates one period; a later one is kept for the next.
-   An instrument that receives nothing for a period and a half steps by itself, and its guard judges the silence; the
-   slave half of a law with a local loop steps with it, with the newest signal and the force measured last, for as long
-   as the silence limit.
+2. the master half takes the sample: it receives first, if nothing has answered the sample before, and then sends,
+   unless the dead band keeps the signal back;
+3. what reaches its end of the link before the next tick acts in the order of arrival. Of signals that arrive together a
+   reader takes the newest, as on the bus, where they wait for it together (conflation). A forward signal goes through
+   the slave half, the instrument and the slave half again, and its answer enters the link. A backward signal goes to
+   the master half. An instrument that receives nothing for a period and a half steps by itself, its guard judges the
+   silence, and the slave half takes up what it measured: with a local loop it commands a step of its own.
 
+What passes on a site takes no time here, so the instrument carries out at once what it is asked for.
 The guards judge the age of the hand's sample behind a command, less the delay of the link in whole steps, as nodes do.
 
 So a signal released between two ticks acts in the tick in which it arrives, as on the bus: a constant round trip of T
@@ -37,22 +37,40 @@ from services.afm_node.physics.step import (
 from services.afm_node.physics.step import step as instrument_step
 from services.controller.clamp import ClampParams, clamped
 from services.controller.config import ControllerConfig
-from services.controller.deadband import DeadbandParams, deadband, initial_deadband_state
+from services.controller.deadband import DeadbandParams, DeadbandState, deadband, initial_deadband_state
+from services.controller.integration import (
+    GO_ON,
+    Heard,
+    MasterTiming,
+    Settled,
+    SlaveTiming,
+    TimingParams,
+    master_begin,
+    master_heard,
+    master_sampled,
+    master_settled,
+    round_trip_periods,
+    silence_ns,
+    slave_begin,
+    slave_commanded,
+    slave_measured,
+    slave_signalled,
+    slave_stepped,
+)
 from services.controller.law import (
     NO_SIGNAL,
     NO_TIP,
     HandSample,
     PortSignal,
+    SlaveReference,
     TipMeasurement,
-    longest_pause_periods,
-    paced,
 )
 from services.haptic_node import safety as haptic_safety
 from services.haptic_node.config import HapticConfig
 from services.haptic_node.physics.step import HapticInputs, HapticParams
 from services.haptic_node.physics.step import HapticStepState as HapticChainState
 from services.haptic_node.physics.step import step as haptic_step
-from services.numerics.compiled import compiled, compiled_form
+from services.numerics.compiled import compiled, compiled_form, inlined
 from services.runtime.loop.freshness import DELAY_STEP_NS
 from studies.loops.dispatch import (
     master_receive,
@@ -84,47 +102,44 @@ COLUMNS = (
 )
 
 
-class SlaveLoop(NamedTuple):
-    """The clamp behind the slave half; whether the half goes on between signals, and for how long [ns, periods]."""
+class Halves(NamedTuple):
+    """Constants of the two halves: the law, the dead band, the clamp behind the slave half, and their timing."""
 
+    law: Any
+    band: DeadbandParams
     clamp: ClampParams
-    local: bool
-    longest_ns: int
-    longest_periods: int
+    master: TimingParams
+    slave: TimingParams
+    period_s: float
 
 
 @dataclass(frozen=True)
 class Rig:
-    """What is coupled, ready to run: constants of law, dead band, haptic site, instrument; made by `build_rig`."""
+    """What is coupled, ready to run: constants of halves, haptic site and instrument; made by `build_rig`."""
 
-    law: Any
-    band: DeadbandParams
-    slave: "SlaveLoop"
+    halves: Halves
     haptic: HapticParams
     haptic_start: HapticChainState
     instrument: AfmParams
     instrument_start: Any
-    period_s: float
+
+    @property
+    def period_s(self) -> float:
+        """Return the period of the hand [s]."""
+        return self.halves.period_s
 
 
 def build_rig(controller: ControllerConfig, haptic: HapticConfig, instrument: AfmParams) -> Rig:
     """Prepare a rig: the hand where its configuration puts it and off, the instrument retracted."""
-    period_s, silence_s = controller.period_s, controller.law_config().silence_limit_s
-    return Rig(
-        controller.params(),
-        controller.deadband.to_params(),
-        SlaveLoop(
-            controller.clamp_params(),
-            controller.local_loop,
-            round(silence_s * 1e9),
-            longest_pause_periods(silence_s, period_s),
-        ),
-        haptic.to_params(),
-        haptic.initial_state(),
-        instrument,
-        initial_afm_state(instrument),
-        period_s,
+    halves = Halves(
+        law=controller.params(),
+        band=controller.deadband.to_params(),
+        clamp=controller.clamp_params(),
+        master=controller.master_timing(),
+        slave=controller.slave_timing(),
+        period_s=controller.period_s,
     )
+    return Rig(halves, haptic.to_params(), haptic.initial_state(), instrument, initial_afm_state(instrument))
 
 
 @dataclass(frozen=True)
@@ -154,14 +169,6 @@ class Trajectory:
     hand_following: npt.NDArray[np.bool_]
 
 
-class _Times(NamedTuple):
-    """Period of the hand [s] and [ns], and the tick at which the session starts."""
-
-    period_s: float
-    period_ns: int
-    session_tick: int
-
-
 def simulate(rig: Rig, schedule: Schedule, session_tick: int) -> Trajectory:
     """Run the rig over a link.
 
@@ -174,16 +181,7 @@ def simulate(rig: Rig, schedule: Schedule, session_tick: int) -> Trajectory:
         raise ValueError(f"the session cannot start at tick {session_tick} of {schedule.ticks}")
     rows = np.empty((schedule.ticks, len(COLUMNS)))
     compiled_form(_run)(
-        rig.haptic,
-        rig.law,
-        rig.band,
-        rig.slave,
-        rig.instrument,
-        rig.haptic_start,
-        rig.instrument_start,
-        schedule,
-        _Times(rig.period_s, round(rig.period_s * 1e9), session_tick),
-        rows,
+        rig.halves, rig.haptic, rig.instrument, rig.haptic_start, rig.instrument_start, schedule, session_tick, rows
     )
     columns: dict[str, Any] = dict(zip(COLUMNS, np.ascontiguousarray(rows[session_tick:].T), strict=True))
     for name, kind in (("in_contact", bool), ("hand_following", bool), ("instrument_mode", np.int64)):
@@ -191,7 +189,7 @@ def simulate(rig: Rig, schedule: Schedule, session_tick: int) -> Trajectory:
     return Trajectory(**columns)
 
 
-@compiled
+@inlined
 def _tip_of(answer: AfmOutputs) -> TipMeasurement:
     """Return the part of the instrument's answer that the slave half uses."""
     following = answer.mode == afm_safety.MODE_FOLLOW or answer.mode == afm_safety.MODE_HOLD
@@ -205,9 +203,11 @@ def _tip_of(answer: AfmOutputs) -> TipMeasurement:
     )
 
 
-@compiled
-def _as_received(signal: PortSignal, silence_s: float, round_trip_s: float) -> PortSignal:
-    """Return a signal with the two figures that its receiver fills in."""
+@inlined
+def _latest(signal: PortSignal, heard: Heard, now_ns: int, round_trip_s: float) -> PortSignal:
+    """Return the newest signal with the two figures that its receiver fills in."""
+    if heard.received_ns < 0:
+        return NO_SIGNAL
     return PortSignal(
         position_m=signal.position_m,
         velocity_m_per_s=signal.velocity_m_per_s,
@@ -218,40 +218,282 @@ def _as_received(signal: PortSignal, silence_s: float, round_trip_s: float) -> P
         separation_valid=signal.separation_valid,
         in_contact=signal.in_contact,
         active=signal.active,
-        silence_s=silence_s,
+        silence_s=silence_ns(heard, now_ns) * 1e-9,
         round_trip_s=round_trip_s,
     )
 
 
-@compiled
+@inlined
 def _told(delay_ns: int) -> int:
     """Return the part of a delay that the link tells the guards [ns]."""
     return delay_ns - delay_ns % DELAY_STEP_NS
 
 
-@compiled
+class HandCommand(NamedTuple):
+    """What the haptic site obeys: mode, x_mr [m], and the times from which its age counts [ns]; -1 for none."""
+
+    mode: int
+    position_m: float
+    sent_ns: int
+    hand_ns: int
+
+
+class Master(NamedTuple):
+    """The master half: timing, law, hand, newest signal and when its sample would have been back without the link [ns].
+
+    band, of the signals that it sends; command, to the hand; rendered_n, the force that the law ascribes to the
+    environment [N].
+    """
+
+    timing: MasterTiming
+    law: Any
+    hand: HandSample
+    signal: PortSignal
+    answered_ns: int
+    band: DeadbandState
+    command: HandCommand
+    rendered_n: float
+
+
+class Slave(NamedTuple):
+    """The slave half: timing, law, newest signal, what the instrument measured, and what it is to do.
+
+    hand_ns, the time that its command counts from: that of the hand's sample, told delay included [ns]; -1 for none.
+    """
+
+    timing: SlaveTiming
+    law: Any
+    signal: PortSignal
+    tip: TipMeasurement
+    reference: SlaveReference
+    hand_ns: int
+
+
+class Instrument(NamedTuple):
+    """The instrument: its state, when it stepped last, when it steps by itself [ns], and its energy [J]."""
+
+    state: Any
+    stepped_ns: int
+    due_ns: int
+    armed: bool
+    mode: int
+    energy_j: float
+
+
+@inlined
+def _hand_stepped(
+    haptic: HapticParams, state: HapticChainState, command: HandCommand, now_ns: int, session_s: float, dt: float
+) -> tuple[HapticChainState, HandSample]:
+    """Step the haptic site at a tick with the newest command; return its state and the hand's sample."""
+    asked = HapticInputs(
+        command_mode=command.mode,
+        position_reference_m=command.position_m,
+        force_reference_n=0.0,
+        command_age_s=np.inf if command.sent_ns < 0 else (now_ns - min(command.sent_ns, command.hand_ns)) * 1e-9,
+        session_time_s=session_s,
+        estop=False,
+        arm_requested=False,
+    )
+    state, felt = haptic_step(haptic, state, asked, dt)
+    hand = HandSample(
+        felt.reading.position_m,
+        felt.reading.velocity_m_per_s,
+        felt.reading.operator_force_n,
+        felt.applied.mode != haptic_safety.MODE_OFF,
+    )
+    return state, hand
+
+
+@inlined
+def _master_settled(halves: Halves, m: Master, now_ns: int) -> Master:
+    """Let the master half integrate what is due, and command the hand."""
+    if m.timing.due == 0:
+        return m
+    round_trip_s = round_trip_periods(m.timing, halves.master) * halves.period_s
+    signal = _latest(m.signal, m.timing.heard, now_ns, round_trip_s)
+    law, reference = master_receive(halves.law, m.law, m.hand, signal, m.timing.due * halves.period_s)
+    mode = haptic_safety.MODE_POSITION if reference.active else haptic_safety.MODE_OFF
+    return Master(
+        timing=master_settled(m.timing),
+        law=law,
+        hand=m.hand,
+        signal=m.signal,
+        answered_ns=m.answered_ns,
+        band=m.band,
+        command=HandCommand(mode, reference.position_m, now_ns, m.answered_ns),
+        rendered_n=reference.force_n,
+    )
+
+
+@inlined
+def _master_sampled(halves: Halves, m: Master, hand: HandSample, now_ns: int) -> tuple[Master, PortSignal, bool]:
+    """Return the master half after a sample, the signal that it sends, and whether the dead band lets it through."""
+    m = _master_settled(halves, m, now_ns)
+    timing, found = master_sampled(m.timing, halves.master, now_ns, False, False)
+    law = master_start(halves.law, hand) if found.begins else m.law
+    dt = found.periods * halves.period_s
+    law, signal = master_send(halves.law, law, hand, dt)
+    band, sent = deadband(halves.band, m.band, signal, dt)
+    after = Master(
+        timing=timing,
+        law=law,
+        hand=hand,
+        signal=m.signal,
+        answered_ns=m.answered_ns,
+        band=band,
+        command=m.command,
+        rendered_n=m.rendered_n,
+    )
+    return after, signal, sent
+
+
+@inlined
+def _master_heard(halves: Halves, m: Master, signal: PortSignal, hand_ns: int, there_ns: int, now_ns: int) -> Master:
+    """Return the master half after a signal that answers the sample of hand_ns, which was there at there_ns [ns]."""
+    heard = Master(
+        timing=master_heard(m.timing, now_ns, hand_ns),
+        law=m.law,
+        hand=m.hand,
+        signal=signal,
+        answered_ns=hand_ns + _told(there_ns - hand_ns) + _told(now_ns - there_ns),
+        band=m.band,
+        command=m.command,
+        rendered_n=m.rendered_n,
+    )
+    return _master_settled(halves, heard, now_ns)
+
+
+@inlined
+def _slave_signalled(halves: Halves, s: Slave, signal: PortSignal, hand_ns: int, now_ns: int) -> Slave:
+    """Return the slave half after a signal that descends from the sample of hand_ns [ns], with a new command."""
+    timing, begins = slave_signalled(s.timing, halves.slave, now_ns, hand_ns, True)
+    law = s.law
+    if s.timing.heard.received_ns < 0:
+        law = slave_start(halves.law, s.tip)
+    elif begins:
+        law, _ = slave_receive(halves.law, law, NO_SIGNAL, s.tip, halves.period_s)
+    told_ns = hand_ns + _told(now_ns - hand_ns)
+    s = Slave(timing=timing, law=law, signal=signal, tip=s.tip, reference=s.reference, hand_ns=told_ns)
+    return _slave_stepped(halves, s, now_ns, timing.pacing.elapsed, True)
+
+
+@inlined
+def _slave_stepped(halves: Halves, s: Slave, now_ns: int, elapsed: int, answers: bool) -> Slave:
+    """Step the slave half and command the instrument."""
+    timing = slave_stepped(s.timing, halves.slave, now_ns, elapsed)
+    signal = _latest(s.signal, timing.heard, now_ns, 0.0)
+    law, wanted = slave_receive(halves.law, s.law, signal, s.tip, timing.pacing.step * halves.period_s)
+    return Slave(
+        timing=slave_commanded(timing, timing.commands.newest + 1, answers),
+        law=law,
+        signal=s.signal,
+        tip=s.tip,
+        reference=clamped(halves.clamp, wanted, signal, s.tip),
+        hand_ns=s.hand_ns,
+    )
+
+
+@inlined
+def _instrument_stepped(
+    params: Any, i: Instrument, s: Slave, period_ns: int, now_ns: int, commanded: bool
+) -> tuple[Instrument, TipMeasurement]:
+    """Step the instrument, on a command or by itself; return it with what it measured."""
+    action = afm_safety.ACTION_POSITION if s.reference.active else afm_safety.ACTION_HOLD
+    # the operator arms the instrument once, when commands are there; a guard that trips later stays tripped
+    arm = commanded and not i.armed and s.reference.active
+    age_s = np.inf if s.hand_ns < 0 else (now_ns - s.hand_ns) * 1e-9
+    asked = AfmInputs(s.reference.position_m, age_s, action, arm, False, 0.0, 0.0)
+    state, felt = instrument_step(params, i.state, asked, min(max(now_ns - i.stepped_ns, 1), LONGEST_STEP_NS) * 1e-9)
+    moved = felt.base_m - s.tip.base_position_m if i.armed else 0.0
+    after = Instrument(
+        state=state,
+        stepped_ns=now_ns,
+        due_ns=now_ns + (command_wait_ns(period_ns) if commanded else period_ns),
+        armed=i.armed or felt.mode == afm_safety.MODE_FOLLOW,
+        mode=felt.mode,
+        energy_j=i.energy_j + 0.5 * (felt.force_n + s.tip.force_n) * moved,
+    )
+    return after, _tip_of(felt)
+
+
+@inlined
+def _carried_out(
+    halves: Halves, params: Any, s: Slave, i: Instrument, now_ns: int
+) -> tuple[Slave, Instrument, PortSignal]:
+    """Let the instrument carry out the command of the slave half, and that account for it; return its answer."""
+    i, tip = _instrument_stepped(params, i, s, halves.slave.period_ns, now_ns, True)
+    s, settled = _slave_measured(halves, s, tip, now_ns)
+    law, signal = slave_send(halves.law, s.law, tip, settled.periods * halves.period_s)
+    s = Slave(timing=s.timing, law=law, signal=s.signal, tip=tip, reference=s.reference, hand_ns=s.hand_ns)
+    return s, i, signal
+
+
+@inlined
+def _went_on(halves: Halves, params: Any, s: Slave, i: Instrument, now_ns: int) -> tuple[Slave, Instrument]:
+    """Let the instrument step by itself, and the slave half with it, where its last signal still counts."""
+    i, tip = _instrument_stepped(params, i, s, halves.slave.period_ns, now_ns, False)
+    s, settled = _slave_measured(halves, s, tip, now_ns)
+    if settled.what == GO_ON:
+        s = _slave_stepped(halves, s, now_ns, 0, False)
+        s, i, _ = _carried_out(halves, params, s, i, now_ns)
+    return s, i
+
+
+@inlined
+def _slave_measured(halves: Halves, s: Slave, tip: TipMeasurement, now_ns: int) -> tuple[Slave, Settled]:
+    """Return the slave half after what the instrument measured, and what it does about that."""
+    follows = s.signal.active and tip.following
+    timing, settled = slave_measured(s.timing, halves.slave, now_ns, s.timing.commands.newest, False, follows)
+    s = Slave(timing=timing, law=s.law, signal=s.signal, tip=tip, reference=s.reference, hand_ns=s.hand_ns)
+    return s, settled
+
+
+@inlined
 def _at(times_ns: npt.NDArray[np.int64], index: int) -> int:
     return int(times_ns[index]) if index < len(times_ns) else _NEVER_NS
 
 
+@inlined
+def _taken_together(
+    times_ns: npt.NDArray[np.int64], numbers: npt.NDArray[np.int64], sent: npt.NDArray[np.bool_], first: int
+) -> tuple[int, int]:
+    """Return the last of the arrivals that come together with the first, and the newest number that was sent, or -1.
+
+    sent: by number, modulo its length, which is a power of two.
+    """
+    mask, last, newest = len(sent) - 1, first, -1
+    while True:
+        if sent[numbers[last] & mask]:
+            newest = numbers[last]
+        if _at(times_ns, last + 1) != times_ns[first]:
+            return last, newest
+        last += 1
+
+
+@inlined
+def _instrument_at(state: Any, period_ns: int) -> Instrument:
+    """Return the instrument before the first command."""
+    return Instrument(
+        state=state, stepped_ns=0, due_ns=period_ns, armed=False, mode=afm_safety.MODE_RETRACTED, energy_j=0.0
+    )
+
+
 @compiled
 def _run(
+    halves: Halves,
     haptic: HapticParams,
-    law: Any,
-    band: DeadbandParams,
-    loop: SlaveLoop,
     instrument: Any,
     haptic_state: HapticChainState,
     instrument_state: Any,
     schedule: Schedule,
-    times: _Times,
+    session_tick: int,
     rows: Series,
 ) -> None:
     """Fill `rows` (ticks, columns) with the closed loop; the module's text gives the order."""
     # taken out of the tuple once: every access costs a count of references to its arrays
     forward_ns, forward_of = schedule.forward_ns, schedule.forward_of
     backward_ns, backward_of = schedule.backward_ns, schedule.backward_of
-    dt, period_ns = times.period_s, times.period_ns
+    dt, period_ns = halves.period_s, halves.master.period_ns
     # what is in flight, by the number of the sample (forward) or of its arrival (backward), modulo the window
     window = schedule.window
     mask = window - 1
@@ -259,137 +501,77 @@ def _run(
     backward = [NO_SIGNAL for _ in range(window)]
     # what the dead band keeps back has a place in the schedule, and arrives nowhere
     sent_forward, sent_backward = np.zeros(window, np.bool_), np.zeros(window, np.bool_)
-    master_band, slave_band = initial_deadband_state(NO_SIGNAL), initial_deadband_state(NO_SIGNAL)
-
-    hand = HandSample(haptic_state.plant.motor.position_m, 0.0, 0.0, False)
-    master = master_start(law, hand)
-    command_mode, command_m, command_ns = haptic_safety.MODE_OFF, 0.0, -1
-    rendered_n = 0.0
-    due = False
-    answer, answer_ns, answered = NO_SIGNAL, -1, 0
-    # when the sample behind the newest answer would have been back without the link, and that behind the command
-    answer_hand_ns, command_hand_ns = -1, -1
-
-    tip = NO_TIP
-    slave = slave_start(law, tip)
-    slave_tick, received, received_ns = -1, NO_SIGNAL, -1
-    slave_behind, slave_dt = 0, dt
-    # the time that a command counts from is that of the hand's sample, told delay included
-    action, base_reference_m, base_hand_ns = afm_safety.ACTION_HOLD, 0.0, -1
-    armed = False
-    instrument_ns, own_ns = 0, period_ns
-    mode = afm_safety.MODE_RETRACTED
-
-    hand_energy, tip_energy = 0.0, 0.0
-    f, b = 0, 0
+    answered = np.zeros(window, np.int64)
+    slave_band = initial_deadband_state(NO_SIGNAL)
+    m, s = _master_at(halves, haptic_state), _slave_at(halves)
+    i = _instrument_at(instrument_state, period_ns)
+    hand_energy_j, f, b = 0.0, 0, 0
     for n in range(len(rows)):
-        now_ns = n * period_ns
-        age_s = np.inf if command_ns < 0 else (now_ns - min(command_ns, command_hand_ns)) * 1e-9
-        session_s = (n - times.session_tick) * dt if n >= times.session_tick else -1.0
-        asked = HapticInputs(
-            command_mode=command_mode,
-            position_reference_m=command_m,
-            force_reference_n=0.0,
-            command_age_s=age_s,
-            session_time_s=session_s,
-            estop=False,
-            arm_requested=False,
-        )
-        haptic_state, felt = haptic_step(haptic, haptic_state, asked, dt)
-
-        if due:
-            if answer_ns >= 0:
-                # the sample of the tick before is the one that went unanswered
-                answer = _as_received(answer, (now_ns - answer_ns) * 1e-9, (n - 1 - answered) * dt)
-            master, reference = master_receive(law, master, hand, answer, dt)
-            command_mode = haptic_safety.MODE_POSITION if reference.active else haptic_safety.MODE_OFF
-            command_m, command_ns, rendered_n = reference.position_m, now_ns, reference.force_n
-            command_hand_ns = answer_hand_ns
-        before = hand
-        hand = HandSample(
-            felt.reading.position_m,
-            felt.reading.velocity_m_per_s,
-            felt.reading.operator_force_n,
-            felt.applied.mode != haptic_safety.MODE_OFF,
-        )
-        hand_energy += 0.5 * (hand.force_n + before.force_n) * (hand.position_m - before.position_m)
-        if n == 0:
-            master = master_start(law, hand)
-        master, signal = master_send(law, master, hand, dt)
-        forward[n & mask] = signal
-        master_band, sent_forward[n & mask] = deadband(band, master_band, signal, dt)
-        due = True
-
+        now_ns, before = n * period_ns, m.hand
+        session_s = (n - session_tick) * dt if n >= session_tick else -1.0
+        haptic_state, hand = _hand_stepped(haptic, haptic_state, m.command, now_ns, session_s, dt)
+        hand_energy_j += 0.5 * (hand.force_n + before.force_n) * (hand.position_m - before.position_m)
+        m, forward[n & mask], sent_forward[n & mask] = _master_sampled(halves, m, hand, now_ns)
         end_ns = now_ns + period_ns
         while True:
             arrives_ns, returns_ns = _at(forward_ns, f), _at(backward_ns, b)
-            event_ns = min(arrives_ns, returns_ns, own_ns)
+            event_ns = min(arrives_ns, returns_ns, i.due_ns)
             if event_ns >= end_ns:
                 break
-            if event_ns == arrives_ns and not sent_forward[forward_of[f] & mask]:
+            if event_ns == arrives_ns:
+                f, tick = _taken_together(forward_ns, forward_of, sent_forward, f)
                 sent_backward[f & mask] = False
+                if tick >= 0:
+                    s = _slave_signalled(halves, s, forward[tick & mask], tick * period_ns, event_ns)
+                    s, i, signal = _carried_out(halves, instrument, s, i, event_ns)
+                    elapsed_s = s.timing.pacing.elapsed * dt
+                    slave_band, sent_backward[f & mask] = deadband(halves.band, slave_band, signal, elapsed_s)
+                    backward[f & mask], answered[f & mask] = signal, tick
                 f += 1
-                continue
-            if event_ns == returns_ns and returns_ns < arrives_ns:
-                if not sent_backward[backward_of[b] & mask]:
-                    b += 1
-                    continue
-                answered = forward_of[backward_of[b]]
-                there_ns, sampled_ns = forward_ns[backward_of[b]], answered * period_ns
-                answer_hand_ns = sampled_ns + _told(there_ns - sampled_ns) + _told(event_ns - there_ns)
-                answer, answer_ns = _as_received(backward[backward_of[b] & mask], 0.0, (n - answered) * dt), event_ns
+            elif event_ns == returns_ns:
+                b, answer = _taken_together(backward_ns, backward_of, sent_backward, b)
+                if answer >= 0:
+                    hand_ns, there_ns = answered[answer & mask] * period_ns, forward_ns[answer]
+                    m = _master_heard(halves, m, backward[answer & mask], hand_ns, there_ns, event_ns)
                 b += 1
-                if due:
-                    master, reference = master_receive(law, master, hand, answer, dt)
-                    command_mode = haptic_safety.MODE_POSITION if reference.active else haptic_safety.MODE_OFF
-                    command_m, command_ns, rendered_n = reference.position_m, event_ns, reference.force_n
-                    command_hand_ns = answer_hand_ns
-                    due = False
-                continue
-            commanded = event_ns == arrives_ns
-            if commanded:
-                tick = forward_of[f]
-                elapsed = tick - slave_tick
-                if slave_tick < 0:
-                    slave, elapsed, slave_behind = slave_start(law, tip), 1, 0
-                elif elapsed > loop.longest_periods:
-                    slave, _ = slave_receive(law, slave, NO_SIGNAL, tip, dt)
-                    elapsed, slave_behind = 1, 0
-                slave_tick, received, received_ns = tick, forward[tick & mask], event_ns
-                base_hand_ns = tick * period_ns + _told(event_ns - tick * period_ns)
-            # what the instrument steps by itself, the slave half goes along with, while its last signal counts
-            local = loop.local and not commanded and received_ns >= 0 and event_ns - received_ns <= loop.longest_ns
-            local = local and received.active and tip.following
-            if commanded or local:
-                silent = (event_ns - received_ns) // period_ns
-                slave_behind, periods = paced(slave_behind, elapsed if commanded else 0, silent)
-                slave_dt = periods * dt
-                present = _as_received(received, (event_ns - received_ns) * 1e-9, 0.0)
-                slave, wanted = slave_receive(law, slave, present, tip, slave_dt)
-                wanted = clamped(loop.clamp, wanted, present, tip)
-                action = afm_safety.ACTION_POSITION if wanted.active else afm_safety.ACTION_HOLD
-                base_reference_m = wanted.position_m
-            # the operator arms the instrument once, when commands are there; a guard that trips later stays tripped
-            arm = commanded and not armed and action == afm_safety.ACTION_POSITION
-            command_age_s = np.inf if base_hand_ns < 0 else (event_ns - base_hand_ns) * 1e-9
-            step_s = min(max(event_ns - instrument_ns, 1), LONGEST_STEP_NS) * 1e-9
-            asked_tip = AfmInputs(base_reference_m, command_age_s, action, arm, False, 0.0, 0.0)
-            instrument_state, felt_tip = instrument_step(instrument, instrument_state, asked_tip, step_s)
-            instrument_ns = event_ns
-            moved = felt_tip.base_m - tip.base_position_m if armed else 0.0
-            tip_energy += 0.5 * (felt_tip.force_n + tip.force_n) * moved
-            tip = _tip_of(felt_tip)
-            mode = felt_tip.mode
-            armed = armed or mode == afm_safety.MODE_FOLLOW
-            own_ns = event_ns + (command_wait_ns(period_ns) if commanded or local else period_ns)
-            if commanded or local:
-                slave, signal = slave_send(law, slave, tip, slave_dt)
-            if commanded:
-                backward[f & mask] = signal
-                slave_band, sent_backward[f & mask] = deadband(band, slave_band, signal, elapsed * dt)
-                f += 1
-        row = rows[n]
-        row[0], row[1], row[2], row[3] = session_s, hand.force_n, hand.position_m, command_m
-        row[4], row[5], row[6], row[7] = rendered_n, tip.base_position_m, tip.force_n, tip.separation_m
-        row[8], row[9] = hand_energy, tip_energy
-        row[10], row[11], row[12] = int(tip.in_contact), mode, int(hand.following)
+            else:
+                s, i = _went_on(halves, instrument, s, i, event_ns)
+        _record(rows[n], session_s, m, s.tip, hand_energy_j, i)
+
+
+@inlined
+def _master_at(halves: Halves, haptic_state: HapticChainState) -> Master:
+    """Return the master half before the first sample."""
+    hand = HandSample(haptic_state.plant.motor.position_m, 0.0, 0.0, False)
+    return Master(
+        timing=master_begin(),
+        law=master_start(halves.law, hand),
+        hand=hand,
+        signal=NO_SIGNAL,
+        answered_ns=-1,
+        band=initial_deadband_state(NO_SIGNAL),
+        command=HandCommand(haptic_safety.MODE_OFF, 0.0, -1, -1),
+        rendered_n=0.0,
+    )
+
+
+@inlined
+def _slave_at(halves: Halves) -> Slave:
+    """Return the slave half before the first signal."""
+    return Slave(
+        timing=slave_begin(),
+        law=slave_start(halves.law, NO_TIP),
+        signal=NO_SIGNAL,
+        tip=NO_TIP,
+        reference=SlaveReference(0.0, False),
+        hand_ns=-1,
+    )
+
+
+@inlined
+def _record(row: Series, session_s: float, m: Master, tip: TipMeasurement, hand_energy_j: float, i: Instrument) -> None:
+    """Write down what stands at the end of a tick, in the order of COLUMNS."""
+    row[0], row[1], row[2], row[3] = session_s, m.hand.force_n, m.hand.position_m, m.command.position_m
+    row[4], row[5], row[6], row[7] = m.rendered_n, tip.base_position_m, tip.force_n, tip.separation_m
+    row[8], row[9] = hand_energy_j, i.energy_j
+    row[10], row[11], row[12] = int(tip.in_contact), i.mode, int(m.hand.following)

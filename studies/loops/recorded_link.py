@@ -13,7 +13,7 @@ import numpy.typing as npt
 from proto.errors import RecordingError
 from recording.arrays import columns, last_programme
 from recording.reader import Recording
-from studies.loops.link import BACKWARD_TOPIC, FORWARD_TOPIC, Schedule, schedule_from
+from studies.loops.link import BACKWARD_TOPIC, FORWARD_TOPIC, Schedule, fresh, last_together, schedule_from
 
 Times = npt.NDArray[np.int64]
 
@@ -48,7 +48,9 @@ def recorded_schedule(path: Path, settle: int, ticks: int, period_s: float) -> S
     place = np.searchsorted(forward_of, answered_tick)
     known = place < len(forward_of)
     known[known] = forward_of[place[known]] == answered_tick[known]
-    backward_ns, backward_of = backward_ns[known], place[known]
+    # there is one answer to forward messages that come together, and the loop knows it by the last of them
+    last = last_together(forward_ns)
+    backward_ns, backward_of = fresh(backward_ns[known], last[np.searchsorted(last, place[known])])
     # an answer comes after its question
     backward_ns = np.maximum(backward_ns, forward_ns[backward_of])
     return schedule_from(forward_ns, forward_of, backward_ns, backward_of, ticks, period_ns)
@@ -89,7 +91,4 @@ def _crossed(recording: Recording, direction: str, topic: str) -> tuple[Times, T
 def _within(times_ns: Times, tick_of: Times, ticks: int) -> tuple[Times, Times]:
     """Return what belongs to the run and was not overtaken: readers take the newest sample only."""
     inside = (tick_of >= 0) & (tick_of < ticks)
-    times_ns, tick_of = times_ns[inside], tick_of[inside]
-    newest_before = np.maximum.accumulate(np.concatenate([[-1], tick_of]))[:-1]
-    fresh = tick_of > newest_before
-    return times_ns[fresh], tick_of[fresh]
+    return fresh(times_ns[inside], tick_of[inside])

@@ -4,15 +4,27 @@ import random
 
 import pytest
 
-from services.controller.hand_periods import HandPeriods
+from services.controller.hand_periods import ANEW, HandClock, no_sample, periods_to
 
 PERIOD_NS = 1_000_000
+LONGEST = 50
+
+
+class Counter:
+    """Counts from a first sample on."""
+
+    def __init__(self, first_ns: int) -> None:
+        self.clock, periods = periods_to(no_sample(), first_ns, PERIOD_NS, LONGEST)
+        assert periods == ANEW
+
+    def counted(self, sampled_ns: int) -> int:
+        self.clock, periods = periods_to(self.clock, sampled_ns, PERIOD_NS, LONGEST)
+        return periods
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_no_period_counts_twice_however_late_the_samples_are(seed: int) -> None:
-    source, hand, counted, grid = random.Random(seed), HandPeriods(PERIOD_NS), 0, 0
-    hand.begin(10**18)
+    source, hand, counted, grid = random.Random(seed), Counter(10**18), 0, 0
     for _ in range(5000):
         # some samples were lost on the way, and a late one still comes before the next
         grid += source.choice((1, 1, 1, 1, 2, 5))
@@ -25,9 +37,16 @@ def test_no_period_counts_twice_however_late_the_samples_are(seed: int) -> None:
 
 
 def test_a_first_sample_that_was_late_is_not_what_the_others_are_counted_by() -> None:
-    source, hand = random.Random(1), HandPeriods(PERIOD_NS)
-    hand.begin(10**18 + 600_000)
+    source, hand = random.Random(1), Counter(10**18 + 600_000)
     stamps = [10**18 + n * PERIOD_NS + source.randrange(200_000) for n in range(1, 1000)]
     counts = [hand.counted(stamp) for stamp in stamps]
     assert set(counts[300:]) == {1}
     assert sum(counts) in (998, 999)
+
+
+@pytest.mark.parametrize(("later_ns", "periods"), [(50 * PERIOD_NS, 50), (51 * PERIOD_NS, ANEW), (0, ANEW), (-1, ANEW)])
+def test_it_begins_anew_after_the_longest_pause_and_with_stamps_that_go_back(later_ns: int, periods: int) -> None:
+    hand = Counter(10**18)
+    assert hand.counted(10**18 + later_ns) == periods
+    if periods == ANEW:
+        assert hand.clock == HandClock(10**18 + later_ns, 10**18 + later_ns)

@@ -13,7 +13,7 @@ from services.controller.law import NO_SIGNAL, PortSignal, port_signal
 from services.numerics.compiled import compiled, compiled_form
 
 ROOT = Path(__file__).resolve().parents[3]
-MARKS = {"compiled", "always_compiled"}
+MARKS = {"compiled", "inlined", "always_compiled"}
 MODULES = [
     path.relative_to(ROOT)
     for package in ("services", "studies")

@@ -1,5 +1,7 @@
 """The schedule of the link against the link's own engine and against arithmetic."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -79,3 +81,19 @@ def test_corrupted_messages_are_refused_by_their_reader() -> None:
 def test_impossible_links_are_refused(delay: float, jitter: float, loss: float) -> None:
     with pytest.raises(ConfigError, match="forward"):
         symmetric_link(delay, jitter, loss, 0)
+
+
+SLOTS = {"slots": {"min_interval_s": 0.03, "max_interval_s": 0.03}}
+HELD = {"outage": {"mode": "hold", "schedule": [[0.05, 0.04]], "period_s": 0.1}}
+
+
+@pytest.mark.parametrize("settings", [SLOTS, HELD], ids=["slots", "held outage"])
+def test_what_the_link_lets_out_together_has_one_answer(settings: dict[str, Any]) -> None:
+    schedule = schedule_of(parse_settings({"forward": settings}), 1000, PERIOD_S)
+    times_ns = schedule.forward_ns
+    together = np.flatnonzero(np.diff(times_ns) == 0)
+    assert len(together) > 200
+    # every signal arrives, and of those that come together only the last is answered
+    assert (schedule.forward_of == np.arange(len(times_ns))).all()
+    assert not set(together) & set(schedule.backward_of)
+    assert len(schedule.backward_of) == len(times_ns) - len(together)

@@ -1,0 +1,305 @@
+"""When each half of a law integrates, by how many periods, and what it owes the other side: pure state machines.
+
+The nodes (`node`) and the loop of the studies (`studies.loops.lockstep`) feed them the same events, carry out what they
+decide, and decide nothing of the kind themselves. The laws take the steps; the machines know no force and no position.
+
+The master half works in ticks of the hand. It sends at each sample, and receives once for each time that it has sent:
+
+    state      event                            decision                                          next
+    idle       sample, n >= 1 periods           send by n                                         due
+    idle       sample that begins anew          send by 1, and count energy from there            due
+    idle       sample of 0 periods, or repeated command the last reference again                  idle
+    idle       answer                           none: it is kept for the next tick                idle
+    due        answer                           receive by the n that was sent, command           idle
+    due        sample                           receive by n with the silence so far, command;    idle, and on
+                                                then as in idle, without a second command
+    any        stall of the process             the command that is due is dropped                idle
+
+The slave half works in commands to the instrument, which says of each state which command it has carried out:
+
+    state      event                            decision                                          next
+    any        signal, n periods of the hand    receive by what the half is behind, command       waiting
+    any        signal that begins anew          start, or start anew, then as n = 1               waiting
+    waiting    signal                           before that: answer with the newest sample        settled, and on
+    waiting    state with the newest command    account for all commands; answer if to a signal   settled
+    waiting    state with an older command      account for the commands up to it                 waiting
+    settled    state with the newest command    the instrument stepped by itself: receive by      waiting, or
+                                                what the half is behind, command; if the last     settled
+                                                signal still counts, else none
+    any        stall of the process             nothing is owed any more                          settled
+
+Before the instrument has answered, a half that keeps account of its local steps answers without accounting (EARLY): to
+such a half the tip would have stood for this step and moved twice as fast in the next, which takes twice the energy
+for the same way. Every other half accounts as if the commands had been carried out.
+"""
+
+from typing import NamedTuple
+
+from services.controller.hand_periods import ANEW, HandClock, no_sample, periods_to
+from services.controller.law import paced
+from services.numerics.compiled import inlined
+
+# what the slave half does about a state of the instrument, or about one that has not come
+NOTHING, ACCOUNT, ANSWER, ANSWER_EARLY, GO_ON = 0, 1, 2, 3, 4
+_NEVER_NS = -1
+# the place among the steps of commands where those that are no longer told apart are added up
+_LAST = 7
+# whole periods of silence where no signal was ever received: more than any law waits
+_ENDLESS = 2**40
+
+
+class TimingParams(NamedTuple):
+    """Constants of the timing of a half.
+
+    period_ns, of the hand [ns]; longest_periods, the longest pause of its samples that is bridged; local_ns, how long
+    the last signal counts for a half that goes on with the instrument's own steps [ns], 0 for one that does not.
+    """
+
+    period_ns: int
+    longest_periods: int
+    local_ns: int
+
+
+class Heard(NamedTuple):
+    """When the newest signal of the other half came [ns], -1 for none, and the stamp of the hand's sample behind it."""
+
+    received_ns: int
+    hand_ns: int
+
+
+@inlined
+def nothing_heard() -> Heard:
+    """Return what a half has heard before the first signal, and after a pause that makes it wait anew."""
+    return Heard(_NEVER_NS, _NEVER_NS)
+
+
+class MasterTiming(NamedTuple):
+    """Samples of the hand, the signal of the other half, and the periods of the command that is due: 0 for none."""
+
+    hand: HandClock
+    heard: Heard
+    due: int
+
+
+class Sampled(NamedTuple):
+    """What follows from a sample of the hand: whether it begins anew, periods to send by, whether to command again."""
+
+    begins: bool
+    periods: int
+    repeats: bool
+
+
+@inlined
+def master_begin() -> MasterTiming:
+    """Return the timing of a master half before the first sample."""
+    return MasterTiming(no_sample(), nothing_heard(), 0)
+
+
+@inlined
+def master_heard(timing: MasterTiming, received_ns: int, hand_ns: int) -> MasterTiming:
+    """Return the timing after a signal of the other half, which answers a sample of the hand [ns]."""
+    return MasterTiming(timing.hand, Heard(received_ns, hand_ns), timing.due)
+
+
+@inlined
+def master_settled(timing: MasterTiming) -> MasterTiming:
+    """Return the timing after the command that was due, `timing.due` periods of the law: an answer or a tick came."""
+    return MasterTiming(timing.hand, timing.heard, 0)
+
+
+@inlined
+def master_silenced(timing: MasterTiming) -> MasterTiming:
+    """Return the timing of a half that waits anew for the other half."""
+    return MasterTiming(timing.hand, nothing_heard(), timing.due)
+
+
+@inlined
+def master_stalled(timing: MasterTiming) -> MasterTiming:
+    """Return the timing after a pause of the process: no command is due, and the other half is waited for anew."""
+    return MasterTiming(timing.hand, nothing_heard(), 0)
+
+
+@inlined
+def master_sampled(
+    timing: MasterTiming, params: TimingParams, sampled_ns: int, repeated: bool, commanded: bool
+) -> tuple[MasterTiming, Sampled]:
+    """Return what follows from a sample of the hand, stamped sampled_ns [ns].
+
+    A sample that the device only repeats is none: the law does not step, and the next one bridges the gap. To join the
+    old position anew would leave tip and hand apart by the way in between, for the rest of the session.
+
+    Parameters: repeated, by a device that has nothing newer; commanded, whether the sample settled what was due.
+    """
+    if repeated:
+        return timing, Sampled(False, 0, not commanded and timing.hand.sampled_ns >= 0)
+    hand, periods = periods_to(timing.hand, sampled_ns, params.period_ns, params.longest_periods)
+    begins = periods == ANEW
+    if periods == 0:
+        # the sample before was late, and its step was that of both: a step more would be a period too many
+        return MasterTiming(hand, timing.heard, timing.due), Sampled(False, 0, not commanded)
+    # After a pause the law goes on from its own state: a hand that was restarted is off, and a law stays with an off
+    # hand, while one that was only held up finds its reference where it was.
+    periods = 1 if begins else periods
+    return MasterTiming(hand, timing.heard, periods), Sampled(begins, periods, False)
+
+
+@inlined
+def silence_ns(heard: Heard, now_ns: int) -> int:
+    """Return the time since the newest signal [ns]; there has to be one."""
+    return max(0, now_ns - heard.received_ns)
+
+
+@inlined
+def round_trip_periods(timing: MasterTiming, params: TimingParams) -> int:
+    """Return how many periods before the newest sample the one lies that the newest signal answers."""
+    since_ns = timing.hand.sampled_ns - timing.heard.hand_ns
+    return max(0, (since_ns + params.period_ns // 2) // params.period_ns)
+
+
+class Pacing(NamedTuple):
+    """Periods of the hand that the newest signal brought, that the half is behind the hand, and of its last step."""
+
+    elapsed: int
+    behind: int
+    step: int
+
+
+class Commands(NamedTuple):
+    """What was asked of the instrument: the numbers of the newest command, and of the newest that it has carried out.
+
+    -1 is none. steps: periods of the newest commands, the newest first, and in the last place the sum of all that are
+    older; waiting: whether the newest is waited for; answers: whether it belongs to a signal.
+    """
+
+    newest: int
+    carried_out: int
+    steps: tuple[int, int, int, int, int, int, int, int]
+    waiting: bool
+    answers: bool
+
+
+class SlaveTiming(NamedTuple):
+    """The hand's samples behind the signals, the newest signal, the steps of the half, and its commands."""
+
+    hand: HandClock
+    heard: Heard
+    pacing: Pacing
+    commands: Commands
+
+
+class Settled(NamedTuple):
+    """What the slave half does (NOTHING to GO_ON), the periods to account for, and whether the answer is sent."""
+
+    what: int
+    periods: int
+    answers: bool
+
+
+@inlined
+def slave_begin() -> SlaveTiming:
+    """Return the timing of a slave half before the first signal."""
+    commands = Commands(-1, -1, (0, 0, 0, 0, 0, 0, 0, 0), False, True)
+    return SlaveTiming(no_sample(), nothing_heard(), Pacing(1, 0, 1), commands)
+
+
+@inlined
+def slave_silenced(timing: SlaveTiming) -> SlaveTiming:
+    """Return the timing of a half that waits anew for the other half."""
+    return SlaveTiming(timing.hand, nothing_heard(), timing.pacing, timing.commands)
+
+
+@inlined
+def slave_stalled(timing: SlaveTiming) -> SlaveTiming:
+    """Return the timing after a pause of the process: nothing is owed, and the other half is waited for anew."""
+    return SlaveTiming(timing.hand, nothing_heard(), timing.pacing, _carried_out(timing.commands, 0)[0])
+
+
+@inlined
+def slave_signalled(
+    timing: SlaveTiming, params: TimingParams, received_ns: int, hand_ns: int, understood: bool
+) -> tuple[SlaveTiming, bool]:
+    """Return the timing at a signal that came at received_ns [ns], and whether the half begins anew.
+
+    Parameters: hand_ns, the stamp of the hand's sample that the signal descends from [ns]; understood, whether it is of
+    the law in force: any other counts as silence.
+    """
+    hand, periods = periods_to(timing.hand, hand_ns, params.period_ns, params.longest_periods)
+    heard = Heard(received_ns, hand_ns) if understood else timing.heard
+    if periods == ANEW:
+        return SlaveTiming(hand, heard, Pacing(1, 0, timing.pacing.step), timing.commands), True
+    return SlaveTiming(hand, heard, Pacing(periods, timing.pacing.behind, timing.pacing.step), timing.commands), False
+
+
+@inlined
+def slave_stepped(timing: SlaveTiming, params: TimingParams, now_ns: int, elapsed: int) -> SlaveTiming:
+    """Return the timing with the step that the half has to make now; elapsed: periods of a signal, 0 without one."""
+    heard = timing.heard
+    silent_ns = silence_ns(heard, now_ns)
+    silent = 0 if silent_ns < params.period_ns else silent_ns // params.period_ns
+    behind, step = paced(timing.pacing.behind, elapsed, _ENDLESS if heard.received_ns < 0 else silent)
+    return SlaveTiming(timing.hand, heard, Pacing(timing.pacing.elapsed, behind, step), timing.commands)
+
+
+@inlined
+def slave_commanded(timing: SlaveTiming, number: int, answers: bool) -> SlaveTiming:
+    """Return the timing after the command of a step was sent; commands are numbered one after the other."""
+    c = timing.commands
+    first, second, third, fourth, fifth, sixth, _, _ = c.steps
+    steps = (timing.pacing.step, first, second, third, fourth, fifth, sixth, _owed(c, _LAST - 1))
+    commands = Commands(number, number - 1 if c.newest < 0 else c.carried_out, steps, True, answers)
+    return SlaveTiming(timing.hand, timing.heard, timing.pacing, commands)
+
+
+@inlined
+def slave_unanswered(timing: SlaveTiming, early: bool) -> tuple[SlaveTiming, Settled]:
+    """Return what a signal settles that comes while a command is waited for; early: without accounting for it."""
+    if not timing.commands.waiting:
+        return timing, Settled(NOTHING, 0, False)
+    if early:
+        return timing, Settled(ANSWER_EARLY, 0, timing.commands.answers)
+    return _settled(timing, ANSWER, 0)
+
+
+@inlined
+def slave_measured(
+    timing: SlaveTiming, params: TimingParams, now_ns: int, number: int, held: bool, follows: bool
+) -> tuple[SlaveTiming, Settled]:
+    """Return what follows from a state of the instrument in which it has carried out the command of a number.
+
+    Parameters: held, the half stands still while the law changes; follows, the newest signal is active and so is the
+    instrument, so that a half with a local loop goes on.
+    """
+    c, heard = timing.commands, timing.heard
+    later = c.newest - number
+    if later == 0 and c.waiting:
+        return _settled(timing, ANSWER, 0)
+    if later == 0:
+        counts = heard.received_ns >= 0 and params.local_ns > 0 and silence_ns(heard, now_ns) <= params.local_ns
+        return timing, Settled(GO_ON if counts and follows and not held else NOTHING, 0, False)
+    if held or number <= c.carried_out or not 0 < later < _LAST:
+        return timing, Settled(NOTHING, 0, False)
+    return _settled(timing, ACCOUNT, later)
+
+
+@inlined
+def _settled(timing: SlaveTiming, what: int, later: int) -> tuple[SlaveTiming, Settled]:
+    """Settle all commands but those that were sent later than the one carried out."""
+    commands, periods = _carried_out(timing.commands, later)
+    after = SlaveTiming(timing.hand, timing.heard, timing.pacing, commands)
+    return after, Settled(what, periods, what == ANSWER and timing.commands.answers)
+
+
+@inlined
+def _carried_out(c: Commands, later: int) -> tuple[Commands, int]:
+    """Return the commands after all but the last `later` were carried out, and the periods of those that were."""
+    waiting = c.waiting and later > 0
+    return Commands(c.newest, c.newest - later, c.steps, waiting, c.answers), _owed(c, later)
+
+
+@inlined
+def _owed(c: Commands, first: int) -> int:
+    """Return the sum of the steps from a place on that the instrument has not carried out yet [periods]."""
+    periods = 0
+    for place in range(first, min(c.newest - c.carried_out, _LAST + 1)):
+        periods += c.steps[place]
+    return periods
