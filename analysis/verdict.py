@@ -33,7 +33,7 @@ read-out is estimated from the data and is no motion.
 import math
 from collections.abc import Sequence
 from itertools import combinations, pairwise
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -54,19 +54,7 @@ Kind = Literal[
     "settling",
     "no_data",
 ]
-KINDS: tuple[Kind, ...] = (
-    "stable",
-    "limit_cycle",
-    "diverged",
-    "drifting",
-    "released",
-    "wrong_force",
-    "contact_lost",
-    "guarded",
-    "cannot_say",
-    "settling",
-    "no_data",
-)
+KINDS: tuple[Kind, ...] = get_args(Kind)
 
 WINDOWS = 8
 # the windows that a trend is taken from: the first show the answer to the step before them

@@ -7,8 +7,8 @@ The floors (`chains.py`): five processes pass bytes of the very sizes of our mes
 over connected Unix-domain sockets, `plain` as any program would run and `placed` under the scheduling that the rig's
 nodes ask for; and placed over `zeromq`, with a subscriber that drains everything in the recorder's place. The rig:
 `telenano up --scenario fig12`, the age of the loop as its own recording has it, the processor time and memory of each
-process as the kernel has it, and the time to the first tick of the hand. A last run of each round with
-`realtime.trace` tells how long each part of a hop takes. All take turns, and the medians of the rounds are compared.
+process as the kernel has it, and the time to the first tick of the hand. A last run of each round with `hop_trace` in
+its nodes tells how long each part of a hop takes. All take turns, and the medians of the rounds are compared.
 """
 
 import argparse
@@ -26,11 +26,11 @@ from pathlib import Path
 from typing import Any, NamedTuple, cast
 
 from chains import measure_sockets, measure_zeromq
+from hop_trace import PARTS
 
 from proto import decode
 from proto.messages import HapticState
 from recording.reader import Recording
-from services.runtime.loop.hop_trace import PARTS
 from services.runtime.loop.realtime import shallow_idle
 
 FLOORS = {
@@ -38,6 +38,7 @@ FLOORS = {
     "placed": ("sockets, placed", lambda ticks: measure_sockets(ticks, placed=True)),
     "zeromq": ("ZeroMQ, placed", lambda ticks: measure_zeromq(ticks, placed=True)),
 }
+TRACED_NODE = Path(__file__).parent / "traced_node"
 FIGURES = ("p50", "p99", "max")
 
 
@@ -61,7 +62,10 @@ def measure_rig(duration_s: float, *, trace: bool) -> RigRun:
         out = Path(folder) / "out"
         environment = {**os.environ, "TELENANO_RUNTIME_DIR": folder}
         command = [sys.executable, "-m", "telenano", "up", "--scenario", "fig12", "--json"]
-        command += ["--duration", str(duration_s), "--out", str(out), *(["--set", "realtime.trace=true"] * trace)]
+        command += ["--duration", str(duration_s), "--out", str(out)]
+        if trace:
+            before = environment.get("PYTHONPATH", "")
+            environment["PYTHONPATH"] = os.pathsep.join([str(TRACED_NODE), *([before] if before else [])])
         begin_ns = time.time_ns()
         with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) as rig:
             watch = ProcessWatch(rig.pid)

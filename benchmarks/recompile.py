@@ -23,8 +23,6 @@ MODEL = "services/afm_node/physics/contact/lennard_jones.py"
 EDITS = (
     ("nothing", LAW, "", ""),
     ("a comment in the figures of studies", "studies/pages/figures.py", '"""\n\nfrom', '"""\n\n# a comment\nfrom'),
-    ("lines above the law of the study", LAW, '"""\n\nfrom', '"""\n\n# lines\n\nfrom'),
-    ("another law", "services/controller/laws/wave.py", "+= 0.5 *", "+= 0.25 * 2.0 *"),
     ("the law of the study", LAW, "- scaled_force\n", "- 1.0 * scaled_force\n"),
     ("a model of the instrument", MODEL, "q8 = q2 * q2", "q8 = 1.0 * q2 * q2"),
 )

@@ -159,6 +159,11 @@ def digest_of_all() -> str:
     return hashlib.sha256("\n".join(found).encode()).hexdigest() if found else ""
 
 
+def package_files() -> list[Path]:
+    """Return the files of all packages with entries."""
+    return [path for name in modules() for _, path in _files(name.removesuffix("."))]
+
+
 @cache
 def _digest(top_level: str) -> str:
     digest = hashlib.sha256()

@@ -187,10 +187,10 @@ class Recording:
         """Parts of the file that are no records, or damaged ones outside of the chunks."""
         return tuple(self._layout.damage)
 
-    def index_faults(self) -> list[str]:
-        """Return what is wrong with header, indexes and summary, which other readers go by, in a file that is whole."""
+    def index_faults(self, messages: int) -> list[str]:
+        """Return what is wrong with header and summary, which other readers go by; `messages` were read."""
         with self._open() as data:
-            return index_faults(data)
+            return index_faults(data, self._layout, messages)
 
     @property
     def attachment_records(self) -> dict[str, Attachment]:

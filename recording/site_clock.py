@@ -299,10 +299,32 @@ def _spoken(offset_s: float) -> str:
 
 
 def _through(times: Floats, values: Floats, knots: Floats) -> Floats:
-    """Return the values at knots of the broken line that is nearest to points."""
-    shapes = np.stack([np.interp(times, knots, one) for one in np.eye(len(knots))], axis=1)
+    """Return the values at knots of the broken line that is nearest to points, which lie in each of its parts.
+
+    A point depends on the two knots beside it, so the normal equations of least squares are tridiagonal. They are
+    solved by elimination in order: the digits of LAPACK would depend on the processor.
+    """
+    last = len(knots) - 1
+    left = np.clip(np.searchsorted(knots, times, side="right") - 1, 0, last - 1)
+    share = (times - knots[left]) / (knots[left + 1] - knots[left])
     middle = float(np.median(values))
-    return np.asarray(np.linalg.lstsq(shapes, values - middle, rcond=None)[0] + middle, dtype=np.float64)
+
+    def summed(at_left: Floats, at_right: Floats) -> list[float]:
+        # in the order of the points
+        sums = np.bincount(left, at_left, last + 1) + np.bincount(left + 1, at_right, last + 1)
+        return [float(value) for value in sums]
+
+    rest = 1.0 - share
+    diagonal, wanted = summed(rest * rest, share * share), summed(rest * (values - middle), share * (values - middle))
+    beside = [float(value) for value in np.bincount(left, rest * share, last)]
+    for i in range(last):
+        factor = beside[i] / diagonal[i]
+        diagonal[i + 1] -= factor * beside[i]
+        wanted[i + 1] -= factor * wanted[i]
+    found = [wanted[last] / diagonal[last]]
+    for i in reversed(range(last)):
+        found.append((wanted[i] - beside[i] * found[-1]) / diagonal[i])
+    return np.array(found[::-1]) + middle
 
 
 def _earliest_s(recording: RecordingSource, windows: list[tuple[int, int]], clock: SiteClock) -> tuple[float, float]:

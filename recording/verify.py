@@ -110,7 +110,7 @@ class _Check:
         if not self._recording.closed:
             self._report("end", "error", "", self._end_text())
         elif not damage:
-            for text in self._recording.index_faults():
+            for text in self._recording.index_faults(self.messages):
                 self._report("index", "error", "", f"{text}; other readers may fail on it")
         return self._findings
 

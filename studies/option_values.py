@@ -2,28 +2,55 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from proto.errors import ConfigError
 from services.controller.config import LAWS
 from services.runtime.settings.config import flag_overrides, flatten
-from studies.loops.cells import DEFAULT_STIFFNESS
-from studies.loops.merits import Sample
-from studies.loops.stability import Jitter
 
 _MOST_VALUES = 10_000
-# one-sided walls at the tip, in words
-WALLS_N_PER_M = {"soft": 5.0, "ordinary": 20.0, "stiff": 80.0}
+LONGEST_MS = 10_000.0
+STIFFEST_N_PER_M = 1e5
 
 
-def samples(text: str) -> tuple[Sample, ...]:
-    """Read `contact` and the walls of WALLS_N_PER_M, separated by commas."""
-    known = {"contact": Sample("contact", DEFAULT_STIFFNESS["contact"][0])}
-    known |= {name: Sample("wall", stiffness) for name, stiffness in WALLS_N_PER_M.items()}
-    names = [name.strip() for name in text.split(",")]
+@dataclass(frozen=True)
+class Jitter:
+    """Half-width of the jitter each way: so many ms, or that share of the one-way delay."""
+
+    value: float = 0.0
+    relative: bool = False
+
+    def at_ms(self, round_trip_ms: float) -> float:
+        return 0.5 * round_trip_ms * self.value if self.relative else self.value
+
+    def __str__(self) -> str:
+        return f"{100.0 * self.value:g}%" if self.relative else f"{self.value:g} ms"
+
+
+def delays(text: str, option: str = "--delay") -> tuple[float, ...]:
+    """Read round trips [ms]."""
+    return numbers(option, text, 0.0, LONGEST_MS, "ms")
+
+
+def stiffnesses(text: str) -> tuple[float, ...]:
+    """Read stiffnesses [N/m]."""
+    return numbers("--stiffness", text, 1e-3, STIFFEST_N_PER_M, "N/m")
+
+
+def gains(text: str) -> tuple[float, ...]:
+    """Read force gains."""
+    return numbers("--gain", text, 0.0, 1e6, "")
+
+
+def chosen(option: str, what: str, text: str, known: Sequence[str]) -> tuple[str, ...]:
+    """Read names separated by commas, or `all`; ConfigError names the option and those that are known."""
+    if text.strip() == "all":
+        return tuple(known)
+    names = tuple(dict.fromkeys(name.strip() for name in text.split(",")))
     for name in names:
         if name not in known:
-            raise ConfigError(f"--sample: unknown sample {name!r}, known are {', '.join(known)}")
-    return tuple(known[name] for name in dict.fromkeys(names))
+            raise ConfigError(f"{option}: unknown {what} {name!r}, known are all, {', '.join(known)}")
+    return names
 
 
 def numbers(option: str, text: str, least: float, most: float, unit: str) -> tuple[float, ...]:
@@ -79,13 +106,7 @@ def frequencies(text: str) -> tuple[float, ...]:
 
 def laws(text: str) -> tuple[str, ...]:
     """Read names of laws, or `all`."""
-    if text.strip() == "all":
-        return tuple(LAWS)
-    names = tuple(dict.fromkeys(name.strip() for name in text.split(",")))
-    for name in names:
-        if name not in LAWS:
-            raise ConfigError(f"--law: unknown law {name!r}, known are all, {', '.join(LAWS)}")
-    return names
+    return chosen("--law", "law", text, tuple(LAWS))
 
 
 def jitters(text: str) -> tuple[Jitter, ...]:

@@ -5,15 +5,18 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from studies.loops.simulation import SimulatedSession as SimulatedSession
+    from studies.loops.simulation import simulate_scenario as simulate
     from telenano.api import LiveRig as LiveRig
     from telenano.api import RecordedSession as RecordedSession
     from telenano.api import Table as Table
     from telenano.api import check_law as check_law
     from telenano.api import live as live
     from telenano.api import open as open
-    from telenano.api import simulate as simulate
 
-_MODULES = {"SimulatedSession": "studies.loops.simulation"}
+_ELSEWHERE = {
+    "SimulatedSession": ("studies.loops.simulation", "SimulatedSession"),
+    "simulate": ("studies.loops.simulation", "simulate_scenario"),
+}
 
 __all__ = ["LiveRig", "RecordedSession", "SimulatedSession", "Table", "check_law", "live", "open", "simulate"]
 
@@ -23,7 +26,8 @@ def __getattr__(name: str) -> Any:
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     try:
-        return getattr(import_module(_MODULES.get(name, "telenano.api")), name)
+        module, attribute = _ELSEWHERE.get(name, ("telenano.api", name))
+        return getattr(import_module(module), attribute)
     except ModuleNotFoundError as error:
         package = (error.name or "").partition(".")[0]
         if package in ("", "proto", "presets", "recording", "services", "analysis", "studies", "telenano"):

@@ -15,7 +15,6 @@
 Vectors are those of the wire: in the frame of a site, z away from the sample, a column for each component.
 """
 
-import importlib
 import os
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import closing, contextmanager
@@ -24,10 +23,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
-from proto.errors import ConfigError, RecordingError
+from proto.errors import RecordingError
 from proto.messages import Message
+from recording.column_table import Column, ColumnTable
 from recording.export import topic_of
 from recording.multi_file import open_recordings
 from recording.quantities import quantity
@@ -35,13 +34,12 @@ from recording.site_clock import Timeline
 from recording.tables import flat, row, uniform
 
 if TYPE_CHECKING:
-    from studies.loops.simulation import SimulatedSession
+    pass
 
-Column = npt.NDArray[Any]
 _LOOP = "haptic/state"
 
 
-class Table(Mapping[str, Column]):
+class Table(ColumnTable):
     """Columns of equal length, in the order of sending; each of shape (n,).
 
     `time_s` is the time of sending since the start of the operator's programme [s], NaN where none ran, and `src`
@@ -51,32 +49,16 @@ class Table(Mapping[str, Column]):
 
     def __init__(self, topic: str, columns: Mapping[str, Column]) -> None:
         facts = {name: quantity(topic, name) for name in columns}
-        self._columns = dict(columns)
+        units = {name: found.unit for name, found in facts.items()} | {"time_s": "s"}
+        descriptions = {name: found.description for name, found in facts.items()}
+        descriptions["time_s"] = "Time of sending since the start of the operator's programme"
+        super().__init__(topic, columns, units, descriptions)
         self.topic = topic
-        self.units = {name: found.unit for name, found in facts.items()} | {"time_s": "s"}
-        self.descriptions = {name: found.description for name, found in facts.items()}
-        self.descriptions["time_s"] = "Time of sending since the start of the operator's programme"
-
-    def __getitem__(self, name: str) -> Column:
-        """Return a column; KeyError names those that there are."""
-        if name not in self._columns:
-            raise KeyError(f"{self.topic} has no column {name!r}; its columns are {', '.join(self._columns)}")
-        return self._columns[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._columns)
-
-    def __len__(self) -> int:
-        return len(self._columns)
 
     def to_pandas(self) -> Any:
-        """Return a pandas DataFrame, with `units` in its attrs; ConfigError where pandas is not installed."""
-        try:
-            pandas = importlib.import_module("pandas")
-        except ImportError as error:
-            raise ConfigError("tables as data frames need the package pandas: pip install pandas") from error
-        frame = pandas.DataFrame({name: list(values) if values.ndim > 1 else values for name, values in self.items()})
-        frame.attrs.update(topic=self.topic, units=self.units)
+        """Return a pandas DataFrame, with `topic` and `units` in its attrs; ConfigError where pandas is missing."""
+        frame = super().to_pandas()
+        frame.attrs.update(topic=self.topic)
         return frame
 
 
@@ -172,41 +154,6 @@ def open(path: str | os.PathLike[str], *further: str | os.PathLike[str]) -> Reco
     Raises: RecordingError naming a file that cannot be read.
     """
     return RecordedSession(map(Path, (path, *further)))
-
-
-def simulate(
-    scenario: str = "fig12",
-    *,
-    law: str | None = None,
-    round_trip_ms: float | None = None,
-    delay_ms: float | None = None,
-    environment: str | None = None,
-    operator: Mapping[str, Any] | None = None,
-    duration_s: float | None = None,
-    settings: Mapping[str, Any] | None = None,
-) -> "SimulatedSession":
-    """Run a scenario in lockstep, without processes: in the first call the models compile, which takes a minute.
-
-    Parameters: scenario, a known name or a YAML file; law, its name; round_trip_ms, of the link [ms], or delay_ms, one
-    way; environment, what the tip meets; operator, the section `haptic_node.operator`; duration_s [s]; settings, by
-    dotted key of the scenario. What is not given is the scenario's.
-    Raises: ConfigError naming the key at fault, or what is not installed.
-    """
-    try:
-        from studies.loops.simulation import simulate_scenario
-    except ImportError as error:
-        text = f"a simulation needs the package {error.name}: pip install 'telenano[studies]'"
-        raise ConfigError(text) from error
-    return simulate_scenario(
-        scenario,
-        law=law,
-        round_trip_ms=round_trip_ms,
-        delay_ms=delay_ms,
-        environment=environment,
-        operator=operator,
-        duration_s=duration_s,
-        settings=settings,
-    )
 
 
 def check_law(name: str) -> dict[str, list[str]]:

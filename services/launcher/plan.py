@@ -3,46 +3,90 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import yaml
+from pydantic import Field
 
-from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE, find_scenario
+from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE, find_scenario, site_file_named
 from proto.errors import ConfigError, RigError
 from proto.nodes import LAUNCHER, LINK, OPTIONAL_NODES, RECORDER, SERVICES, START_ORDER, Site, name_of, site_of
 from services.delay_node.config import LinkSettings, changes_text
 from services.runtime.bus.address_book import AddressBook
 from services.runtime.loop.main import load_site, node_kind
-from services.runtime.settings.config import environment_overrides, flag_overrides, layered, merge, validate
+from services.runtime.settings.config import (
+    Settings,
+    environment_overrides,
+    flag_overrides,
+    layered,
+    merge,
+    validate,
+)
+from services.runtime.settings.option import Option
 from services.runtime.settings.scenario import LoadedScenario, Scenario
 
 RECORDING_NAME = "session.mcap"
 ALLOW_REPLAY = ("afm_node.allow_replay=true", "haptic_node.allow_replay=true")
 
 
-@dataclass(frozen=True)
-class UpRequest:
-    """The options of `telenano up`; without `site` and `attach` the whole rig runs on this machine."""
+class UpRequest(Settings):
+    """A session, as `telenano up` is asked for it; without `site` and `attach` the whole rig runs on this machine."""
 
-    scenario: str
-    site_file: Path | None
-    delay_ms: float | None
-    duration_s: float | None
-    out: Path | None
-    overwrite: bool
-    settings: Sequence[str]
-    without: Sequence[str] = ()
-    allow_replay: bool = False
-    site: Site | None = None
-    attach: bool = False
-    wait_s: float | None = None
-    page: bool = False
+    scenario: Annotated[str, Option(("--scenario",), "NAME|FILE")] = Field(
+        description="Experiment to run: a known name or a YAML file; with --attach it gives name and duration only"
+    )
+    site_file: Annotated[Path | None, Option(("--site-file",), "FILE", site_file_named)] = Field(
+        default=None,
+        description="Address book of the rig (YAML); default: all on this machine, with --site two of them",
+    )
+    site: Site | None = Field(
+        default=None, description="Run the nodes of one site here; those of the other run on another machine"
+    )
+    attach: Annotated[bool, Option(("--attach",))] = Field(
+        default=False, description="Start no node: run a session with nodes that were started elsewhere"
+    )
+    wait_s: float | None = Field(
+        default=None, ge=0.0, description="Give up if nodes started elsewhere are not ready after this time [s]"
+    )
+    round_trip_ms: Annotated[float | None, Option(("--round-trip-ms",), "D")] = Field(
+        default=None, ge=0.0, description="Delay of the link, half of it each way [ms]"
+    )
+    delay_ms: Annotated[float | None, Option(("--delay-ms",), "D")] = Field(
+        default=None, ge=0.0, description="The same, one way: half of --round-trip-ms [ms]"
+    )
+    duration_s: float | None = Field(default=None, description="Length of the session [s] in place of the scenario's")
+    out: Annotated[Path | None, Option(("--out",), "DIR")] = Field(
+        default=None, description="Folder for the results; default: sessions/NAME-DATE-TIME"
+    )
+    overwrite: Annotated[bool, Option(("--overwrite",))] = Field(
+        default=False, description="Replace the results of a session that the folder holds already"
+    )
+    settings: Annotated[tuple[str, ...], Option(("--set",), "SECTION.KEY=VALUE", tuple, many=True)] = Field(
+        default=(), description="Change one key of the scenario (SI units); may be repeated"
+    )
+    without: Annotated[tuple[str, ...], Option(("--without",), "NODE", tuple, many=True)] = Field(
+        default=(), description="Leave this node out, for a replay to take its place (repeatable)"
+    )
+    allow_replay: Annotated[bool, Option(("--allow-replay",))] = Field(
+        default=False, description="Let the devices obey commands that come from a recording"
+    )
+
+    page: bool = Field(default=False, description="Serve the operator's page")
+
+    @property
+    def one_way_ms(self) -> float | None:
+        """Delay of the link, one way [ms]; ConfigError where it is given twice."""
+        if self.round_trip_ms is None:
+            return self.delay_ms
+        if self.delay_ms is not None:
+            raise ConfigError("--round-trip-ms, --delay-ms: the same delay, there and back and one way: give one")
+        return 0.5 * self.round_trip_ms
 
     def check(self) -> None:
         """Reject options that would have no effect; ConfigError names them with the reason."""
         changes = {
             "--set": bool(self.settings),
-            "--delay-ms": self.delay_ms is not None,
+            "--delay-ms": self.one_way_ms is not None,
             "--without": bool(self.without),
             "--allow-replay": self.allow_replay,
         }
@@ -52,7 +96,7 @@ class UpRequest:
                 {"--site slave": self.site == "slave"}, "the session is conducted at the master: give --attach there"
             )
         elif self.site == "slave":
-            _reject({"--delay-ms": self.delay_ms is not None}, "the link runs at the master: give it there")
+            _reject({"--delay-ms": self.one_way_ms is not None}, "the link runs at the master: give it there")
             conducts = {"--duration": self.duration_s is not None, "--wait": self.wait_s is not None}
             _reject(conducts, "the session is conducted at the master: give it there")
         elif self.site is None:
@@ -216,8 +260,8 @@ def effective_scenario(path: Path, request: UpRequest, out: Path) -> LoadedScena
     if request.duration_s is not None:
         flags["duration_s"] = request.duration_s
         origin += " + --duration"
-    if request.delay_ms is not None:
-        one_way = {"delay_s": request.delay_ms / 1000.0}
+    if (delay_ms := request.one_way_ms) is not None:
+        one_way = {"delay_s": delay_ms / 1000.0}
         flags["delay_node"] = {"forward": one_way, "backward": dict(one_way)}
         origin += " + --delay-ms"
     if not request.attach:

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 from numba.core import config, types
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 
-from services.numerics.code_digest import code_digest
+from services.numerics.compiled import kept_digest
 
 # of each file: numba's own has no means to notice that a file was cut off or changed
 _DIGEST_BYTES = hashlib.sha256().digest_size
@@ -31,7 +31,7 @@ class _DamagedError(Exception):
 
 
 class _Key(NamedTuple):
-    """Which file a compiled function is in, and the digest of what it was compiled from."""
+    """Which file a compiled function is in, and the digest of what it was compiled from, empty if it is not kept."""
 
     name: str
     digest: str
@@ -48,6 +48,8 @@ class CheckedCacheFile(IndexDataCacheFile):
     def load(self, key: _Key) -> Any:
         """Return what was compiled, None where it is absent, outdated or damaged."""
         path = Path(self._data_path(key.name))
+        if not key.digest:
+            return None
         try:
             if time.time() - path.stat().st_mtime > _USED_S:
                 os.utime(path)
@@ -62,6 +64,8 @@ class CheckedCacheFile(IndexDataCacheFile):
 
     def save(self, key: _Key, data: Any) -> None:
         """Keep what was compiled; where that is not possible it is compiled again the next time."""
+        if not key.digest:
+            return
         content = pickle.dumps((key.digest, self._version, self._dump(data)))
         try:
             with self._open_for_write(self._data_path(key.name)) as file:
@@ -79,8 +83,8 @@ class CheckedCache(FunctionCache):
 
     def _index_key(self, signature: Any, codegen: Any) -> _Key:
         classes = list(dict.fromkeys(_classes(signature)))
-        function = self._py_func
-        names = [f"{kind.__module__}.{kind.__qualname__}" for kind in (function, *classes)]
+        kinds = (self._py_func, *classes)
+        names = [f"{kind.__module__}.{kind.__qualname__}" for kind in kinds]
         # code that checks its indices (NUMBA_BOUNDSCHECK) is other code
         described = repr(
             (sys.implementation.cache_tag, names, signature, codegen.magic_tuple(), vars(config)["BOUNDSCHECK"])
@@ -88,7 +92,7 @@ class CheckedCache(FunctionCache):
         # not the line of the function, which numba's names have: lines above it come and go
         readable = re.sub(r"[^\w.]", "", names[0].rpartition("services.")[2])
         name = f"{readable}.{hashlib.sha256(described.encode()).hexdigest()[:24]}.nbc"
-        return _Key(name, code_digest(function, classes))
+        return _Key(name, kept_digest({kind.__module__ for kind in kinds}))
 
 
 def _classes(part: Any) -> Iterator[type]:

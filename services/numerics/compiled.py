@@ -8,9 +8,8 @@ imported first.
 
 Compiled forms are `numba.njit` with a cache on disk. Numba notices a change of the file that a function is in, but not
 of the functions that it calls from other files, so a plain cache would go on running an old model after an edit. This
-one keeps a digest of all that went into a compiled form (`code_digest`): after an edit the functions that depend on it
-are compiled again, and the others load in milliseconds
-(ADR 0049).
+one keeps the digest of every source that may hold a step (`source_digest`), and compiles again after an edit of any of
+them (ADR 0072).
 """
 
 import contextlib
@@ -19,19 +18,26 @@ import importlib.util
 import os
 import shutil
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from types import FunctionType
 from typing import Any, TypeVar, cast
 
-from presets.plugins import digest_of_all
+from presets.plugins import digest_of_all, package_files
+from presets.plugins import modules as package_modules
 
 F = TypeVar("F", bound=Callable[..., object])
 
 _ROOT = Path(__file__).resolve().parents[2]
-_PACKAGES = ("services/haptic_node", "services/afm_node", "services/controller", "studies")
+# the folders and files that hold steps, and what the outcome of a study depends on besides
+SOURCES = (
+    *("services/numerics", "services/haptic_node", "services/afm_node", "services/controller", "services/delay_node"),
+    *("studies/loops", "studies/instrument", "analysis/modes.py", "analysis/verdict.py"),
+    # deadlines, which are compiled into the loop
+    *("proto/topics.py", "services/runtime/loop/freshness.py"),
+)
 _SHELLS = ("node.py", "__main__.py")
 # raised with every change of what `compile_cache` writes, or of the options of the compiler
 _CACHE_FORMAT = "4"
@@ -39,28 +45,67 @@ _CACHE_FORMAT = "4"
 CACHE_DAYS = 14
 # in the folder of the cache: when it was last cleaned
 _CLEANED = "cleaned"
-# the attribute of a step that is chosen while compiling, by the class of its parameters: the function that chooses
-CHOICE = "_telenano_choice"
 
 # The attribute that marks a step. It holds the compiled form, None before it was needed.
 STEP = "_telenano_step"
 # marks a step that is compiled into its callers
 INLINED = "_telenano_inlined"
-# The choices whose compiled form the compiler does not know yet: it is imported when it is needed.
-_unregistered: list[Callable[..., Any]] = []
+# The choices whose compiled form the compiler does not know yet, each with the function that chooses. The compiler is
+# imported when it is needed.
+_unregistered: list[tuple[Callable[..., Any], Callable[[type], Callable[..., Any]]]] = []
+# Every module with steps imports this one before it defines them.
+_STARTED_S = time.time()
 
 
 def source_digest(root: Path = _ROOT) -> str:
     """Return the digest (16 hex digits) of every Python file that may hold compiled steps or constants they use."""
     digest = hashlib.sha256(version("numba").encode())
-    for package in _PACKAGES:
-        for path in sorted((root / package).rglob("*.py")):
-            if path.name not in _SHELLS:
-                digest.update(str(path.relative_to(root)).encode())
-                digest.update(path.read_bytes())
+    for path in _source_files(root):
+        digest.update(str(path.relative_to(root)).encode())
+        digest.update(path.read_bytes())
     # installed packages have steps as well
     digest.update(digest_of_all().encode())
     return digest.hexdigest()[:16]
+
+
+def kept_digest(modules: Iterable[str]) -> str:
+    """Return the digest under which code compiled from these modules is kept on disk; empty if it must not be kept.
+
+    It must not where a module is neither one of SOURCES nor of an installed package, because no digest has its sources.
+    It must not where a source was edited after this process began either: what was imported may be older than its file.
+    """
+    known = all((module + ".").startswith(_known_modules()) for module in modules)
+    return _digest_of_process() if known and not _edited_since(_STARTED_S) else ""
+
+
+@cache
+def _known_modules() -> tuple[str, ...]:
+    return (*(source.removesuffix(".py").replace("/", ".") + "." for source in SOURCES), *package_modules())
+
+
+@cache
+def _digest_of_process() -> str:
+    return source_digest()
+
+
+def _source_files(root: Path) -> Iterator[Path]:
+    for source in SOURCES:
+        for path in sorted((root / source).rglob("*.py")) or [root / source]:
+            if path.name not in _SHELLS and path.is_file():
+                yield path
+
+
+@cache
+def _watched() -> tuple[Path, ...]:
+    return (*_source_files(_ROOT), *package_files())
+
+
+def _edited_since(time_s: float) -> bool:
+    try:
+        # the time of the last change of a file, which copying it with its times does not set back
+        return any(path.stat().st_ctime > time_s for path in _watched())
+    except OSError:
+        return True
 
 
 def cache_directory() -> Path:
@@ -147,8 +192,7 @@ def chosen_step(choose: Callable[[type], Callable[..., Any]]) -> Callable[..., A
     def plain(params: Any, *inputs: Any) -> Any:
         return choose(type(params))(params, *inputs)
 
-    setattr(plain, CHOICE, choose)
-    _unregistered.append(plain)
+    _unregistered.append((plain, choose))
     return plain
 
 
@@ -167,8 +211,7 @@ def _register_choices() -> None:
     from numba.extending import overload
 
     while _unregistered:
-        plain = _unregistered.pop()
-        choose = getattr(plain, CHOICE)
+        plain, choose = _unregistered.pop()
 
         def typed(params: Any, *inputs: Any, choose: Any = choose) -> Callable[..., Any]:
             step = choose(params.instance_class)

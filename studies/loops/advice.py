@@ -13,33 +13,54 @@ is stable by `analysis.verdict`. Those that are suited are ranked by a price, th
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, get_args
+from typing import Annotated, Any, Literal, get_args
+
+from pydantic import Field
 
 from services.controller.config import LAWS
-from studies.loops.cells import DEFAULT_STIFFNESS, Cell, CellResult, Environment, Hand
-from studies.loops.stability import Jitter
+from services.runtime.settings.config import Settings as StrictSettings
+from services.runtime.settings.option import Option
+from studies.loops.cells import DEFAULT_STIFFNESS, Cell, CellResult, Conditions, Environment, Hand
 from studies.loops.sweep import Sweep
 from studies.loops.tuning import Settings, tuned
+from studies.option_values import LONGEST_MS, STIFFEST_N_PER_M, Jitter, jitters, losses
 
 FREE_PRICE = 0.02
+# one-sided walls at the tip, in words
+WALLS_N_PER_M = {"soft": 5.0, "ordinary": 20.0, "stiff": 80.0}
 _FREE_N_S_PER_M = 100.0
 _LEVELS_N: dict[str, float] = {**dict.fromkeys(DEFAULT_STIFFNESS, 1.0), "contact": 2.0}
 # every law, with the force clamp off and on
 CANDIDATES: tuple[tuple[str, bool], ...] = tuple((law, clamp) for law in LAWS for clamp in (False, True))
 
 
-@dataclass(frozen=True)
-class Question:
-    """The network (round trip [ms], jitter each way, loss each way), the sample (K or k [N/m]), and what is tried."""
+class Question(StrictSettings):
+    """The network, the sample, and what is tried."""
 
-    round_trip_ms: float
-    jitter: Jitter
-    loss: float
-    environment: Environment
-    stiffness_n_per_m: float
-    seeds: int = 3
+    round_trip_ms: Annotated[float, Option(("--delay",), "MS")] = Field(
+        ge=0.0, le=LONGEST_MS, description="Round trip of the network [ms]"
+    )
+    jitter: Annotated[Jitter, Option(("--jitter",), "MS", lambda text: jitters(text)[0], written="0")] = Field(
+        default=Jitter(), description="Half-width of uniform jitter each way [ms], or n% of the delay"
+    )
+    loss: Annotated[float, Option(("--loss",), "SHARE", lambda text: losses(text)[0], written="0")] = Field(
+        default=0.0, description="Messages lost each way, 0 to 1, or n%"
+    )
+    environment: Environment = Field(default="wall", description=Conditions.model_fields["environment"].description)
+    sample: Literal["soft", "ordinary", "stiff"] = Field(
+        default="ordinary", description="soft: 5 N/m, ordinary: 20 N/m, stiff: 80 N/m at the tip"
+    )
+    stiffness_n_per_m: Annotated[float | None, Option(("--stiffness",), "N/M")] = Field(
+        default=None, gt=0.0, le=STIFFEST_N_PER_M, description="Stiffness at the tip [N/m], in place of --sample"
+    )
+    seeds: int = Field(default=3, ge=1, le=1000, description="Seeds of a random network")
     seed: int = 0
     hands: tuple[Hand, ...] = get_args(Hand)
+
+    @property
+    def tip_n_per_m(self) -> float:
+        """K of the sample, or k of the cantilever in the contact [N/m]."""
+        return WALLS_N_PER_M[self.sample] if self.stiffness_n_per_m is None else self.stiffness_n_per_m
 
 
 @dataclass(frozen=True)
@@ -113,7 +134,7 @@ def cells_of(question: Question, law: str, clamp: bool) -> list[Cell]:
     """Return the cells of a candidate: every hand with every seed, the law tuned for the network."""
     jitter_ms = question.jitter.at_ms(question.round_trip_ms)
     longest_s = 1e-3 * (question.round_trip_ms + 2.0 * jitter_ms)
-    settings: Settings = (*tuned(law, question.stiffness_n_per_m, longest_s), ("clamp.enabled", clamp))
+    settings: Settings = (*tuned(law, question.tip_n_per_m, longest_s), ("clamp.enabled", clamp))
     random = jitter_ms > 0.0 or question.loss > 0.0
     return [
         Cell(
@@ -121,7 +142,7 @@ def cells_of(question: Question, law: str, clamp: bool) -> list[Cell]:
             environment=question.environment,
             hand=hand,
             round_trip_ms=question.round_trip_ms,
-            stiffness_n_per_m=question.stiffness_n_per_m,
+            stiffness_n_per_m=question.tip_n_per_m,
             jitter_ms=jitter_ms,
             loss=question.loss,
             seed=seed,
@@ -147,7 +168,7 @@ def in_words(question: Question, candidates: Sequence[Candidate]) -> list[str]:
     network = f"{question.round_trip_ms:g} ms"
     network += f", jitter {question.jitter}" if question.jitter.value else ""
     network += f", {100.0 * question.loss:g} % loss" if question.loss else ""
-    where = f"{network}, {question.environment} of {question.stiffness_n_per_m:g} N/m"
+    where = f"{network}, {question.environment} of {question.tip_n_per_m:g} N/m"
     best, *others = candidates
     if best.failed:
         return [

@@ -11,12 +11,11 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
 
-from analysis import modes, verdict
 from analysis.verdict import Circumstances, judge
 from proto.errors import ConfigError
 from services.afm_node.config import SAMPLES, AfmConfig, CantileverConfig, SafetyConfig
@@ -32,6 +31,8 @@ from services.delay_node.config import LinkSettings
 from services.haptic_node.config import ARMS, HapticConfig
 from services.numerics.compiled import source_digest
 from services.runtime.settings.config import Settings, merge, nested, validate
+from services.runtime.settings.option import Option
+from studies import option_values
 from studies.loops.link import Schedule, schedule_of, symmetric_link
 from studies.loops.lockstep import Rig, Series, Trajectory, build_rig, simulate
 
@@ -75,34 +76,61 @@ _TRANSIENT_SHARE = 0.2
 _SHORTEST_HOLD_S = 1.0
 
 
-class Cell(Settings):
-    """What one cell runs. `settings` are dotted keys of the section `controller` that differ from their defaults."""
+class Conditions(Settings):
+    """What all cells of a study have in common. `settings` are keys of `controller` that differ from their defaults."""
+
+    environment: Environment = Field(
+        description="spring: F = K (x_s - L); wall: the same, but only pushing, met from 3 nm; contact: the tip-sample"
+        " force of Table 2; body: mass, damper and spring K, met from 3 nm by a cantilever of 40 N/m; or a sample of an"
+        " installed package"
+    )
+    hand: Annotated[Hand, Option(("--hand", "--arm"))] = Field(
+        default="force",
+        description="force: a constant force whatever the device does; else an arm of 50, 300 or 1000 N/m on its way"
+        " along a path",
+    )
+    mass_kg: Annotated[float, Option(("--mass",), "KG")] = Field(
+        default=0.01, gt=0.0, le=1e3, description="Mass of the body, at the tip [kg]; of no other environment"
+    )
+    damping_n_s_per_m: Annotated[float, Option(("--body-damping",), "N*S/M")] = Field(
+        default=0.02, ge=0.0, le=1e6, description="Damper of the body, at the tip [N s/m]"
+    )
+    device_latency_ms: Annotated[float, Option(("--device-latency",), "MS")] = Field(
+        default=0.0,
+        ge=0.0,
+        le=1e3,
+        description="What real devices add to the round trip [ms]: the sum of device_latency_s in node/health",
+    )
+    seed: int = Field(default=0, ge=0, description="Seed of the link's random streams")
+    session_s: Annotated[float | None, Option(("--duration",), "S")] = Field(
+        default=None, gt=0.0, le=3600.0, description="Length of each session [s]; default: grows with the delay"
+    )
+    settings: Annotated[
+        tuple[tuple[str, float | int | str | bool], ...],
+        Option(("--set",), "LAW.KEY=VALUE", option_values.settings, many=True),
+    ] = Field(default=(), description="Change a parameter of a law (SI units); may be repeated")
+    disturbances: Annotated[
+        tuple[tuple[str, float | int | str | bool], ...],
+        Option(("--disturb",), "NAME|NAME.KEY=VALUE", option_values.disturbances, many=True),
+    ] = Field(
+        default=(),
+        description="Switch on a disturbance of the instrument, or set a key of it, as in afm_node.disturbances, in the"
+        " contact (repeatable)",
+    )
+
+
+class Cell(Conditions):
+    """What one cell runs."""
 
     law: str = Field(description="Name of the law")
-    environment: Environment = Field(
-        description="spring: F = K (x_s - L); wall: the same, but only pushing, met from 3 nm; contact: tip and sample;"
-        " body: mass, damper and spring K, met from 3 nm by a cantilever of 40 N/m"
-    )
-    hand: Hand = Field(default="force", description="force: constant force; else an arm on its way along a path")
     round_trip_ms: float = Field(ge=0.0, le=1e5, description="Round trip of the link [ms], half of it each way; >= 0")
     stiffness_n_per_m: float = Field(gt=0.0, le=1e6, description="K of the spring or k of the cantilever [N/m]; > 0")
-    mass_kg: float = Field(default=0.01, gt=0.0, le=1e3, description="Mass of the body [kg]; of no other environment")
-    damping_n_s_per_m: float = Field(default=0.02, ge=0.0, le=1e6, description="Damper of the body [N s/m]")
     gain: float | None = Field(default=None, ge=0.0, description="Force gain K_f; none: the law's own")
     jitter_ms: float = Field(default=0.0, ge=0.0, le=1e5, description="Half-width of the uniform jitter each way [ms]")
     play_out: bool = Field(default=False, description="A play-out buffer at the end of each direction")
     loss: float = Field(default=0.0, ge=0.0, le=1.0, description="Share of messages lost each way; 0..1")
     burst: float | None = Field(
         default=None, ge=1.0, le=1e4, description="Mean number of messages lost in a row; none: each by itself"
-    )
-    device_latency_ms: float = Field(
-        default=0.0, ge=0.0, le=1e3, description="What real devices add to the round trip, as declared [ms]"
-    )
-    seed: int = Field(default=0, ge=0, description="Seed of the link's random streams")
-    session_s: float | None = Field(default=None, gt=0.0, le=3600.0, description="Length of the session [s]; none: own")
-    settings: tuple[tuple[str, float | int | str | bool], ...] = Field(default=(), description="Other law parameters")
-    disturbances: tuple[tuple[str, float | int | str | bool], ...] = Field(
-        default=(), description="Keys of afm_node.disturbances; in the contact"
     )
 
     @property
@@ -427,6 +455,4 @@ def rig_of(cell: Cell, hand_points: Sequence[tuple[float, float]], duration_s: f
 
 @functools.lru_cache(maxsize=1)
 def _sources() -> str:
-    # the verdict is no model, but what a cell is called depends on it
-    files = b"".join(Path(str(module.__file__)).read_bytes() for module in (verdict, modes))
-    return source_digest() + hashlib.sha256(files).hexdigest()[:16]
+    return source_digest()

@@ -14,11 +14,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from studies.loops.advice import Candidate, Question, cells_of
-from studies.loops.cells import Cell, CellResult, Environment, Hand
-from studies.loops.stability import Jitter
+from studies.loops.advice import WALLS_N_PER_M, Candidate, Question, cells_of
+from studies.loops.cells import DEFAULT_STIFFNESS, Cell, CellResult, Environment, Hand
 from studies.loops.sweep import Sweep
 from studies.loops.transparency import drift_m
+from studies.option_values import Jitter
 
 
 class Network(NamedTuple):
@@ -46,6 +46,12 @@ class Sample(NamedTuple):
 
     def __str__(self) -> str:
         return "contact" if self.environment == "contact" else f"{self.environment} of {self.stiffness_n_per_m:g} N/m"
+
+
+SAMPLES = {
+    "contact": Sample("contact", DEFAULT_STIFFNESS["contact"][0]),
+    **{name: Sample("wall", stiffness) for name, stiffness in WALLS_N_PER_M.items()},
+}
 
 
 class Spread(NamedTuple):
@@ -128,7 +134,8 @@ class Trial:
 
     def cells(self, sample: Sample, law: str, clamp: bool, network: Network, hand: Hand) -> list[Cell]:
         """Return the cells that `telenano study advise` runs for this sample, law, network and hand."""
-        return cells_of(Question(*network, *sample, self.seeds, self.seed, (hand,)), law, clamp)
+        question = Question(**network._asdict(), **sample._asdict(), seeds=self.seeds, seed=self.seed, hands=(hand,))
+        return cells_of(question, law, clamp)
 
 
 def run_merits(trial: Trial, sweep: Sweep) -> list[Merit]:

@@ -5,18 +5,17 @@ seconds of Fig. 12 take a fraction of one. What the processes add to it, their o
 jitter, is not in it.
 """
 
-import importlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from analysis.holds import Hold, Instrument, judge_holds, verdict_of
 from presets import find_scenario
 from proto.errors import ConfigError
+from recording.column_table import ColumnTable
 from services.afm_node.config import SAMPLES, AfmConfig
 from services.afm_node.physics.step import AfmParams
 from services.afm_node.safety import MODE_FOLLOW, MODE_HOLD
@@ -27,8 +26,6 @@ from services.runtime.settings.config import merge, nested, read_yaml, validate
 from services.runtime.settings.scenario import LoadedScenario, Scenario
 from studies.loops.link import schedule_of
 from studies.loops.lockstep import Trajectory, build_rig, simulate
-
-Column = npt.NDArray[Any]
 
 # before the session begins the instrument is armed and comes to its reference
 _SETTLE_S, _SETTLE_ROUND_TRIPS = 0.3, 4.0
@@ -67,7 +64,7 @@ class Conditions:
         return f"{self.scenario}, {self.law}, round trip {self.round_trip_ms:g} ms{link} (simulated in lockstep)"
 
 
-class SimulatedSession(Mapping[str, Column]):
+class SimulatedSession(ColumnTable):
     """Columns of shape (n,), one value a period of the hand; `units` and `descriptions` have an entry for each.
 
     `conditions` is what it was run with; `holds`, `verdict` and `reason` are those of `analysis.verdict`, as for a
@@ -80,21 +77,12 @@ class SimulatedSession(Mapping[str, Column]):
         self._course = course
         values = {name: getattr(course, _RENAMED.get(name, name), None) for name in _COLUMNS}
         values["scaled_tip_force_n"] = force_scale * course.tip_force_n
-        self._columns: dict[str, Column] = {name: np.asarray(column) for name, column in values.items()}
-        self.units = {name: unit for name, (unit, _) in _COLUMNS.items()}
-        self.descriptions = {name: text for name, (_, text) in _COLUMNS.items()}
-
-    def __getitem__(self, name: str) -> Column:
-        """Return a column; KeyError names those that there are."""
-        if name not in self._columns:
-            raise KeyError(f"a simulated session has no column {name!r}; its columns are {', '.join(self._columns)}")
-        return self._columns[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._columns)
-
-    def __len__(self) -> int:
-        return len(self._columns)
+        super().__init__(
+            "a simulated session",
+            {name: np.asarray(column) for name, column in values.items()},
+            {name: unit for name, (unit, _) in _COLUMNS.items()},
+            {name: text for name, (_, text) in _COLUMNS.items()},
+        )
 
     @cached_property
     def holds(self) -> list[Hold]:
@@ -112,16 +100,6 @@ class SimulatedSession(Mapping[str, Column]):
     def reason(self) -> str:
         return verdict_of(self.holds)[1]
 
-    def to_pandas(self) -> Any:
-        """Return a pandas DataFrame, with `units` in its attrs; ConfigError where pandas is not installed."""
-        try:
-            pandas = importlib.import_module("pandas")
-        except ImportError as error:
-            raise ConfigError("tables as data frames need the package pandas: pip install pandas") from error
-        frame = pandas.DataFrame(dict(self))
-        frame.attrs.update(units=self.units)
-        return frame
-
 
 def simulate_scenario(
     scenario: str = "fig12",
@@ -134,7 +112,7 @@ def simulate_scenario(
     duration_s: float | None = None,
     settings: Mapping[str, Any] | None = None,
 ) -> SimulatedSession:
-    """Run a scenario in lockstep.
+    """Run a scenario in lockstep, without processes: in the first call the models compile, which takes a minute.
 
     Parameters: scenario, a known name or a YAML file; law; round_trip_ms, of the link [ms], half of it each way, or
     delay_ms, one way; environment, `afm_node.environment`; operator, section `haptic_node.operator`; duration_s [s];

@@ -4,11 +4,16 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Annotated, Any
 
+from pydantic import Field
+
+from proto.errors import ConfigError
 from services.haptic_node.config import ARMS, ArmConstants, DeviceConfig
 from services.haptic_node.physics.motor import closed_loop_coefficients
-from studies.loops.cells import Cell, CellResult, Environment, Hand
+from services.runtime.settings.option import Option
+from studies import option_values
+from studies.loops.cells import DEFAULT_STIFFNESS, Cell, CellResult, Conditions
 from studies.loops.sweep import Sweep
 from studies.loops.theory import (
     Arm,
@@ -20,57 +25,50 @@ from studies.loops.theory import (
     loop_model,
     margin_of,
 )
+from studies.option_values import Jitter
 
 
-class Body(NamedTuple):
-    """Mass [kg] and damper [N s/m] of the environment that has them."""
+class Axes(Conditions):
+    """The grid of a study."""
 
-    mass_kg: float = 0.01
-    damping_n_s_per_m: float = 0.02
-
-
-DEFAULT_BODY = Body()
-
-
-@dataclass(frozen=True)
-class Axes:
-    """The grid of a study. gains: None is the law's own. jitter: ms, or a share of the one-way delay if `relative`."""
-
-    laws: tuple[str, ...]
-    environment: Environment
-    delays_ms: tuple[float, ...]
-    stiffnesses_n_per_m: tuple[float, ...]
-    gains: tuple[float | None, ...] = (None,)
-    jitters: tuple["Jitter", ...] = ()
-    losses: tuple[float, ...] = (0.0,)
-    seed: int = 0
-    session_s: float | None = None
-    settings: tuple[tuple[str, float | int | str | bool], ...] = ()
-    hand: Hand = "force"
-    body: Body = DEFAULT_BODY
-    device_latency_ms: float = 0.0
-    disturbances: tuple[tuple[str, float | int | str | bool], ...] = ()
+    laws: Annotated[tuple[str, ...], Option(("--law",), "LAW[,LAW]|all", option_values.laws)] = Field(
+        description="Laws to study"
+    )
+    delays_ms: Annotated[
+        tuple[float, ...], Option(("--delay",), "LIST|RANGE", option_values.delays, written="0:200:5")
+    ] = Field(default=option_values.delays("0:200:5"), description="Round trips of the link [ms], half of it each way")
+    stiffnesses_n_per_m: Annotated[
+        tuple[float, ...], Option(("--stiffness",), "LIST|RANGE", option_values.stiffnesses)
+    ] = Field(
+        default=(),
+        description="K of the spring, or k of the cantilever [N/m]; default: 10,20,38 for spring, 40 for contact",
+    )
+    gains: Annotated[tuple[float | None, ...], Option(("--gain",), "LIST|RANGE", option_values.gains)] = Field(
+        default=(None,), description="Force gain K_f, for a law that has one"
+    )
+    jitters: Annotated[tuple[Jitter, ...], Option(("--jitter",), "LIST", option_values.jitters, written="0")] = Field(
+        default=(Jitter(),), description="Half-width of uniform jitter each way [ms], or n% of the delay"
+    )
+    losses: Annotated[tuple[float, ...], Option(("--loss",), "LIST", option_values.losses, written="0")] = Field(
+        default=(0.0,), description="Share of messages lost each way, 0 to 1, or n%"
+    )
 
     def lines(self) -> list["Line"]:
         """Return every combination of what is not the delay."""
-        combinations = itertools.product(
-            self.laws, self.stiffnesses_n_per_m, self.gains, self.jitters or (Jitter(),), self.losses
-        )
+        springs = self.stiffnesses_n_per_m or DEFAULT_STIFFNESS[self.environment]
+        combinations = itertools.product(self.laws, springs, self.gains, self.jitters, self.losses)
         return [Line(self, *values) for values in combinations]
 
-
-@dataclass(frozen=True)
-class Jitter:
-    """Half-width of the jitter each way: so many ms, or that share of the one-way delay."""
-
-    value: float = 0.0
-    relative: bool = False
-
-    def at_ms(self, round_trip_ms: float) -> float:
-        return 0.5 * round_trip_ms * self.value if self.relative else self.value
-
-    def __str__(self) -> str:
-        return f"{100.0 * self.value:g}%" if self.relative else f"{self.value:g} ms"
+    def check(self) -> None:
+        """Raise ConfigError naming the option, if a cell of the grid cannot be run."""
+        for field, option in (("mass_kg", "--mass"), ("damping_n_s_per_m", "--body-damping")):
+            if field in self.model_fields_set and self.environment != "body":
+                raise ConfigError(f"{option}: {self.environment} has none; give --environment body")
+        for line in self.lines():
+            cell = line.cell(max(self.delays_ms))
+            cell.controller()
+            cell.hold_s()
+            cell.disturbed_instrument(0.0)
 
 
 @dataclass(frozen=True)
@@ -86,21 +84,13 @@ class Line:
 
     def cell(self, round_trip_ms: float) -> Cell:
         return Cell(
+            **{name: getattr(self.axes, name) for name in Conditions.model_fields},
             law=self.law,
-            environment=self.axes.environment,
-            hand=self.axes.hand,
             round_trip_ms=round_trip_ms,
             stiffness_n_per_m=self.stiffness_n_per_m,
-            mass_kg=self.axes.body.mass_kg,
-            damping_n_s_per_m=self.axes.body.damping_n_s_per_m,
             gain=self.gain,
             jitter_ms=self.jitter.at_ms(round_trip_ms),
             loss=self.loss,
-            device_latency_ms=self.axes.device_latency_ms,
-            seed=self.axes.seed,
-            session_s=self.axes.session_s,
-            settings=self.axes.settings,
-            disturbances=self.axes.disturbances,
         )
 
     @property

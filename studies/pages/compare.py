@@ -3,17 +3,33 @@
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, get_args
+
+from pydantic import Field
 
 from recording.whole_files import whole_results
+from services.controller.config import LAWS
+from services.runtime.settings.config import Settings
+from services.runtime.settings.option import Option
 from services.viz_node.figure_style import ON_SCREEN, FigureOptions, styled
-from studies.loops.cells import Cell, CellResult, Hand, energies_of, scales_of, trajectory_of
-from studies.loops.merits import FIGURES, Merit, Network, Sample, Trial, in_words, run_merits, tables_of
-from studies.loops.stability import Axes, Jitter, Line, LineResult, run_stability
+from studies import option_values
+from studies.loops.cells import (
+    DEFAULT_STIFFNESS,
+    Cell,
+    CellResult,
+    Hand,
+    energies_of,
+    scales_of,
+    trajectory_of,
+)
+from studies.loops.merits import FIGURES, SAMPLES, Merit, Network, Sample, Trial, in_words, run_merits, tables_of
+from studies.loops.stability import Axes, Line, LineResult, run_stability
 from studies.loops.sweep import Sweep
 from studies.loops.transparency import STIFFEST_N_PER_M, Spectrum, Transparency, measure, spectrum
 from studies.loops.tuning import tuned
+from studies.option_values import Jitter, chosen, delays, frequencies, stiffnesses
 from studies.pages.figures import hybrid_figure, impedance_figure, merits_figure
 from studies.pages.page import Page, text, write_images, write_parquet
 from studies.pages.stability_page import SAMPLE_PERIOD, VERDICT_WORDS, broken_assumption
@@ -26,23 +42,56 @@ HARD_LOSS = 0.2
 HARD_JITTER = Jitter(0.5, relative=True)
 
 
-@dataclass(frozen=True)
-class Request:
-    """What to compare: laws, the delays of the maps, the delays that are looked at closely, stiffnesses, seeds, hands.
+_FREQUENCIES = "0.2,0.5,1,2,5,10"
+_Frequencies = Annotated[
+    tuple[float, ...], Option(("--frequency",), "LIST", frequencies, written=_FREQUENCIES)
+]  # fmt: skip
+_SINES = "Sines of the hand [Hz], of a whole number of ms each"
 
-    frequencies_hz: of hybrid matrix and impedances.
-    """
 
-    laws: tuple[str, ...]
-    map_delays_ms: tuple[float, ...]
-    delays_ms: tuple[float, ...]
-    spring_n_per_m: tuple[float, ...]
-    contact_n_per_m: float
-    seed: int
-    seeds: int
-    hands: tuple[Hand, ...]
-    frequencies_hz: tuple[float, ...]
-    samples: tuple[Sample, ...]
+class Feel(Axes):
+    """What the transparency is measured for."""
+
+    frequencies_hz: _Frequencies = Field(default=frequencies(_FREQUENCIES), description=_SINES)
+    tuned: Annotated[bool, Option(("--tuned",))] = Field(
+        default=False, description="Tune each law for each delay, by the rule of `study advise`"
+    )
+
+
+def _hands(text: str) -> tuple[str, ...]:
+    given = chosen("--hand", "hand", text, get_args(Hand))
+    return tuple(name for name in get_args(Hand) if name in given)
+
+
+def _samples(text: str) -> tuple[Sample, ...]:
+    return tuple(SAMPLES[name] for name in chosen("--sample", "sample", text, tuple(SAMPLES)))
+
+
+class Request(Settings):
+    """What to compare."""
+
+    laws: Annotated[tuple[str, ...], Option(("--law",), "LAW[,LAW]|all", option_values.laws, written="all")] = Field(
+        default=tuple(LAWS), description="Laws to study"
+    )
+    map_delays_ms: Annotated[
+        tuple[float, ...],
+        Option(("--map-delay",), "LIST|RANGE", partial(delays, option="--map-delay"), written="0:500:20"),
+    ] = Field(default=delays("0:500:20"), description="Round trips of the maps [ms]")
+    delays_ms: Annotated[tuple[float, ...], Option(("--delay",), "LIST|RANGE", delays, written="50,120,250")] = Field(
+        default=(50.0, 120.0, 250.0), description="Round trips that are studied in detail [ms]"
+    )
+    spring_n_per_m: Annotated[
+        tuple[float, ...], Option(("--stiffness",), "LIST|RANGE", stiffnesses, written="10,20,38")
+    ] = Field(default=DEFAULT_STIFFNESS["spring"], description="K of the springs [N/m]")
+    seed: int = Field(default=0, ge=0, description="Seed of the link's random streams")
+    seeds: int = Field(default=3, ge=1, le=1000, description="Seeds of the random link")
+    hands: Annotated[tuple[Hand, ...], Option(("--hand", "--arm"), "HAND[,HAND]|all", _hands, written="all")] = Field(
+        default=get_args(Hand), description="force, soft, ordinary, stiff"
+    )
+    frequencies_hz: _Frequencies = Field(default=frequencies(_FREQUENCIES), description=_SINES)
+    samples: Annotated[tuple[Sample, ...], Option(("--sample",), "LIST", _samples, written="contact,stiff")] = Field(
+        default=_samples("contact,stiff"), description="What is pressed on: contact, soft, ordinary, stiff"
+    )
 
     @property
     def trial(self) -> Trial:
@@ -69,10 +118,11 @@ class Comparison:
 
 def run_comparison(request: Request, sweep: Sweep) -> Comparison:
     """Run everything that the page shows; the maps go through the sweep and its journal."""
-    spring = Axes(request.laws, "spring", request.map_delays_ms, request.spring_n_per_m, seed=request.seed)
-    contact = Axes(request.laws, "contact", request.map_delays_ms, (request.contact_n_per_m,), seed=request.seed)
-    hard = Axes(request.laws, "contact", request.delays_ms, (request.contact_n_per_m,), (None,), (HARD_JITTER,),
-                (HARD_LOSS,), request.seed)  # fmt: skip
+    axes = Axes(environment="contact", laws=request.laws, delays_ms=request.map_delays_ms, seed=request.seed)
+    spring = axes.model_copy(update={"environment": "spring", "stiffnesses_n_per_m": request.spring_n_per_m})
+    contact = axes
+    bad = {"delays_ms": request.delays_ms, "jitters": (HARD_JITTER,), "losses": (HARD_LOSS,)}
+    hard = axes.model_copy(update=bad)
     cells = [[line.cell(d) for line in axes.lines() for d in request.delays_ms] for axes in (contact, hard)]
     return Comparison(
         request,
@@ -281,7 +331,7 @@ def _page(result: Comparison, images: dict[str, bytes], command: str) -> Page:
     page.heading("Delay that each law bears (round trip, ms)")
     names = [f"spring {k:g} N/m" for k in result.request.spring_n_per_m]
     page.table(
-        ("law", *names, *(f"theory {name}" for name in names), f"contact, k = {result.request.contact_n_per_m:g} N/m"),
+        ("law", *names, *(f"theory {name}" for name in names), f"contact, k = {DEFAULT_STIFFNESS['contact'][0]:g} N/m"),
         [_delay_row(result, law) for law in result.request.laws],
     )
     page.paragraph(f"More than {longest:g}: no cell up to that delay was unstable. {SAMPLE_PERIOD}")

@@ -4,7 +4,6 @@ import contextlib
 import importlib
 import sys
 from collections.abc import Iterator, Sequence
-from functools import partial
 from typing import Any, NamedTuple
 
 import typer
@@ -112,33 +111,15 @@ def load(name: str) -> Any:
 
 
 def _plain(command: Any) -> Any:
-    """Show arguments and options by their metavars alone: FILE... and not {FILE...}... <list[Path]>."""
+    """Name arguments and bounded numbers by their metavars alone, and list commands with their whole sentences."""
     for parameter in command.params:
-        # typer has no setting for it
-        parameter._get_number_range_help_str = partial(_range_words, parameter)
-        if getattr(parameter, "param_type_name", "") != "argument":
-            if parameter.metavar is None and getattr(parameter, "min", None) is not None:
-                parameter.metavar = "N"
-            continue
-        name = parameter.display_name_raw.upper() if parameter.metavar is None else parameter.metavar
-        if parameter.nargs != 1 and not name.endswith(("...", "...]")):
-            name += "..."
-        in_usage = f"[{name}]" if not parameter.required and not name.startswith("[") else name
-        # typer has no setting for either
-        parameter._usage_display_name = partial(str, in_usage)
-        parameter._rich_display_name = partial(str, name.replace("[", "").replace("]", ""))
-        parameter.display_type_rich = lambda ctx: None
+        if parameter.metavar is None and getattr(parameter, "min", None) is not None:
+            parameter.metavar = "N"
     for child in getattr(command, "commands", {}).values():
         # the whole sentence, which would be cut off after 45 letters
         child.short_help = child.short_help or " ".join((child.help or "").partition("\n\n")[0].split())
         _plain(child)
     return command
-
-
-def _range_words(parameter: Any) -> str | None:
-    """Return the bounds of a number as a person writes them: ≥ 0, and not x>=0.0."""
-    bounds = (("≥", getattr(parameter, "min", None)), ("≤", getattr(parameter, "max", None)))
-    return ", ".join(f"{sign} {bound:g}" for sign, bound in bounds if bound is not None) or None
 
 
 class LazyRoot(TyperGroup):

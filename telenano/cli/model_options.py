@@ -1,27 +1,35 @@
 """Options of a command from a settings model: name, type, unit, bounds and default, each said once, in the model.
 
 A field `dwell_s` is the option `--dwell MS`: the end of its name is its unit, and the option takes the unit that a
-person would use. What was given reaches the command as one mapping of fields to SI values; what was not is the model's.
+person would use. A field whose annotation has an `Option` says itself how it is asked for. What was given reaches the
+command as one mapping of fields to values; what was not is the model's.
 """
 
 import inspect
 from collections.abc import Callable, Collection, Mapping
 from enum import StrEnum
 from functools import wraps
+from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar, get_args, get_origin
 
 import typer
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
+from pydantic_core import PydanticUndefined
 
 from proto.errors import ConfigError
 from services.afm_node.programs.program_settings import stated
 from services.runtime.settings.config import bounds_of
+from services.runtime.settings.option import Option
+from telenano.cli.completion import law_names, node_names, scenario_names
 
 F = TypeVar("F", bound=Callable[..., Any])
+M = TypeVar("M", bound=BaseModel)
 
-# the parameter of a command that the options take the place of
+# the parameter of a command that the options take the place of, and what it is given: values by field
 GIVEN = "given"
+Given = dict[str, Any]
 
 
 class Unit(NamedTuple):
@@ -41,29 +49,51 @@ _UNITS = {
     "_m": Unit("nm", "m", 1e-9),
     "_n": Unit("nN", "N", 1e-9),
     "_s": Unit("ms", "s", 1e-3),
+    "_bytes": Unit("bytes", "bytes", 1.0),
 }
+# of sessions and recordings, which last longer than a pixel
+SECONDS = {"_s": Unit("s", "s", 1.0)}
 _NO_UNIT = Unit("", "", 1.0)
-_PLAIN = (bool, int, float, str)
+_PLAIN = (bool, int, float, str, Path)
+_COMPLETIONS = {"--law": law_names, "--without": node_names, "--scenario": scenario_names}
 
 
 class ModelOption(NamedTuple):
-    """An option: the field that it sets, its name on the command line, its type and its unit."""
+    """An option: the field that it sets, its names on the command line, its type and its unit."""
 
     field: str
-    flag: str
+    flags: tuple[str, ...]
     kind: Any
     unit: Unit
     about: FieldInfo
+    own: Option | None = None
+    default: str | None = None
+
+    @property
+    def flag(self) -> str:
+        """The name in messages."""
+        return self.flags[0]
 
 
-def with_options(model: type[BaseModel], leave_out: Collection[str] = ()) -> Callable[[F], F]:
+def with_options(
+    model: type[BaseModel],
+    leave_out: Collection[str] = (),
+    defaults: Mapping[str, str] = MappingProxyType({}),
+    units: Mapping[str, Unit] = MappingProxyType({}),
+) -> Callable[[F], F]:
     """Return a decorator that gives a command an option for each field of a model, where its parameter `given` stands.
 
     Args:
         model: The settings; its fields are numbers, flags, texts and choices.
-        leave_out: Fields for which the command has options of its own.
+        leave_out: Fields for which the command has options of its own, or none.
+        defaults: Defaults of this command in place of those of the model, as a person would write them.
+        units: Units of this command in place of the usual ones, by the end of a field's name.
     """
-    options = [option for option in options_of(model) if option.field not in leave_out]
+    options = [
+        option._replace(default=defaults.get(option.field))
+        for option in options_of(model, units)
+        if option.field not in leave_out
+    ]
 
     def decorate(command: F) -> F:
         own = list(inspect.signature(command, eval_str=True).parameters.values())
@@ -74,7 +104,8 @@ def with_options(model: type[BaseModel], leave_out: Collection[str] = ()) -> Cal
         def called(**arguments: Any) -> Any:
             given = {option.field: arguments.pop(option.field) for option in options}
             in_si = {option.field: _si(option, given[option.field]) for option in options}
-            return command(**arguments, given={name: value for name, value in in_si.items() if value is not None})
+            stated = {name: value for name, value in in_si.items() if value is not None}
+            return command(**arguments, given={**defaults, **stated})
 
         parameters = [p.replace(kind=p.KEYWORD_ONLY) for p in (*own[:place], *made, *own[place + 1 :])]
         called.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
@@ -84,23 +115,28 @@ def with_options(model: type[BaseModel], leave_out: Collection[str] = ()) -> Cal
     return decorate
 
 
-def options_of(model: type[BaseModel]) -> list[ModelOption]:
+def options_of(model: type[BaseModel], units: Mapping[str, Unit] = MappingProxyType({})) -> list[ModelOption]:
     """Return an option for each field of a model."""
-    return [_option(name, field) for name, field in model.model_fields.items()]
+    return [_option(name, field, {**_UNITS, **units}) for name, field in model.model_fields.items()]
 
 
-def check_options(model: type[BaseModel], given: Mapping[str, Any], flags: Mapping[str, str] | None = None) -> None:
-    """Raise ConfigError naming the options whose values a model refuses, and what would be right.
+def validated(model: type[M], given: Mapping[str, Any], flags: Mapping[str, str] | None = None) -> M:
+    """Return the settings that were given.
 
     Args:
         model: The settings.
-        given: SI values by field.
+        given: Values by field, as `with_options` hands them on.
         flags: The options of fields for which the command has options of its own.
+
+    Raises:
+        ConfigError: Naming the options whose values the model refuses, and what would be right.
     """
+    known = {option.field: option for option in options_of(model)}
+    read = {name: option.own.read for name, option in known.items() if option.own and option.own.read}
+    values = {name: read[name](value) if name in read else value for name, value in given.items()}
     try:
-        model.model_validate(dict(given))
+        return model.model_validate(values)
     except ValidationError as error:
-        known = {option.field: option for option in options_of(model)}
         lines = []
         for fault in error.errors(include_url=False, include_context=False):
             option = known.get(str(fault["loc"][0])) if fault["loc"] else None
@@ -108,13 +144,19 @@ def check_options(model: type[BaseModel], given: Mapping[str, Any], flags: Mappi
         raise ConfigError("\n".join(lines)) from error
 
 
-def _option(name: str, field: FieldInfo) -> ModelOption:
-    end = next((end for end in _UNITS if name.endswith(end)), "")
+def _option(name: str, field: FieldInfo, units: Mapping[str, Unit]) -> ModelOption:
+    own = next((rule for rule in field.metadata if isinstance(rule, Option)), None)
+    if own is not None:
+        kind = _kind_of(name, field.annotation)
+        if own.read is not None and kind is not Path:
+            kind = list[str] if own.many else str
+        return ModelOption(name, own.flags, kind, _NO_UNIT, field, own)
+    end = next((end for end in units if name.endswith(end)), "")
     kind = _kind_of(name, field.annotation)
-    # whole numbers and texts have no unit, whatever they are called
-    unit = _UNITS[end] if end and kind is float else _NO_UNIT
+    # texts, and whole numbers but those of bytes, have no unit, whatever they are called
+    unit = units[end] if end and (kind is float or end == "_bytes") else _NO_UNIT
     bare = name.removesuffix(end) if unit is not _NO_UNIT else name
-    return ModelOption(name, "--" + bare.replace("_", "-"), kind, unit, field)
+    return ModelOption(name, ("--" + bare.replace("_", "-"),), kind, unit, field)
 
 
 def _kind_of(name: str, annotation: Any) -> Any:
@@ -123,18 +165,37 @@ def _kind_of(name: str, annotation: Any) -> Any:
         return StrEnum(name, {word.upper(): word for word in get_args(annotation)})
     if annotation in _PLAIN:
         return annotation
+    if get_origin(annotation) is tuple:
+        return list[str]
     for part in get_args(annotation):
         if part is not type(None) and (found := _kind_of(name, part)) is not None:
             return found
     return None
 
 
+def _words(annotation: Any) -> tuple[str, ...]:
+    """Return the words that the parts of a list may be, none where they may be any."""
+    if get_origin(annotation) is Literal:
+        return get_args(annotation)
+    return next(filter(None, map(_words, get_args(annotation))), ())
+
+
 def _parameter(option: ModelOption) -> inspect.Parameter:
-    flag = f"{option.flag}/--no-{option.flag[2:]}" if option.kind is bool else option.flag
-    metavar = {int: "N", float: option.unit.name.upper() or "X"}.get(option.kind)
-    made = typer.Option(flag, help=_help(option), metavar=metavar)
-    annotation = Annotated[option.kind | None, made]  # type: ignore[name-defined]
-    return inspect.Parameter(option.field, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=annotation)
+    unit = option.unit.name.upper()
+    plain = {int: unit or "N", float: unit or "X", list[str]: "|".join(_words(option.about.annotation)) or "TEXT"}
+    flags, metavar = option.flags, plain.get(option.kind)
+    if option.own is not None:
+        metavar = option.own.metavar or metavar
+    elif option.kind is bool:
+        flags = (f"{option.flag}/--no-{option.flag[2:]}",)
+    made = typer.Option(
+        *flags, help=_help(option), metavar=metavar, autocompletion=_COMPLETIONS.get(option.flag), show_default=False
+    )
+    required = option.about.is_required() and option.default is None
+    kind = option.kind if required else option.kind | None
+    annotation: Any = Annotated[kind, made]
+    default = inspect.Parameter.empty if required else None
+    return inspect.Parameter(option.field, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
 
 
 def _si(option: ModelOption, value: Any) -> Any:
@@ -147,16 +208,29 @@ def _help(option: ModelOption) -> str:
     """Return what a field is, its bounds and its defaults, in the unit of the option."""
     about, simulated = stated(option.about)
     words = [about.replace(f"[{option.unit.si}]", f"[{option.unit.name}]").rstrip(".")]
-    if bounds := _bounds(option):
+    # many descriptions say the bounds themselves
+    if (bounds := _bounds(option)) and bounds not in about:
         words.append(bounds)
     bus = option.about.default
-    if bus is not None and simulated == bus:
+    if option.default is not None:
+        words = [words[0].partition("; default:")[0], *words[1:], f"default: {option.default}"]
+    elif option.own is not None:
+        # text that is read has its default in the words of the option
+        default = option.own.written or ("" if option.own.read or not _is_shown(bus) else _written(option, bus))
+        words += [f"default: {default}"] if default else []
+    elif not _is_shown(bus):
+        pass
+    elif simulated == bus:
         words.append(f"default: {_written(option, bus)}")
-    elif bus is not None:
+    else:
         each = simulated.items() if isinstance(simulated, Mapping) else [("", simulated)]
         shown = ", ".join(_written(option, value) + (f" in {mode}" if mode else "") for mode, value in each)
         words.append(f"default: {shown}; with --live {_written(option, bus)}")
     return "; ".join(words) + "."
+
+
+def _is_shown(default: Any) -> bool:
+    return default not in (None, ()) and default is not False and default is not PydanticUndefined
 
 
 def _written(option: ModelOption, value: Any) -> str:
@@ -167,6 +241,8 @@ def _bounds(option: ModelOption) -> str:
     limits = {key: f"{value / option.unit.scale:.6g}" for key, value in bounds_of(option.about).items()}
     low = limits.get("ge") or (f"above {limits['gt']}" if "gt" in limits else "")
     high = limits.get("le") or (f"below {limits['lt']}" if "lt" in limits else "")
+    if low and not high:
+        return low if low.startswith("above") else f"{low} or more"
     return f"{low} to {high}" if low and high else ""
 
 

@@ -73,6 +73,10 @@ TopicsOption = Annotated[
 ExcludeOption = Annotated[
     list[str] | None, typer.Option("--exclude", metavar="PATTERN", help="Not these channels (repeatable).")
 ]
+SettingsOption = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="SECTION.KEY=VALUE", help="Change one key first (SI units); may be repeated."),
+]
 FormatOption = Annotated[
     str, typer.Option("--format", metavar="png,pdf,svg", help="Formats of the figures, one or several.")
 ]

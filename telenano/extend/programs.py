@@ -10,10 +10,26 @@ from proto.errors import RefusedError
 from services.afm_node.driver import Oscillation
 from services.afm_node.programs.feedback import gain_fault, integral_share
 from services.afm_node.programs.lateral import Place, moved
-from services.afm_node.programs.program import Begun, Inputs, Instrument, Program, Progress, Wanted
+from services.afm_node.programs.program import (
+    APPROACH,
+    ARRIVED,
+    RISE,
+    WAY_TEXTS,
+    Begun,
+    Inputs,
+    Instrument,
+    Program,
+    Progress,
+    Wanted,
+    way_to_surface,
+)
 from services.afm_node.programs.program_settings import Force, Length, Position, ProgramSettings, Speed
 
 __all__ = [
+    "APPROACH",
+    "ARRIVED",
+    "RISE",
+    "WAY_TEXTS",
     "Begun",
     "Force",
     "Inputs",
@@ -30,6 +46,7 @@ __all__ = [
     "gain_fault",
     "integral_share",
     "trial",
+    "way_to_surface",
 ]
 
 _PERIOD_S = 1e-3

@@ -63,6 +63,45 @@ class Inputs(NamedTuple):
     is_paused: bool = False
 
 
+# the phases of the way to the surface; those of a program itself come after
+RISE, TRAVEL, APPROACH, ARRIVED = range(4)
+WAY_TEXTS = ("the tip rises", "the stage moves to the first point", "approach")
+
+
+class Way(NamedTuple):
+    """A step towards the surface: phase, time in it [s], and where base [m] and stage are to go."""
+
+    phase: int
+    elapsed_s: float
+    base_m: float
+    place: Place
+
+
+def way_to_surface(
+    phase: int, elapsed_s: float, inputs: Inputs, first: Place, clear_m: float, step_m: float, touches: bool, dt: float
+) -> Way:
+    """Take the tip up, above the first point, and down until it touches; then the phase is ARRIVED.
+
+    Args:
+        phase: RISE, TRAVEL or APPROACH.
+        elapsed_s: Time in the phase [s].
+        inputs: What was measured at the last step.
+        first: The first point.
+        clear_m: Base above every point [m].
+        step_m: How far the base approaches in dt [m].
+        touches: Whether the tip feels what it approaches for.
+        dt: Time of the step [s].
+    """
+    if phase == RISE:
+        return Way(TRAVEL if inputs.base_m <= clear_m else RISE, 0.0, clear_m, inputs.place)
+    if phase == TRAVEL:
+        return Way(APPROACH if inputs.place == first else TRAVEL, 0.0, clear_m, first)
+    if touches:
+        # the base goes on from where it is
+        return Way(ARRIVED, 0.0, inputs.base_m, first)
+    return Way(APPROACH, elapsed_s + dt, inputs.base_m + step_m, first)
+
+
 class FinishedLine(NamedTuple):
     """A line: its number and sense, its ends at the middles of the outer pixels, heights [m], forces in x [N].
 

@@ -18,13 +18,26 @@ from pydantic import Field
 from proto.errors import RefusedError
 from services.afm_node.programs.feedback import carried_out, feedback_step, gain_fault, integral_share
 from services.afm_node.programs.lateral import Place
-from services.afm_node.programs.program import Begun, FinishedLine, Inputs, Instrument, Program, Progress, Wanted
+from services.afm_node.programs.program import (
+    APPROACH,
+    ARRIVED,
+    RISE,
+    WAY_TEXTS,
+    Begun,
+    FinishedLine,
+    Inputs,
+    Instrument,
+    Program,
+    Progress,
+    Wanted,
+    way_to_surface,
+)
 from services.afm_node.programs.program_settings import Force, Length, Position, ProgramSettings, Speed, by_rate
 
 Array = npt.NDArray[np.float64]
 
-# phases, in order
-RISE, TRAVEL, APPROACH, SETTLE, LINES, DONE = range(6)
+# the phases after the way to the surface
+SETTLE, LINES, DONE = range(ARRIVED, ARRIVED + 3)
 # names of the gains, for whoever gave them by `set`, in a scenario, or on the command line
 GAIN_NAMES = ("scan.gain_per_s (--gain)", "scan.proportional (--proportional)")
 
@@ -159,9 +172,7 @@ class Scan(Program[ScanSettings, ScanPlan, ScanState]):
 
     def progress(self, plan: ScanPlan, state: ScanState) -> Progress:
         texts = (
-            "the tip rises",
-            "the stage moves to the first point",
-            "approach",
+            *WAY_TEXTS,
             "the amplitude settles" if plan.settings.mode == "tapping" else "the force settles",
             "lines",
             "done",
@@ -185,16 +196,13 @@ def scan_step(
     """
     s, phase, elapsed = plan.settings, state.phase, state.elapsed_s + dt
     base_m, place, first = inputs.base_m, inputs.place, begin_of(plan)
-    if phase == RISE:
-        return (_in(state, TRAVEL) if base_m <= plan.clear_m else state), plan.clear_m, place, None
-    if phase == TRAVEL:
-        return (_in(state, APPROACH) if place == first else state), plan.clear_m, first, None
-    if phase == APPROACH:
-        if (error_m := missing_m(plan, inputs)) <= 0.0:
-            # the base goes on from where it is
-            settling = _in(state, SETTLE)._replace(reference_m=base_m, proportional_m=s.proportional * error_m)
-            return settling, base_m, first, None
-        return state._replace(elapsed_s=elapsed), base_m + s.approach_m_per_s * dt, first, None
+    if phase <= APPROACH:
+        error_m, step_m = missing_m(plan, inputs), s.approach_m_per_s * dt
+        way = way_to_surface(phase, state.elapsed_s, inputs, first, plan.clear_m, step_m, error_m <= 0.0, dt)
+        state = state._replace(phase=way.phase, elapsed_s=way.elapsed_s)
+        if way.phase == SETTLE:
+            state = state._replace(reference_m=base_m, proportional_m=s.proportional * error_m)
+        return state, way.base_m, way.place, None
     if phase == DONE:
         return state, base_m, place, None
     part_m = carried_out(state.proportional_m, state.reference_m - base_m)
@@ -202,7 +210,9 @@ def scan_step(
     held, part_m = feedback_step(base_m, part_m, missing_m(plan, inputs), share, s.proportional)
     state = state._replace(reference_m=held, proportional_m=part_m)
     if phase == SETTLE:
-        return (_in(state, LINES) if elapsed >= s.settle_s else state._replace(elapsed_s=elapsed)), held, first, None
+        is_settled = elapsed >= s.settle_s
+        state = state._replace(phase=LINES if is_settled else SETTLE, elapsed_s=0.0 if is_settled else elapsed)
+        return state, held, first, None
     if inputs.is_paused:
         return state, held, place, None
     state, target, finished = _advance(plan, state._replace(elapsed_s=elapsed), inputs)
@@ -219,10 +229,6 @@ def missing_m(plan: ScanPlan, inputs: Inputs) -> float:
     if plan.settings.mode == "tapping":
         return inputs.oscillation.amplitude_m - plan.setpoint_m
     return (plan.settings.setpoint_n - inputs.force_n) / plan.stiffness_n_per_m
-
-
-def _in(state: ScanState, phase: int) -> ScanState:
-    return state._replace(phase=phase, elapsed_s=0.0)
 
 
 def _point(plan: ScanPlan, line: int, share: float) -> Place:

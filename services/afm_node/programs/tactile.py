@@ -15,12 +15,24 @@ from pydantic import Field
 from proto.errors import RefusedError
 from services.afm_node.programs.feedback import gain_fault, integral_share
 from services.afm_node.programs.lateral import LateralParams, Place, moved
-from services.afm_node.programs.program import Begun, Inputs, Instrument, Program, Progress, Wanted
+from services.afm_node.programs.program import (
+    APPROACH,
+    ARRIVED,
+    RISE,
+    WAY_TEXTS,
+    Begun,
+    Inputs,
+    Instrument,
+    Program,
+    Progress,
+    Wanted,
+    way_to_surface,
+)
 from services.afm_node.programs.program_settings import Force, Length, Position, ProgramSettings, Speed
 from services.afm_node.programs.scan_speed import felt_speed_m_per_s
 
-# phases, in order
-RISE, TRAVEL, APPROACH, FEEL, DONE = range(5)
+# the phases after the way to the surface
+FEEL, DONE = ARRIVED, ARRIVED + 1
 # of the gains, for whoever gave them
 _GAINS = ("tactile.gain_per_s", "")
 
@@ -127,7 +139,7 @@ class Tactile(Program[TactileSettings, TactilePlan, TactileState]):
         return Wanted(state, base_m, target, state.phase == DONE, notice=notice)
 
     def progress(self, plan: TactilePlan, state: TactileState) -> Progress:
-        texts = ("the tip rises", "the stage moves to the first point", "approach", "the surface is felt", "done")
+        texts = (*WAY_TEXTS, "the surface is felt", "done")
         return Progress(texts[state.phase], state.phase / DONE)
 
     def searching_s(self, plan: TactilePlan, state: TactileState) -> tuple[float, float]:
@@ -139,15 +151,10 @@ def tactile_step(
 ) -> tuple[TactileState, float, Place]:
     """Take what was measured and return the state, and where base [m] and stage are to go in the next dt [s]."""
     s, base_m, place = plan.settings, inputs.base_m, inputs.place
-    if state.phase == RISE:
-        return (TactileState(TRAVEL, False) if base_m <= plan.clear_m else state), plan.clear_m, place
-    if state.phase == TRAVEL:
-        return (TactileState(APPROACH, False) if place == plan.start else state), plan.clear_m, plan.start
-    if state.phase == APPROACH:
-        if inputs.force_n >= s.setpoint_n:
-            return TactileState(FEEL, False), base_m, plan.start
-        approaching = state._replace(approached_s=state.approached_s + dt)
-        return approaching, base_m + s.approach_m_per_s * dt, plan.start
+    if state.phase <= APPROACH:
+        touches, step_m = inputs.force_n >= s.setpoint_n, s.approach_m_per_s * dt
+        way = way_to_surface(state.phase, state.approached_s, inputs, plan.start, plan.clear_m, step_m, touches, dt)
+        return TactileState(way.phase, False, way.elapsed_s), way.base_m, way.place
     if state.phase == DONE:
         return state, base_m, place
     goal = inputs.pointer if plan.by_pointer else plan.end

@@ -153,11 +153,6 @@ def _run(kind: NodeKind[C], given: NodeArguments, log: StructuredLog) -> None:
     status = apply_realtime(wanted, log, key)
     signals = StopSignals()
     raise_file_limit()
-    report_trace = None
-    if loaded.scenario.realtime.trace and kind.realtime:
-        from services.runtime.loop import hop_trace
-
-        report_trace = hop_trace.install(log)
     with open_participant(key, book, signals.descriptor) as participant:
         wiring = Wiring(**vars(participant), site_file=site_file, scenario_file=scenario_file)
         node, bus = kind.build(wiring, config)
@@ -166,6 +161,4 @@ def _run(kind: NodeKind[C], given: NodeArguments, log: StructuredLog) -> None:
             huge_pages = use_huge_pages() if loaded.scenario.realtime.huge_pages else 0
         log.info("ready", realtime=status.fifo, memory_locked=status.memory_locked, huge_pages=huge_pages)
         run_loop(node, bus, signals, status, spin_s=wanted.spin_s, freeze=not kind.observer, guarded=kind.realtime)
-    if report_trace is not None:
-        report_trace()
     log.info("stopped")

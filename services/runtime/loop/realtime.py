@@ -60,9 +60,6 @@ class RealtimeConfig(BaseModel):
     huge_pages: bool = Field(
         default=True, description="Put the memory of each process on pages of 2 MB at its start, where the kernel can"
     )
-    trace: bool = Field(
-        default=False, description="Write the time that each part of a hop takes to the log of each node at its end"
-    )
 
 
 class RealtimeStatus(BaseModel):

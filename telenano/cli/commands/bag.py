@@ -34,7 +34,7 @@ _PLOT_SIZE = (100, 12)
 app = command_group()
 
 FileArgument = Annotated[Path, typer.Argument(metavar="FILE", help="Recording (.mcap).")]
-FilesArgument = Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings (.mcap).")]
+FilesArgument = Annotated[list[Path], typer.Argument(metavar="FILE", help="Recordings (.mcap).")]
 OutOption = Annotated[Path, typer.Option("--out", metavar="PATH", help="File or folder to make, never overwritten.")]
 NodesOption = Annotated[
     list[str] | None, typer.Option("--nodes", metavar="NODE", help="Only messages of these nodes (repeatable).")
@@ -312,7 +312,7 @@ def rerun(
 def plot(
     file: FileArgument,
     fields: Annotated[
-        list[str], typer.Argument(metavar="TOPIC.FIELD...", help="What to draw, such as afm/state.tip_force_n.2.")
+        list[str], typer.Argument(metavar="TOPIC.FIELD", help="What to draw, such as afm/state.tip_force_n.2.")
     ],
     out: Annotated[
         Path | None, typer.Option("--out", metavar="FILE", help="PNG to make; default: the terminal.")

@@ -7,13 +7,10 @@ import typer
 from services.runtime.settings.config import flag_overrides, validate
 from telenano.cli.options import JsonOption, command_group
 from telenano.cli.output import print_document, report_errors
+from telenano.cli.sample_options import AfmOption
 
 app = command_group()
 
-AfmOption = Annotated[
-    list[str] | None,
-    typer.Option("--afm", metavar="KEY=VALUE", help="Change a key of afm_node, as in a scenario (repeatable)."),
-]
 SeedOption = Annotated[int, typer.Option("--seed", min=0, metavar="N", help="Seed of the noise.")]
 
 
@@ -29,7 +26,6 @@ def sensitivity(
 ) -> None:
     """Find S_c of Eq. 3: press onto a hard sample and regress the voltage on the way, with the standard error."""
     with report_errors(as_json):
-        # before all other models: it has every step compiled that is imported after it
         import studies.instrument.instrument_calibration as calibration
         from services.afm_node.config import AfmConfig
 

@@ -17,7 +17,7 @@ from telenano.cli.output import print_json, print_rows, report_errors
 
 def compare(
     sessions: Annotated[
-        list[Path], typer.Argument(metavar="SESSION...", help="Recordings (.mcap), or folders of `up --out`.")
+        list[Path], typer.Argument(metavar="SESSION", help="Recordings (.mcap), or folders of `up --out`.")
     ],
     out: Annotated[
         Path, typer.Option("--out", "-o", metavar="DIR", help="Folder for compare.png, compare.csv and compare.json.")

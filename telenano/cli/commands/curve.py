@@ -12,11 +12,11 @@ from presets import DEFAULT_SITE_FILE
 from proto.errors import ConfigError, RigError
 from services.afm_node.programs.curve import CurveSettings
 from services.runtime.settings.config import flag_overrides, validate
-from telenano.cli.model_options import check_options, with_options
+from telenano.cli.model_options import validated, with_options
 from telenano.cli.options import JsonOption, SiteFileOption
 from telenano.cli.output import print_document, report_errors
 from telenano.cli.program_view import LiveOption, follow_program, refuse_foreign
-from telenano.cli.sample_options import require, results_in
+from telenano.cli.sample_options import AfmOption, require, results_in
 
 if TYPE_CHECKING:
     from proto.messages import Scalar
@@ -38,10 +38,7 @@ def curve(
     model: Annotated[
         CurveModel, typer.Option("--model", help="quasi_static: k zeta = F(h); dynamic: Eq. 4 in full.")
     ] = CurveModel.QUASI_STATIC,
-    afm: Annotated[
-        list[str] | None,
-        typer.Option("--afm", metavar="KEY=VALUE", help="Change a key of afm_node, as in a scenario (repeatable)."),
-    ] = None,
+    afm: AfmOption = None,
     overlay: Annotated[
         Path | None,
         typer.Option(
@@ -59,8 +56,7 @@ def curve(
     """Approach and retract, mark snap-in, contact, pull-off and break, write HDF5 (afmformats) and a figure."""
     with report_errors(as_json):
         require("h5py")
-        check_options(CurveSettings, given)
-        # before all other models: it has every step compiled that is imported after it
+        validated(CurveSettings, given)
         import studies.instrument.force_curve as curves
         from services.afm_node.config import AfmConfig
         from studies.instrument.adhesion_fit import fit_adhesion

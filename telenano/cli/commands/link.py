@@ -55,7 +55,7 @@ def show(site_file: SiteFileOption = DEFAULT_SITE_FILE, as_json: JsonOption = Fa
 def set_keys(
     settings: Annotated[
         list[str],
-        typer.Argument(metavar="KEY=VALUE...", help="Settings by dotted key, such as forward.delay_s=0.02 (SI units)."),
+        typer.Argument(metavar="KEY=VALUE", help="Settings by dotted key, such as forward.delay_s=0.02 (SI units)."),
     ],
     site_file: SiteFileOption = DEFAULT_SITE_FILE,
     as_json: JsonOption = False,
@@ -67,7 +67,7 @@ def set_keys(
 @app.command()
 def profile(
     name: Annotated[
-        str | None, typer.Argument(metavar="[NAME]", help="Profile to apply; without it, list the profiles.")
+        str | None, typer.Argument(metavar="NAME", help="Profile to apply; without it, list the profiles.")
     ] = None,
     site_file: SiteFileOption = DEFAULT_SITE_FILE,
     as_json: JsonOption = False,

@@ -8,7 +8,7 @@ import yaml
 from presets import find_scenario
 from proto.errors import ConfigError
 from telenano.cli.completion import scenario_names, scenario_sections
-from telenano.cli.options import JsonOption, command_group
+from telenano.cli.options import JsonOption, SettingsOption, command_group
 from telenano.cli.output import print_json, print_rows, report_errors
 
 app = command_group()
@@ -19,10 +19,6 @@ ScenarioOption = Annotated[
         "--scenario", metavar="NAME|FILE", help="Scenario whose values are meant.", autocompletion=scenario_names
     ),
 ]
-SettingsOption = Annotated[
-    list[str] | None,
-    typer.Option("--set", metavar="SECTION.KEY=VALUE", help="Change one key first (SI units); may be repeated."),
-]
 
 
 @app.command("list")
@@ -30,7 +26,7 @@ def list_all(
     prefix: Annotated[
         str,
         typer.Argument(
-            metavar="[PREFIX]", help="Only keys that begin so, such as delay_node.", autocompletion=scenario_sections
+            metavar="PREFIX", help="Only keys that begin so, such as delay_node.", autocompletion=scenario_sections
         ),
     ] = "",
     as_page: Annotated[bool, typer.Option("--markdown", help="Print them as the page docs/scenarios.md.")] = False,

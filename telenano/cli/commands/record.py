@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -15,6 +15,7 @@ from services.runtime.bus.observer import RIG_HINT, nobody_runs
 from services.runtime.loop.main import load_site
 from services.runtime.settings.config import validate
 from telenano.cli.keyboard import RawKeyboard
+from telenano.cli.model_options import SECONDS, Given, with_options
 from telenano.cli.options import ExcludeOption, JsonOption, SiteFileOption, TopicsOption
 from telenano.cli.output import fail, fail_incomplete, print_json, report_errors
 
@@ -43,38 +44,20 @@ class RecordKeyBindings:
         self._keys.show(f"{node.status()} · {self._note}")
 
 
+# options of the command's own, and what only the recorder of a rig is told
+_OWN = ("directory", "file_name", "topics", "exclude", "sync_to_disk", "chunk_size_bytes", "snapshot_size_bytes")
+
+
+@with_options(RecorderConfig, _OWN, units=SECONDS)
 def record(
     out: Annotated[Path, typer.Option("--out", metavar="FILE", help="Recording to make; an existing one is kept.")],
+    given: Given,
     topics: TopicsOption = None,
     exclude: ExcludeOption = None,
+    sync: Annotated[bool, typer.Option("--sync", help="Wait for the disk at each flush.")] = False,
     duration: Annotated[
         float | None, typer.Option("--duration", min=0.0, metavar="S", help="End after this time [s].")
     ] = None,
-    split_size: Annotated[
-        int | None, typer.Option("--split-size", metavar="BYTES", help="Begin a new file at this size.")
-    ] = None,
-    split_interval: Annotated[
-        float | None, typer.Option("--split-interval", metavar="S", help="Begin a new file after this time [s].")
-    ] = None,
-    quota: Annotated[int | None, typer.Option("--quota", metavar="BYTES", help="Most that all files may take.")] = None,
-    quota_policy: Annotated[
-        str, typer.Option("--quota-policy", metavar="stop|drop_oldest", help="What happens at the quota.")
-    ] = "stop",
-    snapshot: Annotated[
-        float | None, typer.Option("--snapshot", metavar="S", help="Keep this time in memory, write on a trigger [s].")
-    ] = None,
-    snapshot_on: Annotated[
-        list[str] | None,
-        typer.Option("--snapshot-on", metavar="mode|fault|contact", help="Event that is a trigger (repeatable)."),
-    ] = None,
-    snapshot_after: Annotated[
-        float, typer.Option("--snapshot-after", metavar="S", help="Go on writing after a trigger [s].")
-    ] = 1.0,
-    flush_interval: Annotated[
-        float, typer.Option("--flush-interval", metavar="S", help="Most that a kill may lose [s].")
-    ] = 0.2,
-    compression: Annotated[str, typer.Option("--compression", metavar="zstd|lz4|none", help="Of each chunk.")] = "zstd",
-    sync: Annotated[bool, typer.Option("--sync", help="Wait for the disk at each flush.")] = False,
     scenario: Annotated[
         Path | None,
         typer.Option("--scenario", metavar="FILE", help="Scenario to attach, which report and re-run need (YAML)."),
@@ -87,23 +70,10 @@ def record(
     The exit code is 3 if the recording lacks messages that were sent.
     """
     with report_errors(as_json):
-        given: dict[str, Any] = {
-            "directory": str(out.absolute().parent),
-            "file_name": out.name,
-            "topics": topics or [],
-            "exclude": exclude or [],
-            "split_size_bytes": split_size,
-            "split_interval_s": split_interval,
-            "quota_bytes": quota,
-            "quota_policy": quota_policy,
-            "snapshot_s": snapshot,
-            "snapshot_on": snapshot_on or [],
-            "snapshot_after_s": snapshot_after,
-            "flush_interval_s": flush_interval,
-            "compression": compression,
-            "sync_to_disk": sync,
-        }
-        config = validate(RecorderConfig, given, "telenano record")
+        place = {"directory": str(out.absolute().parent), "file_name": out.name, "sync_to_disk": sync}
+        config = validate(
+            RecorderConfig, {**given, **place, "topics": topics or (), "exclude": exclude or ()}, "telenano record"
+        )
         nobody = "no rig of this site file runs on this machine" if nobody_runs(load_site(site_file)) else ""
         if nobody and not as_json:
             # one may be started after its recorder

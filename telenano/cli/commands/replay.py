@@ -71,7 +71,7 @@ def parse_remap(texts: Sequence[str]) -> dict[str, str]:
 
 
 def replay(
-    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings (.mcap), the parts of one.")],
+    files: Annotated[list[Path], typer.Argument(metavar="FILE", help="Recordings (.mcap), the parts of one.")],
     nodes: Annotated[
         list[str] | None,
         typer.Option("--nodes", metavar="NODE", help="Take the place of this node (repeatable); default: all of them."),

@@ -13,7 +13,7 @@ from telenano.cli.output import fail_with_summary, print_summary, report_errors
 
 
 def report(
-    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recording (.mcap), or the parts of one.")],
+    files: Annotated[list[Path], typer.Argument(metavar="FILE", help="Recording (.mcap), or the parts of one.")],
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for fig12.png and summary.json.")],
     formats: FormatOption = "png",
     style: StyleOption = "screen",

@@ -13,11 +13,12 @@ from services.afm_node.programs.scan import ScanSettings
 from services.runtime.settings.config import flag_overrides, validate
 from services.signals import interrupts
 from telenano.cli.exit_codes import EXIT_FAILED
-from telenano.cli.model_options import check_options, with_options
+from telenano.cli.model_options import validated, with_options
 from telenano.cli.options import JsonOption, SiteFileOption
 from telenano.cli.output import print_document, report_errors
 from telenano.cli.program_view import LiveOption, follow_program, refuse_foreign
 from telenano.cli.sample_options import (
+    AfmOption,
     ChannelOption,
     SampleOption,
     SampleSetOption,
@@ -59,10 +60,7 @@ def scan(
         float, typer.Option("--temperature", metavar="K", help="Temperature of the thermal noise [K]; 0: none.")
     ] = 0.0,
     seed: Annotated[int, typer.Option("--noise-seed", min=0, metavar="N", help="Seed of the thermal noise.")] = 0,
-    afm: Annotated[
-        list[str] | None,
-        typer.Option("--afm", metavar="KEY=VALUE", help="Change a key of afm_node, as in a scenario (repeatable)."),
-    ] = None,
+    afm: AfmOption = None,
     live: LiveOption = False,
     site_file: SiteFileOption = DEFAULT_SITE_FILE,
     as_json: JsonOption = False,
@@ -75,7 +73,7 @@ def scan(
             given |= {"setpoint_share": setpoint} if mode == "tapping" else {"setpoint_n": setpoint * 1e-9}
         if live and size is not None:
             given |= {"width_m": size * 1e-9, "depth_m": size * 1e-9}
-        check_options(ScanSettings, given, _OWN)
+        validated(ScanSettings, given, _OWN)
         if live:
             foreign = {"--sample": name != "dots", "--channel": channel, "--set": settings, "--afm": afm,
                        "--temperature": temperature}  # fmt: skip
@@ -84,7 +82,6 @@ def scan(
             return
         if foreign_here := [option for option, field in (("--x", "x_m"), ("--y", "y_m")) if given.get(field)]:
             raise ConfigError(f"{', '.join(foreign_here)}: only with --live: otherwise the whole sample is imaged")
-        # before all other models: it has every step compiled that is imported after it
         import studies.instrument.scan as scans
         from services.afm_node.config import AfmConfig
 

@@ -12,17 +12,13 @@ from proto.errors import ConfigError
 from recording.whole_files import whole_file
 from services.runtime.settings.config import read_yaml
 from telenano.cli.completion import scenario_names
-from telenano.cli.options import JsonOption, command_group
+from telenano.cli.options import JsonOption, SettingsOption, command_group
 from telenano.cli.output import print_json, print_rows, report_errors
 
 app = command_group()
 
 NameArgument = Annotated[
     str, typer.Argument(metavar="NAME|FILE", help="A known name, or a YAML file.", autocompletion=scenario_names)
-]
-SettingsOption = Annotated[
-    list[str] | None,
-    typer.Option("--set", metavar="SECTION.KEY=VALUE", help="Change one key first (SI units); may be repeated."),
 ]
 
 

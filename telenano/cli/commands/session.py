@@ -30,9 +30,9 @@ class SessionCommand(StrEnum):
 
 
 def session(
-    command: Annotated[SessionCommand, typer.Argument(help="Command to send.")],
+    command: Annotated[SessionCommand, typer.Argument(metavar="COMMAND", help="Command to send.")],
     parameters: Annotated[
-        list[str] | None, typer.Argument(metavar="[KEY=VALUE]...", help="Parameters by dotted key, units in the names.")
+        list[str] | None, typer.Argument(metavar="KEY=VALUE", help="Parameters by dotted key, units in the names.")
     ] = None,
     target: TargetOption = "*",
     site: SiteOption = None,

@@ -1,28 +1,29 @@
 """`telenano study promises`: what the laws promise over bad links, tried on drawn cells."""
 
-import json
-import os
-import sys
 from typing import Annotated
 
 import typer
-from rich.table import Column, Table
 
-from studies.pages.page import Page, text
-from telenano.cli.commands.study_options import LawOption, OutOption, WorkersOption
+from studies import option_values
+from studies.loops.promises import as_dict, broken, outcomes
+from studies.pages.page import Page
+from telenano.cli.commands.study_options import OutOption, WorkersOption
+from telenano.cli.commands.study_results import INTERRUPTED, command_line, print_result, sweep_in, write_study
+from telenano.cli.completion import law_names
 from telenano.cli.exit_codes import EXIT_FAILED
 from telenano.cli.options import JsonOption
-from telenano.cli.output import console, print_json, report_errors
+from telenano.cli.output import report_errors
 from telenano.cli.sample_options import results_in
 
-_COLUMNS = 160
 _HEAD = ("law", "hand", "round trip [ms]", "energy >= -1 uJ", "least energy [uJ]", "stable", "force (median)",
          "force (least)", "hand ahead [mm]", "not stable")  # fmt: skip
 
 
 def promises(
     out: OutOption,
-    law: LawOption = "passivity,wave",
+    law: Annotated[
+        str, typer.Option("--law", metavar="LAW[,LAW]|all", help="Laws to study.", autocompletion=law_names)
+    ] = "passivity,wave",
     seeds: Annotated[int, typer.Option("--seeds", min=1, max=10_000, help="Seeds: six drawn cells each.")] = 50,
     burst: Annotated[
         float | None,
@@ -34,13 +35,9 @@ def promises(
     as_json: JsonOption = False,
 ) -> None:
     """Try on drawn bad links what the laws promise; exit code 1 where one that promises passivity made energy."""
-    with report_errors(as_json, "interrupted: the journal keeps the finished cells, the same command continues"):
-        from studies import option_values
-        from studies.loops.promises import as_dict, broken, outcomes
-        from studies.loops.sweep import JOURNAL_NAME, Journal, Sweep
-
-        sweep = Sweep(Journal(out / JOURNAL_NAME), workers or os.cpu_count() or 1)
-        found = outcomes(option_values.laws(law), seeds, sweep, burst)
+    with report_errors(as_json, INTERRUPTED):
+        with sweep_in(out, workers, None, shown=not as_json) as sweep:
+            found = outcomes(option_values.laws(law), seeds, sweep, burst)
         failed = broken(found)
         rows_found = [as_dict(row) for row in found]
         summary = {"study": "promises", "seeds": seeds, "burst": burst, "held": not failed, "rows": rows_found}
@@ -52,23 +49,14 @@ def promises(
         ]  # fmt: skip
         lost = "0, 5 or 20 % loss" if burst is None else f"5, 20 or 50 % loss, {burst:g} messages in a row on average"
         page = Page("What the laws promise over bad links")
-        page.code(" ".join(["telenano", *sys.argv[1:]]))
+        page.code(command_line())
         page.table(_HEAD, rows)
         page.paragraph(
             f"Jitter of half the delay, {lost}, springs of 5 to 200 N/m and the contact, drawn at random;"
             " force: at the tip, as a share of what the hand means to press with, in stable holds."
         )
         with results_in(out) as folder:
-            document = json.dumps(summary, indent=2, allow_nan=False) + "\n"
-            (folder / "promises.json").write_text(document, encoding="utf-8")
-            page.write(folder / "promises.html")
-        if as_json:
-            print_json(summary)
-        else:
-            table = Table(*(Column(name, overflow="fold") for name in _HEAD))
-            for row in rows:
-                table.add_row(*(text(value) for value in row))
-            console(_COLUMNS).print(table)
-            typer.echo(f"page: {out / 'promises.html'}")
+            write_study(folder, page, summary)
+        print_result(summary, _HEAD, rows, out, as_json=as_json)
     if failed:
         raise typer.Exit(EXIT_FAILED)

@@ -129,18 +129,6 @@ def info(topic: TopicArgument, as_json: JsonOption = False) -> None:
 
 
 @app.command()
-def bw(
-    topic: TopicArgument,
-    site_file: SiteFileOption = DEFAULT_SITE_FILE,
-    count: CountOption = None,
-    duration: DurationOption = None,
-    as_json: JsonOption = False,
-) -> None:
-    """Measure the bandwidth of a topic: bytes of a message, bytes a second, by source."""
-    _measure(measure_bandwidth, topic, site_file, duration, count, as_json=as_json)
-
-
-@app.command()
 def pub(
     topic: TopicArgument,
     fields: Annotated[
@@ -168,45 +156,42 @@ def pub(
         typer.echo(f"published {sent} messages on {topic} as {src}")
 
 
-@app.command()
-def hz(
-    topic: TopicArgument,
-    site_file: SiteFileOption = DEFAULT_SITE_FILE,
-    count: CountOption = None,
-    duration: DurationOption = None,
-    as_json: JsonOption = False,
-) -> None:
-    """Measure the rate of a topic: mean, standard deviation of the interval, gaps in the sequence."""
-    _measure(measure_rate, topic, site_file, duration, count, as_json=as_json)
-
-
-@app.command()
-def delay(
-    topic: TopicArgument,
-    site_file: SiteFileOption = DEFAULT_SITE_FILE,
-    count: CountOption = None,
-    duration: DurationOption = None,
-    as_json: JsonOption = False,
-) -> None:
-    """Measure the age of the messages of a topic when they arrive here: median, 99th percentile, maximum [ms]."""
-    _measure(measure_delay, topic, site_file, duration, count, as_json=as_json)
-
-
-def _measure(
+def _measuring(
     measure: Callable[[Observer, str, float | None, int | None], list[dict[str, Any]]],
-    topic: str,
-    site_file: Path,
-    duration_s: float | None,
-    count: int | None,
-    *,
-    as_json: bool,
-) -> None:
-    with report_errors(as_json), open_observer(site_file, topic) as observer:
-        rows = measure(observer, topic, duration_s, count)
-    if as_json:
-        print_json({"topic": topic, "sources": rows})
-    else:
-        print_rows(rows)
+) -> Callable[..., None]:
+    """Return a command that prints a row for each source of a topic."""
+
+    def command(
+        topic: TopicArgument,
+        site_file: SiteFileOption = DEFAULT_SITE_FILE,
+        count: CountOption = None,
+        duration: DurationOption = None,
+        as_json: JsonOption = False,
+    ) -> None:
+        with report_errors(as_json), open_observer(site_file, topic) as observer:
+            rows = measure(observer, topic, duration, count)
+        if as_json:
+            print_json({"topic": topic, "sources": rows})
+        else:
+            print_rows(rows)
+
+    return command
+
+
+for _name, _measure, _about in (
+    ("bw", measure_bandwidth, "Measure the bandwidth of a topic: bytes of a message, bytes a second, by source."),
+    (
+        "hz",
+        measure_rate,
+        "Measure the rate of a topic: mean, standard deviation of the interval, gaps in the sequence.",
+    ),
+    (
+        "delay",
+        measure_delay,
+        "Measure the age of the messages of a topic when they arrive here: median, 99th percentile, maximum [ms].",
+    ),
+):
+    app.command(_name, help=_about)(_measuring(_measure))
 
 
 @contextlib.contextmanager

@@ -52,7 +52,7 @@ class Served(NamedTuple):
 def view(
     files: Annotated[
         list[Path] | None,
-        typer.Argument(metavar="[FILE]...", help="Recording to show, in its parts; without it the running rig."),
+        typer.Argument(metavar="FILE", help="Recording to show, in its parts; without it the running rig."),
     ] = None,
     site_file: SiteFileOption = DEFAULT_SITE_FILE,
     host: HostOption = LOOPBACK,

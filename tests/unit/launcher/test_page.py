@@ -38,7 +38,7 @@ def runtime(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 
 def plan_of(folder: Path, *settings: str, **options: Any) -> Plan:
-    request = UpRequest("fig12", None, None, None, folder / "out", False, settings, page=True, **options)
+    request = UpRequest(scenario="fig12", out=folder / "out", settings=settings, page=True, **options)
     return make_plan(request, folder)
 
 
@@ -81,14 +81,14 @@ def test_a_site_file_of_before_and_an_address_that_cannot_be_had_leave_the_rig_w
     old = tmp_path / "old.yaml"
     lines = plan.site_file.read_text().splitlines()
     old.write_text("\n".join(line for line in lines if PAGE not in line))
-    request = UpRequest("fig12", old, None, None, tmp_path / "old", False, (), page=True)
+    request = UpRequest(scenario="fig12", site_file=old, out=tmp_path / "old", page=True)
     assert said_of(make_plan(request, tmp_path)) == [f"no view: {old} has no {PAGE}"]
 
 
 def test_nothing_is_served_where_nobody_asked_for_it(tmp_path: Path) -> None:
-    request = UpRequest("fig12", None, None, None, tmp_path / "out", False, ())
+    request = UpRequest(scenario="fig12", out=tmp_path / "out")
     assert said_of(make_plan(request, tmp_path)) == []
-    assert not make_plan(UpRequest("fig12", None, None, None, None, False, (), site="slave", page=True), tmp_path).page
+    assert not make_plan(UpRequest(scenario="fig12", site="slave", page=True), tmp_path).page
 
 
 class Rig:

@@ -23,7 +23,8 @@ def request(out: Path, **changes: Any) -> UpRequest:
         "overwrite": False,
         "settings": (),
     }
-    return UpRequest(**{**fields, **changes})
+    lists = {name: tuple(value) for name, value in changes.items() if isinstance(value, list)}
+    return UpRequest(**{**fields, **changes, **lists})
 
 
 def test_every_packaged_scenario_is_sound(tmp_path: Path) -> None:

@@ -40,7 +40,7 @@ def own_signals() -> Iterator[None]:
 
 
 def plan_of(tmp_path: Path, **options: Any) -> Plan:
-    request = UpRequest("fig12", None, None, options.pop("duration_s", None), tmp_path / "out", False, (), **options)
+    request = UpRequest(scenario="fig12", out=tmp_path / "out", **options)
     return make_plan(request, tmp_path)
 
 

@@ -19,6 +19,6 @@ def test_nodes_are_left_out_by_name_or_key() -> None:
 
 
 def test_a_plan_starts_the_others_in_order(tmp_path: Path) -> None:
-    request = UpRequest("fig12", DEFAULT_SITE_FILE, None, None, tmp_path / "out", False, (), ("haptic_node",))
+    request = UpRequest(scenario="fig12", site_file=DEFAULT_SITE_FILE, out=tmp_path / "out", without=("haptic_node",))
     plan = make_plan(request, tmp_path)
     assert plan.nodes == tuple(node for node in START_ORDER if node != "haptic_node@master")

@@ -3,14 +3,14 @@
 import json
 import logging
 
+import hop_trace
 import pytest
 import zmq
+from hop_trace import PARTS, HopTrace
 
 from services.runtime.bus.bus import Subscriber, ZmqBus
 from services.runtime.bus.publisher import ZmqPublisher
-from services.runtime.loop import hop_trace
 from services.runtime.loop.clock import SystemClock
-from services.runtime.loop.hop_trace import PARTS, HopTrace
 from services.runtime.loop.log import StructuredLog
 
 

@@ -1,15 +1,28 @@
 """Compiled code is found again on unchanged sources and never after an edit."""
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from services.numerics.compiled import CACHE_DAYS, cache_directory, clean_cache, source_digest
+from services.numerics.compiled import (
+    CACHE_DAYS,
+    SOURCES,
+    _source_files,
+    cache_directory,
+    clean_cache,
+    source_digest,
+)
 
 ROOT = Path(__file__).parents[3]
+# errors, models of settings and messages, and what loads packages: nothing of them is compiled
+NO_CONSTANTS = {
+    *("proto.errors", "presets.plugins"),
+    *("services.runtime.settings.config", "services.runtime.settings.option"),
+}
 USERS_CACHE = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
 
 MODULE = """
@@ -42,7 +55,7 @@ print(type(model.step).__name__, type(step).__name__)
 
 @pytest.fixture
 def tree(tmp_path: Path) -> Path:
-    for name in ("services/afm_node/forces.py", "services/controller/law.py", "studies/loop.py"):
+    for name in ("services/afm_node/forces.py", "services/controller/law.py", "studies/loops/loop.py"):
         path = tmp_path / name
         path.parent.mkdir(parents=True)
         path.write_text("A = 1\n")
@@ -51,7 +64,7 @@ def tree(tmp_path: Path) -> Path:
 
 def test_the_digest_is_the_same_on_unchanged_sources(tree: Path) -> None:
     first = source_digest(tree)
-    (tree / "studies" / "loop.py").touch()
+    (tree / "studies" / "loops" / "loop.py").touch()
     assert source_digest(tree) == first
     assert len(first) == 16
     assert int(first, 16) >= 0
@@ -75,7 +88,8 @@ def test_every_edit_of_a_source_gives_another_digest(tree: Path) -> None:
 
 def test_shells_and_other_files_hold_no_compiled_code(tree: Path) -> None:
     first = source_digest(tree)
-    for name in ("services/afm_node/node.py", "services/controller/__main__.py", "services/afm_node/notes.md"):
+    shells = ("services/afm_node/node.py", "services/controller/__main__.py")
+    for name in (*shells, "services/afm_node/notes.md", "studies/figures.py"):
         (tree / name).write_text("B = 1\n")
     assert source_digest(tree) == first
 
@@ -88,8 +102,18 @@ def test_the_folder_lies_in_the_cache_of_the_user(tmp_path: Path, monkeypatch: p
     assert cache_directory().parent == tmp_path / ".cache" / "telenano"
 
 
-def run_step(folder: Path, program: str = PROGRAM, **environment: str) -> str:
+def install(folder: Path, package: str) -> None:
+    """Make a module in a folder that of an installed package with an entry."""
+    facts = folder / f"{package}-1.0.dist-info"
+    facts.mkdir(exist_ok=True)
+    (facts / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n")
+    (facts / "entry_points.txt").write_text(f"[telenano.laws]\n{package} = {package}:LAW\n")
+
+
+def run_step(folder: Path, program: str = PROGRAM, *, installed: bool = True, **environment: str) -> str:
     (folder / "model.py").write_text(MODULE)
+    if installed:
+        install(folder, "model")
     kept = {name: value for name, value in os.environ.items() if not name.startswith("NUMBA_")}
     paths = os.pathsep.join((str(folder), str(ROOT)))
     done = subprocess.run(
@@ -161,12 +185,7 @@ def test_damaged_compiled_code_is_compiled_again_and_what_cannot_be_kept_is_used
     assert run_step(tmp_path, SPOIL).splitlines() == ["(0, [])", "all"]
 
 
-# edits its own sources, and imports them as a process that starts then would
-EDIT = """
-import importlib, pathlib, sys
-from services.numerics.compiled import cache_directory, compiled_form
-
-FORCE = '''
+FORCE = """
 from typing import NamedTuple
 from services.numerics.compiled import compiled
 
@@ -174,22 +193,15 @@ class Spring(NamedTuple):
     k: float
     b: float
 
-class Wall(NamedTuple):
-    k: float
-
 @compiled
 def spring(params, x):
     return params.k * x
-
-@compiled
-def wall(params, x):
-    return 10.0 * params.k * x
-'''
-LOOP = '''
-import force
+"""
+LOOP = """
+from pack import force
 from services.numerics.compiled import chosen_step, compiled
 
-STEPS = {force.Spring: force.spring, force.Wall: force.wall}
+STEPS = {force.Spring: force.spring}
 step = chosen_step(lambda kind: STEPS[kind])
 
 @compiled
@@ -198,44 +210,61 @@ def loop(params, count):
     for _ in range(count):
         x = step(params, x)
     return x
-'''
-folder = pathlib.Path(sys.argv[1])
-sys.path.insert(0, str(folder))
-sys.dont_write_bytecode = True
-
-def run(force, loop=LOOP):
-    for name, text in (("force", force), ("edited_loop", loop)):
-        (folder / f"{name}.py").write_text(text)
-        sys.modules.pop(name, None)
-    importlib.invalidate_caches()
-    module = importlib.import_module("edited_loop")
-    force = module.force
-    loop = compiled_form(module.loop)
-    results = loop(force.Spring(k=2.0, b=5.0), 2), loop(force.Wall(3.0), 1)
-    return results, sum(loop.stats.cache_hits.values())
-
-print(run(FORCE))
-files = sorted(cache_directory().rglob("*.nb?"))
-print(run("# lines\\n\\n" + FORCE, LOOP.replace("x = 1.0", "x = 1.0  # from here")))
-print(run(FORCE.replace("10.0", "20.0")))
-print(run(FORCE.replace("k: float\\n    b: float", "b: float\\n    k: float")))
-print(sorted(cache_directory().rglob("*.nb?")) == files)
+"""
+RUN = """
+import os, pathlib
+from pack import force, loop
+from services.numerics.compiled import compiled_form
+for line in os.environ.get("EDIT", "").splitlines():
+    pathlib.Path(force.__file__).write_text(line)
+loop = compiled_form(loop.loop)
+print(loop(force.Spring(k=2.0, b=5.0), 2), sum(loop.stats.cache_hits.values()))
 """
 
 
-def test_an_edit_compiles_again_what_depends_on_it_in_the_place_of_what_was(tmp_path: Path) -> None:
-    program = f"import sys; sys.argv.append({str(tmp_path / 'sources')!r})\n" + EDIT
-    (tmp_path / "sources").mkdir()
-    assert run_step(tmp_path, program).splitlines() == [
-        "((4.0, 30.0), 0)",
-        # comments move the lines
-        "((4.0, 30.0), 2)",
-        # one of the two steps that the loop can choose
-        "((4.0, 60.0), 1)",
-        # the other is what it was at first, and the fields of this one have changed places
-        "((4.0, 30.0), 0)",
-        "True",
-    ]
+def write_package(folder: Path, force: str) -> None:
+    pack = folder / "pack"
+    pack.mkdir(exist_ok=True)
+    for name, text in (("__init__", ""), ("force", force), ("loop", LOOP)):
+        (pack / f"{name}.py").write_text(text)
+
+
+def test_an_edited_package_never_runs_the_code_of_before(tmp_path: Path) -> None:
+    install(tmp_path, "pack")
+    edits = (FORCE, FORCE.replace("params.k", "10.0 * params.k"), FORCE.replace("k: float\n    b", "b: float\n    k"))
+    for edited, expected in zip(edits, ("4.0", "400.0", "4.0"), strict=True):
+        write_package(tmp_path, edited)
+        # the time of a file is no evidence: it can be set back
+        os.utime(tmp_path / "pack" / "force.py", (1e9, 1e9))
+        assert run_step(tmp_path, RUN) == f"{expected} 0"
+        assert run_step(tmp_path, RUN) == f"{expected} 1"
+
+
+def test_a_package_that_is_edited_while_a_process_runs_leaves_no_code(tmp_path: Path) -> None:
+    install(tmp_path, "pack")
+    write_package(tmp_path, FORCE)
+    # the process has imported what the file no longer says
+    assert run_step(tmp_path, RUN, EDIT="raise SystemExit") == "4.0 0"
+    assert not list((tmp_path / "telenano").rglob("loop*.nbc"))
+
+
+def test_what_is_of_no_package_is_compiled_by_each_process(tmp_path: Path) -> None:
+    for _ in range(2):
+        run_step(tmp_path, PROGRAM + "assert not step.stats.cache_hits", installed=False)
+    assert not list((tmp_path / "telenano").rglob("*.nbc"))
+
+
+def test_what_steps_import_from_the_project_is_in_the_digest() -> None:
+    """A constant from elsewhere would be compiled in, and an edit of it would not be noticed."""
+    outside = set()
+    for path in _source_files(ROOT):
+        text = path.read_text()
+        if "numerics.compiled import" in text and path.parent.name != "numerics":
+            outside |= set(
+                re.findall(r"^from ((?:proto|presets|recording|services|analysis)[\w.]*) import", text, re.M)
+            )
+    known = tuple(source.removesuffix(".py").replace("/", ".") for source in SOURCES)
+    assert {name for name in outside if not name.startswith(known)} <= NO_CONSTANTS
 
 
 def test_without_the_compiler_a_step_is_plain_python_with_the_same_result(tmp_path: Path) -> None:

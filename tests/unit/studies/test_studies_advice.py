@@ -11,10 +11,10 @@ from studies.loops import lockstep
 from studies.loops.advice import CANDIDATES, Question, advise, cells_of, in_words
 from studies.loops.cells import Cell, CellResult, Hand, run_cell, trajectory_of
 from studies.loops.merits import Network, Sample, Trial
-from studies.loops.stability import Jitter
 from studies.loops.sweep import Journal, Sweep
 from studies.loops.theory import critical_delay_s, loop_model
 from studies.loops.tuning import tuned
+from studies.option_values import Jitter
 
 
 def cell(hand: Any = "ordinary", **changes: Any) -> Cell:
@@ -98,7 +98,7 @@ class Told(Sweep):
 
 
 def test_advice_takes_the_law_that_costs_least_and_says_why_others_are_not_suited(tmp_path: Any) -> None:
-    question = Question(120.0, Jitter(), 0.03, "wall", 80.0)
+    question = Question(round_trip_ms=120.0, loss=0.03, stiffness_n_per_m=80.0)
     sweep = Told({"wave": ("stable", 0.6, 1.0), "model_mediated": ("stable", 0.97, 1.1)}, tmp_path)
     found = advise(question, sweep)
     assert [candidate.law for candidate in found[:3]] == ["model_mediated", "model_mediated", "wave"]
@@ -114,7 +114,7 @@ def test_advice_takes_the_law_that_costs_least_and_says_why_others_are_not_suite
 
 
 def test_a_law_is_suited_only_if_all_its_runs_are_stable(tmp_path: Any) -> None:
-    question = Question(300.0, Jitter(0.5, relative=True), 0.0, "wall", 80.0)
+    question = Question(round_trip_ms=300.0, jitter=Jitter(0.5, relative=True), stiffness_n_per_m=80.0)
     found = advise(question, Told({}, tmp_path))
     assert all(candidate.price() == math.inf for candidate in found)
     assert in_words(question, found)[0] == "300 ms, jitter 50%, wall of 80 N/m: no law held in all of its runs."
@@ -123,12 +123,14 @@ def test_a_law_is_suited_only_if_all_its_runs_are_stable(tmp_path: Any) -> None:
 
 def test_without_chance_one_seed_is_enough(tmp_path: Any) -> None:
     sweep = Told({}, tmp_path)
-    advise(Question(50.0, Jitter(), 0.0, "wall", 20.0), sweep)
+    advise(Question(round_trip_ms=50.0, stiffness_n_per_m=20.0), sweep)
     assert len(sweep.cells) == len(CANDIDATES) * 4
 
 
 def test_the_page_runs_what_the_advice_runs() -> None:
-    question = Question(120.0, Jitter(0.5, relative=True), 0.03, "wall", 80.0, seeds=2)
+    question = Question(
+        round_trip_ms=120.0, jitter=Jitter(0.5, relative=True), loss=0.03, stiffness_n_per_m=80.0, seeds=2
+    )
     network = Network(question.round_trip_ms, question.jitter, question.loss)
     hands: tuple[Hand, ...] = get_args(Hand)
     trial = Trial(tuple(LAWS), (network,), hands, (Sample("wall", 80.0),), seed=0, seeds=2)

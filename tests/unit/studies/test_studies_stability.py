@@ -18,7 +18,6 @@ from studies.loops.cells import Cell, CellResult, Hand, judged, run_cell, trajec
 from studies.loops.stability import (
     Axes,
     Edge,
-    Jitter,
     Line,
     LineResult,
     find_edges,
@@ -28,6 +27,7 @@ from studies.loops.stability import (
     theory_of,
 )
 from studies.loops.sweep import Journal, Sweep
+from studies.option_values import Jitter
 from studies.pages.page import Page
 from studies.pages.stability_page import broken_assumption, summarise, write_stability
 
@@ -290,7 +290,13 @@ def test_pause_in_the_commands_is_no_verdict_but_a_retraction_is(mode: int, verd
 
 def test_arm_bears_more_delay_by_theory_and_friction_keeps_a_small_motion_up_below_it() -> None:
     def line(hand: Hand) -> Line:
-        axes = Axes(("virtual_impedance",), "spring", (0.0, 200.0), (5.0,), hand=hand)
+        axes = Axes(
+            laws=("virtual_impedance",),
+            environment="spring",
+            delays_ms=(0.0, 200.0),
+            stiffnesses_n_per_m=(5.0,),
+            hand=hand,
+        )
         return axes.lines()[0]
 
     force, ordinary, stiff = (theory_of(line(hand))[0] for hand in ("force", "ordinary", "stiff"))

@@ -69,9 +69,10 @@ def test_a_group_lists_its_commands_with_whole_sentences(path: str) -> None:
     assert "..." not in listed
 
 
-def test_the_bounds_of_a_number_are_written_as_a_person_writes_them() -> None:
-    assert "[≥ 0]" in run("up", "--help")[1]
-    assert "[≥ 0, ≤ 65535]" in run("view", "--help")[1]
+def test_arguments_and_bounded_numbers_are_named_by_their_metavars() -> None:
+    assert "{FILE}..." in run("bag", "merge", "--help")[1]
+    assert "<x>=0>" not in run("up", "--help")[1]
+    assert "--port N " in run("view", "--help")[1]
 
 
 def test_headings_name_commands_that_exist() -> None:
@@ -178,7 +179,7 @@ def test_what_overrides_a_profile_is_one_line_on_the_terminal(tmp_path: Path, mo
 def test_a_senseless_duration_is_refused(tmp_path: Path, duration: str) -> None:
     code, _, err = run("up", "--scenario", "fig12", "--out", str(tmp_path / "out"), "--duration", duration)
     assert code == 2
-    assert "duration_s" in err
+    assert "duration" in err
 
 
 @pytest.mark.parametrize("delay", ["-1", "nan", "inf", "4e6"])

@@ -15,6 +15,7 @@ from services.delay_node.profiles import PROFILES
 from services.launcher.plan import Plan, UpRequest, make_plan
 from services.runtime.bus.observer import known_name
 from telenano.cli.lazy_commands import load
+from telenano.cli.model_options import validated
 
 ROOT = Path(__file__).parents[3]
 PAGES = sorted(path for path in (*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("*/README.md")))
@@ -78,22 +79,9 @@ def context_of(arguments: list[str]) -> Any:
 
 def plan_of(options: dict[str, Any], folder: Path) -> Plan:
     """Return what `telenano up` would run; ConfigError names what is wrong."""
-    site = options["site"]
-    request = UpRequest(
-        scenario=options["scenario"],
-        site_file=options["site_file"],
-        delay_ms=options["delay_ms"] if options["round_trip_ms"] is None else 0.5 * options["round_trip_ms"],
-        duration_s=options["duration"],
-        out=folder,
-        overwrite=options["overwrite"],
-        settings=options["settings"] or (),
-        without=options["without"] or (),
-        allow_replay=options["allow_replay"],
-        site=None if site is None else site.value,
-        attach=options["attach"],
-        wait_s=options["wait"],
-    )
-    return make_plan(request, folder)
+    given = {name: getattr(options[name], "value", options[name]) for name in UpRequest.model_fields if name in options}
+    given = {name: value for name, value in given.items() if value is not None}
+    return make_plan(validated(UpRequest, {**given, "out": folder}), folder)
 
 
 def check_settings(target: str, words: list[str], folder: Path) -> None:
@@ -103,7 +91,7 @@ def check_settings(target: str, words: list[str], folder: Path) -> None:
         requested(parameters)
         return
     settings = [f"{target}.{key}={value}" for key, value in parameters.items()]
-    make_plan(UpRequest("fig12", None, None, None, folder, False, settings), folder)
+    make_plan(UpRequest(scenario="fig12", out=folder, settings=tuple(settings)), folder)
 
 
 def test_the_pages_have_commands_of_every_kind() -> None:

@@ -153,7 +153,7 @@ def test_what_the_system_refuses_without_the_name_of_a_file_is_said_in_its_words
         (("bag", "infoo", "x"), "no such command 'infoo'. Did you mean 'info'? (`telenano bag --help` explains)"),
         (
             ("session",),
-            "missing argument 'command'. Choose from: arm, start, stop, estop, set, mark (`tele",
+            "missing argument 'COMMAND'. Choose from: arm, start, stop, estop, set, mark (`tele",
         ),
         (("keys", "allow", "slave", "KEY"), "missing option '--role'"),
         (("topic", "hz", "haptic/state", "more"), "got unexpected extra argument"),

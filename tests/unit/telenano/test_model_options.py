@@ -10,7 +10,7 @@ from proto.errors import ConfigError
 from services.afm_node.programs.curve import CurveSettings
 from services.afm_node.programs.scan import ScanSettings
 from services.afm_node.programs.table import OWN_PROGRAMS
-from telenano.cli.model_options import GIVEN, check_options, options_of, with_options
+from telenano.cli.model_options import GIVEN, options_of, validated, with_options
 
 RUNNER = CliRunner()
 
@@ -61,9 +61,9 @@ def test_the_help_has_unit_bounds_and_both_defaults() -> None:
 
 def test_a_value_that_the_model_refuses_is_named_by_its_option_and_unit() -> None:
     with pytest.raises(ConfigError, match=r"^--speed = -5 must be above 0 to 1e\+06 \[nm/s\]$"):
-        check_options(CurveSettings, {"speed_m_per_s": -5e-9})
+        validated(CurveSettings, {"speed_m_per_s": -5e-9})
     with pytest.raises(ConfigError, match=r"^--setpoint = 2 must be 0.05 to below 1$"):
-        check_options(ScanSettings, {"setpoint_share": 2.0}, {"setpoint_share": "--setpoint"})
+        validated(ScanSettings, {"setpoint_share": 2.0}, {"setpoint_share": "--setpoint"})
 
 
 @pytest.mark.parametrize("name", OWN_PROGRAMS)

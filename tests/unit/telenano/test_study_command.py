@@ -14,8 +14,8 @@ from studies import option_values
 from studies.loops import advice
 from studies.loops.advice import Candidate, Question, cells_of
 from studies.loops.cells import CellResult
-from studies.loops.stability import Jitter
 from studies.loops.sweep import Sweep
+from studies.option_values import Jitter
 from telenano.cli.commands.study import app
 
 RUN = CliRunner()
@@ -188,7 +188,8 @@ def test_advise_answers_in_sentences_and_leaves_a_page(tmp_path: Path, monkeypat
     network = ["advise", "--delay", "120", "--loss", "3%", "--sample", "stiff", "--out", str(tmp_path)]
     result = RUN.invoke(app, network)
     assert result.exit_code == 0, result.output
-    assert asked == [Question(120.0, Jitter(), 0.03, "wall", 80.0, 3)]
+    assert asked == [Question(round_trip_ms=120.0, loss=0.03, sample="stiff")]
+    assert asked[0].tip_n_per_m == 80.0
     assert result.stdout.startswith(
         "120 ms, 3 % loss, wall of 80 N/m: take model_mediated with the clamp off; all of its 12 "
     )
@@ -203,8 +204,8 @@ def test_advise_answers_in_sentences_and_leaves_a_page(tmp_path: Path, monkeypat
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--delay", "120", "--stiffness", "-3"], "--stiffness: -3 N/m is outside"),
-        (["--delay", "1e9"], "--delay: 1e+09 ms is outside"),
+        (["--delay", "120", "--stiffness", "-3"], "--stiffness = -3 must be above 0 to 100000"),
+        (["--delay", "1e9"], "--delay = 1e+09 must be 0 to 10000"),
         (["--delay", "5", "--loss", "3"], "a share of the messages"),
     ],
 )

@@ -1,6 +1,6 @@
-"""The time of a node by part of a hop, for `benchmarks/loop.py`: `realtime.trace` turns it on.
+"""The time of a node by part of a hop, for `loop.py`, which starts its rigs with `traced_node/sitecustomize.py`.
 
-It replaces methods of the bus by timed ones in the process that asks for it, so that it costs nothing in any other.
+It replaces methods of the bus by timed ones in the process that installs it.
 """
 
 import functools

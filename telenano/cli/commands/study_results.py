@@ -1,0 +1,65 @@
+"""What the studies share besides their options: the sweep with its progress, the files of a result, what is printed."""
+
+import contextlib
+import json
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Column, Table
+
+from studies.loops.sweep import JOURNAL_NAME, Journal, Sweep
+from studies.pages.page import Page, text, write_parquet
+from telenano.cli.output import console, print_json, results_folder
+
+INTERRUPTED = "interrupted: the journal keeps the finished cells, the same command continues"
+_PIPE_COLUMNS = 160
+
+
+@contextlib.contextmanager
+def sweep_in(out: Path, workers: int | None, scheduler: str | None, *, shown: bool) -> Iterator[Sweep]:
+    """Open the journal of a folder, with a progress bar on stderr while the sweep runs."""
+    columns = (TextColumn("cells"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    bar = Progress(*columns, console=Console(stderr=True), disable=not shown, transient=True)
+    with results_folder(out), bar:
+        task = bar.add_task("cells", total=None)
+        yield Sweep(
+            Journal(out / JOURNAL_NAME),
+            workers or os.cpu_count() or 1,
+            scheduler,
+            lambda done, total: bar.update(task, completed=done, total=total),
+        )
+
+
+def command_line() -> str:
+    """Return the command that makes the page."""
+    return " ".join(["telenano", *(() if sys.argv[1:2] == ["study"] else ("study",)), *sys.argv[1:]])
+
+
+def write_study(folder: Path, page: Page, summary: dict[str, Any], **tables: list[dict[str, Any]]) -> None:
+    """Write page, summary and tables of a study into a folder, the first two by the name of the study."""
+    document = json.dumps(summary, indent=2) + "\n"
+    (folder / f"{summary['study']}.json").write_text(document, encoding="utf-8")
+    page.write(folder / f"{summary['study']}.html")
+    for name, rows in tables.items():
+        write_parquet(folder / f"{name}.parquet", rows)
+
+
+def print_result(
+    summary: dict[str, Any], head: tuple[str, ...], rows: list[tuple[Any, ...]], folder: Path, *, as_json: bool
+) -> None:
+    """Print the result of a study as JSON, or as a table and the place of its page."""
+    if as_json:
+        print_json(summary)
+        return
+    # folded, so that no figure is cut off on a narrow terminal
+    table = Table(*(Column(name, overflow="fold") for name in head))
+    for row in rows:
+        table.add_row(*(text(value) for value in row))
+    out = console(_PIPE_COLUMNS)
+    out.print(table)
+    out.print(f"page: {folder / summary['study']}.html", markup=False, highlight=False)
