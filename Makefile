@@ -47,8 +47,8 @@ demo: setup
 
 # what is not timed runs side by side, the rigs have the machine to themselves
 test: lint
-	$(BIN)/pytest -m "not stack and not endurance" -n 2 --dist loadfile
-	$(BIN)/pytest -m "stack and not endurance"
+	$(BIN)/pytest -m "not stack and not endurance" -n 2 --dist loadfile --ignore tests/stack
+	$(BIN)/pytest -m "stack and not endurance" tests/stack
 
 # what takes minutes: long faults, many kills, ten minutes of the whole rig
 endurance: setup

@@ -37,7 +37,7 @@ from services.runtime.loop.journal import COMMAND, DEADLINE, DEFERRED, MESSAGE
 from services.runtime.loop.log import StructuredLog
 from services.runtime.loop.main import Wiring, node_kind
 from services.runtime.loop.node import Node
-from services.runtime.loop.node_state import restore
+from services.runtime.loop.node_state import is_whole, restore
 from services.runtime.settings.config import flag_overrides, merge, parse_yaml, validate
 from services.runtime.settings.scenario import LoadedScenario, Scenario
 
@@ -102,19 +102,19 @@ def rerun(
     """
     if reason := no_rerun_reason(key):
         raise ConfigError(f"node {key}: cannot be run again: {reason}; those that can are {', '.join(RERUN_NODES)}")
-    batches = [cast(NodeJournal, found.decode()) for found in recording.messages([JOURNAL]) if found.src == key]
+    batches, states = _journal(recording, key)
     if not batches:
         raise RecordingError(
-            f"{recording.path}: has no {JOURNAL} of {key}, which a re-run follows: it was recorded without that topic, "
-            "or before nodes kept a journal; it can still be read, replayed, compared and plotted"
+            f"{recording.path}: has no {JOURNAL} of {key}, which a re-run follows: it was recorded without that topic; "
+            "it can still be read, replayed, compared and plotted"
         )
     recorded = _Recorded(recording, key, batches)
-    begun = _begin(recorded, batches)
+    begun = _begin(recorded, batches, states)
     clock = TurnClock(_start_ns(batches[begun]), batches[begun].epoch_offset_ns)
     bus = ReplayBus(key, clock, recorded, tolerances or Tolerances(), take)
     packages = _packages(recording, key)
     node = _build(recording, key, clock, bus, settings)
-    restore(node, batches[begun].state.data, recorded.payload)
+    restore(node, states[begun], recorded.payload)
     bus.numbers = dict(batches[begun].outputs)
     facts: dict[str, Any] = {}
     try:
@@ -142,6 +142,21 @@ def rerun(
         packages=packages,
         **facts,
     )
+
+
+def _journal(recording: Recording, key: str) -> tuple[list[NodeJournal], list[bytes]]:
+    """Return the batches of a node's journal, and the state that each begins with, put together of its messages."""
+    batches: list[NodeJournal] = []
+    pieces: list[list[bytes]] = []
+    for found in recording.messages([JOURNAL]):
+        if found.src == key:
+            message = cast(NodeJournal, found.decode())
+            if message.kind.data:
+                batches.append(message)
+                pieces.append([message.state.data])
+            elif batches and message.first_turn == batches[-1].first_turn:
+                pieces[-1].append(message.state.data)
+    return batches, list(map(b"".join, pieces))
 
 
 def _packages(recording: Recording, key: str) -> list[str]:
@@ -371,18 +386,20 @@ def _said_since(message: Message, kept: Mapping[str, Any]) -> set[str]:
     return since | {"v"} if message.v > kept["v"] else since
 
 
-def _begin(recorded: _Recorded, batches: Sequence[NodeJournal]) -> int:
-    """Return the batch that a re-run begins with: the first with a state and all inputs.
+def _begin(recorded: _Recorded, batches: Sequence[NodeJournal], states: Sequence[bytes]) -> int:
+    """Return the batch that a re-run begins with: the first with a whole state and all inputs.
 
     While the rig starts, inputs from before the recorder was connected to their publisher may be missing, and others in
     a batch or two after the last of those. Raises RecordingError when no such batch is whole.
     """
     starting = [batch for batch in batches if _start_ns(batch) - _start_ns(batches[0]) <= _LATEST_JOIN_NS]
     first = 1 + max((place for place, batch in enumerate(starting) if recorded.is_early(batch)), default=-1)
-    for place in range(first, len(batches)):
-        if _start_ns(batches[place]) - _start_ns(batches[first]) > _LATEST_START_NS:
+    # a large state is captured every few seconds
+    begins = [place for place in range(first, len(batches)) if is_whole(states[place])]
+    for place in begins:
+        if _start_ns(batches[place]) - _start_ns(batches[begins[0]]) > _LATEST_START_NS:
             break
-        if batches[place].state.data and not recorded.missing(batches[place]):
+        if not recorded.missing(batches[place]):
             return place
     missing = next((found for found in map(recorded.missing, batches) if found), "the node's state")
     raise RecordingError(

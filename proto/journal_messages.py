@@ -35,5 +35,6 @@ class NodeJournal(Message):
     input: Array = Field(description="i2: which of `inputs` the message came from; -1 for a deadline or task")
     number: Array = Field(description="i8: seq of the message; -1 for a deadline or task")
     state: Array = Field(
-        description="u1: state of the node before the first turn, for the re-run only; empty when it cannot be captured"
+        description="u1: state of the node before the first turn, for the re-run only; empty when it has none. A larger"
+        " one goes on in the next messages of this first_turn, which have no turns"
     )

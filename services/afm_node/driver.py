@@ -3,7 +3,7 @@
 A driver moves and measures, no more: what may be sent to it is decided before, by `safety.safety_step`.
 """
 
-from typing import Literal, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple, Protocol
 
 from proto.errors import ConfigError
 from services.afm_node.physics.disturbances import DisturbanceConfig
@@ -82,7 +82,13 @@ class Simulation(Protocol):
 
 
 class AfmDriver(Protocol):
-    """One AFM: a base that can be moved, a deflection that can be read."""
+    """One AFM: a base that can be moved, a deflection that can be read.
+
+    state: of a simulated one, all that its samples depend on besides what it is sent, as a NamedTuple of plain values,
+    arrays and NamedTuples. The node keeps it in its journal, and sets it to go on from there.
+    """
+
+    state: Any
 
     @property
     def safe_position_m(self) -> float:

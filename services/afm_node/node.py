@@ -1,7 +1,9 @@
 """The AFM process: acts on each command as it comes, on its own clock when none does, and guards the tip."""
 
 import math
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
+
+import msgspec
 
 from proto.errors import RefusedError
 from proto.instrument import MOST_TEXT
@@ -15,12 +17,14 @@ from services.afm_node.programs.feedback import remaining
 from services.afm_node.programs.lateral import Place, moved
 from services.afm_node.programs.program import FinishedLine, Inputs, Instrument
 from services.afm_node.programs.reach import Reach
-from services.afm_node.programs.runner import ProgramRunner
+from services.afm_node.programs.runner import ProgramRunner, RunnerState
 from services.afm_node.programs.settings import InstrumentRequest, changed_disturbances, requested
 from services.numerics.frames import to_paper_axis
 from services.runtime.bus.bus import Received
 from services.runtime.loop.clock import NEVER_NS
+from services.runtime.loop.freshness import FreshnessState
 from services.runtime.loop.node import DeviceDelay, Node, NodeContext
+from services.runtime.loop.node_state import FindInput, Part, part
 from services.runtime.loop.replay_guard import ReplayGuard
 
 INPUTS = ("afm/command", "clock/ping", "link/delay", "session/control", "node/health")
@@ -41,6 +45,35 @@ _ALARMING = (
 )
 
 
+class AfmMemory(msgspec.Struct, array_like=True):
+    """What the node remembers from step to step.
+
+    The state of the guard; the command in force, and when it was received [ns]; forces on the tip at the last step [N];
+    where the tip is, and where a person wants it; the times of the last report of a program, of the last step, and of
+    the next one [ns].
+    """
+
+    guard: safety.SafetyState
+    command: AfmCommand | None = None
+    command_received_ns: int = 0
+    force_n: float = 0.0
+    lateral_n: tuple[float, float] = (0.0, 0.0)
+    place: Place = Place(0.0, 0.0)
+    pointer: Place = Place(0.0, 0.0)
+    told_ns: int = 0
+    stepped_ns: int = 0
+    due_ns: int = 0
+
+
+class AfmNodeState(NamedTuple):
+    """The state of the node: its own, and that of its parts."""
+
+    memory: AfmMemory
+    freshness: FreshnessState
+    programs: RunnerState
+    instrument: Part
+
+
 class AfmNode(Node):
     """The instrument: afm/command in, afm/state out, one state a command, and a thousand a second without any.
 
@@ -59,27 +92,23 @@ class AfmNode(Node):
     # the tick then goes through the slave's half and the link, which may share its processor
     idle_after = "afm/command"
     period_s = PERIOD_S
+    state_kind = AfmNodeState
 
     def __init__(self, context: NodeContext, config: AfmConfig, driver: AfmDriver) -> None:
         super().__init__(context)
         self._replay_guard = ReplayGuard(context, allow=config.allow_replay)
         self.freshness.allow_replay = config.allow_replay
         self._driver = driver
+        self._simulated = config.simulated
         self._limits = config.to_params().safety
-        self._guard = safety.initial_safety_state(self._limits)
-        self._command: AfmCommand | None = None
-        self._command_received_ns = 0
-        self._force_n = 0.0
-        self._lateral_n = (0.0, 0.0)
+        self._memory = AfmMemory(safety.initial_safety_state(self._limits))
         self._twist_n = config.friction.lateral_stiffness_n_per_m * config.friction.tip_height_m
-        self._place = self._pointer = Place(0.0, 0.0)
         self._lateral = config.to_lateral_params()
         self._reach = _reach(config, driver)
         self._programs = _programs(config, driver, self._reach)
         self._sample = "" if self._reach is None else _sample_text(config, self._reach)
         self._begin = config.begin
-        self._told_ns = 0
-        self._reported = (self._guard.mode, self._guard.reason)
+        self._reported = (self._memory.guard.mode, self._memory.guard.reason)
         self.state = "safe"
         self._device_lost = False
         self._device_text = ""
@@ -88,11 +117,11 @@ class AfmNode(Node):
             self.device_delay = DeviceDelay(driver.latency_s, driver.calibration_identity)
         # compile before the first command comes; dt and inputs change nothing in the retracted state
         asked = safety.SafetyInputs(0.0, math.inf, safety.ACTION_HOLD, False, False, 0.0)
-        safety.safety_step(self._limits, self._guard, asked, PERIOD_S)
-        driver.exchange(self._guard.base_m)
+        safety.safety_step(self._limits, self._memory.guard, asked, PERIOD_S)
+        driver.exchange(self._memory.guard.base_m)
         self._report_device(driver.report)
-        self._stepped_ns = self.clock.monotonic_ns()
-        self._due_ns = self._stepped_ns + _PERIOD_NS
+        self._memory.stepped_ns = self.clock.monotonic_ns()
+        self._memory.due_ns = self._memory.stepped_ns + _PERIOD_NS
         if config.driver == "simulated" and config.environment == "tip_sample" and (doubts := config.doubts()):
             self.event("fault", "warning", doubts)
 
@@ -101,21 +130,33 @@ class AfmNode(Node):
 
     @property
     def is_latched(self) -> bool:
-        return self._guard.mode == safety.MODE_ESTOP
+        return self._memory.guard.mode == safety.MODE_ESTOP
+
+    def capture(self) -> AfmNodeState | None:
+        if not self._simulated:
+            return None
+        parts = self.freshness.capture(), self._programs.capture(), part(self._driver.state)
+        return AfmNodeState(self._memory, *parts)
+
+    def restore(self, state: AfmNodeState, find: FindInput) -> None:
+        self._memory = state.memory
+        self.freshness.restore(state.freshness)
+        self._programs.restore(state.programs)
+        self._driver.state = state.instrument.like(self._driver.state)
 
     def deadline_ns(self) -> int:
-        return self._due_ns
+        return self._memory.due_ns
 
     def on_message(self, received: Received) -> None:
         self._judge_stall(received.received_ns - self.clock.epoch_offset_ns)
         message = received.message
         if type(message) is AfmCommand:
-            self._command = message
-            self._command_received_ns = received.received_ns
+            self._memory.command = message
+            self._memory.command_received_ns = received.received_ns
             command_age_s = self._command_age_s()
             self.stale += command_age_s > self._limits.command_deadline_s
             self._step(self.clock.monotonic_ns(), command_age_s)
-            self._due_ns = self._stepped_ns + _COMMAND_WAIT_NS
+            self._memory.due_ns = self._memory.stepped_ns + _COMMAND_WAIT_NS
         elif type(message) is LinkDelay:
             self.freshness.record(message)
         elif type(message) is ClockPing:
@@ -125,7 +166,7 @@ class AfmNode(Node):
         """Step without a command: the guard judges the silence."""
         self._judge_stall(now_ns)
         self._step(now_ns)
-        self._due_ns = now_ns + _PERIOD_NS
+        self._memory.due_ns = now_ns + _PERIOD_NS
 
     def on_control(self, control: SessionControl) -> str:
         if control.command == "estop":
@@ -175,27 +216,29 @@ class AfmNode(Node):
         if lateral.x_m is not None or lateral.y_m is not None:
             if self._driver.stage is None:
                 raise RefusedError("lateral: this instrument has no lateral stage")
-            x_m = self._pointer.x_m if lateral.x_m is None else lateral.x_m
-            y_m = self._pointer.y_m if lateral.y_m is None else lateral.y_m
+            x_m = self._memory.pointer.x_m if lateral.x_m is None else lateral.x_m
+            y_m = self._memory.pointer.y_m if lateral.y_m is None else lateral.y_m
             if max(abs(x_m), abs(y_m)) > self._lateral.reach_m:
                 raise RefusedError(
                     f"lateral: {x_m:g}, {y_m:g} m is beyond lateral.reach_m = {self._lateral.reach_m:g} m"
                 )
-            self._pointer = Place(x_m, y_m)
+            self._memory.pointer = Place(x_m, y_m)
             sentences.append(f"the tip goes to x = {x_m:g} m, y = {y_m:g} m while it follows")
         if request.program is not None:
             sentences.append(self._request(request))
-            self._told_ns = 0
+            self._memory.told_ns = 0
         return "; ".join(sentences)
 
     def _request(self, request: InstrumentRequest) -> str:
-        return self._programs.request(request, self._guard.mode, self._place, device_lost=self._device_lost)
+        return self._programs.request(
+            request, self._memory.guard.mode, self._memory.place, device_lost=self._device_lost
+        )
 
     def _report_reach(self) -> None:
         """Report how the sample lies, and that a hand cannot touch it where the base does not reach it."""
         if self._sample:
             self.event("mode", "info", self._sample)
-        if self._reach is not None and (fault := self._reach.hand_fault(self._pointer)):
+        if self._reach is not None and (fault := self._reach.hand_fault(self._memory.pointer)):
             self.event("fault", "warning", f"a hand cannot touch the sample here: {fault}")
 
     def make_safe(self) -> None:
@@ -211,7 +254,7 @@ class AfmNode(Node):
             self._step(now_ns, max(self._command_age_s(), stalled_s))
 
     def _command_age_s(self) -> float:
-        return self.freshness.command_age_s(self._command, self._command_received_ns, self.clock.now_ns())
+        return self.freshness.command_age_s(self._memory.command, self._memory.command_received_ns, self.clock.now_ns())
 
     def _settle(self) -> None:
         """Go on by a part of what is known of the motion; the next part lets in what waits for the processor."""
@@ -231,23 +274,25 @@ class AfmNode(Node):
 
         With `withdraw` the step asks for a retraction, whatever afm/command asks for.
         """
-        elapsed_s = min(max(now_ns - self._stepped_ns, 1) * 1e-9, _LONGEST_STEP_S)
-        self._stepped_ns = now_ns
+        elapsed_s = min(max(now_ns - self._memory.stepped_ns, 1) * 1e-9, _LONGEST_STEP_S)
+        self._memory.stepped_ns = now_ns
         if self._programs.name:
             return self._step_program(elapsed_s, estop=estop)
-        command = self._command
+        command = self._memory.command
         asked = safety.SafetyInputs(
             reference_m=0.0 if command is None else to_paper_axis(command.base_position_m),
             command_age_s=self._command_age_s() if command_age_s is None else command_age_s,
             action=safety.ACTION_HOLD if command is None else _ACTION_CODES[command.mode],
             arm_requested=arm,
             estop=estop,
-            force_n=self._force_n,
+            force_n=self._memory.force_n,
             device_lost=self._device_lost,
         )
         if withdraw:
-            asked = asked._replace(reference_m=self._guard.base_m, command_age_s=0.0, action=safety.ACTION_RETRACT)
-        wanted = self._pointer
+            asked = asked._replace(
+                reference_m=self._memory.guard.base_m, command_age_s=0.0, action=safety.ACTION_RETRACT
+            )
+        wanted = self._memory.pointer
         if command is not None:
             x, y, _ = command.base_position_m
             if x or y:
@@ -256,18 +301,18 @@ class AfmNode(Node):
 
     def _carry_out(self, asked: safety.SafetyInputs, wanted: Place, elapsed_s: float) -> safety.SafetyOutputs:
         """Guard what is asked, apply it, measure, and publish what was done."""
-        self._guard, allowed = safety.safety_step(self._limits, self._guard, asked, elapsed_s)
-        if wanted is not self._place and allowed.mode == safety.MODE_FOLLOW:
+        self._memory.guard, allowed = safety.safety_step(self._limits, self._memory.guard, asked, elapsed_s)
+        if wanted is not self._memory.place and allowed.mode == safety.MODE_FOLLOW:
             self._move_laterally(wanted, elapsed_s)
         simulation = self._driver.simulation
         if simulation is not None:
             simulation.elapse(elapsed_s)
         sample = self._driver.exchange(allowed.base_m)
         if (stage := self._driver.stage) is not None:
-            self._lateral_n = stage.lateral_force_n
+            self._memory.lateral_n = stage.lateral_force_n
         report = self._driver.report
         # a force beyond the range of the input is no number to the guard
-        self._force_n = sample.force_n if report is None or report.force_valid else math.nan
+        self._memory.force_n = sample.force_n if report is None or report.force_valid else math.nan
         self._publish_state(allowed, sample, elapsed_s, report)
         self._report_changes(allowed)
         self._report_device(report)
@@ -281,7 +326,14 @@ class AfmNode(Node):
         programs = self._programs
         vibrating = self._driver.vibration
         oscillation = _AT_REST if vibrating is None else vibrating.oscillation
-        inputs = Inputs(self._guard.base_m, self._place, self._force_n, self._lateral_n[0], oscillation, self._pointer)
+        inputs = Inputs(
+            self._memory.guard.base_m,
+            self._memory.place,
+            self._memory.force_n,
+            self._memory.lateral_n[0],
+            oscillation,
+            self._memory.pointer,
+        )
         action, wanted = programs.step(inputs, elapsed_s)
         if vibrating is not None:
             vibrating.vibrate(wanted.amplitude_m)
@@ -292,9 +344,9 @@ class AfmNode(Node):
             # its references are made in this step
             command_age_s=0.0,
             action=action,
-            arm_requested=self._guard.mode == safety.MODE_RETRACTED and action == safety.ACTION_POSITION,
+            arm_requested=self._memory.guard.mode == safety.MODE_RETRACTED and action == safety.ACTION_POSITION,
             estop=estop,
-            force_n=self._force_n,
+            force_n=self._memory.force_n,
             device_lost=self._device_lost,
         )
         allowed = self._carry_out(asked, wanted.place, elapsed_s)
@@ -302,8 +354,8 @@ class AfmNode(Node):
         if text := programs.take_notice():
             self.event("mode", "warning", text)
         is_over = programs.state in ("finished", "ended")
-        if is_over or self._stepped_ns - self._told_ns >= _PROGRAM_PERIOD_NS:
-            self._told_ns = self._stepped_ns
+        if is_over or self._memory.stepped_ns - self._memory.told_ns >= _PROGRAM_PERIOD_NS:
+            self._memory.told_ns = self._memory.stepped_ns
             report = programs.report()
             self.publish("afm/program", **report._replace(text=report.text[:MOST_TEXT])._asdict())
             if is_over:
@@ -316,9 +368,9 @@ class AfmNode(Node):
 
     def _move_laterally(self, wanted: Place, elapsed_s: float) -> None:
         stage = self._driver.stage
-        if stage is not None and wanted != self._place:
-            self._place = moved(self._lateral, self._place, wanted, elapsed_s)[0]
-            stage.move_to(*self._place)
+        if stage is not None and wanted != self._memory.place:
+            self._memory.place = moved(self._lateral, self._memory.place, wanted, elapsed_s)[0]
+            stage.move_to(*self._memory.place)
 
     def _publish_line(self, line: FinishedLine) -> None:
         lines = self._programs.report().lines
@@ -344,7 +396,7 @@ class AfmNode(Node):
     def _publish_state(
         self, allowed: safety.SafetyOutputs, sample: AfmSample, elapsed_s: float, report: DeviceReport | None
     ) -> None:
-        command = self._command
+        command = self._memory.command
         device: dict[str, Any] = {}
         if report is not None:
             device = {"device": report.status, "sample_age_s": report.age_s}
@@ -352,9 +404,9 @@ class AfmNode(Node):
         self.publish(
             "afm/state",
             command_seq=0 if command is None else command.seq,
-            base_position_m=(*self._place, 0.0 - sample.base_m),
+            base_position_m=(*self._memory.place, 0.0 - sample.base_m),
             deflection_m=sample.deflection_m,
-            tip_force_n=(*self._lateral_n, sample.force_n),
+            tip_force_n=(*self._memory.lateral_n, sample.force_n),
             separation_m=sample.distance_m,
             separation_valid=sample.distance_valid,
             in_contact=sample.in_contact,

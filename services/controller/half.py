@@ -1,7 +1,7 @@
 """What both halves of a law share as nodes: the law in force, its parameters, and how both change at run time."""
 
 from abc import abstractmethod
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 from proto.errors import ConfigError, RefusedError
 from proto.messages import (
@@ -11,7 +11,7 @@ from proto.messages import (
 )
 from services.controller import energy
 from services.controller.config import KNOWN_LAWS, PACKAGE_LAWS, ControllerConfig, changed_config
-from services.controller.deadband import deadband, initial_deadband_state
+from services.controller.deadband import DeadbandState, deadband, initial_deadband_state
 from services.controller.integration import Heard, TimingParams, silence_ns
 from services.controller.law import (
     NO_SIGNAL,
@@ -23,11 +23,35 @@ from services.controller.law import (
 from services.controller.warm_up import warm_up
 from services.numerics.frames import to_paper_axis, to_site_frame
 from services.runtime.bus.bus import Received
+from services.runtime.loop.freshness import FreshnessState
 from services.runtime.loop.node import Node, NodeContext
+from services.runtime.loop.node_state import Part, part
 
 STATUS_PERIOD_S = 0.01
 ROUND_TRIP_UNKNOWN = (0.0, False)
 ZERO_XY = (0.0, 0.0)
+
+
+class HalfState(NamedTuple):
+    """The state that both halves have.
+
+    config: the settings in force where they were changed since the start; law: the state of the law, None before the
+    first sample; signal: the newest one of the other half; hand_stamp: number and time stamp [ns] of the sample of the
+    hand in hand; reported_j: energy of the last report.
+    """
+
+    config: ControllerConfig | None
+    law: Part | None
+    signal: PortSignal
+    lateral_m: tuple[float, float]
+    far_lateral: tuple[float, float]
+    switching: bool
+    port: energy.Port
+    hand_stamp: tuple[int, int]
+    reported_j: float
+    band: DeadbandState
+    steps: int
+    freshness: FreshnessState
 
 
 class ControllerHalf(Node):
@@ -46,7 +70,7 @@ class ControllerHalf(Node):
 
     def __init__(self, context: NodeContext, config: ControllerConfig) -> None:
         super().__init__(context)
-        self.config = config
+        self.config = self._built_with = config
         self.params: Any = config.params()
         self.law_state: Any = None
         self.signal: PortSignal = NO_SIGNAL
@@ -125,16 +149,17 @@ class ControllerHalf(Node):
         changed = changed_config(self.config, control.parameters)
         if changed.law in self._failing:
             raise RefusedError(self._failing[changed.law])
-        params = changed.params()
         switched = changed.law != self.config.law
         if not switched and self.law_state is not None:
-            self.law_state = self.retuned(self.params, params)
-        self.config, self.params = changed, params
-        self.timing_params = self.timing_of(changed)
-        self._band = changed.deadband.to_params()
+            self.law_state = self.retuned(self.params, changed.params())
+        self._adopt(changed)
         if switched:
             self._switch()
         return "set " + ", ".join(f"{key} = {value}" for key, value in control.parameters.items())
+
+    def _adopt(self, config: ControllerConfig) -> None:
+        self.config, self.params, self.timing_params = config, config.params(), self.timing_of(config)
+        self._band = config.deadband.to_params()
 
     def _switch(self) -> None:
         self.signal = NO_SIGNAL
@@ -147,6 +172,37 @@ class ControllerHalf(Node):
     def retuned(self, old: Any, new: Any) -> Any:
         """Carry the state of this half over a change of parameters."""
         return self.law_state
+
+    @abstractmethod
+    def started(self) -> Any:
+        """Return the state in which this half of the law starts."""
+
+    def capture_half(self) -> HalfState:
+        """Return the state that both halves have."""
+        return HalfState(
+            config=None if self.config is self._built_with else self.config,
+            law=None if self.law_state is None else part(self.law_state),
+            signal=self.signal,
+            lateral_m=self.lateral_m,
+            far_lateral=self.far_lateral,
+            switching=self.switching,
+            port=self.port,
+            hand_stamp=self._hand_stamp,
+            reported_j=self._reported_j,
+            band=self._band_state,
+            steps=self.steps,
+            freshness=self.freshness.capture(),
+        )
+
+    def restore_half(self, state: HalfState) -> None:
+        """Go on from a state that both halves have."""
+        if state.config is not None:
+            self._adopt(state.config)
+        self.law_state = None if state.law is None else state.law.like(self.started())
+        self.signal, self.switching, self.port, self.steps = state.signal, state.switching, state.port, state.steps
+        self.lateral_m, self.far_lateral, self._hand_stamp = state.lateral_m, state.far_lateral, state.hand_stamp
+        self._reported_j, self._band_state = state.reported_j, state.band
+        self.freshness.restore(state.freshness)
 
     @abstractmethod
     def energy_account(self) -> EnergyAccount:

@@ -1,7 +1,7 @@
 """The controller processes: each runs one half of a law on the arrival of messages."""
 
 import math
-from typing import Any, Literal, cast
+from typing import Any, Literal, NamedTuple, cast
 
 from proto.instrument import AfmProgram
 from proto.messages import (
@@ -9,21 +9,22 @@ from proto.messages import (
     HapticState,
     LawStatus,
     LinkDelay,
-    SessionControl,
     TeleopBackward,
     TeleopForward,
 )
 from services.controller import energy
 from services.controller.clamp import clamped
 from services.controller.config import ControllerConfig
-from services.controller.half import ROUND_TRIP_UNKNOWN, ZERO_XY, ControllerHalf
+from services.controller.half import ROUND_TRIP_UNKNOWN, ZERO_XY, ControllerHalf, HalfState
 from services.controller.integration import (
     ANSWER,
     ANSWER_EARLY,
     GO_ON,
     NOTHING,
     Heard,
+    MasterTiming,
     Settled,
+    SlaveTiming,
     TimingParams,
     master_begin,
     master_heard,
@@ -55,6 +56,7 @@ from services.numerics.frames import to_paper_axis, to_site_frame
 from services.runtime.bus.bus import Received
 from services.runtime.loop.freshness import DEADLINES_S
 from services.runtime.loop.node import NodeContext
+from services.runtime.loop.node_state import FindInput
 
 MASTER_INPUTS = ("haptic/state", "teleop/backward", "law/status", "link/delay", "session/control")
 SLAVE_INPUTS = ("teleop/forward", "afm/state", "afm/program", "link/delay", "session/control")
@@ -67,13 +69,48 @@ _FOLLOWING_DEVICE = (None, "ok")
 _COASTING_S = 0.005
 
 
+class MasterState(NamedTuple):
+    """The state of the master half.
+
+    hand, reference: the newest sample, and the newest reference; tip_reference_m: the last one sent to the slave [m];
+    switch_s: time since a change of law [s]; answered: number and time stamp [ns] of the sample of the hand that the
+    newest answer descends from.
+    """
+
+    half: HalfState
+    timing: MasterTiming
+    hand: HandSample
+    reference: MasterReference
+    tip_reference_m: float
+    switch_s: float
+    answered: tuple[int, int]
+    slave_status: LawStatus | None
+
+
+class SlaveState(NamedTuple):
+    """The state of the slave half.
+
+    tip, reference: the newest sample, and the newest reference; lateral_n: force on the tip in x and y [N];
+    instrument_ns: time of the newest sample [ns]; occupied_until_ns: by a program of the instrument [ns].
+    """
+
+    half: HalfState
+    timing: SlaveTiming
+    tip: TipMeasurement
+    reference: SlaveReference
+    lateral_n: tuple[float, float]
+    instrument_ns: int
+    instrument_lost: bool
+    occupied_until_ns: int
+
+
 class MasterController(ControllerHalf):
     """The half at the operator's site: haptic/state in, teleop/forward out; teleop/backward in, haptic/command out.
 
     One command a tick of the hand: when the answer to the tick comes, or else at the next tick.
     """
 
-    inputs = MASTER_INPUTS
+    inputs, state_kind = MASTER_INPUTS, MasterState
     # the tick then is with the slave's side
     idle_after = "haptic/state"
 
@@ -86,6 +123,27 @@ class MasterController(ControllerHalf):
         self.timing = master_begin()
         self._answered_hand_stamp = (0, 0)
         self._slave_status: LawStatus | None = None
+
+    def capture(self) -> MasterState:
+        return MasterState(
+            half=self.capture_half(),
+            timing=self.timing,
+            hand=self.hand,
+            reference=self.reference,
+            tip_reference_m=self._tip_reference_m,
+            switch_s=self._switch_s,
+            answered=self._answered_hand_stamp,
+            slave_status=self._slave_status,
+        )
+
+    def restore(self, state: MasterState, find: FindInput) -> None:
+        self.restore_half(state.half)
+        self.timing, self.hand, self.reference = state.timing, state.hand, state.reference
+        self._tip_reference_m, self._switch_s = state.tip_reference_m, state.switch_s
+        self._answered_hand_stamp, self._slave_status = state.answered, state.slave_status
+
+    def started(self) -> Any:
+        return self.law.master_start(self.params, self.hand)
 
     def on_message(self, received: Received) -> None:
         if self.rejects(received):
@@ -239,7 +297,7 @@ class MasterController(ControllerHalf):
 class SlaveController(ControllerHalf):
     """The half at the instrument's site: teleop/forward in, afm/command out; afm/state in, teleop/backward out."""
 
-    inputs = SLAVE_INPUTS
+    inputs, state_kind = SLAVE_INPUTS, SlaveState
     # the tick then goes through the link, which may share its processor
     idle_after = "afm/state"
 
@@ -254,6 +312,27 @@ class SlaveController(ControllerHalf):
         self._lateral_n = ZERO_XY
         # until when the instrument images or measures by itself, and obeys no hand
         self._occupied_until_ns = 0
+
+    def capture(self) -> SlaveState:
+        return SlaveState(
+            half=self.capture_half(),
+            timing=self.timing,
+            tip=self.tip,
+            reference=self.reference,
+            lateral_n=self._lateral_n,
+            instrument_ns=self._instrument_ns,
+            instrument_lost=self._instrument_lost,
+            occupied_until_ns=self._occupied_until_ns,
+        )
+
+    def restore(self, state: SlaveState, find: FindInput) -> None:
+        self.restore_half(state.half)
+        self.timing, self.tip, self.reference = state.timing, state.tip, state.reference
+        self._lateral_n, self._instrument_ns = state.lateral_n, state.instrument_ns
+        self._instrument_lost, self._occupied_until_ns = state.instrument_lost, state.occupied_until_ns
+
+    def started(self) -> Any:
+        return self.law.slave_start(self.params, self.tip)
 
     def on_message(self, received: Received) -> None:
         if self.rejects(received):
@@ -286,10 +365,9 @@ class SlaveController(ControllerHalf):
     def energy_account(self) -> EnergyAccount:
         return cast(EnergyAccount, self.law.slave_energy_account(self.params, self.law_state))
 
-    def on_control(self, control: SessionControl) -> str:
-        done = super().on_control(control)
-        self._clamp = self.config.clamp_params()
-        return done
+    def _adopt(self, config: ControllerConfig) -> None:
+        super()._adopt(config)
+        self._clamp = config.clamp_params()
 
     def _switch(self) -> None:
         super()._switch()

@@ -2,6 +2,8 @@
 
 from typing import NamedTuple
 
+import msgspec
+
 from proto import WireError, decode_header
 from services.delay_node.fate import Release
 from services.runtime.loop.clock_offset import Offset
@@ -18,13 +20,12 @@ class Declaration(NamedTuple):
     delay_ns: int
 
 
-class DeclaredDelay:
-    """The delay of one direction as its readers know it."""
+class DeclaredDelay(msgspec.Struct, array_like=True):
+    """The delay of one direction as its readers know it; topic, of what descends from a sample of the hand."""
 
-    def __init__(self, direction: str) -> None:
-        self.current = Declaration(0, 0)
-        self._topic = DECLARED[direction]
-        self._newest_arrival_ns = -1
+    topic: str
+    current: Declaration = Declaration(0, 0)
+    newest_arrival_ns: int = -1
 
     def changed_by(self, release: Release) -> bool:
         """Return whether a message about to be sent has another delay than readers know; it is `current` from then on.
@@ -32,9 +33,9 @@ class DeclaredDelay:
         One that was overtaken, or the later of two copies, is of no use to a reader and changes nothing.
         """
         fate = release.fate
-        if release.topic != self._topic or fate.arrived_ns <= self._newest_arrival_ns:
+        if release.topic != self.topic or fate.arrived_ns <= self.newest_arrival_ns:
             return False
-        self._newest_arrival_ns = fate.arrived_ns
+        self.newest_arrival_ns = fate.arrived_ns
         delay_ns = fate.delay_ns - fate.delay_ns % DELAY_STEP_NS
         if delay_ns == self.current.delay_ns:
             return False

@@ -5,19 +5,64 @@ is decided by the settings, the seed and the sequence of (arrival time, topic, s
 for what is due. The order of the stages: outage, loss, corruption, duplication, queue and rate, delay, order, slots.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from heapq import heappop, heappush
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from services.delay_node.config import DirectionSettings, LinkSettings, parse_settings
 from services.delay_node.fate import Direction, DirectionStats, Fate, Figures, Release, delayed
 from services.delay_node.models.queueing import ServedQueue, Waiting
-from services.delay_node.pipeline import Files, InFlight, Pipeline, TopicPipeline, read_files
+from services.delay_node.pipeline import Files, InFlight, Pipeline, PipelineState, TopicPipeline, read_files
 from services.runtime.loop.node_state import FindInput
 
 # a day: no setting asks for more than an hour, but a heavy tail may draw anything
 _LONGEST_DELAY_NS = 86_400_000_000_000
+
+
+class Queued(NamedTuple):
+    """A message that waits in a queue, as `InFlight` describes it; its payload only where bits of it were flipped."""
+
+    topic: str
+    size_bytes: int
+    order: int
+    seq: int
+    copy: int
+    damaged: bytes
+    arrived_ns: int
+    ready_ns: int
+    delay_ns: int
+    gated: bool
+    duplicated: bool
+    corrupted: bool
+    src: str
+
+
+class DirectionState(NamedTuple):
+    """The state of a direction.
+
+    topics: those that it has had messages of; in_flight: when a message is released [ns], its place among those of that
+    time, its payload only where bits of it were flipped, and its fate, which has its name; waiting: by the pattern of a
+    block.
+    """
+
+    now_ns: int
+    arrivals: int
+    pushed: int
+    figures: Figures
+    topics: list[str]
+    pipeline: PipelineState
+    fates: list[Fate]
+    in_flight: list[tuple[int, int, bytes, Fate]]
+    waiting: dict[str, list[Queued]]
+
+
+class LinkState(NamedTuple):
+    """The state of both directions, and the settings in force where they were changed since the start."""
+
+    settings: dict[str, Any] | None
+    forward: DirectionState
+    backward: DirectionState
 
 
 class DirectionEngine:
@@ -133,69 +178,64 @@ class DirectionEngine:
                 if follower is not None:
                     follower.wait_until(shared.queue.free_ns)
 
-    def capture_state(self) -> dict[str, Any]:
-        """Return all that has changed since the engine was built for its settings, as plain values.
-
-        Of a message in flight it has the name and not the payload, unless bits of that were flipped. Raises TypeError
-        while a message waits that came under an order or slots no longer in force.
-        """
-        return {
-            "now_ns": self._now_ns,
-            "arrivals": self._arrivals,
-            "pushed": self._pushed,
-            "figures": self._figures.capture_state(),
-            "topics": list(self._topic_pipelines),
-            "pipeline": self._pipeline.capture_state(),
-            "fates": list(map(tuple, self._fates or ())),
-            "in_flight": [
-                (release_ns, pushed, release.payload if release.fate.corrupted else b"", *release.fate)
+    def capture(self) -> DirectionState:
+        """Return the state; ValueError while a message waits that came under an order or slots no longer in force."""
+        return DirectionState(
+            now_ns=self._now_ns,
+            arrivals=self._arrivals,
+            pushed=self._pushed,
+            figures=self._figures,
+            topics=list(self._topic_pipelines),
+            pipeline=self._pipeline.capture(),
+            fates=self._fates or [],
+            in_flight=[
+                (release_ns, pushed, release.payload if release.fate.corrupted else b"", release.fate)
                 for release_ns, pushed, release in self._heap
             ],
-            "waiting": {
+            waiting={
                 pattern: [self._captured(entry.item) for entry in shared.queue.waiting]
                 for pattern, shared in self._pipeline.shared_models.items()
                 if shared.queue is not None
             },
-        }
+        )
 
-    def restore_state(self, state: Mapping[str, Any], settings: LinkSettings, find: FindInput) -> None:
-        """Put an engine that was just built into a captured state, which had these settings.
+    def restore(self, state: DirectionState, settings: LinkSettings, find: FindInput) -> None:
+        """Go on from a state, which had these settings.
 
         Raises: ConfigError for a file that cannot be used, KeyError, ValueError or TypeError when the state is not one
         of this engine.
         """
         files = self.files_of(settings)
         pipeline = self._pipeline = Pipeline(self._direction, settings, files, 0)
-        for topic in state["topics"]:
+        for topic in state.topics:
             pipeline.of_topic(topic)
-        pipeline.restore_state(state["pipeline"], settings, files)
-        self._topic_pipelines = {topic: pipeline.of_topic(topic) for topic in state["topics"]}
+        pipeline.restore(state.pipeline, settings, files)
+        self._topic_pipelines = {topic: pipeline.of_topic(topic) for topic in state.topics}
         self._queues = self._all_queues()
-        self._now_ns, self._arrivals, self._pushed = state["now_ns"], state["arrivals"], state["pushed"]
-        self._figures.restore_state(state["figures"])
-        self._fates = [Fate._make(fate) for fate in state["fates"]]
+        self._now_ns, self._arrivals, self._pushed = state.now_ns, state.arrivals, state.pushed
+        self._figures, self._fates = state.figures, state.fates
         # in the order of the heap that it was
         self._heap = []
-        for release_ns, pushed, damaged, *facts in state["in_flight"]:
-            fate = Fate._make(facts)
+        for release_ns, pushed, damaged, fate in state.in_flight:
             payload = damaged or find(fate.topic, fate.src, fate.seq, fate.arrived_ns, fate.size_bytes)
             self._heap.append((release_ns, pushed, Release(fate.topic, payload, fate)))
-        for pattern, waiting in state["waiting"].items():
+        for pattern, waiting in state.waiting.items():
             queue = pipeline.shared_models[pattern].queue
             if queue is None:
                 raise ValueError(f"{pattern or 'the direction'} has no queue")
             queue.refill(_waiting(self._restored(message, find)) for message in waiting)
 
-    def _captured(self, message: InFlight) -> list[Any]:
+    def _captured(self, message: InFlight) -> Queued:
         pipeline, order, seq, copy, payload, *rest = message
         topic, now = pipeline.topic, self._topic_pipelines[pipeline.topic]
         # all that its way from the queue on depends on
         if (pipeline.ordered, pipeline.shared.slot_gate) != (now.ordered, now.shared.slot_gate):
-            raise TypeError(f"a message on {topic} waits under an order or slots that are no longer in force")
-        return [topic, len(payload), order, seq, copy, payload if message.corrupted else b"", *rest]
+            raise ValueError(f"a message on {topic} waits under an order or slots that are no longer in force")
+        damaged = payload if message.corrupted else b""
+        return Queued._make((topic, len(payload), order, seq, copy, damaged, *rest))
 
-    def _restored(self, captured: Sequence[Any], find: FindInput) -> InFlight:
-        topic, size_bytes, *rest = captured
+    def _restored(self, queued: Queued, find: FindInput) -> InFlight:
+        topic, size_bytes, *rest = queued
         message = InFlight._make((self._topic_pipelines[topic], *rest))
         payload = message.payload or find(topic, message.src, message.seq, message.arrived_ns, size_bytes)
         return message._replace(payload=payload)
@@ -389,22 +429,21 @@ class LinkEngine:
         self.settings = settings
         self._changed_settings = settings.model_dump(exclude_unset=True)
 
-    def capture_state(self) -> dict[str, Any]:
-        """Return all that has changed since the engine was built, as plain values."""
-        ways = {"forward": self.forward.capture_state(), "backward": self.backward.capture_state()}
-        return {"settings": self._changed_settings, **ways}
+    def capture(self) -> LinkState:
+        """Return the state; ValueError as for a direction."""
+        return LinkState(self._changed_settings, self.forward.capture(), self.backward.capture())
 
-    def restore_state(self, state: Mapping[str, Any], find: FindInput) -> None:
-        """Put an engine that was just built into a captured state; `find` gives the payloads of what is in flight.
+    def restore(self, state: LinkState, find: FindInput) -> None:
+        """Go on from a state; `find` returns the payloads of what is in flight.
 
         Raises: ConfigError for a file that cannot be used, KeyError, ValueError or TypeError when the state is not one
         of this engine.
         """
-        self._changed_settings = state["settings"]
+        self._changed_settings = state.settings
         if self._changed_settings is not None:
             self.settings = parse_settings(self._changed_settings, "the settings in the journal")
-        for name, engine in (("forward", self.forward), ("backward", self.backward)):
-            engine.restore_state(state[name], self.settings, find)
+        self.forward.restore(state.forward, self.settings, find)
+        self.backward.restore(state.backward, self.settings, find)
 
     def next_release_ns(self) -> int | None:
         """Return when to call `due` of a direction next, or None if nothing is in flight."""

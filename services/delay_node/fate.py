@@ -1,7 +1,8 @@
 """What the engine reports about messages: ground truth of each, live figures of all."""
 
-from collections.abc import Mapping
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
+
+import msgspec
 
 Direction = Literal["forward", "backward"]
 
@@ -72,42 +73,35 @@ class DirectionStats(NamedTuple):
     delay_max_s: float | None
 
 
-class Figures:
-    """The counters behind the live figures."""
+class Figures(msgspec.Struct, array_like=True):
+    """The counters behind the live figures; the last four are of the releases since they were last taken."""
 
-    __slots__ = (
-        "_count", "_longest_ns", "_shortest_ns", "_sum_ns", "bytes_in", "bytes_out", "corrupted", "dropped",
-        "duplicated", "messages_in", "messages_out", "reordered",
-    )  # fmt: skip
-
-    def __init__(self) -> None:
-        self.messages_in = self.messages_out = self.bytes_in = self.bytes_out = 0
-        self.duplicated = self.reordered = self.corrupted = 0
-        self.dropped = dict.fromkeys(CAUSES, 0)
-        self._count = self._sum_ns = self._shortest_ns = self._longest_ns = 0
-
-    def capture_state(self) -> dict[str, Any]:
-        """Return all counters as plain values."""
-        return {name: getattr(self, name) for name in self.__slots__}
-
-    def restore_state(self, state: Mapping[str, Any]) -> None:
-        """Set all counters; KeyError when one is missing."""
-        for name in self.__slots__:
-            setattr(self, name, state[name])
+    messages_in: int = 0
+    messages_out: int = 0
+    bytes_in: int = 0
+    bytes_out: int = 0
+    duplicated: int = 0
+    reordered: int = 0
+    corrupted: int = 0
+    dropped: dict[str, int] = msgspec.field(default_factory=lambda: dict.fromkeys(CAUSES, 0))
+    count: int = 0
+    sum_ns: int = 0
+    shortest_ns: int = 0
+    longest_ns: int = 0
 
     def count_release(self, delay_ns: int, size_bytes: int) -> None:
         self.messages_out += 1
         self.bytes_out += size_bytes
-        if self._count == 0 or delay_ns < self._shortest_ns:
-            self._shortest_ns = delay_ns
-        if delay_ns > self._longest_ns:
-            self._longest_ns = delay_ns
-        self._count += 1
-        self._sum_ns += delay_ns
+        if self.count == 0 or delay_ns < self.shortest_ns:
+            self.shortest_ns = delay_ns
+        if delay_ns > self.longest_ns:
+            self.longest_ns = delay_ns
+        self.count += 1
+        self.sum_ns += delay_ns
 
     def take(self, queued: int, scheduled: int) -> DirectionStats:
         """Return the figures and reset those of the delays."""
-        count = self._count
+        count = self.count
         stats = DirectionStats(
             messages_in=self.messages_in,
             messages_out=self.messages_out,
@@ -120,9 +114,9 @@ class Figures:
             queued=queued,
             in_flight=queued + scheduled,
             delay_count=count,
-            delay_mean_s=self._sum_ns / count * 1e-9 if count else None,
-            delay_min_s=self._shortest_ns * 1e-9 if count else None,
-            delay_max_s=self._longest_ns * 1e-9 if count else None,
+            delay_mean_s=self.sum_ns / count * 1e-9 if count else None,
+            delay_min_s=self.shortest_ns * 1e-9 if count else None,
+            delay_max_s=self.longest_ns * 1e-9 if count else None,
         )
-        self._count = self._sum_ns = self._shortest_ns = self._longest_ns = 0
+        self.count = self.sum_ns = self.shortest_ns = self.longest_ns = 0
         return stats

@@ -12,8 +12,8 @@ from proto.nodes import LINK
 from proto.ranges import limited
 from proto.topics import output_name
 from services.delay_node.config import LinkSettings, Setting, changed, flattened
-from services.delay_node.declared_delay import ONE_MACHINE, DeclaredDelay, between_sites
-from services.delay_node.engine import DirectionEngine, LinkEngine
+from services.delay_node.declared_delay import DECLARED, ONE_MACHINE, BetweenSites, DeclaredDelay, between_sites
+from services.delay_node.engine import DirectionEngine, LinkEngine, LinkState
 from services.delay_node.fate import Direction, Fate, Release
 from services.runtime.bus.bus import Received
 from services.runtime.bus.ends import publish_end
@@ -21,6 +21,7 @@ from services.runtime.loop.clock_offset import Exchange, Offset, OffsetFilter
 from services.runtime.loop.deadlines import PeriodicDeadline
 from services.runtime.loop.deferred import Task
 from services.runtime.loop.node import Node, NodeBus, NodeContext
+from services.runtime.loop.node_state import FindInput
 
 STATUS_PERIOD_NS = 100_000_000
 # exchanges of time stamps in view, one a report: the clocks of two sites drift by microseconds in this time
@@ -45,12 +46,28 @@ class SiteEndpoint(Protocol):
 
 
 class DirectionPath(NamedTuple):
-    """A direction of the link; a tuple, which is no state of the node (the engine captures its own)."""
+    """A direction of the link."""
 
     name: Direction
     engine: DirectionEngine
     endpoint: str
     outlet: SiteEndpoint
+
+
+class DelayNodeState(NamedTuple):
+    """The state of the node.
+
+    Of its engine; the delays that readers know; what lies between the sites, and the exchanges of time stamps that it
+    follows from; when the next report is due [ns], and how many messages it has to tell of.
+    """
+
+    engine: LinkState
+    forward_delay: DeclaredDelay
+    backward_delay: DeclaredDelay
+    between: BetweenSites
+    exchanges: list[Exchange]
+    status_ns: int
+    unreported: int
 
 
 class DelayNode(Node):
@@ -62,6 +79,7 @@ class DelayNode(Node):
     # the tick then is with the master's side
     idle_after = "teleop/backward"
     acts_on_health = True
+    state_kind = DelayNodeState
     period_s = 0.0
 
     def __init__(
@@ -88,7 +106,7 @@ class DelayNode(Node):
         # of each topic the newest message that was sent on
         self._newest: dict[str, dict[str, Fate]] = {way.endpoint: {} for way in self._ways}
         self._offset = OffsetFilter(_CLOCK_WINDOW)
-        self._forward_delay, self._backward_delay = DeclaredDelay("forward"), DeclaredDelay("backward")
+        self._forward_delay, self._backward_delay = (DeclaredDelay(DECLARED[way.name]) for way in self._ways)
         self._between = ONE_MACHINE
         self._spans_machines = spans_machines
         self._unreported = 0
@@ -135,6 +153,24 @@ class DelayNode(Node):
             self._status.advance(now_ns)
             for task in self._report:
                 self.defer(task)
+
+    def capture(self) -> DelayNodeState:
+        return DelayNodeState(
+            engine=self.engine.capture(),
+            forward_delay=self._forward_delay,
+            backward_delay=self._backward_delay,
+            between=self._between,
+            exchanges=list(self._offset.exchanges),
+            status_ns=self._status.deadline_ns,
+            unreported=self._unreported,
+        )
+
+    def restore(self, state: DelayNodeState, find: FindInput) -> None:
+        self.engine.restore(state.engine, find)
+        self._forward_delay, self._backward_delay = state.forward_delay, state.backward_delay
+        self._between, self._unreported = state.between, state.unreported
+        self._offset.exchanges.extend(state.exchanges)
+        self._status.deadline_ns = state.status_ns
 
     def further_outputs(self) -> dict[str, int]:
         """Return the count of messages forwarded at each endpoint, by its name, and the numbers of the slave's."""

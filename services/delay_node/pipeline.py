@@ -9,6 +9,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
+import msgspec
+
 from proto.errors import ConfigError
 from services.delay_node.config import DirectionSettings, Impairment, LinkSettings, Outage, Slots
 from services.delay_node.fate import Direction
@@ -17,7 +19,6 @@ from services.delay_node.models.jitter import JitterSource
 from services.delay_node.models.loss import GilbertElliottChain, MarkovLossChain
 from services.delay_node.models.outages import Outages
 from services.delay_node.models.queueing import DeliveryServer, RateServer, ServedQueue, Server, SlotGate
-from services.delay_node.models.state import capture_model, restore_model
 from services.delay_node.models.traces import (
     DelayCourse,
     LossCourse,
@@ -30,6 +31,7 @@ from services.delay_node.models.traces import (
     read_text,
 )
 from services.delay_node.random_streams import Occurrence, RandomStream, stream
+from services.runtime.loop.node_state import Part, part
 
 Model = TypeVar("Model")
 NS_PER_S = 1_000_000_000
@@ -44,14 +46,11 @@ class Files(NamedTuple):
     losses: LossCourse | None
 
 
-class LatestRelease:
+class LatestRelease(msgspec.Struct, eq=False, array_like=True):
     """Latest release of a topic, or of an ordered group, and the place in the order of arrival it had."""
 
-    __slots__ = ("latest_ns", "order")
-
-    def __init__(self) -> None:
-        self.latest_ns = -1
-        self.order = -1
+    latest_ns: int = -1
+    order: int = -1
 
 
 class SharedModels(NamedTuple):
@@ -156,6 +155,14 @@ def _read(block: Impairment, folder: Path, prefix: str) -> Files:
     return Files(course, delivery_ns, samples, losses)
 
 
+class PipelineState(NamedTuple):
+    """By their keys: how many numbers were drawn of a stream, the states of the models, and the latest releases."""
+
+    drawn: list[tuple[tuple[str, ...], int]]
+    models: list[tuple[tuple[str, ...], Part]]
+    latest_release: list[tuple[tuple[str, str], LatestRelease]]
+
+
 class Pipeline:
     """Builds and keeps the models of one direction."""
 
@@ -183,33 +190,28 @@ class Pipeline:
         """Forget the models that the settings in force, and the topics opened under them, do not have."""
         self._models = {key: model for key, model in self._models.items() if key in self._used}
 
-    def capture_state(self) -> dict[str, Any]:
-        """Return what has changed since the pipeline was built for its settings, as plain values."""
-        return {
-            "streams": [(list(names), stream.drawn) for names, stream in self._streams.items() if stream.drawn],
-            "models": [
-                (list(key), model if isinstance(model, int) else capture_model(model))
-                for key, (_, model) in self._models.items()
-            ],
-            "latest_release": [(list(key), found.latest_ns, found.order) for key, found in self._progress.items()],
-        }
+    def capture(self) -> PipelineState:
+        """Return the state."""
+        return PipelineState(
+            [(names, stream.drawn) for names, stream in self._streams.items() if stream.drawn],
+            [(key, part(getattr(model, "state", model))) for key, (_, model) in self._models.items()],
+            list(self._progress.items()),
+        )
 
-    def restore_state(self, state: dict[str, Any], settings: LinkSettings, files: dict[str, Files]) -> None:
-        """Return to a captured state, with the topics open that were; those have to be opened again afterwards.
+    def restore(self, state: PipelineState, settings: LinkSettings, files: dict[str, Files]) -> None:
+        """Go on from a state, with the topics open that were; those have to be opened again afterwards.
 
         Raises: KeyError, ValueError or TypeError when it is not one of a pipeline with these settings and topics.
         """
-        for names, drawn in state["streams"]:
+        for names, drawn in state.drawn:
             self._stream(*names).advance_to(drawn)
-        for key, captured in state["models"]:
-            definition, model = self._models[tuple(key)]
+        for key, kept in state.models:
+            definition, model = self._models[key]
             if isinstance(model, int):
-                self._models[tuple(key)] = (definition, captured)
+                self._models[key] = (definition, kept.like(model))
             else:
-                restore_model(model, captured)
-        for (kind, name), latest_ns, order in state["latest_release"]:
-            found = self._progress.setdefault((kind, name), LatestRelease())
-            found.latest_ns, found.order = latest_ns, order
+                model.state = kept.like(model.state)
+        self._progress.update(state.latest_release)
         # what a block has of its models by value
         self._adopt(settings, files, 0)
 

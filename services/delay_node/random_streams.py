@@ -52,18 +52,18 @@ class Occurrence:
     p for any rho, its lag-k correlation rho^k and its mean run 1 / ((1 - p)(1 - rho)).
     """
 
-    __slots__ = ("_after_event", "_after_none", "_draw", "_threshold")
-    state_fields = ("_threshold",)
+    __slots__ = ("_after_event", "_after_none", "_draw", "state")
 
     def __init__(self, probability: float, correlation: float, draw: Draw) -> None:
         self._draw = draw
         self._after_event = probability + correlation * (1.0 - probability)
         self._after_none = probability * (1.0 - correlation)
-        self._threshold = probability
+        # probability of an event at the next draw
+        self.state = probability
 
     def __call__(self) -> bool:
-        happens = self._draw() < self._threshold
-        self._threshold = self._after_event if happens else self._after_none
+        happens = self._draw() < self.state
+        self.state = self._after_event if happens else self._after_none
         return happens
 
 
@@ -74,15 +74,14 @@ class CorrelatedUniform:
     successive uniform numbers would not give.
     """
 
-    __slots__ = ("_draw", "_fresh", "_inverse", "_rho", "_score")
-    state_fields = ("_score",)
+    __slots__ = ("_draw", "_fresh", "_inverse", "_rho", "score")
 
     def __init__(self, correlation: float, draw: Draw, normal_score: Callable[[float], float]) -> None:
         self._draw = draw
         self._rho = correlation
         self._fresh = math.sqrt(1.0 - correlation * correlation)
         self._inverse = normal_score
-        self._score: float | None = None
+        self.score: float | None = None
 
     def __call__(self) -> float:
         u = self._draw() or SMALLEST
@@ -90,5 +89,5 @@ class CorrelatedUniform:
             return u
         fresh = self._inverse(u)
         # The first score has no predecessor: it comes from the stationary distribution itself.
-        self._score = fresh if self._score is None else self._rho * self._score + self._fresh * fresh
-        return min(max(0.5 * math.erfc(-self._score / math.sqrt(2.0)), SMALLEST), LARGEST)
+        self.score = fresh if self.score is None else self._rho * self.score + self._fresh * fresh
+        return min(max(0.5 * math.erfc(-self.score / math.sqrt(2.0)), SMALLEST), LARGEST)

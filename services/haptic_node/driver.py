@@ -7,7 +7,7 @@ sample.
 
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Literal, NamedTuple, Protocol, runtime_checkable
+from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
 
 from proto.errors import ConfigError
 
@@ -77,7 +77,13 @@ class DeviceReport(NamedTuple):
 
 
 class HapticDevice(Protocol):
-    """A device with one arm and one force sensor. All methods belong to the thread of the loop."""
+    """A device with one arm and one force sensor. All methods belong to the thread of the loop.
+
+    state: of a simulated one, all that its readings depend on besides what it is sent, as a NamedTuple of plain values,
+    arrays and NamedTuples. The node keeps it in its journal, and sets it to go on from there.
+    """
+
+    state: Any
 
     @property
     def capabilities(self) -> Capabilities:

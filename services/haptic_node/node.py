@@ -1,6 +1,8 @@
 """The haptic process: paces the rig, samples the operator's device and guards it."""
 
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
+
+import msgspec
 
 from proto.errors import RefusedError
 from proto.messages import HapticCommand, LinkDelay, OperatorForce, SessionControl
@@ -18,8 +20,9 @@ from services.haptic_node.physics.disturbances import DisturbedHaptic, changed_d
 from services.numerics.frames import to_paper_axis, to_site_frame
 from services.runtime.bus.bus import Received
 from services.runtime.loop.deadlines import PeriodicDeadline
-from services.runtime.loop.freshness import age_s
+from services.runtime.loop.freshness import FreshnessState, age_s
 from services.runtime.loop.node import DeviceDelay, Node, NodeContext
+from services.runtime.loop.node_state import FindInput, Part, part
 from services.runtime.loop.replay_guard import ReplayGuard
 
 INPUTS = ("haptic/command", "operator/force", "link/delay", "session/control", "node/health")
@@ -30,6 +33,35 @@ _LIMITS = (safety.REASON_TRAVEL_LIMIT, safety.REASON_SPEED_LIMIT, safety.REASON_
 _NOT_RUNNING_S = -1.0
 # a sample of a real device that is younger has nothing to be said about
 _FRESH_S = 2 * PERIOD_S
+
+
+class HapticMemory(msgspec.Struct, array_like=True):
+    """What the node remembers from tick to tick.
+
+    The state of the guard, and where the arm was at the last tick [m]; the command in force, and when it was received
+    [ns]; the force of an operator without a device [N], when it was received [ns], and the one that the simulated hand
+    holds [N]; what was asked for since the last tick; ticks since the session began, None before.
+    """
+
+    guard: safety.SafetyState
+    position_m: float
+    command: HapticCommand | None = None
+    command_received_ns: int = 0
+    operator_force_n: float = 0.0
+    operator_force_ns: int = 0
+    pushed_n: float = 0.0
+    estop_requested: bool = False
+    arm_requested: bool = False
+    session_ticks: int | None = None
+
+
+class HapticNodeState(NamedTuple):
+    """The state of the node: its own, and that of its parts."""
+
+    memory: HapticMemory
+    freshness: FreshnessState
+    deadline_ns: int
+    device: Part
 
 
 class HapticNode(Node):
@@ -48,12 +80,14 @@ class HapticNode(Node):
     # the tick is then with the master's half, and soon with the slave's side
     idle_after = ""
     period_s = PERIOD_S
+    state_kind = HapticNodeState
 
     def __init__(self, context: NodeContext, config: HapticConfig, device: HapticDevice) -> None:
         super().__init__(context)
         self._replay_guard = ReplayGuard(context, allow=config.allow_replay)
         self.freshness.allow_replay = config.allow_replay
         self.device = device
+        self._simulated = config.simulated
         device.open()
         if device.report is not None:
             self.device_delay = DeviceDelay(device.capabilities.latency_s, device.capabilities.calibration)
@@ -61,20 +95,13 @@ class HapticNode(Node):
             has_position_mode=safety.MODE_POSITION in device.capabilities.modes,
             has_force_mode=safety.MODE_FORCE in device.capabilities.modes,
         )
-        self._guard = safety.SafetyState(False, safety.MODE_OFF, config.device.start_position_m)
-        self._position_m = config.device.start_position_m
-        self._command: HapticCommand | None = None
-        self._command_received_ns = 0
+        start_m = config.device.start_position_m
+        self._memory = HapticMemory(safety.SafetyState(False, safety.MODE_OFF, start_m), start_m)
         self._command_is_new = False
         operator = config.operator
         self._force_deadline_s = operator.force_deadline_s if isinstance(operator, InteractiveConfig) else None
-        # the force of an operator without a device, when it came, and the one that the simulated hand holds
-        self._operator_force_n, self._operator_force_ns, self._pushed_n = 0.0, 0, 0.0
         self._ignored_force = False
-        self._estop_requested = False
-        self._arm_requested = False
         self._switch_pressed = False
-        self._session_ticks: int | None = None
         self._reported = (safety.MODE_OFF, safety.REASON_COMMAND_STALE)
         self._device_text = ""
         self._device_status: Status = "ok"
@@ -88,15 +115,28 @@ class HapticNode(Node):
 
     @property
     def is_latched(self) -> bool:
-        return self._guard.estop_latched or self._estop_requested
+        return self._memory.guard.estop_latched or self._memory.estop_requested
+
+    def capture(self) -> HapticNodeState | None:
+        if not self._simulated:
+            return None
+        parts = self.freshness.capture(), self._grid.deadline_ns, part(self.device.state)
+        return HapticNodeState(self._memory, *parts)
+
+    def restore(self, state: HapticNodeState, find: FindInput) -> None:
+        self._memory, self._grid.deadline_ns = state.memory, state.deadline_ns
+        self.freshness.restore(state.freshness)
+        self.device.state = state.device.like(self.device.state)
+        if state.memory.pushed_n and isinstance(self.device, PushedDevice):
+            self.device.push(state.memory.pushed_n)
 
     def deadline_ns(self) -> int:
         return self._grid.deadline_ns
 
     def on_message(self, received: Received) -> None:
         if type(received.message) is HapticCommand:
-            self._command = received.message
-            self._command_received_ns = received.received_ns
+            self._memory.command = received.message
+            self._memory.command_received_ns = received.received_ns
             self._command_is_new = True
         elif type(received.message) is LinkDelay:
             self.freshness.record(received.message)
@@ -107,18 +147,18 @@ class HapticNode(Node):
         """Guard the command, drive and sample the device, publish what it did."""
         if self.begin_turn(now_ns):
             # the command in force, and whatever came in with it
-            self._command, self._operator_force_n = None, 0.0
+            self._memory.command, self._memory.operator_force_n = None, 0.0
         periods = self._grid.advance(now_ns)
         self.freshness.turn_ns = self._grid.deadline_ns
         self.overruns = self._grid.overruns
         elapsed_s = periods * PERIOD_S
-        if self._session_ticks is not None:
-            self._session_ticks += periods
+        if self._memory.session_ticks is not None:
+            self._memory.session_ticks += periods
         applied = self._guarded()
         self._push()
         self.device.write(DriveCommand(applied.mode, applied.position_reference_m, applied.force_reference_n))
         reading = self.device.read(self._session_s(), elapsed_s)
-        self._position_m = reading.position_m
+        self._memory.position_m = reading.position_m
         report = self.device.report
         self._publish_state(applied, reading, elapsed_s, report)
         self._report_changes(applied)
@@ -127,18 +167,18 @@ class HapticNode(Node):
 
     def on_control(self, control: SessionControl) -> str:
         if control.command == "start":
-            self._session_ticks = 0
+            self._memory.session_ticks = 0
             return "the operator's programme runs"
         if control.command == "stop":
-            self._session_ticks = None
+            self._memory.session_ticks = None
             return "the operator's programme has ended"
         if control.command == "estop":
-            self._estop_requested = True
+            self._memory.estop_requested = True
             return "emergency stop latched: the motor is off until armed"
         if control.command == "arm":
             if self._switch_pressed:
                 raise RefusedError("not armed: the device itself reports an emergency stop")
-            self._arm_requested = True
+            self._memory.arm_requested = True
             return "armed: the motor follows fresh commands"
         if control.command == "set":
             if not isinstance(self.device, DisturbedHaptic):
@@ -152,12 +192,12 @@ class HapticNode(Node):
         self.device.close()
 
     def _session_s(self) -> float:
-        return _NOT_RUNNING_S if self._session_ticks is None else self._session_ticks * PERIOD_S
+        return _NOT_RUNNING_S if self._memory.session_ticks is None else self._memory.session_ticks * PERIOD_S
 
     def _on_operator_force(self, message: OperatorForce, received_ns: int) -> None:
         """Take the force of a person without a device; say once where the scenario has another operator."""
         if self._force_deadline_s is not None:
-            self._operator_force_n, self._operator_force_ns = to_paper_axis(message.force_n), received_ns
+            self._memory.operator_force_n, self._memory.operator_force_ns = to_paper_axis(message.force_n), received_ns
         elif not self._ignored_force:
             self._ignored_force = True
             text = f"the force of {message.src} is ignored: haptic_node.operator.kind must be interactive for it"
@@ -168,15 +208,15 @@ class HapticNode(Node):
         if self._force_deadline_s is None or not isinstance(self.device, PushedDevice):
             return
         # by its reception: the page and the rig may have been started with different clocks
-        fresh = age_s(self.clock.now_ns(), self._operator_force_ns) <= self._force_deadline_s
-        force_n = self._operator_force_n if fresh else 0.0
-        if force_n != self._pushed_n:
-            self._pushed_n = force_n
+        fresh = age_s(self.clock.now_ns(), self._memory.operator_force_ns) <= self._force_deadline_s
+        force_n = self._memory.operator_force_n if fresh else 0.0
+        if force_n != self._memory.pushed_n:
+            self._memory.pushed_n = force_n
             self.device.push(force_n)
 
     def _guarded(self) -> safety.SafetyOutputs:
-        command = self._command
-        command_age_s = self.freshness.command_age_s(command, self._command_received_ns, self.clock.now_ns())
+        command = self._memory.command
+        command_age_s = self.freshness.command_age_s(command, self._memory.command_received_ns, self.clock.now_ns())
         if self._command_is_new:
             self._command_is_new = False
             self.stale += command_age_s > self._limits.command_deadline_s
@@ -185,20 +225,20 @@ class HapticNode(Node):
             position_reference_m=0.0 if command is None else to_paper_axis(command.position_m),
             force_reference_n=0.0 if command is None else to_paper_axis(command.force_n),
             command_age_s=command_age_s,
-            estop=self._estop_requested,
-            arm_requested=self._arm_requested,
-            position_m=self._position_m,
+            estop=self._memory.estop_requested,
+            arm_requested=self._memory.arm_requested,
+            position_m=self._memory.position_m,
             device_lost=self._device_status == "lost",
         )
-        self._estop_requested = self._arm_requested = False
+        self._memory.estop_requested = self._memory.arm_requested = False
         # one period of motion at most, however long the process was held up: no jump at the hand
-        self._guard, applied = safety.step(self._limits, self._guard, asked, PERIOD_S)
+        self._memory.guard, applied = safety.step(self._limits, self._memory.guard, asked, PERIOD_S)
         return applied
 
     def _publish_state(
         self, applied: safety.SafetyOutputs, reading: DeviceReading, elapsed_s: float, report: DeviceReport | None
     ) -> None:
-        command = self._command
+        command = self._memory.command
         device = {} if report is None else {"device": report.status, "sample_age_s": report.age_s, **report.counts}
         self.publish(
             "haptic/state",
@@ -213,7 +253,7 @@ class HapticNode(Node):
             session_s=self._session_s(),
             answered_seq=0 if command is None else command.hand_seq,
             answered_t_ns=0 if command is None else command.hand_t_ns,
-            answered_at_ns=self._command_received_ns,
+            answered_at_ns=self._memory.command_received_ns,
             step_s=elapsed_s,
             **device,
         )
@@ -225,7 +265,7 @@ class HapticNode(Node):
         self._device_status = report.status
         if self.device_delay is not None and report.status != "lost":
             self.device_delay.record(report.age_s)
-        self._estop_requested |= report.estop_pressed
+        self._memory.estop_requested |= report.estop_pressed
         self.own_stops += report.estop_pressed and not self._switch_pressed
         self._switch_pressed = report.estop_pressed
         if report.text != self._device_text:
@@ -245,7 +285,7 @@ class HapticNode(Node):
             "info" if reason == safety.REASON_NONE else "warning",
             safety.REASONS[reason],
             mode=safety.MODE_NAMES[applied.mode],
-            position_m=self._position_m,
+            position_m=self._memory.position_m,
         )
 
 

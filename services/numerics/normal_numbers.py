@@ -18,18 +18,3 @@ def _block(seed: int, block: int) -> list[float]:
 def normal_number(seed: int, place: int) -> float:
     """Return the standard normal number at a place, from 0, in the row that a seed decides."""
     return _block(seed, place // _BLOCK)[place % _BLOCK]
-
-
-class NormalNumbers:
-    """Standard normal numbers by their place in the row that a seed decides."""
-
-    def __init__(self, seed: int) -> None:
-        self._seed = seed
-
-    def reseed(self, seed: int) -> None:
-        """Go over to another row."""
-        self._seed = seed
-
-    def at(self, place: int) -> float:
-        """Return the number at a place, from 0."""
-        return normal_number(self._seed, place)

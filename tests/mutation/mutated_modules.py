@@ -66,7 +66,7 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "ZapAuthenticator.prepare: socket.set(zmq.ZAP_ENFORCE_DOMAIN, 1) [1 => 2]": "libzmq takes any number but 0",
     },
     "services/delay_node/engine.py": {
-        "DirectionEngine.restore_state: pipeline = self._pipeline = Pipeline(self._direction, settings, files, 0)"
+        "DirectionEngine.restore: pipeline = self._pipeline = Pipeline(self._direction, settings, files, 0)"
         " [0 => 1]": "every time in the pipeline is restored a few lines later",
     },
     "services/recorder/listener.py": {

@@ -1,109 +1,67 @@
-"""Make the reference recordings of this folder anew, one a law and one for the link, with a rig on this machine.
+"""Run the reference sessions and write their digests to `digests.json`; print what is not as it was there.
 
-    python tests/replay/make_references.py [LAW ...] [link]
+    python tests/replay/make_references.py [NAME ...]
 
-To be run when the wire changes, or when a law or the link is meant to behave differently; a re-run that differs for any
-other reason is what the recordings are there to find.
+To be run when the wire changes, or when a law, a model, a node or the link is meant to behave differently. A difference
+for any other reason is what the digests are there to find.
 """
 
 import argparse
-import json
-import os
-import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from references import FOLDER, LINK_NODE, LINK_REFERENCE, OUTPUTS, nodes_of
+from references import (
+    DIGESTS,
+    REFERENCES,
+    Field,
+    additions,
+    c_library,
+    differences,
+    digests_of,
+    read_digests,
+    record,
+    write_digests,
+)
 
-from recording.channel_filter import Selection
 from recording.reader import Recording
-from recording.rewrite import filter_recording
-from services.controller.config import LAWS
-
-DURATION_S = 1.1
-# more than a batch of the journal, at whose beginning a re-run starts
-BEFORE_S = 0.6
-# all inputs and outputs of the nodes with a journal
-TOPICS = {
-    node: (
-        "haptic/*", "teleop/*", "afm/*", "law/*", "link/delay*", "clock/*", "session/control*", "session/event",
-        "node/journal",
-    )
-    for node in OUTPUTS
-}  # fmt: skip
-TOPICS[LINK_NODE] = (
-    "teleop/*", "law/*", "clock/*", "session/*", "node/health*", "link/*", "node/journal", "recorder/rejected"
-)  # fmt: skip
-# every message of the link twice, and the delay that a law has to bear
-LAW_LINK = {"delay_s": 0.004}
-# all that is random in a link; what is damaged are figures that no device acts on
-FORWARD = {
-    "delay_s": 0.004,
-    "jitter": {"scale_s": 0.001, "distribution": "pareto_normal", "correlation": 0.9},
-    "gilbert_elliott": {"p": 0.01, "r": 0.3},
-    "order": "topic",
-    "rate": {"rate_bytes_per_s": 400_000.0, "overhead_bytes": 54},
-    "queue": {"limit_messages": 5, "drop": "random"},
-}
-BACKWARD = {
-    "delay_s": 0.003,
-    "jitter": {"scale_s": 0.001},
-    "loss": {"probability": 0.02, "correlation": 0.5},
-    "duplication": {"probability": 0.03},
-    "reordering": {"probability": 0.02, "gap": 3},
-    "topics": {"law/*": {"corruption": {"probability": 0.3, "bits": 4}}},
-}
 
 
-@dataclass(frozen=True)
-class _Kept(Selection):
-    """A selection that has the journals of some nodes only."""
-
-    journals: tuple[str, ...] = ()
-
-    def __call__(self, channel: Any) -> bool:
-        return super().__call__(channel) and (channel.channel_topic != "node/journal" or channel.src in self.journals)
-
-
-def make(name: str) -> Path:
-    """Record a session and keep what a re-run of its nodes needs."""
-    target = FOLDER / f"{name}.mcap"
-    link, nodes = target == LINK_REFERENCE, nodes_of(target)
-    settings = {
-        "controller.law": "virtual_impedance" if link else name,
-        "delay_node.forward": FORWARD if link else LAW_LINK,
-        "delay_node.backward": BACKWARD if link else LAW_LINK,
-    }
-    with tempfile.TemporaryDirectory() as folder:
-        source = record(Path(folder), [f"{key}={json.dumps(value)}" for key, value in settings.items()])
-        target.unlink(missing_ok=True)
-        # the long rest before the devices are armed proves nothing
-        recording = Recording(source)
-        armed_ns = next(recording.messages(["session/control"])).log_ns
-        start_s = max(0.0, (armed_ns - recording.span_ns[0]) * 1e-9 - BEFORE_S)
-        chosen = Selection.of(TOPICS[nodes[0]])
-        filter_recording(source, target, _Kept(chosen.topics, journals=nodes), start_s)
-    return target
+def make(names: Sequence[str], path: Path = DIGESTS) -> list[str]:
+    """Run the references of these names, write their digests, and return what changed in sentences."""
+    library, kept = read_digests(path) if path.exists() else (c_library(), {})
+    sessions: dict[str, dict[str, dict[str, Field]]] = {}
+    changed = [] if library == c_library() else [f"the C library gives other bits than that of {path.name}"]
+    for name in REFERENCES:
+        if name not in names and name in kept:
+            sessions[name] = kept[name]
+            continue
+        with tempfile.TemporaryDirectory() as folder:
+            sessions[name] = digests_of(Recording(record(name, Path(folder))))
+        before = kept.get(name, {})
+        told = differences(before, sessions[name], same_bits=True) + additions(before, sessions[name])
+        changed += [f"{name}: {text}" for text in (told if before else ["is a new reference"])]
+    write_digests(sessions, path)
+    return changed + [f"{name}: is no reference any more" for name in kept if name not in REFERENCES]
 
 
-def record(folder: Path, settings: Sequence[str]) -> Path:
-    """Record a session of a rig."""
-    environment = {**os.environ, "TELENANO_RUNTIME_DIR": str(folder / "run")}
-    command = [sys.executable, "-m", "telenano", "up", "--scenario", "fig12"]
-    command += [part for setting in settings for part in ("--set", setting)]
-    command += ["--duration", str(DURATION_S), "--out", str(folder / "out"), "--json"]
-    subprocess.run(command, env=environment, check=True, stdout=subprocess.DEVNULL)
-    return folder / "out" / "session.mcap"
+def shortened(told: Sequence[str], most: int = 4) -> list[str]:
+    """Return the first sentences about each channel, and how many more there are."""
+    about: dict[str, list[str]] = {}
+    for text in told:
+        about.setdefault(":".join(text.split(":")[:2]), []).append(text)
+    lines = []
+    for channel, texts in about.items():
+        lines += texts[:most]
+        lines += [f"{channel}: {len(texts) - most} other fields as well"] * (len(texts) > most)
+    return lines or ["nothing changed"]
 
 
 if __name__ == "__main__":
-    known = (*LAWS, LINK_REFERENCE.stem)
-    parser = argparse.ArgumentParser(description="Make the reference recordings anew.")
-    parser.add_argument("names", nargs="*", metavar="NAME", help=f"any of {', '.join(known)}; default: all of them")
-    for name in parser.parse_args().names or known:
-        path = make(name)
-        sys.stdout.write(f"{path} {path.stat().st_size} bytes\n")
+    parser = argparse.ArgumentParser(description="Run the reference sessions and write their digests.")
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"any of {', '.join(REFERENCES)}; default: all")
+    chosen = parser.parse_args().names or list(REFERENCES)
+    if unknown := sorted(set(chosen) - set(REFERENCES)):
+        parser.error(f"{', '.join(unknown)}: no reference; they are {', '.join(REFERENCES)}")
+    sys.stdout.write("\n".join(shortened(make(chosen))) + "\n")

@@ -1,52 +1,288 @@
-"""Re-runs of the reference recordings: what may differ between machines, and what may not on one.
+"""The reference sessions: rows that the virtual rig runs, and digests of what their nodes say.
 
-    python tests/replay/references.py
+A reference is a law, a link, a seed and a duration. `tests/replay/virtual_rig.py` makes the same messages of it on
+every machine whose C library gives the same bits, and `digests.json` has a digest of each of their fields. Neither BLAS
+nor our compiler may change them; only the C library may, where it has other instructions, and then within a billionth.
 
-prints, for the beginning of each recording and each of its nodes, a digest of the bits of all that the node publishes
-when the recording drives it. Neither BLAS nor our compiler may change it; only the C library may, where it has other
-instructions.
+    python tests/replay/references.py FOLDER
+
+re-runs each node from the recordings of that folder, and prints what differs (see `test_rerun.py`).
 """
 
 import hashlib
 import json
+import math
 import os
+import struct
 import sys
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from types import FunctionType
+from typing import Any, NamedTuple
 
+import yaml
 from in_memory import InMemory
+from virtual_rig import LINK_NODE, NODES, record_session
 
-from analysis.process_replay import RerunResult, rerun
-from proto import Message, encode
+from analysis.process_replay import rerun
+from presets import find_scenario
 from recording.reader import Recording
 from recording.tolerance import Tolerances
 from services.controller.config import LAWS
 from services.numerics.compiled import compiled_form, is_step
 
 FOLDER = Path(__file__).resolve().parent
-REFERENCES = sorted(FOLDER.glob("*.mcap"))
-LINK_REFERENCE, LINK_NODE = FOLDER / "link.mcap", "delay_node@master"
-OUTPUTS = {
-    "controller@master": ("teleop/forward", "haptic/command", "law/status"),
-    "controller@slave": ("afm/command", "teleop/backward", "law/status"),
-    "afm_node@slave": ("afm/state",),
-    "haptic_node@master": ("haptic/state",),
-    LINK_NODE: ("link/fates", "link/status"),
-}
+DIGESTS = FOLDER / "digests.json"
 # The variable of the environment with which every step of the nodes is compiled.
 COMPILED = "TELENANO_TEST_COMPILED"
 # of the greatest value that a field has in the recording
 SHARE = 1e-9
-# shows all that the nodes do
-SHORT_S = 1.3
+RERUN = (LINK_NODE, *NODES)
+
+
+class Reference(NamedTuple):
+    """What a session is made of.
+
+    Attributes: law; forward and backward, what the link does in either direction, backward as forward where it is
+    None; seed, of all delays on the sites; duration_s, until the nodes stop [s]; scenario, one of the project's by its
+    name, or the short one of the virtual rig; session_s, the duration of that scenario's programme [s].
+    """
+
+    law: str
+    forward: Mapping[str, Any]
+    seed: int
+    backward: Mapping[str, Any] | None = None
+    duration_s: float = 1.5
+    scenario: str = ""
+    session_s: float = 1.0
+
+
+# one for each law, and one for the link: together all that a link does to messages
+REFERENCES = {
+    "virtual_impedance": Reference("virtual_impedance", {"delay_s": 0.003}, 7),
+    "position_force": Reference(
+        "position_force",
+        {"delay_s": 0.003, "jitter": {"scale_s": 0.002, "correlation": 0.5}, "duplication": {"probability": 0.02}},
+        8,
+    ),
+    "wave": Reference(
+        "wave",
+        {"delay_s": 0.002, "gilbert_elliott": {"p": 0.01, "r": 0.3}, "loss": {"probability": 0.02, "correlation": 0.4}},
+        9,
+    ),
+    "smith": Reference(
+        "smith",
+        {
+            "delay_s": 0.004,
+            "jitter": {"scale_s": 0.001, "distribution": "pareto", "correlation": 0.9},
+            "order": "topic",
+            "rate": {"rate_bytes_per_s": 350_000.0, "overhead_bytes": 54},
+            "queue": {"limit_messages": 4, "drop": "random"},
+        },
+        10,
+    ),
+    "passivity": Reference(
+        "passivity",
+        {
+            "delay_s": 0.003,
+            "reordering": {"probability": 0.1, "gap": 3},
+            "topics": {name: {"corruption": {"probability": 0.3, "bits": 4}} for name in ("law/*", "node/*")},
+        },
+        11,
+    ),
+    "model_mediated": Reference(
+        "model_mediated",
+        {
+            "delay_s": 0.001,
+            "slots": {"min_interval_s": 0.002, "max_interval_s": 0.005},
+            "outage": {"mean_up_s": 0.2, "mean_down_s": 0.02, "mode": "hold"},
+        },
+        12,
+    ),
+    # much at once; what is damaged are figures that no device acts on
+    "link": Reference(
+        "virtual_impedance",
+        {
+            "delay_s": 0.004,
+            "jitter": {"scale_s": 0.001, "distribution": "pareto_normal", "correlation": 0.9},
+            "gilbert_elliott": {"p": 0.01, "r": 0.3},
+            "order": "topic",
+            "rate": {"rate_bytes_per_s": 400_000.0, "overhead_bytes": 54},
+            "queue": {"limit_messages": 5, "drop": "random"},
+        },
+        13,
+        backward={
+            "delay_s": 0.003,
+            "jitter": {"scale_s": 0.001},
+            "loss": {"probability": 0.02, "correlation": 0.5},
+            "duplication": {"probability": 0.03},
+            "reordering": {"probability": 0.02, "gap": 3},
+            "topics": {"law/*": {"corruption": {"probability": 0.3, "bits": 4}}},
+        },
+    ),
+}
+# recordings for whoever needs one to read: the first 1.1 s of Fig. 12 over a link of 4 ms, under each law
+EXAMPLES = {
+    f"fig12_{law}": Reference(law, {"delay_s": 0.004}, 1, duration_s=2.0, scenario="fig12", session_s=1.1)
+    for law in LAWS
+}
+# what the nodes say to one another: health and journals tell of the process, events are sentences
+DIGESTED = (
+    "haptic/state", "haptic/command", "teleop/forward", "teleop/backward", "afm/command", "afm/state", "law/status",
+    "link/fates", "link/status", "link/delay", "clock/ping", "clock/pong",
+)  # fmt: skip
+
+
+def record(name: str, folder: Path) -> Path:
+    """Record a session in a folder, which is made."""
+    row = {**REFERENCES, **EXAMPLES}[name]
+    forward, backward = dict(row.forward), dict(row.forward if row.backward is None else row.backward)
+    settings = [f"controller.law={row.law}"]
+    settings += [f"delay_node.{way}={json.dumps(does)}" for way, does in (("forward", forward), ("backward", backward))]
+    scenario = None
+    if row.scenario:
+        scenario = yaml.safe_load(find_scenario(row.scenario).read_text(encoding="utf-8"))
+        scenario["duration_s"] = row.session_s
+    folder.mkdir(parents=True, exist_ok=True)
+    return record_session(folder, row.seed, settings, row.duration_s, scenario)
+
+
+class Field(NamedTuple):
+    """What one field of all messages of a channel was.
+
+    Attributes: count, of its values; digest, of their bits; mean and root mean square, of whole numbers from the first
+    of them on, zero where there are none.
+    """
+
+    count: int
+    digest: str
+    mean: float
+    rms: float
+
+
+# by channel and field
+Digests = Mapping[str, Mapping[str, Field]]
+
+
+def digests_of(recording: Recording) -> dict[str, dict[str, Field]]:
+    """Return the digest of each field of what each node said."""
+    values: dict[str, dict[str, list[Any]]] = {}
+    for message in recording.messages(DIGESTED):
+        channel = values.setdefault(f"{message.src} {message.topic}", {})
+        for name, value in leaves(message.fields()):
+            # they follow from the place of the message and from what else it says
+            if name not in ("src", "seq", "v"):
+                channel.setdefault(name, []).append(value)
+    return {
+        channel: {name: field_of(found) for name, found in sorted(fields.items())}
+        for channel, fields in sorted(values.items())
+    }
+
+
+def leaves(fields: Any, stem: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield the dotted names and the values of all fields; all rows of a table have one name."""
+    if isinstance(fields, Mapping):
+        for key, value in fields.items():
+            yield from leaves(value, f"{stem}.{key}" if stem else str(key))
+    elif isinstance(fields, list | tuple):
+        for place, value in enumerate(fields):
+            yield from leaves(value, f"{stem}.{'*' if isinstance(value, Mapping) else place}")
+    else:
+        yield stem, fields
+
+
+def field_of(values: Sequence[Any]) -> Field:
+    """Return the digest of values in their order, and their moments, which no order changes."""
+    bits = hashlib.sha256()
+    for value in values:
+        bits.update(struct.pack("<d", value) if isinstance(value, float) else repr(value).encode() + b"\n")
+    numbers = [value for value in values if isinstance(value, int | float)]
+    # whole numbers are counts and nanoseconds since long ago: what matters is by how much they go on
+    origin = numbers[0] if numbers and isinstance(numbers[0], int) else 0
+    numbers, count = [float(number - origin) for number in numbers], max(1, len(numbers))
+    mean, square = math.fsum(numbers) / count, math.fsum(number * number for number in numbers) / count
+    return Field(len(values), bits.hexdigest()[:12], mean, math.sqrt(square))
+
+
+def c_library() -> str:
+    """Return a digest of what the C library makes of a thousand numbers: it differs where its instructions do."""
+    bits = hashlib.sha256()
+    functions = (math.exp, math.sin, math.cos, math.tan, math.log, math.log1p, math.expm1, math.erfc, math.tanh)
+    for n in range(1, 1001):
+        number = n * 0.0137
+        bits.update(struct.pack("<10d", *(function(number) for function in functions), math.pow(number, 1.37)))
+    return bits.hexdigest()[:12]
+
+
+def differences(kept: Digests, found: Digests, *, same_bits: bool) -> list[str]:
+    """Return in sentences what found digests lack or have otherwise; a field or channel more is none.
+
+    `same_bits` asks for the bits, otherwise mean and root mean square may be off by the billionth part of the latter.
+    """
+    told = []
+    for channel, fields in kept.items():
+        if channel not in found:
+            told.append(f"{channel}: says nothing any more")
+            continue
+        for name, before in fields.items():
+            text = _difference(before, found[channel].get(name), same_bits)
+            told += [f"{channel}: {name} {text}"] if text else []
+    return told
+
+
+def additions(kept: Digests, found: Digests) -> list[str]:
+    """Return in sentences what found digests have besides."""
+    return [
+        f"{channel}: {name} is new"
+        for channel, fields in found.items()
+        for name in fields
+        if name not in kept.get(channel, {})
+    ]
+
+
+def _difference(before: Field, now: Field | None, same_bits: bool) -> str:
+    if now is None:
+        return "is not said any more"
+    if now.digest == before.digest:
+        return ""
+    if now.count != before.count:
+        return f"has {now.count} values, {before.count} before"
+    allowed = 0.0 if same_bits else SHARE * max(before.rms, now.rms)
+    moments = (("mean", before.mean, now.mean), ("root mean square", before.rms, now.rms))
+    moved = [f"{word} {is_now!r}, {was!r} before" for word, was, is_now in moments if abs(was - is_now) > allowed]
+    # words have no moments
+    unmoved = "has other values" if same_bits or before.rms == now.rms == 0.0 else ""
+    return ", ".join(moved) or unmoved
+
+
+def read_digests(path: Path = DIGESTS) -> tuple[str, dict[str, dict[str, dict[str, Field]]]]:
+    """Return the C library with which the digests were made, and those of each reference."""
+    document = json.loads(path.read_text(encoding="utf-8"))
+    sessions = {
+        name: {channel: {key: Field(*value) for key, value in fields.items()} for channel, fields in channels.items()}
+        for name, channels in document["sessions"].items()
+    }
+    return document["c_library"], sessions
+
+
+def write_digests(sessions: Mapping[str, Digests], path: Path = DIGESTS) -> None:
+    """Write the digests, a line for each field."""
+    path.write_text(_text({"c_library": c_library(), "sessions": sessions}) + "\n", encoding="utf-8")
+
+
+def _text(value: Any, indent: str = "") -> str:
+    if not isinstance(value, Mapping):
+        return json.dumps(value)
+    rows = (f"{indent} {json.dumps(key)}: {_text(inner, indent + ' ')}" for key, inner in value.items())
+    return "{\n" + ",\n".join(rows) + f"\n{indent}}}"
 
 
 class MachineTolerances(Tolerances):
-    """What the figures of a node may differ by on another machine than that of the recording.
+    """What the figures of a node may differ by with another C library than that of the recording.
 
-    They are found when a message differs for the first time: on the same machine none does.
+    They are found when a message differs for the first time: with the same library none does.
     """
 
     def __init__(self, recording: Recording, node: str) -> None:
@@ -57,7 +293,7 @@ class MachineTolerances(Tolerances):
     def _allowed(self) -> Tolerances:
         # the link's figures are whole nanoseconds: one where a random delay falls between two of them
         limits = {"link/fates:fates.*_ns": 1.0, "link/status:*": 1e-9} if self._node == LINK_NODE else {}
-        for message in self._recording.messages(OUTPUTS[self._node]):
+        for message in self._recording.messages(DIGESTED):
             if message.src != self._node:
                 continue
             for field, value in message.fields().items():
@@ -71,30 +307,26 @@ class MachineTolerances(Tolerances):
         return self._allowed.on(topic)
 
 
-def nodes_of(path: Path) -> tuple[str, ...]:
-    """Return the nodes that a recording is a reference for."""
-    return (LINK_NODE,) if path == LINK_REFERENCE else tuple(node for node in OUTPUTS if node != LINK_NODE)
+class Rerun(NamedTuple):
+    """What came of a re-run on another processor: the difference in bits, and that beyond the tolerance."""
+
+    compared: int
+    bits: str
+    beyond: str
 
 
-def rerun_digests(recording: Recording, node: str) -> tuple[RerunResult, list[str]]:
-    """Run a node again within the tolerances; return also the digest of all that it published so far, each time."""
-    digest, digests = hashlib.sha256(), []
-
-    def take(topic: str, message: Message) -> None:
-        digest.update(topic.encode() + encode(message))
-        digests.append(digest.hexdigest())
-
-    return rerun(recording, node, MachineTolerances(recording, node), take=take), digests
-
-
-def digests_of_beginnings() -> dict[str, tuple[str, int, str]]:
-    """Return what differs, the count of outputs and their digest, for the beginning of each recording and each node."""
+def reruns_of(folder: Path) -> dict[str, Rerun]:
+    """Re-run each node from the recording of each reference in a folder."""
     found = {}
-    for path in REFERENCES:
-        recording = InMemory(path, SHORT_S)
-        for node in nodes_of(path):
-            result, digests = rerun_digests(recording, node)
-            found[f"{path.stem} {node}"] = (result.difference, len(digests), digests[-1])
+    for name in REFERENCES:
+        recording = InMemory(folder / name / "session.mcap")
+        for node in RERUN:
+            result = rerun(recording, node)
+            beyond = result
+            if not result.identical:
+                beyond = rerun(recording, node, MachineTolerances(recording, node))
+            told = [each.difference or each.ended_early for each in (result, beyond)]
+            found[f"{name} {node}"] = Rerun(sum(beyond.compared.values()), *told)
     return found
 
 
@@ -113,4 +345,4 @@ def compile_every_step() -> None:
 if __name__ == "__main__":
     if COMPILED in os.environ:
         compile_every_step()
-    sys.stdout.write(json.dumps(digests_of_beginnings()))
+    sys.stdout.write(json.dumps({"c_library": c_library(), "reruns": reruns_of(Path(sys.argv[1]))}))

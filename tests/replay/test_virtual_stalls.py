@@ -157,7 +157,7 @@ def run(law: str, link_ms: float, duration_s: float, nodes: Sequence[str] = STAL
     ("law", "link_ms", "duration_s", "nodes"),
     [
         ("virtual_impedance", 0.0, 0.2, STALLED),
-        ("wave", 150.0, 0.2, STALLED),
+        ("wave", 150.0, 0.2, ("controller@master", LINK_NODE, TIP)),
         ("model_mediated", 150.0, 1.0, ("controller@slave", TIP)),
     ],
 )

@@ -1,7 +1,9 @@
 """The nodes of the rig on a bus in virtual time, recorded to a file: real nodes, real loops, and no process.
 
 Every delay comes from one seed: transit on a site and how late a loop wakes up; between the sites stands the link, with
-the impairments of the scenario. So a session of a second takes less than that, and gives the same file every time.
+the impairments of the scenario. So a session of a second takes less than that, and gives the same messages every time.
+Each topic and each loop draws from a stream of random numbers of its own, so that one message more, such as a part of a
+journal, moves no other.
 With `constant_timing` nothing is random, and a constant delay stands for the link: the rig then runs on the grid that
 the lockstep loop assumes. A node can be made to stand still (`stall`): what is sent to it meanwhile waits for it.
 """
@@ -16,6 +18,7 @@ from typing import Any
 import yaml
 import zmq
 
+from presets import SITE_DIRECTORY
 from proto import TOPICS, Message, WireError, decode, decode_header, encode
 from proto.messages import InputHealth
 from proto.nodes import LINK, name_of, site_of
@@ -29,9 +32,10 @@ from services.controller.config import ControllerConfig
 from services.controller.node import half_of_site
 from services.delay_node.config import LinkSettings
 from services.delay_node.node import DelayNode
+from services.haptic_node.__main__ import build as build_haptic_node
 from services.haptic_node.config import HapticConfig
-from services.haptic_node.node import HapticNode
-from services.haptic_node.physics.sim import SimulatedHaptic
+from services.recorder.config import RecorderConfig
+from services.recorder.provenance import write_provenance
 from services.runtime.bus.bus import ConnectionEvent, Received, Subscriber
 from services.runtime.loop.clock import VirtualClock
 from services.runtime.loop.freshness import DELAY_STEP_NS
@@ -139,7 +143,10 @@ class VirtualBus:
         self._numbers[topic] = seq + 1
         model = TOPICS[topic].model
         # sent some time after the turn began, which no re-run knows
-        t_ns = self._rig.clock.now_ns() + self._rig.random.randrange(*self._rig.timing.sending)
+        t_ns = self._rig.clock.now_ns() + self._rig.draw(self._rig.timing.sending, "sending", self.key, topic)
+        if topic == "node/health":
+            # what differs between machines and runs, also in its length, which the rate of a link counts
+            fields |= {"pid": 1, "cpu_percent": 0.0, "memory_bytes": 1}
         values = {"seq": seq, "t_ns": t_ns, "src": self.key, "v": model.version_of(fields), **fields}
         message = limited(model, values)
         self._rig.carry(topic, message)
@@ -199,7 +206,8 @@ class VirtualRig:
         timing: Timing = RANDOM_TIMING,
         scenario: Mapping[str, Any] | None = None,
     ):
-        self.random = random.Random(seed)
+        self._seed = seed
+        self._streams: dict[tuple[str, ...], random.Random] = {}
         self.timing = timing
         self.clock = VirtualClock(start_ns=10**9, epoch_offset_ns=EPOCH_OFFSET_NS)
         self._order = 0
@@ -213,9 +221,11 @@ class VirtualRig:
         document = merge(scenario or yaml.safe_load(_SCENARIO), flag_overrides(settings))
         self._loaded = LoadedScenario(Scenario.model_validate(document), "virtual", document)
         self.writer = None if folder is None else RecordingWriter.create(RECORDER, FileSettings(directory=folder))
-        if self.writer is not None:
-            text = yaml.safe_dump(document).encode()
-            self.writer.attach("scenario.yaml", "application/yaml", text, self.clock.now_ns())
+        if self.writer is not None and folder is not None:
+            path = folder / "scenario.yaml"
+            path.write_text(yaml.safe_dump(document), encoding="utf-8")
+            config = RecorderConfig(directory=folder)
+            write_provenance(self.writer, config, SITE_DIRECTORY / "local.yaml", path, self.clock.now_ns())
         self._channels: dict[tuple[str, str, str], int] = {}
         self.nodes = NODES if timing.link is not None else (LINK_NODE, *NODES)
         self.buses = {key: VirtualBus(self, key) for key in self.nodes}
@@ -224,7 +234,7 @@ class VirtualRig:
         for key in self.nodes:
             node = self._node(NodeContext(key, self.clock, self.buses[key], QuietLog(key)))
             # nodes start one after the other
-            self.clock.advance_ns(self.random.randrange(*timing.start))
+            self.clock.advance_ns(self.draw(timing.start, "start", key))
             self.loops[key] = NodeLoop(node, self.buses[key], RealtimeStatus(fifo=True, memory_locked=False))
         self._started_ns = self.clock.monotonic_ns()
         self._late_ns = dict.fromkeys(self.nodes, 0)
@@ -276,8 +286,17 @@ class VirtualRig:
             self._known_due_ns.pop(key, None)
             self.loops[key].turn()
             # a loop wakes up late, and now and then very late
-            late_ns = self.random.randrange(*self.timing.wake)
-            self._late_ns[key] = late_ns + 3_000_000 * (self.random.random() < self.timing.stall_share)
+            is_stalled = self._stream("stall", key).random() < self.timing.stall_share
+            self._late_ns[key] = self.draw(self.timing.wake, "wake", key) + 3_000_000 * is_stalled
+
+    def draw(self, low_high: Range, *names: str) -> int:
+        """Draw a delay [ns] from the stream of these names."""
+        return self._stream(*names).randrange(*low_high)
+
+    def _stream(self, *names: str) -> random.Random:
+        if names not in self._streams:
+            self._streams[names] = random.Random(f"{self._seed} {' '.join(names)}")
+        return self._streams[names]
 
     def close(self) -> None:
         """Close the sockets, which nothing came through."""
@@ -302,7 +321,7 @@ class VirtualRig:
             if place not in self._channels:
                 self._channels[place] = self.writer.channel(*place)
             self.writer.write(self._channels[place], log_ns, t_ns, seq, payload)
-        self.writer.finish()
+        self.writer.finish({"state": "stopped", "note": ""})
         return self.writer.path
 
     def carry(self, topic: str, message: Message) -> None:
@@ -315,14 +334,14 @@ class VirtualRig:
         crosses = TOPICS[topic].bridged in ("both", "forward" if site == "master" else "backward")
         if self.timing.link is not None and crosses:
             far = LINK_ENDPOINT if site == "master" else LINK_NODE
-            arrives_ns = message.t_ns - EPOCH_OFFSET_NS + self.random.randrange(*self.timing.link)
+            arrives_ns = message.t_ns - EPOCH_OFFSET_NS + self.draw(self.timing.link, "link", message.src, topic)
             self._bring(far, topic, message, payload, arrives_ns)
         elif self.timing.link is None and name_of(message.src) != LINK and (crosses or topic == "clock/pong"):
             self._deliver(message.src, LINK_NODE, topic, payload, message.t_ns - EPOCH_OFFSET_NS)
 
     def forward(self, endpoint: str, topic: str, payload: bytes) -> None:
         """Bring a message that left the link to those who listen there; they refuse what is none, the recorder not."""
-        sent_ns = self.clock.monotonic_ns() + self.random.randrange(*self.timing.sending)
+        sent_ns = self.clock.monotonic_ns() + self.draw(self.timing.sending, "forwarding", endpoint, topic)
         try:
             message = self.messages[payload] if payload in self.messages else decode(topic, payload)
             self._bring(endpoint, topic, message, payload, sent_ns)
@@ -337,7 +356,8 @@ class VirtualRig:
 
     def _record(self, endpoint: str, topic: str, payload: bytes, sent_ns: int) -> None:
         self._order += 1
-        log_ns = max(sent_ns + self.random.randrange(*self.timing.recorder), self._received_ns.get(endpoint, 0))
+        arrives_ns = sent_ns + self.draw(self.timing.recorder, "recorder", endpoint, topic)
+        log_ns = max(arrives_ns, self._received_ns.get(endpoint, 0))
         self._received_ns[endpoint] = log_ns
         self._received.append((log_ns, self._order, endpoint, topic, payload))
 
@@ -350,7 +370,7 @@ class VirtualRig:
 
     def _deliver(self, sender: str, key: str, topic: str, payload: bytes, sent_ns: int) -> None:
         self._order += 1
-        arrives_ns = sent_ns + self.random.randrange(*self.timing.site)
+        arrives_ns = sent_ns + self.draw(self.timing.site, "site", sender, key, topic)
         arrives_ns = max(arrives_ns, self._last_arrival_ns.get((sender, key), 0))
         self._last_arrival_ns[sender, key] = arrives_ns
         heapq.heappush(self.buses[key].inbox, (arrives_ns, self._order, topic, payload))
@@ -375,8 +395,7 @@ class VirtualRig:
         if name == LINK:
             settings = self._loaded.section(LINK, LinkSettings)
             return DelayNode(context, settings, self._link_at_slave, self.buses[LINK_NODE], Path())
-        hand = self._loaded.section("haptic_node", HapticConfig)
-        return HapticNode(context, hand, SimulatedHaptic(hand.to_plant_params(), hand.device.start_position_m))
+        return build_haptic_node(context, self._loaded.section("haptic_node", HapticConfig))
 
 
 def _rejected(endpoint: str, topic: str, payload: bytes) -> RejectedRecord:
@@ -387,9 +406,15 @@ def _rejected(endpoint: str, topic: str, payload: bytes) -> RejectedRecord:
     )
 
 
-def record_session(folder: Path, seed: int, settings: Sequence[str] = (), duration_s: float = 1.5) -> Path:
+def record_session(
+    folder: Path,
+    seed: int,
+    settings: Sequence[str] = (),
+    duration_s: float = 1.5,
+    scenario: Mapping[str, Any] | None = None,
+) -> Path:
     """Record a session: arm, start, press, let go."""
-    rig = VirtualRig(folder, seed, settings)
+    rig = VirtualRig(folder, seed, settings, scenario=scenario)
     rig.run_until(ARMED_S)
     rig.command("arm", "*")
     rig.run_until(STARTED_S)

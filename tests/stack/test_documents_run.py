@@ -9,7 +9,7 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import msgpack
@@ -41,12 +41,12 @@ pytestmark = [pytest.mark.stack, pytest.mark.endurance]
 
 
 @pytest.fixture(scope="module")
-def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def place(recording_of: Callable[[str], Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the sessions that the pages speak of."""
     folder = tmp_path_factory.mktemp("documents")
     for name, law in (("fig12", "virtual_impedance"), ("delay/0", "virtual_impedance"), ("delay/40", "wave")):
         (folder / "out" / name).mkdir(parents=True)
-        shutil.copy(ROOT / "tests" / "replay" / f"{law}.mcap", folder / "out" / name / "session.mcap")
+        shutil.copy(recording_of(f"fig12_{law}"), folder / "out" / name / "session.mcap")
     return folder
 
 

@@ -1,4 +1,7 @@
-"""The experiment of Fig. 12 on real processes, judged from its own recording."""
+"""The experiment of Fig. 12 on real processes, judged from its own recording.
+
+Its variants over a delay are endurance here; the default run has them in `tests/replay/test_virtual_fig12.py`.
+"""
 
 import json
 import multiprocessing
@@ -123,6 +126,7 @@ def test_every_message_decodes(session: Any) -> None:
     assert {"HapticState", "AfmState", "TeleopForward", "SessionEvent", "NodeHealth", "LinkStatus"} <= kinds
 
 
+@pytest.mark.endurance
 def test_forty_milliseconds_round_trip_stay_stable_and_without_the_meniscus_the_contact_is_nearer(rig: Any) -> None:
     for _ in range(SESSIONS):
         summary = rig.run(*readme("--round-trip-ms 40"), "--set", "afm_node.meniscus=false", "--duration", "6.5")
@@ -141,6 +145,7 @@ def test_forty_milliseconds_round_trip_stay_stable_and_without_the_meniscus_the_
     )
 
 
+@pytest.mark.endurance
 def test_sixty_milliseconds_round_trip_are_a_limit_cycle(rig: Any) -> None:
     summary = rig.run(*readme("--round-trip-ms 60"), *HOLDS)
     assert summary["stable"] is False
@@ -157,6 +162,7 @@ def test_sixty_milliseconds_round_trip_are_a_limit_cycle(rig: Any) -> None:
         machine.note(f"a loop held up by {age['max'] - age['p50']:.0f} ms: a limit cycle of {max(swings):.1f} N")
 
 
+@pytest.mark.endurance
 def test_the_satellite_of_the_readme_is_as_far_away_as_it_is(rig: Any) -> None:
     summary = rig.run(*readme("delay_node.profile=satellite"), "--duration", "1.5")
     round_trip_s = sum(PROFILES["satellite"].settings[way]["delay_s"] for way in ("forward", "backward"))

@@ -6,7 +6,7 @@ import shutil
 import subprocess
 import sys
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from importlib.metadata import distribution
 from pathlib import Path
 
@@ -14,7 +14,6 @@ import pytest
 from packaging.requirements import Requirement
 
 ROOT = Path(__file__).parents[2]
-REFERENCE = ROOT / "tests" / "replay" / "wave.mcap"
 
 pytestmark = [pytest.mark.stack, pytest.mark.endurance]
 
@@ -152,11 +151,14 @@ VERBS = {
 }
 
 
-def test_every_command_works_or_says_what_to_add(installed: Installation, request: pytest.FixtureRequest) -> None:
+def test_every_command_works_or_says_what_to_add(
+    installed: Installation, request: pytest.FixtureRequest, recording_of: Callable[[str], Path]
+) -> None:
+    reference = str(recording_of("fig12_wave"))
     extras = request.node.callspec.params["installed"]
     wrong = {}
     for line, works_with in VERBS.items():
-        done = installed.telenano(*(str(REFERENCE) if word == "REFERENCE" else word for word in line.split()))
+        done = installed.telenano(*(reference if word == "REFERENCE" else word for word in line.split()))
         says = re.search(r"""pip install ['"]telenano\[[a-z,]+\]['"]""", done.stderr)
         works = done.returncode in (0, 3)
         promised = set(extras) & set(works_with.split())
@@ -168,9 +170,10 @@ def test_every_command_works_or_says_what_to_add(installed: Installation, reques
 
 
 def test_the_library_reads_a_recording_or_says_what_to_add(
-    installed: Installation, request: pytest.FixtureRequest
+    installed: Installation, request: pytest.FixtureRequest, recording_of: Callable[[str], Path]
 ) -> None:
-    program = f"import telenano; print(len(telenano.open({str(REFERENCE)!r}).table('afm/state')['time_s']))"
+    reference = str(recording_of("fig12_wave"))
+    program = f"import telenano; print(len(telenano.open({reference!r}).table('afm/state')['time_s']))"
     done = installed.run(str(installed.python), "-c", program)
     if request.node.callspec.params["installed"]:
         assert done.returncode == 0, done.stderr

@@ -54,7 +54,20 @@ def test_a_live_image_that_is_ended_keeps_its_lines_and_the_instrument_does_not_
     assert read_surface(out / "scan.gsf").height_m.shape == (document["lines"], 16)
     assert states_of_programs(rig)[-1] == "ended"
     rig.wait_until(lambda: is_away(rig), "a retracted tip")
-    # the next one is not refused
+    rig.stop()
+
+
+@pytest.mark.endurance
+def test_after_an_image_that_was_ended_the_next_is_not_refused_and_a_curve_is_ended_likewise(
+    rig: Rig, tmp_path: Path
+) -> None:
+    rig.start(scenario="image")
+    rig.wait_until(rig.running, "the session")
+    before = len(rig.recording().messages("afm/scanline"))
+    scan = begin(rig, *SCAN, "60", "--out", str(tmp_path / "scan"))
+    rig.wait_until(lambda: len(rig.recording().messages("afm/scanline")) > before + 5, "the first lines")
+    os.kill(scan.pid, signal.SIGTERM)
+    scan.communicate(timeout=60.0)
     done = rig.telenano(*SCAN, "2", "--out", str(tmp_path / "whole"), patience_s=90.0)
     assert done.returncode == 0, done.stderr
     assert "partial" not in json.loads(done.stdout)

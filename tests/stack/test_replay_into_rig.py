@@ -1,23 +1,28 @@
 """A recording played at its own rate into a live rig: it takes no running node's place, and no device obeys it."""
 
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from stack_rig import ROOT, Rig
+from stack_rig import Rig
 
 from recording.reader import Recording
 
-REFERENCE = str(ROOT / "tests" / "replay" / "passivity.mcap")
 LAW = "controller@slave"
 
 
+@pytest.fixture
+def reference(recording_of: Callable[[str], Path]) -> str:
+    return str(recording_of("fig12_passivity"))
+
+
 @pytest.mark.endurance
-def test_a_replay_does_not_take_the_place_of_a_node_that_runs(rig: Rig) -> None:
+def test_a_replay_does_not_take_the_place_of_a_node_that_runs(rig: Rig, reference: str) -> None:
     rig.start("--duration", "600")
     rig.wait_until(rig.running, "a running session")
     begin_ns = time.time_ns()
-    played = rig.telenano("replay", REFERENCE, "--nodes", LAW)
+    played = rig.telenano("replay", reference, "--nodes", LAW)
     end_ns = time.time_ns()
     assert played.returncode == 1
     assert f"/{LAW} is in use by process {rig.process_of(LAW)}: stop it" in played.stderr
@@ -32,10 +37,10 @@ def test_a_replay_does_not_take_the_place_of_a_node_that_runs(rig: Rig) -> None:
 
 
 @pytest.mark.endurance
-def test_no_device_obeys_a_replay_in_the_place_of_the_law(rig: Rig) -> None:
+def test_no_device_obeys_a_replay_in_the_place_of_the_law(rig: Rig, reference: str) -> None:
     rig.start("--duration", "600", "--without", LAW)
     rig.wait_until(lambda: rig.log_has("afm_node@slave", "ready"), "a rig without the law of the slave")
-    played = rig.telenano("replay", REFERENCE, "--nodes", LAW, "--rate", "1")
+    played = rig.telenano("replay", reference, "--nodes", LAW, "--rate", "1")
     assert played.returncode == 0, played.stderr
     text = f"commands of {LAW} come from a recording and are rejected"
     rig.wait_until(lambda: rig.log_has("afm_node@slave", text), "the instrument's refusal")
@@ -49,6 +54,5 @@ def test_no_device_obeys_a_replay_in_the_place_of_the_law(rig: Rig) -> None:
     assert len({state["base_position_m"] for state in states}) == 1
 
 
-def test_the_recording_that_is_played_has_commands() -> None:
-    assert Path(REFERENCE).is_file()
-    assert len(list(Recording(REFERENCE).messages(["afm/command"]))) > 1000
+def test_the_recording_that_is_played_has_commands(reference: str) -> None:
+    assert len(list(Recording(Path(reference)).messages(["afm/command"]))) > 1000

@@ -1,8 +1,8 @@
 """SIGSTOP and SIGCONT of each process of a real rig: nothing past its deadline is obeyed, and the tip does not jump.
 
 The recording is the witness. Of each state of a device it has the command in force and the hand's sample behind it; of
-the link it has the delay of each message. The same in virtual time, and without the doubt whether the machine was busy,
-is in `tests/replay/test_virtual_stalls.py`.
+the link it has the delay of each message. All of it is endurance: the same in virtual time, and without the doubt
+whether the machine was busy, is in `tests/replay/test_virtual_stalls.py`.
 """
 
 import math
@@ -151,6 +151,7 @@ def check(findings: Findings) -> None:
         assert stalled_s >= 0.9 * (stall.end_ns - stall.begin_ns) * 1e-9, stall
 
 
+@pytest.mark.endurance
 def test_a_process_that_was_stopped_obeys_nothing_old(tmp_path: Path) -> None:
     session = Session(tmp_path, "wave", 150.0)
     try:

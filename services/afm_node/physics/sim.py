@@ -65,16 +65,11 @@ class SimulatedInstrument:
         self._params = params
         self._relief, self._cantilever = relief, cantilever
         self._motion = motion_of(params.plant)
-        self._state = InstrumentState(
+        self.state = InstrumentState(
             _thermal(PlantInputs(self.safe_position_m), disturbances, moves=self._motion is not None),
             disturbances,
             noise_start(),
         )
-
-    @property
-    def state(self) -> InstrumentState:
-        """The whole state."""
-        return self._state
 
     @property
     def safe_position_m(self) -> float:
@@ -111,11 +106,11 @@ class SimulatedInstrument:
     def move_to(self, x_m: float, y_m: float) -> None:
         if not (math.isfinite(x_m) and math.isfinite(y_m)):
             raise ValueError(f"lateral position {x_m}, {y_m} m must be finite")
-        self._state = self._state._replace(inputs=self._state.inputs._replace(x_m=x_m, y_m=y_m))
+        self.state = self.state._replace(inputs=self.state.inputs._replace(x_m=x_m, y_m=y_m))
 
     @property
     def lateral_force_n(self) -> tuple[float, float]:
-        return self._state.lateral_n
+        return self.state.lateral_n
 
     def vibrate(self, amplitude_m: float) -> None:
         """Drive the base so that the amplitude without a sample becomes amplitude_m [m]; 0 lets the tip come to rest.
@@ -124,42 +119,42 @@ class SimulatedInstrument:
         """
         if not (math.isfinite(amplitude_m) and amplitude_m >= 0.0):
             raise ValueError(f"amplitude = {amplitude_m} m must be finite and >= 0 m")
-        self._state = self._state._replace(inputs=self._state.inputs._replace(amplitude_m=amplitude_m))
+        self.state = self.state._replace(inputs=self.state.inputs._replace(amplitude_m=amplitude_m))
 
     @property
     def oscillation(self) -> Oscillation:
-        state = self._state
+        state = self.state
         if self._motion is None or state.part is None or state.inputs.amplitude_m == 0.0:
             return _AT_REST
         return self._motion.oscillation(state.part)
 
     @property
     def disturbances(self) -> DisturbanceConfig | None:
-        return None if self._cantilever is None else self._state.disturbances
+        return None if self._cantilever is None else self.state.disturbances
 
     def configure(self, config: DisturbanceConfig) -> None:
         """Take other disturbances from now on; those that go on keep their state."""
-        state = self._state
+        state = self.state
         if not state.disturbances.any_enabled:
             # what creeps and lags behind is at rest where the base is when it is switched on
             state = state._replace(piezo=None, elapsed_s=0.0)
         inputs = _thermal(state.inputs, config, moves=self._motion is not None)
-        self._state = state._replace(disturbances=config, inputs=inputs)
+        self.state = state._replace(disturbances=config, inputs=inputs)
 
     def elapse(self, dt: float) -> None:
         """Note the time [s] of the next exchange."""
-        self._state = self._state._replace(elapsed_s=self._state.elapsed_s + dt)
+        self.state = self.state._replace(elapsed_s=self.state.elapsed_s + dt)
 
     @property
     def settles(self) -> bool:
         return self._motion is not None
 
     def settle(self) -> bool:
-        state = self._state
+        state = self.state
         if self._motion is None or state.part is None:
             return False
         part, goes_on = self._motion.settle(self._params.plant, state.part, state.inputs)
-        self._state = state._replace(part=part)
+        self.state = state._replace(part=part)
         return goes_on
 
     def open(self) -> None:
@@ -167,14 +162,14 @@ class SimulatedInstrument:
 
         Raises: RuntimeError, if it is already open.
         """
-        state = self._state
+        state = self.state
         if state.part is not None:
             raise RuntimeError("the simulated instrument is already open")
         inputs = state.inputs._replace(base_m=self.safe_position_m)
-        self._state = state._replace(part=part_start(self._params.plant, inputs))
+        self.state = state._replace(part=part_start(self._params.plant, inputs))
 
     def exchange(self, base_m: float) -> AfmSample:
-        state = self._state
+        state = self.state
         if state.part is None:
             raise RuntimeError("the simulated instrument is not open: call open() first")
         if not math.isfinite(base_m):
@@ -184,13 +179,13 @@ class SimulatedInstrument:
             sample = self._disturbed(self._cantilever, inputs)
         else:
             part, sample = part_step(self._params.plant, state.part, inputs, state.elapsed_s)
-            self._state = state._replace(inputs=inputs, part=part)
+            self.state = state._replace(inputs=inputs, part=part)
         lateral_n = (sample.lateral_x_n, sample.lateral_y_n)
-        self._state = self._state._replace(elapsed_s=0.0, lateral_n=lateral_n)
+        self.state = self.state._replace(elapsed_s=0.0, lateral_n=lateral_n)
         return sample
 
     def _disturbed(self, cantilever: Plant, inputs: PlantInputs) -> AfmSample:
-        state, tip, config = self._state, self._params.plant, self._state.disturbances
+        state, tip, config = self.state, self._params.plant, self.state.disturbances
         # thermal noise of a cantilever that moves are impulses on its tip
         drawn = config if self._motion is None else config.model_copy(update={"thermal": _QUIET.thermal})
         noise_state, noise = noise_step(drawn, state.noise, cantilever.stiffness_n_per_m, state.elapsed_s)
@@ -199,18 +194,18 @@ class SimulatedInstrument:
             disturbed_params(config, tip, cantilever), DisturbedState(state.part, piezo), inputs, noise, state.elapsed_s
         )
         inputs = inputs._replace(voltage_v=noise.voltage_v)
-        self._state = state._replace(inputs=inputs, noise=noise_state, part=moved.tip, piezo=moved.piezo)
+        self.state = state._replace(inputs=inputs, noise=noise_state, part=moved.tip, piezo=moved.piezo)
         return sample
 
     def retract(self) -> bool:
         """Retract to the safe position at once: the base has no way to go."""
-        if self._state.part is not None:
+        if self.state.part is not None:
             self.exchange(self.safe_position_m)
         return True
 
     def close(self) -> None:
         self.retract()
-        self._state = self._state._replace(part=None)
+        self.state = self.state._replace(part=None)
 
 
 def _thermal(inputs: PlantInputs, config: DisturbanceConfig, *, moves: bool) -> PlantInputs:

@@ -7,7 +7,7 @@ no state of its own: plan and state are NamedTuples of plain values, which the j
 
 import math
 from abc import ABC, abstractmethod
-from typing import ClassVar, Generic, NamedTuple, TypeVar
+from typing import ClassVar, Generic, NamedTuple, TypeVar, get_args, get_origin
 
 import numpy as np
 import numpy.typing as npt
@@ -166,6 +166,13 @@ class Program(ABC, Generic[S, P, T]):
     about: ClassVar[str]
     label: ClassVar[str] = ""
     can_pause: ClassVar[bool] = False
+
+    @classmethod
+    def kinds(cls) -> tuple[type[P], type[T]]:
+        """Return the classes of the plan and of the state."""
+        bases = (base for kind in cls.__mro__ for base in getattr(kind, "__orig_bases__", ()))
+        _, plan, state = get_args(next(base for base in bases if get_origin(base) is Program))
+        return plan, state
 
     @abstractmethod
     def begin(self, settings: S, instrument: Instrument, place: Place) -> Begun[P, T]:

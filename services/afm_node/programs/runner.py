@@ -8,6 +8,7 @@ from services.afm_node.programs.lateral import Place
 from services.afm_node.programs.program import Inputs, Instrument, Wanted
 from services.afm_node.programs.settings import InstrumentRequest
 from services.afm_node.programs.table import PROGRAMS, AnyProgram
+from services.runtime.loop.node_state import Part, part
 
 RunState = Literal["running", "paused", "finished", "ended"]
 # of the guard, where a program may not begin, and why
@@ -35,8 +36,19 @@ class Report(NamedTuple):
     lines: int
 
 
+class RunnerState(NamedTuple):
+    """What runs, and the plan and the state that the program made, None where nothing runs."""
+
+    name: str
+    state: RunState
+    aborted: str
+    notice: str
+    plan: Part | None
+    reached: Part | None
+
+
 class ProgramRunner:
-    """Runs one program at a time; its state is plain values, for the journal of the node.
+    """Runs one program at a time.
 
     `name` is that of the program, empty while there is none; its plan and its state are what the program made of them.
     """
@@ -48,6 +60,18 @@ class ProgramRunner:
         self._plan: Any = None
         self._reached: Any = None
         self._aborted, self._notice = "", ""
+
+    def capture(self) -> RunnerState:
+        """Return the state."""
+        made = (part(self._plan), part(self._reached)) if self.name else (None, None)
+        return RunnerState(self.name, self.state, self._aborted, self._notice, *made)
+
+    def restore(self, state: RunnerState) -> None:
+        """Go on from a state; ValueError or KeyError, if its program is not as it was."""
+        self.name, self.state, self._aborted, self._notice, plan, reached = state
+        if plan is not None and reached is not None:
+            kind, kind_reached = self._program.kinds()
+            self._plan, self._reached = plan.of_kind(kind), reached.of_kind(kind_reached)
 
     def request(self, request: InstrumentRequest, mode: int, place: Place, *, device_lost: bool) -> str:
         """Begin a program, or change the one that runs; return a sentence. RefusedError says why not.

@@ -32,19 +32,18 @@ class Overtaking:
     is 1 / (gap - 1 + 1/p) without correlation.
     """
 
-    __slots__ = ("_gap", "_happens", "_since")
-    # the occurrence is a model of its own
-    state_fields = ("_since",)
+    __slots__ = ("_gap", "_happens", "state")
 
     def __init__(self, happens: Occurrence, gap: int) -> None:
         self._happens = happens
         self._gap = gap
-        self._since = 0
+        # messages since the last one that was chosen; the occurrence is a model of its own
+        self.state = 0
 
     def __call__(self) -> bool:
         happens = self._happens()
-        self._since += 1
-        if self._since < self._gap or not happens:
+        self.state += 1
+        if self.state < self._gap or not happens:
             return False
-        self._since = 0
+        self.state = 0
         return True

@@ -52,7 +52,6 @@ class JitterSource:
     """Random delays [ns, may be negative], one for each message."""
 
     __slots__ = ("_draws", "_scale_ns", "_uniforms")
-    state_fields = ("_uniforms",)
 
     def __init__(self, settings: Jitter, samples: Sequence[float], streams: Callable[[str], Draw]) -> None:
         self._scale_ns = settings.scale_s * 1e9
@@ -63,6 +62,16 @@ class JitterSource:
         self._draws = [
             (weight, quantile, uniform) for (weight, _, quantile), uniform in zip(parts, self._uniforms, strict=True)
         ]
+
+    @property
+    def state(self) -> list[float | None]:
+        """The last normal score of each part, None before the first message and where there is no correlation."""
+        return [uniform.score for uniform in self._uniforms]
+
+    @state.setter
+    def state(self, scores: list[float | None]) -> None:
+        for uniform, score in zip(self._uniforms, scores, strict=True):
+            uniform.score = score
 
     def __call__(self) -> float:
         """Return the next random part [ns]."""

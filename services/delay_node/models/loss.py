@@ -15,7 +15,6 @@ class MarkovLossChain:
     """
 
     __slots__ = ("_draw", "_settings", "state")
-    state_fields = ("state",)
 
     def __init__(self, settings: MarkovLoss, draw: Draw) -> None:
         self._settings = settings
@@ -44,19 +43,19 @@ class GilbertElliottChain:
     h = 0, k = 1 the mean burst 1/r messages.
     """
 
-    __slots__ = ("_decide", "_settings", "_step", "bad")
-    state_fields = ("bad",)
+    __slots__ = ("_decide", "_settings", "_step", "state")
 
     def __init__(self, settings: GilbertElliott, step: Draw, decide: Draw) -> None:
         self._settings = settings
         self._step = step
         self._decide = decide
-        self.bad = False
+        # whether the channel is bad
+        self.state = False
 
     def __call__(self) -> bool:
         """Decide about the next message, then step."""
         s = self._settings
-        lost = self._decide() < (s.loss_in_bad if self.bad else s.loss_in_good)
-        if self._step() < (s.r if self.bad else s.p):
-            self.bad = not self.bad
+        lost = self._decide() < (s.loss_in_bad if self.state else s.loss_in_good)
+        if self._step() < (s.r if self.state else s.p):
+            self.state = not self.state
         return lost

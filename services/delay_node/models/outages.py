@@ -2,13 +2,23 @@
 
 import math
 from bisect import bisect_right
-from collections import deque
+from typing import NamedTuple
 
 from services.delay_node.config import Outage
 from services.delay_node.random_streams import SMALLEST, Draw
 
 # outages that are walked through for a message; a longer pause is jumped over, or it would stop the link
 _LONGEST_WALK = 10_000
+
+
+class OutageState(NamedTuple):
+    """The origin of the schedule [ns], and begin and end [ns] of the random outages drawn that are not over yet.
+
+    The last one of these is where the next begins to count.
+    """
+
+    origin_ns: int
+    random: list[tuple[int, int]]
 
 
 class Outages:
@@ -18,23 +28,20 @@ class Outages:
     the same seed gives the same outages whatever messages pass.
     """
 
-    __slots__ = ("_down_ns", "_draw", "_origin_ns", "_period_ns", "_random", "_schedule", "_up_ns")
-    state_fields = ("_origin_ns", "_random")
+    __slots__ = ("_down_ns", "_draw", "_period_ns", "_schedule", "_up_ns", "state")
 
     def __init__(self, settings: Outage, origin_ns: int, draw: Draw) -> None:
-        self._origin_ns = origin_ns
         self._draw = draw
         self._schedule = [(round(start * 1e9), round((start + length) * 1e9)) for start, length in settings.schedule]
         self._period_ns = None if settings.period_s is None else round(settings.period_s * 1e9)
         self._up_ns = None if settings.mean_up_s is None else settings.mean_up_s * 1e9
         self._down_ns = 0.0 if settings.mean_down_s is None else settings.mean_down_s * 1e9
-        # Random outages drawn so far that are not over yet; the last one is where the next begins to count.
-        self._random = deque([(origin_ns, origin_ns)])
+        self.state = OutageState(origin_ns, [(origin_ns, origin_ns)])
 
     def end_ns(self, now_ns: int) -> int | None:
         """Return when the outage that covers now ends, or None while connected; now_ns must not decrease."""
-        while len(self._random) > 1 and self._random[0][1] <= now_ns:
-            self._random.popleft()
+        while len(self.state.random) > 1 and self.state.random[0][1] <= now_ns:
+            del self.state.random[0]
         # The end of one outage may lie inside another one.
         at_ns = now_ns
         while (later_ns := max(self._scheduled_end(at_ns), self._random_end(at_ns))) > at_ns:
@@ -42,7 +49,7 @@ class Outages:
         return at_ns if at_ns > now_ns else None
 
     def _scheduled_end(self, at_ns: int) -> int:
-        elapsed = at_ns - self._origin_ns
+        elapsed = at_ns - self.state.origin_ns
         if self._period_ns is not None:
             elapsed %= self._period_ns
         index = bisect_right(self._schedule, (elapsed, math.inf)) - 1
@@ -52,16 +59,16 @@ class Outages:
         if self._up_ns is None:
             return at_ns
         cycle_ns = self._up_ns + self._down_ns
-        if at_ns - self._random[-1][1] > _LONGEST_WALK * cycle_ns:
+        if at_ns - self.state.random[-1][1] > _LONGEST_WALK * cycle_ns:
             # an exponential time has no memory: up or down by their shares, for as long as from the start
             start_ns = at_ns
             if self._draw() * cycle_ns >= self._down_ns:
                 start_ns += self._exponential(self._up_ns)
-            self._random.append((start_ns, start_ns + self._exponential(self._down_ns)))
-        while (last_ns := self._random[-1][1]) <= at_ns:
+            self.state.random.append((start_ns, start_ns + self._exponential(self._down_ns)))
+        while (last_ns := self.state.random[-1][1]) <= at_ns:
             start_ns = last_ns + self._exponential(self._up_ns)
-            self._random.append((start_ns, start_ns + self._exponential(self._down_ns)))
-        return next((end_ns for start_ns, end_ns in self._random if start_ns <= at_ns < end_ns), at_ns)
+            self.state.random.append((start_ns, start_ns + self._exponential(self._down_ns)))
+        return next((end_ns for start_ns, end_ns in self.state.random if start_ns <= at_ns < end_ns), at_ns)
 
     def _exponential(self, mean_ns: float) -> int:
         # At least one nanosecond, so that the walk through the intervals always moves on.

@@ -1,9 +1,9 @@
 """What the messages under the same settings share: a server with a finite throughput, its queue, and slots."""
 
 from bisect import bisect_left
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Iterable, Sequence
-from typing import Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 from services.delay_node.config import Queue
 from services.delay_node.random_streams import Draw
@@ -23,6 +23,8 @@ class Passage(NamedTuple):
 class Server(Protocol):
     """Sends one message after the other."""
 
+    state: Any
+
     def passage(self, ready_ns: int, size_bytes: int) -> Passage:
         """Return the passage of the next message without sending it."""
 
@@ -36,24 +38,32 @@ class Server(Protocol):
 class RateServer:
     """Sends at a constant rate: start = max(ready, free), finish = start + size/rate."""
 
-    __slots__ = ("_free_ns", "_ns_per_byte", "_overhead_bytes")
-    state_fields = ("_free_ns",)
+    __slots__ = ("_ns_per_byte", "_overhead_bytes", "state")
 
     def __init__(self, rate_bytes_per_s: float, overhead_bytes: int) -> None:
         self._ns_per_byte = 1e9 / rate_bytes_per_s
         self._overhead_bytes = overhead_bytes
-        self._free_ns = 0
+        # when it has sent everything [ns]
+        self.state = 0
 
     def passage(self, ready_ns: int, size_bytes: int) -> Passage:
-        start_ns = max(ready_ns, self._free_ns)
+        start_ns = max(ready_ns, self.state)
         return Passage(start_ns, start_ns + round((size_bytes + self._overhead_bytes) * self._ns_per_byte))
 
     def send(self, ready_ns: int, size_bytes: int) -> int:
-        self._free_ns = self.passage(ready_ns, size_bytes).finish_ns
-        return self._free_ns
+        self.state = self.passage(ready_ns, size_bytes).finish_ns
+        return self.state
 
     def wait_until(self, free_ns: int) -> None:
-        self._free_ns = max(self._free_ns, free_ns)
+        self.state = max(self.state, free_ns)
+
+
+class DeliveryState(NamedTuple):
+    """The origin of the trace [ns]; the number of the opportunity in use, and what it can still carry [bytes]."""
+
+    origin_ns: int
+    opportunity: int
+    left: int
 
 
 class DeliveryServer:
@@ -63,29 +73,28 @@ class DeliveryServer:
     opportunity and is delivered with its last byte. Without a byte limit each opportunity carries one message.
     """
 
-    __slots__ = ("_bytes", "_index", "_left", "_origin_ns", "_times_ns")
-    state_fields = ("_origin_ns", "_index", "_left")
+    __slots__ = ("_bytes", "_times_ns", "state")
 
     def __init__(self, times_ns: tuple[int, ...], bytes_per_opportunity: int | None, origin_ns: int) -> None:
         self._times_ns = times_ns
         self._bytes = bytes_per_opportunity
-        self._origin_ns = origin_ns
-        self._index, self._left = 0, bytes_per_opportunity or 1
+        self.state = DeliveryState(origin_ns, 0, bytes_per_opportunity or 1)
 
     def passage(self, ready_ns: int, size_bytes: int) -> Passage:
         finish_ns = self._time_ns(self._seek(ready_ns, size_bytes)[0])
         return Passage(finish_ns, finish_ns)
 
     def send(self, ready_ns: int, size_bytes: int) -> int:
-        self._index, self._left = self._seek(ready_ns, size_bytes)
-        return self._time_ns(self._index)
+        index, left = self._seek(ready_ns, size_bytes)
+        self.state = DeliveryState(self.state.origin_ns, index, left)
+        return self._time_ns(index)
 
     def wait_until(self, free_ns: int) -> None:
-        self._index, self._left = self._seek(free_ns, 0)
+        self.send(free_ns, 0)
 
     def _seek(self, ready_ns: int, size_bytes: int) -> tuple[int, int]:
         """Return the number of the last opportunity needed and what the message leaves of it."""
-        index, left = self._index, self._left
+        _, index, left = self.state
         earliest = self._first_from(ready_ns)
         if earliest > index:
             index, left = earliest, self._bytes or 1
@@ -99,13 +108,13 @@ class DeliveryServer:
 
     def _first_from(self, ready_ns: int) -> int:
         # The last opportunity belongs to the cycle that it ends, so a cycle is (0, period], and the first has 0 too.
-        period_ns, elapsed_ns = self._times_ns[-1], max(0, ready_ns - self._origin_ns)
+        period_ns, elapsed_ns = self._times_ns[-1], max(0, ready_ns - self.state.origin_ns)
         cycle = max(0, elapsed_ns - 1) // period_ns
         return cycle * len(self._times_ns) + bisect_left(self._times_ns, elapsed_ns - cycle * period_ns)
 
     def _time_ns(self, index: int) -> int:
         cycle, place = divmod(index, len(self._times_ns))
-        return self._origin_ns + cycle * self._times_ns[-1] + self._times_ns[place]
+        return self.state.origin_ns + cycle * self._times_ns[-1] + self._times_ns[place]
 
 
 class Waiting(NamedTuple, Generic[Item]):
@@ -119,14 +128,18 @@ class Waiting(NamedTuple, Generic[Item]):
     item: Item
 
 
+class QueueState(NamedTuple):
+    """When the last byte of all that has left the queue is sent [ns], and the state of its server."""
+
+    free_ns: int
+    server: Any
+
+
 class ServedQueue(Generic[Item]):
     """A first-in first-out queue before a server, with limits on what waits and a choice of whom to drop.
 
     What the server is sending has left the queue. Reliable messages wait beyond the limits and are never dropped.
     """
-
-    # what waits is captured by who knows the items
-    state_fields = ("_server", "free_ns")
 
     def __init__(self, limits: Queue, server: Server, draw: Draw) -> None:
         self._limits = limits
@@ -139,6 +152,15 @@ class ServedQueue(Generic[Item]):
 
     def __len__(self) -> int:
         return len(self._waiting)
+
+    @property
+    def state(self) -> QueueState:
+        """The state without what waits, whose items a queue does not know."""
+        return QueueState(self.free_ns, self._server.state)
+
+    @state.setter
+    def state(self, state: QueueState) -> None:
+        self.free_ns, self._server.state = state
 
     @property
     def waiting(self) -> Sequence[Waiting[Item]]:
@@ -216,14 +238,20 @@ class ServedQueue(Generic[Item]):
         return entry.item
 
 
+class SlotState(NamedTuple):
+    """Times of the slots drawn so far [ns], and what each carries: messages, and bytes."""
+
+    times_ns: list[int]
+    messages: dict[int, int]
+    size_bytes: dict[int, int]
+
+
 class SlotGate:
     """Slots at random distances, uniform between shortest and longest; each carries so much.
 
     A message that would be released at t leaves with the first slot from t on that has room. One that is larger than
     a whole slot takes a slot alone.
     """
-
-    state_fields = ("_times_ns", "_messages", "_bytes")
 
     def __init__(
         self,
@@ -238,45 +266,47 @@ class SlotGate:
         self._max_messages = max_messages
         self._max_bytes = max_bytes
         self._draw = draw
-        self._times_ns = [origin_ns]
-        self._messages: Counter[int] = Counter()
-        self._bytes: Counter[int] = Counter()
+        self.state = SlotState([origin_ns], {}, {})
 
     def slot_ns(self, now_ns: int, release_ns: int, size_bytes: int) -> int:
         """Reserve a place in a slot; no later message may ask for a time before now_ns.
 
         Returns: the time of the slot, >= release_ns.
         """
-        if len(self._times_ns) > 512 and self._times_ns[256] < now_ns:
+        if len(self.state.times_ns) > 512 and self.state.times_ns[256] < now_ns:
             self._forget(now_ns)
         interval_ns = self._shortest_ns + self._spread_ns // 2
-        if release_ns - self._times_ns[-1] > _LONGEST_WALK * interval_ns:
+        if release_ns - self.state.times_ns[-1] > _LONGEST_WALK * interval_ns:
             # a slot somewhere in the last interval before
-            self._times_ns.append(release_ns - int(self._draw() * interval_ns))
-        place = bisect_left(self._times_ns, release_ns)
+            self.state.times_ns.append(release_ns - int(self._draw() * interval_ns))
+        place = bisect_left(self.state.times_ns, release_ns)
         while self._is_full(time_ns := self._slot(place), release_ns, size_bytes):
             place += 1
-        self._messages[time_ns] += 1
-        self._bytes[time_ns] += size_bytes
+        self.state.messages[time_ns] = self.state.messages.get(time_ns, 0) + 1
+        self.state.size_bytes[time_ns] = self.state.size_bytes.get(time_ns, 0) + size_bytes
         return time_ns
 
     def _is_full(self, time_ns: int, release_ns: int, size_bytes: int) -> bool:
         if time_ns < release_ns:
             return True
-        messages = self._messages[time_ns]
+        messages = self.state.messages.get(time_ns, 0)
         return (self._max_messages is not None and messages >= self._max_messages) or (
-            self._max_bytes is not None and messages > 0 and self._bytes[time_ns] + size_bytes > self._max_bytes
+            self._max_bytes is not None
+            and messages > 0
+            and self.state.size_bytes[time_ns] + size_bytes > self._max_bytes
         )
 
     def _slot(self, place: int) -> int:
-        while len(self._times_ns) <= place:
-            self._times_ns.append(self._times_ns[-1] + self._shortest_ns + int(self._draw() * self._spread_ns))
-        return self._times_ns[place]
+        while len(self.state.times_ns) <= place:
+            self.state.times_ns.append(
+                self.state.times_ns[-1] + self._shortest_ns + int(self._draw() * self._spread_ns)
+            )
+        return self.state.times_ns[place]
 
     def _forget(self, now_ns: int) -> None:
         # The last slot stays, because the next one counts from it.
-        past = min(bisect_left(self._times_ns, now_ns), len(self._times_ns) - 1)
-        for time_ns in self._times_ns[:past]:
-            self._messages.pop(time_ns, None)
-            self._bytes.pop(time_ns, None)
-        del self._times_ns[:past]
+        past = min(bisect_left(self.state.times_ns, now_ns), len(self.state.times_ns) - 1)
+        for time_ns in self.state.times_ns[:past]:
+            self.state.messages.pop(time_ns, None)
+            self.state.size_bytes.pop(time_ns, None)
+        del self.state.times_ns[:past]

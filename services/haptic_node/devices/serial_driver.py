@@ -199,10 +199,6 @@ class SerialHandle:
         self._judge(now_ns)
         return self._reading
 
-    def capture_state(self) -> object:
-        """Raise TypeError: the state of a live device has no form in a journal."""
-        raise TypeError("the state of a real handle cannot be captured")
-
     def _connect(self, now_ns: int) -> None:
         self._port = self._open_port(self.path, self._baud)
         self.reader.reset()

@@ -8,7 +8,7 @@ is seen by the force sensor and moves the arm only through the law.
 
 import math
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 from pydantic import Field
 
@@ -17,7 +17,7 @@ from proto.messages import Scalar
 from services.haptic_node.driver import DeviceReading
 from services.haptic_node.physics.sim import SimulatedHaptic
 from services.haptic_node.physics.step import PlantParams
-from services.numerics.normal_numbers import NormalNumbers
+from services.numerics.normal_numbers import normal_number
 from services.runtime.settings.config import Settings, merge, nested, validate
 
 _TREMOR_Q = 8.0
@@ -67,12 +67,15 @@ class HandDisturbanceState(NamedTuple):
     drawn: int
 
 
+class HandDisturbances(NamedTuple):
+    """What disturbs a device, and the state of that."""
+
+    config: HandDisturbanceConfig
+    state: HandDisturbanceState
+
+
 def disturbed(
-    config: HandDisturbanceConfig,
-    normals: NormalNumbers,
-    state: HandDisturbanceState,
-    reading: DeviceReading,
-    dt: float,
+    config: HandDisturbanceConfig, state: HandDisturbanceState, reading: DeviceReading, dt: float
 ) -> tuple[HandDisturbanceState, DeviceReading]:
     """Return what a disturbed device reads, dt [s] after the last sample."""
     position, velocity = reading.position_m, reading.velocity_m_per_s
@@ -83,7 +86,7 @@ def disturbed(
         position = round(position / step) * step
         velocity = (position - state.position_m) / dt
     if config.force_noise.enabled:
-        force += config.force_noise.rms_n * normals.at(drawn)
+        force += config.force_noise.rms_n * normal_number(config.seed, drawn)
         drawn += 1
     if config.tremor.enabled:
         rate = 2.0 * math.pi * config.tremor.frequency_hz
@@ -91,8 +94,8 @@ def disturbed(
         spread = math.sqrt(1.0 - kept * kept)
         c, s = math.cos(rate * dt), math.sin(rate * dt)
         tremor, quadrature = (
-            kept * (c * tremor - s * quadrature) + spread * normals.at(drawn),
-            kept * (s * tremor + c * quadrature) + spread * normals.at(drawn + 1),
+            kept * (c * tremor - s * quadrature) + spread * normal_number(config.seed, drawn),
+            kept * (s * tremor + c * quadrature) + spread * normal_number(config.seed, drawn + 1),
         )
         drawn += 2
         force += config.tremor.rms_n * tremor
@@ -118,24 +121,21 @@ class DisturbedHaptic(SimulatedHaptic):
 
     def __init__(self, params: PlantParams, start_position_m: float, config: HandDisturbanceConfig) -> None:
         super().__init__(params, start_position_m)
-        self._disturbances, self._is_disturbed = config, config.any_enabled
-        self._normals = NormalNumbers(config.seed)
-        self._disturbance_state = HandDisturbanceState(start_position_m, 0.0, 0.0, 0)
+        self.state.disturbed = HandDisturbances(config, HandDisturbanceState(start_position_m, 0.0, 0.0, 0))
 
     def configure(self, config: HandDisturbanceConfig) -> None:
         """Take other disturbances from now on."""
-        self._disturbances, self._is_disturbed = config, config.any_enabled
-        self._normals.reseed(config.seed)
+        self.state.disturbed = self.state.disturbed._replace(config=config)
 
     @property
     def disturbances(self) -> HandDisturbanceConfig:
-        return self._disturbances
+        return cast(HandDisturbances, self.state.disturbed).config
 
     def read(self, session_time_s: float, dt_s: float) -> DeviceReading:
         reading = super().read(session_time_s, dt_s)
-        if not self._is_disturbed:
+        config, state = self.state.disturbed
+        if not config.any_enabled:
             return reading
-        self._disturbance_state, reading = disturbed(
-            self._disturbances, self._normals, self._disturbance_state, reading, dt_s
-        )
+        state, reading = disturbed(config, state, reading, dt_s)
+        self.state.disturbed = HandDisturbances(config, state)
         return reading

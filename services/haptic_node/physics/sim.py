@@ -1,5 +1,8 @@
 """The simulated haptic device: motor and hand behind the driver protocol. No socket, no clock: time is passed in."""
 
+from typing import Any
+
+import msgspec
 import numpy as np
 
 from services.haptic_node.driver import Capabilities, DeviceError, DeviceReading, DriveCommand
@@ -30,14 +33,21 @@ def capabilities(params: PlantParams) -> Capabilities:
     )
 
 
+class HandleState(msgspec.Struct, array_like=True):
+    """The state of the device and of the hand on it; the command in force; what disturbs it, None for nothing ever."""
+
+    plant: PlantState
+    command: DriveCommand = _OFF
+    disturbed: Any = None
+
+
 class SimulatedHaptic:
     """A HapticDevice whose motor and hand are the compiled models."""
 
     def __init__(self, params: PlantParams, start_position_m: float) -> None:
         self._params = params
         self._capabilities = capabilities(params)
-        self._state: PlantState = initial_plant(params, start_position_m)
-        self._command = _OFF
+        self.state = HandleState(initial_plant(params, start_position_m))
         self._opened = False
 
     @property
@@ -50,9 +60,9 @@ class SimulatedHaptic:
 
     def open(self) -> None:
         """Start in the safe state, where the arm was left."""
-        self._command = _OFF
+        self.state.command = _OFF
         # Compile (or load) the models now and drop the result: the first reading of a loop is not to wait for it.
-        plant_step(self._params, self._state, self._command, -SAMPLE_TIME_S, SAMPLE_TIME_S)
+        plant_step(self._params, self.state.plant, self.state.command, -SAMPLE_TIME_S, SAMPLE_TIME_S)
         self._opened = True
 
     def close(self) -> None:
@@ -67,14 +77,14 @@ class SimulatedHaptic:
                 f"mode {command.mode} ({MODE_NAMES.get(command.mode, 'unknown')}) is not one of this device's:"
                 f" {', '.join(f'{code} ({MODE_NAMES[code]})' for code in self._capabilities.modes)}"
             )
-        self._command = command
+        self.state.command = command
 
     def read(self, session_time_s: float, dt_s: float) -> DeviceReading:
         """Advance by dt_s under the last command and sample. Raises DeviceError if closed, ValueError if dt_s <= 0."""
         self._require_open()
         if not dt_s > 0.0:
             raise ValueError(f"dt_s of a reading must be a positive time in s, not {dt_s!r}")
-        self._state, reading = plant_step(self._params, self._state, self._command, session_time_s, dt_s)
+        self.state.plant, reading = plant_step(self._params, self.state.plant, self.state.command, session_time_s, dt_s)
         return reading
 
     def push(self, force_n: float) -> None:
@@ -84,7 +94,7 @@ class SimulatedHaptic:
 
     def make_safe(self) -> None:
         """Drive voltage zero from now on: the shorted motor brakes and the screw, not back-drivable, stands."""
-        self._command = _OFF
+        self.state.command = _OFF
 
     def _require_open(self) -> None:
         if not self._opened:

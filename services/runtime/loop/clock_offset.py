@@ -55,7 +55,7 @@ class OffsetFilter:
         """Keep the last `window` exchanges; ValueError if fewer than one."""
         if window < 1:
             raise ValueError(f"window is {window}, must be at least 1 exchange")
-        self._exchanges: deque[Exchange] = deque(maxlen=window)
+        self.exchanges: deque[Exchange] = deque(maxlen=window)
 
     def record(self, exchange: Exchange) -> None:
         """Record an exchange; one whose round trip is negative cannot be one of ours and is ignored.
@@ -65,17 +65,17 @@ class OffsetFilter:
         """
         if exchange.round_trip_ns < 0:
             return
-        if self._exchanges:
-            last = self._exchanges[-1]
+        if self.exchanges:
+            last = self.exchanges[-1]
             explained_ns = 0.5 * (exchange.round_trip_ns + last.round_trip_ns) + STEP_NS
             if abs(exchange.offset_ns - last.offset_ns) > explained_ns:
-                self._exchanges.clear()
-        self._exchanges.append(exchange)
+                self.exchanges.clear()
+        self.exchanges.append(exchange)
 
     def estimate(self) -> Offset | None:
         """Return the estimate, None before the first exchange."""
-        if not self._exchanges:
+        if not self.exchanges:
             return None
-        best = min(self._exchanges, key=lambda exchange: exchange.round_trip_ns)
+        best = min(self.exchanges, key=lambda exchange: exchange.round_trip_ns)
         round_trip_s = best.round_trip_ns * 1e-9
-        return Offset(best.offset_ns * 1e-9, 0.5 * round_trip_s, round_trip_s, len(self._exchanges))
+        return Offset(best.offset_ns * 1e-9, 0.5 * round_trip_s, round_trip_s, len(self.exchanges))

@@ -5,7 +5,9 @@ Nothing here reads a clock: a node passes the time of its turn, so that a re-run
 
 import math
 from bisect import bisect_right
-from typing import cast
+from typing import NamedTuple, cast
+
+import msgspec
 
 from proto.messages import AfmCommand, HapticCommand, LinkDelay, TeleopBackward, TeleopForward
 from proto.nodes import LINK, name_of, site_of
@@ -25,12 +27,11 @@ _OLDER_THAN_READER_NS = 1_000_000_000
 _MOST_CHANGES = 4096
 
 
-class DelayHistory:
+class DelayHistory(msgspec.Struct, array_like=True):
     """Delay of one direction by the hand's sample that a message descends from: where it changed, and to what."""
 
-    def __init__(self) -> None:
-        self.from_ns = [0]
-        self.delay_ns = [0]
+    from_ns: list[int] = msgspec.field(default_factory=lambda: [0])
+    delay_ns: list[int] = msgspec.field(default_factory=lambda: [0])
 
     def record(self, hand_t_ns: int, delay_ns: int) -> None:
         """Record the delay from a sample on; one before the last recorded means that a player went back in time."""
@@ -54,6 +55,20 @@ class DelayHistory:
         place = bisect_right(self.from_ns, hand_t_ns) - 1
         if place > 0:
             del self.from_ns[:place], self.delay_ns[:place]
+
+
+class FreshnessState(NamedTuple):
+    """When the last turn was due, the oldest stamp of this session, and what the link has reported of its delay [ns].
+
+    judged_ns: the sample of the hand whose age was asked for last.
+    """
+
+    turn_ns: int
+    oldest_ns: int
+    forward: DelayHistory
+    backward: DelayHistory
+    between_ns: int
+    judged_ns: int
 
 
 class Freshness:
@@ -82,6 +97,16 @@ class Freshness:
         # topics whose newest message was too old, which is reported once
         self._late: set[str] = set()
 
+    def capture(self) -> FreshnessState:
+        """Return the state."""
+        delays = self._forward, self._backward, self._between_ns
+        return FreshnessState(self.turn_ns, self._oldest_ns, *delays, self._judged_ns)
+
+    def restore(self, state: FreshnessState) -> None:
+        """Go on from a state."""
+        self.turn_ns, self._oldest_ns, self._forward, self._backward, self._between_ns, self._judged_ns = state
+        self._note_newest()
+
     def deadline_ns(self) -> int:
         """Return when to take a turn at the latest, so that a stall is noticed [ns]."""
         return self.turn_ns + LOOP_DEADLINE_NS // 2 if self.turn_ns else NEVER_NS
@@ -107,7 +132,10 @@ class Freshness:
         (forward if message.direction == "forward" else backward).record(message.hand_t_ns, message.delay_ns)
         transit_ns = message.transit_ns
         self._between_ns = transit_ns + message.clock_ahead_ns if self._is_slave else 2 * transit_ns
-        self._newest_from_ns = max(forward.from_ns[-1], backward.from_ns[-1])
+        self._note_newest()
+
+    def _note_newest(self) -> None:
+        self._newest_from_ns = max(self._forward.from_ns[-1], self._backward.from_ns[-1])
         self._newest_lag_ns = self.lag_ns(self._newest_from_ns)
 
     def lag_ns(self, hand_t_ns: int) -> int:

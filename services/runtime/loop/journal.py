@@ -11,15 +11,17 @@ from proto.journal_messages import JournalInput
 from proto.messages import Array
 from services.runtime.bus.bus import Received
 from services.runtime.loop.clock import TurnClock
-from services.runtime.loop.node_state import StateSnapshot
+from services.runtime.loop.node_state import pack
 
 DEADLINE, MESSAGE, COMMAND, DEFERRED = 0, 1, 2, 3
 # turns in one message: some 80 kB, and below what is allowed however many sources there are
 _BATCH = 4096
+# bytes of a state in one message: half of what one may hold; and of a large one, how many a second in the mean
+_STATE_PIECE, _STATE_BYTES_PER_S = 1 << 19, 1 << 20
 
 
 class _Batch(NamedTuple):
-    """A complete batch; `state` and `outputs` are those before its first turn."""
+    """A complete batch; `state` and `outputs` are those before its first turn. The rest of a state has no turns."""
 
     first_turn: int
     sources: Iterable[tuple[str, str]]
@@ -35,7 +37,8 @@ class InputJournal:
     """Keeps the turns of a node and gives it `clock`, which shows one time during a turn.
 
     Each batch begins with the state of the node and the numbers of its next outputs, so that a re-run can begin at any
-    of them: the recorder may come late, and a recording may be cut.
+    of them: the recorder may come late, and a recording may be cut. A state that is larger than a message goes on in
+    messages without turns, and is captured less often.
     """
 
     def __init__(self, node: Any, sequence_numbers: Callable[[], dict[str, int]]) -> None:
@@ -44,8 +47,9 @@ class InputJournal:
         self.clock = TurnClock(clock.now_ns(), clock.epoch_offset_ns)
         self._node = node
         self._sequence_numbers = sequence_numbers
-        self._snapshot = StateSnapshot(node)
         self._first_turn = 0
+        self._next_state_ns = 0
+        self._refused: set[str] = set()
         self._complete: deque[_Batch] = deque()
         self._begin()
         node.clock = self.clock
@@ -78,13 +82,23 @@ class InputJournal:
         """End the batch, if there were turns since the last one, and begin a new one."""
         if self._kind:
             arrays = (self._kind, self._time_ns, self._input, self._number)
-            self._complete.append(_Batch(self._first_turn, self._sources, self._outputs, self._state, *arrays))
+            first = self._first_turn
+            self._complete.append(_Batch(first, self._sources, self._outputs, self._state[:_STATE_PIECE], *arrays))
+            for begin in range(_STATE_PIECE, len(self._state), _STATE_PIECE):
+                piece = self._state[begin : begin + _STATE_PIECE]
+                self._complete.append(_Batch(first, (), {}, piece, array("B"), array("q"), array("h"), array("q")))
             self._first_turn += len(self._kind)
             self._begin()
 
-    def publish(self) -> None:
-        """Send the batches that are complete."""
-        while self._complete:
+    def end(self) -> None:
+        """End the batch, and send all that is complete."""
+        self.complete()
+        while self.publish():
+            pass
+
+    def publish(self) -> bool:
+        """Send the next of what is complete; return whether there is more."""
+        if self._complete:
             batch = self._complete.popleft()
             arrays = (batch.kind, batch.time_ns, batch.input, batch.number, np.frombuffer(batch.state, dtype=np.uint8))
             kind, time_ns, place, number, state = (Array.from_numpy(np.asarray(found)) for found in arrays)
@@ -100,10 +114,27 @@ class InputJournal:
                 number=number,
                 state=state,
             )
+        return bool(self._complete)
 
     def _begin(self) -> None:
         self._sources: dict[tuple[str, str], int] = {}
         self._kind, self._time_ns = array("B"), array("q")
         self._input, self._number = array("h"), array("q")
         self._outputs = {**self._sequence_numbers(), **self._node.further_outputs()}
-        self._state = self._snapshot.capture()
+        self._state = self._captured()
+
+    def _captured(self) -> bytes:
+        """Return the state of the node; empty where it has none, or where the last one was large and not long ago."""
+        if self.clock.time_ns < self._next_state_ns:
+            return b""
+        try:
+            state = pack(self._node)
+        except (AttributeError, TypeError, ValueError, OverflowError) as error:
+            if str(error) not in self._refused:
+                self._refused.add(str(error))
+                text = f"the state of this node is not kept, and no re-run can begin with it: {error}"
+                self._node.event("node", "warning", text)
+            return b""
+        if len(state) > _STATE_PIECE:
+            self._next_state_ns = self.clock.time_ns + len(state) * 10**9 // _STATE_BYTES_PER_S
+        return state

@@ -25,6 +25,7 @@ from services.runtime.loop.deferred import PATIENCE_NS, Deferred, DeferredTasks,
 from services.runtime.loop.freshness import LOOP_DEADLINE_NS, Freshness
 from services.runtime.loop.journal import DEADLINE, DEFERRED, InputJournal
 from services.runtime.loop.log import RateLimitedLog, StructuredLog
+from services.runtime.loop.node_state import FindInput
 from services.runtime.loop.realtime import RealtimeStatus
 
 NodeState = Literal["starting", "ready", "running", "safe", "stopping"]
@@ -103,6 +104,9 @@ class Node(ABC):
     replay: ClassVar[bool] = False
     # its inputs are written to node/journal, and during a turn its clock stands still
     journalled: ClassVar[bool] = False
+    # what `capture` returns, a NamedTuple; its version counts what the values of the fields have meant
+    state_kind: ClassVar[type[tuple[Any, ...]]] = tuple
+    state_version: ClassVar[int] = 1
     # node/health of others is a turn as well, and not only for `admits`
     acts_on_health: ClassVar[bool] = False
     # its deadlines are worth a busy wait
@@ -153,6 +157,21 @@ class Node(ABC):
     def is_latched(self) -> bool:
         """Whether the node is in emergency stop, until it is armed."""
         return False
+
+    def capture(self) -> Any:
+        """Return, as `state_kind`, all that the outputs depend on besides the inputs to come.
+
+        None of a node that cannot be run again, because its device is a real one. ValueError says why there is no state
+        now.
+        """
+        return None
+
+    def restore(self, state: Any, find: FindInput) -> None:
+        """Go on from a state; `find` returns the payload of an input that the state only names.
+
+        Raises: ValueError, LookupError, TypeError or ConfigError, if it is not a state of this node.
+        """
+        raise ValueError(f"{self.context.key} keeps none")
 
     def further_outputs(self) -> Mapping[str, int]:
         """Return the number of the next output by each way past the node's own bus, for the journal."""
@@ -410,7 +429,12 @@ class NodeLoop:
         else:
             self._deferred.forget_unneeded()
             self._journal.complete()
-            self._deferred.add(self._journal.publish)
+            self._deferred.add(self._publish_journal)
+
+    def _publish_journal(self) -> None:
+        """Send a message of the journal; a large state has more, for idle gaps of their own."""
+        if self._journal is not None and self._journal.publish():
+            self._deferred.add(self._publish_journal)
 
     def _end_batch(self) -> None:
         """End the batch of the journal now, and send it."""
@@ -419,16 +443,14 @@ class NodeLoop:
         self._deferred.forget_unneeded()
         while (task := self._deferred.take_turn()) is not None:
             self._take_turn(self._clock.monotonic_ns(), task, DEFERRED)
-        self._journal.complete()
-        self._journal.publish()
+        self._journal.end()
 
     def publish_health(self) -> None:
         """Send node/health and what the journal holds, and start a new interval."""
         self._measure_health()
         self._send_health()
         if self._journal is not None:
-            self._journal.complete()
-            self._journal.publish()
+            self._journal.end()
 
     def _measure_health(self) -> None:
         """Take the figures that node/health gives, and begin a new interval."""

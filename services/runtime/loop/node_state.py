@@ -1,171 +1,189 @@
-"""The state of a node as bytes: what has changed since it was built, to build it again and go on from there."""
+"""The state of a node in its journal: what the node declares, as bytes, and what these bytes were made of.
 
-import importlib
-from collections import deque
-from collections.abc import Callable, Mapping
-from typing import Any
+A node declares all that its outputs depend on besides its inputs: `capture` returns a NamedTuple of the class
+`state_kind`, `restore` takes one, and `state_version` counts what its values have meant. Its fields are plain values,
+arrays, settings, messages, structs, and NamedTuples of these. What the settings choose, such as a law, a sample or a
+program, keeps its state in a `Part`. The bytes hold the names of the fields and no name of an attribute, class or
+module, so these may change without ending a re-run.
+"""
 
-import msgpack
+from collections.abc import Callable, Iterator
+from functools import cache
+from typing import Any, NamedTuple, Protocol, TypeVar, cast, get_args, get_origin, get_type_hints
+
+import msgspec
 import numpy as np
 from pydantic import BaseModel
 
-from presets.plugins import modules
 from proto.errors import ConfigError, RecordingError
 
-_PLAIN = (type(None), bool, int, float, str, bytes)
-# of this project, and of the packages that extend it
-_PACKAGES = ("proto.", "services.", *modules())
-# half of what a message may hold
-_LARGEST = 1 << 19
-
+T = TypeVar("T")
 # payload of an input by topic, source, seq, time of arrival [ns] and size [bytes]
 FindInput = Callable[[str, str, int, int, int], bytes]
 
 
-class StateSnapshot:
-    """Captures the state of a node as often as is asked.
+class Stateful(Protocol):
+    """A node, as far as its state is concerned."""
 
-    State is every plain value, NamedTuple, message, configuration and array that hangs on the node or on an object of
-    this project that the node was built with; what was not replaced since then, such as parameters and tables, is left
-    out: building the node again gives it. The context of the node belongs to the world, not to the node. An object
-    whose state has other forms has `capture_state`, which gives plain values, and `restore_state`.
+    state_kind: Any
+    state_version: int
+
+    def capture(self) -> Any:
+        """Return the state, None for a node that has none to restore. ValueError says why it has none now."""
+
+    def restore(self, state: Any, find: FindInput) -> None:
+        """Go on from a state; `find` returns the payloads of messages that the state only names."""
+
+
+class Part(NamedTuple):
+    """The state of a part that the settings choose: the names of its fields, and their values."""
+
+    names: tuple[str, ...]
+    values: Any
+
+    def like(self, example: T) -> T:
+        """Return the state as one of the kind of `example`, such as the state in which the part starts.
+
+        Raises: ValueError, if it is not one of the same fields.
+        """
+        _compare(self.names, _names(example))
+        return cast(T, _made(self.values, example))
+
+    def of_kind(self, kind: Any) -> Any:
+        """Return the state as one of a class whose fields declare all kinds within; ValueError as in `like`."""
+        _compare(self.names, _declared(kind))
+        return msgspec.convert(self.values, kind, dec_hook=_object)
+
+
+def part(state: Any) -> Part:
+    """Return the state of a part; a NamedTuple of plain values, arrays and NamedTuples needs no more than this."""
+    return Part(_names(state), state)
+
+
+def pack(node: Stateful) -> bytes:
+    """Return the state of a node, empty where it has none to restore.
+
+    Raises: ValueError, TypeError or OverflowError saying what of it cannot be kept.
     """
+    state = node.capture()
+    if state is None:
+        return b""
+    return msgspec.msgpack.encode((node.state_version, _names(state), state), enc_hook=_plain)
 
-    def __init__(self, node: Any) -> None:
-        self._node = node
-        self._context = node.context
-        self._built: dict[tuple[str, ...], dict[str, Any]] = {}
-        self._remember((), node)
 
-    def capture(self) -> bytes:
-        """Return the state; empty when it is too large or holds what has no form here, such as a live device."""
-        try:
-            state: bytes = msgpack.packb(self._changed((), self._node))
-        except (TypeError, ValueError, OverflowError):
-            return b""
-        return state if len(state) <= _LARGEST else b""
-
-    def _remember(self, path: tuple[str, ...], owner: Any) -> None:
-        self._built[path] = dict(vars(owner))
-        for name, value in vars(owner).items():
-            if self._is_owner(value) and not hasattr(value, "capture_state"):
-                self._remember((*path, name), value)
-
-    def _is_owner(self, value: Any) -> bool:
-        if value is self._context or value is self._context.clock or isinstance(value, BaseModel | tuple | type):
-            return False
-        return hasattr(value, "__dict__") and _is_known(type(value).__module__)
-
-    def _changed(self, path: tuple[str, ...], owner: Any) -> dict[str, Any]:
-        built = self._built[path]
-        changed: dict[str, Any] = {}
-        for name, value in vars(owner).items():
-            if isinstance(value, _PLAIN):
-                # always: plain values such as a deadline depend on when the node was built
-                changed[name] = value
-            elif (*path, name) in self._built and value is built[name]:
-                changed[name] = ["parts", self._changed((*path, name), value)]
-            elif name == "clock" and not path:
-                continue
-            elif hasattr(value, "capture_state") and name in built and value is built[name]:
-                changed[name] = ["own", value.capture_state()]
-            elif value is not built.get(name) or isinstance(value, set | list | dict | deque):
-                changed[name] = _packed(value)
-        return changed
+def is_whole(packed: bytes) -> bool:
+    """Return whether a state is there, and none of its bytes is missing."""
+    try:
+        return bool(packed) and msgspec.msgpack.decode(packed) is not None
+    except (ValueError, RecursionError):
+        return False
 
 
 def _zeros(topic: str, src: str, seq: int, arrived_ns: int, size_bytes: int) -> bytes:
     return bytes(size_bytes)
 
 
-def restore(node: Any, state: bytes, find: FindInput = _zeros) -> None:
-    """Put a node that was just built into a captured state; RecordingError when that is not one of this node.
-
-    `find` gives the payloads of messages that the node had received and not yet forwarded: the state has their names.
-    """
+def restore(node: Any, packed: bytes, find: FindInput = _zeros) -> None:
+    """Put a node that was just built into a state; RecordingError when that is not one of this node and version."""
     try:
-        _restore_parts(node, msgpack.unpackb(state, strict_map_key=False), find)
-    except (
-        ConfigError,
-        ValueError,
-        TypeError,
-        KeyError,
-        AttributeError,
-        IndexError,
-        ImportError,
-        msgpack.exceptions.UnpackException,
-    ) as error:
+        version, names, values = msgspec.msgpack.decode(packed, type=tuple[int, tuple[str, ...], Any])
+        if version != node.state_version:
+            raise ValueError(f"it has version {version}, and this code reads version {node.state_version}")
+        _compare(names, _declared(node.state_kind))
+        node.restore(msgspec.convert(values, node.state_kind, dec_hook=_object), find)
+    except (ConfigError, ValueError, TypeError, LookupError, AttributeError, RecursionError) as error:
         raise RecordingError(f"{node.context.key}: its state in the journal does not fit this code: {error}") from error
 
 
-def _restore_parts(owner: Any, parts: Mapping[str, Any], find: FindInput) -> None:
-    for name, value in parts.items():
-        if isinstance(value, list) and value[0] == "parts":
-            _restore_parts(vars(owner)[name], value[1], find)
-        elif isinstance(value, list) and value[0] == "own":
-            vars(owner)[name].restore_state(value[1], find)
-        else:
-            setattr(owner, name, _unpacked(value))
+def _compare(recorded: tuple[str, ...], expected: tuple[str, ...]) -> None:
+    """Raise ValueError naming the fields that only one of two states has."""
+    if recorded != expected:
+        missing, surplus = ([x for x in a if x not in b] for a, b in ((expected, recorded), (recorded, expected)))
+        named = {"lacks": missing, "has in addition": surplus}
+        faults = [f"{word} {', '.join(names)}" for word, names in named.items() if names]
+        raise ValueError("it " + (" and ".join(faults) or "has the same fields in another order"))
 
 
-def _packed(value: Any) -> Any:
-    if isinstance(value, _PLAIN):
-        return value
-    if isinstance(value, tuple):
-        kind = _name_of(type(value)) if hasattr(value, "_fields") else ""
-        return ["tuple", kind, [_packed(part) for part in value]]
-    if isinstance(value, BaseModel):
-        return ["model", _name_of(type(value)), {name: _packed(part) for name, part in value.__dict__.items()}]
+@cache
+def _declared(kind: Any) -> tuple[str, ...]:
+    """Return the names of the fields of a kind of state, with those of the kinds within, such as `guard.mode`."""
+    return tuple(
+        name
+        for field, hint in _hints(kind).items()
+        for name in (field, *(f"{field}.{inner}" for within in _kinds(hint) for inner in _declared(within)))
+    )
+
+
+def _names(state: Any) -> tuple[str, ...]:
+    """Return the names of the fields of a state, where the values say what kind a field declared as Any is of."""
+    kind: Any = type(state)
+    if not _open_fields(kind):
+        return _declared(kind)
+    names: list[str] = []
+    for field, hint in _hints(kind).items():
+        is_open = field in _open_fields(kind)
+        within = _names(getattr(state, field)) if is_open else [name for k in _kinds(hint) for name in _declared(k)]
+        names += (field, *(f"{field}.{name}" for name in within))
+    return tuple(names)
+
+
+@cache
+def _hints(kind: Any) -> dict[str, Any]:
+    # other tuples, plain values and arrays have no fields
+    has_fields = isinstance(kind, type) and (hasattr(kind, "_fields") or issubclass(kind, msgspec.Struct))
+    return get_type_hints(kind) if has_fields and kind is not Part else {}
+
+
+@cache
+def _open_fields(kind: Any) -> tuple[str, ...]:
+    """Return the fields that are declared as Any, or as a kind that has such fields."""
+    return tuple(field for field, hint in _hints(kind).items() if hint is Any or _open_fields(hint))
+
+
+def _kinds(hint: Any) -> Iterator[Any]:
+    """Yield the kinds in a hint such as `tuple[Fate, ...] | None`."""
+    if arguments := get_args(hint):
+        for argument in arguments:
+            yield from _kinds(argument)
+    else:
+        yield hint
+
+
+def _made(values: Any, example: Any) -> Any:
+    """Return values as one of the kind of `example`, which says what kind a field declared as Any is of."""
+    kind: Any = type(example)
+    if kind is tuple:
+        return tuple(_made(value, like) for value, like in zip(values, example, strict=True))
+    is_open = _open_fields(kind)
+    if not is_open:
+        return msgspec.convert(values, kind, dec_hook=_object)
+    fields = zip(values, _hints(kind).items(), strict=True)
+    return kind(
+        *(
+            _made(value, getattr(example, field))
+            if field in is_open
+            else msgspec.convert(value, hint, dec_hook=_object)
+            for value, (field, hint) in fields
+        )
+    )
+
+
+def _plain(value: Any) -> Any:
     if isinstance(value, np.ndarray):
-        return ["array", value.dtype.str, list(value.shape), value.tobytes()]
-    if isinstance(value, list):
-        return ["list", [_packed(part) for part in value]]
-    if isinstance(value, deque):
-        return ["deque", value.maxlen, [_packed(part) for part in value]]
-    if isinstance(value, set | frozenset):
-        return [type(value).__name__, [_packed(part) for part in sorted(value)]]
-    if isinstance(value, dict):
-        return ["dict", [[_packed(name), _packed(part)] for name, part in value.items()]]
-    raise TypeError(f"a {type(value).__name__} has no form in the state of a node")
+        return value.dtype.str, value.shape, value.tobytes()
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, BaseModel):
+        return value.__dict__
+    raise TypeError(f"a {type(value).__name__} cannot be kept in a journal")
 
 
-def _unpacked(value: Any) -> Any:
-    if not isinstance(value, list):
-        return value
-    form, *rest = value
-    if form == "tuple":
-        parts = [_unpacked(part) for part in rest[1]]
-        # `_make` refuses another number of fields than the class has, also where the class has defaults
-        return _named(rest[0])._make(parts) if rest[0] else tuple(parts)
-    if form == "model":
-        return _named(rest[0]).model_construct(**{name: _unpacked(part) for name, part in rest[1].items()})
-    if form == "array":
+def _object(kind: Any, value: Any) -> Any:
+    kind = get_origin(kind) or kind
+    if kind is np.ndarray:
+        dtype, shape, data = value
         # a copy can be written to, which compiled steps take for another type
-        return np.frombuffer(rest[2], dtype=rest[0]).reshape(rest[1]).copy()
-    if form == "dict":
-        return {_unpacked(name): _unpacked(part) for name, part in rest[0]}
-    if form == "deque":
-        return deque(map(_unpacked, rest[1]), rest[0])
-    kinds: dict[str, Any] = {"list": list, "set": set, "frozenset": frozenset}
-    return kinds[form](_unpacked(part) for part in rest[0])
-
-
-def _is_known(module: str) -> bool:
-    return f"{module}.".startswith(_PACKAGES)
-
-
-def _name_of(kind: type) -> str:
-    if not _is_known(kind.__module__):
-        raise TypeError(f"{kind.__module__}.{kind.__qualname__} is not of this project")
-    return f"{kind.__module__}:{kind.__qualname__}"
-
-
-def _named(name: str) -> Any:
-    module, _, path = name.partition(":")
-    found: Any = importlib.import_module(module) if _is_known(module) else None
-    for part in path.split("."):
-        found = getattr(found, part)
-    # a recording comes from anywhere: it may name a kind of value, and nothing that could be called for its effect
-    if not (isinstance(found, type) and issubclass(found, tuple | BaseModel)):
-        raise TypeError(f"{name} is not a kind of state")
-    return found
+        return np.frombuffer(data, dtype).reshape(shape).copy()
+    if issubclass(kind, BaseModel):
+        return kind.model_validate(value, strict=False)
+    raise TypeError(f"a {kind.__name__} cannot be kept in a journal")

@@ -155,10 +155,10 @@ def test_estop_is_latched_until_armed(afm: Instrument) -> None:
 
 def test_a_burst_of_commands_cannot_outrun_the_speed_limit(afm: Instrument) -> None:
     follow(afm)
-    before = -afm.node._guard.base_m
+    before = -afm.node._memory.guard.base_m
     for _ in range(100):
         afm.command(x_s_m=-90e-9)
-    moved = abs(-afm.node._guard.base_m - before)
+    moved = abs(-afm.node._memory.guard.base_m - before)
     # no time has passed, so next to nothing may have moved
     assert moved < 1e-12
 

@@ -11,8 +11,7 @@ from services.afm_node.config import AfmConfig
 from services.afm_node.node import AfmNode
 from services.afm_node.physics.sample.surface import height_at
 from services.afm_node.physics.sim import SimulatedInstrument, simulated_afm
-from services.runtime.loop.journal import StateSnapshot
-from services.runtime.loop.node_state import restore
+from services.runtime.loop.node_state import pack, restore
 from services.runtime.settings.config import validate
 
 SOFT = {
@@ -291,10 +290,9 @@ def test_a_node_restored_in_the_middle_of_an_image_goes_on_with_the_same_lines(
     bench_of: Any, proportional: float
 ) -> None:
     first = Imager(bench_of("afm_node@slave"))
-    snapshot = StateSnapshot(first.node)
     first.set(**parameters(scan__proportional=proportional))
     first.run(until=lambda: any(topic == "afm/scanline" for topic, _ in first.bench.sent))
-    state = snapshot.capture()
+    state = pack(first.node)
     assert state
     second = Imager(bench_of("afm_node@slave"))
     restore(second.node, state)

@@ -159,7 +159,7 @@ def test_an_image_that_the_retracted_tip_would_hit_is_refused_with_the_base_that
     rig(bench_of, sample).set(**{"program": "tactile", "tactile.x1_m": 1e-9})
     # on the ridge there is none for a curve, and it is in the way of a path in the next groove
     afm = rig(bench_of, sample)
-    afm.node._place = Place(5e-8, 0.0)
+    afm.node._memory.place = Place(5e-8, 0.0)
     with pytest.raises(RefusedError, match=r"curve: the surface is too high.* base at -1.4e-07 m or less"):
         afm.set(program="curve")
     with pytest.raises(RefusedError, match="tactile: the surface is too high"):

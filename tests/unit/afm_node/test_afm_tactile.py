@@ -108,7 +108,7 @@ def test_a_pointer_leads_the_tip_and_is_told_when_it_is_ahead(afm: Imager) -> No
     afm.set(**{"lateral.x_m": -25e-9})
     afm.run(until=lambda: reported(afm) and "felt" in afm.outcome()[1])
     afm.set(**{"lateral.x_m": -22e-9})
-    afm.run(until=lambda: afm.node._place.x_m == -22e-9)
+    afm.run(until=lambda: afm.node._memory.place.x_m == -22e-9)
     limited = [e.text for e in afm.bench.take("session/event") if "ahead of the tip" in e.text]
     assert limited == ["the pointer is ahead of the tip, which goes at 3e-08 m/s: no faster motion is felt (Eq. 14)"]
     afm.set(program="abort")

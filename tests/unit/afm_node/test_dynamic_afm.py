@@ -15,8 +15,7 @@ from services.afm_node.physics.dynamic import drive_work_j, free_amplitude_m
 from services.afm_node.physics.sample.surface import height_at
 from services.afm_node.physics.sim import SimulatedInstrument, simulated_afm
 from services.afm_node.safety import MODE_RETRACTED
-from services.runtime.loop.journal import StateSnapshot
-from services.runtime.loop.node_state import restore
+from services.runtime.loop.node_state import pack, restore
 
 SOFT = {
     "model": "dynamic",
@@ -151,7 +150,7 @@ def test_a_proportional_gain_follows_an_edge_more_closely_in_tapping_mode_too(be
         assert np.median(trace.amplitude_m.to_numpy()) == pytest.approx(16e-9, rel=0.01, abs=0.0)
     assert errors[1] < 0.99 * errors[0]
     assert apart[1] < 0.95 * apart[0]
-    afm.run(until=lambda: afm.node._guard.mode == MODE_RETRACTED)
+    afm.run(until=lambda: afm.node._memory.guard.mode == MODE_RETRACTED)
     # what would swing on is refused, and the base stays away undriven
     for changes, words in (
         ({"scan.gain_per_s": 5000.0}, "tapping mode at 1000 Hz .* it must be below 666.667 1/s"),
@@ -159,15 +158,14 @@ def test_a_proportional_gain_follows_an_edge_more_closely_in_tapping_mode_too(be
     ):
         with pytest.raises(RefusedError, match=words):
             afm.set(**{**TAPPING, **changes})
-    assert (afm.driver.state.inputs.amplitude_m, afm.node._guard.mode) == (0.0, MODE_RETRACTED)
+    assert (afm.driver.state.inputs.amplitude_m, afm.node._memory.guard.mode) == (0.0, MODE_RETRACTED)
 
 
 def test_a_journal_goes_on_in_the_middle_of_a_tapping_line(bench_of: Any) -> None:
     first, again = (Tapper(bench_of("afm_node@slave")) for _ in range(2))
-    snapshot = StateSnapshot(first.node)
     first.set(**{**TAPPING, "disturbances.thermal.enabled": True, "disturbances.seed": 3})
     first.run(until=lambda: "lines" in {r.text for _, r in first.bench.sent if hasattr(r, "done_percent")})
-    state = snapshot.capture()
+    state = pack(first.node)
     assert state
     again.bench.clock.advance_ns(first.bench.clock.monotonic_ns() - again.bench.clock.monotonic_ns())
     restore(again.node, state)

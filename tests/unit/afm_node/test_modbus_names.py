@@ -3,14 +3,14 @@
 import logging
 import socket
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
 from stage_line import MS, PARAMS, StageLine, calibration
 
 from services.afm_node.devices.host_address import HostAddress
-from services.afm_node.devices.modbus_driver import NAME_NS, STEP_NS, ModbusAfm
+from services.afm_node.devices.modbus_driver import NAME_NS, STEP_NS, ModbusAfm, TcpConnector
 from services.afm_node.devices.register_map import read_map
 from services.afm_node.driver import DeviceError
 
@@ -47,22 +47,25 @@ def names(monkeypatch: pytest.MonkeyPatch) -> Iterator[NameServer]:
 
 
 class Clock:
-    """Time that passes only when the driver sleeps."""
+    """Time that passes only when the driver sleeps; `meanwhile` is done then."""
 
     def __init__(self) -> None:
         self.now_ns = 10**9
+        self.meanwhile: Callable[[], None] = lambda: None
 
     def sleep(self, duration_s: float) -> None:
         self.now_ns += round(duration_s * 1e9)
+        self.meanwhile()
 
 
-def named_driver(clock: Clock) -> ModbusAfm:
+def named_driver(clock: Clock, connector: TcpConnector | None = None) -> ModbusAfm:
     return ModbusAfm(
         calibration(network={"host": NAME, "port": 502}),
         read_map("t7"),
         PARAMS.safety,
         now_ns=lambda: clock.now_ns,
         sleep=clock.sleep,
+        connect=connector,
     )
 
 
@@ -94,12 +97,15 @@ def test_an_opening_waits_for_a_name_server_for_a_while_and_names_the_remedy(nam
 def test_a_name_that_nobody_knows_is_a_sentence(names: NameServer) -> None:
     names.result = socket.gaierror(socket.EAI_NONAME, "Name or service not known")
     names.answers.set()
+    clock, connector = Clock(), TcpConnector()
+    # the answer comes while the driver sleeps, however busy the machine is
+    clock.meanwhile = lambda: settled(*connector._places.values())
     with pytest.raises(DeviceError, match=f"{NAME}:502: .*: its name is not known: Name or service not known"):
-        named_driver(Clock()).open()
+        named_driver(clock, connector).open()
 
 
-def settled(place: HostAddress) -> None:
-    while place._under_way:
+def settled(*places: HostAddress) -> None:
+    while any(place._under_way for place in places):
         threading.Event().wait(0.001)
 
 

@@ -146,7 +146,7 @@ def test_the_node_tells_the_sample_its_place_and_its_time(bench_of: Any) -> None
     assert device.state.elapsed_s == 0.0
     assert device.relief is None
     assert device.vibration is None
-    assert safety.MODE_NAMES[node._guard.mode] == "retracted"
+    assert safety.MODE_NAMES[node._memory.guard.mode] == "retracted"
 
 
 def test_a_sample_of_the_older_form_and_one_with_parameters_of_another_are_refused() -> None:

@@ -1,5 +1,6 @@
 """What a figure states beside its numbers comes from the recording, not from what was asked for."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -12,7 +13,6 @@ from recording.reader import Recording
 from recording.writer import FileSettings, RecordingWriter
 from services.runtime.settings.scenario import Scenario
 
-REPLAY = Path(__file__).resolve().parents[2] / "replay"
 SCENARIO = Scenario(
     name="trial", description="", duration_s=1.0, controller={"law": "wave"}, delay_node={"profile": "lte", "seed": 7}
 )
@@ -61,8 +61,8 @@ def test_what_happened_outside_the_session_does_not_count(recording: Recording) 
     assert title(before) == "wave, link lte"
 
 
-def test_a_session_states_its_round_trip_and_versions() -> None:
-    found = read_session(Recording(REPLAY / "wave.mcap")).conditions
+def test_a_session_states_its_round_trip_and_versions(recording_of: Callable[[str], Path]) -> None:
+    found = read_session(Recording(recording_of("fig12_wave"))).conditions
     # 4 ms each way, and what the loop itself takes, in whole periods
     assert 8.0 <= found["round_trip_ms"] <= 12.0
     assert found["version"] != "unknown"

@@ -4,6 +4,7 @@ import errno
 import io
 import json
 import os
+from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
@@ -23,23 +24,26 @@ from recording.reader import Recording
 from recording.rewrite import CopyWriter, filter_recording
 from services.viz_node.fig12 import draw_fig12
 
-# two seconds of a session, with its scenario
-WHOLE = Path(__file__).resolve().parents[2] / "replay" / "wave.mcap"
+
+@pytest.fixture(scope="module")
+def session(recording_of: Callable[[str], Path]) -> Path:
+    """Return the recording of two seconds of a session, with its scenario."""
+    return recording_of("fig12_wave")
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], bytes]:
+def whole(session: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], bytes]:
     out = tmp_path_factory.mktemp("whole")
-    return write_report(WHOLE, out), (out / "fig12.png").read_bytes()
+    return write_report(session, out), (out / "fig12.png").read_bytes()
 
 
 @pytest.fixture(scope="module")
-def parts(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+def parts(session: Path, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     """Return the recording in two parts, of which the second begins 0.3 s after the end of the first."""
     folder = tmp_path_factory.mktemp("parts")
     paths = [folder / "session.mcap", folder / "session_1.mcap"]
-    filter_recording(WHOLE, paths[0], ALL, end_s=1.2)
-    filter_recording(WHOLE, paths[1], ALL, start_s=1.5)
+    filter_recording(session, paths[0], ALL, end_s=1.2)
+    filter_recording(session, paths[1], ALL, start_s=1.5)
     return paths
 
 
@@ -116,14 +120,16 @@ def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
         write_files(tmp_path / "taken" / "below", {"summary.json": b"{}"})
 
 
-def test_a_session_that_was_recorded_from_its_start_to_its_end_lacks_nothing_at_either(tmp_path: Path) -> None:
-    recording = Recording(WHOLE)
+def test_a_session_that_was_recorded_from_its_start_to_its_end_lacks_nothing_at_either(
+    session: Path, tmp_path: Path
+) -> None:
+    recording = Recording(session)
     session_s = columns(recording, "haptic/state", ["session_s"])["session_s"]
     running = np.flatnonzero(session_s >= 0.0)
     if running[-1] == session_s.size - 1:
         session_s = np.append(session_s, -1.0)
     assert cut_off(recording, session_s, running) == []
-    filter_recording(WHOLE, tmp_path / "beginning.mcap", ALL, end_s=1.0)
+    filter_recording(session, tmp_path / "beginning.mcap", ALL, end_s=1.0)
     beginning = Recording(tmp_path / "beginning.mcap")
     assert cut_off(beginning, session_s[: running[-1] + 1], running) == [
         f"the recording ends within the operator's programme, {session_s[running[-1]]:.3f} s after its start"
@@ -172,10 +178,10 @@ def test_the_title_names_the_verdict_and_calls_no_drift_unstable() -> None:
 
 
 def test_a_file_in_which_the_hand_is_out_of_order_has_the_report_of_one_in_order(
-    whole: tuple[dict[str, Any], bytes], tmp_path: Path
+    session: Path, whole: tuple[dict[str, Any], bytes], tmp_path: Path
 ) -> None:
     """In the middle of the session a batch was written behind what its publisher sent later."""
-    messages = list(Recording(WHOLE).raw())
+    messages = list(Recording(session).raw())
     hand = [place for place, message in enumerate(messages) if message.channel.topic == "haptic/state"]
     first, last = hand[1200], hand[1210]
     moved = [messages[place] for place in hand[1200:1204]]
@@ -183,7 +189,7 @@ def test_a_file_in_which_the_hand_is_out_of_order_has_the_report_of_one_in_order
     late = [message._replace(log_ns=rest[-1].log_ns) for message in moved]
     path = tmp_path / "out_of_order.mcap"
     with CopyWriter(path) as writer:
-        writer.copy_attachments_and_metadata([Recording(WHOLE)])
+        writer.copy_attachments_and_metadata([Recording(session)])
         for message in (*messages[:first], *rest, *late, *messages[last + 1 :]):
             writer.add(message)
     assert Recording(path).overtaken == 4

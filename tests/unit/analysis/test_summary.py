@@ -21,7 +21,6 @@ from recording.multi_file import RecordingSource, open_recordings
 from recording.rewrite import filter_recording
 
 ROOT = Path(__file__).resolve().parents[3]
-REFERENCES = ROOT / "tests" / "replay"
 # a session in its whole length, and what may happen to one
 MADE: dict[str, Made] = {
     "stable": Made(),
@@ -49,12 +48,14 @@ def summary_of(recording: RecordingSource) -> dict[str, Any]:
 
 
 @pytest.fixture(scope="module")
-def summaries(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Any]]:
-    """Summaries of the reference recordings, of one of them in two parts, and of sessions that are made up."""
-    files = {path.stem: [path] for path in sorted(REFERENCES.glob("*.mcap")) if path.stem != "link"}
+def summaries(
+    recording_of: Callable[[str], Path], tmp_path_factory: pytest.TempPathFactory
+) -> dict[str, dict[str, Any]]:
+    """Summaries of sessions under two laws, of one of them in two parts, and of sessions that are made up."""
+    files = {law: [recording_of(f"fig12_{law}")] for law in ("virtual_impedance", "wave")}
     parts = [tmp_path_factory.mktemp("parts") / name for name in ("session.mcap", "session_1.mcap")]
-    filter_recording(REFERENCES / "wave.mcap", parts[0], ALL, end_s=1.2)
-    filter_recording(REFERENCES / "wave.mcap", parts[1], ALL, start_s=1.5)
+    filter_recording(files["wave"][0], parts[0], ALL, end_s=1.2)
+    filter_recording(files["wave"][0], parts[1], ALL, start_s=1.5)
     files["in_parts"] = parts
     for name, made in MADE.items():
         files[name] = [made.write(tmp_path_factory.mktemp(name))]
@@ -82,13 +83,13 @@ def test_every_summary_has_the_keys_of_the_page_and_each_of_them_is_met(summarie
 
 
 def test_every_summary_is_what_the_model_and_the_file_hold(
-    summaries: dict[str, dict[str, Any]], tmp_path: Path
+    summaries: dict[str, dict[str, Any]], recording_of: Callable[[str], Path], tmp_path: Path
 ) -> None:
     for name, summary in summaries.items():
         text = json.dumps(summary)
         again = Summary.model_validate_json(text).model_dump(exclude_unset=True)
         assert json.dumps(again) == text, name
-    assert write_report(REFERENCES / "wave.mcap", tmp_path) == summaries["wave"]
+    assert write_report(recording_of("fig12_wave"), tmp_path) == summaries["wave"]
     assert (tmp_path / "summary.json").read_text() == json.dumps(summaries["wave"], indent=2) + "\n"
 
 

@@ -58,7 +58,7 @@ def between(value: float) -> Any:
     return pytest.param(value, marks=pytest.mark.endurance)
 
 
-@pytest.mark.parametrize("delay", [0, *map(between, [20, 100]), 250])
+@pytest.mark.parametrize("delay", [*map(between, [0, 20, 100]), 250])
 def test_surface_is_learnt_and_held(run_loop: Any, delay: int) -> None:
     truth = Surface(5.0, 18.2, 12.0)
 

@@ -180,7 +180,7 @@ def test_random_slots_have_uniform_distances_and_bounded_memory():
     assert distances.max() <= 15.0
     assert abs(distances.mean() - 10.0) < 4 * 10 / 12**0.5 / len(distances) ** 0.5
     assert abs((distances < 7.5).mean() - 0.25) < 4 * (0.1875 / len(distances)) ** 0.5
-    assert len(gate._times_ns) < 6000
+    assert len(gate.state.times_ns) < 6000
 
 
 def test_a_long_pause_between_slots_is_not_walked_through():

@@ -17,18 +17,17 @@ from services.haptic_node.physics.disturbances import (
     disturbed,
 )
 from services.haptic_node.physics.sim import SimulatedHaptic
-from services.numerics.normal_numbers import NormalNumbers
 
 DT = 1e-3
 CONFIG = HapticConfig()
 
 
 def read(config: HandDisturbanceConfig, positions: np.ndarray) -> tuple[np.ndarray, ...]:
-    normals, state = NormalNumbers(config.seed), HandDisturbanceState(float(positions[0]), 0.0, 0.0, 0)
+    state = HandDisturbanceState(float(positions[0]), 0.0, 0.0, 0)
     rows = []
     for position in positions.tolist():
         sample = DeviceReading(position, 0.0, 1.0, False, 0.0, 0.0, False, False, False)
-        state, found = disturbed(config, normals, state, sample, DT)
+        state, found = disturbed(config, state, sample, DT)
         rows.append((found.position_m, found.velocity_m_per_s, found.operator_force_n))
     return tuple(np.array(rows).T)
 

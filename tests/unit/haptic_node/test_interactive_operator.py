@@ -7,7 +7,7 @@ import pytest
 from services.haptic_node.config import HapticConfig, InteractiveConfig
 from services.haptic_node.node import HapticNode
 from services.haptic_node.physics.sim import SimulatedHaptic
-from services.runtime.loop.node_state import StateSnapshot, restore
+from services.runtime.loop.node_state import pack, restore
 from services.runtime.settings.config import validate
 
 
@@ -82,10 +82,9 @@ def test_another_operator_is_not_overruled_and_that_is_said_once(bench_of: Any) 
 
 def test_a_re_run_begins_with_the_force_that_was_held(bench_of: Any) -> None:
     first = Hand(bench_of("haptic_node@master"), {"kind": "interactive"})
-    snapshot = StateSnapshot(first.node)
     first.push(1.25)
     first.forces(5)
-    state = snapshot.capture()
+    state = pack(first.node)
     again = Hand(first.bench, {"kind": "interactive"})
     restore(again.node, state)
     assert again.forces(10) == first.forces(10) == [1.25] * 10

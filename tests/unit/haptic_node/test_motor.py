@@ -174,7 +174,7 @@ def test_limits_converge_with_second_order():
         x, _ = run(params, MotorState(0.0, 0.0), np.repeat(references, divisions), 1e-3 / divisions)
         return x[::divisions]
 
-    reference = positions(512)
+    reference = positions(256)
     errors = [np.max(np.abs(positions(n) - reference)) for n in (1, 4, 16, 64)]
     assert errors[0] < 2e-4 * 0.002
     # A quarter of the step leaves about a sixteenth; the moment within a step at which a limit acts is arbitrary.

@@ -109,9 +109,9 @@ class Device:
     def mode(self) -> str:
         node = self.loop.node
         if isinstance(node, AfmNode):
-            return safety.MODE_NAMES[node._guard.mode]
+            return safety.MODE_NAMES[node._memory.guard.mode]
         assert isinstance(node, HapticNode)
-        return "estop" if node._guard.estop_latched else "free"
+        return "estop" if node._memory.guard.estop_latched else "free"
 
     def turn(self) -> None:
         if self.runs:

@@ -98,11 +98,11 @@ def test_the_instrument_in_its_loop_does_not_obey_a_recording_unless_that_is_all
     assert device.node.state == "running"
     for _ in range(5):
         device.command(-90e-9)
-    before_m = device.node._guard.base_m
+    before_m = device.node._memory.guard.base_m
     device.arrives("node/health", src="controller@slave", replay=True)
     for _ in range(20):
         device.command(-50e-9)
-    moved_m = device.node._guard.base_m - before_m
+    moved_m = device.node._memory.guard.base_m - before_m
     assert (moved_m > 30e-9) is allow_replay
     texts = [event.text for event in device.events if "come from a recording" in event.text]
     assert len(texts) == int(not allow_replay)

@@ -125,7 +125,7 @@ def test_a_switch_of_the_device_itself_voids_what_came_before(tmp_path: Path) ->
     # pressed when the command is on its way
     world.devices[HAND].stands_still = True
     world.run(40 * MS)
-    node._estop_requested, node.own_stops = True, 1
+    node._memory.estop_requested, node.own_stops = True, 1
     world.go_on()
     world.run(3 * SECOND)
     assert client.void or client.answers

@@ -1,21 +1,19 @@
-"""The state of a node as bytes, and a node that was just built put into it."""
+"""The declared state of a node as bytes, and a node that was just built put into it."""
 
-from collections import deque
+import re
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
-import msgpack
+import msgspec
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from proto.errors import RecordingError
 from proto.messages import HapticCommand
 from services.controller.law import HandSample
-from services.runtime.loop.clock import VirtualClock
-from services.runtime.loop.deadlines import PeriodicDeadline
-from services.runtime.loop.log import StructuredLog
-from services.runtime.loop.node import Node, NodeContext
-from services.runtime.loop.node_state import FindInput, StateSnapshot, restore
+from services.runtime.loop.node_state import FindInput, Part, is_whole, pack, part, restore
 
 COMMAND = HapticCommand(
     seq=3, t_ns=4, src="a@b", v=1, mode="off", position_m=(0.0, -0.0, 1e-300), velocity_m_per_s=(0.0, 0.0, 0.0),
@@ -23,98 +21,242 @@ COMMAND = HapticCommand(
 )  # fmt: skip
 
 
-class Stranger(NamedTuple):
-    """A kind of value that is not of the project's packages."""
+class Counters(msgspec.Struct, array_like=True):
+    """Of a part that is its own state."""
 
-    value: float
+    seen: dict[str, int] = msgspec.field(default_factory=dict)
 
 
-class Engine:
-    """A part whose state has a form of its own: the names of messages that it holds."""
+class ProbeState(NamedTuple):
+    """The state of the node below."""
 
-    __module__ = "services.delay_node.engine"
+    sample: HandSample | None
+    command: HapticCommand | None
+    reported: tuple[str, tuple[int, ...]]
+    last: list[HandSample]
+    counters: Counters
+    held: list[tuple[str, str, int, int]]
+    law: Part | None
+
+
+class Probe:
+    """A node with a state, and nothing else of a node."""
+
+    state_kind: Any = ProbeState
+    state_version = 3
 
     def __init__(self) -> None:
-        self.held: list[tuple[str, str, int, bytes]] = []
+        self.context = SimpleNamespace(key="n@s")
+        self.state = ProbeState(None, None, ("", ()), [], Counters(), [], None)
+        self.found: list[bytes] = []
 
-    def capture_state(self) -> Any:
-        return [(*name, len(payload)) for *name, payload in self.held]
+    def capture(self) -> Any:
+        return self.state
 
-    def restore_state(self, state: Any, find: FindInput) -> None:
-        self.held = [(topic, src, seq, find(topic, src, seq, 0, size)) for topic, src, seq, size in state]
+    def restore(self, state: Any, find: FindInput) -> None:
+        self.state = state
+        self.found = [find(topic, src, seq, 0, size_bytes) for topic, src, seq, size_bytes in state.held]
 
 
-class Stateful(Node):
-    inputs = ()
-
-    def __init__(self, clock: VirtualClock) -> None:
-        bus: Any = SimpleNamespace(publish=None)
-        super().__init__(NodeContext("n@s", clock, bus, StructuredLog("n@s")))
-        self.grid = PeriodicDeadline(clock.monotonic_ns(), 1000)
-        self.table = np.arange(3.0)
-        self.sample: Any = None
-        self.command: HapticCommand | None = None
-        self.reported: Any = ("off", 1)
-        self.seen: set[str] = set()
-        self.last: deque[Any] = deque(maxlen=3)
-        self.engine = Engine()
-        self.handle: Any = None
-
-    def on_message(self, received: Any) -> None: ...
-
-    def on_deadline(self, now_ns: int) -> None: ...
-
-    def make_safe(self) -> None: ...
+def restored(node: Any, *find: FindInput) -> Probe:
+    other = Probe()
+    restore(other, pack(node), *find)
+    return other
 
 
 def test_a_node_goes_on_from_the_state_of_another() -> None:
-    node = Stateful(VirtualClock(5000))
-    snapshot = StateSnapshot(node)
-    node.grid.advance(9100)
-    node.sample = HandSample(1.0 / 3.0, -0.0, float("inf"), True)
-    node.command = COMMAND
-    node.reported = ("force", (2, None))
-    node.seen.update({"b@s", "a@s"})
-    node.last.extend([1, (2, "b"), HandSample(0.0, 1.0, 2.0, False), COMMAND])
-    node.engine.held = [("afm/state", "a@b", 4, b"xyz"), ("afm/state", "a@b", 5, b"1")]
-    node.steps = 7
-    other = Stateful(VirtualClock(0))
-    state = snapshot.capture()
+    node = Probe()
+    node.state = ProbeState(
+        sample=HandSample(1.0 / 3.0, -0.0, float("inf"), True),
+        command=COMMAND,
+        reported=("force", (2, 5)),
+        last=[HandSample(0.0, 1.0, np.float64(2.0), False)],
+        counters=Counters({"b@s": 1, "a@s": 2**62}),
+        held=[("afm/state", "a@b", 4, 3), ("afm/state", "a@b", 5, 1)],
+        law=part(Chosen(1.5, np.arange(3.0), HandSample(1.0, 2.0, 3.0, True))),
+    )
     found = {4: b"xyz"}
-    restore(other, state, lambda topic, src, seq, arrived_ns, size_bytes: found.get(seq, bytes(size_bytes)))
-    assert (other.grid.deadline_ns, other.grid.overruns) == (10_000, 3)
-    assert type(other.sample) is HandSample
-    assert repr(other.sample) == repr(node.sample)
-    assert other.command == COMMAND
-    assert other.reported == ("force", (2, None))
-    assert other.seen == {"a@s", "b@s"}
-    assert other.last == node.last
-    assert other.last.maxlen == 3
-    assert type(other.last[1]) is HandSample
-    assert other.engine.held == [("afm/state", "a@b", 4, b"xyz"), ("afm/state", "a@b", 5, b"\0")]
-    assert other.steps == 7
-    assert other.clock is not node.clock
-    # what was not replaced is built again, not sent
-    assert "table" not in msgpack.unpackb(state)
+    other = restored(node, lambda topic, src, seq, arrived_ns, size_bytes: found.get(seq, bytes(size_bytes)))
+    assert other.state[:-1] == node.state[:-1]
+    # the sign of a zero is kept, and numbers of NumPy become plain ones
+    assert repr(other.state.command) == repr(COMMAND)
+    assert repr((other.state.sample, other.state.last[0].force_n)) == repr((node.state.sample, 2.0))
+    assert type(other.state.sample) is HandSample
+    assert type(other.state.command) is HapticCommand
+    assert other.found == [b"xyz", b"\0"]
+    assert other.state.law is not None
+    law = other.state.law.like(Chosen(0.0, np.zeros(0), HandSample(0.0, 0.0, 0.0, False)))
+    assert (law.gain, law.history.tolist(), law.sample) == (1.5, [0.0, 1.0, 2.0], HandSample(1.0, 2.0, 3.0, True))
 
 
-def test_an_array_comes_back_bit_by_bit_and_can_be_written_to() -> None:
-    node, other = Stateful(VirtualClock()), Stateful(VirtualClock())
-    snapshot = StateSnapshot(node)
-    node.sample = (np.array([[0.1, -0.0], [np.pi, 5e-324]]), True)
-    restore(other, snapshot.capture())
-    assert other.sample[0].tobytes() == node.sample[0].tobytes()
-    assert other.sample[0].shape == (2, 2)
-    other.sample[0][0, 0] = 1.0
+class Chosen(NamedTuple):
+    """The state of a part that settings choose; its own part may be of any kind."""
+
+    gain: float
+    history: NDArray[np.float64]
+    sample: Any = None
 
 
-@pytest.mark.parametrize("value", [object(), Stranger(1.0), lambda: None, 2**70, bytes(10**6)])
-def test_what_has_no_form_gives_no_state_and_disturbs_nothing(value: object) -> None:
-    node = Stateful(VirtualClock())
-    snapshot = StateSnapshot(node)
-    assert snapshot.capture()
-    node.handle = value
-    assert snapshot.capture() == b""
+class Outer(NamedTuple):
+    """A part in a part."""
+
+    inner: Chosen
+    count: int
+
+
+@pytest.mark.parametrize(
+    "state",
+    [
+        np.array([[0.1, -0.0], [np.pi, 5e-324]]),
+        np.zeros((0, 3), np.int32),
+        np.array([True, False]),
+        Chosen(2.0, np.arange(2.0), np.array([7, 8], np.uint8)),
+        Outer(Chosen(2.0, np.zeros(1), HandSample(0.0, 1.0, 2.0, True)), 4),
+        (1.0, np.arange(4.0), (2, "a")),
+        3.5,
+        None,
+    ],
+    ids=repr,
+)
+def test_a_part_of_a_package_needs_no_declaration_beyond_its_fields(state: Any) -> None:
+    node = Probe()
+    node.state = node.state._replace(law=part(state))
+    found = restored(node).state.law
+    assert found is not None
+    again = found.like(emptied(state))
+    assert type(again) is type(state)
+    assert repr(again) == repr(state)
+    arrays = [value for value in (again, *(again if isinstance(again, tuple) else ())) if isinstance(value, np.ndarray)]
+    # compiled steps take an array that cannot be written to for another type
+    assert all(array.flags.writeable for array in arrays)
+
+
+def emptied(state: Any) -> Any:
+    """Return a state as it is at the start: of the same kinds, with other values."""
+    if isinstance(state, np.ndarray):
+        return np.zeros(1, state.dtype)
+    if isinstance(state, tuple):
+        made = map(emptied, state)
+        return state._make(made) if hasattr(state, "_make") else tuple(made)
+    return None if state is None else type(state)()
+
+
+def renamed(source: str, *pairs: tuple[str, str]) -> Probe:
+    for old, new in pairs:
+        source = re.sub(rf"\b{old}\b", new, source)
+    space: dict[str, Any] = {"__name__": "a_module_of_another_name"}
+    exec(source, space)
+    node: Probe = next(value for value in space.values() if hasattr(value, "state_kind"))()
+    return node
+
+
+SOURCE = """
+from types import SimpleNamespace
+from typing import Any, NamedTuple
+import msgspec
+from services.runtime.loop.node_state import Part, part
+
+class Account(msgspec.Struct, array_like=True):
+    joules: float = 0.0
+
+class History(NamedTuple):
+    newest: int
+    values: tuple[float, ...]
+
+class LawState(NamedTuple):
+    wave: float
+
+class NodeState(NamedTuple):
+    account: Account
+    history: History
+    law: Part
+
+class Node:
+    state_kind, state_version = NodeState, 1
+    context = SimpleNamespace(key="n@s")
+
+    def __init__(self):
+        self._account, self._history, self._law = Account(), History(0, ()), LawState(0.0)
+
+    def capture(self):
+        return NodeState(self._account, self._history, part(self._law))
+
+    def restore(self, state, find):
+        self._account, self._history, self._law = state.account, state.history, state.law.like(self._law)
+
+    def step(self):
+        self._account.joules += 0.1
+        self._history = History(self._history.newest + 1, (*self._history.values, self._account.joules))
+        self._law = LawState(self._law.wave - 1.0)
+"""
+RENAMED = (("_account", "_energy"), ("_law", "_half"), ("Account", "Ledger"), ("History", "Past"), ("Node", "Unit"))
+
+
+def test_private_names_classes_and_modules_may_be_renamed() -> None:
+    node: Any = renamed(SOURCE)
+    for _ in range(3):
+        node.step()
+    other: Any = renamed(SOURCE, *RENAMED, ("LawState", "S"), ("NodeState", "T"))
+    restore(other, pack(node))
+    assert pack(other) == pack(node)
+    for some in (node, other):
+        some.step()
+    assert pack(other) == pack(node)
+    assert (other._energy.joules, other._history.newest) == (node._account.joules, 4)
+
+
+MORE = "joules: float = 0.0\n    left: float = 0.0"
+FITS = "n@s: its state in the journal does not fit this code: "
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (("state_version = NodeState, 1", "state_version = NodeState, 2"), "it has version 1, and this code reads ver"),
+        (("joules: float = 0.0", MORE), "it lacks account.left$"),
+        ((MORE, "joules: float = 0.0"), "it has in addition account.left$"),
+        (("newest", "latest"), "it lacks history.latest and has in addition history.newest$"),
+        (("newest: int\n    values: tuple[float, ...]", "values: tuple[float, ...]\n    newest: int"), "another order"),
+        (("wave", "force"), "it lacks force and has in addition wave$"),
+    ],
+)
+def test_a_state_of_another_version_or_with_other_fields_is_refused(change: tuple[str, str], sentence: str) -> None:
+    source = SOURCE.replace("joules: float = 0.0", MORE) if change[0] == MORE else SOURCE
+    assert change[0] in source
+    node = renamed(source)
+    with pytest.raises(RecordingError, match=FITS + f".*{sentence}"):
+        restore(renamed(source.replace(*change)), pack(node))
+
+
+@pytest.mark.parametrize("value", [object(), lambda: None, 2**70, {1.0: {object()}}])
+def test_what_cannot_be_kept_is_named(value: object) -> None:
+    node = Probe()
+    node.state = node.state._replace(law=part(Chosen(0.0, np.zeros(1), value)))
+    with pytest.raises((TypeError, OverflowError), match=r"cannot be kept in a journal|can't serialize|out of range"):
+        pack(node)
+
+
+def test_a_node_without_a_state_gives_no_bytes() -> None:
+    node = Probe()
+    node.state = None  # type: ignore[assignment]
+    assert pack(node) == b""
+
+
+def test_a_state_that_lacks_a_byte_is_not_whole() -> None:
+    node = Probe()
+    node.state = node.state._replace(law=part(np.arange(5.0)))
+    packed = pack(node)
+    assert is_whole(packed)
+    assert not any(is_whole(packed[:length]) for length in range(len(packed)))
+    assert not is_whole(packed[:20] + packed[40:])
+
+
+def encoded(*state: Any) -> bytes:
+    return msgspec.msgpack.encode(state)
+
+
+NAMES = msgspec.msgpack.decode(pack(Probe()))[1]
+VALUES = msgspec.msgpack.decode(pack(Probe()))[2]
 
 
 @pytest.mark.parametrize(
@@ -122,18 +264,26 @@ def test_what_has_no_form_gives_no_state_and_disturbs_nothing(value: object) -> 
     [
         b"",
         b"\xc1",
-        msgpack.packb({"sample": ["tuple", "os:system", ["true"]]}),
-        msgpack.packb({"sample": ["tuple", "services.runtime.loop.main:run_node", []]}),
-        msgpack.packb({"sample": ["tuple", "services.runtime.loop.clock:SystemClock", []]}),
-        msgpack.packb({"sample": ["tuple", "services.controller.law:HandSample", [1.0]]}),
-        # the last field of this class has a default, which must not stand for a value that was not recorded
-        msgpack.packb({"sample": ["tuple", "services.haptic_node.safety:SafetyInputs", [1, 0.0, 0.0, 0.0, *3 * [0]]]}),
-        msgpack.packb({"missing": ["parts", {}]}),
-        msgpack.packb({"sample": ["unknown", []]}),
-        msgpack.packb({"sample": []}),
-        msgpack.packb([1]),
+        encoded(1),
+        encoded(3, NAMES),
+        encoded(3, NAMES, VALUES[:-1]),
+        encoded(3, NAMES, [*VALUES, 1]),
+        encoded(3, NAMES, [["text", 0.0, 0.0, True], *VALUES[1:]]),
+        encoded(3, NAMES, [None, {"seq": -1}, *VALUES[2:]]),
+        encoded(3, NAMES, {"sample": "os:system"}),
+        b"\x91" * 100_000,
     ],
 )
 def test_a_state_of_something_else_is_refused(state: bytes) -> None:
-    with pytest.raises(RecordingError, match="its state in the journal does not fit this code"):
-        restore(Stateful(VirtualClock()), state)
+    with pytest.raises(RecordingError, match=FITS):
+        restore(Probe(), state)
+    assert not is_whole(b"\x91" * 100_000)
+
+
+@pytest.mark.parametrize("array", [["|O", [1], bytes(8)], ["<f8", [2], bytes(8)], ["os", [], b""], 5, None])
+def test_an_array_that_is_none_is_refused(array: Any) -> None:
+    names, values = msgspec.msgpack.decode(msgspec.msgpack.encode(part(HandSample(0.0, 0.0, 0.0, True))), type=Part)
+    assert Part(names, values).like(HandSample(1.0, 1.0, 1.0, False)) == HandSample(0.0, 0.0, 0.0, True)
+    state: Callable[[], Any] = lambda: Part((), array).like(np.zeros(1))  # noqa: E731
+    with pytest.raises((ValueError, TypeError)):
+        state()

@@ -13,6 +13,7 @@ from services.afm_node.physics.disturbed import noisy_params
 from services.afm_node.physics.sim import simulated_afm
 from services.afm_node.physics.step import AfmInputs, initial_afm_state, step
 from studies import option_values
+from studies.loops import lockstep
 from studies.loops.cells import Cell, course_of, run_cell
 
 AFM = AfmConfig.model_validate({"cantilever": {"stiffness_n_per_m": 2.0}}).to_params()
@@ -73,6 +74,26 @@ def test_a_cell_tells_what_there_is_to_disturb_and_what_is_unknown() -> None:
     with pytest.raises(ConfigError, match=r"thermal\.temperature_k"):
         cell("contact", "thermal.temperature_k=-1").disturbed_instrument(1.0)
     assert cell("contact").key != cell("contact", "drift").key
+
+
+def test_a_disturbed_course_is_compiled_and_its_seed_decides_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    def course(seed: int, *disturbed: str) -> Any:
+        cell = Cell(
+            law="virtual_impedance", environment="contact", round_trip_ms=10.0, stiffness_n_per_m=40.0, seed=seed,
+            disturbances=option_values.disturbances(disturbed),
+        )  # fmt: skip
+        return course_of(cell, ((0.0, 0.0), (0.1, 2.0), (0.5, 2.0)), 0.5)
+
+    noise = ("readout", "vibration")
+    noisy, quiet, other = course(1, *noise), course(1), course(2, *noise)
+    assert noisy.in_contact.any()
+    assert not np.array_equal(noisy.tip_force_n, quiet.tip_force_n)
+    assert not np.array_equal(noisy.tip_force_n, other.tip_force_n)
+    # the plain steps of the node give the same bits
+    monkeypatch.setattr(lockstep, "compiled_form", lambda step: step)
+    plain = course(1, *noise)
+    for name in ("tip_force_n", "base_position_m", "hand_position_m", "in_contact", "instrument_mode"):
+        assert np.array_equal(getattr(noisy, name), getattr(plain, name)), name
 
 
 @pytest.mark.endurance

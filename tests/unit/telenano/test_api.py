@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -16,12 +17,10 @@ from proto.errors import ConfigError, RecordingError, RigError
 from services.runtime.bus.publisher import ZmqPublisher
 from services.runtime.loop.clock import SystemClock
 
-WAVE = Path(__file__).resolve().parents[2] / "replay" / "wave.mcap"
-
 
 @pytest.fixture(scope="module")
-def session() -> telenano.RecordedSession:
-    return telenano.open(WAVE)
+def session(recording_of: Callable[[str], Path]) -> telenano.RecordedSession:
+    return telenano.open(recording_of("fig12_wave"))
 
 
 def test_a_table_has_the_time_of_the_session_and_a_unit_for_each_column(session: telenano.RecordedSession) -> None:
@@ -51,9 +50,11 @@ def test_publishers_of_a_channel_are_kept_apart(session: telenano.RecordedSessio
         session.table("afm")
 
 
-def test_a_value_that_is_not_there_is_nan(session: telenano.RecordedSession) -> None:
+def test_a_value_that_is_not_there_is_nan(
+    session: telenano.RecordedSession, recording_of: Callable[[str], Path]
+) -> None:
     assert np.isfinite(session.table("teleop/forward")["wave_sqrt_w.2"]).all()
-    other = telenano.open(WAVE.with_name("virtual_impedance.mcap")).table("teleop/forward")
+    other = telenano.open(recording_of("fig12_virtual_impedance")).table("teleop/forward")
     assert set(other["wave_sqrt_w"]) == {None}
 
 

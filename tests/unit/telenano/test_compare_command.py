@@ -4,6 +4,7 @@ import csv
 import json
 import shutil
 import subprocess
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,16 +17,15 @@ from telenano.cli import sweep
 from telenano.cli.root import app
 from telenano.cli.sweep import points_of, run_sweep, without_sweep
 
-REFERENCES = Path(__file__).resolve().parents[2] / "replay"
 RUNNER = CliRunner()
 
 
 @pytest.fixture(scope="module")
-def compared(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any]:
+def compared(recording_of: Callable[[str], Path], tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any]:
     folder = tmp_path_factory.mktemp("compare")
     for name, law in (("a", "wave"), ("b", "position_force")):
         (folder / name).mkdir()
-        shutil.copy(REFERENCES / f"{law}.mcap", folder / name / "session.mcap")
+        shutil.copy(recording_of(f"fig12_{law}"), folder / name / "session.mcap")
     out = folder / "out"
     arguments = ["compare", str(folder / "a"), str(folder / "b" / "session.mcap"), "--out", str(out)]
     result = RUNNER.invoke(app, [*arguments, "--format", "png,svg", "--json"])

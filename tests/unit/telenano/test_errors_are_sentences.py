@@ -20,7 +20,6 @@ from telenano.cli.root import app
 MakeFile = Callable[..., Path]
 RUNNER = CliRunner()
 FULL = Path("/dev/full")
-SESSION = Path(__file__).parents[2] / "replay" / "wave.mcap"
 needs_full = pytest.mark.skipif(not FULL.exists(), reason="this system has no /dev/full")
 
 
@@ -54,15 +53,16 @@ def in_the_way(tmp_path: Path) -> Path:
 
 
 def test_a_report_that_cannot_be_written_names_its_folder_and_shows_the_summary(
-    in_the_way: Path, monkeypatch: pytest.MonkeyPatch
+    in_the_way: Path, recording_of: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    session = recording_of("fig12_wave")
     cases = [(in_the_way, "File exists"), (in_the_way / "report", "Not a directory")]
     for out, reason in cases:
-        code, table, err = run("report", SESSION, "--out", out)
+        code, table, err = run("report", session, "--out", out)
         assert (code, err) == (1, f"telenano: {out}: cannot be written: {reason}\n")
         assert "scenario" in table
     monkeypatch.setattr("analysis.report.write_files", no_space)
-    code, table, err = run("report", SESSION, "--out", in_the_way.with_name("out"))
+    code, table, err = run("report", session, "--out", in_the_way.with_name("out"))
     assert code == 1 and "cannot be written: No space left on device" in err and "scenario" in table
     assert in_the_way.read_text() == "kept"
 
@@ -96,16 +96,17 @@ def test_a_copy_below_a_file_is_not_called_one_that_exists(make_file: MakeFile, 
 @pytest.mark.parametrize(
     ("arguments", "code", "said"),
     [
-        (("bag", "info", str(SESSION)), 1, "standard output cannot be written: No space left on device"),
-        (("bag", "cat", str(SESSION)), 1, "standard output cannot be written: No space left on device"),
+        (("bag", "info", "SESSION"), 1, "standard output cannot be written: No space left on device"),
+        (("bag", "cat", "SESSION"), 1, "standard output cannot be written: No space left on device"),
         (("estop", "--json"), 1, "no device of the site file runs here: is `telenano up` running with this site file?"),
         (("upp", "--json"), 2, "no such command 'upp' (`telenano --help` explains)"),
     ],
 )
 def test_output_that_cannot_be_written_is_one_sentence(
-    arguments: tuple[str, ...], code: int, said: str, tmp_path: Path
+    arguments: tuple[str, ...], code: int, said: str, recording_of: Callable[[str], Path], tmp_path: Path
 ) -> None:
     environment = {**os.environ, "TELENANO_RUNTIME_DIR": str(tmp_path)}
+    arguments = tuple(str(recording_of("fig12_wave")) if word == "SESSION" else word for word in arguments)
     with FULL.open("w") as full:
         command = [sys.executable, "-m", "telenano", *arguments]
         done = subprocess.run(command, env=environment, stdout=full, stderr=subprocess.PIPE, text=True, check=False)

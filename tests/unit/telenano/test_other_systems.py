@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -43,9 +44,9 @@ print(json.dumps({"rows": len(tip["time_s"]), "verdict": session.summary["verdic
 """
 
 
-def test_recordings_and_figures_work_where_posix_is_not() -> None:
+def test_recordings_and_figures_work_where_posix_is_not(recording_of: Callable[[str], Path]) -> None:
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    command = [sys.executable, "-c", PROGRAM, str(ROOT / "tests" / "replay" / "wave.mcap")]
+    command = [sys.executable, "-c", PROGRAM, str(recording_of("fig12_wave"))]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)

@@ -29,13 +29,19 @@ from services.controller.law import HandSample
 from services.controller.law_rules import broken_rules
 from services.haptic_node.__main__ import _device
 from services.haptic_node.config import HapticConfig
-from services.runtime.loop.node_state import _packed, _unpacked
+from msgspec import msgpack
+from services.haptic_node.driver import DriveCommand
+from services.runtime.loop.node_state import Part, part
 
 found = {"laws": [name for name in LAWS if name not in OWN_LAWS], "broken": broken_rules("filtered")}
 config = ControllerConfig.model_validate({"law": "filtered", "filtered": {"filter_s": 0.0}})
 found["kept_share"] = config.params().kept_share
 state = LAWS["filtered"].master_start(config.params(), HandSample(1e-3, 0.0, 0.5, True))
-found["state_survives"] = _unpacked(_packed(state)) == state
+def survives(state, start):
+    kept = msgpack.decode(msgpack.encode(part(state)), type=Part)
+    return kept.like(start) == state
+
+found["state_survives"] = survives(state, state._replace())
 
 haptic = HapticConfig.model_validate({"operator": {"kind": "trembling", "tremor_n": 0.5, "tremor_hz": 5.0}})
 device = _device(haptic)
@@ -50,6 +56,10 @@ found["tip_n"] = [afm.exchange(base_m).force_n for base_m in (0.0, 3.5e-9, 5e-9)
 handle = _device(HapticConfig.model_validate({"driver": "stub_handle", "stub_handle": {"force_n": 0.25}}))
 handle.open()
 found["handle_n"] = handle.read(1.0, 1e-3).operator_force_n
+start = handle.state
+handle.write(DriveCommand(1, 2e-3, 0.0))
+handle.read(1.0, 1e-3)
+found["handle_survives"] = handle.state != start and survives(handle.state, start)
 found["simulated"] = HapticConfig.model_validate({"driver": "stub_handle"}).simulated
 
 found["refused"] = []
@@ -105,6 +115,7 @@ def test_operator_sample_and_device_of_a_package_do_what_their_models_say(found:
     assert found["tip_n"] == pytest.approx([0.0, 1e-9, 22e-9], rel=1e-9, abs=0.0)
     assert found["handle_n"] == 0.25
     assert found["simulated"]
+    assert found["handle_survives"]
 
 
 def test_what_is_wrong_in_the_section_of_a_package_is_named(found: dict[str, Any]) -> None:

@@ -24,8 +24,7 @@ from test_afm_programs import Imager
 from proto.errors import ConfigError, RefusedError
 from services.afm_node.config import AfmConfig
 from services.console.command_client import parse_parameters
-from services.runtime.loop.journal import StateSnapshot
-from services.runtime.loop.node_state import restore
+from services.runtime.loop.node_state import pack, restore
 from services.runtime.settings.config import validate
 from services.viz_node.commander import forms
 
@@ -40,13 +39,12 @@ def refusal(afm, *pairs):
         return str(error)
 
 afm = Imager(Bench("afm_node@slave"), RIG)
-snapshot = StateSnapshot(afm.node)
 found["answer"] = afm.set(**parse_parameters(ASKED))
 found["second"] = refusal(afm, "program=scan")
 found["pause"] = refusal(afm, "program=pause")
 reports = lambda: [m for t, m in afm.bench.sent if t == "afm/program"]
 afm.run(until=lambda: any(m.program == "circle" and m.done_percent > 50.0 for m in reports()))
-state = snapshot.capture()
+state = pack(afm.node)
 early = [m for t, m in afm.bench.sent if t == "afm/state"]
 
 other = Imager(Bench("afm_node@slave"), RIG)
