@@ -233,13 +233,16 @@ def telenano(*arguments: str, **environment: str) -> subprocess.CompletedProcess
     [
         ("up", "--scenario"), ("up", "--scenario", "fig12", "--site-file"), ("status", "--site-file"),
         ("estop", "--site-file"), ("bag", "info"),
-        ("compare", "tests/replay/wave.mcap", "--out", "{out}", "--published"),
+        ("compare", "{recording}", "--out", "{out}", "--published"),
     ],
 )  # fmt: skip
-def test_a_command_does_not_wait_for_a_pipe(tmp_path: Path, command: tuple[str, ...]) -> None:
+def test_a_command_does_not_wait_for_a_pipe(
+    tmp_path: Path, recording_of: Callable[[str], Path], command: tuple[str, ...]
+) -> None:
     pipe = tmp_path / "file.yaml"
     os.mkfifo(pipe)
-    words = [word.format(out=tmp_path / "out") for word in command]
+    recording = recording_of("fig12_wave") if "{recording}" in command else None
+    words = [word.format(out=tmp_path / "out", recording=recording) for word in command]
     done = telenano(*words, str(pipe), TELENANO_RUNTIME_DIR=str(tmp_path / "run"))
     assert done.returncode in (1, 2)
     assert done.stderr.startswith(f"telenano: {pipe}: cannot be read: it is a pipe"), done.stderr
