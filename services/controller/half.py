@@ -217,9 +217,11 @@ class ControllerHalf(Node):
         # the classes of messages answer `isinstance` in Python, which takes longer than all of this
         if type(message) is TeleopBackward:
             force_n, separation_m = message.force_n[2], message.separation_m
+            # the master's half: the lateral force on the tip [N]
             self.far_lateral = message.force_n[:2]
             separation_valid, in_contact = message.separation_valid, message.in_contact
         else:
+            # the slave's half: where the hand wants the tip over the sample [m]
             self.far_lateral = message.position_m[:2]
         self.signal = port_signal(
             position_m=to_paper_axis(message.position_m),

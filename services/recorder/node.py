@@ -338,7 +338,7 @@ class RecorderNode(Node):
         if intake.lossless_lost > self._reported_lost:
             missing = intake.lossless_lost - self._reported_lost
             self._reported_lost = intake.lossless_lost
-            text = f"{missing} control, event or scan messages did not reach the recorder"
+            text = f"{missing} messages of lossless topics did not reach the recorder"
             self.event("fault", "warning", text, missing=_count(missing))
 
     def _report_removed(self) -> None:

@@ -26,7 +26,7 @@ import yaml
 from in_memory import InMemory
 from virtual_rig import LINK_NODE, NODES, record_session
 
-from analysis.process_replay import rerun
+from analysis.rerun import rerun
 from presets import find_scenario
 from recording.reader import Recording
 from recording.tolerance import Tolerances

@@ -31,7 +31,7 @@ from references import (
 )
 
 import proto.codec
-from analysis.process_replay import ReplayBus, rerun
+from analysis.rerun import RerunBus, rerun
 from proto import TOPICS, Message
 from proto.errors import ConfigError, RecordingError
 from proto.messages import AfmState
@@ -252,13 +252,13 @@ def say_more(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
         monkeypatch.setitem(proto.codec._FORMS, "afm/state", form)
         monkeypatch.setitem(proto.codec._TYPED, "afm/state", typed_form(WarmerState, form.most_bytes))
         monkeypatch.setitem(proto.codec._MOST_BYTES, WarmerState, form.most_bytes)
-        publish_as = ReplayBus.publish_as
+        publish_as = RerunBus.publish_as
 
-        def publish_more(bus: ReplayBus, src: str, topic: str, fields: Mapping[str, Any]) -> Message:
+        def publish_more(bus: RerunBus, src: str, topic: str, fields: Mapping[str, Any]) -> Message:
             said = {**fields, **more} if topic == "afm/state" else fields
             return publish_as(bus, src, topic, {key: value for key, value in said.items() if key not in without})
 
-        monkeypatch.setattr(ReplayBus, "publish_as", publish_more)
+        monkeypatch.setattr(RerunBus, "publish_as", publish_more)
 
     return say
 

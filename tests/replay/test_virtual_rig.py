@@ -13,8 +13,8 @@ from in_memory import InMemory
 from references import REFERENCES
 from virtual_rig import LINK_NODE, NODES, VirtualRig, record_session
 
-from analysis import process_replay
-from analysis.process_replay import RerunResult, rerun
+from analysis import rerun as rerun_module
+from analysis.rerun import RerunResult, rerun
 from proto.errors import ConfigError, RecordingError
 from proto.messages import Array, LinkFates
 from proto.nodes import LINK, name_of, site_of
@@ -276,7 +276,7 @@ def test_the_rerun_begins_after_a_publisher_that_was_recorded_late(
     sessions: Callable[[str], Recording], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Only the first messages of a source may be missing, and only while the rig starts."""
-    monkeypatch.setattr(process_replay, "_LATEST_START_NS", 0)
+    monkeypatch.setattr(rerun_module, "_LATEST_START_NS", 0)
     source = sessions("wave")
     late_ns = next(found for found in source.messages(["teleop/backward"]) if found.seq == 600).log_ns
 
@@ -288,7 +288,7 @@ def test_the_rerun_begins_after_a_publisher_that_was_recorded_late(
     result = rerun(cut, LINK_NODE)
     assert result.identical, result.verdict()
     assert result.first_seq["teleop/forward@slave"] > 500
-    monkeypatch.setattr(process_replay, "_LATEST_JOIN_NS", -1)
+    monkeypatch.setattr(rerun_module, "_LATEST_JOIN_NS", -1)
     with pytest.raises(RecordingError, match="with all inputs: lacks teleop/backward, seq 0 of controller@slave"):
         rerun(cut, LINK_NODE)
 

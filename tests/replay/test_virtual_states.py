@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from test_virtual_rig import edited
 from virtual_rig import LINK_NODE, NODES, VirtualRig, record_session
 
-from analysis.process_replay import rerun
+from analysis.rerun import rerun
 from proto.errors import RecordingError
 from recording.reader import RawMessage, Recording
 from recording.rewrite import filter_recording

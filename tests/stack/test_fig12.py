@@ -16,7 +16,7 @@ from empty_loop import EmptyLoops
 from mcap.reader import make_reader
 from stack_rig import ROOT, Rig
 
-from analysis.process_replay import RerunResult, rerun
+from analysis.rerun import RerunResult, rerun
 from proto import TOPICS
 from recording.reader import Recording
 from services.delay_node.profiles import PROFILES

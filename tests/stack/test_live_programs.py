@@ -8,7 +8,7 @@ import numpy.typing as npt
 import pytest
 from stack_rig import Rig
 
-from analysis.process_replay import rerun
+from analysis.rerun import rerun
 from proto.messages import AfmState
 from recording.reader import Recording
 from services.afm_node.config import AfmConfig

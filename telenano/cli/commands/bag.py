@@ -11,7 +11,7 @@ import typer
 from pydantic import BaseModel
 
 from analysis.plot import draw, read_traces, save_png
-from analysis.process_replay import rerun as run_again
+from analysis.rerun import rerun as run_again
 from proto.errors import RecordingError
 from recording.channel_filter import Selection
 from recording.diff import diff_recordings

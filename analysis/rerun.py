@@ -111,7 +111,7 @@ def rerun(
     recorded = _Recorded(recording, key, batches)
     begun = _begin(recorded, batches, states)
     clock = TurnClock(_start_ns(batches[begun]), batches[begun].epoch_offset_ns)
-    bus = ReplayBus(key, clock, recorded, tolerances or Tolerances(), take)
+    bus = RerunBus(key, clock, recorded, tolerances or Tolerances(), take)
     packages = _packages(recording, key)
     node = _build(recording, key, clock, bus, settings)
     restore(node, states[begun], recorded.payload)
@@ -272,7 +272,7 @@ class _Recorded:
         return (turn for turn in _turns(batch) if turn.src and self.input(turn) is None)
 
 
-class ReplayBus:
+class RerunBus:
     """A bus that compares what a node publishes with the recorded message of the same number."""
 
     def __init__(
@@ -360,10 +360,10 @@ class ReplayBus:
         return _DifferenceError(difference=f"{place}: {text}", topic=topic, seq=seq, time_s=time_s, field=field)
 
 
-class ReplayOutlet:
+class RerunOutlet:
     """A further endpoint of a node, where it publishes and sends on what others published."""
 
-    def __init__(self, bus: ReplayBus, endpoint: str) -> None:
+    def __init__(self, bus: RerunBus, endpoint: str) -> None:
         self.node = endpoint
         self._bus = bus
 
@@ -452,7 +452,7 @@ def _take_message(node: Node, turn: Turn, recorded: _Recorded) -> None:
             return
 
 
-def _build(recording: Recording, key: str, clock: TurnClock, bus: ReplayBus, settings: Sequence[str]) -> Node:
+def _build(recording: Recording, key: str, clock: TurnClock, bus: RerunBus, settings: Sequence[str]) -> Node:
     attached = recording.attachments.get("scenario.yaml")
     if attached is None:
         raise RecordingError(f"{recording.path}: has no scenario.yaml attached, which a re-run takes its settings from")
@@ -464,7 +464,7 @@ def _build(recording: Recording, key: str, clock: TurnClock, bus: ReplayBus, set
     if not getattr(config, "simulated", True):
         text = f"node {key} drove a real device ({kind.name}.driver: {config.driver}), which cannot be run again"
         raise ConfigError(f"{text}; its messages are in {recording.path}")
-    wiring = _ReplayWiring(
+    wiring = _RerunWiring(
         key=key,
         book=AddressBook(nodes={}),
         site_file=Path(),
@@ -475,7 +475,7 @@ def _build(recording: Recording, key: str, clock: TurnClock, bus: ReplayBus, set
         # nothing is connected: `bus` is all that a node with a journal asks of its wiring
         network=cast(Any, None),
         wake_descriptor=-1,
-        replay_bus=bus,
+        rerun_bus=bus,
     )
     node, _ = kind.build(wiring, config)
     return node
@@ -489,18 +489,18 @@ class _NoLog(StructuredLog):
 
 
 @dataclass(frozen=True)
-class _ReplayWiring(Wiring):
+class _RerunWiring(Wiring):
     """Wiring without sockets: whoever asks for a bus gets the one of the re-run."""
 
-    replay_bus: ReplayBus
+    rerun_bus: RerunBus
 
     def bus(self, topics: Sequence[str], *, newest_only: bool = False) -> ZmqBus:
         """Return the bus of the re-run."""
-        return cast(ZmqBus, self.replay_bus)
+        return cast(ZmqBus, self.rerun_bus)
 
     def bind(self, key: str, kind: int = zmq.PUB, *, batched: bool = False) -> ZmqPublisher:
         """Return an endpoint of the node."""
-        return cast(ZmqPublisher, ReplayOutlet(self.replay_bus, key))
+        return cast(ZmqPublisher, RerunOutlet(self.rerun_bus, key))
 
     def subscribers(
         self, connections: Mapping[str, Sequence[str]], *, apart: bool = False, newest_only: bool = False
@@ -522,4 +522,4 @@ class _ReplayWiring(Wiring):
 
     def bus_of(self, publisher: Publisher, subscribers: Sequence[Reader]) -> ZmqBus:
         """Return the bus of the re-run."""
-        return cast(ZmqBus, self.replay_bus)
+        return cast(ZmqBus, self.rerun_bus)
