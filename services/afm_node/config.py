@@ -253,6 +253,18 @@ class _OwnSections(Settings):
         refuse(SAMPLES, value)
         return value
 
+    @property
+    def stiffest_n_per_m(self) -> float | None:
+        """The greatest stiffness that the base can meet [N/m]; None where the settings do not say.
+
+        A sample is never felt stiffer than the cantilever that it is felt through.
+        """
+        if not self.simulated:
+            return None
+        if self.environment in SAMPLES.found:
+            return getattr(getattr(self, self.environment), "stiffness_n_per_m", None)
+        return (self.spring if self.environment == "spring" else self.cantilever).stiffness_n_per_m
+
     def doubts(self) -> str:
         """Return what contradicts itself in the material, though it can be simulated; empty where nothing does."""
         t = self.tip_sample

@@ -84,6 +84,28 @@ class _OwnSections(Settings):
         scales = section.position_scale, section.force_scale
         return self.clamp.to_params(section.to_params(self.period_s), *scales, self.period_s)
 
+    def stiffness_limit_n_per_m(self) -> float | None:
+        """Return the stiffest sample [N/m] that the slave half bears; None where it closes no loop of its own.
+
+        Laws of packages state theirs as this project's do: `stiffness_limit_n_per_m(period_s)` of their settings.
+        """
+        section, clamp = self.law_config(), self.clamp_params()
+        limits = [section.stiffness_limit_n_per_m(self.period_s)] if hasattr(section, "stiffness_limit_n_per_m") else []
+        if clamp.enabled:
+            limits.append(2.0 / (clamp.force_scale * clamp.reach_m_per_n))
+        return float(min(limits)) if limits else None
+
+    def stiffness_doubts(self, stiffness_n_per_m: float) -> str:
+        """Return why a sample [N/m] is too stiff for the law in force; empty where it is not."""
+        limit = self.stiffness_limit_n_per_m()
+        if limit is None or stiffness_n_per_m <= limit:
+            return ""
+        return (
+            f"law {self.law}: {stiffness_n_per_m:g} N/m is stiffer than the {limit:.4g} N/m that its slave half bears,"
+            " beyond which the force swings from period to period; a greater damper of the half, a smaller"
+            " controller.period_s or force_scale times position_scale raises that in proportion"
+        )
+
     @property
     def local_loop(self) -> bool:
         """Whether the slave half goes on between signals, on the instrument's clock."""

@@ -11,6 +11,8 @@ from pydantic import Field
 from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE, find_scenario, site_file_named
 from proto.errors import ConfigError, RigError
 from proto.nodes import LAUNCHER, LINK, OPTIONAL_NODES, RECORDER, SERVICES, START_ORDER, Site, name_of, site_of
+from services.afm_node.config import AfmConfig
+from services.controller.config import ControllerConfig
 from services.delay_node.config import LinkSettings, changes_text
 from services.runtime.bus.address_book import AddressBook
 from services.runtime.loop.main import load_site, node_kind
@@ -141,6 +143,13 @@ class Plan:
             return ""
         changes = changes_text(self.loaded.section(LINK, LinkSettings))
         return f"{self.loaded.origin}: {LINK}: {changes}" if changes else ""
+
+    @property
+    def stiffness_warning(self) -> str:
+        """Why the sample of the scenario is too stiff for its law; empty where it is not."""
+        stiffness = self.loaded.section("afm_node", AfmConfig).stiffest_n_per_m
+        controller = self.loaded.section("controller", ControllerConfig)
+        return controller.stiffness_doubts(stiffness) if stiffness is not None else ""
 
     @property
     def launcher(self) -> str:

@@ -149,6 +149,11 @@ class Cell(Conditions):
         """Round trip [s], jitter at its widest and the devices included."""
         return (self.round_trip_ms + self.device_latency_ms + 2.0 * self.jitter_ms) * 1e-3
 
+    @property
+    def felt_stiffness_n_per_m(self) -> float:
+        """Return the greatest stiffness that the base can meet [N/m]: a body is met through its cantilever."""
+        return CANTILEVER_N_PER_M if self.environment == "body" else self.stiffness_n_per_m
+
     def controller(self) -> ControllerConfig:
         """Return the configuration of both halves; ConfigError names the law or key at fault."""
         if self.law not in LAWS:

@@ -59,16 +59,18 @@ class Axes(Conditions):
         combinations = itertools.product(self.laws, springs, self.gains, self.jitters, self.losses)
         return [Line(self, *values) for values in combinations]
 
-    def check(self) -> None:
-        """Raise ConfigError naming the option, if a cell of the grid cannot be run."""
+    def check(self) -> list[str]:
+        """Return what makes a cell doubtful, each text once; raise ConfigError for an option that cannot be run."""
         for field, option in (("mass_kg", "--mass"), ("damping_n_s_per_m", "--body-damping")):
             if field in self.model_fields_set and self.environment != "body":
                 raise ConfigError(f"{option}: {self.environment} has none; give --environment body")
+        doubts: list[str] = []
         for line in self.lines():
             cell = line.cell(max(self.delays_ms))
-            cell.controller()
+            doubts.append(cell.controller().stiffness_doubts(cell.felt_stiffness_n_per_m))
             cell.hold_s()
             cell.disturbed_instrument(0.0)
+        return [text for text in dict.fromkeys(doubts) if text]
 
 
 @dataclass(frozen=True)

@@ -59,6 +59,7 @@ from services.controller.laws.shared.virtual_mass import (
     MassParams,
     SteeredConfig,
     at_rest,
+    followed,
     is_coupled,
     is_retracted,
     let_go,
@@ -66,6 +67,7 @@ from services.controller.laws.shared.virtual_mass import (
     periods_in,
     rescaled,
     resumed,
+    stiffness_limit_n_per_m,
     tip_reference,
 )
 from services.controller.ranges import (
@@ -140,6 +142,10 @@ class ModelMediatedConfig(SteeredConfig):
             guard_n_s_per_m=self.guard_damping_n_s_per_m,
             margin_n=self.force_margin_n,
         )
+
+    def stiffness_limit_n_per_m(self, period_s: float) -> float:
+        """Return the stiffest sample [N/m] that the guard of the slave bears."""
+        return stiffness_limit_n_per_m(self, self.guard_damping_n_s_per_m, period_s)
 
 
 class MasterState(NamedTuple):
@@ -330,7 +336,8 @@ def slave_receive(
         return state, SlaveReference(state.position_m, True)
     allowed = max(p.force_scale * signal.force_n, 0.0) + params.margin_n - p.force_scale * tip.force_n
     reach = allowed / params.guard_n_s_per_m * p.period_s
-    base = state.position_m + min(signal.position_m - state.position_m, p.position_scale * reach)
+    start = followed(p, state.position_m, tip.base_position_m)
+    base = start + min(signal.position_m - start, p.position_scale * reach)
     return SlaveState(base), SlaveReference(base, True)
 
 

@@ -1,49 +1,66 @@
-"""Time-domain passivity control of the channel: observe the energy at both ports, dissipate what it would make up.
+"""Time-domain passivity control with a store of energy on each side that the hand's damper fills: it does not tire.
+
+What it cannot do. A round trip T over a sample that the hand feels as K acts like a damper of -K sin(w T) / w, and the
+hand feels what makes up for it: up to 375 N s/m on a stiff sample at 300 ms and 0.5 Hz. From about K T = 2 B_v on a
+swing is answered with up to 1.7 times its size. A motion at v against F needs F v T in the stores, of which each holds
+5 mJ at most and 1 mJ as a rule: what is faster is followed late. A hand of constant force comes to rest with
+B_v / (alpha_f alpha_p K), which is 6.7 s on 0.1 N/m. Samples stiffer than `stiffness_limit_n_per_m`, 800 N/m, are
+beyond the loop of the base: what it makes there comes out of the store, and it jumps.
 
 The channel carries velocity forward and the computed force of the slave's controller backward (the position-computed
 force architecture). The slave's controller is a spring K_c that draws the base after the reference x_d, and the base
 moves as if through a damper B_c: F_c = K_c (x_d - x_s), B_c x_s' = F_c - F_s. The master's mass feels F_c, delayed.
 
-At each port the energy is counted by direction, E_in >= 0 into the channel and E_out >= 0 out of it, and E_in is sent
-across (`energy_j`). With E_0 for what each side holds at the start, the channel is passive if
+Each side has a store S >= 0 of energy that it may spend, and sends a counter that only grows (`energy_j`). In a period
 
-    E_out,s(t) <= E_in,m(t - T_f) + E_0,    E_out,m(t) <= E_in,s(t - T_b) + E_0,
+    master:  S += received + damper,  F d > 0 is sent;   F d < 0 is paid from S, and what S cannot pay is not moved
+    slave:   S += received + damper,  what K_c gives at x_d is sent;  what K_c needs there is paid from S
+    both:    a share Ts / tau_e of S is sent to the other side
 
-for then E_in,m + E_in,s - E_out,m - E_out,s >= -2 E_0 at all times. Each side knows both terms of its own inequality.
-Sources: J.-H. Ryu, J. Artigas, C. Preusche, "A passive bilateral control scheme for a teleoperator with time-varying
-communication delay", Mechatronics 20 (2010); J. Artigas, J.-H. Ryu, C. Preusche, "Time domain passivity control for
-position-position teleoperation architectures", Presence 19 (2010).
+Nothing is spent that was not granted, received or taken from a damper, so for the sum of both sides and of what is on
+its way, at all times, E_in - E_out + E_granted >= 0. Sources: J.-H. Ryu, J. Artigas, C. Preusche, "A passive bilateral
+control scheme for a teleoperator with time-varying communication delay", Mechatronics 20 (2010), for the accounts by
+port and direction; M. Franken, S. Stramigioli, S. Misra, C. Secchi, A. Macchelli, "Bilateral telemanipulation with time
+delays: a two-layer approach combining passivity and transparency", IEEE Trans. Robotics 27 (2011), for a store that a
+damper at the hand keeps at its level.
+
+Why stores: a force that comes T late does work on a hand that swings. Each cycle takes that from the account, nobody
+gives it back, and what E_0 had is spent after seconds or minutes; then the channel stands. Here the damper at the hand
+is B_t (1 - S / E_0) while S < E_0: it takes from the hand what the delay makes, and no more, and the exchange takes
+half of it to the side where it is missing.
 
 Both devices are position sources, so both controllers act on motion and not on force (admittance type). The port gives
-energy out in a period when F d < 0 at the master (the force drives the hand back) and F d > 0 at the slave. A series
-conductance alpha would move the port by alpha F Ts less; the alpha that makes the inequality an equality is
-
-    alpha = (F d + E_left) / (F^2 Ts),   that is   d -> d' with |F d'| = E_left,
-
-which is how it is applied: the motion itself is cut to what the energy pays for. It needs no division by a small
-velocity, so there is nothing to cap and no force spike; the strongest it can do is to stand still.
+energy out in a period when F d < 0 at the master (the force drives the hand back) and F d > 0 at the slave. The motion
+itself is cut to what the energy pays for, |F d'| = S. It needs no division by a small velocity, so there is nothing to
+cap and no force spike; the strongest it can do is to stand still.
 
 - At the slave the motion that was cut remains due, x_ref - x_d, and is made up when energy arrives, no faster than a
-  speed limit: so positions do not drift apart, and the make-up is itself inside the inequality.
+  speed limit: so positions do not drift apart, and the make-up is itself inside the account.
 - At the master a cut would also hold an operator who pulls back by himself. Motion that the mass makes without
   the force costs the channel nothing; it is always allowed, and the force counts as zero over it.
+- The base's damper is measured and not assumed: what the spring lost over the base's way and the sample did not get.
+  It is negative where a sample is too stiff for the loop, and then the store pays; a base whose store is overdrawn
+  presses no further. The base goes on from where it is: messages of a burst that it has not followed yet move it no
+  further than one of them.
 - The slave never presses harder than the hand does, by the last signal, and a margin: F_c <= max(F_m, 0) + F_0 (the
   force clamp, which can be switched off). Without that, a channel that has run out of energy would hold hand and tip
   where they are, pressed together, after the hand has let go. Giving way is motion at the port like any other: it is
   counted, and returns the contact's energy. The limit follows a falling F_m with a time constant tau_c only, while the
   hand presses at all. At once, the hand would feel exactly its own force whenever it presses less than before, nothing
   would bring it back, and with each swing it would walk on; it returns if tau_c is longer than B_v over the stiffness
-  it feels, and the round trip.
+  it feels, and the round trip. For a hand that no longer presses it is 0.2 s.
 - A half that is taken up while the tip presses begins with the coupling stretched by that force, F_c = F_s, and keeps
-  the stretch as an offset between x_d and x_ref: so the tip is not let off when the law or a hand comes back.
-- E_0 is granted at the start, and anew to a tip that has to be armed: a channel that the last contact has emptied could
-  not begin to press. While the tip is retracted each side has E_0, no more and no less, so that what follows an arming
-  does not depend on what was before.
-- E_left is capped (the rest is dissipated): a great store, gathered long ago, would let an instability grow first.
+  the stretch as an offset between x_d and x_ref: so the tip is not let off when the law or a hand comes back. That
+  energy, F_s^2 / 2 K_c, is granted in the account.
+- A device that is off for a moment, because its guard misses a command, stands, and the coupling goes on: to join hand
+  and tip anew would leave them apart by what they moved, and over jitter and loss that happens all the time.
+- E_0 is granted at the start, and anew to a tip that has to be armed. While the tip is retracted each side has E_0, no
+  more and no less, so that what follows an arming does not depend on what was before.
+- S is capped (the rest is dissipated): a great store, gathered long ago, would let an instability grow first.
 
-The inequalities use counters that only grow, so they hold under constant and varying delay, loss, reordering and
-repetition alike: what has not arrived cannot be spent. Loss and jitter cost motion, not stability: while nothing
-arrives the reference stands, and the coupling goes on against the force that the instrument measures.
+The counters only grow, so all this holds under constant and varying delay, loss, reordering and repetition alike: what
+has not arrived cannot be spent. Loss and jitter cost motion, not stability: while nothing arrives the reference stands,
+and the coupling goes on against the force that the instrument measures.
 """
 
 import math
@@ -67,6 +84,8 @@ from services.controller.laws.shared.virtual_mass import (
     MassParams,
     SteeredConfig,
     at_rest,
+    followed,
+    has_arrived,
     is_coupled,
     is_retracted,
     let_go,
@@ -88,9 +107,18 @@ from services.controller.ranges import (
 )
 from services.numerics.compiled import compiled
 
+# the clamp's time constant for a hand that no longer presses [s]: an arm that swings on a soft sample pulls for moments
+_LET_GO_S = 0.2
+# the level of a store that begins empty [J]
+_LEAST_LEVEL_J = 1e-9
+
 
 class PassivityParams(NamedTuple):
-    """Constants of the law; `relaxed` is the share of the way to its rest that the base goes in a period."""
+    """Constants of the law; `relaxed` is the share of the way to its rest that the base goes in a period.
+
+    Shares of a period as well: `release` and `let_go`, by which the clamp's limit follows a hand that presses less or
+    no longer; `shared`, the part of the store that goes to the other side.
+    """
 
     mass: MassParams
     coupling_n_per_m: float
@@ -98,15 +126,24 @@ class PassivityParams(NamedTuple):
     step_m: float
     margin_n: float
     release: float
+    let_go: float
     start_j: float
     cap_j: float
+    level_j: float
+    refill_n_s_per_m: float
+    shared: float
 
 
 class PassivityConfig(SteeredConfig):
     """Section `controller.passivity`; energies, stiffness and damping at the hand's scale."""
 
+    silence_limit_s: TimeS = Field(
+        default=0.5,
+        description="Time without a signal from the other half after which the hand is let go [s]: what has not arrived"
+        " cannot be spent, and each time that hand and tip are joined anew their positions differ by what they moved",
+    )
     coupling_stiffness_n_per_m: StiffnessNPerM = Field(default=1500.0, description="Spring of the coupling K_c [N/m]")
-    coupling_damping_n_s_per_m: DampingNSPerM = Field(default=30.0, description="Damper of the base B_c [N s/m]")
+    coupling_damping_n_s_per_m: DampingNSPerM = Field(default=60.0, description="Damper of the base B_c [N s/m]")
     speed_limit_m_per_s: SpeedMPerS = Field(
         default=0.05, description="Fastest motion of the slave's reference, at the hand's scale [m/s]"
     )
@@ -120,6 +157,13 @@ class PassivityConfig(SteeredConfig):
         default=1e-3, description="Energy that each side may spend at the start E_0 [J]"
     )
     energy_cap_j: EnergyJ = Field(default=5e-3, description="Most energy that a side keeps to spend [J]")
+    refill_damping_n_s_per_m: DampingNSPerM = Field(
+        default=460.0,
+        description="Damper that the hand feels while the master's store is empty, less as it nears E_0 B_t [N s/m]",
+    )
+    exchange_s: TimeS = Field(
+        default=0.15, description="Time constant with which each side sends its store to the other tau_e [s]"
+    )
 
     def to_params(self, period_s: float) -> PassivityParams:
         """Return the constants of the compiled steps for a period [s] of the hand."""
@@ -131,9 +175,22 @@ class PassivityConfig(SteeredConfig):
             step_m=self.speed_limit_m_per_s * period_s,
             margin_n=self.force_margin_n,
             release=approach(period_s / self.clamp_release_s),
+            let_go=approach(period_s / min(self.clamp_release_s, _LET_GO_S)),
             start_j=min(self.start_energy_j, self.energy_cap_j),
             cap_j=self.energy_cap_j,
+            level_j=max(min(self.start_energy_j, self.energy_cap_j), _LEAST_LEVEL_J),
+            refill_n_s_per_m=self.refill_damping_n_s_per_m,
+            shared=approach(period_s / self.exchange_s),
         )
+
+    def stiffness_limit_n_per_m(self, period_s: float) -> float:
+        """Return the stiffest sample K that the loop of coupling and base bears [N/m].
+
+        A period takes the base to relaxed (1 + K_e / K_c) of the way to its rest, K_e = alpha_f alpha_p K: at 2 the
+        sample gets all the energy that the coupling gives, and beyond it more.
+        """
+        relaxed = approach(self.coupling_stiffness_n_per_m / self.coupling_damping_n_s_per_m * period_s)
+        return (2.0 / relaxed - 1.0) * self.coupling_stiffness_n_per_m / (self.force_scale * self.position_scale)
 
 
 class Account(NamedTuple):
@@ -147,22 +204,26 @@ class Account(NamedTuple):
 
 
 class MasterState(NamedTuple):
-    """The mass and the account of its port."""
+    """The mass and the account of its port; stood_s: for how long the hand has stood, its device being off [s]."""
 
     mass: Mass
     account: Account
+    stood_s: float
 
 
 class SlaveState(NamedTuple):
     """The base reference [m], the coupling's stretch x_d - x_s and offset x_d - x_ref [m, hand's scale], and more.
 
-    limit_n: the clamp's limit without its margin [N].
+    limit_n: the clamp's limit without its margin [N]; last_m, last_n: where the base was when it was measured last [m],
+    and the force there, at the hand's scale [N].
     """
 
     position_m: float
     stretch_m: float
     lead_m: float
     limit_n: float
+    last_m: float
+    last_n: float
     account: Account
     coupled: bool
 
@@ -182,6 +243,33 @@ def charged(account: Account, work_j: float, lost_j: float) -> Account:
     put_in, spent = max(work_j, 0.0), max(-work_j, 0.0)
     left = account.remaining_j - spent
     return Account(account.in_j + put_in, account.received_j, left, account.lost_j + lost_j, account.granted_j)
+
+
+@compiled
+def taken(account: Account, energy_j: float, cap_j: float) -> Account:
+    """Keep what a damper of this side has taken; what goes beyond the cap stays dissipated.
+
+    Below zero the damper has given energy, as a loop of samples does that is too stiff for it: the store pays.
+    """
+    left = account.remaining_j + energy_j
+    if energy_j > 0.0:
+        left = max(min(left, cap_j), account.remaining_j)
+    lost = account.lost_j + (account.remaining_j + energy_j - left)
+    return Account(account.in_j, account.received_j, left, lost, account.granted_j)
+
+
+@compiled
+def shared_out(account: Account, share: float) -> Account:
+    """Send a share of the store to the other side."""
+    out = share * max(account.remaining_j, 0.0)
+    left = account.remaining_j - out
+    return Account(account.in_j + out, account.received_j, left, account.lost_j, account.granted_j)
+
+
+@compiled
+def granted(account: Account, energy_j: float) -> Account:
+    """Count energy that is there without having been received: that of a coupling which begins stretched."""
+    return Account(account.in_j, account.received_j, account.remaining_j, account.lost_j, account.granted_j + energy_j)
 
 
 @compiled
@@ -211,13 +299,13 @@ def opened_anew(account: Account, start_j: float) -> Account:
 @compiled
 def master_start(params: PassivityParams, hand: HandSample) -> MasterState:
     """Start with the virtual mass at rest at the hand's position."""
-    return MasterState(at_rest(hand.position_m), opened(params.start_j))
+    return MasterState(at_rest(hand.position_m), opened(params.start_j), 0.0)
 
 
 @compiled
 def master_resume(params: PassivityParams, hand: HandSample, tip_reference_m: float) -> MasterState:
     """Continue with the hand's motion and the tip's reference."""
-    return MasterState(resumed(params.mass, hand, tip_reference_m), opened(params.start_j))
+    return MasterState(resumed(params.mass, hand, tip_reference_m), opened(params.start_j), 0.0)
 
 
 @compiled
@@ -228,13 +316,12 @@ def master_send(
     p, mass = params.mass, state.mass
     velocity = p.position_scale * mass.velocity_m_per_s
     force = hand.force_n / p.force_scale
-    active = hand.following and mass.coupled
     return state, port_signal(
         position_m=tip_reference(p, mass),
         velocity_m_per_s=velocity,
         force_n=force,
         energy_j=state.account.in_j,
-        active=active,
+        active=mass.coupled,
     )
 
 
@@ -255,44 +342,84 @@ def paid_motion(motion_m: float, own_m: float, force_n: float, remaining_j: floa
 
 
 @compiled
+def charged_or_granted(account: Account, work_j: float) -> Account:
+    """Charge the work of a motion that cannot be cut; what the store lacks for it is granted."""
+    return granted(charged(account, max(work_j, -account.remaining_j), 0.0), max(-work_j - account.remaining_j, 0.0))
+
+
+@compiled
+def moved_by_what_is_paid(
+    params: PassivityParams, mass: Mass, account: Account, hand_n: float, force_n: float
+) -> tuple[Mass, Account]:
+    """Move the mass by a period under the hand's force and the channel's [N]; return it with the account.
+
+    The damper that fills the store is solved with the mean velocity of the period, so what it takes is exact.
+    """
+    p = params.mass
+    damper = params.refill_n_s_per_m * min(max(1.0 - account.remaining_j / params.level_j, 0.0), 1.0)
+    way = moved(p, mass, hand_n - force_n).position_m - mass.position_m
+    taken_n = damper * way / (p.period_s + damper * p.gamma_x_m_per_n)
+    after = moved(p, mass, hand_n - force_n - taken_n)
+    wanted = after.position_m - mass.position_m
+    own = moved(p, mass, hand_n - taken_n).position_m - mass.position_m
+    motion, work = paid_motion(wanted, own, force_n, account.remaining_j)
+    account = charged(account, work, work - force_n * wanted)
+    if motion == wanted:
+        account = taken(account, damper * motion * motion / p.period_s, params.cap_j)
+    else:
+        mean = motion / p.period_s
+        speed = min(abs(after.velocity_m_per_s), abs(mean))
+        after = placed(after, mass.position_m + motion, math.copysign(speed, mean))
+    return after, shared_out(account, params.shared)
+
+
+@compiled
 def master_receive(
     params: PassivityParams, state: MasterState, hand: HandSample, signal: PortSignal, dt: float
 ) -> tuple[MasterState, MasterReference]:
     """Move the virtual mass over dt [s] under the force received last, within the energy that the channel has."""
-    p = params.mass
+    p, mass = params.mass, state.mass
     force = p.force_scale * signal.force_n
     coupled = is_coupled(p, signal)
-    if not (coupled and hand.following):
+    stood = 0.0 if hand.following else state.stood_s + dt
+    if not (coupled and (hand.following or (mass.coupled and stood <= p.silence_limit_s))):
         account = received_anew(state.account, signal.energy_j, signal.silence_s <= p.silence_limit_s)
         if is_retracted(p, signal):
             account = opened_anew(account, params.start_j)
-        state = MasterState(let_go(p, state.mass, hand, signal), account)
+        state = MasterState(let_go(p, mass, hand, signal), account, stood)
         return state, MasterReference(hand.position_m, 0.0, force if coupled else 0.0, coupled)
-    mass, account = state.mass, credited(state.account, signal.energy_j, params.cap_j)
+    account = credited(state.account, signal.energy_j, params.cap_j)
+    if not mass.coupled:
+        account = granted(account, 0.5 * force * force / params.coupling_n_per_m)
+    if not hand.following:
+        # a device that is off for a moment stands: what its reference was ahead is taken back, and paid like a motion
+        account = shared_out(charged_or_granted(account, force * (hand.position_m - mass.position_m)), params.shared)
+        mass = placed(mass, hand.position_m, 0.0)
+        return MasterState(mass, account, stood), MasterReference(hand.position_m, 0.0, force, True)
     for _ in range(periods_in(dt, p.period_s)):
-        free = moved(p, mass, hand.force_n - force)
-        wanted = free.position_m - mass.position_m
-        own = moved(p, mass, hand.force_n).position_m - mass.position_m
-        motion, work = paid_motion(wanted, own, force, account.remaining_j)
-        if motion != wanted:
-            mean = motion / p.period_s
-            speed = min(abs(free.velocity_m_per_s), abs(mean))
-            free = placed(free, mass.position_m + motion, math.copysign(speed, mean))
-        account = charged(account, work, work - force * wanted)
-        mass = free
-    return MasterState(mass, account), MasterReference(mass.position_m, mass.velocity_m_per_s, force, True)
+        mass, account = moved_by_what_is_paid(params, mass, account, hand.force_n, force)
+    return MasterState(mass, account, 0.0), MasterReference(mass.position_m, mass.velocity_m_per_s, force, True)
 
 
 @compiled
 def slave_start(params: PassivityParams, tip: TipMeasurement) -> SlaveState:
     """Start at the position of the base."""
-    stretch = params.mass.force_scale * tip.force_n / params.coupling_n_per_m
+    return _standing(params, tip.base_position_m, tip, opened(params.start_j))
+
+
+@compiled
+def _standing(params: PassivityParams, position_m: float, tip: TipMeasurement, account: Account) -> SlaveState:
+    """Return the state of a half that is not coupled: the coupling holds the force of a tip that follows."""
+    force = params.mass.force_scale * tip.force_n
+    stretch = force / params.coupling_n_per_m if tip.following else 0.0
     return SlaveState(
-        position_m=tip.base_position_m,
+        position_m=position_m,
         stretch_m=stretch,
         lead_m=stretch,
         limit_n=0.0,
-        account=opened(params.start_j),
+        last_m=tip.base_position_m,
+        last_n=force,
+        account=account,
         coupled=False,
     )
 
@@ -322,34 +449,49 @@ def slave_receive(
     While the tip does not follow, the reference is the master's; while the master does not, the base stays.
     """
     p, k = params.mass, params.coupling_n_per_m
-    coupled = is_coupled(p, signal) and tip.following
+    coupled = is_coupled(p, signal) and tip.following and has_arrived(p, state.position_m, tip.base_position_m)
     if not coupled:
         base = state.position_m if tip.following else signal.position_m
         account = received_anew(state.account, signal.energy_j, signal.silence_s <= p.silence_limit_s)
         if not tip.following and not tip.in_contact:
             account = opened_anew(account, params.start_j)
-        stretch = p.force_scale * tip.force_n / k if tip.following else 0.0
-        state = SlaveState(
-            position_m=base, stretch_m=stretch, lead_m=stretch, limit_n=0.0, account=account, coupled=False
-        )
-        return state, SlaveReference(base, True)
+        return _standing(params, base, tip, account), SlaveReference(base, True)
+    force = p.force_scale * tip.force_n
     account = credited(state.account, signal.energy_j, params.cap_j)
-    base, stretch = state.position_m, state.stretch_m
+    if not state.coupled:
+        # the base may have come a long way since it was measured last, and none of that is the coupling's
+        state = _standing(params, state.position_m, tip, account)
+        account = granted(account, 0.5 * k * state.stretch_m * state.stretch_m)
+    # what the coupling gave when the base moved and the sample did not get is what the damper of the base took
+    slid = (tip.base_position_m - state.last_m) / p.position_scale
+    stretch = state.stretch_m - slid
+    spring_n, tip_n = 0.5 * k * (state.stretch_m + stretch), 0.5 * (force + state.last_n)
+    account = taken(account, (spring_n - tip_n) * slid, params.cap_j)
     pressed = max(p.force_scale * signal.force_n, 0.0)
-    limit = max(pressed, state.limit_n + params.release * (pressed - state.limit_n)) if pressed > 0.0 else 0.0
+    limit = state.limit_n + (params.release if pressed > 0.0 else params.let_go) * (pressed - state.limit_n)
+    limit = max(pressed, limit)
     most = (limit + params.margin_n) / k
-    due = (signal.position_m - base) / p.position_scale + state.lead_m - stretch
+    due = (signal.position_m - tip.base_position_m) / p.position_scale + state.lead_m - stretch
     wanted = min(max(min(due, most - stretch), -params.step_m), params.step_m)
-    motion, work = paid_stretch(stretch, wanted, k, account.remaining_j)
+    motion, work = paid_stretch(stretch, wanted, k, max(account.remaining_j, 0.0))
     refused = k * wanted * (stretch + 0.5 * wanted) + work
-    account = charged(account, work, refused if motion != wanted else 0.0)
+    account = shared_out(charged(account, work, refused if motion != wanted else 0.0), params.shared)
     stretch += motion
-    # the base goes to where the coupling balances the force that was measured
-    slid = params.relaxed * (k * stretch - p.force_scale * tip.force_n) / k
-    stretch -= slid
-    base += p.position_scale * slid
+    # from where the base is, to where the coupling balances the force that was measured there
+    way = params.relaxed * (k * stretch - force) / k
+    if account.remaining_j < 0.0:
+        # it has given more than it had: it presses no further, and gives way by small steps
+        way = 0.0 if way * force > 0.0 else 0.25 * way
+    base = followed(p, state.position_m, tip.base_position_m) + p.position_scale * way
     state = SlaveState(
-        position_m=base, stretch_m=stretch, lead_m=state.lead_m, limit_n=limit, account=account, coupled=True
+        position_m=base,
+        stretch_m=stretch,
+        lead_m=state.lead_m,
+        limit_n=limit,
+        last_m=tip.base_position_m,
+        last_n=force,
+        account=account,
+        coupled=True,
     )
     return state, SlaveReference(base, True)
 
@@ -375,7 +517,7 @@ def retune(old: PassivityParams, new: PassivityParams, state: MasterState) -> Ma
     """Keep the tip's reference constant when alpha_p changes; the energy left stays below the new cap."""
     a = state.account
     account = Account(a.in_j, a.received_j, min(a.remaining_j, new.cap_j), a.lost_j, a.granted_j)
-    return MasterState(rescaled(old.mass, new.mass, state.mass), account)
+    return MasterState(rescaled(old.mass, new.mass, state.mass), account, state.stood_s)
 
 
 @compiled

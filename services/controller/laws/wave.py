@@ -52,6 +52,7 @@ from pydantic import Field
 
 from services.controller.discretisation import approach, decay
 from services.controller.law import (
+    MOST_PERIODS_A_STEP,
     EnergyAccount,
     HandSample,
     MasterReference,
@@ -66,12 +67,14 @@ from services.controller.laws.shared.virtual_mass import (
     MassParams,
     SteeredConfig,
     at_rest,
+    followed,
     is_coupled,
     let_go,
     moved,
     periods_in,
     rescaled,
     resumed,
+    stiffness_limit_n_per_m,
     tip_reference,
 )
 from services.controller.ranges import DampingNSPerM, TimeOrNoneS, TimeS
@@ -117,6 +120,10 @@ class WaveConfig(SteeredConfig):
             clamped=False,
             margin_n=0.0,
         )
+
+    def stiffness_limit_n_per_m(self, period_s: float) -> float:
+        """Return the stiffest sample [N/m] that the slave half bears, which makes long steps after late signals."""
+        return stiffness_limit_n_per_m(self, self.impedance_n_s_per_m, period_s, MOST_PERIODS_A_STEP)
 
 
 class Inbox(NamedTuple):
@@ -381,7 +388,7 @@ def slave_receive(
         allowed = max(p.force_scale * signal.force_n, 0.0) + params.margin_n - last_n
         way = min(way, allowed / b * dt)
     reserve = state.reserve_j + came_j
-    base = state.position_m + p.position_scale * way
+    base = followed(p, state.position_m, tip.base_position_m) + p.position_scale * way
     state = slave_state(
         position_m=base,
         inbox=inbox,

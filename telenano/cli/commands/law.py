@@ -65,15 +65,19 @@ def show(law: LawArgument, as_json: JsonOption = False) -> None:
 def check(law: LawArgument, as_json: JsonOption = False) -> None:
     """Check the rules that the rig relies on; exit code 1 and a sentence for each that the law breaks."""
     with report_errors(as_json):
-        from services.controller.law_rules import broken_rules, known_law
+        from services.controller.law_rules import broken_rules, known_law, stiffness_limit_n_per_m
 
         known_law(law)
         if not as_json:
             typer.echo("trying the rules; the first time the steps are compiled, up to a minute", err=True)
         broken = broken_rules(law)
+        limit = stiffness_limit_n_per_m(law)
     if as_json:
-        print_json({"law": law, "rules": broken, "keeps_all": not any(broken.values())})
+        kept = not any(broken.values())
+        print_json({"law": law, "rules": broken, "keeps_all": kept, "stiffness_limit_n_per_m": limit})
     else:
+        if limit is not None:
+            typer.echo(f"bears samples of up to {limit:.4g} N/m as it comes")
         for rule, faults in broken.items():
             typer.echo(f"{'broken' if faults else 'kept  '}  {rule}")
             for fault in faults:

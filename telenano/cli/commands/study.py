@@ -50,6 +50,11 @@ app = command_group()
 app.command()(promises)
 
 
+def _warn_of(doubts: list[str]) -> None:
+    for text in doubts:
+        typer.echo(f"telenano: warning: {text}", err=True)
+
+
 @app.command()
 @with_options(Axes)
 def stability(
@@ -66,7 +71,7 @@ def stability(
         from studies.pages.stability_page import write_stability
 
         axes = validated(Axes, given)
-        axes.check()
+        _warn_of(axes.check())
         with sweep_in(out, workers, scheduler, shown=not as_json) as sweep:
             results = run_stability(axes, sweep)
         summary = write_stability(results, out, command_line(), figure_options(formats, style))
@@ -96,7 +101,7 @@ def transparency(
     """Measure what the hand feels: tracking, stiffness, hybrid matrix over frequency, Z-width of each law."""
     with report_errors(as_json):
         axes = validated(Feel, given)
-        axes.check()
+        _warn_of(axes.check())
         rows = measure_all(axes, axes.delays_ms, for_delay=axes.tuned)
         spectra = spectra_of(axes, axes.delays_ms, axes.frequencies_hz, for_delay=axes.tuned)
         options = figure_options(formats, style)
@@ -209,7 +214,7 @@ def validate(
         from studies.loops.validate import SEEDS, TOLERANCE_SHARE, Bus, bus_edges, scenario_of, validate_cells
 
         axes = validated(Axes, given)
-        axes.check()
+        _warn_of(axes.check())
         cells = [line.cell(d) for line in axes.lines() for d in axes.delays_ms]
         cells = drawn_cells(sample, sample_seed) if sample is not None else cells
         for cell in cells:

@@ -69,6 +69,8 @@ def up(
             typer.echo(f"telenano: warning: {text}", err=True)
         if plan.warning:
             typer.echo(f"telenano: {plan.warning}", err=True)
+        if text := plan.stiffness_warning:
+            typer.echo(f"telenano: warning: {text}", err=True)
         view = _open_view(live=not headless and not as_json, quiet=as_json)
         with inherited_by_page(plan, typer.echo) as beside, view:
             outcome = run_rig(plan, view.observe, view.show, beside)

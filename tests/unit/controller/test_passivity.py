@@ -27,6 +27,8 @@ from services.controller.laws.passivity import (
 
 T = 1e-3
 PARAMS = PassivityConfig().to_params(T)
+# what a store sends to the other side has a test of its own
+KEPT = PARAMS._replace(shared=0.0)
 LOST = -1
 
 forces = st.floats(-50.0, 50.0)
@@ -89,19 +91,19 @@ def test_silence_credits_nothing_that_was_received_before() -> None:
     tip = TipMeasurement(0.0, 0.0, 0.0, False, True, True)
     hand = HandSample(0.0, 0.0, 0.0, True)
     received = NO_SIGNAL._replace(active=True, silence_s=0.0, energy_j=3e-3)
-    slave, _ = slave_receive(PARAMS, slave_start(PARAMS, tip), received, tip, T)
-    master, _ = master_receive(PARAMS, master_start(PARAMS, hand), hand, received, T)
+    slave, _ = slave_receive(KEPT, slave_start(KEPT, tip), received, tip, T)
+    master, _ = master_receive(KEPT, master_start(KEPT, hand), hand, received, T)
     before = slave.account, master.account
     assert before[0].remaining_j == before[1].remaining_j == pytest.approx(4e-3, rel=1e-12, abs=0.0)
     # nothing is received for a while, and then the same counter again
     for signal in (NO_SIGNAL, received):
-        slave, _ = slave_receive(PARAMS, slave, signal, tip, T)
-        master, _ = master_receive(PARAMS, master, hand, signal, T)
+        slave, _ = slave_receive(KEPT, slave, signal, tip, T)
+        master, _ = master_receive(KEPT, master, hand, signal, T)
         assert (slave.account, master.account) == before
     # a half that begins anew counts from its own zero
     anew = NO_SIGNAL._replace(active=False, in_contact=True, silence_s=0.0, energy_j=1e-4)
-    slave, _ = slave_receive(PARAMS, slave, anew, tip, T)
-    slave, _ = slave_receive(PARAMS, slave, received._replace(energy_j=3e-4), tip, T)
+    slave, _ = slave_receive(KEPT, slave, anew, tip, T)
+    slave, _ = slave_receive(KEPT, slave, received._replace(energy_j=3e-4), tip, T)
     assert slave.account.remaining_j == pytest.approx(4e-3 + 2e-4, rel=1e-12, abs=0.0)
 
 
@@ -170,15 +172,12 @@ def test_hand_that_presses_now_more_now_less_does_not_walk_away(run_loop: Any) -
     def swing(n: int) -> float:
         return min(1.0, n / 500) + 0.3 * math.sin(2.0 * math.pi * 0.5e-3 * n) * (n > 500)
 
-    for delay in (0, 50):
-        run = run_loop(
-            "passivity", swing, lambda x: 10.0 * max(x, 0.0), 10_000, lambda n, d=delay: d, lambda n, d=delay: d
-        )
-        drift_per_cycle_m = (run.reference_m[-1] - run.reference_m[5999]) / 2.0
-        assert abs(drift_per_cycle_m) < 1e-6
-    # a clamp that gives way at once makes the hand feel its own force, and nothing brings it back
+    run = run_loop("passivity", swing, lambda x: 10.0 * max(x, 0.0), 10_000)
+    assert abs(run.reference_m[-1] - run.reference_m[5999]) / 2.0 < 1e-6
+    # over a delay, and over two hundred cycles: test_endless.py
+    # a clamp that gives way at once makes the hand feel its own force, and it stays ahead
     at_once = run_loop("passivity", swing, lambda x: 10.0 * max(x, 0.0), 10_000, clamp_release_s=1e-6)
-    assert (at_once.reference_m[-1] - at_once.reference_m[5999]) / 2.0 > 3e-4
+    assert at_once.reference_m[-1] - run.reference_m[-1] > 3e-4
 
 
 @pytest.mark.parametrize("stiffness", [80.0, 200.0])

@@ -23,14 +23,18 @@ from services.controller.laws.passivity import (
     paid_stretch,
     received_anew,
     retune,
+    shared_out,
     slave_receive,
     slave_send,
     slave_start,
+    taken,
 )
 from services.controller.laws.shared.virtual_mass import Mass, moved
 
 T = 1e-3
-PARAMS = PassivityConfig().to_params(T)
+SHIPPED = PassivityConfig().to_params(T)
+# what a store sends to the other side, and the damper that fills it, have tests of their own
+PARAMS = SHIPPED._replace(shared=0.0, refill_n_s_per_m=0.0)
 # a base that slides a tenth of the way in a period, and a clamp that is never in the way
 SLOW = PARAMS._replace(relaxed=0.1, margin_n=1e3)
 SCALE = PARAMS.mass.position_scale
@@ -46,13 +50,15 @@ def exactly(value: float) -> object:
 def slave(
     stretch_m: float = 0.0, *, remaining_j: float = 4e-3, limit_n: float = 0.0, base_m: float = 0.0
 ) -> SlaveState:
-    return SlaveState(base_m, stretch_m, 0.0, limit_n, Account(0.0, 0.0, remaining_j, 0.0, 1e-3), True)
+    account = Account(0.0, 0.0, remaining_j, 0.0, 1e-3)
+    return SlaveState(base_m, stretch_m, 0.0, limit_n, base_m, 0.0, account, True)
 
 
 def test_the_constants_of_the_steps_follow_from_the_settings() -> None:
     config = PassivityConfig(
         coupling_stiffness_n_per_m=1000.0, coupling_damping_n_s_per_m=50.0, speed_limit_m_per_s=0.25,
         force_margin_n=0.5, clamp_release_s=2.0, start_energy_j=3e-3, energy_cap_j=2e-3,
+        refill_damping_n_s_per_m=250.0, exchange_s=0.5,
     )  # fmt: skip
     params = config.to_params(T)
     assert params.coupling_n_per_m == 1000.0
@@ -61,11 +67,18 @@ def test_the_constants_of_the_steps_follow_from_the_settings() -> None:
     assert params.margin_n == 0.5
     assert params.release == exactly(1.0 - math.exp(-T / 2.0))
     # no side begins with more than it may keep
-    assert (params.start_j, params.cap_j) == (2e-3, 2e-3)
+    assert params.let_go == exactly(1.0 - math.exp(-T / 0.2))
+    assert (params.start_j, params.cap_j, params.level_j) == (2e-3, 2e-3, 2e-3)
+    assert params.refill_n_s_per_m == 250.0
+    assert params.shared == exactly(1.0 - math.exp(-T / 0.5))
+    # a store that begins empty has a level all the same, and a clamp that follows faster does so for any hand
+    odd = PassivityConfig(start_energy_j=0.0, clamp_release_s=0.1).to_params(T)
+    assert (odd.start_j, odd.level_j, odd.let_go) == (0.0, 1e-9, odd.release)
     shipped = PassivityConfig()
-    assert shipped.coupling_stiffness_n_per_m / shipped.coupling_damping_n_s_per_m == 50.0
+    assert shipped.coupling_stiffness_n_per_m / shipped.coupling_damping_n_s_per_m == 25.0
     assert (shipped.start_energy_j, shipped.energy_cap_j, shipped.force_margin_n) == (1e-3, 5e-3, 0.0)
     assert (shipped.speed_limit_m_per_s, shipped.clamp_release_s) == (0.05, 4.0)
+    assert (shipped.refill_damping_n_s_per_m, shipped.exchange_s, shipped.silence_limit_s) == (460.0, 0.15, 0.5)
 
 
 def test_an_account_keeps_each_direction_by_itself() -> None:
@@ -91,7 +104,7 @@ def test_a_port_that_is_opened_anew_is_granted_what_is_missing_and_loses_what_is
 def test_both_ports_begin_with_the_starting_energy_again_when_the_tip_was_retracted(remaining_j: float) -> None:
     account = Account(7e-3, 6e-3, remaining_j, 0.0, 1e-3)
     retracted = NO_SIGNAL._replace(active=False, in_contact=False, silence_s=0.0, energy_j=6e-3)
-    master, _ = master_receive(PARAMS, MasterState(Mass(0.0, 0.0, 0.0, True), account), HAND, retracted, T)
+    master, _ = master_receive(PARAMS, MasterState(Mass(0.0, 0.0, 0.0, True), account, 0.0), HAND, retracted, T)
     away = FREE._replace(following=False)
     base, _ = slave_receive(PARAMS, slave()._replace(account=account), ANSWER._replace(energy_j=6e-3), away, T)
     for after in (master.account, base.account):
@@ -99,7 +112,7 @@ def test_both_ports_begin_with_the_starting_energy_again_when_the_tip_was_retrac
         assert after.granted_j - after.lost_j == exactly(1e-3 + PARAMS.start_j - remaining_j)
     # a tip that still touches, or one that nothing is heard of, leaves the account as it is
     for signal in (retracted._replace(in_contact=True), retracted._replace(silence_s=1.0)):
-        master, _ = master_receive(PARAMS, MasterState(Mass(0.0, 0.0, 0.0, True), account), HAND, signal, T)
+        master, _ = master_receive(PARAMS, MasterState(Mass(0.0, 0.0, 0.0, True), account, 0.0), HAND, signal, T)
         assert master.account == account
     held = slave()._replace(account=account)
     signal = ANSWER._replace(active=False, energy_j=6e-3)
@@ -112,12 +125,12 @@ def test_the_coupling_is_stretched_no_faster_than_the_speed_limit(way: float) ->
     # 10 mm are due at once
     signal = ANSWER._replace(position_m=way * 10e-3 * SCALE, force_n=1.0)
     state, reference = slave_receive(SLOW, slave(), signal, FREE, T)
-    assert state.stretch_m == exactly(way * 0.9 * PARAMS.step_m)
+    assert state.stretch_m == exactly(way * PARAMS.step_m)
     assert reference == (exactly(way * 0.1 * PARAMS.step_m * SCALE), True)
     # within it the whole of what is due is made up
     near = ANSWER._replace(position_m=way * 0.5 * PARAMS.step_m * SCALE, force_n=1.0)
     state, _ = slave_receive(SLOW, slave(), near, FREE, T)
-    assert state.stretch_m == exactly(way * 0.45 * PARAMS.step_m)
+    assert state.stretch_m == exactly(way * 0.5 * PARAMS.step_m)
 
 
 def test_the_clamp_lets_the_coupling_press_no_harder_than_the_hand_and_its_margin() -> None:
@@ -126,13 +139,15 @@ def test_the_clamp_lets_the_coupling_press_no_harder_than_the_hand_and_its_margi
     state, _ = slave_receive(params, slave(), signal, FREE, T)
     assert state.stretch_m == exactly(0.015 / PARAMS.coupling_n_per_m)
     assert state.limit_n == exactly(0.01)
-    # a hand that presses less is followed by the share of a period, and one that pulls at once
+    # a hand that presses less is followed by the share of a period, and one that no longer presses by a greater one
     less = signal._replace(force_n=0.004 / PARAMS.mass.force_scale)
     state, _ = slave_receive(params, slave(limit_n=0.01), less, FREE, T)
     assert state.limit_n == exactly(0.01 - 0.006 * params.release)
     pulls = signal._replace(force_n=-0.004 / PARAMS.mass.force_scale)
     state, _ = slave_receive(params, slave(limit_n=0.01), pulls, FREE, T)
-    assert (state.limit_n, state.stretch_m) == (0.0, exactly(0.005 / PARAMS.coupling_n_per_m))
+    assert state.limit_n == exactly(0.01 * (1.0 - params.let_go))
+    assert state.stretch_m == exactly((0.005 + state.limit_n) / PARAMS.coupling_n_per_m)
+    assert params.let_go == exactly(1.0 - math.exp(-T / 0.2))
 
 
 def test_the_slave_charges_the_work_of_its_motion_and_counts_what_was_refused_as_dissipated() -> None:
@@ -156,22 +171,147 @@ def test_the_slave_charges_the_work_of_its_motion_and_counts_what_was_refused_as
 
 def test_the_base_slides_to_where_the_coupling_balances_the_measured_force() -> None:
     k = PARAMS.coupling_n_per_m
-    tip = FREE._replace(force_n=0.03 / PARAMS.mass.force_scale, in_contact=True)
-    state, reference = slave_receive(
-        SLOW, slave(1e-4, base_m=2e-9), ANSWER._replace(position_m=2e-9 + 1e-4 * SCALE), tip, T
-    )
+    tip = FREE._replace(base_position_m=2e-9, force_n=0.03 / PARAMS.mass.force_scale, in_contact=True)
+    before = slave(1e-4, base_m=2e-9)._replace(last_n=0.03)
+    state, reference = slave_receive(SLOW, before, ANSWER._replace(position_m=2e-9 + 1e-4 * SCALE), tip, T)
     slid = 0.1 * (k * 1e-4 - 0.03) / k
-    assert state.stretch_m == exactly(1e-4 - slid)
+    # the stretch is that of where the base was measured, until the base has gone there
+    assert (state.stretch_m, state.last_m, state.last_n) == (exactly(1e-4), 2e-9, exactly(0.03))
     assert reference.position_m == exactly(2e-9 + SCALE * slid)
     assert state.position_m == reference.position_m
     assert state.coupled
+    there = tip._replace(base_position_m=reference.position_m)
+    after, _ = slave_receive(SLOW, state, ANSWER._replace(position_m=2e-9 + 1e-4 * SCALE), there, T)
+    assert after.stretch_m == exactly(1e-4 - slid)
+    assert after.account.in_j == exactly(0.0)
+
+
+def test_what_the_coupling_gives_and_the_sample_does_not_get_is_kept_and_what_is_missing_is_charged() -> None:
+    k = PARAMS.coupling_n_per_m
+    still = ANSWER._replace(position_m=0.0)
+    params = PARAMS._replace(step_m=0.0)
+    for force_n in (0.02, 0.3):
+        before = slave(1e-4)._replace(last_n=0.0)
+        tip = FREE._replace(base_position_m=0.4e-4 * SCALE, force_n=force_n / PARAMS.mass.force_scale)
+        state, _ = slave_receive(params, before, still, tip, T)
+        gave = 0.5 * k * (1e-4**2 - 0.6e-4**2)
+        got = 0.5 * force_n * 0.4e-4
+        assert state.account.remaining_j == exactly(4e-3 + gave - got)
+        assert (gave > got) == (force_n < 0.1)
+        assert state.stretch_m == exactly(0.6e-4)
+
+
+@pytest.mark.parametrize("messages", [2, 30, 1000])
+def test_messages_of_a_burst_that_the_base_has_not_followed_move_it_no_further_than_one(messages: int) -> None:
+    signal = ANSWER._replace(position_m=1e-3 * SCALE, force_n=1.0 / PARAMS.mass.force_scale)
+    tip = FREE._replace(force_n=0.4 / PARAMS.mass.force_scale, in_contact=True)
+    state = slave(1.0 / PARAMS.coupling_n_per_m)._replace(last_n=0.4)
+    one, _ = slave_receive(PARAMS, state, signal, tip, T)
+    for _ in range(messages):
+        state, reference = slave_receive(PARAMS, state, signal, tip, T)
+    # and half a step of a converter of 12 bits, which takes a reference further before the base moves at all
+    assert reference.position_m <= 6e-11 + one.position_m * (1.0 + 1e-9)
+
+
+def test_a_half_that_has_overdrawn_its_store_presses_no_further_and_gives_way_by_small_steps() -> None:
+    params = PARAMS._replace(step_m=0.0)
+    pushed = FREE._replace(force_n=0.1 / PARAMS.mass.force_scale)
+    for stretch_m, share in ((1e-4, 0.0), (1e-5, 0.25)):
+        rich = slave_receive(params, slave(stretch_m)._replace(last_n=0.1), ANSWER, pushed, T)[0]
+        poor = slave_receive(params, slave(stretch_m, remaining_j=-1e-6)._replace(last_n=0.1), ANSWER, pushed, T)[0]
+        assert (rich.position_m < 0.0) == (share > 0.0)
+        assert poor.position_m == exactly(share * rich.position_m)
+
+
+def test_each_side_sends_a_share_of_its_store_and_no_energy_is_made_of_it() -> None:
+    account = Account(1.0, 2.0, 3e-3, 4.0, 5.0)
+    assert shared_out(account, 0.1) == (exactly(1.0003), 2.0, exactly(2.7e-3), 4.0, 5.0)
+    assert shared_out(account._replace(remaining_j=-1e-3), 0.1) == account._replace(remaining_j=-1e-3)
+    for share in (SHIPPED.shared, 1.0):
+        sent = shared_out(account, share)
+        assert sent.in_j + sent.remaining_j == exactly(account.in_j + account.remaining_j)
+    master, _ = master_receive(SHIPPED, pressed(1e-3), HAND, ANSWER, T)
+    assert master.account.in_j == exactly(SHIPPED.shared * 1e-3)
+    base, _ = slave_receive(SHIPPED, slave(), ANSWER, FREE, T)
+    assert base.account.in_j == exactly(SHIPPED.shared * 4e-3)
+
+
+@pytest.mark.parametrize(("remaining_j", "share"), [(1e-3, 0.0), (2e-3, 0.0), (0.75e-3, 0.25), (0.0, 1.0)])
+def test_the_damper_of_the_hand_fills_a_store_that_is_low_with_what_it_takes(remaining_j: float, share: float) -> None:
+    params = SHIPPED._replace(shared=0.0)
+    hand = HAND._replace(force_n=3.0)
+    state, _ = master_receive(params, pressed(remaining_j), hand, ANSWER, T)
+    way = state.mass.position_m - 1e-3
+    damper = share * 460.0
+    assert state.account.remaining_j == pytest.approx(remaining_j + damper * way**2 / T, rel=1e-9, abs=1e-18)
+    # the force of the damper over the way is the energy that the mass is missing
+    resisted = moved(params.mass, Mass(1e-3, 0.0, 0.0, True), 3.0 - damper * way / T)
+    assert resisted.position_m == pytest.approx(state.mass.position_m, rel=0.0, abs=1e-17)
+
+
+def test_what_a_damper_took_is_kept_up_to_the_cap_and_what_it_gave_is_paid() -> None:
+    account = Account(1.0, 2.0, 3e-3, 4.0, 5.0)
+    assert taken(account, 1e-3, 1.0) == account._replace(remaining_j=4e-3)
+    full = taken(account, 1e-3, 3.25e-3)
+    assert (full.remaining_j, full.lost_j) == (3.25e-3, exactly(4.00075))
+    # a store above the cap keeps what it has
+    assert taken(account, 1e-3, 2e-3).remaining_j == 3e-3
+    assert taken(account, -4e-3, 2e-3) == account._replace(remaining_j=exactly(-1e-3), lost_j=exactly(4.0))
+
+
+def test_a_device_that_is_off_for_a_moment_stands_and_the_coupling_goes_on() -> None:
+    off = HandSample(0.9e-3, 0.0, 1.0, False)
+    answer = ANSWER._replace(force_n=2.0 / PARAMS.mass.force_scale, energy_j=1e-3)
+    state, reference = master_receive(PARAMS, pressed(4e-3), off, answer, T)
+    # the reference was 0.1 mm ahead of the device: that way back is paid with the force of the channel
+    assert state.account.remaining_j == exactly(4e-3 + 1e-3 - 2.0 * 0.1e-3)
+    assert (state.mass, state.stood_s) == ((0.9e-3, 0.0, 0.0, True), T)
+    assert reference == (0.9e-3, 0.0, exactly(2.0), True)
+    assert master_send(PARAMS, state, off, T)[1].active
+    # what the store lacks for it is granted
+    poor, _ = master_receive(PARAMS, pressed(0.0), off, answer._replace(energy_j=0.5e-4), T)
+    assert (poor.account.remaining_j, poor.account.granted_j) == (exactly(0.0), exactly(1e-3 + 1.5e-4))
+    # after the limit of silence the hand is let go, and a hand that follows begins to count anew
+    late, _ = master_receive(PARAMS, state._replace(stood_s=0.5), off, answer, T)
+    assert not late.mass.coupled
+    back, _ = master_receive(PARAMS, state, off._replace(following=True), answer, T)
+    assert (back.stood_s, back.mass.coupled) == (0.0, True)
+
+
+def test_a_base_is_coupled_when_it_has_arrived_and_its_way_there_is_none_of_the_couplings() -> None:
+    # the instrument was armed at -100 nm and goes to 0, and a gap of the link hides half of that way
+    away = FREE._replace(base_position_m=-100e-9)
+    begun, _ = slave_receive(PARAMS, slave_start(PARAMS, FREE), ANSWER._replace(active=False), away, T)
+    on_its_way, reference = slave_receive(PARAMS, begun, ANSWER, away._replace(base_position_m=-50e-9), T)
+    assert (on_its_way.coupled, reference.position_m) == (False, 0.0)
+    there, _ = slave_receive(PARAMS, on_its_way, ANSWER, FREE, T)
+    assert there.coupled
+    assert there.stretch_m == 0.0
+    assert there.account.remaining_j == PARAMS.start_j
+
+
+def test_what_a_take_up_puts_into_the_coupling_is_granted() -> None:
+    k, force = PARAMS.coupling_n_per_m, 6.0
+    tip = FREE._replace(force_n=force / PARAMS.mass.force_scale, in_contact=True)
+    signal = ANSWER._replace(force_n=force / PARAMS.mass.force_scale)
+    begun = slave_start(PARAMS, tip)
+    state, _ = slave_receive(PARAMS, begun, signal, tip, T)
+    assert state.account.granted_j == exactly(1e-3 + 0.5 * force**2 / k)
+    again, _ = slave_receive(PARAMS, state, signal, tip, T)
+    assert again.account.granted_j == state.account.granted_j
+    master, _ = master_receive(PARAMS, master_start(PARAMS, HAND), HAND, signal, T)
+    assert master.account.granted_j == exactly(1e-3 + 0.5 * force**2 / k)
+    master, _ = master_receive(PARAMS, master, HAND, signal, T)
+    assert master.account.granted_j == exactly(1e-3 + 0.5 * force**2 / k)
 
 
 def test_a_half_begins_with_the_stretch_of_the_force_that_the_tip_feels() -> None:
     tip = FREE._replace(base_position_m=7e-9, force_n=2e-9)
     begun = slave_start(PARAMS, tip)
     stretch = PARAMS.mass.force_scale * 2e-9 / PARAMS.coupling_n_per_m
-    assert begun == (7e-9, exactly(stretch), exactly(stretch), 0.0, opened(PARAMS.start_j), False)
+    assert begun == (
+        7e-9, exactly(stretch), exactly(stretch), 0.0, 7e-9, exactly(0.2), opened(PARAMS.start_j), False
+    )  # fmt: skip
     # uncoupled it stays where it is with that stretch; over a tip that does not follow it goes with the master, without
     silent = NO_SIGNAL._replace(position_m=9e-9)
     state, reference = slave_receive(PARAMS, begun, silent, tip, T)
@@ -189,7 +329,7 @@ def test_the_lead_of_a_half_that_was_taken_up_stays_between_coupling_and_referen
 
 
 def pressed(remaining_j: float) -> MasterState:
-    return MasterState(Mass(1e-3, 0.0, 0.0, True), Account(0.0, 0.0, remaining_j, 0.0, 1e-3))
+    return MasterState(Mass(1e-3, 0.0, 0.0, True), Account(0.0, 0.0, remaining_j, 0.0, 1e-3), 0.0)
 
 
 def test_a_free_hand_moves_the_mass_and_charges_the_work_against_the_channel() -> None:
@@ -232,7 +372,7 @@ def test_a_cut_motion_keeps_the_speed_of_the_free_one_where_that_is_lower() -> N
     wanted = free.position_m - 1e-3
     assert wanted < own < 0.0
     assert abs(free.velocity_m_per_s) < abs(wanted) / T
-    state, _ = master_receive(PARAMS, MasterState(start, Account(0.0, 0.0, 0.0, 0.0, 0.0)), hand,
+    state, _ = master_receive(PARAMS, MasterState(start, Account(0.0, 0.0, 0.0, 0.0, 0.0), 0.0), hand,
                               ANSWER._replace(force_n=force), T)  # fmt: skip
     # what the hand does by itself costs nothing
     assert state.mass.position_m - 1e-3 == pytest.approx(own, rel=1e-9, abs=0.0)
@@ -261,7 +401,7 @@ def test_a_stretch_that_gives_energy_back_is_never_cut() -> None:
 
 def test_an_uncoupled_master_leaves_the_hand_alone_and_names_the_force_only_while_the_tip_answers() -> None:
     hand = HandSample(2e-3, 0.0, 1.0, False)
-    state = pressed(1e-3)
+    state = pressed(1e-3)._replace(stood_s=1.0)
     after, reference = master_receive(PARAMS, state, hand, ANSWER._replace(force_n=2e-8), T)
     assert (after.mass.position_m, after.mass.velocity_m_per_s, after.mass.coupled) == (2e-3, 0.0, False)
     assert reference == (2e-3, 0.0, exactly(2.0), True)
@@ -272,15 +412,14 @@ def test_an_uncoupled_master_leaves_the_hand_alone_and_names_the_force_only_whil
 def test_each_port_sends_its_place_its_force_and_the_energy_that_went_in() -> None:
     mass = Mass(2e-3, 0.05, 1e-9, True)
     account = Account(4e-4, 0.0, 1e-3, 0.0, 1e-3)
-    state = MasterState(mass, account)
+    state = MasterState(mass, account, 0.0)
     hand = HAND._replace(force_n=3.0)
     assert master_send(PARAMS, state, hand, T)[0] == state
     sent = master_send(PARAMS, state, hand, T)[1]
     assert sent == (exactly(SCALE * 2e-3 + 1e-9), exactly(SCALE * 0.05), exactly(3e-8), 0.0, 4e-4, 0.0, False, False,
                     True, 0.0, 0.0)  # fmt: skip
-    assert not master_send(PARAMS, state, hand._replace(following=False), T)[1].active
-    assert not master_send(PARAMS, MasterState(mass._replace(coupled=False), account), hand, T)[1].active
-    base = SlaveState(1e-9, 2e-4, 0.0, 0.0, account, True)
+    assert not master_send(PARAMS, MasterState(mass._replace(coupled=False), account, 0.0), hand, T)[1].active
+    base = SlaveState(1e-9, 2e-4, 0.0, 0.0, 1e-9, 0.0, account, True)
     tip = TipMeasurement(3e-9, 1e-9, 5e-9, True, False, True)
     expected = exactly(PARAMS.coupling_n_per_m * 2e-4 / PARAMS.mass.force_scale)
     assert slave_send(PARAMS, base, tip, T) == (
@@ -293,7 +432,7 @@ def test_each_port_sends_its_place_its_force_and_the_energy_that_went_in() -> No
 
 def test_the_energy_account_of_each_half_has_the_grants_of_both() -> None:
     account = Account(4e-4, 2e-4, 3e-4, 5e-4, 1e-3)
-    assert PASSIVITY.master_energy_account(PARAMS, MasterState(Mass(0.0, 0.0, 0.0, True), account)) == (
+    assert PASSIVITY.master_energy_account(PARAMS, MasterState(Mass(0.0, 0.0, 0.0, True), account, 0.0)) == (
         3e-4,
         5e-4,
         2e-3,

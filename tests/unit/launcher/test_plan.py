@@ -78,6 +78,16 @@ def test_what_replaces_a_key_of_a_profile_is_said_with_where_it_came_from(tmp_pa
     assert make_plan(at_slave, tmp_path).warning == ""
 
 
+def test_a_sample_that_is_too_stiff_for_the_law_is_named(tmp_path: Path) -> None:
+    spring = ("controller.law=wave", "afm_node.environment=spring")
+    borne = request(tmp_path, settings=(*spring, "afm_node.spring.stiffness_n_per_m=440"))
+    assert make_plan(borne, tmp_path).stiffness_warning == ""
+    stiff = make_plan(request(tmp_path, settings=(*spring, "afm_node.spring.stiffness_n_per_m=500")), tmp_path)
+    assert stiff.stiffness_warning.startswith("law wave: 500 N/m is stiffer than the 444.4 N/m")
+    # a tip over a sample is felt through its cantilever
+    assert make_plan(request(tmp_path, settings=("controller.law=wave",)), tmp_path).stiffness_warning == ""
+
+
 def test_overwrite_clears_an_earlier_session_and_nothing_else(tmp_path: Path) -> None:
     ours = ["session.mcap", "session_1.mcap", "fig12.png", "summary.json"]
     for name in [*ours, "notes.txt"]:

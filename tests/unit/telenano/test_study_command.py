@@ -94,6 +94,26 @@ def test_bad_options_end_in_a_sentence_and_code_2(tmp_path: Path, options: list[
     assert not (tmp_path / "out").exists()
 
 
+def test_a_sample_that_is_too_stiff_for_a_law_is_named(tmp_path: Path) -> None:
+    options = [
+        "stability",
+        "--law",
+        "wave",
+        "--environment",
+        "spring",
+        "--delay",
+        "0",
+        "--duration",
+        "2",
+        "--workers",
+        "1",
+    ]
+    result = RUN.invoke(app, [*options, "--stiffness", "20,500", "--out", str(tmp_path / "out")])
+    assert result.exit_code == 0
+    assert result.stderr.count("telenano: warning: law wave: 500 N/m is stiffer than the 444.4 N/m") == 1
+    assert "20 N/m is stiffer" not in result.stderr
+
+
 def test_folder_that_cannot_be_made(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     result = RUN.invoke(app, [*STABILITY, "--out", str(tmp_path / "file" / "out")])

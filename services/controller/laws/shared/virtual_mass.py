@@ -22,6 +22,11 @@ from services.numerics.compiled import compiled
 
 # no hand and no tip comes there; a reference that would go further, in a loop that is unstable, stays finite
 FARTHEST_M, FASTEST_M_PER_S = 1e6, 1e9
+# how far a base may be behind its reference [m] and count as one that follows it: half a step of a converter of 12 bits
+# over a stage of 0.4 um, and some
+FOLLOWED_M = 6e-11
+# a base that is further away, at the hand's scale, goes where something else than the loop of the half has sent it [m]
+ARRIVED_M = 1e-3
 
 
 class MassParams(NamedTuple):
@@ -92,6 +97,18 @@ class SteeredConfig(MassConfig):
     )
 
 
+def stiffness_limit_n_per_m(
+    config: ScaledConfig, damping_n_s_per_m: float, period_s: float, most_periods: int = 1
+) -> float:
+    """Return the stiffest sample K [N/m] that a base bears which goes against the measured force through a damper.
+
+    The force F_s of a step is that of its beginning. Over n periods Ts the error of force is multiplied by
+    1 - alpha_f alpha_p K n Ts / B: at -1 the sample gets all the energy that the damper should take, and beyond more.
+    Parameters: damping_n_s_per_m, B at the hand's scale; period_s, Ts [s]; most_periods, the longest step n.
+    """
+    return 2.0 * damping_n_s_per_m / (config.force_scale * config.position_scale * most_periods * period_s)
+
+
 @compiled
 def periods_in(dt: float, period_s: float) -> int:
     """Return the whole periods in dt [s], at least one."""
@@ -104,6 +121,24 @@ def bounded(value: float, most: float) -> float:
     if value > most:
         return most
     return -most if value < -most else value
+
+
+@compiled
+def followed(params: MassParams, reference_m: float, base_m: float) -> float:
+    """Return from where a base [m] goes on: its reference [m], no further ahead of it than it may be.
+
+    Messages of a burst come quicker than the base moves and than the force is measured. A loop that went on from its
+    own reference would take n steps against one force; so it takes one.
+    """
+    if not has_arrived(params, reference_m, base_m):
+        return reference_m
+    return base_m + bounded(reference_m - base_m, FOLLOWED_M)
+
+
+@compiled
+def has_arrived(params: MassParams, reference_m: float, base_m: float) -> bool:
+    """Return whether a base [m] is near where it was sent [m]: until then its motion is none of the law's."""
+    return abs(reference_m - base_m) <= max(params.position_scale * ARRIVED_M, 2.0 * FOLLOWED_M)
 
 
 @compiled

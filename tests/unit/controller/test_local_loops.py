@@ -1,0 +1,125 @@
+"""The slave halves against the sample: how stiff one they bear, and what a burst of messages does to them."""
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from services.afm_node.config import AfmConfig
+from services.controller.config import LAWS, ControllerConfig
+from services.controller.law import (
+    MOST_PERIODS_A_STEP,
+    NO_SIGNAL,
+    PortSignal,
+    SlaveReference,
+    TipMeasurement,
+)
+from services.controller.law_rules import broken_rules, stiffness_limit_n_per_m
+from services.controller.laws.shared.virtual_mass import FOLLOWED_M
+
+T = 1e-3
+SCALE, FORCE_SCALE = 1.5e-6, 1e8
+LOCAL = ("passivity", "wave", "model_mediated")
+# as long a step as each half may make
+STEPS = {"passivity": 1, "model_mediated": 1, "wave": MOST_PERIODS_A_STEP}
+
+
+def config_of(name: str, **section: Any) -> ControllerConfig:
+    return ControllerConfig.model_validate({"law": name, name: section})
+
+
+def swing_after(name: str, stiffness: float, steps: int, **section: Any) -> float:
+    """Return how far the force of a half swings in the end [N]: alone on a spring, a hand of 1 N that gives way."""
+    law, params = LAWS[name], config_of(name, **section).params()
+    base, dt = 1e-11, STEPS[name] * T
+    tip = TipMeasurement(base, stiffness * base, 0.0, False, True, True)
+    slave = law.slave_start(params, tip)
+    signal = NO_SIGNAL._replace(position_m=2e-8, force_n=1e-8, energy_j=0.0, active=True, silence_s=0.0)
+    forces = []
+    for n in range(steps):
+        # waves that go on as those of a hand of 1 N do, and energy for all that may happen
+        if name == "wave":
+            signal = signal._replace(position_m=SCALE * 0.01 * dt * n, energy_j=0.005 * dt * n)
+        else:
+            signal = signal._replace(energy_j=1e-3 * n)
+        if n == steps // 2:
+            signal = signal._replace(force_n=0.5 * signal.force_n)
+        slave, wanted = law.slave_receive(params, slave, signal, tip, dt)
+        tip = tip._replace(base_position_m=wanted.position_m, force_n=stiffness * wanted.position_m)
+        slave, _ = law.slave_send(params, slave, tip, dt)
+        forces.append(FORCE_SCALE * tip.force_n)
+    return max(forces[-20:]) - min(forces[-20:])
+
+
+@pytest.mark.parametrize("name", LOCAL)
+@pytest.mark.parametrize("section", [{}, {"position_scale": 3e-6}, {"force_scale": 2e8}])
+def test_a_half_bears_samples_up_to_its_stated_stiffness_and_swings_just_beyond(
+    name: str, section: dict[str, float]
+) -> None:
+    limit = config_of(name, **section).stiffness_limit_n_per_m()
+    assert limit is not None
+    assert swing_after(name, 0.97 * limit, 1500, **section) < 0.05
+    assert swing_after(name, 1.03 * limit, 1500, **section) > 0.2
+
+
+def test_the_limits_are_those_that_the_document_derives() -> None:
+    limits = {name: stiffness_limit_n_per_m(name) for name in LAWS}
+    assert limits == {
+        "virtual_impedance": None,
+        "position_force": None,
+        "smith": None,
+        "wave": pytest.approx(2.0 * 100.0 / (150.0 * 3.0 * T), rel=1e-12),
+        "passivity": pytest.approx(800.0, rel=1e-3),
+        "model_mediated": pytest.approx(2.0 * 30.0 / (150.0 * T), rel=1e-12),
+    }
+    # the clamp behind another law is a loop as well, and the least of all counts
+    clamped = ControllerConfig.model_validate({"law": "position_force", "clamp": {"enabled": True}})
+    assert clamped.stiffness_limit_n_per_m() == pytest.approx(400.0, rel=1e-12)
+    # half the period bears twice as stiff a sample
+    fast = ControllerConfig.model_validate({"law": "model_mediated", "period_s": 5e-4})
+    assert fast.stiffness_limit_n_per_m() == pytest.approx(800.0, rel=1e-12)
+
+
+def test_a_sample_beyond_the_limit_is_named_with_the_remedy() -> None:
+    config = config_of("wave")
+    assert config.stiffness_doubts(444.0) == ""
+    assert config.stiffness_doubts(445.0).startswith("law wave: 445 N/m is stiffer than the 444.4 N/m")
+    assert "controller.period_s" in config.stiffness_doubts(445.0)
+    assert config_of("virtual_impedance").stiffness_doubts(1e6) == ""
+
+
+def test_the_base_meets_nothing_stiffer_than_its_spring_or_its_cantilever() -> None:
+    assert AfmConfig().stiffest_n_per_m == AfmConfig().cantilever.stiffness_n_per_m
+    spring = AfmConfig.model_validate({"environment": "spring", "spring": {"stiffness_n_per_m": 500.0}})
+    assert spring.stiffest_n_per_m == 500.0
+
+
+def standing(params: Any, state: Any, signal: PortSignal, tip: TipMeasurement, dt: float) -> tuple[Any, SlaveReference]:
+    """Follow no further than the wall, which it never touches, but press a spring at the start as asked."""
+    base = min(signal.position_m, 2.9e-9 + 1e3 * tip.force_n)
+    return state._replace(position_m=base), SlaveReference(base, True)
+
+
+def test_a_law_that_never_touches_breaks_a_rule(monkeypatch: pytest.MonkeyPatch) -> None:
+    rule = next(name for name in broken_rules("model_mediated") if name.startswith("touches a wall"))
+    assert broken_rules("model_mediated")[rule] == []
+    monkeypatch.setitem(LAWS, "model_mediated", replace(LAWS["model_mediated"], slave_receive=standing))
+    faults = broken_rules("model_mediated")[rule]
+    assert "presses with 0 N on average" in faults[0]
+
+
+@pytest.mark.parametrize("name", LOCAL)
+@pytest.mark.parametrize("messages", [3, 30, 300])
+def test_a_burst_that_the_base_has_not_followed_moves_it_no_further_than_one_message(name: str, messages: int) -> None:
+    law, params = LAWS[name], config_of(name).params()
+    tip = TipMeasurement(0.0, 2e-9, 0.0, False, True, True)
+    signal = NO_SIGNAL._replace(position_m=1e-9, force_n=1e-8, energy_j=1.0, active=True, silence_s=0.0)
+    slave = law.slave_start(params, tip)
+    # the first takes the half up
+    slave, _ = law.slave_receive(params, slave, signal._replace(position_m=0.0, energy_j=0.0), tip, T)
+    _, one = law.slave_receive(params, slave, signal, tip, T)
+    wanted = one
+    for _ in range(messages):
+        slave, wanted = law.slave_receive(params, slave, signal, tip, T)
+    # the whole force of the hand takes the coupling of `passivity` 25 pm in a period
+    assert wanted.position_m <= FOLLOWED_M + max(3.0 * abs(one.position_m), 2.5e-11)
