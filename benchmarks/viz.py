@@ -83,6 +83,14 @@ def process(arguments: Sequence[str], environment: dict[str, str]) -> Iterator["
                 found.kill()
 
 
+def address_of(view: "subprocess.Popen[str]") -> str:
+    """Return the operator's address, which is not written to a pipe but to the file that the output names."""
+    assert view.stdout is not None
+    lines = [view.stdout.readline() for _ in range(2)]
+    addresses = Path(lines[1].rpartition(": ")[2].strip()).read_text()
+    return next(line.split()[1] for line in addresses.splitlines() if line.startswith("operator"))
+
+
 @contextlib.contextmanager
 def drawn(address: str, wanted: bool) -> Iterator[Any]:
     """Return a page in Chromium; None where none is wanted."""
@@ -126,7 +134,7 @@ def measure(given: argparse.Namespace, folder: Path) -> dict[str, Any]:
     environment = {**os.environ, "TELENANO_RUNTIME_DIR": tempfile.mkdtemp(prefix="tnv-")}
     duration_s = 2 * given.rounds * (given.window + SETTLE_S) + 30.0
     out = folder / "rig"
-    up = ["up", "--scenario", "touch", "--duration", str(duration_s), "--out", str(out), "--json"]
+    up = ["up", "--no-view", "--scenario", "touch", "--duration", str(duration_s), "--out", str(out), "--json"]
     without: list[tuple[int, int]] = []
     with_pages: list[tuple[int, int]] = []
     received: list[float] = []
@@ -134,8 +142,7 @@ def measure(given: argparse.Namespace, folder: Path) -> dict[str, Any]:
     costs: list[float] = []
     pictures = 0
     with process(up, environment), process(["view", "--port", "0"], environment) as view:
-        assert view.stdout is not None
-        address = view.stdout.readline().split()[1]
+        address = address_of(view)
         _wait_for_session(out)
         for _ in range(given.rounds):
             without.append(_window(given.window))
@@ -176,13 +183,14 @@ def measure(given: argparse.Namespace, folder: Path) -> dict[str, Any]:
 
 def measure_recording(recording: str, window_s: float) -> dict[str, Any]:
     """Return the figures of a page that plays a recording, with all scopes live and no rig."""
-    with process(["view", "--port", "0", recording], dict(os.environ)) as view:
-        assert view.stdout is not None
-        with drawn(view.stdout.readline().split()[1], True) as page:
-            time.sleep(4.0 * SETTLE_S)
-            page.evaluate("telenano.frames.length = telenano.costs.length = 0")
-            time.sleep(window_s)
-            frames, costs = page.evaluate("[telenano.frames, telenano.costs]")
+    with (
+        process(["view", "--port", "0", recording], dict(os.environ)) as view,
+        drawn(address_of(view), True) as page,
+    ):
+        time.sleep(4.0 * SETTLE_S)
+        page.evaluate("telenano.frames.length = telenano.costs.length = 0")
+        time.sleep(window_s)
+        frames, costs = page.evaluate("[telenano.frames, telenano.costs]")
     return {"frame_ms": figures(frames), "page_ms": figures(costs)}
 
 

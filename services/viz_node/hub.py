@@ -13,8 +13,17 @@ import msgpack
 from proto.errors import RefusedError, TelenanoError
 from proto.messages import Scalar
 from services.viz_node.access import Role
+from services.viz_node.document import Document
 from services.viz_node.feed import Feed
-from services.viz_node.requests import CommandRequest, EstopRequest, HandRequest, Request, TransportRequest
+from services.viz_node.requests import (
+    CommandRequest,
+    DocumentRequest,
+    EstopRequest,
+    HandRequest,
+    PartRequest,
+    Request,
+    TransportRequest,
+)
 from services.viz_node.source import Source
 from services.viz_node.streams import described
 
@@ -36,6 +45,8 @@ MOST_COMMANDS = 4
 VALIDITY_S = 1.0
 # At once. Who holds the key down asks for thirty a second, and one may take seconds where a device does not answer.
 _MOST_STOPS = 4
+# Parts of a recording that are read at once, for all pages: each takes a thread and up to a second.
+_MOST_READS = 8
 # Obeyed at any age, and whoever has left: it only ends a motion.
 _STOP = "stop"
 
@@ -149,12 +160,13 @@ class Hub:
         commander: Commander | None = None,
         forms: Callable[[], Mapping[str, Any]] | None = None,
         open_hand: Callable[[], HandOutlet] | None = None,
+        document: Document | None = None,
     ) -> None:
         """Prepare to serve a source.
 
         Parameters: commander, None where there is nothing to command; forms, JSON schemas of what `set` changes, by
         node, which may take a second; open_hand, opens the way of the page's force to the haptic node, None where
-        there is none.
+        there is none; document, what a page may read in of a recording, None for a running rig.
         """
         self.sessions: set[Session] = set()
         # what ended the hub, and what is called then
@@ -166,10 +178,12 @@ class Hub:
         self._make_forms = forms
         self._forms: Mapping[str, Any] = {}
         self._open_hand = open_hand
+        self._document = document
         self._feed = Feed()
         self._turn = asyncio.Lock()
         self._wishes: list[Wish] = []
         self._stops = 0
+        self._reads = 0
         self._next_stop: asyncio.Task[Answers] | None = None
         self._alive_s: float | None = None
         self._held_up_s = self._distrust_until_s = 0.0
@@ -276,6 +290,9 @@ class Hub:
         if isinstance(request, HandRequest):
             self._push(session, request)
             return
+        if isinstance(request, DocumentRequest | PartRequest):
+            session.offer(_packed(await self._read(session, request)))
+            return
         identifier = getattr(request, "id", "")
         try:
             answers = await self._carried_out(session, request, arrived_s)
@@ -287,6 +304,27 @@ class Hub:
             # whatever went wrong: who asked for an emergency stop has to be told that there was none
             is_ok, text = False, f"not carried out: {type(error).__name__}: {error}"
         session.offer(_packed({"k": "answer", "id": identifier, "ok": is_ok, "text": text}))
+
+    async def _read(self, session: Session, request: DocumentRequest | PartRequest) -> Mapping[str, Any]:
+        """Return the answer to a page that reads in a recording, which every role may."""
+        document, counted = self._document, 0
+        try:
+            if not session.may_ask(time.monotonic()):
+                raise RefusedError(f"this page asks more than {_REQUESTS_PER_S} times a second")
+            if document is None:
+                raise RefusedError("a running rig is no document: only a recording can be read in")
+            if self._reads >= _MOST_READS:
+                raise RefusedError(f"{self._reads} parts of the recording are being read already: ask again")
+            self._reads, counted = self._reads + 1, 1
+            if isinstance(request, DocumentRequest):
+                found = await asyncio.to_thread(document.about)
+            else:
+                found = await asyncio.to_thread(document.part, request.from_s, request.to_s, request.spans)
+        except TelenanoError as error:
+            return {"k": "answer", "id": request.id, "ok": False, "text": str(error)}
+        finally:
+            self._reads -= counted
+        return {"k": "answer", "id": request.id, "ok": True, "text": "", "found": found}
 
     async def _carried_out(self, session: Session, request: Request, arrived_s: float) -> Answers:
         if not session.may_ask(time.monotonic()):

@@ -67,12 +67,13 @@ class RecordingPlayback:
         return restarted
 
     def about(self) -> Mapping[str, Any]:
+        playing = self._playing and self.position_s < self.length_s
         return {
             "kind": "recording",
             "name": self._recording.path.name,
-            "position_s": round(self.position_s, 1),
+            "position_s": round(self.position_s, 1 if playing else 4),
             "length_s": self.length_s,
-            "playing": self._playing and self.position_s < self.length_s,
+            "playing": playing,
             "rate": self._rate,
         }
 
@@ -80,6 +81,8 @@ class RecordingPlayback:
         if not math.isfinite(value):
             raise RefusedError(f"{action}: a finite number is needed")
         if action == "seek":
+            # what has ended does not play on from wherever somebody looks next
+            self._playing = self._playing and self.position_s < self.length_s
             return self._seek(value)
         if action not in ("play", "pause", "rate"):
             raise RefusedError(f"{action}: unknown, the transport knows play, pause, seek and rate")

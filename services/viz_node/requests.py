@@ -52,6 +52,21 @@ class TransportRequest(NamedTuple):
     value: float
 
 
+class DocumentRequest(NamedTuple):
+    """A question for what happened in the whole of a recording."""
+
+    id: str
+
+
+class PartRequest(NamedTuple):
+    """A question for the curves of a part of a recording [s], in so many spans; every sample for 0."""
+
+    id: str
+    from_s: float
+    to_s: float
+    spans: int
+
+
 class HandRequest(NamedTuple):
     """The force of the operator at the page [N], towards the sample; `held` is false when the hand lets go."""
 
@@ -59,7 +74,7 @@ class HandRequest(NamedTuple):
     held: bool
 
 
-Request = Hello | CommandRequest | EstopRequest | TransportRequest | HandRequest
+Request = Hello | CommandRequest | EstopRequest | TransportRequest | HandRequest | DocumentRequest | PartRequest
 
 
 def read_request(frame: bytes) -> Request:
@@ -84,9 +99,14 @@ def read_request(frame: bytes) -> Request:
         return EstopRequest(_id(fields))
     if kind == "transport":
         return TransportRequest(_id(fields), _text(fields, "action"), _float(fields, "value"))
+    if kind == "document":
+        return DocumentRequest(_id(fields))
+    if kind == "part":
+        spans = _integer(fields, "spans")
+        return PartRequest(_id(fields), _float(fields, "from_s"), _float(fields, "to_s"), spans)
     if kind == "hand":
         return HandRequest(_float(fields, "force_n"), fields.get("held") is True)
-    raise RequestError(f"k is {str(kind)[:40]!r}: must be hello, command, estop, transport or hand")
+    raise RequestError(f"k is {str(kind)[:40]!r}: must be hello, command, estop, transport, hand, document or part")
 
 
 def _text(fields: Mapping[Any, Any], key: str) -> str:

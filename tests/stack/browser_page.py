@@ -1,6 +1,7 @@
 """The page of the view in a real Chromium, as a person would use it."""
 
 import importlib.util
+import io
 import os
 import shutil
 import subprocess
@@ -58,6 +59,14 @@ def until(condition: Callable[[], Any], what: str) -> Any:
         assert time.monotonic() < end, f"waited in vain for {what}"
         time.sleep(0.05)
     return found
+
+
+def keep(picture: bytes, path: Path) -> None:
+    """Write a picture of a page with as many colours as it needs, which is a third of its bytes."""
+    from PIL import Image
+
+    found = Image.open(io.BytesIO(picture)).convert("RGB")
+    found.quantize(128, dither=Image.Dither.NONE).save(path, optimize=True)
 
 
 class View:
@@ -131,7 +140,7 @@ class Page:
         try:
             return until(lambda: self.value(expression), what)
         except AssertionError as error:
-            note = self.page.inner_text("#scene .note")
+            note = self.page.inner_text("#scene .solid .note")
             raise AssertionError(f"{error}; the page says {note!r} {self.banners()!r} {self.faults}") from None
 
     def answered(self, action: Callable[[], object]) -> str:
@@ -150,7 +159,7 @@ class Page:
         drawn = self.value("telenano.view.invalidate() || telenano.view.frames")
         self.until(f"telenano.view.frames > {drawn}", "a drawn scene")
         if folder := os.environ.get("TELENANO_PICTURES"):
-            self.page.screenshot(path=Path(folder) / f"{name}.png")
+            keep(self.page.screenshot(), Path(folder) / f"{name}.png")
 
 
 @contextmanager

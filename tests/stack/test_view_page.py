@@ -82,7 +82,8 @@ def test_every_control_changes_the_rig(rig: Rig, operator: Page) -> None:
 @pytest.mark.endurance
 def test_the_forms_and_profiles_of_the_link_change_it(rig: Rig, operator: Page) -> None:
     link = lambda: newest(rig, "link/status")  # noqa: E731
-    forms = {"#link-forward-jitter-scale_s": "0.002", "#link-backward-loss-probability": "0.05"}
+    operator.click("#tab-settings")
+    forms = {"#link-forward-jitter-scale_s": "2", "#link-backward-loss-probability": "0.05"}
     for field, value in forms.items():
         operator.fill(field, value)
     assert "acknowledged" in operator.answered(lambda: operator.click("#link-apply"))
@@ -92,7 +93,7 @@ def test_the_forms_and_profiles_of_the_link_change_it(rig: Rig, operator: Page) 
     until(lambda: operator.last("link", "backward_loss") > 0.0, "the loss on the page")
     # what is in force is what the rig reports, and a field that was applied is empty again
     forward = "document.querySelector('#link-forward-jitter-scale_s')"
-    operator.until(f"{forward}.placeholder === '0.002' && {forward}.value === ''", "the jitter in its field")
+    operator.until(f"{forward}.placeholder === '2' && {forward}.value === ''", "the jitter in its field")
     operator.answered(lambda: operator.choose("#profile", "dsl"))
     rig.wait_until(lambda: link().forward.profile == "dsl", "the profile on the bus")
     until(lambda: "DELAYED" in operator.banners(), "the banner of its delay")
@@ -107,8 +108,8 @@ def test_the_programs_of_the_instrument_run_pause_and_end_from_the_page(rig: Rig
         return bool((found.program, found.state) == (program, state))
 
     operator.until("!document.querySelector('#instrument').hidden", "the controls of the instrument")
-    operator.fill("#program-curve-load_n", "1e-8")
-    operator.fill("#program-curve-speed_m_per_s", "1e-7")
+    operator.fill("#program-curve-load_n", "10")
+    operator.fill("#program-curve-speed_m_per_s", "100")
     begin_ns = time.time_ns()
     assert "acknowledged" in operator.answered(lambda: operator.click("#program-curve"))
     rig.wait_until(lambda: is_at("curve", "finished"), "a force curve")
@@ -204,11 +205,14 @@ def test_the_hand_holds_while_the_page_draws_for_longer_than_the_server_waits(ri
 
 @pytest.mark.endurance
 def test_what_a_node_refuses_is_said_on_the_page(operator: Page) -> None:
-    operator.page.evaluate("document.querySelector('#law-virtual_impedance-force_gain').removeAttribute('min')")
+    # the field says itself what cannot be, and nothing is sent
     operator.fill("#law-virtual_impedance-force_gain", "-1")
-    answer = operator.answered(lambda: operator.click("#law-apply"))
-    assert "refused" in answer
-    assert "force_gain" in answer
+    operator.click("#law-apply")
+    operator.until(has("#law-virtual_impedance-force_gain-fault", "must be"), "what is wrong at the field")
+    assert operator.page.get_attribute("#law-virtual_impedance-force_gain", "aria-invalid") == "true"
+    wrong = "{k: 'command', command: 'set', target: 'controller', parameters: {'virtual_impedance.force_gain': -1}}"
+    answer = operator.value(f"telenano.connection.ask({wrong})")
+    assert (answer["ok"], "force_gain" in answer["text"]) == (False, True)
     operator.fill("#law-virtual_impedance-force_gain", "")
 
 
@@ -222,7 +226,6 @@ def test_the_virtual_hand_presses_the_tip_and_the_force_comes_back(rig: Rig, ope
     rig.wait_until(lambda: newest(rig, "haptic/command").force_n[2] > 0.1, "the force that comes back")
     until(lambda: operator.last("command", "tip_force") > 0.1, "that force on the page")
     until(lambda: operator.last("tip", "force") > 1e-9, "the push of the sample")
-    operator.picture("touch")
     operator.page.mouse.up()
     rig.wait_until(lambda: newest(rig, "haptic/state").operator_force_n[2] == 0.0, "a hand that has let go")
 
@@ -260,7 +263,7 @@ def test_a_gamepad_presses_with_its_stick_and_rumbles_with_the_force_that_comes_
 @pytest.mark.endurance
 def test_the_sample_is_imaged_from_the_page_and_the_tip_goes_where_the_pointer_says(rig: Rig, operator: Page) -> None:
     operator.until("!document.querySelector('#instrument').hidden", "the controls of the instrument")
-    for key, value in {"pixels": "64", "lines": "40", "dwell_s": "0.003"}.items():
+    for key, value in {"pixels": "64", "lines": "40", "dwell_s": "3"}.items():
         operator.fill(f"#program-scan-{key}", value)
     begin_ns = time.time_ns()
     answer = operator.answered(lambda: operator.click("#program-scan"))
@@ -269,7 +272,6 @@ def test_the_sample_is_imaged_from_the_page_and_the_tip_goes_where_the_pointer_s
     first = operator.value(FILLED)
     operator.until(f"{FILLED} > {first}", "a surface that grows")
     operator.until(f"{FILLED} > 24", "more than half of it")
-    operator.picture("surface")
     rig.wait_until(lambda: newest(rig, "afm/program").state == "finished", "the end of the image")
     operator.until(f"{FILLED} === 40", "the whole surface")
     published = [line for line in since(rig, "afm/scanline", begin_ns) if line.direction == "trace"]
@@ -284,29 +286,37 @@ def test_the_sample_is_imaged_from_the_page_and_the_tip_goes_where_the_pointer_s
     operator.click("#mode-bilateral")
     rig.wait_until(lambda: newest(rig, "afm/state").mode == "follow", "a tip that follows")
     operator.click("#place-tip")
-    box = operator.page.locator("#scene > canvas").bounding_box()
+    box = operator.page.locator("#scene .solid > canvas").bounding_box()
     x, y = box["x"] + 0.56 * box["width"], box["y"] + 0.58 * box["height"]
-    operator.page.mouse.move(x, y)
-    operator.page.mouse.down()
-    operator.page.mouse.move(x + 40.0, y, steps=4)
-    operator.page.mouse.up()
-    operator.click("#place-tip")
-    rig.wait_until(lambda: abs(newest(rig, "afm/state").base_position_m[0]) > 2e-9, "a tip that was carried")
-    wanted = [
+    wanted = lambda: [  # noqa: E731
         (control.parameters["lateral.x_m"], control.parameters["lateral.y_m"])
         for control in since(rig, "session/control", begin_ns)
         if "lateral.x_m" in control.parameters
     ]
+
+    def carried() -> bool:
+        # a server that was held up for a second refuses what may have waited meanwhile, in words: drag again
+        operator.page.mouse.move(x, y)
+        operator.page.mouse.down()
+        operator.page.mouse.move(x + 40.0, y, steps=4)
+        operator.page.mouse.up()
+        operator.page.wait_for_timeout(1500.0)
+        return len(wanted()) > 0
+
+    rig.wait_until(carried, "the places that the pointer asked for")
+    operator.click("#place-tip")
+    # at one of the places that were asked for: of those that came too late for their second the instrument takes none
     rig.wait_until(
-        lambda: newest(rig, "afm/state").base_position_m[:2] == pytest.approx(wanted[-1], rel=1e-6), "the tip there"
+        lambda: any(
+            newest(rig, "afm/state").base_position_m[:2] == pytest.approx(place, rel=1e-6) for place in wanted()
+        ),
+        "the tip there",
     )
     # pressed onto the sample there, so that every curve has something to show
     operator.click("#hand-keep")
     operator.press(14.0)
     operator.page.mouse.up()
     rig.wait_until(lambda: newest(rig, "haptic/command").force_n[2] > 0.1, "the force that comes back")
-    operator.page.wait_for_timeout(6000.0)
-    operator.picture("scanned")
     scale = operator.value("telenano.view.surface.mesh.scale.z")
     operator.choose("#stretch", "2")
     operator.click("#section")
@@ -317,10 +327,6 @@ def test_the_sample_is_imaged_from_the_page_and_the_tip_goes_where_the_pointer_s
     operator.choose("#stereo", "anaglyph")
     operator.picture("anaglyph")
     operator.choose("#stereo", "off")
-    operator.page.set_viewport_size({"width": 820, "height": 1180})
-    operator.page.wait_for_timeout(500.0)
-    operator.picture("tablet")
-    operator.page.set_viewport_size({"width": 1360, "height": 850})
     operator.click("#hand-keep")
     rig.wait_until(lambda: newest(rig, "haptic/state").operator_force_n[2] == 0.0, "a hand that has let go")
 
@@ -411,6 +417,12 @@ def test_a_lost_node_is_shown_within_a_second(rig: Rig, operator: Page) -> None:
 @pytest.mark.endurance
 def test_everything_has_a_name_and_can_be_read_in_light_and_dark(operator: Page) -> None:
     operator.value("document.querySelectorAll('details').forEach((found) => { found.open = true; })")
+    for tab in ("image", "nodes", "events", "settings"):
+        operator.click(f"#tab-{tab}")
+        operator.value(f"{AXE.read_text()}; 0")
+        rules = "axe.run({ runOnly: ['wcag2a', 'wcag2aa', 'wcag21a', 'wcag21aa', 'wcag22aa'] })"
+        faults = operator.value(rules)["violations"]
+        assert {fault["id"]: [node["html"] for node in fault["nodes"]] for fault in faults} == {}, tab
     # what axe-core can tell of the rules of WCAG 2.2, level AA: names, roles, contrast, focus
     operator.value(f"{AXE.read_text()}; 0")
     for _ in range(2):
@@ -429,6 +441,5 @@ def test_the_emergency_stop_is_on_a_key(rig: Rig, operator: Page) -> None:
     rig.wait_until(lambda: newest(rig, "afm/state").mode == "estop", "the stop at the instrument")
     until(lambda: "EMERGENCY STOP" in operator.banners(), "the banner of the stop")
     operator.click("#theme")
-    operator.picture("stopped-dark")
     operator.click("#arm")
     rig.wait_until(lambda: not newest(rig, "haptic/state").estop, "an armed haptic device")

@@ -10,11 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 from browser_page import FILLED, Page, View, browser, has, needs_browser, open_page, until
+from made_sessions import FORCE_SCALE, STEP_S, Made, hand_force_n
 
 from presets import DEFAULT_SITE_FILE
 from proto import encode
 from proto.messages import AfmScanline, Array
 from recording.writer import RecordingWriter
+from services.afm_node.physics.sample.gwy_reader import read_gwy
 from services.recorder.config import RecorderConfig
 from services.runtime.bus.publisher import ZmqPublisher
 from services.runtime.loop.main import load_site
@@ -86,10 +88,10 @@ def check_section_and_pick(page: Page) -> None:
     assert np.median(off_nm) < 0.01
     assert np.count_nonzero(off_nm > 0.1) <= 4
     page.click("#section")
-    box = page.page.locator("#scene > canvas").bounding_box()
+    box = page.page.locator("#scene .solid > canvas").bounding_box()
     page.page.mouse.dblclick(box["x"] + box["width"] / 2, box["y"] + 0.55 * box["height"])
-    page.until("/Measured point/.test(document.querySelector('#scene .note').textContent)", "a picked point")
-    note = page.page.inner_text("#scene .note")
+    page.until("/Measured point/.test(document.querySelector('#scene .solid .note').textContent)", "a picked point")
+    note = page.page.inner_text("#scene .solid .note")
     numbers = re.search(r"Measured point (\d+) of line (\d+): x (\S+) nm, y (\S+) nm, z (\S+) nm", note)
     assert numbers is not None, note
     point, line = int(numbers[1]), int(numbers[2])
@@ -135,13 +137,13 @@ def test_a_recording_plays_and_its_surface_grows(chromium: Any, tmp_path: Path) 
         assert greatest - least == pytest.approx(8.0, rel=0.2)
         check_section_and_pick(page)
         check_exaggeration(page)
+        check_image(page)
         assert "acknowledged" in page.answered(lambda: page.click("#play"))
         page.until("telenano.store.source.playing === true", "a recording that plays again")
         assert "acknowledged" in page.answered(lambda: page.click("#play"))
         page.until("telenano.store.source.playing === false", "a recording that pauses")
         half_s = LINE_NS * 1e-9 * POINTS / 2
-        sought = f"field => {{ field.value = {half_s}; field.dispatchEvent(new Event('change')); }}"
-        assert "acknowledged" in page.answered(lambda: page.page.locator("#place").evaluate(sought))
+        page.value(f"telenano.cockpit.document.seek({half_s})")
         page.until(f"{FILLED} === {POINTS // 2 + 1}", "the surface as it was half way")
         page.choose("#rate", "10")
         assert "acknowledged" in page.answered(lambda: page.click("#play"))
@@ -152,6 +154,77 @@ def test_a_recording_plays_and_its_surface_grows(chromium: Any, tmp_path: Path) 
         check_token_leaves_the_address_bar(chromium, view)
     finally:
         view.close()
+
+
+# when the tip jumps into contact in the session that is made up, for how long it is drawn to the sample, and how hard
+JUMP_S, DRAWN_S, DRAWN_NN = 1.0, 0.1, -12.5
+
+
+def touched(time_s: float) -> float:
+    """Return alpha_f F_s [N] at a time of a session [s]: nothing, a jump into contact, and the hand's force."""
+    if time_s < JUMP_S:
+        return 0.0
+    return DRAWN_NN * 1e-9 * FORCE_SCALE if time_s < JUMP_S + DRAWN_S else hand_force_n(time_s)
+
+
+def test_somebody_finds_the_jump_to_contact_in_a_recording_that_has_ended(chromium: Any, tmp_path: Path) -> None:
+    made = Made(tip_n=touched, in_contact=lambda time_s: time_s >= JUMP_S)
+    view = View(dict(os.environ), str(made.write(tmp_path)))
+    try:
+        first = open_page(chromium, view.operator)
+        first.value("telenano.connection.ask({k: 'transport', action: 'rate', value: 100})")
+        first.until("telenano.store.source.playing === false", "the end of the recording")
+        page = open_page(chromium, view.operator)
+        page.until("telenano.cockpit.document.about?.read === 1", "a recording that was read")
+        find_the_jump(page, tmp_path)
+        assert page.faults == []
+        for found in (first, page):
+            found.page.context.close()
+    finally:
+        view.close()
+
+
+def find_the_jump(page: Page, folder: Path) -> None:
+    """Walk as somebody who opens a recording after its end: by keys to the jump, and with a cursor to its force."""
+    page.until("telenano.scopes.plots[0].data[1]?.some((value) => value > 1.9)", "the curves of the whole")
+    assert page.page.inner_text("#hand-force") != "–"
+    assert page.page.locator("#summary tbody tr").count() == len(page.value("telenano.cockpit.document.about.holds"))
+    keyboard = page.page.keyboard
+    keyboard.press("Home")
+    page.until("telenano.cockpit.document.at(performance.now()) === 0", "the beginning")
+    for _ in range(5):
+        keyboard.press("e")
+        page.page.wait_for_timeout(300.0)
+        if "jumps into contact" in page.page.inner_text("#place-event"):
+            break
+    assert "jumps into contact" in page.page.inner_text("#place-event")
+    # who goes to an event wants to look at it: it does not play on
+    page.until("telenano.store.source.playing === false", "a recording that stands there")
+    begun_s = page.value("telenano.cockpit.document.about.session_s[0]")
+    assert page.value("telenano.cockpit.document.at(performance.now())") == pytest.approx(begun_s + JUMP_S, abs=0.02)
+    page.choose("#span", "0.5")
+    keyboard.press("c")
+    page.until("telenano.scopes.cursors", "two cursors")
+    # the third scope has the force on the tip; what was drawn last has the window around the jump
+    page.until("telenano.scopes.shownWindow.to - telenano.scopes.shownWindow.from < 0.6", "half a second")
+    page.until("telenano.cockpit.document.between(0, 0) && telenano.scopes.shownWindow.width === 0", "every sample")
+    place = f"telenano.scopes.plots[2].plot.valToPos({begun_s + JUMP_S + DRAWN_S / 2}, 'x')"
+    box = page.page.locator(".plot").nth(2).locator(".u-over").bounding_box()
+    page.page.mouse.click(box["x"] + page.value(place), box["y"] + box["height"] / 2)
+    # B is the nearer of the two: from nothing before the jump to what is read there
+    page.until(r"/normal 0 → -?[1-9]/.test(document.querySelector('.measures').textContent)", "the force at a cursor")
+    read = re.search(r"normal 0 → (-?[\d.]+) nN", page.page.inner_text(".measures"))
+    assert read is not None, page.page.inner_text(".measures")
+    assert float(read[1]) == pytest.approx(DRAWN_NN, rel=1e-3)
+    with page.page.expect_download() as saved:
+        page.click("#save-png")
+    assert saved.value.path().read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+    with page.page.expect_download() as saved:
+        page.click("#save-csv")
+    rows = [line.split(",") for line in saved.value.path().read_text().splitlines()]
+    forces_n = [float(row[3]) for row in rows if (row[0], row[2]) == ("tip", "force")]
+    assert min(forces_n) == pytest.approx(DRAWN_NN * 1e-9, rel=1e-5)
+    assert len(forces_n) == pytest.approx(0.5 / STEP_S, abs=3)
 
 
 @pytest.mark.endurance
@@ -177,15 +250,49 @@ def test_a_page_says_that_the_server_is_gone_and_comes_back_by_itself(chromium: 
         view.close()
 
 
+def check_image(page: Page) -> None:
+    """Level the image, draw a line over it from above, and save it: Gwyddion's file has what was measured."""
+    page.click("#show-both")
+    page.until("!document.querySelector('.flat').hidden", "the image from above")
+    page.choose("#levelling", "plane")
+    page.choose("#palette", "grey")
+    page.choose("#range", "0.01")
+    page.until("telenano.view.surface.range[0] > telenano.view.surface.base", "colours without the ends of the heights")
+    box = page.page.locator("#scene .flat canvas").bounding_box()
+    frame = page.value("telenano.view.flat.frame")
+    x, y = box["x"] + frame["left"], box["y"] + frame["top"]
+    page.page.mouse.move(x + 10.0 * frame["scale"], y + 60.0 * frame["scale"])
+    page.page.mouse.down()
+    page.page.mouse.move(x + 110.0 * frame["scale"], y + 60.0 * frame["scale"], steps=4)
+    page.page.mouse.up()
+    page.until("telenano.view.section.profile?.distance.at(-1) > 99", "a profile along the line")
+    assert page.value("telenano.view.section.profile.distance.at(-1)") == pytest.approx(100.0, abs=2.0)
+    with page.page.expect_download() as saved:
+        page.click("#save-gwy")
+    measured, shown = read_gwy(saved.value.path(), 10**6)
+    heights = np.array([heights_m(line) for line in range(POINTS)])
+    assert measured.values[::-1] == pytest.approx(heights, abs=1e-15)
+    assert (measured.title, measured.unit_z, shown.title) == ("Height", "m", "Height less plane")
+    assert (measured.width, measured.depth) == pytest.approx((SIZE_M, SIZE_M), rel=1e-6)
+    # without its plane nothing rises from one side to the other
+    means = shown.values.mean(axis=0)
+    assert abs(np.polyfit(np.linspace(0.0, 1.0, POINTS), means, 1)[0]) < 1e-12
+    with page.page.expect_download() as saved:
+        page.click("#save-image")
+    assert saved.value.path().read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+    for select, value in (("#levelling", "none"), ("#palette", "viridis"), ("#range", "0")):
+        page.choose(select, value)
+
+
 def check_exaggeration(page: Page) -> None:
     """Draw heights five times as high: the page says so, and what is picked keeps its measured height."""
     page.choose("#stretch", "5")
     page.until("telenano.view.surface.mesh.scale.z === 5", "heights five times as high")
-    page.until(has("#scene .note", "drawn 5 times as high"), "the factor in words")
-    picked = page.value("telenano.view.mark.position.z / 5 + telenano.view.surface.least")
+    page.until(has("#scene .solid .note", "drawn 5 times as high"), "the factor in words")
+    picked = page.value("telenano.view.mark.position.z / 5 + telenano.view.surface.base")
     assert picked == pytest.approx(page.value("telenano.view.markHeight"), abs=1e-6)
     page.choose("#stretch", "1")
-    page.until(has("#scene .note", "as measured, to scale"), "heights to scale")
+    page.until(has("#scene .solid .note", "as measured, to scale"), "heights to scale")
 
 
 def check_wrong_token(chromium: Any, view: View) -> None:

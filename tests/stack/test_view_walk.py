@@ -80,7 +80,7 @@ def test_a_newcomer_images_touches_delays_and_holds(tmp_path: Path) -> None:
 def walk(rig: Rig, page: Page) -> None:
     page.until("telenano.store.rings.get('tip')?.length > 200", "curves on the page")
     page.until("document.querySelectorAll('#law-name option').length > 1", "the forms of the law")
-    for key, value in {"pixels": "64", "lines": "32", "dwell_s": "0.003"}.items():
+    for key, value in {"pixels": "64", "lines": "32", "dwell_s": "3"}.items():
         page.fill(f"#program-scan-{key}", value)
     assert "acknowledged" in page.answered(lambda: page.click("#program-scan"))
     page.until(f"{FILLED} === 32", "the whole image")

@@ -24,6 +24,7 @@ from services.runtime.loop.realtime import behind_others
 from services.viz_node.access import LOOPBACK, Access
 from services.viz_node.config import ViewConfig
 from services.viz_node.connections import Listener
+from services.viz_node.document import RecordingDocument
 from services.viz_node.hub import Hub
 from services.viz_node.live import LiveSource
 from services.viz_node.node import page_of_rig
@@ -38,6 +39,7 @@ from telenano.cli.options import (
     SiteFileOption,
 )
 from telenano.cli.output import report_errors
+from telenano.recording_document import judged_recording
 
 
 class Served(NamedTuple):
@@ -126,8 +128,9 @@ def _serve_again(serve_once: Callable[[], None]) -> None:
 
 
 def _serve_recording(recordings: RecordingSource, page: Served) -> None:
+    document = RecordingDocument(recordings, judged_recording)
     with (
-        contextlib.closing(Hub(RecordingPlayback(recordings, time.monotonic))) as hub,
+        contextlib.closing(Hub(RecordingPlayback(recordings, time.monotonic), document=document)) as hub,
         contextlib.closing(PageServer(hub, page.access, page.bound, page.tls, page.signals.descriptor)) as server,
     ):
         server.run()

@@ -106,3 +106,17 @@ def test_what_the_transport_cannot_do_is_refused(
 def test_a_recording_without_anything_to_show_is_named(make_file: Callable[..., Path], time: Time) -> None:
     with pytest.raises(RecordingError, match="none of the topics"):
         RecordingPlayback(Recording(make_file(0)), time)
+
+
+def test_a_recording_that_has_ended_does_not_play_on_from_where_somebody_looks(
+    playback: RecordingPlayback, time: Time
+) -> None:
+    time.now_s += 1.0
+    numbers(playback)
+    playback.transport("seek", 0.01)
+    time.now_s += 1.0
+    assert playback.position_s == pytest.approx(0.01)
+    assert playback.about()["playing"] is False
+    playback.transport("play", 0.0)
+    time.now_s += 0.01
+    assert playback.position_s == pytest.approx(0.02)

@@ -526,3 +526,45 @@ def test_a_page_that_does_not_read_holds_up_nobody_and_begins_anew(rig: Rig) -> 
     assert len(slow._frames) == 1
     snapshot = msgpack.unpackb(slow._frames[0])
     assert (snapshot["k"], snapshot["events"][-1]["text"]) == ("snapshot", str(hubs.MOST_QUEUED))
+
+
+class ShortDocument:
+    """A recording of ten seconds that holds whoever reads in it, as long as it is held itself."""
+
+    def __init__(self) -> None:
+        self.held = threading.Event()
+        self.held.set()
+
+    def about(self) -> Mapping[str, Any]:
+        return {"length_s": 10.0, "read": 1.0}
+
+    def part(self, from_s: float, to_s: float, spans: int) -> Mapping[str, Any]:
+        self.held.wait(20.0)
+        return {"from_s": from_s, "to_s": to_s, "width_s": 0.0, "streams": {}}
+
+
+def test_who_only_looks_may_read_in_a_recording(page: Path, stack: ExitStack) -> None:
+    hub = Hub(Source(), document=ShortDocument())
+    client = stack.enter_context(TestClient(server.make_app(hub, ACCESS, page), client=("127.0.0.1", 5)))
+    observer = Page(stack, client, ACCESS.observer_token)
+    assert observer.ask(k="document")["found"]["length_s"] == 10.0
+    assert observer.ask(k="part", from_s=1.0, to_s=2.0, spans=100)["found"]["to_s"] == 2.0
+
+
+def test_a_running_rig_is_no_document(client: TestClient, stack: ExitStack) -> None:
+    answer = Page(stack, client).ask(k="document")
+    assert (answer["ok"], "a running rig is no document" in answer["text"]) == (False, True)
+
+
+def test_no_more_parts_are_read_at_once_than_may_be(page: Path, stack: ExitStack) -> None:
+    document = ShortDocument()
+    hub = Hub(Source(), document=document)
+    client = stack.enter_context(TestClient(server.make_app(hub, ACCESS, page), client=("127.0.0.1", 5)))
+    reader = Page(stack, client)
+    document.held.clear()
+    for number in range(hubs._MOST_READS + 1):
+        reader.send({"k": "part", "id": f"a-{number}", "from_s": 0.0, "to_s": 1.0, "spans": 10})
+    refused = reader.take("answer")
+    assert (refused["ok"], "are being read already" in refused["text"]) == (False, True)
+    document.held.set()
+    assert all(reader.take("answer")["ok"] for _ in range(hubs._MOST_READS))

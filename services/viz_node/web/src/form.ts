@@ -1,4 +1,5 @@
 import { make } from "./dom";
+import { compact, faultLine, faultOf, judge } from "./field";
 import type { Setting } from "./schema";
 
 export type Values = Record<string, number | boolean | string>;
@@ -7,6 +8,7 @@ export type Values = Record<string, number | boolean | string>;
 export class Form {
   readonly element = make("div");
   private readonly inputs = new Map<string, HTMLInputElement | HTMLSelectElement>();
+  private readonly faults = new Map<string, HTMLElement>();
 
   constructor(
     private readonly settings: Setting[],
@@ -18,15 +20,20 @@ export class Form {
       const input = setting.choices ? selection(id, setting) : make("input", {
         id,
         title: `${setting.about}${limits}`,
-        type: setting.kind === "boolean" ? "checkbox" : setting.kind === "text" ? "text" : "number",
-        ...(setting.kind === "number" && { step: "any" }),
-        ...(setting.min !== undefined && { min: setting.min }),
-        ...(setting.max !== undefined && { max: setting.max }),
-        ...(setting.kind !== "boolean" && { placeholder: String(setting.initial ?? "none") }),
+        type: setting.kind === "boolean" ? "checkbox" : "text",
+        ...(setting.kind !== "boolean" && setting.kind !== "text" && { inputmode: "decimal" }),
+        ...(setting.kind !== "boolean" && { placeholder: shown(setting, setting.initial) }),
       });
+      const row = make("div", { class: "field" }, make("label", { for: id, title: setting.about }, setting.label), input, make("span", { class: "quiet" }, setting.unit));
       if (input instanceof HTMLInputElement && setting.kind === "boolean") input.indeterminate = true;
+      else if (input instanceof HTMLInputElement) {
+        const fault = faultLine(input);
+        this.faults.set(setting.key, fault);
+        input.addEventListener("input", () => this.check(setting));
+        row.append(fault);
+      }
       this.inputs.set(setting.key, input);
-      this.element.append(make("div", { class: "field" }, make("label", { for: id, title: setting.about }, setting.label), input, make("span", { class: "quiet" }, setting.unit)));
+      this.element.append(row);
     }
   }
 
@@ -34,22 +41,27 @@ export class Form {
   showInForce(values: Record<string, unknown>): void {
     for (const setting of this.settings) {
       const input = this.inputs.get(setting.key)!;
-      const value = String(values[setting.key] ?? setting.initial ?? "none");
+      const value = shown(setting, values[setting.key] ?? setting.initial);
       if (input instanceof HTMLSelectElement) input.options[0]!.textContent = value;
       else if (input.type !== "checkbox") input.placeholder = value;
       else if (input.indeterminate) input.title = `in force: ${value}`;
     }
   }
 
-  values(): Values {
+  /** The values that were typed, in SI units; undefined where one cannot be, which its field then says. */
+  values(): Values | undefined {
     const found: Values = {};
+    let isRight = true;
     for (const setting of this.settings) {
       const input = this.inputs.get(setting.key)!;
       if (input instanceof HTMLInputElement && setting.kind === "boolean") {
         if (!input.indeterminate) found[setting.key] = input.checked;
-      } else if (input.value !== "") found[setting.key] = setting.kind === "text" ? input.value : Number(input.value);
+      } else if (input.value !== "") {
+        if (!this.check(setting)) isRight = false;
+        found[setting.key] = setting.kind === "text" ? input.value : inUnits(Number(input.value), setting.scale);
+      }
     }
-    return found;
+    return isRight ? found : undefined;
   }
 
   /** Empty what was applied: it is in force now. */
@@ -59,6 +71,23 @@ export class Form {
       if (input instanceof HTMLInputElement && input.type === "checkbox") input.indeterminate = true;
     }
   }
+
+  private check(setting: Setting): boolean {
+    const input = this.inputs.get(setting.key) as HTMLInputElement;
+    const fault = this.faults.get(setting.key);
+    if (!fault || setting.kind === "text") return true;
+    return judge(input, fault, faultOf(input.value, setting.min, setting.max, setting.unit, setting.kind === "integer"));
+  }
+}
+
+/** A typed number in SI units: divided, because 40 ms are then 0.04 s and not a neighbour of it. */
+function inUnits(value: number, scale: number): number {
+  return value / scale;
+}
+
+function shown(setting: Setting, value: unknown): string {
+  if (value === null || value === undefined) return "none";
+  return typeof value === "number" ? compact(value * setting.scale) : String(value);
 }
 
 /** A choice whose first entry, the one in force, sends nothing. */

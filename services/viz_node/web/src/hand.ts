@@ -1,5 +1,5 @@
 import type { Connection } from "./connection";
-import { colour, make, part, quantity } from "./dom";
+import { colour, make } from "./dom";
 import { LIMIT_N, springForce } from "./spring";
 import type { Store } from "./store";
 
@@ -27,7 +27,7 @@ export function rumbleStrength(back_n: number): number {
 /** A hand for those who have no device: drag down to push, and see the arm lag behind the pointer. */
 export class Hand {
   private readonly canvas = make("canvas", { "aria-hidden": "true" });
-  private readonly pad = make("div", {
+  readonly pad = make("div", {
     class: "pad",
     id: "hand-pad",
     tabindex: 0,
@@ -38,9 +38,11 @@ export class Hand {
     "aria-valuemax": LIMIT_N,
     "aria-valuenow": 0,
   });
-  private readonly text = make("div", { class: "quiet", id: "hand-text" });
+  readonly text = make("div", { class: "quiet", id: "hand-text", role: "status" });
   /** While it is pressed the hand stays where it is when the pointer or the key is let go, which then are free. */
-  private readonly keepButton = make("button", { type: "button", id: "hand-keep", "aria-pressed": "false", title: "The hand stays where it is, and the pointer is free for the other controls", onclick: () => this.toggleKeep() }, "Keep holding");
+  readonly keepButton = make("button", { type: "button", id: "hand-keep", "aria-pressed": "false", title: "The hand stays where it is, and the pointer is free for the other controls", onclick: () => this.toggleKeep() }, "Keep holding");
+  /** Whether this page commands anything now. */
+  may: () => boolean = () => false;
   private meant: number | undefined;
   private grabbedAt = { y: 0, arm: 0 };
   private refusal = "";
@@ -51,8 +53,8 @@ export class Hand {
     private readonly store: Store,
   ) {
     this.pad.append(this.canvas);
-    part("hand").append(make("h2", {}, "Virtual hand"), this.pad, make("div", { class: "row" }, this.text, make("span", { class: "spacer" }), this.keepButton));
     this.pad.addEventListener("pointerdown", (event) => {
+      if (!this.isOffered) return;
       this.pad.setPointerCapture(event.pointerId);
       this.grabbedAt = { y: event.clientY, arm: this.arm };
       this.hold(this.arm);
@@ -64,7 +66,7 @@ export class Hand {
     for (const name of ["pointerup", "pointercancel", "lostpointercapture"]) this.pad.addEventListener(name, () => this.release());
     this.pad.addEventListener("keydown", (event) => {
       const step = { ArrowDown: 1e-3, ArrowUp: -1e-3 }[event.key];
-      if (step === undefined) return;
+      if (step === undefined || !this.isOffered) return;
       event.preventDefault();
       this.hold((this.meant ?? this.arm) + step);
     });
@@ -78,17 +80,51 @@ export class Hand {
     setInterval(() => this.say(), SAY_MS);
   }
 
-  build(): void {
-    part("hand").hidden = !(this.store.hand && this.store.role === "operator");
+  /** Whether this page may hold the hand. */
+  get isOffered(): boolean {
+    return this.store.hand && this.may();
+  }
+
+  /** Show whether the pad can be pressed, or only shows where the hand is. */
+  begin(): void {
+    this.pad.tabIndex = this.isOffered ? 0 : -1;
+    this.pad.setAttribute("aria-disabled", String(!this.isOffered));
+  }
+
+  /** Whether it holds the hand now. */
+  get isHeld(): boolean {
+    return this.meant !== undefined;
+  }
+
+  /** The force that the page means to push with now [N]; 0 where it holds nothing. */
+  get force(): number {
+    return this.meant === undefined ? 0 : springForce(this.meant, this.arm);
   }
 
   /** Take hold, or move, by a controller in VR: how far it went down [m]; null to let go. */
   press(down: number | null): void {
     if (down === null) this.letGo();
-    else {
-      if (this.meant === undefined) this.grabbedAt = { y: 0, arm: this.arm };
-      this.hold(this.grabbedAt.arm + down * 0.1);
+    else this.drag(down * 0.1, true);
+  }
+
+  /** Take hold, or move, by the pointer in the scene: how far it went down, in its heights; null when it is let go. */
+  pull(down: number | null): void {
+    if (down === null) {
+      this.isGrabbed = false;
+      this.release();
+    } else {
+      // what was let go meanwhile, as by an emergency stop, is not taken up again by the same drag
+      if (this.isGrabbed && this.meant === undefined) return;
+      this.drag(down * TRAVEL_M, this.isGrabbed);
+      this.isGrabbed = true;
     }
+  }
+
+  private isGrabbed = false;
+
+  private drag(down_m: number, isGrabbed: boolean): void {
+    if (this.meant === undefined || !isGrabbed) this.grabbedAt = { y: 0, arm: this.arm };
+    this.hold(this.grabbedAt.arm + down_m);
   }
 
   refuse(text: string): void {
@@ -97,18 +133,19 @@ export class Hand {
   }
 
   draw(): void {
-    if (part("hand").hidden) return;
-    this.readGamepad();
+    if (this.isOffered) this.readGamepad();
+    if (!this.pad.clientHeight) return;
     const { clientWidth: width, clientHeight: height } = this.pad;
     if (this.canvas.width !== width || this.canvas.height !== height) Object.assign(this.canvas, { width, height });
     const pen = this.canvas.getContext("2d")!;
     const toY = (m: number): number => ((m - TOP_M) / TRAVEL_M) * height;
     pen.clearRect(0, 0, width, height);
     pen.font = "11px system-ui";
-    for (let mm = 0; mm <= 20; mm += 5) {
+    for (let mm = height < 70 ? 10 : 0; mm <= 20; mm += height < 70 ? 10 : 5) {
       pen.fillStyle = colour("line");
       pen.fillRect(0, toY(mm / 1e3), width, 1);
       pen.fillStyle = colour("quiet");
+      // the lowest label stands above its line, where the pad ends
       pen.fillText(`${mm} mm`, 4, toY(mm / 1e3) - 3);
     }
     const x = width * 0.55;
@@ -131,10 +168,10 @@ export class Hand {
     if (Math.abs(back) > 0.02) {
       pen.fillStyle = colour("c2");
       pen.fillRect(x + 18, arm, 5, -(back / LIMIT_N) * height * 0.4);
-      pen.fillText(`${back.toFixed(2)} N`, x + 28, arm + 4);
     }
-    const own = this.meant === undefined ? "Drag down to push" : `Your force ${quantity(force, "N")}`;
-    this.text.textContent = this.refusal || `${own} · felt from the tip ${quantity(back, "N")}`;
+    const own = this.meant === undefined ? "Drag down, here or in the scene" : "Held: let go, or Keep holding";
+    const text = this.refusal || own;
+    if (this.text.textContent !== text) this.text.textContent = text;
     this.pad.dataset["held"] = String(this.meant !== undefined);
     this.pad.setAttribute("aria-valuenow", force.toFixed(2));
     this.pad.setAttribute("aria-valuetext", `${force.toFixed(2)} N, ${back.toFixed(2)} N felt from the tip`);

@@ -1,17 +1,24 @@
 import "./styles.css";
+import type { Cockpit } from "./cockpit";
+import { Commands } from "./commands";
 import { Connection } from "./connection";
-import { Controls } from "./controls";
-import { make, part } from "./dom";
+import { Document } from "./document";
+import { part } from "./dom";
 import { Hand } from "./hand";
-import { Instrument } from "./instrument";
+import { Image } from "./image";
+import { PANELS } from "./panels";
+import type { ScenePanel } from "./panels/scene";
+import type { ScopesPanel } from "./panels/scopes";
+import { StatusPanel } from "./panels/status";
+import type { TimelinePanel } from "./panels/timeline";
 import type { ServerFrame } from "./protocol";
-import { Scopes } from "./scopes";
-import { Status } from "./status";
+import { Regions } from "./regions";
+import type { View } from "./scene";
 import { Store } from "./store";
+import { Tip } from "./tip";
 import { takeToken } from "./token";
-import { View } from "./scene";
 
-const STATUS_MS = 200;
+const WRITE_MS = 200;
 const BANNERS_MS = 50;
 /** Frames kept for the benchmark: a minute at 60 a second. */
 const FRAMES_KEPT = 3600;
@@ -22,52 +29,70 @@ addEventListener("hashchange", () => location.reload());
 const url = `${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/bus`;
 const store = new Store();
 const connection = new Connection(url, token);
-const status = new Status(store);
-const scopes = new Scopes(part("scopes"), store);
-const controls = new Controls(connection, store);
-const hand = new Hand(connection, store);
-const instrument = new Instrument(controls, store);
-controls.onEstop = () => hand.letGo();
-let view: View | undefined;
-try {
-  view = new View(part("scene"), store);
-  view.onPlace = (x, y) => instrument.moveTo(x, y);
-  view.headset.onPress = (down) => hand.press(down);
-  view.headset.onStop = () => void controls.estop();
-  store.onLines = (lines) => view?.addLines(lines);
-  store.onRestart = () => view?.clear();
-} catch (error) {
-  part("scene").append(make("p", { class: "note error" }, `No picture in three dimensions: ${String(error)}. Everything else works.`));
-}
+const commands = new Commands(connection, store);
+const cockpit: Cockpit = {
+  store,
+  connection,
+  commands,
+  hand: new Hand(connection, store),
+  tip: new Tip(commands, store),
+  image: new Image(commands, store),
+  document: new Document(connection, store),
+};
+cockpit.hand.may = () => commands.may;
+commands.onEstop = () => cockpit.hand.letGo();
+store.recorded = (stream, column) => cockpit.document.value(stream, column, performance.now());
+const status = new StatusPanel(part("status"), cockpit);
+const regions = new Regions(PANELS, cockpit);
+const view = (regions.panel("scene") as ScenePanel).view;
+const scopes = regions.panel("curves") as ScopesPanel;
+const timeline = regions.panel("recording") as TimelinePanel;
 
 /** Between frames, and what the page itself took of each, drawing and taking in what came [ms]. */
 const frames: number[] = [];
 const costs: number[] = [];
 let taken = 0;
 let dirty = false;
-let statusAt = 0;
+let built = "";
+let writtenAt = 0;
 let before = 0;
 
-connection.onState = (state, text) => status.setConnection(state, text);
+connection.onState = (state, text) => {
+  const was = commands.link;
+  commands.link = state;
+  status.text = text;
+  // what cannot be commanded any more looks it
+  if (was === "open" && state !== "open") {
+    built = "";
+    begin();
+  }
+};
 connection.onFrame = (frame: ServerFrame) => {
   const begun = performance.now();
   if (frame.k === "snapshot") {
     store.begin(frame);
-    hand.build();
-    build();
+    // after every seek there is a snapshot: the page is built anew only for another source or another role
+    const shown = [frame.role, frame.commands, frame.hand, frame.source.kind, frame.source.name, frame.source.length_s, Object.keys(frame.forms).length].join();
+    if (shown !== built) {
+      built = shown;
+      cockpit.document.begin();
+      cockpit.image.build();
+      document.body.dataset["source"] = frame.source.kind;
+      begin();
+    }
   } else if (frame.k === "forms") {
     store.forms = frame.forms;
-    build();
+    cockpit.image.build();
+    begin();
   } else if (frame.k === "tick") store.take(frame);
-  else if (frame.k === "hand") hand.refuse(frame.text);
+  else if (frame.k === "hand") cockpit.hand.refuse(frame.text);
   dirty = true;
   taken += performance.now() - begun;
 };
 
-function build(): void {
-  controls.build();
-  instrument.build();
-  if (view) view.placeButton.hidden = !(instrument.isThere && store.role === "operator");
+function begin(): void {
+  status.begin();
+  regions.begin();
 }
 
 function draw(now: number): void {
@@ -83,14 +108,11 @@ function draw(now: number): void {
     dirty = false;
     view?.follow();
   }
-  scopes.draw(now);
-  hand.draw();
-  if (now - statusAt > STATUS_MS) {
-    statusAt = now;
-    status.draw();
-    controls.draw();
-    instrument.draw();
-    view?.write();
+  for (const { panel } of regions.placed) panel.frame?.(now);
+  if (now - writtenAt > WRITE_MS) {
+    writtenAt = now;
+    status.write();
+    for (const { panel, root } of regions.placed) if (!root.hidden) panel.write?.();
   }
   taken += performance.now() - begun;
   requestAnimationFrame(draw);
@@ -99,32 +121,37 @@ function draw(now: number): void {
 // not with the frames, of which a slow machine draws few: what an operator must not overlook comes at its time
 setInterval(() => {
   store.clock.tick(performance.now());
-  status.drawBanners();
+  status.draw();
 }, BANNERS_MS);
 
 function setTheme(name: string): void {
   document.documentElement.dataset["theme"] = name;
   part("theme").textContent = name === "dark" ? "Light" : "Dark";
   localStorage.setItem("theme", name);
-  scopes.recolour();
-  view?.recolour();
+  for (const { panel } of regions.placed) panel.recolour?.();
 }
 
 part("theme").addEventListener("click", () => setTheme(document.documentElement.dataset["theme"] === "dark" ? "light" : "dark"));
 setTheme(localStorage.getItem("theme") ?? (matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light"));
 addEventListener("keydown", (event) => {
-  if (event.target instanceof HTMLInputElement || event.target instanceof HTMLSelectElement || event.ctrlKey || event.metaKey) return;
+  const target = event.target as HTMLElement;
+  if (target.matches("input, select, textarea") || event.ctrlKey || event.metaKey || event.altKey) return;
+  // a button takes the space bar itself, and the scene and the pad their arrows
+  const own = target.matches("button, summary") ? [" ", "Enter"] : target.matches("canvas, .pad") ? ["ArrowLeft", "ArrowRight", "ArrowUp", "ArrowDown"] : [];
+  if (own.includes(event.key) || timeline.key(event)) return;
   if (event.key === "p") scopes.pause();
-  if (event.key === "m") part("mark").click();
+  if (event.key === "c") scopes.toggleCursors();
+  if (event.key === "m" && commands.may) part("mark").click();
 });
-if (!token) status.setConnection("refused", "open the address that `telenano view` printed: it ends with a token");
+if (!token) connection.onState("refused", "open the address that `telenano view` printed: it ends with a token");
 else connection.open();
+begin();
 requestAnimationFrame(draw);
 
 /** What the benchmark and the tests read; nothing of it changes the rig. */
 declare global {
   interface Window {
-    telenano: { store: Store; frames: number[]; costs: number[]; connection: Connection; view: View | undefined };
+    telenano: { store: Store; frames: number[]; costs: number[]; connection: Connection; view: View | undefined; cockpit: Cockpit; scopes: ScopesPanel };
   }
 }
-window.telenano = { store, frames, costs, connection, view };
+window.telenano = { store, frames, costs, connection, view, cockpit, scopes };

@@ -101,6 +101,8 @@ export interface Answer {
   id: string;
   ok: boolean;
   text: string;
+  /** What was asked for, where something was. */
+  found?: unknown;
 }
 
 export interface Refused {

@@ -6,6 +6,7 @@ import {
   Group,
   Mesh,
   MeshStandardMaterial,
+  MOUSE,
   PerspectiveCamera,
   PlaneGeometry,
   Raycaster,
@@ -21,6 +22,7 @@ import { AnaglyphEffect } from "three/addons/effects/AnaglyphEffect.js";
 import { StereoEffect } from "three/addons/effects/StereoEffect.js";
 import { gradient } from "./colormap";
 import { colour, make, part, quantity } from "./dom";
+import { Flat } from "./flat";
 import { Headset } from "./headset";
 import { drawsInSoftware, Pace } from "./pace";
 import { Probe } from "./probe";
@@ -30,6 +32,10 @@ import { arrow, axesAndBars, empty, niceLength, point, type Extent } from "./sha
 import type { Store } from "./store";
 import { Surface } from "./surface";
 
+/** What the pointer does in the scene. */
+export type Tool = "press" | "turn" | "place" | "profile";
+/** What of the surface is shown: in three dimensions, flat, or both beside each other. */
+type Shown = "solid" | "both" | "flat";
 type Stereo = "off" | "anaglyph" | "side by side";
 
 const NM = 1e9;
@@ -52,13 +58,23 @@ const SLOW_SHARE = 6;
 
 /** Tip, cantilever and surface, in nanometres, z away from the sample. */
 export class View {
-  readonly surface = new Surface();
   readonly headset: Headset;
-  readonly section = new Section(this.surface);
-  /** While it is pressed the pointer moves the tip over the sample, and does not turn the scene. */
-  readonly placeButton = make("button", { type: "button", id: "place-tip", hidden: true, "aria-pressed": "false", onclick: () => this.togglePlace() }, "Move tip");
+  readonly section: Section;
+  readonly flat: Flat;
+  /** What the pointer does: the one that is pressed. */
+  tool: Tool = "turn";
+  private readonly tools: Record<Tool, HTMLButtonElement> = {
+    press: this.toolButton("press", "tool-press", "Press", "Press and drag down in the scene: the virtual hand pushes the tip (right button turns)"),
+    turn: this.toolButton("turn", "tool-turn", "Turn", "Drag turns the scene"),
+    place: this.toolButton("place", "place-tip", "Move tip", "The tip goes over the sample to where the pointer is"),
+    profile: this.toolButton("profile", "section", "Profile", "The heights along a line that is dragged over the surface"),
+  };
   /** Called with a place on the sample [nm]. */
   onPlace: (x: number, y: number) => void = () => {};
+  /** Called where the tool presses: how far down the pointer went, in heights of the scene; null when it is let go. */
+  onPress: (down: number | null) => void = () => {};
+  /** What the tag beside the pointer says while it presses. */
+  pressText: () => string = () => "";
   frames = 0;
   private cost = 0;
   private dirty = true;
@@ -75,10 +91,15 @@ export class View {
   private readonly plane: Mesh<PlaneGeometry, MeshStandardMaterial>;
   private grid: GridHelper;
   private readonly mark: Mesh;
-  private readonly readouts = new Map<string, HTMLElement>();
   private readonly note = make("div", { class: "note" });
   private readonly ends = make("div", { class: "ends" });
-  private readonly legend = make("div", { class: "legend", hidden: true }, make("div", { class: "ramp" }), this.ends);
+  private readonly ramp = make("div", { class: "ramp" });
+  private readonly legend = make("div", { class: "legend", hidden: true }, this.ramp, this.ends);
+  private readonly tag = make("div", { class: "tag", hidden: true });
+  private readonly solid = make("div", { class: "solid" });
+  private readonly views = make("div", { class: "views" });
+  private readonly showButtons = (["solid", "both", "flat"] as const).map((name) => make("button", { type: "button", id: `show-${name}`, "aria-pressed": String(name === "solid"), onclick: () => this.show(name, true) }, { solid: "3-D", both: "Both", flat: "Flat" }[name]));
+  private isShownByChoice = false;
   private anaglyph: AnaglyphEffect | undefined;
   private sideBySide: StereoEffect | undefined;
   private stereo: Stereo = "off";
@@ -87,7 +108,7 @@ export class View {
   private readonly stretchSelect = make(
     "select",
     { id: "stretch", "aria-label": "Exaggeration of heights", onchange: () => this.setStretch(Number(this.stretchSelect.value)) },
-    ...STRETCHES.map((factor) => make("option", { value: factor }, factor === 1 ? "Heights to scale" : `Heights × ${factor}`)),
+    ...STRETCHES.map((factor) => make("option", { value: factor }, `Heights × ${factor}`)),
   );
   private stretch = 1;
   /** What was drawn last, in steps that can be seen: the same is not drawn again. */
@@ -101,13 +122,16 @@ export class View {
   constructor(
     private readonly root: HTMLElement,
     private readonly store: Store,
+    readonly surface: Surface,
   ) {
+    this.section = new Section(surface);
+    this.flat = new Flat(surface, this.section, () => [this.store.last("tip", "x") * NM, this.store.last("tip", "y") * NM]);
     const isSoftware = drawsInSoftware();
     this.renderer = new WebGLRenderer({ antialias: !isSoftware });
     this.renderer.setPixelRatio(isSoftware ? 1 : Math.min(2, devicePixelRatio));
     this.renderer.domElement.setAttribute("role", "img");
     this.renderer.domElement.setAttribute("aria-label", "Tip, cantilever and surface in three dimensions");
-    root.append(this.renderer.domElement);
+    this.solid.append(this.renderer.domElement);
     this.scene.add(new AmbientLight(0xffffff, 0.9), this.world);
     const sun = new DirectionalLight(0xffffff, 1.9);
     sun.position.set(-60, 160, 90);
@@ -129,17 +153,23 @@ export class View {
     this.headset = new Headset(this.renderer, this.scene, this.world, (text) => this.say(text));
     this.headset.onLeave = () => this.resize();
     this.headset.size = () => this.size;
-    this.section.onChange = () => this.invalidate();
     this.world.add(this.section.polyline);
     this.buildOverlay();
     this.fit({ x: 0, y: 0, width: PLANE_NM, depth: PLANE_NM });
     this.recolour();
-    new ResizeObserver(() => this.resize()).observe(root);
+    new ResizeObserver(() => this.resize()).observe(this.solid);
     this.resize();
     // the distance goes by the shape of the window
     this.reset();
     this.renderer.setAnimationLoop(() => this.draw());
     this.renderer.domElement.addEventListener("dblclick", (event) => this.pick(event));
+    this.section.onChange = () => {
+      this.invalidate();
+      this.flat.invalidate();
+    };
+    this.flat.onPlace = (x, y) => this.tool === "place" && this.onPlace(x, y);
+    this.flat.tool = () => this.tool;
+    this.setTool("turn");
     this.renderer.domElement.addEventListener("pointerdown", (event) => this.beginDrag(event), { capture: true });
   }
 
@@ -168,14 +198,22 @@ export class View {
   }
 
   addLines(lines: Line[]): void {
+    if (!this.isShownByChoice && this.root.clientWidth > 640) this.show("both");
     for (const line of lines) this.surface.add(line);
     this.plane.visible = this.grid.visible = this.surface.isEmpty;
     this.legend.hidden = this.surface.isEmpty;
     if (this.surface.extent) this.fit(this.surface.extent);
-    const { least, greatest } = this.surface;
-    const digits = Math.min(4, Math.max(0, 2 - Math.floor(Math.log10(greatest - least || 1))));
-    this.ends.replaceChildren(...[greatest, least].map((height) => make("span", {}, `${height.toFixed(digits)} nm`)));
+    this.look();
+  }
+
+  /** Show the surface as it is to be seen now: levelled, in its colours, heights from 0. */
+  look(): void {
+    const { range } = this.surface;
+    const digits = Math.min(4, Math.max(0, 2 - Math.floor(Math.log10(range[1] - range[0] || 1))));
+    this.ends.replaceChildren(...[range[1], range[0]].map((height) => make("span", {}, `${(height - this.surface.base).toFixed(digits)} nm`)));
+    this.ramp.style.background = gradient(this.surface.palette);
     this.section.draw();
+    this.flat.invalidate();
     this.invalidate();
   }
 
@@ -185,6 +223,7 @@ export class View {
     this.legend.hidden = true;
     this.greatestForce = 1e-9;
     this.section.clear();
+    this.flat.invalidate();
     this.mark.visible = false;
     this.picked = "";
     this.invalidate();
@@ -242,6 +281,7 @@ export class View {
     this.grid.visible = this.surface.isEmpty;
     this.world.add(this.grid);
     this.section.recolour();
+    this.flat.invalidate();
   }
 
   setStereo(stereo: Stereo): void {
@@ -286,7 +326,7 @@ export class View {
 
   /** Where a height [nm] is in the scene: the lowest point of the image is its floor. */
   private level(height: number): number {
-    return (height - (this.surface.isEmpty ? 0 : this.surface.least)) * this.stretch;
+    return (height - (this.surface.isEmpty ? 0 : this.surface.base)) * this.stretch;
   }
 
   private place(): void {
@@ -319,20 +359,16 @@ export class View {
   /** Write the numbers beside the picture: a few times a second, faster nobody can read them. */
   write(): void {
     const separation = this.store.last("tip", "separation");
-    this.show("Normal force", quantity(this.store.last("tip", "force"), "N"));
-    this.show("Deflection", quantity(this.store.last("tip", "deflection"), "m"));
-    this.show("Tip to sample", quantity(separation, "m"));
-    this.show("Hand", quantity(this.store.last("hand", "position"), "m"));
     const side = this.size;
     const heights = this.stretch === 1 ? "to scale" : `and distances of the tip drawn ${this.stretch} times as high`;
     const apex = this.world.localToWorld(this.tip.position.clone()).project(this.camera);
     const isAway = Math.max(Math.abs(apex.x), Math.abs(apex.y)) > 1 && !Number.isNaN(separation);
     const text = [
-      this.surface.isEmpty ? "No image yet: the plane of contact. Grid 10 nm." : `Heights as measured, ${heights}.`,
-      `Cantilever bent ${DEFLECTION_FACTOR} times as far as measured${side > 1.01 || side < 0.99 ? `, it and the tip drawn ${side.toPrecision(2)} times as large` : ""}. Longest force arrow ${quantity(this.greatestForce, "N")}.`,
-      isAway ? `The tip is out of the picture, ${quantity(separation, "m")} from the sample.` : "",
-      this.picked || "Double-click a point for its coordinates.",
-    ].filter(Boolean).join(" ");
+      this.surface.isEmpty ? "No image yet: the plane of contact, grid 10 nm" : `Heights as measured, ${heights}`,
+      `cantilever bent ${DEFLECTION_FACTOR} ×${side > 1.01 || side < 0.99 ? `, it and the tip drawn ${side.toPrecision(2)} ×` : ""}, longest arrow ${quantity(this.greatestForce, "N")}`,
+      isAway ? `the tip is out of the picture, ${quantity(separation, "m")} away` : "",
+      this.picked,
+    ].filter(Boolean).join(" · ");
     if (this.note.textContent !== text) this.note.textContent = text;
   }
 
@@ -346,38 +382,63 @@ export class View {
       this.camera.position.sub(this.orbit.target).multiplyScalar(factor).add(this.orbit.target);
       this.orbit.update();
     };
+    const group = (label: string, ...parts: HTMLElement[]): HTMLElement => make("div", { class: "segments", role: "group", "aria-label": label }, ...parts);
     const bar = make("div", { class: "bar" });
     bar.append(
-      make("button", { type: "button", id: "reset-view", onclick: () => this.reset() }, "Reset view"),
-      make("button", { type: "button", "aria-label": "Zoom in", onclick: zoom(0.8) }, "+"),
-      make("button", { type: "button", "aria-label": "Zoom out", onclick: zoom(1.25) }, "−"),
-      stereo,
+      group("What the pointer does", ...Object.values(this.tools)),
+      group("What is shown", ...this.showButtons),
       this.stretchSelect,
-      this.section.button,
-      this.placeButton,
+      make("span", { class: "spacer" }),
+      stereo,
       this.headset.button,
+      group(
+        "View",
+        make("button", { type: "button", "aria-label": "Zoom in", onclick: zoom(0.8) }, "+"),
+        make("button", { type: "button", "aria-label": "Zoom out", onclick: zoom(1.25) }, "−"),
+        make("button", { type: "button", id: "reset-view", onclick: () => this.reset() }, "Reset"),
+      ),
     );
-    const readout = make("div", { class: "readout", "aria-label": "Tip now" });
-    for (const name of ["Normal force", "Deflection", "Tip to sample", "Hand"]) {
-      const [value, unit] = [make("b"), make("span")];
-      readout.append(make("span", { class: "quiet" }, name), value, unit);
-      this.readouts.set(name, value);
-    }
-    (this.legend.firstElementChild as HTMLElement).style.background = gradient();
-    this.root.append(bar, readout, this.note, this.legend, this.section.element);
+    this.solid.append(this.legend, this.tag, this.note);
+    this.views.append(this.solid, this.flat.element, this.section.element);
+    this.root.append(bar, this.views);
+    this.show("solid");
+  }
+
+  private toolButton(tool: Tool, id: string, text: string, title: string): HTMLButtonElement {
+    return make("button", { type: "button", id, title, hidden: tool === "press" || tool === "place", "aria-pressed": "false", onclick: () => this.setTool(this.tool === tool ? this.usual : tool) }, text);
+  }
+
+  /** Offer what this page may do with the tip: press it with the virtual hand, and move it. */
+  offer(presses: boolean, places: boolean): void {
+    const hadPress = !this.tools.press.hidden;
+    this.tools.press.hidden = !presses;
+    this.tools.place.hidden = !places;
+    if (presses !== hadPress || this.tools[this.tool].hidden) this.setTool(this.usual);
+  }
+
+  private get usual(): Tool {
+    return this.tools.press.hidden ? "turn" : "press";
+  }
+
+  private setTool(tool: Tool): void {
+    this.tool = tool;
+    this.root.dataset["tool"] = tool;
+    for (const [name, button] of Object.entries(this.tools)) button.setAttribute("aria-pressed", String(name === tool));
+    this.section.setOn(tool === "profile");
+  }
+
+  private show(shown: Shown, isChosen = false): void {
+    this.isShownByChoice ||= isChosen;
+    this.views.dataset["views"] = shown;
+    for (const button of this.showButtons) button.setAttribute("aria-pressed", String(button.id === `show-${shown}`));
+    this.solid.hidden = shown === "flat";
+    this.flat.element.hidden = shown === "solid";
+    this.flat.invalidate();
   }
 
   private say(text: string): void {
     this.picked = text;
     this.invalidate();
-  }
-
-  private show(name: string, text: string): void {
-    const [value, unit = ""] = text.split(" ");
-    const cell = this.readouts.get(name)!;
-    if (cell.textContent !== value) cell.textContent = value!;
-    const next = cell.nextElementSibling!;
-    if (next.textContent !== unit) next.textContent = unit;
   }
 
   /** The place under the pointer on the surface, or on the plane of contact [nm]; none beside them. */
@@ -395,24 +456,22 @@ export class View {
     const found = this.surface.nearest(place.x, place.y);
     const [x, y, z] = found?.at ?? [place.x, place.y, 0];
     this.mark.visible = true;
-    this.mark.position.set(x, y, this.level(z));
-    this.markHeight = z;
+    this.markHeight = found?.shown ?? 0;
+    this.mark.position.set(x, y, this.level(this.markHeight));
     const which = found ? `Measured point ${found.point} of line ${found.line}` : "Point of the plane";
     this.say(`${which}: x ${x.toFixed(3)} nm, y ${y.toFixed(3)} nm, z ${z.toFixed(3)} nm.`);
   }
 
-  private togglePlace(): void {
-    this.placeButton.setAttribute("aria-pressed", String(!this.placesTip));
-  }
-
-  private get placesTip(): boolean {
-    return !this.placeButton.hidden && this.placeButton.getAttribute("aria-pressed") === "true";
-  }
-
   /** Move the tip, or draw the section, with the pointer instead of turning the scene. */
   private beginDrag(event: PointerEvent): void {
-    const placesTip = this.placesTip;
-    if (!(placesTip || this.section.isOn) || event.button !== 0) return;
+    // with the right button, and with two fingers, the scene is turned whatever the tool is
+    this.orbit.mouseButtons.RIGHT = this.tool === "turn" ? MOUSE.PAN : MOUSE.ROTATE;
+    if (this.tool === "turn" || event.button !== 0) return;
+    if (this.tool === "press") {
+      this.beginPress(event);
+      return;
+    }
+    const placesTip = this.tool === "place";
     const from = this.under(event);
     if (!from) return;
     if (placesTip) this.onPlace(from.x, from.y);
@@ -443,6 +502,39 @@ export class View {
     for (const name of ["pointerup", "pointercancel", "lostpointercapture"]) canvas.addEventListener(name, end);
   }
 
+  /** Say beside the pointer what is pressed with now, also while the pointer rests. */
+  writeTag(): void {
+    if (!this.tag.hidden) this.tag.textContent = this.pressText();
+  }
+
+  /** Push the tip with the pointer: the further down, the harder. */
+  private beginPress(event: PointerEvent): void {
+    const canvas = this.renderer.domElement;
+    if (!event.isPrimary) return;
+    this.orbit.enabled = false;
+    canvas.setPointerCapture(event.pointerId);
+    const from = event.clientY;
+    this.onPress(0);
+    const follow = (moved: PointerEvent): void => {
+      if (moved.pointerId !== event.pointerId) return;
+      this.onPress((moved.clientY - from) / canvas.clientHeight);
+      const bounds = this.solid.getBoundingClientRect();
+      this.tag.hidden = false;
+      this.tag.textContent = this.pressText();
+      this.tag.style.left = `${Math.min(moved.clientX - bounds.left + 14, bounds.width - this.tag.offsetWidth - 4)}px`;
+      this.tag.style.top = `${Math.min(moved.clientY - bounds.top - 10, bounds.height - 24)}px`;
+    };
+    const end = (): void => {
+      this.orbit.enabled = true;
+      this.tag.hidden = true;
+      this.onPress(null);
+      canvas.removeEventListener("pointermove", follow);
+      for (const name of ["pointerup", "pointercancel", "lostpointercapture"]) canvas.removeEventListener(name, end);
+    };
+    canvas.addEventListener("pointermove", follow);
+    for (const name of ["pointerup", "pointercancel", "lostpointercapture"]) canvas.addEventListener(name, end);
+  }
+
   private headsetLines(): string[] {
     const of = (column: string, unit: string): string => quantity(this.store.last("tip", column), unit);
     return [
@@ -454,7 +546,7 @@ export class View {
   }
 
   private resize(): void {
-    const { clientWidth: width, clientHeight: height } = this.root;
+    const { clientWidth: width, clientHeight: height } = this.solid;
     if (!width || !height || this.headset.isPresenting) return;
     this.camera.aspect = width / height;
     this.camera.updateProjectionMatrix();

@@ -8,6 +8,9 @@ export interface Setting {
   label: string;
   about: string;
   initial: number | boolean | string | null;
+  /** What a value in SI units is multiplied by to be shown in `unit`. */
+  scale: number;
+  /** Limits in `unit`. */
   min?: number;
   max?: number;
   /** The texts that it may be; any where there are none. */
@@ -31,17 +34,22 @@ const UNITS: readonly (readonly [string, string])[] = [
   ["_j", "J"],
 ];
 
+/** Units in which people speak of an instrument and of a network: one for each quantity. */
+const SHOWN: Record<string, readonly [string, number]> = { s: ["ms", 1e3], m: ["nm", 1e9], N: ["nN", 1e9], "m/s": ["nm/s", 1e9] };
+/** Of a law lengths and forces are those of the hand, and of a link there are times alone. */
+const OF_HAND: Record<string, readonly [string, number]> = { s: ["ms", 1e3] };
+
 type Schema = Record<string, unknown>;
 
 /** Settings of a section of a schema, by dotted key; sections within it and lists are left out. */
-export function settings(root: Facts, section: string): Setting[] {
+export function settings(root: Facts, section: string, of: "hand" | "instrument" = "hand"): Setting[] {
   let found = root as Schema;
   for (const name of section.split(".").filter(Boolean)) {
     found = resolved(root, ((found["properties"] ?? {}) as Record<string, Schema>)[name] ?? {});
   }
   const properties = (found["properties"] ?? {}) as Record<string, Schema>;
   return Object.entries(properties).flatMap(([name, schema]) => {
-    const setting = settingOf(section ? `${section}.${name}` : name, name, schema);
+    const setting = settingOf(section ? `${section}.${name}` : name, name, schema, of === "hand" ? OF_HAND : SHOWN);
     return setting ? [setting] : [];
   });
 }
@@ -59,23 +67,25 @@ function resolved(root: Schema, schema: Schema): Schema {
   return ((root["$defs"] ?? {}) as Record<string, Schema>)[reference.slice(reference.lastIndexOf("/") + 1)] ?? {};
 }
 
-function settingOf(key: string, name: string, schema: Schema): Setting | undefined {
+function settingOf(key: string, name: string, schema: Schema, units: typeof SHOWN): Setting | undefined {
   const choices = (schema["anyOf"] as Schema[] | undefined)?.filter((choice) => choice["type"] !== "null");
   const plain = choices?.length === 1 ? { ...schema, ...choices[0] } : schema;
   const type = plain["type"];
   const kind = type === "number" || type === "integer" || type === "boolean" ? type : type === "string" ? "text" : undefined;
   if (!kind) return undefined;
   const unit = UNITS.find(([end]) => name.endsWith(end));
+  const [shownUnit, scale] = units[unit?.[1] ?? ""] ?? [unit?.[1] ?? "", 1];
   const [min, max] = [plain["minimum"] ?? plain["exclusiveMinimum"], plain["maximum"] ?? plain["exclusiveMaximum"]];
   return {
     key,
     kind,
-    unit: unit?.[1] ?? "",
+    unit: shownUnit,
+    scale,
     label: (unit ? name.slice(0, -unit[0].length) : name).replaceAll("_", " "),
     about: String(plain["description"] ?? ""),
     initial: (plain["default"] ?? null) as Setting["initial"],
     ...(Array.isArray(plain["enum"]) && { choices: plain["enum"].map(String) }),
-    ...(typeof min === "number" && { min }),
-    ...(typeof max === "number" && { max }),
+    ...(typeof min === "number" && { min: +(min * scale).toPrecision(12) }),
+    ...(typeof max === "number" && { max: +(max * scale).toPrecision(12) }),
   };
 }

@@ -11,7 +11,6 @@ const ABOVE = 0.004;
 
 /** A straight line on the surface and the heights along it: drawn in the scene, and as a curve beside it. */
 export class Section {
-  readonly button = make("button", { type: "button", id: "section", "aria-pressed": "false", onclick: () => this.toggle() }, "Section");
   readonly polyline = new Polyline(new BufferGeometry(), new LineBasicMaterial({ color: 0xff2fb3, depthTest: false }));
   readonly element: HTMLElement;
   profile: Profile | undefined;
@@ -26,11 +25,21 @@ export class Section {
     this.polyline.renderOrder = 2;
     const keep = make("button", { type: "button", id: "section-csv", "aria-label": "Save the section as CSV", onclick: () => this.save() }, "CSV");
     this.element = make("div", { class: "profile", role: "group", "aria-label": "Section of the surface", hidden: true });
-    this.element.append(make("div", { class: "row" }, this.text, make("span", { class: "spacer" }), keep), this.area);
+    const close = make("button", { type: "button", class: "icon", "aria-label": "Close the profile", onclick: () => this.setOn(false) }, "×");
+    this.element.append(make("div", { class: "row" }, this.text, make("span", { class: "spacer" }), keep, close), this.area);
   }
 
-  get isOn(): boolean {
-    return this.button.getAttribute("aria-pressed") === "true";
+  isOn = false;
+
+  setOn(isOn: boolean): void {
+    this.isOn = isOn;
+    this.draw();
+    this.onChange();
+  }
+
+  /** The ends of the line [nm]; none while it is not shown. */
+  get line(): [Spot, Spot] | undefined {
+    return this.isOn ? this.ends : undefined;
   }
 
   /** Draw the line from one place to another [nm]. */
@@ -52,14 +61,14 @@ export class Section {
     const length = profile.distance.at(-1)!;
     const points = profile.height.flatMap((height, i) => {
       const share = i / (SAMPLES - 1);
-      return [from[0] + share * (to[0] - from[0]), from[1] + share * (to[1] - from[1]), (Number.isNaN(height) ? 0 : height) + ABOVE * length];
+      return [from[0] + share * (to[0] - from[0]), from[1] + share * (to[1] - from[1]), (Number.isNaN(height) ? this.surface.base : height) + ABOVE * length];
     });
     this.polyline.geometry.setAttribute("position", new Float32BufferAttribute(points, 3));
     this.polyline.geometry.computeBoundingSphere();
     const known = profile.height.filter((height) => !Number.isNaN(height));
     const depth = known.length ? `, height range ${(Math.max(...known) - Math.min(...known)).toPrecision(4)} nm` : "";
     this.text.textContent = `${length.toPrecision(4)} nm${depth}`;
-    const data: uPlot.AlignedData = [profile.distance, profile.height.map((height) => (Number.isNaN(height) ? null : height))];
+    const data: uPlot.AlignedData = [profile.distance, profile.height.map((height) => (Number.isNaN(height) ? null : height - this.surface.base))];
     if (!this.plot) this.plot = this.build(data);
     else this.plot.setData(data);
     this.onChange();
@@ -74,12 +83,6 @@ export class Section {
     this.plot?.destroy();
     this.plot = undefined;
     this.draw();
-  }
-
-  private toggle(): void {
-    this.button.setAttribute("aria-pressed", String(!this.isOn));
-    this.draw();
-    this.onChange();
   }
 
   /** Along the lines, through the middle of what was measured. */

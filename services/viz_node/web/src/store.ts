@@ -55,6 +55,8 @@ export class Store {
   readonly clock = new Clock();
   onLines: (lines: Line[]) => void = () => {};
   onRestart: () => void = () => {};
+  /** Value of a column at the playhead of a recording, NaN where it is not known. */
+  recorded: (stream: string, column: string) => number = () => NaN;
   private seen = new Set<string>();
 
   /** Begin anew with what the server knows. Curves stay, as after a lost connection, unless `forget`. */
@@ -110,6 +112,10 @@ export class Store {
 
   /** Newest value of a column, NaN without any. */
   last(stream: string, column: string): number {
+    if (this.source.kind === "recording") {
+      const value = this.recorded(stream, column);
+      if (!Number.isNaN(value)) return value;
+    }
     return this.rings.get(stream)?.last(this.column(stream, column)) ?? NaN;
   }
 

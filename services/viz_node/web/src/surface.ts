@@ -1,5 +1,6 @@
 import { BufferAttribute, BufferGeometry, Color, DoubleSide, Mesh, MeshStandardMaterial, SRGBColorSpace } from "three";
-import { viridis } from "./colormap";
+import { colourOf, type Palette } from "./colormap";
+import { levelled, type Levelling } from "./levelling";
 import { numbers, type Line } from "./protocol";
 
 const NM = 1e9;
@@ -23,11 +24,23 @@ export class Surface {
   greatest = 0;
   /** Vertices uploaded for the last line: only what changed goes to the graphics processor. */
   uploaded = 0;
-  private lines = 0;
-  private points = 0;
+  /** How the heights are shown: what is taken off them, in which colours, and from which share of them to which. */
+  palette: Palette = "viridis";
+  levelling: Levelling = "none";
+  /** Shares of the heights that the colours leave out at either end. */
+  clipped = 0;
+  /** Height that is shown as 0 [nm]. */
+  base = 0;
+  /** Heights at the ends of the colours [nm]. */
+  range: [number, number] = [0, 0];
+  lines = 0;
+  points = 0;
   private filled: boolean[] = [];
   private coloured: [number, number] = [Infinity, -Infinity];
+  /** As measured [nm]. */
   private heights = new Float32Array(0);
+  /** As shown [nm]: the very same where nothing is taken off. */
+  private shown = new Float32Array(0);
 
   constructor() {
     const material = new MeshStandardMaterial({ vertexColors: true, flatShading: true, side: DoubleSide, roughness: 0.75 });
@@ -61,13 +74,18 @@ export class Surface {
       const share = i / (points - 1);
       const z = (heights[i] as number) * NM;
       this.heights[first + i] = z;
+      this.shown[first + i] = z;
       position.setXYZ(first + i, x0 + share * (x1 - x0), y0 + share * (y1 - y0), z);
     }
     this.filled[line.line] = true;
     this.uploaded = points;
     position.addUpdateRange(first * 3, points * 3);
     position.needsUpdate = true;
-    this.colour(line.line);
+    if (this.levelling === "none" && this.clipped === 0) this.colour(line.line);
+    else {
+      this.measure(line.line);
+      this.look();
+    }
     this.join(line.line);
     this.mesh.visible = this.filled.filter(Boolean).length > 1;
     this.mesh.geometry.boundingSphere = null;
@@ -86,18 +104,18 @@ export class Surface {
       const share = Math.min(1, Math.max(0, (x - x0) / (x1 - x0 || 1)));
       const place = first + Math.round(share * (this.points - 1));
       const distance = (position.getX(place) - x) ** 2 + (position.getY(place) - y) ** 2;
-      if (distance < nearest) [nearest, found] = [distance, this.heights[place] as number];
+      if (distance < nearest) [nearest, found] = [distance, this.shown[place] as number];
     }
     return found;
   }
 
   /** The measured point nearest to a place [nm], with the numbers of its line and of itself; none without an image. */
-  nearest(x: number, y: number): { at: Place; line: number; point: number } | undefined {
+  nearest(x: number, y: number): { at: Place; line: number; point: number; shown: number } | undefined {
     const found = this.isEmpty ? undefined : this.coordinates(x, y);
     if (!found) return undefined;
     const within = (value: number, count: number): number => Math.min(count - 1, Math.max(0, Math.round(value)));
     const [line, point] = [within(found.row, this.lines), within(found.column, this.points)];
-    return this.filled[line] ? { at: this.place(line, point), line, point } : undefined;
+    return this.filled[line] ? { at: this.place(line, point), line, point, shown: this.shown[line * this.points + point]! } : undefined;
   }
 
   /**
@@ -159,7 +177,7 @@ export class Surface {
     const [high, right] = [Math.ceil(row), Math.ceil(column)];
     if (!this.filled[low] || !this.filled[high] || left < 0 || right >= this.points) return NaN;
     const mean = (line: number): number => {
-      const [a, b] = [this.heights[line * this.points + left]!, this.heights[line * this.points + right]!];
+      const [a, b] = [this.shown[line * this.points + left]!, this.shown[line * this.points + right]!];
       return a + (b - a) * (column - left);
     };
     return mean(low) + (mean(high) - mean(low)) * (row - low);
@@ -170,6 +188,7 @@ export class Surface {
     this.points = points;
     this.filled = new Array<boolean>(lines).fill(false);
     this.heights = new Float32Array(lines * points);
+    this.shown = new Float32Array(lines * points);
     this.coloured = [Infinity, -Infinity];
     [this.least, this.greatest] = [Infinity, -Infinity];
     this.mesh.geometry.dispose();
@@ -180,21 +199,60 @@ export class Surface {
     this.mesh.geometry.setDrawRange(0, 0);
   }
 
-  private colour(row: number): void {
+  /** Show all heights as they are to be seen now: after another levelling, palette or range. */
+  look(): void {
+    if (!this.lines) return;
+    this.shown = levelled(this.heights, this.filled, this.points, this.levelling);
+    const position = this.mesh.geometry.getAttribute("position") as BufferAttribute;
+    for (let i = 0; i < this.shown.length; i++) position.setZ(i, this.shown[i]!);
+    position.clearUpdateRanges();
+    position.needsUpdate = true;
+    const known = this.filled.flatMap((filled, row) => (filled ? [...this.shown.subarray(row * this.points, (row + 1) * this.points)] : []));
+    known.sort((a, b) => a - b);
+    if (!known.length) return;
+    const at = (share: number): number => known[Math.round(share * (known.length - 1))]!;
+    this.base = known[0]!;
+    this.range = [at(this.clipped), at(1 - this.clipped)];
+    this.coloured = [...this.range];
+    this.paint(this.filled.flatMap((filled, row) => (filled ? [row] : [])));
+    this.mesh.geometry.boundingSphere = null;
+    this.mesh.geometry.boundingBox = null;
+  }
+
+  /** Heights as measured and as shown [nm], of shape (lines, points), lines with y rising; NaN where nothing was measured. */
+  grid(): { measured: Float32Array; shown: Float32Array; rows: number; columns: number } {
+    const only = (values: Float32Array): Float32Array => values.map((value, i) => (this.filled[Math.floor(i / this.points)] ? value : NaN));
+    return { measured: only(this.heights), shown: only(this.shown), rows: this.lines, columns: this.points };
+  }
+
+  /** How many of the lines were measured. */
+  get measuredLines(): number {
+    return this.filled.filter(Boolean).length;
+  }
+
+  private measure(row: number): void {
     for (let i = row * this.points; i < (row + 1) * this.points; i++) {
       this.least = Math.min(this.least, this.heights[i] as number);
       this.greatest = Math.max(this.greatest, this.heights[i] as number);
     }
+  }
+
+  private colour(row: number): void {
+    this.measure(row);
+    [this.base, this.range] = [this.least, [this.least, this.greatest]];
     const margin = RECOLOUR * (this.coloured[1] - this.coloured[0]);
     const grown = this.least < this.coloured[0] - margin || this.greatest > this.coloured[1] + margin;
-    const colours = this.mesh.geometry.getAttribute("color") as BufferAttribute;
     if (grown) this.coloured = [this.least, this.greatest];
-    const rows = grown ? this.filled.map((filled, r) => (filled ? r : -1)).filter((r) => r >= 0) : [row];
+    this.paint(grown ? this.filled.flatMap((filled, r) => (filled ? [r] : [])) : [row]);
+  }
+
+  private paint(rows: number[]): void {
+    const colours = this.mesh.geometry.getAttribute("color") as BufferAttribute;
     const range = this.coloured[1] - this.coloured[0] || 1;
     for (const r of rows) {
       for (let i = r * this.points; i < (r + 1) * this.points; i++) {
         // the library computes with linear light
-        LINEAR.setRGB(...viridis(((this.heights[i] as number) - this.coloured[0]) / range), SRGBColorSpace);
+        LINEAR.setRGB(...colourOf(this.palette, ((this.shown[i] as number) - this.coloured[0]) / range), SRGBColorSpace);
         colours.setXYZ(i, LINEAR.r, LINEAR.g, LINEAR.b);
       }
       colours.addUpdateRange(r * this.points * 3, this.points * 3);

@@ -1,7 +1,20 @@
-/** What the margin left of an axis has room for. */
+/** What an axis has room for; longer numbers have an exponent. */
 const MOST_SIGNS = 7;
 
-/** A number beside an axis: with an exponent where it would not fit otherwise. */
+/** Numbers beside an axis that differ as much as their places do: as many decimals as the step between them needs. */
+export function tickTexts(values: readonly number[]): string[] {
+  const steps = values.slice(1).map((value, i) => Math.abs(value - values[i]!)).filter((step) => step > 0);
+  const step = Math.min(...steps, ...(steps.length ? [] : [Math.abs(values[0] ?? 1) || 1]));
+  const decimals = decimalsOf(step);
+  const texts = values.map((value) => short((+value.toFixed(decimals) + 0).toFixed(decimals)));
+  if (texts.every((text) => text.length <= MOST_SIGNS)) return texts;
+  // with an exponent as many digits as tell neighbours apart
+  const greatest = Math.max(...values.map(Math.abs));
+  const digits = Math.min(8, Math.max(0, Math.floor(Math.log10(greatest / step) + 1e-9)));
+  return values.map((value) => (value === 0 ? "0" : (+value.toExponential(digits)).toExponential()));
+}
+
+/** A number beside an axis by itself. */
 export function tickText(value: number, digits = 3): string {
   const rounded = +value.toPrecision(digits) + 0;
   const text = `${rounded}`;
@@ -13,7 +26,20 @@ export function ticks(min: number, max: number): [number, string][] {
   const rough = (max - min) / 4;
   const power = 10 ** Math.floor(Math.log10(rough));
   const step = [1, 2, 5, 10].map((factor) => factor * power).find((candidate) => candidate >= rough) ?? rough;
-  const found: [number, string][] = [];
-  for (let i = Math.ceil(min / step); i * step <= max; i++) found.push([i * step, tickText(i * step)]);
-  return found;
+  const places: number[] = [];
+  for (let i = Math.ceil(min / step); i * step <= max; i++) places.push(i * step);
+  const texts = tickTexts(places);
+  return places.map((place, i) => [place, texts[i]!]);
+}
+
+/** How many decimals a step has: 2.5 has one although it is larger than 1. */
+function decimalsOf(step: number): number {
+  let decimals = Math.min(12, Math.max(0, -Math.floor(Math.log10(step) + 1e-9)));
+  while (decimals < 12 && Math.abs(step * 10 ** decimals - Math.round(step * 10 ** decimals)) > 1e-4) decimals++;
+  return decimals;
+}
+
+/** A number with decimals that are all zero is written without them. */
+function short(text: string): string {
+  return text.includes(".") ? text.replace(/\.?0+$/, "") : text;
 }

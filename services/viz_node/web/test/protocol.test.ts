@@ -69,9 +69,9 @@ describe("forms", () => {
 
   it("have units, limits and meanings from the schema", () => {
     expect(settings(schema, "wave")).toEqual([
-      { key: "wave.impedance_n_s_per_m", kind: "number", unit: "N s/m", label: "impedance", about: "of the line", initial: 2, min: 0.1, max: 5 },
-      { key: "wave.filter_s", kind: "number", unit: "s", label: "filter", about: "", initial: null, min: 0 },
-      { key: "wave.enabled", kind: "boolean", unit: "", label: "enabled", about: "", initial: true },
+      { key: "wave.impedance_n_s_per_m", kind: "number", unit: "N s/m", scale: 1, label: "impedance", about: "of the line", initial: 2, min: 0.1, max: 5 },
+      { key: "wave.filter_s", kind: "number", unit: "ms", scale: 1e3, label: "filter", about: "", initial: null, min: 0 },
+      { key: "wave.enabled", kind: "boolean", unit: "", scale: 1, label: "enabled", about: "", initial: true },
     ]);
   });
 

@@ -15,4 +15,6 @@ test("the programs of the page are those that the instrument says it has, of pac
   expect(programsOf(schema)).toEqual([{ name: "scan", title: "Scan" }, { name: "circle", title: "Circle" }]);
   expect(programsOf({})).toEqual([]);
   expect(settings(schema, "circle")).toMatchObject([{ key: "circle.radius_m", unit: "m", label: "radius", initial: 2e-8, min: 1e-9 }]);
+  // of an instrument in the units in which people speak of it
+  expect(settings(schema, "circle", "instrument")).toMatchObject([{ unit: "nm", scale: 1e9, initial: 2e-8, min: 1 }]);
 });

@@ -1,0 +1,102 @@
+"""What happened in a session, for the eye: when the hand approached, touched, held and let go, and the moments between.
+
+Times are in the session [s]. The holds are those that `analysis.holds` judges.
+"""
+
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+Phase = Literal["apart", "approach", "contact", "hold", "release", "released"]
+
+# the tip bounces when it lands: a contact that is lost for less is one contact [s]
+_LEAST_GAP_S = 0.02
+# what is shorter is no phase but the end of a series [s]
+_SHORTEST_S = 0.005
+# of the greatest force of the hand: below it the hand does not press
+_PRESSING_SHARE = 0.05
+# a hand that has begun to move is away from where it began by this share of its way
+_MOVING_SHARE = 0.02
+
+
+class Span(NamedTuple):
+    """A phase of a session: what the hand does from when to when [s]."""
+
+    kind: Phase
+    from_s: float
+    to_s: float
+
+
+class Moment(NamedTuple):
+    """Something that happens at once: `contact` or `lost`, when [s], and the sentence."""
+
+    kind: str
+    time_s: float
+    text: str
+
+
+def contacts_of(time_s: npt.NDArray[np.float64], in_contact: npt.NDArray[np.bool_]) -> list[tuple[float, float]]:
+    """Return from when to when [s] the tip touches the sample, bounces left out; both arrays of shape (n,)."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], in_contact, [False]]).astype(np.int8)))
+    found: list[tuple[float, float]] = []
+    for first, end in edges.reshape(-1, 2):
+        begin_s, end_s = float(time_s[first]), float(time_s[min(end, len(time_s) - 1)])
+        if found and begin_s - found[-1][1] < _LEAST_GAP_S:
+            begin_s = found.pop()[0]
+        found.append((begin_s, end_s))
+    return found
+
+
+def moments_of(contacts: Sequence[tuple[float, float]], end_s: float) -> list[Moment]:
+    """Return when the tip came into contact, and when it came off again."""
+    found = []
+    for begin_s, off_s in contacts:
+        found.append(Moment("contact", begin_s, "the tip jumps into contact"))
+        if off_s < end_s - _SHORTEST_S:
+            found.append(Moment("lost", off_s, "the tip comes off the sample"))
+    return found
+
+
+def phases_of(
+    hand_time_s: npt.NDArray[np.float64],
+    hand_force_n: npt.NDArray[np.float64],
+    contacts: Sequence[tuple[float, float]],
+    holds: Sequence[Mapping[str, Any]],
+    end_s: float,
+) -> list[Span]:
+    """Return the phases of a session one after the other, from 0 to its end [s].
+
+    Parameters: F_m [N] at the hand's times [s], both of shape (n,); contacts, as `contacts_of` returns; holds, with the
+    keys of `summary.json`.
+    """
+    greatest = float(np.abs(hand_force_n).max(initial=0.0))
+    pressed = [hold for hold in holds if abs(hold["hand_force_n"]) > _PRESSING_SHARE * greatest]
+    held = [(hold["start_s"], hold["end_s"]) for hold in pressed]
+    moving = np.flatnonzero(np.abs(hand_force_n) > _MOVING_SHARE * greatest)
+    begins_s = float(hand_time_s[moving[0]]) if moving.size and greatest > 0.0 else end_s
+    last_held_s = held[-1][1] if held else end_s
+    # a hold is one phase, also where the tip comes into contact during it
+    free = [at for span in contacts for at in span if not any(begin < at < end for begin, end in held)]
+    edges = {0.0, end_s, begins_s, *free, *(at for span in held for at in span)}
+    found: list[Span] = []
+    for first, last in pairwise(sorted(at for at in edges if 0.0 <= at <= end_s)):
+        if last - first < _SHORTEST_S:
+            continue
+        middle = 0.5 * (first + last)
+        touches = any(begin <= middle < end for begin, end in contacts)
+        kind: Phase
+        if any(begin <= middle < end for begin, end in held):
+            kind = "hold"
+        elif touches:
+            kind = "release" if middle > last_held_s else "contact"
+        elif contacts and middle > contacts[-1][1]:
+            kind = "released"
+        else:
+            kind = "approach" if middle > begins_s else "apart"
+        if found and found[-1].kind == kind and kind != "hold":
+            first = found.pop().from_s
+        found.append(Span(kind, first, last))
+    return found

@@ -1,0 +1,145 @@
+"""The curves of a whole recording by their least and greatest values in even spans of time, and every sample of a part.
+
+A page that shows an hour has a thousand columns of pixels for 3.6 million samples. What it draws is the least and the
+greatest value behind each column, so that no spike disappears, and those are found once, while the file is read.
+"""
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from proto.errors import RecordingError
+from recording.messages import RecordedChannel, RecordedMessage
+from recording.multi_file import RecordingSource
+from recording.site_clock import Timeline
+from services.viz_node.feed import UNREADABLE
+from services.viz_node.streams import BY_SOURCE, STREAMS, LinkLoss, Stream
+
+Floats = npt.NDArray[np.float64]
+
+# as fine as the smallest level is [s], and as many spans as it may have: 35 MB for all curves
+_LEAST_WIDTH_S, _MOST_SPANS = 0.005, 200_000
+# so many messages of a stream are put into numbers at once
+_AT_ONCE = 4000
+_NS = 1_000_000_000
+
+
+class Samples:
+    """Samples of a stream that wait to be put into numbers: stamps [ns], and a row of values for each."""
+
+    def __init__(self, stream: Stream) -> None:
+        self.stream = stream
+        self._loss = LinkLoss()
+        self._stamps: list[int] = []
+        self._rows: list[list[float]] = []
+        self.src = ""
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def add(self, message: RecordedMessage) -> None:
+        """Take a message; what has not the fields of its topic is left out, as a page that shows it live does."""
+        try:
+            fields = message.fields()
+            known = self._loss.added(fields) if self.stream.name == "link" else fields
+            row = [column.value(known) for column in self.stream.columns]
+        except (RecordingError, *UNREADABLE):
+            return
+        self.src = message.src
+        self._stamps.append(message.publish_ns)
+        self._rows.append(row)
+
+    def take(self, timeline: Timeline, start_ns: int) -> tuple[Floats, Floats]:
+        """Return and remove the samples: times since the start [s], of shape (n,), and values of shape (columns, n)."""
+        stamps = np.array(self._stamps, dtype=np.int64)
+        times = (timeline.times_ns(self.src, stamps) - start_ns) * 1e-9
+        values = np.array(self._rows, dtype=np.float64).reshape(len(stamps), len(self.stream.columns)).T
+        self._stamps, self._rows = [], []
+        return np.asarray(times, dtype=np.float64), values
+
+
+class Levels:
+    """The least and the greatest value of each column in spans of one width, filled as the recording is read."""
+
+    def __init__(self, length_s: float) -> None:
+        """Prepare for a recording of a length [s]."""
+        self.width_s = max(_LEAST_WIDTH_S, length_s / _MOST_SPANS)
+        self._count = max(1, math.ceil(length_s / self.width_s))
+        shape = {stream.name: (len(stream.columns), self._count) for stream in STREAMS}
+        self._least = {name: np.full(size, np.inf, dtype=np.float32) for name, size in shape.items()}
+        self._greatest = {name: np.full(size, -np.inf, dtype=np.float32) for name, size in shape.items()}
+
+    def add(self, name: str, times_s: Floats, values: Floats) -> None:
+        """Take samples of a stream: times [s] of shape (n,), values of shape (columns, n)."""
+        inside = (times_s >= 0.0) & (times_s < self._count * self.width_s)
+        place = (times_s[inside] / self.width_s).astype(np.int64)
+        least, greatest = self._least[name], self._greatest[name]
+        for row, column in enumerate(values[:, inside]):
+            known = np.isfinite(column)
+            np.minimum.at(least[row], place[known], column[known].astype(np.float32))
+            np.maximum.at(greatest[row], place[known], column[known].astype(np.float32))
+
+    def between(self, name: str, from_s: float, to_s: float, most: int) -> tuple[Floats, Floats, float]:
+        """Return samples that have the least and the greatest values of at most `most` spans of a part.
+
+        Returns: times [s] of shape (2 n,), values of shape (columns, 2 n), and the width of the spans [s]: the first of
+        each two samples is the least of its span, the second the greatest. Spans without a sample are left out.
+        """
+        first = max(0, math.floor(from_s / self.width_s))
+        last = min(self._count, max(first + 1, math.ceil(to_s / self.width_s)))
+        of = max(1, math.ceil((last - first) / max(1, most)))
+        spans = math.ceil((last - first) / of)
+        starts = np.arange(spans) * of
+        least = np.minimum.reduceat(self._least[name][:, first:last], starts, axis=1)
+        greatest = np.maximum.reduceat(self._greatest[name][:, first:last], starts, axis=1)
+        width_s = self.width_s * of
+        filled = np.isfinite(least).any(axis=0)
+        begin_s = (first + starts[filled]) * self.width_s
+        times = np.column_stack([begin_s + 0.25 * width_s, begin_s + 0.75 * width_s]).ravel()
+        values = np.stack([least[:, filled], greatest[:, filled]], axis=2).reshape(len(least), -1).astype(np.float64)
+        values[~np.isfinite(values)] = math.nan
+        return times, values, width_s
+
+
+def is_curve(channel: RecordedChannel) -> bool:
+    """Return whether a channel of a recording is drawn as curves."""
+    return channel.via == "direct" and stream_of(channel) is not None
+
+
+def stream_of(channel: RecordedChannel) -> Stream | None:
+    """Return the curves that a channel has; None where it has none."""
+    return BY_SOURCE.get((channel.topic, channel.src.rpartition("@")[2]))
+
+
+def read_samples(
+    recording: RecordingSource, timeline: Timeline, from_ns: int | None = None, to_ns: int | None = None
+) -> Iterator[tuple[str, Floats, Floats, int]]:
+    """Yield some thousand samples at a time: name, times since the start [s], values, how far [ns]."""
+    start_ns = recording.span_ns[0]
+    waiting = {stream.name: Samples(stream) for stream in STREAMS}
+    read_ns = start_ns
+    for message in recording.select(is_curve, from_ns, to_ns):
+        stream = stream_of(message.channel)
+        if stream is None:
+            continue
+        samples = waiting[stream.name]
+        samples.add(message)
+        read_ns = message.log_ns
+        if len(samples) >= _AT_ONCE:
+            yield (stream.name, *samples.take(timeline, start_ns), read_ns)
+    for name, samples in waiting.items():
+        if len(samples):
+            yield (name, *samples.take(timeline, start_ns), read_ns)
+
+
+def packed(times_s: Floats, values: Floats) -> Mapping[str, Any]:
+    """Return samples as a page takes them in: see `streams.Batch.take`."""
+    order = np.argsort(times_s, kind="stable")
+    t0_s = float(times_s[order[0]]) if times_s.size else 0.0
+    with np.errstate(over="ignore"):
+        columns = np.vstack([times_s[order] - t0_s, values[:, order]]).astype("<f4")
+    columns[np.isinf(columns)] = math.nan
+    return {"n": int(times_s.size), "t0": t0_s, "data": columns.tobytes()}

@@ -1,0 +1,31 @@
+/** One direction of the link, as `link/status` has it. */
+export interface Way {
+  delay_mean_s?: number;
+  delay_max_s?: number;
+  delay_valid?: boolean;
+}
+
+/** Round trips up to which a law holds the hold of Fig. 12 in the maps of docs/laws.md [s]. */
+const BARE_S = 0.045;
+/** Mean delay in which a spread is felt as roughness. */
+const JITTER_SHARE = 0.5;
+const LOSS_FELT = 0.02;
+
+/**
+ * What to do on a network as it is measured, in one sentence; `telenano study advise` computes the rest.
+ * Parameters: the two ways, the share that each lost lately, and the law in force.
+ */
+export function adviceFor(ways: readonly (Way | undefined)[], losses: readonly number[], law: string): string {
+  const known = ways.filter((way): way is Way => way?.delay_valid === true);
+  if (known.length < 2) return "The network is not measured yet.";
+  const trip = known.reduce((sum, way) => sum + (way.delay_mean_s ?? 0), 0);
+  const spread = known.reduce((sum, way) => sum + Math.max(0, (way.delay_max_s ?? 0) - (way.delay_mean_s ?? 0)), 0);
+  const loss = Math.max(0, ...losses.filter(Number.isFinite));
+  const measured = `${(trip * 1e3).toFixed(trip < 0.01 ? 1 : 0)} ms there and back${loss > 0 ? `, ${(100 * loss).toFixed(loss < 0.1 ? 1 : 0)} % lost` : ""}`;
+  const isGuarded = /wave|passivity|model/.test(law);
+  if (trip > BARE_S && !isGuarded) return `${measured}: take the law wave or passivity, ${law.replaceAll("_", " ") || "this one"} may oscillate.`;
+  if (spread > JITTER_SHARE * trip && spread > 5e-3) return `${measured}, and up to ${(spread * 1e3).toFixed(0)} ms more: expect a rough touch, and press softly.`;
+  if (loss > LOSS_FELT) return `${measured}: expect gaps in what you feel.`;
+  if (trip > BARE_S) return `${measured}: ${law.replaceAll("_", " ")} suits it, and the sample feels softer.`;
+  return `${measured}: any law suits it.`;
+}

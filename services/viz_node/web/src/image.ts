@@ -1,0 +1,68 @@
+import type { Commands } from "./commands";
+import { save } from "./dom";
+import { Form } from "./form";
+import { gwyFile, type Channel } from "./gwy";
+import { LEVELLINGS } from "./levelling";
+import { programsOf, settings } from "./schema";
+import type { Store } from "./store";
+import { Surface } from "./surface";
+import { INSTRUMENT } from "./tip";
+
+const METRE = 1e-9;
+
+/** The image that is on the page: the programs of the instrument that make one, its surface, and its files. */
+export class Image {
+  readonly surface = new Surface();
+  /** The settings of each program of the instrument, as they were typed. */
+  forms = new Map<string, { title: string; form: Form }>();
+
+  /** Called when the heights are to be seen in another way. */
+  onLook: () => void = () => {};
+  /** Gives the image as a picture; none where there is no scene. */
+  onPicture: () => HTMLCanvasElement | undefined = () => undefined;
+
+  constructor(
+    private readonly commands: Commands,
+    private readonly store: Store,
+  ) {}
+
+  /** Build the forms of what the instrument of this rig can do by itself. */
+  build(): void {
+    const schema = (this.store.forms[INSTRUMENT] ?? {}) as Record<string, unknown>;
+    this.forms = new Map(programsOf(schema).map(({ name, title }) => [name, { title, form: new Form(settings(schema, name, "instrument"), "program") }]));
+  }
+
+  /** Begin a program with what was typed for it; refused in words where something there cannot be. */
+  async begin(program: string): Promise<void> {
+    const values = this.forms.get(program)?.form.values();
+    if (values) await this.commands.command(`${program} begins`, "set", INSTRUMENT, { program, ...values });
+    else this.commands.show(`${program} begins`, false, "one of its settings cannot be: the tab Image says which");
+  }
+
+  /** Save the image for Gwyddion: the heights as measured, and as they are shown where something was taken off. */
+  saveGwy(): void {
+    save("telenano-image.gwy", new Blob([this.gwy()], { type: "application/octet-stream" }));
+  }
+
+  /** The bytes of that file. */
+  gwy(): Uint8Array<ArrayBuffer> {
+    const extent = this.surface.extent;
+    if (!extent) throw new Error("there is no image to save");
+    const { measured, shown, rows, columns } = this.surface.grid();
+    const lines = Array.from({ length: rows }, (_, row) => row).filter((row) => !Number.isNaN(measured[row * columns]!));
+    const isWhole = lines.length === rows;
+    const partial = isWhole ? "" : ` (partial: ${lines.length} of ${rows} lines)`;
+    const channel = (title: string, values: Float32Array): Channel => ({
+      title: title + partial,
+      unit: "m",
+      values: lines.flatMap((row) => Array.from(values.subarray(row * columns, (row + 1) * columns), (height) => height * METRE)),
+      rows: lines.length,
+      columns,
+      width_m: extent.width * METRE,
+      depth_m: ((extent.depth * (lines.length - 1)) / Math.max(1, rows - 1)) * METRE,
+    });
+    const { levelling } = this.surface;
+    const channels = [channel("Height", measured), ...(levelling === "none" ? [] : [channel(`Height less ${LEVELLINGS[levelling]}`, shown)])];
+    return gwyFile(channels, { Source: this.store.source.name, Program: "telenano", ...(isWhole ? {} : { Partial: `${lines.length} of ${rows} lines` }) });
+  }
+}

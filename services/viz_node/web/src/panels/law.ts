@@ -1,0 +1,48 @@
+import type { Cockpit, Panel } from "../cockpit";
+import { make } from "../dom";
+
+/** The law of the loop. Its parameters are among the settings. */
+export class LawPanel implements Panel {
+  private readonly select = make("select", { id: "law-name", "aria-label": "Law" });
+  private readonly facts = make("span", { class: "quiet" });
+  private shown = "";
+
+  constructor(
+    root: HTMLElement,
+    private readonly cockpit: Cockpit,
+  ) {
+    root.querySelector("h2")?.append(this.facts);
+    root.append(make("div", { class: "row tight" }, this.select));
+    this.select.addEventListener("change", () => {
+      void this.cockpit.commands.command(`law ${this.select.value}`, "set", "controller", { law: this.select.value }).then((ok) => {
+        if (!ok) this.select.value = this.shown;
+      });
+    });
+  }
+
+  begin(): void {
+    const { store, commands } = this.cockpit;
+    const laws = (store.forms["laws"] ?? []) as string[];
+    this.select.replaceChildren(...laws.map((law) => make("option", { value: law }, law.replaceAll("_", " "))));
+    this.select.disabled = !commands.may;
+    this.shown = "";
+    this.write();
+  }
+
+  write(): void {
+    const { store } = this.cockpit;
+    const law = String(store.fact("law/status/master", "law") ?? "");
+    if (law && law !== this.shown) {
+      this.shown = law;
+      this.select.value = law;
+    }
+    const passive = store.fact("law/status/master", "passive");
+    const age = store.last("hand", "loop_age");
+    const words = [
+      Number.isNaN(age) ? "" : `loop ${(age * 1e3).toFixed(1)} ms old`,
+      passive === true ? "passive" : passive === false ? "not passive" : "",
+    ];
+    const text = words.filter(Boolean).join(" · ");
+    if (this.facts.textContent !== text) this.facts.textContent = text;
+  }
+}

@@ -1,0 +1,62 @@
+import { adviceFor, type Way } from "../advice";
+import type { Cockpit, Panel } from "../cockpit";
+import { make } from "../dom";
+import { faultLine, faultOf, judge } from "../field";
+
+const MOST_MS = 2000;
+
+/** The link: its profile, its delay, and what that means in one sentence. Each direction is among the settings. */
+export class LinkPanel implements Panel {
+  private readonly profile = make("select", { id: "profile", "aria-label": "Profile of the link" });
+  private readonly delay = make("input", { id: "delay", type: "text", inputmode: "decimal", placeholder: "one way", "aria-label": "Delay one way, both directions, in ms" });
+  private readonly set = make("button", { type: "button", id: "delay-set", onclick: () => this.setDelay() }, "Set");
+  private readonly fault = faultLine(this.delay);
+  private readonly advice = make("div", { class: "quiet linkline", id: "advice" });
+  private shown = "";
+
+  constructor(
+    root: HTMLElement,
+    private readonly cockpit: Cockpit,
+  ) {
+    this.profile.addEventListener("change", () => void this.cockpit.commands.command(`profile ${this.profile.value}`, "set", "delay_node", { profile: this.profile.value }));
+    this.delay.addEventListener("input", () => this.check());
+    this.delay.addEventListener("keydown", (event) => event.key === "Enter" && this.setDelay());
+    root.append(make("div", { class: "row tight" }, this.profile, this.delay, make("span", { class: "quiet" }, "ms"), this.set), this.fault, this.advice);
+  }
+
+  begin(): void {
+    const { store, commands } = this.cockpit;
+    const profiles = ["custom", ...((store.forms["profiles"] ?? []) as string[])];
+    this.profile.replaceChildren(...[...new Set(profiles)].map((name) => make("option", { value: name, disabled: name === "custom" }, name)));
+    for (const input of [this.profile, this.delay, this.set]) input.disabled = !commands.may;
+    this.shown = "";
+    this.write();
+  }
+
+  write(): void {
+    const { store } = this.cockpit;
+    const ways = ["forward", "backward"].map((way) => store.fact("link", way) as (Way & { profile?: string }) | undefined);
+    const profile = ways[0]?.profile ?? "";
+    if (profile && profile !== this.shown) {
+      this.shown = profile;
+      this.profile.value = profile;
+    }
+    const losses = ["forward_loss", "backward_loss"].map((column) => store.last("link", column));
+    const text = adviceFor(ways, losses, String(store.fact("law/status/master", "law") ?? ""));
+    if (this.advice.textContent !== text) this.advice.textContent = text;
+  }
+
+  private check(): boolean {
+    return judge(this.delay, this.fault, faultOf(this.delay.value, 0, MOST_MS, "ms"));
+  }
+
+  private setDelay(): void {
+    if (!this.check()) return;
+    if (this.delay.value.trim() === "") {
+      judge(this.delay, this.fault, `type a delay from 0 to ${MOST_MS} ms`);
+      return;
+    }
+    const delay_s = Number(this.delay.value) / 1e3;
+    void this.cockpit.commands.command(`delay ${this.delay.value} ms one way`, "set", "delay_node", { "forward.delay_s": delay_s, "backward.delay_s": delay_s });
+  }
+}

@@ -1,0 +1,50 @@
+import type { Cockpit, Panel } from "../cockpit";
+import { make } from "../dom";
+import { View } from "../scene";
+
+/** Tip and surface, in three dimensions and from above: the scene is the control of the tip. */
+export class ScenePanel implements Panel {
+  view: View | undefined;
+
+  constructor(
+    root: HTMLElement,
+    private readonly cockpit: Cockpit,
+  ) {
+    const { store, tip, hand, commands, image } = cockpit;
+    try {
+      const view = new View(root, store, image.surface);
+      view.onPlace = (x, y) => tip.moveTo(x, y);
+      view.onPress = (down) => hand.pull(down);
+      view.pressText = () => `${hand.force.toFixed(2)} N, felt ${store.last("command", "tip_force").toFixed(2)} N`;
+      view.headset.onPress = (down) => hand.press(down);
+      view.headset.onStop = () => void commands.estop();
+      store.onLines = (lines) => view.addLines(lines);
+      store.onRestart = () => view.clear();
+      image.onLook = () => view.look();
+      image.onPicture = () => (image.surface.isEmpty ? undefined : view.flat.export());
+      this.view = view;
+    } catch (error) {
+      root.append(make("p", { class: "error" }, `No picture in three dimensions: ${String(error)}. Everything else works.`));
+      store.onLines = (lines) => lines.forEach((line) => image.surface.add(line));
+      store.onRestart = () => image.surface.clear();
+    }
+  }
+
+  begin(): void {
+    const { hand, tip, commands } = this.cockpit;
+    this.view?.offer(hand.isOffered, tip.isThere && commands.may);
+  }
+
+  frame(): void {
+    this.view?.flat.draw();
+  }
+
+  write(): void {
+    this.view?.writeTag();
+    this.view?.write();
+  }
+
+  recolour(): void {
+    this.view?.recolour();
+  }
+}

@@ -1,0 +1,445 @@
+import type { Cockpit, Panel } from "../cockpit";
+import { colour, make, save } from "../dom";
+import { Pace } from "../pace";
+import { Playhead } from "../playhead";
+import type { Ring } from "../ring";
+import { drawnAs } from "../scopes/catalog";
+import { BUILT_IN, Layouts, moved, overlaid, type ScopeSpec } from "../scopes/layout";
+import { Plot, type Window } from "../scopes/plot";
+import { sheetOf } from "../scopes/sheet";
+
+/** Where frames are slow the curves are drawn in every second one, so that the page still answers. */
+const SLOW_SHARE = 2;
+const SPANS = [0.1, 0.5, 1, 2, 5, 10, 30, 60, 300, 3600];
+const LONGEST_LIVE = 60;
+const CURSOR_STEP = 1 / 200;
+
+/** The scopes: which there are, what span they show, two cursors, and what is saved of them. */
+export class ScopesPanel implements Panel {
+  plots: Plot[] = [];
+  specs: ScopeSpec[] = [];
+  cursors: [number, number] | undefined;
+  span = 10;
+  private readonly layouts = new Layouts(() => localStorage);
+  private layout: string;
+  private enlarged = -1;
+  private pausedAt: number | undefined;
+  private readonly playhead = new Playhead();
+  private readonly pace = new Pace(SLOW_SHARE);
+  private drawnFor = "";
+  private shownWindow: Window | undefined;
+  private moving: 0 | 1 = 0;
+  private readonly grid = make("div", { class: "plots" });
+  private readonly measures = make("div", { class: "measures", hidden: true, tabindex: 0, role: "status", "aria-label": "Values at the cursors" });
+  private readonly spanSelect = make("select", { id: "span", "aria-label": "Span of the scopes", onchange: () => this.setSpan(Number(this.spanSelect.value)) });
+  private readonly pauseButton = make("button", { type: "button", id: "pause", "aria-pressed": "false", onclick: () => this.pause() }, "Pause");
+  private readonly cursorButton = make("button", { type: "button", id: "cursors", "aria-pressed": "false", "aria-keyshortcuts": "c", onclick: () => this.toggleCursors() }, "Cursors");
+  private readonly layoutSelect = make("select", { id: "layout", "aria-label": "Layout of the scopes", onchange: () => this.take(this.layoutSelect.value) });
+  private readonly layoutName = make("input", { id: "layout-name", type: "text", placeholder: "Name of the layout", "aria-label": "Name of the layout", maxlength: 40, hidden: true });
+  private readonly layoutRemove = make("button", { type: "button", id: "layout-remove", hidden: true, onclick: () => this.removeLayout() }, "Remove");
+  private readonly seen: IntersectionObserver;
+  private sheet: HTMLElement | undefined;
+  private dragged = -1;
+
+  constructor(
+    private readonly root: HTMLElement,
+    private readonly cockpit: Cockpit,
+  ) {
+    root.style.position = "relative";
+    const kept = this.layouts.now;
+    [this.layout, this.specs] = [kept.name, kept.specs];
+    const button = (id: string, text: string, action: () => unknown): HTMLButtonElement => make("button", { type: "button", id, onclick: () => void action() }, text);
+    this.layoutName.addEventListener("keydown", (event) => event.key === "Enter" && this.saveLayout());
+    const toolbar = make(
+      "div",
+      { class: "toolbar" },
+      make("h2", {}, "Scopes"),
+      this.layoutSelect,
+      button("layout-save", "Save as", () => this.saveLayout()),
+      this.layoutName,
+      this.layoutRemove,
+      button("scope-add", "Add", () => this.add()),
+      make("span", { class: "spacer" }),
+      this.cursorButton,
+      make("label", {}, "Span", this.spanSelect),
+      this.pauseButton,
+      make("div", { class: "segments", role: "group", "aria-label": "Save" }, button("save-png", "Save PNG", () => this.savePicture()), button("save-csv", "CSV", async () => this.saveSamples())),
+    );
+    root.append(toolbar, this.grid, this.measures);
+    new ResizeObserver(() => {
+      this.plots.forEach((plot) => plot.resize());
+      this.invalidate();
+    }).observe(this.grid);
+    this.seen = new IntersectionObserver((entries) => {
+      for (const entry of entries) {
+        const plot = this.plots.find((found) => found.area.parentElement === entry.target);
+        if (plot) plot.isSeen = entry.isIntersecting;
+      }
+      this.invalidate();
+    });
+    this.fillSpans();
+    this.fillLayouts();
+    cockpit.document.onChange = () => this.invalidate();
+  }
+
+  begin(): void {
+    const isRecording = this.cockpit.document.isThere;
+    this.pauseButton.hidden = isRecording;
+    this.fillSpans();
+    this.build();
+  }
+
+  recolour(): void {
+    this.plots.forEach((plot) => plot.recolour());
+    this.invalidate();
+  }
+
+  /** Draw with the next frame, also what does not move. */
+  invalidate(): void {
+    this.drawnFor = "";
+  }
+
+  pause(): void {
+    if (this.cockpit.document.isThere) return;
+    this.pausedAt = this.pausedAt === undefined ? this.playhead.at : undefined;
+    this.pauseButton.setAttribute("aria-pressed", String(this.pausedAt !== undefined));
+    this.pauseButton.textContent = this.pausedAt === undefined ? "Pause" : "Go on";
+  }
+
+  setSpan(span: number): void {
+    this.span = span;
+    this.spanSelect.value = String(span);
+    this.invalidate();
+  }
+
+  frame(now: number): void {
+    if (!this.pace.isDue(now)) return;
+    const window = this.windowAt(now);
+    if (!window) return;
+    const key = [window.from, window.to, window.now, this.cockpit.document.version, ...(window.cursors ?? [])].join();
+    if (key === this.drawnFor) return;
+    this.pace.drawn(now);
+    this.drawnFor = key;
+    this.shownWindow = window;
+    for (const plot of this.plots) if (plot.isSeen) plot.draw(window);
+  }
+
+  write(): void {
+    this.writeMeasures();
+  }
+
+  toggleCursors(): void {
+    const window = this.windowAt(performance.now());
+    if (this.cursors || !window) this.cursors = undefined;
+    else {
+      if (this.pausedAt === undefined) this.pause();
+      this.cursors = [window.from + (window.to - window.from) / 3, window.from + (2 * (window.to - window.from)) / 3];
+    }
+    this.cursorButton.setAttribute("aria-pressed", String(this.cursors !== undefined));
+    this.invalidate();
+    this.writeMeasures();
+  }
+
+  /** The time that is shown: up to now of a running rig, around the playhead of a recording. */
+  private windowAt(now: number): Window | undefined {
+    const { store, document } = this.cockpit;
+    if (document.isThere) {
+      const { length } = document;
+      const at = document.at(now);
+      const span = Math.min(this.span, length) || 1;
+      const from = Math.min(Math.max(0, at - span / 2), Math.max(0, length - span));
+      const part = document.between(from, from + span);
+      const moments = (document.about?.moments ?? []).filter(({ kind }) => kind !== "node").map(({ t_s }) => t_s);
+      return { from, to: from + span, zero: 0, now: at, cursors: this.cursors, moments, width: part?.width ?? 0, ring: (stream) => part?.rings.get(stream) };
+    }
+    const head = this.playhead.advance(store.newest, now, 1);
+    const to = this.pausedAt ?? head;
+    if (!Number.isFinite(to)) return undefined;
+    return { from: to - this.span, to, zero: to, now: undefined, cursors: this.cursors, moments: [], width: 0, ring: (stream: string): Ring | undefined => store.rings.get(stream) };
+  }
+
+  private build(): void {
+    this.plots.forEach((plot) => plot.destroy());
+    this.seen.disconnect();
+    if (!this.cockpit.store.streams.size) {
+      this.plots = [];
+      this.grid.style.setProperty("--across", "1");
+      this.grid.replaceChildren(make("p", { class: "empty" }, "The curves come with the connection: the line at the top says what it waits for."));
+      return;
+    }
+    this.plots = this.specs.map((spec) => new Plot(spec, this.cockpit.store));
+    const count = this.enlarged >= 0 ? 1 : this.specs.length;
+    this.grid.style.setProperty("--across", String(count <= 1 ? 1 : count <= 2 || count === 4 ? 2 : 3));
+    this.grid.replaceChildren(...this.plots.map((plot, i) => this.frameOf(plot, i)));
+    for (const [i, child] of [...this.grid.children].entries()) {
+      (child as HTMLElement).hidden = this.enlarged >= 0 && i !== this.enlarged;
+      this.seen.observe(child);
+    }
+    this.plots.forEach((plot) => plot.resize());
+    this.layouts.keep(this.layout, this.specs);
+    this.invalidate();
+  }
+
+  private frameOf(plot: Plot, i: number): HTMLElement {
+    const keys = plot.keys.map(([label, name]) => {
+      const key = make("span", { class: "key" }, label);
+      key.style.setProperty("--key", `var(--${name})`);
+      return key;
+    });
+    const { title } = plot.spec;
+    const enlarge = make("button", { type: "button", class: "enlarge", title: "Enlarge, or all of them", "aria-label": `Enlarge ${title}`, "aria-pressed": String(this.enlarged === i), onclick: () => this.enlarge(i) }, "⤢");
+    const more = make("button", { type: "button", class: "more", title: "Curves, range, spectrum, place", "aria-label": `Change ${title}`, onclick: () => this.openSheet(i) }, "⋯");
+    const name = make("div", { class: "name", draggable: "true" }, make("b", { title: plot.title }, plot.title), make("span", { class: "keys", title: plot.keys.map(([label]) => label).join(", ") }, ...keys), enlarge, more);
+    const element = make("div", { class: "plot", role: "group", "aria-label": plot.title }, name, plot.area);
+    plot.onTime = (time, begins) => this.place(time, begins);
+    plot.area.addEventListener("keydown", (event) => this.moveByKey(event));
+    this.makeDraggable(element, name, i);
+    return element;
+  }
+
+  /** Dropped on the left third of a scope it goes before it, elsewhere both are drawn in one. */
+  private makeDraggable(element: HTMLElement, name: HTMLElement, i: number): void {
+    const place = (event: DragEvent): string => (event.offsetX < element.clientWidth / 3 ? "before" : "onto");
+    name.addEventListener("dragstart", (event) => {
+      this.dragged = i;
+      event.dataTransfer?.setData("text/plain", this.specs[i]!.title);
+    });
+    element.addEventListener("dragover", (event) => {
+      if (this.dragged < 0 || this.dragged === i) return;
+      event.preventDefault();
+      element.dataset["over"] = place(event);
+    });
+    for (const end of ["dragleave", "dragend"]) element.addEventListener(end, () => delete element.dataset["over"]);
+    element.addEventListener("drop", (event) => {
+      event.preventDefault();
+      const from = this.dragged;
+      this.dragged = -1;
+      delete element.dataset["over"];
+      if (from < 0 || from === i) return;
+      if (place(event) === "before") this.change(moved(this.specs, from, i));
+      else this.overlay(from, i);
+    });
+  }
+
+  private overlay(from: number, onto: number): void {
+    const [one, other] = [this.specs[from], this.specs[onto]];
+    if (!one || !other) return;
+    const both = overlaid(this.specs, from, onto);
+    const found = both[from < onto ? onto - 1 : onto]!;
+    const units = new Set(found.curves.map((curve) => drawnAs(this.cockpit.store, curve).unit));
+    if (one.kind === "distance" || other.kind === "distance" || units.size > 2) this.cockpit.commands.show("overlay", false, "a scope has two axes: not more than two units, and no distance");
+    else this.change(both);
+  }
+
+  private change(specs: ScopeSpec[]): void {
+    this.specs = specs;
+    this.enlarged = -1;
+    this.build();
+  }
+
+  private enlarge(i: number): void {
+    this.enlarged = this.enlarged === i ? -1 : i;
+    this.build();
+    this.grid.querySelectorAll<HTMLElement>(".enlarge")[i]?.focus();
+  }
+
+  private openSheet(i: number): void {
+    this.closeSheet();
+    const spec = this.specs[i];
+    if (!spec) return;
+    const again = (at: number): void => this.openSheet(Math.min(this.specs.length - 1, Math.max(0, at)));
+    this.sheet = sheetOf(this.cockpit.store, spec, {
+      change: (changed) => {
+        const focus = document.activeElement?.id;
+        this.change(this.specs.map((found, at) => (at === i ? changed : found)));
+        again(i);
+        if (focus) document.getElementById(focus)?.focus();
+      },
+      move: (by) => {
+        const to = i + by;
+        if (to < 0 || to >= this.specs.length) return;
+        this.change(moved(this.specs, i, by < 0 ? to : to + 1));
+        again(to);
+      },
+      overlay: () => {
+        if (i > 0) this.overlay(i, i - 1);
+        this.closeSheet();
+      },
+      remove: () => {
+        if (this.specs.length > 1) this.change(this.specs.filter((_, at) => at !== i));
+        this.closeSheet();
+      },
+      close: () => {
+        this.closeSheet();
+        this.grid.querySelectorAll<HTMLElement>(".more")[i]?.focus();
+      },
+    });
+    this.root.append(this.sheet);
+    this.sheet.querySelector<HTMLElement>("#scope-close")?.focus();
+  }
+
+  private closeSheet(): void {
+    this.sheet?.remove();
+    this.sheet = undefined;
+  }
+
+  private add(): void {
+    this.change([...this.specs, { title: "Scope", kind: "time", curves: [{ stream: "tip", column: "force" }], range: null }]);
+    this.openSheet(this.specs.length - 1);
+  }
+
+  private take(name: string): void {
+    this.layout = name;
+    this.closeSheet();
+    this.change(this.layouts.get(name));
+    this.fillLayouts();
+  }
+
+  /** The first press asks for a name, the second saves under it. */
+  private saveLayout(): void {
+    if (this.layoutName.hidden) {
+      this.layoutName.hidden = false;
+      this.layoutName.value = this.layouts.isOwn(this.layout) ? this.layout : "";
+      this.layoutName.focus();
+      return;
+    }
+    const name = this.layoutName.value.trim();
+    this.layoutName.hidden = true;
+    if (!name) return;
+    if (name in BUILT_IN) {
+      this.cockpit.commands.show("layout", false, `${name} is one that every page has: take another name`);
+      return;
+    }
+    this.layouts.save(name, this.specs);
+    this.layout = name;
+    this.layouts.keep(name, this.specs);
+    this.fillLayouts();
+  }
+
+  private removeLayout(): void {
+    this.layouts.remove(this.layout);
+    this.take("Loop");
+  }
+
+  private fillLayouts(): void {
+    this.layoutSelect.replaceChildren(...this.layouts.names.map((name) => make("option", { value: name, selected: name === this.layout }, name)));
+    this.layoutRemove.hidden = !this.layouts.isOwn(this.layout);
+  }
+
+  private fillSpans(): void {
+    const { document } = this.cockpit;
+    const spans = SPANS.filter((span) => (document.isThere ? span < document.length : span <= LONGEST_LIVE && span >= 0.5));
+    const rows: [number, string][] = spans.map((span) => [span, span < 60 ? `${span} s` : `${span / 60} min`]);
+    if (document.isThere) rows.push([Math.max(1, document.length), "whole"]);
+    if (!rows.some(([span]) => span === this.span)) this.span = rows.findLast(([span]) => span <= 10)?.[0] ?? rows.at(-1)![0];
+    this.spanSelect.replaceChildren(...rows.map(([span, text]) => make("option", { value: span, selected: span === this.span }, text)));
+  }
+
+  /** Press near a cursor to take it along; in a recording without cursors the playhead goes there. */
+  private place(time: number, begins: boolean): void {
+    const { document } = this.cockpit;
+    if (!this.cursors) {
+      if (document.isThere && begins) document.seek(time);
+      return;
+    }
+    if (begins) this.moving = Math.abs(time - this.cursors[0]) <= Math.abs(time - this.cursors[1]) ? 0 : 1;
+    this.cursors[this.moving] = time;
+    this.invalidate();
+    this.writeMeasures();
+  }
+
+  /** Arrow keys move cursor A, with Shift cursor B. */
+  private moveByKey(event: KeyboardEvent): void {
+    const direction = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
+    if (!this.cursors || !direction || !this.shownWindow) return;
+    event.preventDefault();
+    event.stopPropagation();
+    const step = (this.shownWindow.to - this.shownWindow.from) * CURSOR_STEP;
+    this.cursors[event.shiftKey ? 1 : 0] += direction * step;
+    this.invalidate();
+    this.writeMeasures();
+  }
+
+  private writeMeasures(): void {
+    this.measures.hidden = !this.cursors;
+    if (!this.cursors || !this.shownWindow) return;
+    const [a, b] = this.cursors;
+    const { zero } = this.shownWindow;
+    const number = (value: number, floor = 0): string => (Number.isNaN(value) ? "–" : `${Math.abs(value) < floor / 100 ? 0 : +value.toPrecision(4)}`);
+    const head = make("span", {}, make("b", {}, `A ${(a - zero).toFixed(3)} s, B ${(b - zero).toFixed(3)} s`), ` · B − A ${(b - a).toFixed(3)} s${b === a ? "" : ` (${number(1 / Math.abs(b - a))} Hz)`}`);
+    const shown = this.enlarged >= 0 ? this.plots.slice(this.enlarged, this.enlarged + 1) : this.plots;
+    const rows = shown.flatMap((plot) => {
+      const other = plot.at(b);
+      return plot.at(a).flatMap(({ label, unit, value, floor }, i) => {
+        const then = other[i]!.value;
+        if (Number.isNaN(value) && Number.isNaN(then)) return [];
+        return [make("span", {}, make("b", {}, label), ` ${number(value, floor)} → ${number(then, floor)} ${unit} (${number(then - value, floor)})`)];
+      });
+    });
+    const text = [head, ...rows].map((part) => part.textContent).join("|");
+    if (this.measures.dataset["text"] === text) return;
+    this.measures.dataset["text"] = text;
+    this.measures.replaceChildren(head, ...rows);
+  }
+
+  private async saveSamples(): Promise<void> {
+    const window = this.shownWindow;
+    if (!window) return;
+    const { document, commands } = this.cockpit;
+    const [from, to] = [document.chosen[0] ?? window.from, document.chosen[1] ?? window.to];
+    if (!document.isThere) {
+      save("telenano-scopes.csv", new Blob([this.csv(from, to, (stream) => this.cockpit.store.rings.get(stream))], { type: "text/csv" }));
+      return;
+    }
+    const part = await document.samples(from, to);
+    if (typeof part === "string") commands.show("save the samples", false, part);
+    else save(`telenano-${from.toFixed(3)}-${to.toFixed(3)}s.csv`, new Blob([this.csv(from, to, (stream) => part.rings.get(stream))], { type: "text/csv" }));
+  }
+
+  /** Every sample of a stretch, in SI units: when the times begin, then a block of lines for each stream. */
+  private csv(from: number, to: number, ringOf: (stream: string) => Ring | undefined): string {
+    const { store, document } = this.cockpit;
+    const origin = document.isThere ? (document.about?.start_ns ?? 0) : store.originNs;
+    const lines = ["stream,time_s,column,value,unit", `session,0.000000,t_ns,${origin},ns`];
+    for (const name of store.rings.keys()) {
+      const ring = ringOf(name);
+      const columns = store.streams.get(name)?.columns ?? [];
+      if (!ring) continue;
+      for (let i = ring.indexAt(from); i < ring.length && ring.time(i) <= to; i++) {
+        columns.forEach((column, c) => {
+          const value = ring.value(c, i);
+          if (!Number.isNaN(value)) lines.push(`${name},${ring.time(i).toFixed(6)},${column.name},${value},${column.unit}`);
+        });
+      }
+    }
+    return `${lines.join("\n")}\n`;
+  }
+
+  private savePicture(): void {
+    const shown = this.plots.filter((_, i) => this.enlarged < 0 || i === this.enlarged);
+    const pictures = shown.map((plot) => plot.picture());
+    const across = shown.length > 1 ? 2 : 1;
+    const ratio = devicePixelRatio;
+    const head = 24 * ratio;
+    const [width, height] = [Math.max(...pictures.map((p) => p.width)), Math.max(...pictures.map((p) => p.height)) + head];
+    const sheet = make("canvas", { width: across * width, height: Math.ceil(shown.length / across) * height });
+    const pen = sheet.getContext("2d")!;
+    pen.fillStyle = colour("panel");
+    pen.fillRect(0, 0, sheet.width, sheet.height);
+    pictures.forEach((picture, i) => {
+      const [x, y] = [(i % across) * width, Math.floor(i / across) * height];
+      pen.font = `600 ${12 * ratio}px system-ui`;
+      pen.fillStyle = colour("text");
+      pen.fillText(shown[i]!.title, x + 8 * ratio, y + 16 * ratio);
+      let left = x + 20 * ratio + pen.measureText(shown[i]!.title).width;
+      pen.font = `${11 * ratio}px system-ui`;
+      for (const [label, name] of shown[i]!.keys) {
+        pen.fillStyle = colour(name);
+        pen.fillText(label, left, y + 16 * ratio);
+        left += pen.measureText(label).width + 10 * ratio;
+      }
+      pen.drawImage(picture, x, y + head);
+    });
+    sheet.toBlob((blob) => blob && save("telenano-scopes.png", blob));
+  }
+}

@@ -1,0 +1,63 @@
+import type { Cockpit, Panel } from "../cockpit";
+import type { Hold } from "../document";
+import { make } from "../dom";
+
+/** Keys of summary.json in the order in which they are read, with what they are called. */
+const ROWS: readonly (readonly [key: string, name: string, show: (value: never) => string])[] = [
+  ["scenario", "Scenario", String],
+  ["law", "Law", (law: string[]) => law.join(", ").replaceAll("_", " ")],
+  ["verdict", "Verdict", (text: string) => text.replaceAll("_", " ")],
+  ["hold_ratio", "Hold ratio", (value: number) => value.toFixed(3)],
+  ["contact_x_cm", "Reference at the end", (value: number) => `${value.toFixed(3)} cm`],
+  ["release_force_nn", "Force after release", (value: number) => `${value.toFixed(2)} nN`],
+  ["greatest_pull_nn", "Greatest pull", (value: number) => `${value.toFixed(2)} nN`],
+  ["round_trip_ms", "Round trip of the loop", (value: number) => `${value.toFixed(1)} ms`],
+  ["link_round_trip_ms", "Round trip of the link", (value: number) => `${value.toFixed(1)} ms`],
+  ["loop_age_ms", "Loop age, 50 and 99 %", (age: { p50: number; p99: number }) => `${age.p50.toFixed(2)}, ${age.p99.toFixed(2)} ms`],
+  ["overruns", "Deadlines missed", String],
+  ["duration_s", "Duration", (value: number) => `${value.toFixed(1)} s`],
+  ["version", "Version", String],
+];
+
+/** The verdict on a recording and on each of its holds, with the numbers of its summary. */
+export class SummaryPanel implements Panel {
+  private readonly verdict = make("p");
+  private readonly holds = make("tbody");
+  private readonly facts = make("dl", { class: "facts" });
+  private readonly table: HTMLElement;
+  private shown = -1;
+
+  constructor(
+    root: HTMLElement,
+    private readonly cockpit: Cockpit,
+  ) {
+    const head = ["from, s", "hand, N", "swing, N", "verdict"].map((name) => make("th", { scope: "col" }, name));
+    this.table = make("table", { class: "holds" }, make("thead", {}, make("tr", {}, ...head)), this.holds);
+    root.append(this.verdict, this.table, this.facts);
+  }
+
+  write(): void {
+    const { document } = this.cockpit;
+    if (document.version === this.shown) return;
+    this.shown = document.version;
+    const { about } = document;
+    const summary = about?.summary as Record<string, unknown> | null | undefined;
+    this.table.hidden = this.facts.hidden = !summary;
+    if (!summary) {
+      this.verdict.textContent = about?.fault ?? (about ? `Read so far: ${(100 * about.read).toFixed(0)} %. The verdict comes when all is read.` : "The recording is being read.");
+      return;
+    }
+    this.verdict.replaceChildren(make("b", { class: summary["stable"] ? "good" : "error" }, String(summary["verdict"]).replaceAll("_", " ")), `: ${String(summary["reason"])}`);
+    this.holds.replaceChildren(...(about?.holds ?? []).map((hold) => this.rowOf(hold)));
+    const rows = ROWS.filter(([key]) => summary[key] !== null && summary[key] !== undefined);
+    this.facts.replaceChildren(...rows.flatMap(([key, name, show]) => [make("dt", {}, name), make("dd", {}, show(summary[key] as never))]));
+  }
+
+  /** A hold, which is a way to its place. */
+  private rowOf(hold: Hold): HTMLElement {
+    const to = make("button", { type: "button", class: "plain", title: "Go there", onclick: () => this.cockpit.document.seek(hold.from_s) }, hold.from_s.toFixed(2));
+    const kind = hold.verdict === "stable" ? "" : "warn";
+    const swing = hold.peak_to_peak_n < 0.001 ? "0" : `${+hold.peak_to_peak_n.toPrecision(2)}`;
+    return make("tr", { class: kind, title: hold.reason }, make("td", {}, to), make("td", {}, `${+hold.hand_force_n.toPrecision(3)}`), make("td", {}, swing), make("td", {}, hold.verdict.replaceAll("_", " ")));
+  }
+}

@@ -1,0 +1,98 @@
+import type { Cockpit, Panel, PanelRow } from "./cockpit";
+import { make, part } from "./dom";
+
+/** From this width on the panels of `watch` have a column of their own, and are tabs otherwise. */
+const WIDE = "(min-width: 1600px), (max-width: 1199px)";
+
+interface Placed {
+  row: PanelRow;
+  root: HTMLElement;
+  panel: Panel;
+}
+
+/** Puts panels into the regions of the page; those of the dock share a place as tabs. */
+export class Regions {
+  readonly placed: Placed[] = [];
+  private readonly tabs = make("div", { class: "tabs", role: "tablist", "aria-label": "Panels" });
+  private readonly wide = matchMedia(WIDE);
+  private chosen = "";
+
+  constructor(
+    rows: readonly PanelRow[],
+    private readonly cockpit: Cockpit,
+  ) {
+    part("dock").append(this.tabs);
+    for (const row of rows) {
+      const hasTitle = row.region === "controls" || row.region === "watch";
+      const root = make("section", { class: "panel", id: row.id, "aria-label": row.title }, ...(hasTitle ? [make("h2", {}, row.title)] : []));
+      // what is longer than its place is scrolled with the keyboard as well
+      if (row.region === "dock" || row.region === "watch") root.tabIndex = 0;
+      // it measures its place while it is made
+      part(row.region).append(root);
+      this.placed.push({ row, root, panel: row.make(root, cockpit) });
+    }
+    this.wide.addEventListener("change", () => this.arrange());
+    this.tabs.addEventListener("keydown", (event) => this.moveByKey(event));
+    this.arrange();
+  }
+
+  /** The panel of a row, by its id. */
+  panel(id: string): Panel {
+    return this.placed.find(({ row }) => row.id === id)!.panel;
+  }
+
+  begin(): void {
+    this.arrange();
+    for (const { panel } of this.placed) panel.begin?.();
+  }
+
+  private arrange(): void {
+    const shown = this.placed.filter(({ row }) => row.shows?.(this.cockpit) ?? true);
+    for (const { root } of this.placed) root.hidden = true;
+    const tabs: Placed[] = [];
+    for (const placed of shown) {
+      const { row, root } = placed;
+      root.hidden = false;
+      if (row.region === "watch") part(this.wide.matches ? "watch" : "dock").append(root);
+      const isTab = row.region === "dock" || (row.region === "watch" && !this.wide.matches);
+      if (isTab) tabs.push(placed);
+      root.setAttribute("role", isTab ? "tabpanel" : "region");
+    }
+    part("controls").hidden = !shown.some(({ row }) => row.region === "controls");
+    part("timeline").hidden = !shown.some(({ row }) => row.region === "timeline");
+    part("watch").hidden = !this.wide.matches;
+    part("dock").hidden = !tabs.length;
+    this.tabs.replaceChildren(
+      ...tabs.map(({ row }) => make("button", { type: "button", role: "tab", id: `tab-${row.id}`, "aria-controls": row.id, onclick: () => this.choose(row.id) }, row.title)),
+    );
+    const isThere = tabs.some(({ row }) => row.id === this.chosen);
+    this.show(isThere ? this.chosen : (tabs[0]?.row.id ?? ""));
+  }
+
+  /** Show one of the panels that are tabs. */
+  choose(id: string): void {
+    this.chosen = id;
+    this.show(id);
+  }
+
+  private show(id: string): void {
+    for (const tab of this.tabs.children as Iterable<HTMLElement>) {
+      const isChosen = tab.id === `tab-${id}`;
+      tab.setAttribute("aria-selected", String(isChosen));
+      tab.tabIndex = isChosen ? 0 : -1;
+      part(tab.getAttribute("aria-controls")!).hidden = !isChosen;
+    }
+  }
+
+  private moveByKey(event: KeyboardEvent): void {
+    const by = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
+    if (!by) return;
+    event.preventDefault();
+    event.stopPropagation();
+    const tabs = [...this.tabs.children] as HTMLElement[];
+    const at = tabs.findIndex((tab) => tab.tabIndex === 0);
+    const next = tabs[(at + by + tabs.length) % tabs.length]!;
+    this.choose(next.getAttribute("aria-controls")!);
+    next.focus();
+  }
+}

@@ -1,0 +1,297 @@
+import uPlot from "uplot";
+import "uplot/dist/uPlot.min.css";
+import { colour, make } from "../dom";
+import { grid, minMax, type Point, type Ring } from "../ring";
+import type { Store } from "../store";
+import { tickTexts } from "../ticks";
+import { drawnAs, type Drawn } from "./catalog";
+import { ForceDistance } from "./force_distance";
+import type { ScopeSpec } from "./layout";
+import { axisRange, noiseOf } from "./range";
+import { resampled, spectrumOf } from "./spectrum";
+
+/** Without samples for this long a curve is broken [s]. */
+const GAPS: Record<string, number> = { link: 0.6, law_master: 0.2, law_slave: 0.2 };
+const GAP = 0.06;
+const COLOURS = ["c1", "c2", "c3", "c4", "c5", "c6"];
+const SPECTRUM_POINTS = 4096;
+/** Axes shrink to a smaller range only when it is this much smaller, so that they do not breathe. */
+const SHRINK = 0.7;
+
+/** The part of the time that all scopes show, and what is marked in it [s]. */
+export interface Window {
+  from: number;
+  to: number;
+  /** Subtracted from times before they are written: the end of a window that moves, 0 in a recording. */
+  zero: number;
+  /** The playhead of a recording. */
+  now: number | undefined;
+  cursors: readonly [number, number] | undefined;
+  moments: readonly number[];
+  ring(stream: string): Ring | undefined;
+  /** The time that two samples of a ring stand for, 0 where each is one [s]. */
+  width: number;
+}
+
+/** One scope: curves over time, their spectrum, or force against distance. */
+export class Plot {
+  readonly area = make("div", { class: "area", tabindex: 0, role: "img" });
+  /** Whether it is in the part of the page that is seen: what is not seen is not drawn. */
+  isSeen = true;
+  /** Called with a time at which the pointer pressed [s], and whether it is a new press. */
+  onTime: (time: number, begins: boolean) => void = () => {};
+  private plot: uPlot | undefined;
+  private readonly distance: ForceDistance | undefined;
+  private data: uPlot.AlignedData = [[]];
+  private window: Window | undefined;
+  private ranges: Record<string, [number, number]> = {};
+  private readonly drawn: Drawn[];
+  private readonly units: string[];
+  private readonly values = make("div", { class: "at-cursor", hidden: true });
+
+  constructor(
+    readonly spec: ScopeSpec,
+    private readonly store: Store,
+  ) {
+    this.drawn = spec.curves.map((curve) => drawnAs(store, curve));
+    this.units = [...new Set(this.drawn.map(({ unit }) => unit))];
+    this.area.setAttribute("aria-label", this.title);
+    if (spec.kind === "distance") {
+      this.distance = new ForceDistance(store);
+      this.area.append(this.distance.area);
+      this.distance.area.style.height = "100%";
+    } else {
+      this.area.append(this.values);
+      this.plot = this.build();
+      this.listen();
+    }
+  }
+
+  get title(): string {
+    if (this.spec.kind === "distance") return `${this.spec.title}, nN over nm`;
+    return `${this.spec.title}, ${this.units.filter(Boolean).join("; ")}${this.spec.kind === "spectrum" ? " over Hz" : ""}`;
+  }
+
+  /** Names of the curves with the names of their colours. */
+  get keys(): [label: string, colour: string][] {
+    if (this.spec.kind === "distance") return [["towards", "c1"], ["away", "c2"]];
+    return this.drawn.map(({ label }, i) => [label, COLOURS[i % COLOURS.length]!]);
+  }
+
+  draw(window: Window): void {
+    this.window = window;
+    if (this.distance) this.distance.draw(window.ring("tip"), window.from, window.to, window.width, window.now ?? window.to);
+    else if (this.spec.kind === "spectrum") this.drawSpectrum(window);
+    else this.drawTime(window);
+  }
+
+  resize(): void {
+    const { clientWidth: width, clientHeight: height } = this.area;
+    if (this.plot && width > 0 && height > 0 && (width !== this.plot.width || height !== this.plot.height)) this.plot.setSize({ width, height });
+  }
+
+  /** Build the plot again in the colours of the theme. */
+  recolour(): void {
+    if (!this.plot) return;
+    this.plot.destroy();
+    this.plot = this.build();
+    this.plot.setData(this.data);
+    this.listen();
+  }
+
+  destroy(): void {
+    this.plot?.destroy();
+  }
+
+  picture(): HTMLCanvasElement {
+    return this.plot?.ctx.canvas ?? this.distance!.canvas;
+  }
+
+  /** Values of the curves at a time [s], in their units: NaN where there is none. */
+  at(time: number): { label: string; unit: string; value: number; floor: number }[] {
+    if (this.spec.kind !== "time" || !this.window) return [];
+    return this.spec.curves.map((curve, i) => {
+      const { label, unit, scale, floor } = this.drawn[i]!;
+      const ring = this.window!.ring(curve.stream);
+      const column = this.store.column(curve.stream, curve.column);
+      const value = ring && column >= 0 ? valueAt(ring, column, time, Math.max(GAPS[curve.stream] ?? GAP, this.window!.width)) : NaN;
+      return { label, unit, value: value * scale, floor };
+    });
+  }
+
+  private drawTime(window: Window): void {
+    const { from, to, zero, width } = window;
+    const buckets = Math.max(50, Math.min(600, Math.round(this.area.clientWidth / 2)));
+    const times = Array.from(grid(from, to, buckets), (time) => time - zero);
+    const series = this.spec.curves.map((curve, i): Point[] => {
+      const ring = window.ring(curve.stream);
+      const column = this.store.column(curve.stream, curve.column);
+      if (!ring || column < 0) return new Array<Point>(2 * buckets).fill(null);
+      const gap = Math.max(GAPS[curve.stream] ?? GAP, 2.5 * width);
+      const points = minMax(ring, column, from, to, buckets, gap);
+      const { scale } = this.drawn[i]!;
+      return points.map((value) => (value == null ? value : value * scale));
+    });
+    this.data = [times, ...series] as uPlot.AlignedData;
+    this.plot!.setData(this.data, false);
+    this.plot!.setScale("x", { min: from - zero, max: to - zero });
+  }
+
+  private drawSpectrum(window: Window): void {
+    const { from, to, width } = window;
+    const least = width > 0 ? Math.floor((to - from) / (width / 2)) : Infinity;
+    const count = 2 ** Math.floor(Math.log2(Math.min(SPECTRUM_POINTS, Math.max(8, Math.min(least, (to - from) * 1000)))));
+    const rate = count / (to - from);
+    let hertz: number[] = [];
+    const found = this.spec.curves.map((curve, i) => {
+      const ring = window.ring(curve.stream);
+      const column = this.store.column(curve.stream, curve.column);
+      const [times, values] = samples(ring, column, from, to);
+      if (times.length < 16) return [];
+      const spectrum = spectrumOf(resampled(times, values, from, to, count), rate);
+      hertz = spectrum.hertz;
+      return spectrum.amplitude.map((value) => Math.max(1e-12, value * this.drawn[i]!.scale));
+    });
+    if (!hertz.length) return;
+    this.data = [hertz, ...found.map((values) => (values.length ? values : hertz.map(() => null)))] as uPlot.AlignedData;
+    this.plot!.setData(this.data, false);
+    this.plot!.setScale("x", { min: hertz[0]!, max: hertz.at(-1)! });
+  }
+
+  private listen(): void {
+    const over = this.plot!.over;
+    let isDown = false;
+    const tell = (event: PointerEvent, begins: boolean): void => {
+      if (this.spec.kind !== "time" || !this.window) return;
+      const left = event.clientX - over.getBoundingClientRect().left;
+      this.onTime(this.plot!.posToVal(left, "x") + this.window.zero, begins);
+    };
+    over.addEventListener("pointerdown", (event) => {
+      if (event.button !== 0) return;
+      isDown = true;
+      over.setPointerCapture(event.pointerId);
+      tell(event, true);
+    });
+    over.addEventListener("pointermove", (event) => isDown && tell(event, false));
+    for (const name of ["pointerup", "pointercancel"] as const) over.addEventListener(name, () => (isDown = false));
+  }
+
+  /** Write the values under the pointer, which all scopes share. */
+  private readAt(plot: uPlot): void {
+    const at = plot.cursor.idx;
+    this.values.hidden = at === null || at === undefined || (plot.cursor.left ?? -1) < 0;
+    if (this.values.hidden || at == null) return;
+    const value = (points: ArrayLike<Point>): string => {
+      const known = [0, 1, -1, 2, -2].map((step) => points[at + step]).find((point) => typeof point === "number");
+      return known === undefined ? "–" : `${+known.toPrecision(4)}`;
+    };
+    const shown = this.spec.curves.map((_, i) => {
+      const text = make("span", {}, value(this.data[i + 1] as ArrayLike<Point>));
+      text.style.color = `var(--${COLOURS[i % COLOURS.length]})`;
+      return text;
+    });
+    const x = plot.data[0][at] ?? 0;
+    const where = this.spec.kind === "spectrum" ? `${+x.toPrecision(3)} Hz` : `${x.toFixed(3)} s`;
+    this.values.replaceChildren(make("span", {}, where), ...shown);
+  }
+
+  /** Lines for the playhead, the moments of a recording, and the two cursors. */
+  private drawMarks(plot: uPlot): void {
+    const window = this.window;
+    if (!window || this.spec.kind !== "time") return;
+    const { ctx: pen, bbox } = plot;
+    const ratio = devicePixelRatio;
+    const line = (time: number, style: string, width: number, dash: number[], text = ""): void => {
+      const x = Math.round(plot.valToPos(time - window.zero, "x", true));
+      if (!(x >= bbox.left && x <= bbox.left + bbox.width)) return;
+      pen.strokeStyle = pen.fillStyle = style;
+      pen.lineWidth = width * ratio;
+      pen.setLineDash(dash.map((length) => length * ratio));
+      pen.beginPath();
+      pen.moveTo(x, bbox.top);
+      pen.lineTo(x, bbox.top + bbox.height);
+      pen.stroke();
+      pen.setLineDash([]);
+      if (text) {
+        pen.font = `${11 * ratio}px system-ui`;
+        pen.fillText(text, x + 3 * ratio, bbox.top + 10 * ratio);
+      }
+    };
+    pen.save();
+    for (const moment of window.moments) line(moment, colour("edge"), 1, [2, 3]);
+    if (window.now !== undefined) line(window.now, colour("text"), 1.5, []);
+    window.cursors?.forEach((time, i) => line(time, colour("accent"), 1.5, [5, 3], "AB"[i]!));
+    pen.restore();
+  }
+
+  private build(): uPlot {
+    const axis = { stroke: colour("quiet"), grid: { stroke: colour("line"), width: 1 }, ticks: { show: false }, font: "11px system-ui" };
+    const isSpectrum = this.spec.kind === "spectrum";
+    const size = (_: uPlot, values: string[] | null): number => 12 + 6.4 * Math.max(1, ...(values ?? [""]).map((text) => text?.length ?? 0));
+    const labels = (_: uPlot, splits: number[]): string[] => tickTexts(splits);
+    // powers of ten alone have a label where the axis is one of them
+    const powers = (_: uPlot, splits: (number | null)[]): string[] => splits.map((value) => (value && Math.abs(Math.log10(value) % 1) < 1e-9 ? `${value}` : ""));
+    const side = (i: number): uPlot.Axis => ({ ...axis, scale: `y${i}`, side: i ? 1 : 3, size, space: 22, ...(i ? { grid: { show: false } } : {}), values: isSpectrum ? powers : labels });
+    const scales = Object.fromEntries(this.axes.map((i) => [`y${i}`, isSpectrum ? { distr: 3 as const, log: 10 as const } : { range: (_: uPlot, min: number | null, max: number | null) => this.rangeOf(i, min, max) }]));
+    return new uPlot(
+      {
+        width: Math.max(50, this.area.clientWidth),
+        height: Math.max(50, this.area.clientHeight),
+        padding: [8, this.axes.length > 1 ? 0 : 10, 0, 0],
+        legend: { show: false },
+        cursor: { sync: { key: isSpectrum ? "spectra" : "scopes" }, drag: { x: false, y: false } },
+        hooks: { setCursor: [(plot: uPlot) => this.readAt(plot)], draw: [(plot: uPlot) => this.drawMarks(plot)] },
+        scales: { x: isSpectrum ? { time: false, distr: 3, log: 10 } : { time: false }, ...scales },
+        axes: [
+          { ...axis, size: 20, space: 48, values: isSpectrum ? powers : (_, splits) => tickTexts(splits).map((text, i) => (i === splits.length - 1 ? `${text} s` : text)) },
+          ...this.axes.map(side),
+        ],
+        series: [{}, ...this.drawn.map(({ unit }, i) => ({ stroke: colour(COLOURS[i % COLOURS.length]!), width: 1.25, points: { show: false }, scale: `y${Math.max(0, Math.min(1, this.units.indexOf(unit)))}` }))],
+      },
+      this.data,
+      this.area,
+    );
+  }
+
+  /** Numbers of the axes: one for each unit, of which there are two at most. */
+  private get axes(): number[] {
+    return this.units.slice(0, 2).map((_, i) => i);
+  }
+
+  private rangeOf(axis: number, min: number | null, max: number | null): [number, number] {
+    if (this.spec.range && axis === 0) return this.spec.range;
+    const own = this.drawn.flatMap(({ unit }, i) => (this.units.indexOf(unit) === axis ? [i] : []));
+    const floor = Math.max(...own.map((i) => this.drawn[i]!.floor));
+    const noise = Math.max(...own.map((i) => noiseOf(this.data[i + 1] ?? [])));
+    // a share that was lost is never negative
+    if (this.units[axis] === "%") return [0, Math.max(floor, (max ?? 0) * 1.06)];
+    const found = axisRange(min, max, floor, noise);
+    const before = this.ranges[axis];
+    const keeps = before && before[0] <= found[0] && before[1] >= found[1] && found[1] - found[0] > SHRINK * (before[1] - before[0]);
+    return (this.ranges[axis] = keeps ? before : found);
+  }
+}
+
+/** Value of a column at a time: that of the nearest sample within `within`, NaN without any. */
+export function valueAt(ring: Ring, column: number, time: number, within: number): number {
+  let [nearest, found] = [within, NaN];
+  const middle = ring.indexAt(time);
+  for (let i = Math.max(0, middle - 4); i < Math.min(ring.length, middle + 4); i++) {
+    const away = Math.abs(ring.time(i) - time);
+    const value = ring.value(column, i);
+    if (away <= nearest && !Number.isNaN(value)) [nearest, found] = [away, value];
+  }
+  return found;
+}
+
+function samples(ring: Ring | undefined, column: number, from: number, to: number): [number[], number[]] {
+  const [times, values]: [number[], number[]] = [[], []];
+  if (!ring || column < 0) return [times, values];
+  for (let i = ring.indexAt(from); i < ring.length && ring.time(i) <= to; i++) {
+    const value = ring.value(column, i);
+    if (Number.isNaN(value)) continue;
+    times.push(ring.time(i));
+    values.push(value);
+  }
+  return [times, values];
+}

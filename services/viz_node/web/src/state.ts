@@ -1,0 +1,73 @@
+import type { LinkState } from "./connection";
+import { oscillationIn } from "./oscillation";
+import type { Store } from "./store";
+
+export type Kind = "good" | "warn" | "bad";
+export type Banner = [kind: Kind, text: string];
+
+const WATCHED_S = 15;
+/** At the hand: below this nobody feels that a force swings [N]. */
+const FELT_N = 0.3;
+const SAMPLES = 1500;
+
+/** The state of the rig or of the page in words, what an operator must not overlook first. */
+export function bannersOf(store: Store, link: LinkState, linkText: string): Banner[] {
+  if (link !== "open") return [["bad", `DISCONNECTED: ${linkText}`]];
+  const nodes = [...store.nodes.values()];
+  const isLive = store.source.kind === "live";
+  if (!nodes.length) return [["warn", isLive ? "NO RIG: no node has reported yet" : "REPLAYED: not an instrument"]];
+  if (isLive && nodes.every((node) => node.state === "ended" || node.state === "stopping")) return [["bad", "THE RIG HAS ENDED"]];
+  const found: Banner[] = [];
+  if (store.fact("haptic/state/master", "estop") === true || store.fact("afm/state/slave", "mode") === "estop") {
+    found.push(["bad", "EMERGENCY STOP: arm to go on"]);
+  }
+  // what was stopped swings no more, whatever the last seconds show
+  const swing = isLive && !found.length ? swingOf(store) : undefined;
+  const lost = store.lost();
+  if (lost.length) found.push(["bad", `LOST: ${lost.join(", ")}`]);
+  if (swing) found.push(["bad", `OSCILLATES: ${swing.peakToPeak.toFixed(1)} N at ${swing.hertz.toFixed(1)} Hz`]);
+  if (!isLive || nodes.some((node) => node.replay)) found.push(["warn", "REPLAYED: not an instrument"]);
+  const delay = roundTripOf(store);
+  if (delay > 1e-3) found.push(["warn", `DELAYED: ${(delay * 1e3).toFixed(1)} ms round trip`]);
+  if (store.fact("law/status/master", "passive") === false) found.push(["warn", "NOT PASSIVE"]);
+  if (!found.length) found.push(["good", "running"]);
+  const doing = isLive ? doingOf(store) : "";
+  if (doing && found[0]![0] !== "bad") found.push([found[0]![0], doing]);
+  return found;
+}
+
+/** What the link delays there and back [s]. */
+export function roundTripOf(store: Store): number {
+  const delays = ["forward", "backward"].map((way) => {
+    const facts = store.fact("link", way) as { delay_valid?: boolean; delay_mean_s?: number } | undefined;
+    return facts?.delay_valid ? (facts.delay_mean_s ?? 0) : 0;
+  });
+  return delays[0]! + delays[1]!;
+}
+
+/** What the instrument does, in words. */
+function doingOf(store: Store): string {
+  const program = store.state.get("afm/program/slave") as { program: string; state: string; done_percent: number } | undefined;
+  if (program && ["running", "paused"].includes(program.state)) {
+    return `${program.program} ${program.state === "paused" ? "paused" : "runs"}, ${program.done_percent.toFixed(0)} %`;
+  }
+  const words: Record<string, string> = { follow: "the tip follows the hand", hold: "the tip holds its place", retracted: "the tip is away", retracting: "the tip moves away" };
+  return words[String(store.fact("afm/state/slave", "mode") ?? "")] ?? "";
+}
+
+/** Whether the force of the tip at the hand's scale has been swinging for the last seconds. */
+function swingOf(store: Store): ReturnType<typeof oscillationIn> {
+  const ring = store.rings.get("command");
+  const column = store.column("command", "tip_force");
+  if (!ring?.length || column < 0) return undefined;
+  const first = ring.indexAt(ring.newest - WATCHED_S);
+  const step = Math.max(1, Math.floor((ring.length - first) / SAMPLES));
+  const [times, values]: [number[], number[]] = [[], []];
+  for (let i = first; i < ring.length; i += step) {
+    const value = ring.value(column, i);
+    if (Number.isNaN(value)) continue;
+    times.push(ring.time(i));
+    values.push(value);
+  }
+  return oscillationIn(times, values, FELT_N);
+}

@@ -1,0 +1,24 @@
+import { expect, it } from "vitest";
+import { adviceFor } from "../src/advice";
+import { judged } from "../src/panels/nodes";
+
+const way = (delay_mean_s: number, delay_max_s = delay_mean_s): object => ({ delay_mean_s, delay_max_s, delay_valid: true });
+
+it.each([
+  [[way(0.0001), way(0.0001)], [0, 0], "virtual_impedance", /0\.2 ms there and back: any law suits it/],
+  [[way(0.1), way(0.1)], [0, 0], "virtual_impedance", /200 ms .* take the law wave or passivity/],
+  [[way(0.1), way(0.1)], [0, 0], "wave", /wave suits it/],
+  [[way(0.01, 0.06), way(0.01)], [0, 0], "virtual_impedance", /rough touch/],
+  [[way(0.01), way(0.01)], [0.05, 0], "virtual_impedance", /5\.0 % lost: expect gaps/],
+  [[undefined, undefined], [], "wave", /not measured/],
+])("says in a sentence what to do on a network", (ways, losses, law, sentence) => {
+  expect(adviceFor(ways, losses, law)).toMatch(sentence);
+});
+
+it("judges the numbers of a node in words", () => {
+  const node = { state: "running", overruns: 15, lost: 0, rejected: 26, lateness_p99_s: 1e-4, uptime_s: 60, rate_hz: 1000 };
+  expect(judged(node)).toEqual(["", "good (15 late, 26 refused)"]);
+  expect(judged({ ...node, overruns: 5000 })[0]).toBe("warn");
+  expect(judged({ ...node, lateness_p99_s: 0.02 })).toEqual(["warn", "late"]);
+  expect(judged({ ...node, overruns: 0, rejected: 0 })).toEqual(["", "good"]);
+});

@@ -1,0 +1,70 @@
+"""What happened in a recording, as its page shows it: phases, holds with their verdicts, marks, events, the summary."""
+
+from typing import Any
+
+import numpy as np
+
+from analysis.phases import contacts_of, moments_of, phases_of
+from analysis.report import Session, read_session, read_traffic, summarise
+from proto.errors import RecordingError
+from recording.multi_file import RecordingSource
+from recording.site_clock import Timeline
+
+_MOST_EVENTS = 2000
+# numbers of the summary that a page lists one by one; the rest is in the file
+_LONG = ("rate_hz", "completeness", "seq_gaps", "holds", "parameters", "plugins")
+
+
+def judged_recording(recording: RecordingSource) -> dict[str, Any]:
+    """Return by key what a page shows of a recording beside its curves; times are since its first message [s].
+
+    `phases` and `holds` have `from_s` and `to_s`, `moments` have `t_s`, `kind`, `level`, `src` and `text`, `summary` is
+    that of `telenano report`, and `fault` says in words why there is none.
+    """
+    start_ns = recording.span_ns[0]
+    found: dict[str, Any] = {"phases": [], "holds": [], "moments": _events(recording, start_ns), "summary": None}
+    try:
+        session = read_session(recording)
+        summary = summarise(session, recording.info(), read_traffic(recording, session))
+    except RecordingError as error:
+        return {**found, "fault": str(error)}
+    return {**found, **_session_facts(session, summary, (session.start_ns - start_ns) * 1e-9, found["moments"])}
+
+
+def _session_facts(
+    session: Session, summary: dict[str, Any], shift_s: float, events: list[dict[str, Any]]
+) -> dict[str, Any]:
+    series = session.series()
+    in_contact = session.tip["in_contact"].astype(bool)
+    contacts = contacts_of(series.tip_time_s, in_contact) if in_contact.size else []
+    phases = phases_of(series.hand_time_s, series.hand_force_n, contacts, summary["holds"], session.duration_s)
+    moments = [
+        {"t_s": moment.time_s + shift_s, "kind": moment.kind, "level": "info", "src": "afm_node", "text": moment.text}
+        for moment in moments_of(contacts, session.duration_s)
+    ]
+    return {
+        "session_s": [shift_s, shift_s + session.duration_s],
+        "phases": [{"kind": p.kind, "from_s": p.from_s + shift_s, "to_s": p.to_s + shift_s} for p in phases],
+        "holds": [
+            {**hold, "from_s": hold["start_s"] + shift_s, "to_s": hold["end_s"] + shift_s} for hold in summary["holds"]
+        ],
+        "moments": sorted([*events, *moments], key=lambda moment: float(moment["t_s"])),
+        "summary": {key: value for key, value in summary.items() if key not in _LONG},
+    }
+
+
+def _events(recording: RecordingSource, start_ns: int) -> list[dict[str, Any]]:
+    """Return marks and what nodes reported, the newest left out where there are too many."""
+    timeline = Timeline(recording)
+    found = []
+    for message in recording.select(lambda channel: channel.topic == "session/event" and channel.via == "direct"):
+        fields = message.fields()
+        if fields.get("kind") in ("ack", "refused"):
+            continue
+        at_ns = int(timeline.times_ns(message.src, np.array([message.publish_ns], dtype=np.int64))[0])
+        text = str(fields.get("text", ""))
+        row = {"kind": str(fields.get("kind", "")), "level": str(fields.get("level", "info")), "src": message.src}
+        found.append({**row, "t_s": (at_ns - start_ns) * 1e-9, "text": text})
+        if len(found) >= _MOST_EVENTS:
+            break
+    return found

@@ -1,0 +1,61 @@
+"""Phases of a session, made up and recorded."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from made_sessions import Made
+
+from analysis.phases import contacts_of, moments_of, phases_of
+from recording.multi_file import open_recordings
+from telenano.recording_document import judged_recording
+
+TIME_S = np.arange(0.0, 8.0, 0.001)
+
+
+def contact(*spans: tuple[float, float]) -> np.ndarray:
+    return np.any([(begin <= TIME_S) & (end > TIME_S) for begin, end in spans], axis=0)
+
+
+def test_a_tip_that_bounces_when_it_lands_has_one_contact() -> None:
+    found = contacts_of(TIME_S, contact((2.0, 2.004), (2.010, 5.0), (6.0, 8.0)))
+    assert [pytest.approx(span, abs=2e-3) for span in found] == [(2.0, 5.0), (6.0, 8.0)]
+    assert contacts_of(TIME_S, np.zeros(TIME_S.size, dtype=bool)) == []
+    # the last one lasts to the end, where nothing was lost
+    assert [moment.kind for moment in moments_of(found, 8.0)] == ["contact", "lost", "contact"]
+
+
+def test_the_phases_follow_one_another_from_the_beginning_to_the_end() -> None:
+    force = np.interp(TIME_S, [0.8, 1.2, 4.5, 4.6], [0.0, 1.0, 1.0, 0.0])
+    holds = [{"start_s": 0.0, "end_s": 0.8, "hand_force_n": 0.0}, {"start_s": 2.5, "end_s": 4.5, "hand_force_n": 1.0}]
+    found = phases_of(TIME_S, force, contacts_of(TIME_S, contact((2.0, 5.0))), holds, 8.0)
+    assert [span.kind for span in found] == ["apart", "approach", "contact", "hold", "release", "released"]
+    assert [span.to_s for span in found[:-1]] == [span.from_s for span in found[1:]]
+    assert (found[0].from_s, found[-1].to_s) == (0.0, 8.0)
+
+
+def test_a_hold_during_which_the_tip_lands_is_one_phase() -> None:
+    force = np.full(TIME_S.size, 1.0)
+    holds = [{"start_s": 1.0, "end_s": 4.0, "hand_force_n": 1.0}]
+    found = phases_of(TIME_S, force, [(2.0, 8.0)], holds, 8.0)
+    assert [span.kind for span in found if span.kind == "hold"] == ["hold"]
+
+
+def test_a_hand_that_does_nothing_has_no_phases_but_one() -> None:
+    assert [span.kind for span in phases_of(TIME_S, np.zeros(TIME_S.size), [], [], 8.0)] == ["apart"]
+
+
+def test_a_recording_is_judged_as_its_report_is(tmp_path: Path) -> None:
+    found = judged_recording(open_recordings([Made().write(tmp_path)]))
+    assert found["summary"]["verdict"]
+    assert len(found["holds"]) > 0
+    assert found["phases"][0]["from_s"] == pytest.approx(found["session_s"][0])
+    times = [moment["t_s"] for moment in found["moments"]]
+    assert times == sorted(times)
+
+
+def test_a_recording_without_a_programme_says_why_it_has_no_verdict(tmp_path: Path) -> None:
+    made = Made(without=lambda topic, time_s: topic == "haptic/state")
+    found = judged_recording(open_recordings([made.write(tmp_path)]))
+    assert found["summary"] is None
+    assert "haptic/state" in found["fault"]

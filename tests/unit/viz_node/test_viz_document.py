@@ -1,0 +1,117 @@
+"""A recording as a document: what a page draws of it is what is in it, at every width."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from made_sessions import Made
+
+from proto.errors import RefusedError
+from recording.arrays import columns
+from recording.reader import Recording
+from recording.site_clock import Timeline
+from services.viz_node.document import RecordingDocument
+from services.viz_node.levels import Levels, read_samples
+from services.viz_node.streams import STREAMS
+
+FORCE = [column.name for column in STREAMS[2].columns].index("force")
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    """Return eight seconds of a session in which the tip is drawn to the sample for a moment."""
+    made = Made(tip_n=lambda time_s: -1.25 if 1.0 <= time_s < 1.01 else math.sin(time_s))
+    return Recording(made.write(tmp_path_factory.mktemp("document")))
+
+
+@pytest.fixture(scope="module")
+def document(whole: Recording) -> RecordingDocument:
+    found = RecordingDocument(whole)
+    found.wait()
+    return found
+
+
+@pytest.fixture(scope="module")
+def forces_n(whole: Recording) -> Any:
+    return columns(whole, "afm/state", ("tip_force_n.2",))["tip_force_n.2"].astype(np.float64)
+
+
+def samples(part: Any, name: str) -> tuple[Any, Any]:
+    """Return times [s] and columns of what a page is sent."""
+    stream = part["streams"][name]
+    numbers = np.frombuffer(stream["data"], "<f4").reshape(-1, stream["n"]).astype(np.float64)
+    return stream["t0"] + numbers[0], numbers[1:]
+
+
+def test_no_spike_disappears_however_wide_a_span_is(document: RecordingDocument, forces_n: Any) -> None:
+    length_s = document.about()["length_s"]
+    for spans in (1, 7, 100, 4000):
+        # longer than what is read from the file
+        _, values = samples(document.part(-10.0, length_s + 10.0, spans), "tip")
+        found = (np.nanmin(values[FORCE]), np.nanmax(values[FORCE]))
+        assert found == pytest.approx((forces_n.min(), forces_n.max()), rel=1e-6)
+
+
+def test_a_short_part_has_every_sample(document: RecordingDocument, forces_n: Any) -> None:
+    length_s = document.about()["length_s"]
+    part = document.part(0.0, length_s, 0)
+    times, values = samples(part, "tip")
+    assert part["width_s"] == 0.0
+    assert np.all(np.diff(times) >= 0.0)
+    # both ends may cut off what was sent before the recorder began and after it ended
+    assert len(times) == pytest.approx(len(forces_n), abs=20)
+    assert set(values[FORCE]) <= set(forces_n.astype("<f4").astype(np.float64))
+
+
+def test_what_cannot_be_a_part_is_refused_in_words(document: RecordingDocument) -> None:
+    with pytest.raises(RefusedError, match="no part of a recording"):
+        document.part(2.0, 1.0, 100)
+    with pytest.raises(RefusedError, match="choose a shorter part"):
+        document.part(0.0, 1e4, 0)
+
+
+def test_levels_of_an_hour_are_bounded_and_keep_a_single_sample() -> None:
+    levels = Levels(3600.0)
+    times = np.arange(0.0, 3600.0, 0.1)
+    values = np.zeros((8, times.size))
+    values[2, 12345] = 7.0
+    levels.add("tip", times, values)
+    found_s, found, width_s = levels.between("tip", 0.0, 3600.0, 500)
+    assert found_s.size <= 2 * 501
+    assert width_s >= 3600.0 / 501
+    at_s = found_s[int(np.argmax(found[2]))]
+    assert abs(at_s - times[12345]) <= width_s
+    assert found[2].max() == 7.0
+    # a column without a number in a span has none there
+    values[:] = math.nan
+    empty = Levels(10.0)
+    empty.add("tip", times[:100], values[:, :100])
+    assert empty.between("tip", 0.0, 10.0, 10)[0].size == 0
+
+
+def test_a_part_before_the_first_message_has_no_samples(whole: Recording) -> None:
+    start_ns = whole.span_ns[0]
+    timeline = Timeline(whole)
+    assert list(read_samples(whole, timeline, start_ns - 20, start_ns - 10)) == []
+
+
+def test_what_goes_wrong_in_the_judgement_is_said_and_the_curves_stay(whole: Recording) -> None:
+    def broken(recording: Any) -> dict[str, Any]:
+        raise RefusedError("no programme ran")
+
+    document = RecordingDocument(whole, broken)
+    document.wait()
+    about = document.about()
+    assert (about["read"], about["fault"]) == (1.0, "no programme ran")
+    assert document.part(0.0, about["length_s"] + 5.0, 10)["streams"]["tip"]["n"] > 0
+
+
+def test_a_long_recording_has_an_outline_before_it_is_read(whole: Recording) -> None:
+    document = RecordingDocument(whole)
+    document._outline()
+    length_s = document._length_s
+    times, _ = samples(document.part(-2.0, length_s + 2.0, 100), "tip")
+    # from one end to the other, although the most of it has not been read
+    assert times[0] < 0.5 * length_s
+    assert times[-1] > 0.8 * length_s
